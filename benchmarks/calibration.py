@@ -17,11 +17,10 @@ from pathlib import Path
 import numpy as np
 
 import sceneloom
+from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
-from sceneloom.calibrate.measures.candidate import Change
-from sceneloom.calibrate.mounting_estimate import step_between
-from sceneloom.calibrate.refinement.refine import refine
-from sceneloom.calibrate.refinement.results import Refinement
+from sceneloom.calibrate.measures import Change
+from sceneloom.calibrate.refinement import Refinement, refine
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import Faults, SensorFaults, plant, simulate_street
 

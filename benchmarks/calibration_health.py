@@ -12,9 +12,8 @@ import numpy as np
 
 import sceneloom
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
-from sceneloom.calibrate.health.check import CalibrationHealth, check_frames
-from sceneloom.calibrate.health.verdicts import Verdict
-from sceneloom.calibrate.measures.candidate import Change
+from sceneloom.calibrate.health import CalibrationHealth, Verdict, check_frames
+from sceneloom.calibrate.measures import Change
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import Faults, SensorFaults, plant, simulate_street
 

@@ -22,11 +22,10 @@ from typing import Any
 import numpy as np
 
 import sceneloom
-from sceneloom.catalog import Selection, opened, query, sql_of, update
-from sceneloom.catalog.drafts import write_draft
-from sceneloom.catalog.layout import MARKER, Layout, scene_name
-from sceneloom.catalog.parts import PART_ROWS, Entry, Fresh, Parts
+from sceneloom.catalog import Selection, opened, sql_of, update
+from sceneloom.catalog import database as catalog_database
 from sceneloom.catalog.rows import scene_rows
+from sceneloom.catalog.storage import MARKER, PART_ROWS, Entry, Fresh, Layout, Parts, scene_name, write_draft
 from sceneloom.geometry.geodesy import geodetic_from_enu
 from sceneloom.scene import (
     AttributePath,
@@ -162,7 +161,7 @@ def ask(folder: Path, runs: int) -> None:
         for name, wanted in QUERIES.items():
             sql, values = (wanted, ()) if isinstance(wanted, str) else sql_of(wanted)
             rows = len(database.query(sql, values).rows)
-            once = least(lambda wanted=wanted: query(folder, wanted), runs)
+            once = least(lambda wanted=wanted: catalog_database(folder, wanted), runs)
             again = least(lambda sql=sql, values=values: database.query(sql, values), runs)
             peer = least(lambda name=name: PEERS[name](folder), runs) if name in PEERS else None
             print(f"{name:28}{rows:7}{cell(once)}{cell(again)}{cell(peer)}")
@@ -198,7 +197,7 @@ def main() -> None:
         location.mkdir(exist_ok=True)
         folder, objects = location / "catalogue", chosen.boxes // chosen.scenes // FRAMES
         fill(folder, chosen.scenes, objects)
-        ((count,),) = query(folder, "SELECT count(*) FROM annotations").rows
+        ((count,),) = catalog_database(folder, "SELECT count(*) FROM annotations").rows
         files = len([*folder.rglob("*.parquet")])
         print(f"{count} boxes in {chosen.scenes} scenes, {files} files")
         ask(folder, chosen.runs)

@@ -19,12 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.cameras import Camera
-from sceneloom.editing.retiming import ClockCorrection, retimed_scene
+from sceneloom.editing.retime import ClockCorrection, retimed_scene
 from sceneloom.geometry.rotations import multiply_quaternions, quaternion_from_rotation_vector
-from sceneloom.motion.clock.rotating import RotationCurve
-from sceneloom.motion.clock.scene_clocks import compare_streams
-from sceneloom.motion.clock.streams import Stream, StreamKind, streams_of
-from sceneloom.motion.clock.trajectories import Fixes, TrajectoryCurve
+from sceneloom.motion.clock.signals import Fixes, RotationCurve, TrajectoryCurve
+from sceneloom.motion.clock.streams import Stream, StreamKind, compare_streams, streams_of
 from sceneloom.scene import Scene
 from sceneloom.scene.types import key_of
 from sceneloom.simulate import CameraSpec, GnssSpec, LidarSpec, PathSpec, simulate_street

@@ -21,8 +21,8 @@ import numpy as np
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.formats.encoded_images import EncodedImage
-from sceneloom.formats.sfs.write_images import encode_jpeg
+from sceneloom.formats.base.images import EncodedImage
+from sceneloom.formats.sfs.spool import encode_jpeg
 from sceneloom.scene import (
     CameraImage,
     CameraSensor,

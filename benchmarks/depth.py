@@ -4,7 +4,7 @@
     python -m benchmarks.depth window DATA     # the same, hidden points reported by a window of pixels
     python -m benchmarks.depth simulated       # simulated streets: every pixel's truth
     python -m benchmarks.depth confidence DATA # share of right pixels by confidence
-    python -m benchmarks.depth fit             # the tables of `sceneloom.depth.confidence`
+    python -m benchmarks.depth fit             # the tables of `sceneloom.colouring.depth_completion`
 
 `rings`: of each frame of the KITTI object set in DATA, rings 0, 2, 4, … from the top go in, seen from the camera with
 what is hidden taken out as `fuse` does it; truth are the points of the other rings that the camera sees, as the whole
@@ -25,16 +25,17 @@ import numpy as np
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import FusedView, LidarTrajectory, view_points
-from sceneloom.depth import complete_depth
-from sceneloom.depth.completion import METHODS
-from sceneloom.depth.confidence import (
+from sceneloom.colouring.depth_completion import (
     DOUBT_STEPS,
     GAP_STEPS,
+    METHODS,
     SLOPE_SHARE,
     TOLERANCE,
     TOLERANCE_SHARE,
+    Samples,
+    complete_depth,
+    pixels_per_radian,
 )
-from sceneloom.depth.samples import Samples, pixels_per_radian
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import iter_fused
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.inertial import imu_motion
+from sceneloom.motion.imu import imu_motion
 from sceneloom.pipeline import deskewed_scene
 from sceneloom.scene import LazyFrames, Scene
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import LidarSpec, PathSpec, SimulatedDrive, simulate_street
-from sceneloom.simulate.inertial import ImuSpec
-from sceneloom.simulate.warp import Stop
+from sceneloom.simulate.gnss_imu import ImuSpec
+from sceneloom.simulate.trajectory import Stop
 
 TRAJECTORIES = {"nothing": "identity", "imu": "imu", "lidar": "lidar", "truth": "groundTruth"}
 

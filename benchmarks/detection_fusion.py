@@ -19,10 +19,14 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
-from sceneloom.detections.assignment import assign, pair_gains
-from sceneloom.detections.classes import numbers_of
-from sceneloom.detections.outlines import boxes_with_position, project_outlines
-from sceneloom.detections.projection import fuse_by_projection
+from sceneloom.detections.detectors import numbers_of
+from sceneloom.detections.projection import (
+    assign,
+    boxes_with_position,
+    fuse_by_projection,
+    pair_gains,
+    project_outlines,
+)
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 

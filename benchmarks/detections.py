@@ -28,28 +28,24 @@ import numpy as np
 from benchmarks.detector_fits import KITTI, kitti_examples
 from sceneloom.arrays import Float64Array
 from sceneloom.detections import DetectionPair, FusedBoxes
-from sceneloom.detections.fitting.examples import Columns, LabelledPair, columns_of
-from sceneloom.detections.fitting.fit import fit_columns
+from sceneloom.detections.fitting import Columns, LabelledPair, columns_of, fit_columns
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import NO_BOX
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.evaluate.detection.covariances import judge_covariances
-from sceneloom.evaluate.detection.evaluation import box_errors, score_detections
-from sceneloom.evaluate.detection.rules import (
+from sceneloom.evaluate.detection import box_errors, judge_covariances, score_detections
+from sceneloom.evaluate.objects import FramePairs, ObjectTable, covered_by
+from sceneloom.evaluate.rules import (
     DIFFICULTIES,
     DetectionRules,
     ScoredDetections,
     at_difficulty,
     pair_detections,
 )
-from sceneloom.evaluate.objects import ObjectTable
-from sceneloom.evaluate.overlaps import FramePairs, covered_by
-from sceneloom.formats.kitti.camera_boxes import CENTRE_TO_CORNER, lidar_boxes
-from sceneloom.formats.kitti.labels import read_labels
-from sceneloom.formats.kitti.tracking_folder import open_tracking_folder
+from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, lidar_boxes, read_labels
+from sceneloom.formats.kitti.tracking_reader import open_tracking_folder
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels import track_scores
-from sceneloom.pipeline.detections.detected import kitti_drive
+from sceneloom.kernels import scores as kernels_scores
+from sceneloom.pipeline.detected_drive import kitti_drive
 from sceneloom.scene import Boxes2D
 from sceneloom.tracking import Observation, Tracker, TrackerSettings
 
@@ -207,7 +203,7 @@ def scored(
     frames = 1 + max(int(found.found.frames.max(initial=-1)), int(regions.frames.max(initial=-1)))
     pairs = FramePairs.of(regions.frame_starts(frames), found.found.frame_starts(frames))
     shares = covered_by(found.found, regions.corners_xyxy, pairs)  # type: ignore[arg-type]
-    return replace(found, excused=track_scores.reached_columns(shares, *pairs.locations, 1e-6))
+    return replace(found, excused=kernels_scores.reached_columns(shares, *pairs.locations, 1e-6))
 
 
 def spread_of_calibration(

@@ -3,7 +3,7 @@
 Run with `python -m benchmarks.detector_fits simulated` or `python -m benchmarks.detector_fits kitti FOLDER`, FOLDER
 laid out like KITTI's tracking benchmark with the lists of two detectors beside the labels. `-o FILE` writes elsewhere,
 `--sequences 0000,0002` takes some sequences only. For detectors of your own, make `LabelledPair`s as `kitti_examples`
-does, and call `sceneloom.detections.fitting.fit.fit_detectors`.
+does, and call `sceneloom.detections.fitting.fit_detectors`.
 """
 
 import argparse
@@ -13,13 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.detections import DetectionPair
-from sceneloom.detections.detector_files import FOLDER, format_detectors
-from sceneloom.detections.fitting.examples import LabelledPair
-from sceneloom.detections.fitting.fit import FitSettings, fit_detectors
-from sceneloom.formats.kitti.camera_boxes import lidar_boxes
-from sceneloom.formats.kitti.labels import read_labels
-from sceneloom.formats.kitti.tracking_folder import open_tracking_folder
-from sceneloom.formats.output import replacing
+from sceneloom.detections.detectors import FOLDER, format_detectors
+from sceneloom.detections.fitting import FitSettings, LabelledPair, fit_detectors
+from sceneloom.formats.base.output import replacing
+from sceneloom.formats.kitti.labels import lidar_boxes, read_labels
+from sceneloom.formats.kitti.tracking_reader import open_tracking_folder
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes3D
 from sceneloom.simulate import (

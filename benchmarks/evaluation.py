@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sceneloom.evaluate.detection.evaluation import evaluate_detection
+from sceneloom.evaluate.detection import evaluate_detection
 from sceneloom.evaluate.object_files import read_both
-from sceneloom.evaluate.tracking.evaluation import evaluate_tracking
+from sceneloom.evaluate.tracking import evaluate_tracking
 
 LEAST_SCORE, LEAST_OVERLAP = 0.4, 0.3
 

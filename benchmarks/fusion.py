@@ -33,7 +33,7 @@ from benchmarks.projection import CAMERA_FROM_BODY, HEIGHT, WIDTH, draw, inside_
 from benchmarks.street import CAMERA_WORLD, LIDAR_WORLD, make_street
 from benchmarks.visibility_in_numpy import find_visible_in_numpy
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import intrinsics_vector, projection_kernel
+from sceneloom.cameras.projection import intrinsics_vector, projection_kernel
 from sceneloom.colouring import (
     LidarTrajectory,
     ViewRequest,
@@ -41,7 +41,7 @@ from sceneloom.colouring import (
     algorithms,
     fuse_by_projection,
 )
-from sceneloom.colouring import views as view_module
+from sceneloom.colouring import algorithms as view_module
 from sceneloom.colouring import visibility as visibility_module
 from sceneloom.geometry.rigid import RigidTransform
 
@@ -177,9 +177,7 @@ def answer(count):
 
 def spent_by_two(run):
     """Milliseconds of processor time of one run by two threads, if each had a processor of its own."""
-    from sceneloom.kernels.thread_pool import (
-        ThreadPool,  # an older checkout, which answers beside this one, has none
-    )
+    from sceneloom.kernels.thread_pool import ThreadPool
 
     spared, share = 0.0, ThreadPool.gather
 

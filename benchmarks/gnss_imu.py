@@ -22,12 +22,19 @@ from sceneloom.geometry.rotations import (
     multiply_quaternions,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.gnss_imu.run import GnssImuRun, gnss_imu_motion
-from sceneloom.motion.gnss_imu.settings import SmootherSettings
+from sceneloom.motion.gnss_imu.measurements import SmootherSettings
+from sceneloom.motion.gnss_imu.smoother import GnssImuRun, gnss_imu_motion
 from sceneloom.scene import GnssSensor, ImuSensor, Scene, VectorSamples
-from sceneloom.simulate.inertial import GRAVITY, ImuSpec, ImuTruth, imu_sensor, imu_truth
-from sceneloom.simulate.path import EgoPath, PathSpec, plan_path
-from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
+from sceneloom.simulate.gnss_imu import (
+    GRAVITY,
+    GnssSpec,
+    ImuSpec,
+    ImuTruth,
+    gnss_sensor,
+    imu_sensor,
+    imu_truth,
+)
+from sceneloom.simulate.trajectory import EgoPath, PathSpec, plan_path
 
 SECOND = 1_000_000_000
 OUTAGE_S = 10.0

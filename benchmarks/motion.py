@@ -32,7 +32,7 @@ from sceneloom.motion.odometry.lidar_odometry import LidarOdometry
 from sceneloom.motion.odometry.run import lidar_odometry
 from sceneloom.pipeline import iter_fused
 from sceneloom.scene import CameraImage, LazyFrames, LidarFrame, LidarPoints, Poses, Scene
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import (
     CameraSpec,
     LidarSpec,

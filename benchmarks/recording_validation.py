@@ -16,7 +16,7 @@ import av
 import numpy as np
 
 from sceneloom import validate
-from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.recording.lines import read_lines
 
 Line = dict[str, object]

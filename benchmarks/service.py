@@ -34,9 +34,9 @@ from benchmarks.service_peers import (
     stub,
 )
 from benchmarks.service_soak import soak
-from sceneloom.fusion.interface import FusionInterface
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.protobuf import encode, from_send_request, to_protobuf
 from sceneloom.fusion.messages import CalibrationData
-from sceneloom.fusion.messages.protobuf_form import encode, from_send_request, to_protobuf
 from sceneloom.fusion.messages.wire import fusion_pb2
 
 WIDTH, HEIGHT, POINTS, BOXES = 1920, 1080, 250_000, 20

@@ -25,12 +25,12 @@ import numpy as np
 
 from benchmarks.truth_edges import REPORTED_HIDDEN, REPORTED_SEEN, shares_of_gaps
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project
+from sceneloom.cameras.projection import project
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import iter_fused
 from sceneloom.simulate import CameraSpec, LidarSpec, SimulatedDrive, camera_mount, simulate_street
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast
-from sceneloom.simulate.path import rotation_from_angles
+from sceneloom.simulate.trajectory import rotation_from_angles
 
 AIM_PERCENT, AIM_DEPTH = 3.0, 0.02 + 3 * 0.02
 MOST_SEEDS = 60

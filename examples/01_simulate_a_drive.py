@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from sceneloom.motion.deskew import points_to_world
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 

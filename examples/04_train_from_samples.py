@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import sceneloom
-from sceneloom.cameras.models import project
+from sceneloom.cameras.projection import project
 
 worker = {}
 

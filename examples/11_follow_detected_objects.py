@@ -12,8 +12,8 @@ from pathlib import Path
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.fusion.messages.json_form import format_json
-from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
+from sceneloom.db34t.json import format_json
+from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
 from sceneloom.pipeline import DetectionFiles, DetectionInput
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, detect_2d, detect_3d
 

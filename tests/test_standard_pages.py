@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from sceneloom.fusion.messages.tables import TABLES
-from sceneloom.fusion.outcome import Cause
-from sceneloom.fusion.properties.predefined import PREDEFINED
+from sceneloom.db34t.properties import PREDEFINED
+from sceneloom.db34t.tables import TABLES
+from sceneloom.db34t.types import Cause
 
 pytest.importorskip("grpc", reason="the extra `serve` is not installed")
 
-from sceneloom.service.conformance.examination import CHECKS, PARTS
-from sceneloom.service.conformance.transport import SERVICE
+from sceneloom.db34t.conformance.examination import CHECKS, PARTS
+from sceneloom.db34t.transport import SERVICE
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [DOCS / "db34t-4101.md", DOCS / "db34t-4101.zh.md"]

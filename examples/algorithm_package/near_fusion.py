@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.colouring.algorithms import ColouredPoints, ViewRequest, fuse_by_projection
-from sceneloom.colouring.lidar_trajectory import LidarTrajectory
+from sceneloom.colouring.results import LidarTrajectory
 from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.detections import DetectionPair, FusedBoxes
 from sceneloom.detections import projection as boxes_by_projection

@@ -18,34 +18,34 @@ from sceneloom.version import __version__
 
 if TYPE_CHECKING:
     from sceneloom.checks.validation import validate
+    from sceneloom.colouring.cuboid_points import count_points
+    from sceneloom.colouring.cuboid_projection import project_cuboids
     from sceneloom.editing.apply import apply_corrections
     from sceneloom.editing.crop import crop_scene
-    from sceneloom.editing.differences.scenes import diff_scenes as diff
-    from sceneloom.editing.frames import to_ego, to_sensor, to_world
+    from sceneloom.editing.diff import diff_scenes as diff
     from sceneloom.editing.merge import merge_scenes
+    from sceneloom.editing.move_world import to_ego, to_sensor, to_world
     from sceneloom.editing.thin import thin_scene
-    from sceneloom.evaluate.detection.comparison import compare_detections
-    from sceneloom.evaluate.tracking.comparison import compare_tracks
+    from sceneloom.evaluate.detection import compare_detections
+    from sceneloom.evaluate.tracking import compare_tracks
     from sceneloom.evaluate.trajectory import evaluate_trajectory
-    from sceneloom.formats.sfs.salvaging import salvage
+    from sceneloom.formats.base.registry import open_scene as open
+    from sceneloom.formats.base.registry import write_scene as write
+    from sceneloom.formats.sfs.salvage import salvage
     from sceneloom.formats.sfs.writer import SceneWriter
-    from sceneloom.formats.table import open_scene as open
-    from sceneloom.formats.table import write_scene as write
     from sceneloom.formats.trajectories.table import read_trajectory, write_trajectory
-    from sceneloom.motion.ego_motion import find_ego_motion
-    from sceneloom.pipeline.colouring.job import colour
-    from sceneloom.pipeline.converting.job import convert
+    from sceneloom.motion.ego_trajectory import find_ego_motion
+    from sceneloom.pipeline.colouring import colour
+    from sceneloom.pipeline.converting import convert
     from sceneloom.pipeline.depth_images import write_depth_images
-    from sceneloom.pipeline.deskewing.job import deskew
-    from sceneloom.pipeline.found_objects import fuse_detections, track_objects
-    from sceneloom.pipeline.fusing.job import fuse, iter_fused
+    from sceneloom.pipeline.deskewing import deskew
+    from sceneloom.pipeline.detection_jobs import fuse_detections, track_objects
+    from sceneloom.pipeline.fusing import fuse, iter_fused
     from sceneloom.pipeline.syncing import sync
     from sceneloom.scene.poses import Poses
     from sceneloom.scene.scene import Scene
     from sceneloom.service.client import FusionClient
     from sceneloom.simulate.drive import simulate_street
-    from sceneloom.visibility.points import count_points
-    from sceneloom.visibility.projected import project_cuboids
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
@@ -55,33 +55,33 @@ else:
             "Scene": "sceneloom.scene.scene:Scene",
             "SceneWriter": "sceneloom.formats.sfs.writer:SceneWriter",
             "apply_corrections": "sceneloom.editing.apply:apply_corrections",
-            "colour": "sceneloom.pipeline.colouring.job:colour",
-            "compare_detections": "sceneloom.evaluate.detection.comparison:compare_detections",
-            "compare_tracks": "sceneloom.evaluate.tracking.comparison:compare_tracks",
-            "convert": "sceneloom.pipeline.converting.job:convert",
-            "count_points": "sceneloom.visibility.points:count_points",
+            "colour": "sceneloom.pipeline.colouring:colour",
+            "compare_detections": "sceneloom.evaluate.detection:compare_detections",
+            "compare_tracks": "sceneloom.evaluate.tracking:compare_tracks",
+            "convert": "sceneloom.pipeline.converting:convert",
+            "count_points": "sceneloom.colouring.cuboid_points:count_points",
             "crop_scene": "sceneloom.editing.crop:crop_scene",
-            "deskew": "sceneloom.pipeline.deskewing.job:deskew",
-            "diff": "sceneloom.editing.differences.scenes:diff_scenes",
+            "deskew": "sceneloom.pipeline.deskewing:deskew",
+            "diff": "sceneloom.editing.diff:diff_scenes",
             "evaluate_trajectory": "sceneloom.evaluate.trajectory:evaluate_trajectory",
-            "find_ego_motion": "sceneloom.motion.ego_motion:find_ego_motion",
-            "fuse": "sceneloom.pipeline.fusing.job:fuse",
-            "fuse_detections": "sceneloom.pipeline.found_objects:fuse_detections",
-            "iter_fused": "sceneloom.pipeline.fusing.job:iter_fused",
+            "find_ego_motion": "sceneloom.motion.ego_trajectory:find_ego_motion",
+            "fuse": "sceneloom.pipeline.fusing:fuse",
+            "fuse_detections": "sceneloom.pipeline.detection_jobs:fuse_detections",
+            "iter_fused": "sceneloom.pipeline.fusing:iter_fused",
             "merge_scenes": "sceneloom.editing.merge:merge_scenes",
-            "open": "sceneloom.formats.table:open_scene",
-            "project_cuboids": "sceneloom.visibility.projected:project_cuboids",
+            "open": "sceneloom.formats.base.registry:open_scene",
+            "project_cuboids": "sceneloom.colouring.cuboid_projection:project_cuboids",
             "read_trajectory": "sceneloom.formats.trajectories.table:read_trajectory",
-            "salvage": "sceneloom.formats.sfs.salvaging:salvage",
+            "salvage": "sceneloom.formats.sfs.salvage:salvage",
             "simulate_street": "sceneloom.simulate.drive:simulate_street",
             "sync": "sceneloom.pipeline.syncing:sync",
             "thin_scene": "sceneloom.editing.thin:thin_scene",
-            "to_ego": "sceneloom.editing.frames:to_ego",
-            "to_sensor": "sceneloom.editing.frames:to_sensor",
-            "to_world": "sceneloom.editing.frames:to_world",
-            "track_objects": "sceneloom.pipeline.found_objects:track_objects",
+            "to_ego": "sceneloom.editing.move_world:to_ego",
+            "to_sensor": "sceneloom.editing.move_world:to_sensor",
+            "to_world": "sceneloom.editing.move_world:to_world",
+            "track_objects": "sceneloom.pipeline.detection_jobs:track_objects",
             "validate": "sceneloom.checks.validation:validate",
-            "write": "sceneloom.formats.table:write_scene",
+            "write": "sceneloom.formats.base.registry:write_scene",
             "write_depth_images": "sceneloom.pipeline.depth_images:write_depth_images",
             "write_trajectory": "sceneloom.formats.trajectories.table:write_trajectory",
         },

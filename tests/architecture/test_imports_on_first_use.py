@@ -14,7 +14,7 @@ import pytest
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats import FORMATS
-from sceneloom.formats.table import format_named
+from sceneloom.formats.base.registry import format_named
 from sceneloom.lazy import imported
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
@@ -56,7 +56,7 @@ def test_opening_a_drive_imports_nothing_of_other_formats(name: str, most: int, 
 
 
 def test_specs_are_light() -> None:
-    count, others = run("from sceneloom.formats.table import all_formats; all_formats()")
+    count, others = run("from sceneloom.formats.base.registry import all_formats; all_formats()")
     assert count <= 90
     assert others <= run("import numpy, msgspec")[1]
 

@@ -1,4 +1,4 @@
-"""Files are opened by `sceneloom.formats.files`, which waits for no pipe and reads no device."""
+"""Files are opened by `sceneloom.formats.base.files`, which waits for no pipe and reads no device."""
 
 import ast
 
@@ -13,46 +13,46 @@ BY_PATH = {
 object with a mode for reading, are others."""
 
 ALLOWED = {
-    ("sceneloom.formats.files", "os.open"): "the one location where files are opened",
-    ("sceneloom.formats.files", "open"): "the one location where files are opened",
-    ("sceneloom.formats.files", "path.open"): "files of remote folders open in their own trajectory",
-    ("sceneloom.formats.output", "os.open"): "the lock in a folder of our own",
-    ("sceneloom.formats.output", "read_bytes"): "of the running system",
-    ("sceneloom.formats.remote.mirrored_path", "open"): "of files that were fetched into a folder of our own",
-    ("sceneloom.formats.remote.mirrored_path", "read_bytes"): "the listing in a folder of our own",
+    ("sceneloom.formats.base.files", "os.open"): "the one location where files are opened",
+    ("sceneloom.formats.base.files", "open"): "the one location where files are opened",
+    ("sceneloom.formats.base.files", "path.open"): "files of remote folders open in their own trajectory",
+    ("sceneloom.formats.base.output", "os.open"): "the lock in a folder of our own",
+    ("sceneloom.formats.base.output", "read_bytes"): "of the running system",
+    ("sceneloom.formats.remote.mirror", "open"): "of files that were fetched into a folder of our own",
+    ("sceneloom.formats.remote.mirror", "read_bytes"): "the listing in a folder of our own",
     (
-        "sceneloom.formats.remote.mirrored_path",
+        "sceneloom.formats.remote.mirror",
         "io.FileIO",
     ): "of files that were fetched into a folder of our own",
     ("sceneloom.formats.remote.stores", "source.open"): "what was written is sent",
     ("sceneloom.formats.sfs.spool", "path.open"): "what was written before is put together",
-    ("sceneloom.formats.encoded_images", "Image.open"): "after `check_regular`, or of bytes in memory",
-    ("sceneloom.formats.argoverse2.feather", "feather.read_table"): "after `check_regular`",
-    ("sceneloom.formats.ros.bags", "sqlite3.connect"): "after `check_regular`",
-    ("sceneloom.formats.ros.bags", "YAML"): "of a text",
-    ("sceneloom.formats.clouds.text_rows", "np.loadtxt"): "of lines in memory",
-    ("sceneloom.formats.clouds.las", "laspy.open"): "of a stream, or for writing",
-    ("sceneloom.formats.clouds.frame_files", "laspy.open"): "for writing",
-    ("sceneloom.formats.clouds.npz", "np.load"): "of an open file",
-    ("sceneloom.formats.clouds.spec", "zipfile.ZipFile"): "of an open file",
+    ("sceneloom.formats.base.images", "Image.open"): "after `check_regular`, or of bytes in memory",
+    ("sceneloom.formats.argoverse2.reader", "feather.read_table"): "after `check_regular`",
+    ("sceneloom.formats.messages.ros_bags", "sqlite3.connect"): "after `check_regular`",
+    ("sceneloom.formats.messages.ros_bags", "YAML"): "of a text",
+    ("sceneloom.formats.points.cloud", "np.loadtxt"): "of lines in memory",
+    ("sceneloom.formats.points.las", "laspy.open"): "of a stream, or for writing",
+    ("sceneloom.formats.points.files", "laspy.open"): "for writing",
+    ("sceneloom.formats.points.npz", "np.load"): "of an open file",
+    ("sceneloom.formats.points.spec", "zipfile.ZipFile"): "of an open file",
     ("sceneloom.formats.recording.zipped", "ZipFile"): "of an open file",
-    ("sceneloom.formats.pandaset.pickled_frames", "gzip.GzipFile"): "of an open file",
-    ("sceneloom.formats.video.source", "av.open"): "after a look whether it is a file",
+    ("sceneloom.formats.pandaset.pickles", "gzip.GzipFile"): "of an open file",
+    ("sceneloom.formats.video.index", "av.open"): "after a look whether it is a file",
     ("sceneloom.formats.video.writer", "av.open"): "for writing",
-    ("sceneloom.formats.sfs.video_rescue", "av.open"): "for writing",
+    ("sceneloom.formats.sfs.images", "av.open"): "for writing",
     ("sceneloom.batch.cluster", "read_bytes"): "what a worker of ours left",
-    ("sceneloom.batch.locks", "sqlite3.connect"): "the lock in a folder of our own",
+    ("sceneloom.batch.record", "sqlite3.connect"): "the lock in a folder of our own",
     ("sceneloom.batch.record", "sqlite3.connect"): "the record in a folder of our own",
-    ("sceneloom.catalog.drafts", "pa.OSFile"): "what was drafted before, in a folder of our own",
+    ("sceneloom.catalog.storage", "pa.OSFile"): "what was drafted before, in a folder of our own",
     ("sceneloom.colouring.world_map", "np.load"): "what was written before, in a folder of our own",
     ("sceneloom.colouring.world_map", "np.fromfile"): "what was written before, in a folder of our own",
     (
-        "sceneloom.pipeline.colouring.map_scene",
+        "sceneloom.pipeline.coloured_sweeps",
         "np.memmap",
     ): "what was written before, in a folder of our own",
     ("sceneloom.kernels.cache", "read_bytes"): "an index of compiled kernels that was found in a folder",
-    ("sceneloom.service.fetched", "ZipFile"): "for writing",
-    ("sceneloom.view.depths", "np.load"): "after `check_regular`",
+    ("sceneloom.service.result_files", "ZipFile"): "for writing",
+    ("sceneloom.view.images", "np.load"): "after `check_regular`",
 }
 """Module and call, and why it is in order."""
 
@@ -103,7 +103,7 @@ def test_files_are_opened_by_the_one_function_that_refuses_pipes_and_devices(mod
             used.add((module.name, name))
             if (module.name, name) not in ALLOWED:
                 found.append(f"{module.name}, line {node.lineno}: {name}")
-    assert not found, f"use open_file or read_bytes of sceneloom.formats.files: {found}"
+    assert not found, f"use open_file or read_bytes of sceneloom.formats.base.files: {found}"
     assert set(ALLOWED) <= used, f"no longer needed: {set(ALLOWED) - used}"
 
 

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.fusion.messages.json_form import format_json
-from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
+from sceneloom.colouring.cuboid_projection import project_cuboids
+from sceneloom.db34t.json import format_json
+from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
 from sceneloom.simulate import (
     CameraSpec,
     Faults,
@@ -23,7 +24,6 @@ from sceneloom.simulate import (
     sensor_mount,
     simulate_street,
 )
-from sceneloom.visibility import project_cuboids
 
 
 def make_inputs(folder: Path) -> None:

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.table import read_cloud
-from sceneloom.formats.table import open_scene, write_scene
+from sceneloom.formats.base.registry import open_scene, write_scene
+from sceneloom.formats.points.files import read_cloud
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
 
 pypcd4 = pytest.importorskip("pypcd4")

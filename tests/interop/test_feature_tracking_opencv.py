@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from sceneloom.kernels.feature_tracking import corner_strengths
-from sceneloom.motion.clock.corners import Pyramid, find_corners, followed
+from sceneloom.kernels.images import corner_strengths
+from sceneloom.motion.clock.camera_rotation import Pyramid, find_corners, followed
 
 
 @pytest.fixture(scope="module")

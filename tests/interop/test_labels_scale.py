@@ -9,7 +9,7 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.scene import Support, Track, Tracks
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
-from sceneloom.tracking.labels.making import label_tracks
+from sceneloom.tracking.labels import label_tracks
 
 READ = """
 import contextlib, io, json, sys

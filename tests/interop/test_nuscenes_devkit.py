@@ -15,8 +15,7 @@ from tests.unit.formats.nuscenes.test_write import with_classes
 import sceneloom
 from sceneloom.cameras import project
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.at import cuboid_poses
+from sceneloom.scene.annotations_at import CuboidAngles, cuboid_poses
 
 PROGRAM = """
 import json, sys

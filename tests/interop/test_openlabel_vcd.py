@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from tests.peers import python_with
 
-from sceneloom.formats.table import open_scene, write_scene
+from sceneloom.formats.base.registry import open_scene, write_scene
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
@@ -35,8 +35,7 @@ from sceneloom.scene import (
     Trajectory,
     VertexPath,
 )
-from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.at import cuboid_poses
+from sceneloom.scene.annotations_at import CuboidAngles, cuboid_poses
 
 HERE = Path(__file__).parent
 GOLDEN = HERE / "golden" / "openlabel_vcd.json"

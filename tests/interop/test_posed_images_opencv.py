@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project_unbounded
+from sceneloom.cameras.projection import project_unbounded
 from sceneloom.errors import OptionError, UnknownOptionError
-from sceneloom.formats.loss import Support
-from sceneloom.formats.table import format_named, write_scene, written_formats
+from sceneloom.formats.base.losses import Support
+from sceneloom.formats.base.registry import format_named, write_scene, written_formats
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     CameraImage,

@@ -5,8 +5,7 @@ import pytest
 
 from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
 from sceneloom.motion.gnss_imu.chain import Chain, Fixes, States, equations
-from sceneloom.motion.gnss_imu.preintegration import preintegrated
-from sceneloom.motion.gnss_imu.settings import SmootherSettings
+from sceneloom.motion.gnss_imu.measurements import SmootherSettings, preintegrated
 
 gtsam = pytest.importorskip("gtsam", reason="needs gtsam")
 

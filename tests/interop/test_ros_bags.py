@@ -17,8 +17,8 @@ from tests.properties.injected import injected_scene
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.ros.typestores import DEFINITIONS
-from sceneloom.formats.table import find_format
+from sceneloom.formats.base.registry import find_format
+from sceneloom.formats.messages.ros_messages import DEFINITIONS
 from sceneloom.scene import (
     Box2DAnnotation,
     CameraImage,

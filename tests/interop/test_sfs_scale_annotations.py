@@ -8,7 +8,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.sfs.spec import FORMAT
-from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.sfs.writer import write_scene
 from sceneloom.scene import (
     Activation,
     AttributePath,

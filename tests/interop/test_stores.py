@@ -22,7 +22,7 @@ from sceneloom.batch import Input, Job, run
 from sceneloom.batch.outputs import claimed
 from sceneloom.errors import DataError, OutputError
 from sceneloom.formats.remote import stores
-from sceneloom.formats.remote.fetching import find_urls
+from sceneloom.formats.remote.mirror import find_urls
 from sceneloom.formats.remote.uploads import MARKER, upload
 
 MOTO = """

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sceneloom.evaluate.objects import ObjectTable
-from sceneloom.evaluate.tracking.evaluation import evaluate_tracking
+from sceneloom.evaluate.tracking import evaluate_tracking
 from sceneloom.formats.kitti.labels import read_labels
 
 trackeval = pytest.importorskip("trackeval", reason="no trackeval: pip install trackeval")

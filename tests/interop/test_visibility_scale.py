@@ -7,15 +7,10 @@ import numpy as np
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
+from sceneloom.colouring.cuboid_points import count_points, with_activations, with_counts, with_labeled_points
+from sceneloom.colouring.cuboid_projection import project_cuboids
 from sceneloom.scene import CuboidAnnotation
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, simulate_street
-from sceneloom.visibility import (
-    count_points,
-    project_cuboids,
-    with_activations,
-    with_counts,
-    with_labeled_points,
-)
 
 READ = """
 import contextlib, io, json, math, sys

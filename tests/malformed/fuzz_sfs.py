@@ -21,7 +21,7 @@ import numpy as np
 
 with atheris.instrument_imports(include=["sceneloom.formats.sfs", "sceneloom.scene"]):
     from sceneloom.errors import SceneloomError
-    from sceneloom.formats.sfs.salvaging import salvage
+    from sceneloom.formats.sfs.salvage import salvage
     from sceneloom.formats.sfs.spec import FORMAT
 
 LONGEST = 1 << 14

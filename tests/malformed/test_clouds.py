@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from sceneloom.errors import DataError
 from sceneloom.formats import open_scene
-from sceneloom.formats.clouds.layout import parse_layout
-from sceneloom.formats.clouds.points import PointMapping, PointTimes, SweepClock, points_of
-from sceneloom.formats.clouds.table import read_cloud
+from sceneloom.formats.points.cloud import parse_layout
+from sceneloom.formats.points.files import read_cloud
+from sceneloom.formats.points.mapping import PointMapping, PointTimes, SweepClock, points_of
 
 POINTS = np.array([(1.5, -2.0, 0.25, 7, 3), (4.0, 5.0, -6.0, 0, 1)], "<f4,<f4,<f4,<u1,<u4")
 PCD_HEAD = (

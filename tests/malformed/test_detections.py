@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import SceneloomError
+from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.kitti.calibration import read_calibration
 from sceneloom.formats.kitti.labels import read_labels
 from sceneloom.formats.kitti.oxts import read_oxts
-from sceneloom.formats.ledger import Ledger
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.detections.files import read_fused
-from sceneloom.pipeline.detections.lists.context import ListContext
-from sceneloom.pipeline.detections.lists.table import read_boxes_2d, read_boxes_3d
+from sceneloom.pipeline.detection_lists import ListContext, read_boxes_2d, read_boxes_3d
+from sceneloom.pipeline.fusing_detections import read_fused
 from sceneloom.scene import Poses
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 
 CONTEXT = ListContext(
     "lidar",

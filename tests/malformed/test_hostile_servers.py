@@ -12,7 +12,7 @@ from tests.malformed.mutants import sound_scene
 
 import sceneloom
 from sceneloom.cli import main
-from sceneloom.fusion.interface import FusionInterface
+from sceneloom.db34t.interface import FusionInterface
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.methods import METHODS
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.rig.spec import FORMAT
-from sceneloom.formats.rig.survey import survey
+from sceneloom.formats.rig.template import survey
 
 LIDAR = {
     "id": "top",

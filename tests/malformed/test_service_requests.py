@@ -7,11 +7,11 @@ from google.protobuf.message import DecodeError
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sceneloom.db34t.interface import FusionInterface
 from sceneloom.errors import DataError
-from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.service.call_errors import CallError
 from sceneloom.service.methods import METHODS
+from sceneloom.service.sessions import CallError
 
 TIMESTAMP = fusion_pb2.Timestamp(s=1, ns=2)
 POSE = fusion_pb2.Pose(timestamp=TIMESTAMP, position=[1, 2, 3], quaternion_xyzw=[0, 0, 0, 1])

@@ -10,7 +10,7 @@ import simplejpeg
 
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.sfs.spec import FORMAT
-from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.sfs.writer import write_scene
 from sceneloom.formats.video.remux import encode_to_mp4
 
 TWO = np.array([[1, 2, 3], [4, 5, 6]], np.float32)

@@ -6,9 +6,9 @@ import json
 import pytest
 
 from sceneloom.errors import SceneloomError
-from sceneloom.formats.sfs.salvaging import salvage
+from sceneloom.formats.sfs.salvage import salvage
 from sceneloom.formats.sfs.spec import FORMAT
-from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.sfs.writer import write_scene
 
 UNKNOWN = {"id": "p", "type": "x", "paths": [[{"timestamps": [1]}]], "projections": [[1]]}
 STREAMS = {"id": "i", "type": "imu", "streams": {"gyroscope": {"values": 1}}}

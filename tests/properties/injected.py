@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.formats.encoded_images import EncodedImage
+from sceneloom.formats.base.images import EncodedImage
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     Activation,

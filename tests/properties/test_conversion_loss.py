@@ -10,15 +10,12 @@ import pytest
 from tests.properties.injected import injected_scene
 
 from sceneloom.errors import MissingExtraError, OptionError
-from sceneloom.formats.loss import LossReport, Support
-from sceneloom.formats.supported_fields import unknown_names
-from sceneloom.formats.table import FORMATS, find_format, format_named
+from sceneloom.formats.base.losses import LossReport, Support, unknown_names
+from sceneloom.formats.base.registry import FORMATS, find_format, format_named
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.pipeline.converting.field_names import fields_meant, kinds_by_id
-from sceneloom.pipeline.converting.supports import field_supports
+from sceneloom.pipeline.converting import field_supports, fields_meant, kinds_by_id
 from sceneloom.scene import LazyFrames, Scene, VideoContent
-from sceneloom.scene.contents import MODEL_FIELDS
-from sceneloom.scene.counting import Counting, frame_values, frames_of, stationary_values
+from sceneloom.scene.contents import MODEL_FIELDS, Counting, frame_values, frames_of, stationary_values
 
 WRITTEN = [name for name in FORMATS if format_named(name).writes]
 REFERENCES = ("sensor_id", "order", "parent_id", "from_id", "to_id")

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sceneloom.editing import crop_scene, merge_scenes, to_ego, to_sensor, to_world
-from sceneloom.editing.voxels import one_per_cube
+from sceneloom.editing.thin import one_per_cube
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     CuboidAnnotation,
@@ -25,7 +25,7 @@ from sceneloom.scene import (
     Trajectory,
     VertexPath,
 )
-from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations_at import CuboidAngles
 
 PERIOD_NS = 100_000_000
 

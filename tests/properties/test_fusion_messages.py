@@ -7,6 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sceneloom.db34t.json import format_json, from_json, parse_json, to_json
+from sceneloom.db34t.protobuf import (
+    decode,
+    decode_send_request,
+    encode,
+    encode_in,
+    from_protobuf,
+    from_send_request,
+    parse_message,
+    to_protobuf,
+    to_send_request,
+)
 from sceneloom.errors import DataError
 from sceneloom.fusion.messages import (
     ENCODINGS,
@@ -21,18 +33,6 @@ from sceneloom.fusion.messages import (
     SensorFusionData,
     Timestamp,
     kind_of,
-)
-from sceneloom.fusion.messages.json_form import format_json, from_json, parse_json, to_json
-from sceneloom.fusion.messages.protobuf_form import (
-    decode,
-    decode_send_request,
-    encode,
-    encode_in,
-    from_protobuf,
-    from_send_request,
-    parse_message,
-    to_protobuf,
-    to_send_request,
 )
 from sceneloom.fusion.messages.wire import fusion_pb2
 

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.spatial.transform import Rotation
 
-from sceneloom.formats.clouds.layout import TYPES, parse_layout
-from sceneloom.formats.clouds.table import read_cloud
-from sceneloom.formats.rig.timestamps import NamePattern, parse_timestamp
+from sceneloom.formats.base.text_tables import NamePattern, parse_timestamp
+from sceneloom.formats.points.cloud import TYPES, parse_layout
+from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.rig.transforms import Edge, FrameTree
 from sceneloom.geometry.rigid import RigidTransform
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.formats.sfs.distortion import COEFFICIENT_COUNTS
+from sceneloom.formats.sfs.schema import COEFFICIENT_COUNTS
 from sceneloom.formats.sfs.spec import FORMAT
-from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.sfs.writer import write_scene
 from sceneloom.scene import (
     Activation,
     AttributePath,
@@ -38,7 +38,7 @@ from sceneloom.scene import (
     ShapeType,
     VertexPath,
 )
-from sceneloom.scene.annotations.shapes import DIMENSIONS
+from sceneloom.scene.annotations import DIMENSIONS
 
 START_NS = 1_700_000_000_000_000_000
 NUMBERS = st.floats(-1e12, 1e12)

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from sceneloom.formats.sfs.clock import FileClock, chosen_offset_ns
 from sceneloom.formats.sfs.spec import FORMAT
-from sceneloom.formats.sfs.times import FileClock, chosen_offset_ns
-from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.sfs.writer import write_scene
 from sceneloom.scene import (
     AttributePath,
     Coordinates,

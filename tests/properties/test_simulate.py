@@ -10,9 +10,8 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street
 from sceneloom.simulate.casting import Rays, cast
-from sceneloom.simulate.ground import GroundMap
-from sceneloom.simulate.shapes import Material, PackedShapes, Pattern, Shape, ShapeKind
-from sceneloom.simulate.street import Street
+from sceneloom.simulate.objects import Material, PackedShapes, Pattern, Shape, ShapeKind
+from sceneloom.simulate.street import GroundMap, Street
 
 NO_GROUND = GroundMap(np.zeros((2, 2, 4), np.float32), np.zeros(2))
 PLAIN = Material(Pattern.PLAIN, ((90.0, 90.0, 90.0),) * 3)

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.simulate import CameraSpec, LidarSpec, Raster, Rosette, SolidStateSpec
-from sceneloom.simulate.exposure import Exposure, ExposureSpec
-from sceneloom.simulate.rig import Rig
+from sceneloom.simulate.camera import Exposure, ExposureSpec
+from sceneloom.simulate.drive import Rig
 
 
 @given(

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from sceneloom import read_trajectory, write_trajectory
-from sceneloom.formats.trajectories.content import TrajectoryFile
 from sceneloom.formats.trajectories.table import read_trajectory_file
+from sceneloom.formats.trajectories.trajectory_file import TrajectoryFile
 from sceneloom.geometry.rotations import angle_between, normalise_quaternion
 from sceneloom.scene import GnssSensor, Trajectory
 

@@ -9,14 +9,12 @@ from hypothesis.extra import numpy as hnp
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import ViewRequest, VisibilitySettings, find_visible, fuse_by_projection
-from sceneloom.colouring.scan_lines import look_around, measure_spacings, measure_surface_distance
+from sceneloom.colouring.visibility import look_around, measure_spacings, measure_surface_distance
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.depth_images import draw_depths, mark_nearest
+from sceneloom.kernels.colours import draw_depths, mark_nearest, paint_points
 from sceneloom.kernels.direction_grid import measure_extent
-from sceneloom.kernels.directions import map_directions
 from sceneloom.kernels.occlusion import mark_unhidden
-from sceneloom.kernels.pixel_numbers import pixel_numbers
-from sceneloom.kernels.point_colours import paint_points
+from sceneloom.kernels.projection import map_directions, pixel_numbers
 
 GUARD = 64
 STILL = np.eye(4)

@@ -8,7 +8,7 @@ import pytest
 
 from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.motion.clock.estimate import ClockVerdict
-from sceneloom.motion.clock.scene_clocks import gyroscope_against_trajectory
+from sceneloom.motion.clock.streams import gyroscope_against_trajectory
 from sceneloom.pipeline import sync
 
 

@@ -7,7 +7,7 @@ from scipy.interpolate import LinearNDInterpolator
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import LidarTrajectory, view_points
-from sceneloom.depth import METHODS, complete_depth
+from sceneloom.colouring.depth_completion import METHODS, complete_depth
 from sceneloom.geometry.rigid import RigidTransform
 
 

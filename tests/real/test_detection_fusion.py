@@ -8,8 +8,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
-from sceneloom.detections.outlines import project_outlines
-from sceneloom.detections.projection import fuse_by_projection
+from sceneloom.detections.projection import fuse_by_projection, project_outlines
 from sceneloom.detections.results import NO_BOX
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm

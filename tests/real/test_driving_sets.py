@@ -8,8 +8,8 @@ from tests.unit.formats.nuscenes.schema_folder import from_infos
 
 import sceneloom
 from sceneloom.cameras import project
+from sceneloom.colouring.cuboid_points import count_points
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.visibility import count_points
 
 ARGOVERSE = "real/argoverse2"
 

@@ -8,9 +8,9 @@ import pytest
 
 import sceneloom
 from sceneloom.editing import crop_scene, merge_scenes, thin_scene, to_ego, to_sensor, to_world
-from sceneloom.editing.frame_change import FrameChange
-from sceneloom.editing.moved_world import moved_world
-from sceneloom.editing.record import with_ours
+from sceneloom.editing.move_points import FrameChange
+from sceneloom.editing.move_world import moved_world
+from sceneloom.editing.references import with_ours
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import PointsFrame, Trajectory
 

@@ -6,14 +6,14 @@ And the trajectory there and back.
 import numpy as np
 import pytest
 
-from sceneloom.cameras.models import project
+from sceneloom.cameras.projection import project
+from sceneloom.colouring.box_outlines import box_extents
 from sceneloom.formats import open_scene, write_scene
 from sceneloom.geometry.boxes import box_corners, points_in_box
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CuboidAnnotation
-from sceneloom.scene.at import cuboid_poses
-from sceneloom.scene.pose_source import PoseSource
-from sceneloom.visibility.outlines import box_extents
+from sceneloom.scene.annotations_at import cuboid_poses
+from sceneloom.scene.poses import PoseSource
 
 
 @pytest.fixture(scope="module")

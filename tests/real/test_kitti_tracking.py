@@ -7,15 +7,14 @@ import pytest
 
 from sceneloom.cli import main
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.formats.kitti.camera_boxes import lidar_boxes
-from sceneloom.formats.kitti.labels import read_labels, write_labels
-from sceneloom.formats.kitti.tracking_folder import open_tracking_folder
-from sceneloom.formats.rig.csv_files import read_table
+from sceneloom.formats.base.text_tables import read_table
+from sceneloom.formats.kitti.labels import lidar_boxes, read_labels, write_labels
+from sceneloom.formats.kitti.tracking_reader import open_tracking_folder
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.detections.detected import calibration_warnings, kitti_drive
-from sceneloom.pipeline.detections.fused import iter_fused_detections
-from sceneloom.pipeline.tracking.kitti_results import projected_boxes
+from sceneloom.pipeline.detected_drive import calibration_warnings, kitti_drive
+from sceneloom.pipeline.fusing_detections import iter_fused_detections
+from sceneloom.pipeline.tracking import projected_boxes
 
 PART = ("0012", "0014")
 """A car that stands, and one that drives, with another camera."""

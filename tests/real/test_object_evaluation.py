@@ -2,8 +2,8 @@
 
 import pytest
 
-from sceneloom.evaluate.detection.comparison import compare_detections
-from sceneloom.evaluate.tracking.comparison import compare_tracks
+from sceneloom.evaluate.detection import compare_detections
+from sceneloom.evaluate.tracking import compare_tracks
 
 SEQUENCES = ("0000", "0012", "0014")
 

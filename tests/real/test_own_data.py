@@ -8,7 +8,7 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras import project
-from sceneloom.formats.rig.survey import survey
+from sceneloom.formats.rig.template import survey
 
 
 def calibration(path: Path) -> dict[str, np.ndarray]:

@@ -8,7 +8,7 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras import project
-from sceneloom.motion.ego_motion import find_ego_motion
+from sceneloom.motion.ego_trajectory import find_ego_motion
 
 
 def samples_of(data_dir, name, **arguments):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.formats.sfs.spec import FORMAT
-from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.sfs.writer import write_scene
 from sceneloom.scene import CuboidAnnotation
 
 

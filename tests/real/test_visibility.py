@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
+from sceneloom.colouring.cuboid_points import count_points
+from sceneloom.colouring.cuboid_projection import Observations, visibility
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     Boxes,
@@ -24,7 +26,6 @@ from sceneloom.scene import (
     Poses,
     Scene,
 )
-from sceneloom.visibility import Observations, count_points, visibility
 
 ARGOVERSE_LOG = "real/argoverse2/7fab2350-7eaf-3b7e-a39d-6937a4c1bede"
 

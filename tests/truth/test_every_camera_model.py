@@ -9,7 +9,7 @@ import pytest
 from sceneloom.cameras import MODELS, Camera, Chart
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.pipeline import iter_fused
-from sceneloom.scene.assumed_camera_models import with_assumed_models
+from sceneloom.scene.scene import with_assumed_models
 from sceneloom.simulate import CameraSpec, LidarSpec, SimulatedDrive, camera_mount, simulate_street
 
 SIZE = (240, 160)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sceneloom.redaction import redacted
+from sceneloom.errors import redacted
 
 
 @pytest.mark.parametrize(

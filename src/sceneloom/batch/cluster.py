@@ -1,11 +1,4 @@
-"""Workers of dask: on this machine, or wherever a scheduler that is running has them.
-
-Each has a further task at hand, so that it need not wait until the run hears that the last one has ended; what a worker
-that is busy, or gone, has at hand dask gives to another one.
-dask gives a task whose worker is gone to another one by itself. The run's record would not know, so a try is claimed by
-making its folder, which works only once: whoever comes second reports that the worker was lost, or, where that had come
-to its end, what it left word of. What a worker gives back is JSON; data that would have to be unpickled is refused.
-"""
+"""Workers of dask, on this machine or wherever a running scheduler has them."""
 
 import logging
 import os
@@ -24,10 +17,9 @@ import msgspec
 
 from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.batch.outputs import OUTCOME
-from sceneloom.batch.pool import LOST
-from sceneloom.batch.working import NUMBA, THREADS, run_task
+from sceneloom.batch.workers import LOST, NUMBA, THREADS, run_task
 from sceneloom.errors import MissingExtraError, OptionError, how_to_install
-from sceneloom.formats.urls import is_url
+from sceneloom.formats.base.files import is_url
 from sceneloom.version import __version__
 
 try:
@@ -37,14 +29,17 @@ except ImportError as missing:
     raise MissingExtraError(f"{missing}; install the extra: {how_to_install('cluster')}") from missing
 
 LOCAL = "local"
+
 _DATA = ["dask", "msgpack"]
 """Ways in which dask sends data that need no pickling."""
+
 _ALLOCATION = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     "distributed.nanny.pre-spawn-environ.MALLOC_ARENA_MAX": 1,
 }
 """Keep dask from giving memory back whenever 64 KB are free, and the thread that works from a heap of its own, which
 does the same: arrays come and go with each frame, and seven times as many page faults cost a third more time."""
+
 _WATCHING = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
@@ -52,13 +47,19 @@ _WATCHING = {
     "distributed.admin.system-monitor.gil.enabled": False,
 }
 """Keep dask from looking a hundred times a second at what its workers do: it takes as long as scheduling."""
+
 _METHOD = "distributed.worker.multiprocessing-method"
+
 _LASTING = {"distributed.deploy.lost-worker-timeout": "365 days"}
 """Keep dask from giving a worker up for good that was lost and, so long after (15 s by default), is not there again:
 one that is being started anew then, since it was lost once more, never would be."""
+
 _CONNECTING_SECONDS = 60.0
+
 _COUNTING_SECONDS = 2.0
+
 _CLOSING_SECONDS = 5.0
+
 _ONE_AT_A_TIME = threading.Lock()
 
 

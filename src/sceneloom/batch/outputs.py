@@ -1,30 +1,28 @@
-"""Where the outputs of a run are put: a folder on disk, or a location in a store.
-
-On disk a worker writes a draft, and the run moves it to its location in one step. Into a store the worker itself sends
-it, as an object that appears whole or not at all; what the run has in the store beside them is a claim, an object which
-names the one record that belongs to these outputs.
-"""
+"""Where outputs of a run go: a folder on disk or a place in a store, and further outputs beside a verb's own."""
 
 import os
 import shutil
 import socket
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from hashlib import blake2b
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Protocol
+from urllib.parse import unquote
 
 import msgspec
 
-from sceneloom.batch.jobs import Task
-from sceneloom.errors import OutputError
-from sceneloom.formats.output import exchange
-from sceneloom.redaction import redacted
+from sceneloom.batch.jobs import Further, Task, name_of
+from sceneloom.errors import OptionError, OutputError, redacted
+from sceneloom.formats.base.files import is_url
+from sceneloom.formats.base.output import exchange
 
 CLAIM = ".sceneloom-run"
 """Name of the object in a store that says whose outputs lie there."""
 
-FURTHER = ".further"
+_FURTHER = ".further"
 """Name of the folder beside a draft in which a verb writes its further outputs, which go to locations of their own."""
 
 OUTCOME = ".outcome"
@@ -86,7 +84,7 @@ class FolderOutputs:
             OSError: it cannot be moved.
         """
         for made in _own_last(task.draft):
-            move(made, self.folder / made.name)
+            _outputs_move(made, self.folder / made.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +148,7 @@ def claimed(url: str, *, run: str, record: Path) -> StoreOutputs:
         OutputError: the outputs of another run lie there, or the store cannot be written to.
         MissingExtraError: what writes to such addresses is not installed.
     """
-    from sceneloom.formats.remote.fetching import names_below
+    from sceneloom.formats.remote.mirror import names_below
     from sceneloom.formats.remote.uploads import check_remote_output, put_first
 
     location = f"{url.rstrip('/')}/{CLAIM}"
@@ -202,11 +200,11 @@ def send(draft: Path, target: str) -> None:
 
 
 def _own_last(draft: Path) -> list[Path]:
-    made = [path for path in draft.parent.iterdir() if path.name not in {FURTHER, OUTCOME}]
+    made = [path for path in draft.parent.iterdir() if path.name not in {_FURTHER, OUTCOME}]
     return sorted(made, key=lambda path: path == draft)
 
 
-def move(made: Path, location: Path) -> None:
+def _outputs_move(made: Path, location: Path) -> None:
     """Put something in its location in one step; a folder that is there steps aside first."""
     if location.is_dir() and not location.is_symlink() and made.is_dir() and exchange(made, location):
         return
@@ -215,3 +213,100 @@ def move(made: Path, location: Path) -> None:
             made.with_name(f"{made.name}.before")
         )
     made.replace(location)
+
+
+def check_further(wanted: Iterable[Further], store: str) -> None:
+    """Refuse locations that are not where the outputs go, on disk or in a store, or that cannot be folders.
+
+    Raises:
+        OptionError: one is in a store and the outputs are not, or the other way round.
+        OutputError: a file lies where a folder is to be.
+    """
+    for one in wanted:
+        if is_url(one.location) != bool(store):
+            asked, others = ("on disk", "into a store") if store else ("in a store", "on disk")
+            raise OptionError(
+                f"--{one.option}: {redacted(one.location)} is {asked}, and outputs go {others}; expected both in one"
+            )
+        if not store and Path(one.folder).exists() and not Path(one.folder).is_dir():
+            raise OutputError(f"{one.folder}: is a file; expected a folder or a new name")
+
+
+def check_locations(locations: Sequence[str]) -> None:
+    """Refuse locations of which two are one.
+
+    Raises:
+        OptionError: the same location twice.
+    """
+    seen: set[str] = set()
+    for location in locations:
+        known = location if is_url(location) else str(Path(location).absolute())
+        if known in seen:
+            raise OptionError(
+                f"{redacted(location)}: two outputs of one drive would go there; name other locations"
+            )
+        seen.add(known)
+
+
+class Locations:
+    """What is there already, in folders each of which is looked at once."""
+
+    def __init__(self) -> None:
+        self._names: dict[str, frozenset[str]] = {}
+
+    def has(self, location: str) -> bool:
+        """Whether there is a file or folder.
+
+        Raises:
+            DataError: a store cannot be read.
+        """
+        if not is_url(location):
+            return Path(location).exists()
+        folder, _, name = location.rstrip("/").rpartition("/")
+        if folder not in self._names:
+            from sceneloom.formats.remote.mirror import names_below
+
+            self._names[folder] = frozenset(names_below(folder))
+        return unquote(name) in self._names[folder]
+
+
+def drafts_of(draft: Path, locations: Mapping[str, str]) -> dict[str, Path]:
+    """Where a verb writes its further outputs, by option.
+
+    Args:
+        draft: of its own output.
+        locations: where they belong, by option.
+    """
+    return {
+        option: draft.parent / _FURTHER / option / name_of(location) for option, location in locations.items()
+    }
+
+
+def bring(draft: Path, locations: Mapping[str, str]) -> None:
+    """Put what was written into its locations: each appears whole or not at all.
+
+    Raises:
+        OSError: it cannot be moved.
+        OutputError: a store cannot be written to.
+    """
+    for option, made in drafts_of(draft, locations).items():
+        if not made.exists():
+            continue
+        if is_url(locations[option]):
+            from sceneloom.formats.remote.uploads import upload
+
+            upload(made, locations[option])
+        else:
+            _move(made, Path(locations[option]))
+
+
+def _move(made: Path, location: Path) -> None:
+    """Move something in one step, onto another disk, too."""
+    location.parent.mkdir(parents=True, exist_ok=True)
+    if made.stat().st_dev == location.parent.stat().st_dev:
+        _outputs_move(made, location)
+        return
+    with TemporaryDirectory(prefix=f".{location.name}-", dir=location.parent) as workplace:
+        copy = Path(workplace, location.name)
+        shutil.copytree(made, copy) if made.is_dir() else shutil.copy2(made, copy)
+        _outputs_move(copy, location)

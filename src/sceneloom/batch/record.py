@@ -1,27 +1,52 @@
-"""The record of a run: a small database beside its outputs, a row for each drive.
-
-Only one run at a time has an output folder: a second database is held locked for as long as it goes on, which ends with
-the process however that ends.
-"""
+"""The record of a run, a small database beside its outputs with a row for each drive, and a lock on the folder."""
 
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import msgspec
 
-from sceneloom.batch.inputs import READING
-from sceneloom.batch.jobs import Outcome, State
-from sceneloom.batch.locks import locked
-from sceneloom.errors import DataError
+from sceneloom.batch.jobs import READING, Outcome, State
+from sceneloom.errors import DataError, OutputError
+
+
+@contextmanager
+def locked(file: Path, folder: Path) -> Iterator[None]:
+    """Have a folder to oneself, until this ends or the process does, however that is.
+
+    Args:
+        file: the lock, a database in the folder that is made if it is not there.
+        folder: named in errors.
+
+    Raises:
+        OutputError: another process has it, or it cannot be written.
+        DataError: the file is something else.
+    """
+    with ExitStack() as holding:
+        try:
+            lock = holding.enter_context(closing(sqlite3.connect(file, timeout=0.0, isolation_level=None)))
+            lock.execute("BEGIN EXCLUSIVE")
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorname != "SQLITE_BUSY":
+                raise OutputError(f"{folder}: cannot be written: {error}") from error
+            raise OutputError(
+                f"{folder}: another run is writing into it; wait for it, or choose another folder"
+            ) from error
+        except sqlite3.DatabaseError as error:
+            raise DataError(file, "", f"{error}; expected the lock of a run") from error
+        yield
+
 
 FOLDER = ".sceneloom-run"
+
 _RECORD, _LOCK, _DRAFTS = "record.sqlite", "lock.sqlite", "drafts"
+
 _VERSION = 1
+
 _TABLES = """
 CREATE TABLE IF NOT EXISTS run (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS drives (

@@ -14,14 +14,12 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
-from sceneloom.calibrate.measures.agreement import Agreement
-from sceneloom.calibrate.measures.candidate import Change
-from sceneloom.calibrate.measures.images import measured_image
-from sceneloom.cameras.models import project
+from sceneloom.calibrate.measures import Agreement, Change, measured_image
+from sceneloom.cameras.projection import project
 from sceneloom.checks.point_frames import distances, lie_nearer, meet_more, overlaps, plan_sweeps, sweep_of
-from sceneloom.checks.subject import Subject
+from sceneloom.checks.rule import Subject
 from sceneloom.errors import DataError, PoseError
-from sceneloom.formats.files import read_settings
+from sceneloom.formats.base.files import read_settings
 from sceneloom.geometry.euler import AngleUnit, rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion, nearest_rotation
@@ -30,7 +28,7 @@ from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
-from sceneloom.scene.warnings import DataWarning
+from sceneloom.warnings import DataWarning
 
 MOST_FRAMES = 8
 """Images by which each extrinsic is judged."""

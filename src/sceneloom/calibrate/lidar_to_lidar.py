@@ -6,19 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.calibrate.ground_start import ground_start
-from sceneloom.calibrate.mounting_estimate import MountingEstimate, unobserved_directions
+from sceneloom.calibrate.extrinsics import (
+    CloudFit,
+    MountingEstimate,
+    PreparedCloud,
+    fit_cloud,
+    ground_start,
+    unobserved_directions,
+)
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import quaternion_from_rotation_vector, rotation_vector_from_quaternion
-from sceneloom.motion.cloud_registration import CloudFit, PreparedCloud, fit_cloud
 from sceneloom.motion.deskew import BodyKnots
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
-from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import Poses
-from sceneloom.scene.sample_positions import choose_ego
-from sceneloom.scene.scene import Scene
-from sceneloom.scene.span import scene_period_ns
+from sceneloom.scene.poses import Poses, PoseSource
+from sceneloom.scene.sampling import choose_ego
+from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame, Progress, key_of
 
 MOST = 20

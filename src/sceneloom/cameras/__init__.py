@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.cameras.camera import Camera
+    from sceneloom.cameras.camera import MODELS, Camera, Chart, Model
     from sceneloom.cameras.fitting import Fit, fit, measured_fit, nearest
-    from sceneloom.cameras.models import (
+    from sceneloom.cameras.projection import (
+        PointsInImage,
         check_camera,
         domain_angle,
         intrinsics_vector,
@@ -16,32 +17,30 @@ if TYPE_CHECKING:
         projection_kernel,
         unproject,
     )
-    from sceneloom.cameras.points_in_image import PointsInImage
-    from sceneloom.cameras.table import MODELS, Chart, Model
     from sceneloom.cameras.undistortion import Undistortion, undistort, undistorted_camera
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "MODELS": "sceneloom.cameras.table:MODELS",
+            "MODELS": "sceneloom.cameras.camera:MODELS",
             "Camera": "sceneloom.cameras.camera:Camera",
-            "Chart": "sceneloom.cameras.table:Chart",
+            "Chart": "sceneloom.cameras.camera:Chart",
             "Fit": "sceneloom.cameras.fitting:Fit",
-            "Model": "sceneloom.cameras.table:Model",
-            "PointsInImage": "sceneloom.cameras.points_in_image:PointsInImage",
+            "Model": "sceneloom.cameras.camera:Model",
+            "PointsInImage": "sceneloom.cameras.projection:PointsInImage",
             "Undistortion": "sceneloom.cameras.undistortion:Undistortion",
-            "check_camera": "sceneloom.cameras.models:check_camera",
-            "domain_angle": "sceneloom.cameras.models:domain_angle",
+            "check_camera": "sceneloom.cameras.projection:check_camera",
+            "domain_angle": "sceneloom.cameras.projection:domain_angle",
             "fit": "sceneloom.cameras.fitting:fit",
-            "intrinsics_vector": "sceneloom.cameras.models:intrinsics_vector",
+            "intrinsics_vector": "sceneloom.cameras.projection:intrinsics_vector",
             "measured_fit": "sceneloom.cameras.fitting:measured_fit",
             "nearest": "sceneloom.cameras.fitting:nearest",
-            "project": "sceneloom.cameras.models:project",
-            "project_unbounded": "sceneloom.cameras.models:project_unbounded",
-            "projection_kernel": "sceneloom.cameras.models:projection_kernel",
+            "project": "sceneloom.cameras.projection:project",
+            "project_unbounded": "sceneloom.cameras.projection:project_unbounded",
+            "projection_kernel": "sceneloom.cameras.projection:projection_kernel",
             "undistort": "sceneloom.cameras.undistortion:undistort",
             "undistorted_camera": "sceneloom.cameras.undistortion:undistorted_camera",
-            "unproject": "sceneloom.cameras.models:unproject",
+            "unproject": "sceneloom.cameras.projection:unproject",
         },
     )
 

@@ -20,30 +20,31 @@ import numpy as np
 from numba import njit
 
 from sceneloom.arrays import Float64Array
-from sceneloom.cameras.bending import shift_and_decentre
-from sceneloom.cameras.charts import (
-    pixel_in_perspective,
-    ray_in_perspective,
-)
-from sceneloom.cameras.compiled import (
+from sceneloom.cameras.formulas import (
     FOLD_SIGNATURE,
     IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
     ROWS_SIGNATURE,
-    first_numbers,
-)
-from sceneloom.cameras.domain import first_positive_root, radius_without_fold
-from sceneloom.cameras.formulas import (
     distort,
+    first_numbers,
     formula_of,
+    pixel_in_perspective,
     pixel_of_plane,
     plane_of_pixel,
     project_point,
+    ray_in_perspective,
     ray_of_chart,
+    shift_and_decentre,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_through_chart, pick_points, position_points
+from sceneloom.cameras.loops import (
+    first_positive_root,
+    look_through_chart,
+    pick_points,
+    position_points,
+    radius_without_fold,
+)
 from sceneloom.kernels.cache import kernel
 
 

@@ -13,18 +13,16 @@ from typing import Any, NamedTuple
 
 from numba import njit
 
-from sceneloom.cameras.angles import sine_and_cosine
-from sceneloom.cameras.compiled import (
+from sceneloom.cameras.formulas import (
     IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
     ROWS_SIGNATURE,
     first_numbers,
-)
-from sceneloom.cameras.formulas import (
     formula_of,
     project_point,
     ray_of_pixel,
+    sine_and_cosine,
 )
 from sceneloom.cameras.loops import look_along, pick_points, position_points
 from sceneloom.cameras.panorama import NEAREST, azimuth, azimuth_of_column

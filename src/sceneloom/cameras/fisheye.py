@@ -16,26 +16,23 @@ from typing import Any, NamedTuple
 
 from numba import njit
 
-from sceneloom.cameras.compiled import (
+from sceneloom.cameras.formulas import (
     IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
     ROWS_SIGNATURE,
-    first_numbers,
-)
-from sceneloom.cameras.domain import first_positive_root
-from sceneloom.cameras.formulas import (
     centred_pixel,
     distance_at,
+    first_numbers,
     formula_of,
     pixel_of_plane,
+    pixel_off_axis,
     plane_of_centred_pixel,
     plane_of_pixel,
     project_point,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_off_axis, pick_points, position_points
-from sceneloom.cameras.off_axis import pixel_off_axis
+from sceneloom.cameras.loops import first_positive_root, look_off_axis, pick_points, position_points
 from sceneloom.kernels.cache import kernel
 
 

@@ -18,30 +18,32 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from sceneloom.cameras.bending import bend_image, stretch
-from sceneloom.cameras.charts import (
-    pixel_by_angle,
-    ray_by_angle,
-)
-from sceneloom.cameras.compiled import (
+from sceneloom.cameras.formulas import (
     FOLD_SIGNATURE,
     IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
     ROWS_SIGNATURE,
-    first_numbers,
-)
-from sceneloom.cameras.domain import first_positive_root, radius_without_fold
-from sceneloom.cameras.formulas import (
+    bend_image,
     distort,
+    first_numbers,
     formula_of,
+    pixel_by_angle,
     pixel_of_plane,
     plane_of_pixel,
     project_point,
+    ray_by_angle,
     ray_of_chart,
+    stretch,
     use_formulas,
 )
-from sceneloom.cameras.loops import look_through_chart, pick_points, position_points
+from sceneloom.cameras.loops import (
+    first_positive_root,
+    look_through_chart,
+    pick_points,
+    position_points,
+    radius_without_fold,
+)
 from sceneloom.kernels.cache import kernel
 
 

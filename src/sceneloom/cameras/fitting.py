@@ -1,4 +1,4 @@
-"""The camera model of one model that comes nearest to a camera model of another, and how many pixels it is off."""
+"""The camera of one model that comes nearest to a camera of another, and by how many pixels it differs."""
 
 import math
 from collections.abc import Callable, Collection, Mapping
@@ -8,35 +8,40 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, read_only
-from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import (
-    check_camera,
-    project_beyond_domain,
-    project_unbounded,
-    unproject,
-)
-from sceneloom.cameras.table import MODELS, Chart
+from sceneloom.cameras.camera import MODELS, Camera, Chart
+from sceneloom.cameras.projection import check_camera, project_beyond_domain, project_unbounded, unproject
 from sceneloom.errors import CalibrationError, OptionError
 
 PERSPECTIVE_REACH = math.radians(80.0)
 """How far off its axis a model that ends at 90 degrees is fitted: there it magnifies 33 times already."""
 
 _PERSPECTIVE_COSINE = math.cos(PERSPECTIVE_REACH)
+
 _LOCATIONS = ("fx", "fy", "cx", "cy")
+
 _FITTED_GRID, _MEASURED_GRID = (33, 25), (97, 73)
+
 _NEAR_AXIS = 1e-4
+
 _ENOUGH = 1e-6
 """The share of the sum of squares below which a step gains nothing."""
+
 _PRICE = 200.0
 """A fit that gives up half a percent of the image, where a polynomial folds, must be twice as good in the rest."""
+
 _EQUALLY_GOOD_PX = 1e-9
+
 _STAGES = (0, 1, 2, 4, 5, 8, 10, 100)
 """How many coefficients are free in each stage, in the model's order."""
+
 _FACTORS = tuple(f"{letter}{number}" for letter in "ij" for number in range(1, 5))
+
 _SHIFT = "xi"
+
 _STARTS: Mapping[str, float] = MappingProxyType({_SHIFT: 1.0, **dict.fromkeys(_FACTORS, 1.0)})
 """Coefficients that begin at another value than 0: a sphere of that shift sees behind the camera, and a factor of
 others, all of them 0, would never leave it."""
+
 _IN_PIXELS, _OFFSET = "ftheta", "k1"
 """The model whose coefficients hold the focal length, and the one of them that would part the middle of its image."""
 

@@ -5,8 +5,7 @@ from typing import Any
 
 from numba import njit
 
-from sceneloom.cameras.angles import angle_off_axis
-from sceneloom.cameras.compiled import INLINE
+from sceneloom.cameras.formulas import INLINE, angle_off_axis
 
 NEAREST = 1e-6
 """Directions nearer to straight up or down [rad] have no pixel: rounding would decide on its column."""

@@ -8,22 +8,20 @@ from typing import Any, NamedTuple
 
 from numba import njit
 
-from sceneloom.cameras.charts import ray_in_perspective
-from sceneloom.cameras.compiled import (
+from sceneloom.cameras.formulas import (
     IMAGE_SIGNATURE,
     INLINE,
     KERNEL,
     MINIMUM_DEPTH,
     ROWS_SIGNATURE,
-    first_numbers,
-)
-from sceneloom.cameras.formulas import (
     centred_pixel,
+    first_numbers,
     formula_of,
     pixel_of_plane,
     plane_of_centred_pixel,
     plane_of_pixel,
     project_point,
+    ray_in_perspective,
     ray_of_chart,
     ray_of_pixel,
     use_formulas,

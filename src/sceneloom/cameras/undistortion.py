@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, UInt8Array, check_array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project_unbounded, unproject
+from sceneloom.cameras.projection import project_unbounded, unproject
 from sceneloom.errors import CalibrationError, OptionError
 
 WIDEST = math.radians(75.0)
@@ -71,7 +71,7 @@ class Undistortion:
         Raises:
             ArrayError: the image is not of the old camera model's size, or not of that dtype.
         """
-        from sceneloom.kernels.resampling import resample_bilinear
+        from sceneloom.kernels.images import resample_bilinear
 
         check_array("rgb", rgb, (self.source.height, self.source.width, None), np.uint8)
         out = np.full((*self.locations.shape[:2], rgb.shape[2]), fill, np.uint8)

@@ -8,36 +8,42 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.catalog.building import CatalogReport, build, update
-    from sceneloom.catalog.database import Database, Result, opened
-    from sceneloom.catalog.drives import Checks, Drive
-    from sceneloom.catalog.query import query
-    from sceneloom.catalog.results import format_csv, iter_list, records
-    from sceneloom.catalog.running import Failure
-    from sceneloom.catalog.selection import SHOWN, Selection, sql_of
+    from sceneloom.catalog.building import CatalogReport, Checks, Drive, Failure, build, update
+    from sceneloom.catalog.database import (
+        SHOWN,
+        Database,
+        Result,
+        Selection,
+        format_csv,
+        iter_list,
+        opened,
+        query,
+        records,
+        sql_of,
+    )
     from sceneloom.catalog.tables import TABLES, Column, Kind
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "SHOWN": "sceneloom.catalog.selection:SHOWN",
+            "SHOWN": "sceneloom.catalog.database:SHOWN",
             "TABLES": "sceneloom.catalog.tables:TABLES",
             "CatalogReport": "sceneloom.catalog.building:CatalogReport",
-            "Checks": "sceneloom.catalog.drives:Checks",
+            "Checks": "sceneloom.catalog.building:Checks",
             "Column": "sceneloom.catalog.tables:Column",
             "Database": "sceneloom.catalog.database:Database",
-            "Drive": "sceneloom.catalog.drives:Drive",
-            "Failure": "sceneloom.catalog.running:Failure",
+            "Drive": "sceneloom.catalog.building:Drive",
+            "Failure": "sceneloom.catalog.building:Failure",
             "Kind": "sceneloom.catalog.tables:Kind",
             "Result": "sceneloom.catalog.database:Result",
-            "Selection": "sceneloom.catalog.selection:Selection",
+            "Selection": "sceneloom.catalog.database:Selection",
             "build": "sceneloom.catalog.building:build",
-            "format_csv": "sceneloom.catalog.results:format_csv",
-            "iter_list": "sceneloom.catalog.results:iter_list",
+            "format_csv": "sceneloom.catalog.database:format_csv",
+            "iter_list": "sceneloom.catalog.database:iter_list",
             "opened": "sceneloom.catalog.database:opened",
-            "query": "sceneloom.catalog.query:query",
-            "records": "sceneloom.catalog.results:records",
-            "sql_of": "sceneloom.catalog.selection:sql_of",
+            "query": "sceneloom.catalog.database:query",
+            "records": "sceneloom.catalog.database:records",
+            "sql_of": "sceneloom.catalog.database:sql_of",
             "update": "sceneloom.catalog.building:update",
         },
     )

@@ -1,19 +1,306 @@
-"""Building catalogues, and bringing them up to date: only what changed is read again."""
+"""Build catalogues and update them: only drives that changed are read again, by several workers."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import shutil
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cache
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from sceneloom.catalog.drives import Checks, Drive, gone_of, looked_at
-from sceneloom.catalog.layout import Layout
-from sceneloom.catalog.parts import Parts
-from sceneloom.catalog.running import Failure, Run
-from sceneloom.errors import OptionError
-from sceneloom.formats.urls import is_url, path_or_url
-from sceneloom.redaction import redacted
+from sceneloom.batch.jobs import Outcome, Task
+from sceneloom.batch.workers import LOST, Executor, ProcessPool, Warming, run_task
+from sceneloom.catalog.rows import scene_rows
+from sceneloom.catalog.storage import PART_ROWS, VERSION, Entry, Fresh, Layout, Parts, scene_name, write_draft
+from sceneloom.checks.validation import validate
+from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError, redacted
+from sceneloom.formats.base.files import fingerprint, is_url, path_or_url, processors, size_on_disk
+from sceneloom.formats.base.registry import drives_of, open_scene
 from sceneloom.scene.types import Progress
+from sceneloom.version import __version__
+from sceneloom.warnings import Finding
+
+
+class Checks(StrEnum):
+    """How drives are checked for the table of findings."""
+
+    NONE = "none"
+    QUICK = "quick"
+    """Without reading frames and images."""
+    FULL = "full"
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A drive to be catalogued.
+
+    Attributes:
+        path: of the drive, or its URL.
+        reading: options for opening it.
+    """
+
+    path: str
+    reading: Mapping[str, Any]
+
+    @property
+    def called(self) -> str:
+        """What people call it: its path, and its name in a data set."""
+        return (
+            f"{self.path} (sequence {self.reading['sequence']})" if "sequence" in self.reading else self.path
+        )
+
+    @property
+    def name(self) -> str:
+        """What its scene is called in the catalogue."""
+        return scene_name(self.path, self.reading)
+
+    def timestamp(self, checks: Checks, files: str) -> str:
+        """What reports it, its files by `_looked_at`, and how it is catalogued from another time; "" for not known."""
+        reported = repr((files, VERSION, __version__, checks.value))
+        return blake2b(reported.encode(), digest_size=16).hexdigest() if files else ""
+
+
+def _gone_of(drives: Iterable[Drive]) -> list[Drive]:
+    """Those that are not where they were: no such path, or no drive of this name in the data set there."""
+    names = cache(drives_of)
+    return [drive for drive in drives if not is_url(drive.path) and _is_gone(drive, names)]
+
+
+def _is_gone(drive: Drive, names: Callable[[Path], Sequence[Path | str]]) -> bool:
+    path = Path(drive.path)
+    if not path.exists():
+        return True
+    if "sequence" not in drive.reading or drive.reading["sequence"] in names(path):
+        return False
+    try:
+        open_scene(drive.path, **drive.reading).close()
+    except OptionError:
+        return True
+    except SceneloomError:
+        return False  # reading it reports why
+    return False
+
+
+def _looked_at(drives: Iterable[Drive]) -> dict[str, str]:
+    """Look at the files of drives, those of a data set once: fingerprints by path, "" where nobody knows."""
+    found = {}
+    for path in dict.fromkeys(drive.path for drive in drives):
+        try:
+            found[path] = fingerprint(path)
+        except DataError:
+            found[path] = ""  # reading it reports why
+    return found
+
+
+def read_drive(location: str, output: Path, options: Mapping[str, Any]) -> int:
+    """Read a drive and write the rows of all its tables.
+
+    Args:
+        location: path or URL of the drive.
+        output: folder to write (`write_draft`).
+        options: `scene`, its name; `timestamp`, what reports it from another time; `checks`; `reading`, options for
+            opening.
+
+    Returns:
+        the number of rows of the longest table.
+
+    Raises:
+        SceneloomError: it cannot be read, or the rows cannot be written.
+    """
+    where, reading = path_or_url(location), options["reading"]
+    with open_scene(where, **reading) as scene:
+        tables = scene_rows(
+            scene.corrected(),
+            path=location,
+            options=reading,
+            fingerprint=options["timestamp"],
+            size_bytes=size_on_disk(where),
+            findings=tuple(_findings(location, Checks(options["checks"]), reading)),
+        )
+    return write_draft(options["scene"], tables, output)
+
+
+def _findings(location: str, checks: Checks, reading: Mapping[str, Any]) -> Iterator[Finding]:
+    if checks is Checks.NONE:
+        return
+    yield from validate(path_or_url(location), frames=checks is Checks.FULL, **reading).findings
+
+
+_CALL = "sceneloom.catalog.building:read_drive"
+
+_LOOK_SECONDS = 0.5
+
+_PATIENCE_SECONDS = 20.0
+"""After so long what was read is put into parts, though they have room: a run that is killed loses no more."""
+
+_TRIES = 3
+
+_DRIVES_OF_WORKER = 8
+"""So many short drives take as long as a process to start."""
+
+
+class Failure(msgspec.Struct, frozen=True, kw_only=True):
+    """A drive that could not be read, and why."""
+
+    path: str
+    error: str
+
+
+class _Run:
+    """One going through drives; only one goes on in a catalogue at a time (`Layout.held`).
+
+    Attributes:
+        read: the drives that were read and put into parts.
+        failed: those that could not be read.
+    """
+
+    def __init__(
+        self,
+        parts: Parts,
+        drafts: Path,
+        checks: Checks,
+        *,
+        workers: int | None = 1,
+        progress: Progress | None = None,
+    ) -> None:
+        """Have nothing read yet.
+
+        Args:
+            parts: where scenes are put.
+            drafts: folder in which they are written before.
+            checks: how much is checked.
+            workers: processes; None for as many as are worth it.
+            progress: reported the number of drives done and of all.
+        """
+        self._parts, self._drafts, self._checks = parts, drafts, checks
+        self._workers, self._progress = workers, progress
+        self._waiting: dict[str, tuple[Drive, Fresh]] = {}
+        self._put_at = time.monotonic()
+        self.read: list[Drive] = []
+        self.failed: list[Failure] = []
+
+    def go(self, drives: Sequence[Drive], files: Mapping[str, str], *, done: int = 0) -> None:
+        """Read drives, and those whose rows were lost with damaged files of the same parts.
+
+        Args:
+            drives: each once.
+            files: of them, as `_looked_at` gives them.
+            done: how many more are done already.
+
+        Raises:
+            OutputError: the catalogue cannot be written.
+        """
+        tried: set[str] = set()
+        due = list(drives)
+        while due:
+            tried |= {drive.name for drive in due}
+            lost = self._read(due, files, done) - tried
+            done += len(due)
+            due = [
+                Drive(entry.path, entry.options)
+                for scene, entry in self._parts.entries.items()
+                if scene in lost
+            ]
+            files = _looked_at(due)
+
+    def _read(self, drives: Sequence[Drive], files: Mapping[str, str], before: int) -> set[str]:
+        """Read drives and put them in; the names of scenes whose rows are lost."""
+        workers = self._workers or min(processors(), -(-len(drives) // _DRIVES_OF_WORKER))
+        executor: Executor = ProcessPool(workers) if min(workers, len(drives)) > 1 else _Here()
+        lost: set[str] = set()
+        tasks = [self._task(number, drive, files[drive.path]) for number, drive in enumerate(drives)]
+        try:
+            for done, (task, outcome) in enumerate(_finished(tasks, executor), start=1):
+                self._take(drives[task.number], task, outcome)
+                if self._is_time():
+                    lost |= self._put()
+                if self._progress is not None:
+                    self._progress(before + done, before + len(drives))
+        finally:  # what was read is kept, too, when the run is stopped
+            executor.stop()
+            lost |= self._put()
+        return lost
+
+    def _task(self, number: int, drive: Drive, files: str) -> Task:
+        options = {
+            "scene": drive.name,
+            "timestamp": drive.timestamp(self._checks, files),
+            "checks": self._checks.value,
+            "reading": dict(drive.reading),
+        }
+        draft = self._drafts / drive.name
+        return Task(number=number, attempt=1, call=_CALL, location=drive.path, draft=draft, options=options)
+
+    def _take(self, drive: Drive, task: Task, outcome: Outcome) -> None:
+        if outcome.kind == OutputError.__name__:
+            raise OutputError(outcome.error)  # what befell the catalogue befalls all drives
+        if outcome.error:
+            shutil.rmtree(task.draft, ignore_errors=True)
+            self.failed.append(Failure(path=drive.path, error=outcome.error))
+            return
+        entry = Entry(drive.path, dict(drive.reading), task.options["timestamp"])
+        self._waiting[drive.name] = drive, Fresh(drive.name, entry, task.draft, outcome.report)
+
+    def _is_time(self) -> bool:
+        rows = sum(fresh.rows for _, fresh in self._waiting.values())
+        return rows >= PART_ROWS or time.monotonic() - self._put_at > _PATIENCE_SECONDS
+
+    def _put(self) -> set[str]:
+        waiting = list(self._waiting.values())
+        lost = self._parts.put(fresh for _, fresh in waiting)
+        for drive, fresh in waiting:
+            self.read.append(drive)
+            shutil.rmtree(fresh.folder, ignore_errors=True)
+        self._waiting.clear()
+        self._put_at = time.monotonic()
+        return lost
+
+
+class _Here:
+    """Does tasks in this process, one after another."""
+
+    def __init__(self) -> None:
+        self._ended: list[tuple[Task, Outcome]] = []
+
+    @property
+    def free(self) -> int:
+        return int(not self._ended)
+
+    def submit(self, task: Task) -> None:
+        self._ended.append((task, run_task(task)))
+
+    def finished(self, seconds: float) -> list[tuple[Task, Outcome]]:  # noqa: ARG002 - as all executors
+        ended, self._ended = self._ended, []
+        return ended
+
+    def stop(self) -> None:
+        self._ended.clear()
+
+
+def _finished(tasks: Iterable[Task], executor: Executor) -> Iterator[tuple[Task, Outcome]]:
+    """Have tasks done, and give each when it has ended; those of workers that are gone are done again."""
+    due, running, warming = deque(tasks), 0, Warming()
+    while due or running:
+        while due and executor.free and not (running and warming.goes_on()):
+            executor.submit(due.popleft())
+            running += 1
+        for task, outcome in executor.finished(_LOOK_SECONDS):
+            running -= 1
+            warming.end()
+            if outcome.kind == LOST and task.attempt < _TRIES:
+                due.appendleft(_again(task))
+            else:
+                yield task, outcome
+
+
+def _again(task: Task) -> Task:
+    shutil.rmtree(task.draft, ignore_errors=True)
+    return replace(task, attempt=task.attempt + 1)
 
 
 class CatalogReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -113,7 +400,7 @@ def update(
         if chosen:
             return _updated(layout, parts, chosen, how, workers=workers, progress=progress)
         stationary = [Drive(entry.path, entry.options) for entry in parts.entries.values()]
-        gone = gone_of(stationary)
+        gone = _gone_of(stationary)
         there = [drive for drive in stationary if drive not in gone]
         if prune:
             parts.remove({drive.name for drive in gone})
@@ -153,7 +440,7 @@ def _updated(
     progress: Progress | None,
 ) -> CatalogReport:
     known, whole = parts.entries, parts.whole()
-    files = looked_at(drives)
+    files = _looked_at(drives)
     timestamps = {drive.name: drive.timestamp(checks, files[drive.path]) for drive in drives}
     due = [
         drive
@@ -162,7 +449,7 @@ def _updated(
         or drive.name not in whole
         or whole[drive.name].timestamp != timestamps[drive.name]
     ]
-    run = Run(parts, layout.drafts, checks, workers=workers, progress=progress)
+    run = _Run(parts, layout.drafts, checks, workers=workers, progress=progress)
     run.go(due, files, done=len(drives) - len(due))
     lost = [
         Failure(

@@ -1,9 +1,12 @@
-"""The tables of a catalogue: names, kinds and meanings of their columns, from which files and documentation come."""
+"""The tables of a catalogue: names, types and meanings of their columns, and rows before they are written."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
+from typing import Any
+
+import numpy as np
 
 
 class Kind(StrEnum):
@@ -145,3 +148,28 @@ TABLES: Mapping[str, tuple[Column, ...]] = MappingProxyType(
     }
 )
 """Columns by tables; every table has a further one before them, `scene`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Repeated:
+    """A column of text in which few words stand in many rows.
+
+    Attributes:
+        codes: (N,) integers, which word stands in each row.
+        words: the words; None for null.
+    """
+
+    codes: np.ndarray[Any, Any]
+    words: tuple[str | None, ...]
+
+
+Values = np.ndarray[Any, Any] | list[Any] | Repeated
+"""The rows of a column: NaN, None and counts below 0 are null."""
+
+Rows = dict[str, Values]
+"""The rows of a table, by columns."""
+
+
+def text_of(identifier: object) -> str | None:
+    """An id as text; None where there is none."""
+    return None if identifier is None else str(identifier)

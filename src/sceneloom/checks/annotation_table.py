@@ -1,4 +1,4 @@
-"""All annotations of a scene in a few long arrays, made once for all rules: loops over 20,000 paths would be slow."""
+"""All annotations of a scene as a few long arrays, made once for all rules."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
-from sceneloom.checks.rule import Hit
-from sceneloom.checks.subject import Subject
-from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
-from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
-from sceneloom.scene.annotations.cuboids import CuboidAnnotation
-from sceneloom.scene.annotations.keypoints import PointsAnnotation
-from sceneloom.scene.annotations.shapes import ShapeAnnotation
+from sceneloom.checks.rule import Hit, Subject
+from sceneloom.scene.annotations import (
+    Annotation,
+    Box2DAnnotation,
+    CameraCalibration,
+    CuboidAnnotation,
+    LocalizationAdjustment,
+    PointsAnnotation,
+    ShapeAnnotation,
+)
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.types import Identifier, key_of
 
@@ -101,7 +103,7 @@ def cuboid_paths(subject: Subject) -> PartTable:
     return _tables(subject)["cuboids"]
 
 
-def activations(subject: Subject) -> PartTable:
+def _activations(subject: Subject) -> PartTable:
     """The activations of all cuboids."""
     return _tables(subject)["activations"]
 
@@ -142,12 +144,12 @@ def _tables(subject: Subject) -> dict[str, PartTable]:
     return subject.table("parts of annotations", _made_tables)
 
 
-Entries = list[tuple[int, str, Any]]
+_Entries = list[tuple[int, str, Any]]
 
 
 def _made_tables(subject: Subject) -> dict[str, PartTable]:
     names = ("cuboids", "activations", "projections", "point_projections", "boxes", "shapes", "points")
-    entries: dict[str, Entries] = {name: [] for name in names}
+    entries: dict[str, _Entries] = {name: [] for name in names}
     for number, annotation in enumerate(subject.scene.annotations):
         if isinstance(annotation, CuboidAnnotation):
             entries["cuboids"].append((number, ".path", annotation.path))
@@ -166,7 +168,7 @@ def _made_tables(subject: Subject) -> dict[str, PartTable]:
     return {name: PartTable.of(found) for name, found in entries.items()}
 
 
-def _add(entries: Entries, number: int, name: str, parts: Sequence[Any]) -> None:
+def _add(entries: _Entries, number: int, name: str, parts: Sequence[Any]) -> None:
     entries.extend((number, f"{name}[{k}]", part) for k, part in enumerate(parts))
 
 
@@ -240,7 +242,7 @@ def timed_parts(subject: Subject) -> PartTable:
 
 def _timed_parts(subject: Subject) -> PartTable:
     tables = _tables(subject)
-    entries: Entries = [
+    entries: _Entries = [
         (int(number), suffix, part)
         for table in tables.values()
         for number, suffix, part in zip(table.numbers, table.suffixes, table.parts, strict=True)

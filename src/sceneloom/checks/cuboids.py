@@ -1,21 +1,304 @@
-"""Rules about cuboids: sizes that objects have, and motion that objects can make."""
+"""Rules about cuboids: sizes, motion, the unit and order of angles, and that headings fit motion."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, read_only
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.checks.annotation_table import PartTable, cuboid_paths, cuboid_rows
-from sceneloom.checks.cuboid_angles import cuboid_headings, stated_reading
-from sceneloom.checks.repairing import repaired_annotations
-from sceneloom.checks.rule import Hit, Rule
-from sceneloom.checks.subject import Subject
-from sceneloom.geometry.euler import AngleUnit
-from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.annotations.cuboids import CuboidAnnotation
-from sceneloom.scene.findings import Severity
+from sceneloom.checks.point_frames import point_positions, transform_at
+from sceneloom.checks.rule import FrameInHand, Hit, Rule, Subject, repaired_annotations
+from sceneloom.geometry.euler import ORDERS, AngleUnit, rotation_from_cuboid_angles
+from sceneloom.scene.annotations import Annotation, CuboidAnnotation
+from sceneloom.scene.annotations_at import CuboidAngles
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.scene import Scene
+from sceneloom.warnings import Severity, WarningKind
+
+_LEAST_STEP_M, _LEAST_SPEED = 0.5, 2.0
+"""Steps that are shorter or slower show no direction [m], [m/s]."""
+
+_STRIDES = (1, 4, 16)
+
+_LONGEST_S = 2.0
+"""Over a longer time an object may rotate, so that its heading is not that of its whole step."""
+
+_MOST_STEPS = 5_000
+
+_ENOUGH_STEPS = 50
+
+_LEAST_STEPS = 5
+
+_OFF_DEG, _ALONG_DEG = 20.0, 10.0
+"""A reading whose headings are so far off the motion is wrong if under another one they are along it, in the median."""
+
+_LOOKED_AT = 4
+
+_KEPT_POINTS = 60_000
+
+_MOST_BOXES = 150
+
+_NEAR_M = 60.0
+
+_SAME_TIME_NS = 30_000_000
+
+_LEAST_POINTS = 50
+
+_MORE_POINTS = 1.15
+
+_OFF_GROUND_M = 0.2
+
+_SAME_DEG, _SAME_SHARE = 1.0, 0.98
+"""Of readings that are so nearly alike, the one that differs least from what is stated is named."""
+
+
+class Reading(NamedTuple):
+    """How angles are read: their unit and the order of the product."""
+
+    unit: str
+    order: str
+
+    def __str__(self) -> str:
+        return f"{self.unit} in the order {self.order}"
+
+
+def stated_reading(scene: Scene) -> Reading:
+    """The reading that the scene says, or is taken to state."""
+    angles = CuboidAngles.of(scene)
+    return Reading(angles.unit, angles.order)
+
+
+def _readings(stated: Reading) -> list[Reading]:
+    """All readings: the one that is stated, then the likeliest slips."""
+    readings = [Reading(unit.value, order) for unit in AngleUnit for order in ORDERS]
+    return sorted(readings, key=lambda reading: (reading != stated) + (reading.order != stated.order))
+
+
+def cuboid_headings(rows: Float64Array, reading: Reading) -> Float64Array:
+    """The direction in which cuboids point, (N, 3) float64: their x axis."""
+    return np.ascontiguousarray(_rotations(rows, reading)[:, :, 0])
+
+
+def _rotations(rows: Float64Array, reading: Reading) -> Float64Array:
+    return rotation_from_cuboid_angles(rows[:, 6:9], unit=reading.unit, order=reading.order)
+
+
+def _moving(subject: Subject) -> tuple[Float64Array, Float64Array]:
+    """Some keyframes at which a cuboid moves, (K, 9), and the directions that it takes there, (K, 3) unit vectors.
+
+    Labels of many keyframes a second move too little from one to the next: then those farther apart are compared.
+    """
+    found = _moving_over(subject, _STRIDES[0])
+    for stride in _STRIDES[1:]:
+        if len(found[0]) >= _ENOUGH_STEPS:
+            break
+        found = max(found, _moving_over(subject, stride), key=lambda steps: len(steps[0]))
+    return found
+
+
+def _moving_over(subject: Subject, stride: int) -> tuple[Float64Array, Float64Array]:
+    """The same, looking from half the stride before a keyframe to half of it after."""
+    table, rows = cuboid_paths(subject), cuboid_rows(subject)
+    if len(rows) <= stride:
+        return np.zeros((0, 9)), np.zeros((0, 3))
+    owners, finite = table.owners, np.asarray(np.isfinite(rows).all(axis=1))
+    seconds = (table.timestamps_ns[stride:] - table.timestamps_ns[:-stride]) / 1e9
+    steps = rows[stride:, 3:6] - rows[:-stride, 3:6]
+    lengths = np.linalg.norm(steps, axis=1)
+    moves = (lengths > _LEAST_STEP_M) & (lengths > _LEAST_SPEED * seconds)
+    moves &= (owners[stride:] == owners[:-stride]) & finite[stride:] & finite[:-stride]
+    chosen = np.flatnonzero(moves & (seconds > 0) & (seconds <= _LONGEST_S))
+    chosen = chosen[:: len(chosen) // _MOST_STEPS + 1]
+    return rows[chosen + stride // 2], steps[chosen] / lengths[chosen, None]
+
+
+def _off_motion(subject: Subject) -> tuple[dict[Reading, float], int]:
+    """The median angle between heading (or back) and motion under each reading [deg], and of how many steps."""
+
+    def made(inner: Subject) -> tuple[dict[Reading, float], int]:
+        rows, directions = _moving(inner)
+        if len(rows) < _LEAST_STEPS:
+            return {}, len(rows)
+        return {
+            reading: _median_angle(cuboid_headings(rows, reading), directions)
+            for reading in _readings(stated_reading(inner.scene))
+        }, len(rows)
+
+    return subject.table("headings off motion", made)
+
+
+def _median_angle(headings: Float64Array, directions: Float64Array) -> float:
+    cosines = np.abs(np.sum(headings * directions, axis=1)).clip(0, 1)
+    return float(np.degrees(np.median(np.arccos(cosines))))
+
+
+def _against_motion(subject: Subject) -> Iterator[Hit]:
+    angles, steps = _off_motion(subject)
+    stated = stated_reading(subject.scene)
+    if not angles or angles[stated] < _OFF_DEG:
+        return
+    least = min(angles.values())
+    best = next(reading for reading, angle in angles.items() if angle <= least + _SAME_DEG)
+    if angles[best] < _ALONG_DEG:
+        yield Hit(
+            "annotations",
+            f"read as {stated} headings are {angles[stated]:.0f}° off the motion, read as {best} {angles[best]:.0f}° "
+            f"(median of {steps} steps)",
+        )
+
+
+@dataclass(slots=True, eq=False)
+class Statistics:
+    """Points in boxes, by reading, of how many boxes; the frames that are to be looked at, and those that were."""
+
+    points: dict[Reading, int] = field(default_factory=dict)
+    boxes: int = 0
+    wanted: dict[str, frozenset[int]] = field(default_factory=dict)
+    counted: set[str] = field(default_factory=set)
+
+
+def _statistics(subject: Subject) -> Statistics:
+    return subject.table("points in boxes", lambda _: Statistics())
+
+
+def _count_in_boxes(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
+    """Count the points in the boxes of a frame under each reading; what they show is stated at the end."""
+    yield from ()
+    lidar, sweep = frame.sensor, frame.frame
+    if not isinstance(lidar, LidarSensor) or not isinstance(sweep, LidarFrame):
+        return
+    if len(cuboid_rows(subject)) == 0 or frame.number not in _wanted(subject, frame.sensor_path, lidar):
+        return
+    if frame.path in _statistics(subject).counted:
+        return
+    source = point_positions(subject, lidar).get(lidar.points_frame)
+    world_from_points = None if source is None else transform_at(source, sweep.timestamp_ns)
+    positions = sweep.points.positions
+    some = positions[:: len(positions) // _KEPT_POINTS + 1]
+    some = some[np.isfinite(some).all(axis=1)]
+    if world_from_points is None or len(some) == 0:
+        return
+    points_world = world_from_points.apply(some)
+    rows = _boxes_at(subject, sweep, np.median(points_world, axis=0))
+    statistics = _statistics(subject)
+    statistics.counted.add(frame.path)
+    statistics.boxes += len(rows)
+    for reading, count in _points_in(points_world, rows, stated_reading(subject.scene)).items():
+        statistics.points[reading] = statistics.points.get(reading, 0) + count
+
+
+def _wanted(subject: Subject, path: str, lidar: LidarSensor) -> frozenset[int]:
+    wanted = _statistics(subject).wanted
+    if path not in wanted:
+        wanted[path] = frozenset(np.linspace(0, len(lidar.frames) - 1, _LOOKED_AT).astype(int).tolist())
+    return wanted[path]
+
+
+def _boxes_at(subject: Subject, sweep: LidarFrame, around: Float64Array) -> Float64Array:
+    """Some cuboids with a keyframe at the time of a sweep and near its middle, (K, 9)."""
+    rows, times = cuboid_rows(subject), cuboid_paths(subject).timestamps_ns
+    now = np.minimum(np.abs(times - sweep.timestamp_ns), np.abs(times - sweep.reference_ns)) < _SAME_TIME_NS
+    found = rows[now & np.isfinite(rows).all(axis=1)]
+    near = np.linalg.norm(found[:, 3:6] - around, axis=1) < _NEAR_M
+    found = found[near & (found[:, :3] > 0).all(axis=1)]
+    return np.asarray(found[:: len(found) // _MOST_BOXES + 1])
+
+
+def _points_in(points_world: Float64Array, rows: Float64Array, stated: Reading) -> dict[Reading, int]:
+    """Count the points in boxes, but for those just above their floors, under each reading."""
+    from scipy.spatial import cKDTree
+
+    readings = _readings(stated)
+    if len(rows) == 0:
+        return dict.fromkeys(readings, 0)
+    reach = np.linalg.norm(rows[:, :3], axis=1) / 2
+    lists = cKDTree(points_world).query_ball_point(rows[:, 3:6], reach)
+    boxes: Int64Array = np.repeat(np.arange(len(rows)), [len(found) for found in lists])
+    ids = np.concatenate([np.asarray(found, np.int64) for found in lists])
+    away = points_world[ids] - rows[boxes, 3:6]
+    return {reading: _inside(away, rows, boxes, reading) for reading in readings}
+
+
+def _inside(away: Float64Array, rows: Float64Array, boxes: Int64Array, reading: Reading) -> int:
+    points_box = np.einsum("nji,nj->ni", _rotations(rows, reading)[boxes], away)
+    halves = rows[boxes, :3] / 2
+    inside: AnyArray = (np.abs(points_box) <= halves).all(axis=1)
+    return int(np.count_nonzero(inside & (points_box[:, 2] > _OFF_GROUND_M - halves[:, 2])))
+
+
+def _against_points(subject: Subject) -> Iterator[Hit]:
+    statistics, stated = _statistics(subject), stated_reading(subject.scene)
+    if not statistics.points:
+        return
+    angles, steps = _off_motion(subject)
+    most = max(statistics.points.values())
+    best = next(reading for reading, count in statistics.points.items() if count >= _SAME_SHARE * most)
+    more, fewer = statistics.points[best], statistics.points[stated]
+    if more < _LEAST_POINTS or more < _MORE_POINTS * fewer:
+        return
+    if angles and angles[best] > max(angles[stated], _ALONG_DEG):
+        return
+    moving = (
+        f"; headings are {angles[stated]:.0f}° and {angles[best]:.0f}° off the motion, in the median of {steps} steps"
+        if angles
+        else ""
+    )
+    yield Hit(
+        "annotations",
+        f"read as {stated} {statistics.boxes} boxes hold {fewer} points, read as {best} {more}{moving}",
+    )
+
+
+def _unsaid(subject: Subject) -> Iterator[Hit]:
+    """Where nothing says how the angles are meant, report what the data state about the reading that was taken."""
+    assumed = {warning.code for warning in subject.notes if warning.kind is WarningKind.ASSUMED}
+    if not assumed & {"euler-unit", "euler-order"}:
+        return
+    stated = stated_reading(subject.scene)
+    other = Reading(next(unit.value for unit in AngleUnit if unit.value != stated.unit), stated.order)
+    statistics, (angles, steps) = _statistics(subject), _off_motion(subject)
+    evidence = []
+    if angles:
+        evidence.append(
+            f"headings are {angles[stated]:.0f}° off the motion in the median of {steps} steps, in {other.unit} "
+            f"{angles[other]:.0f}°"
+        )
+    if statistics.points:
+        held, in_other = statistics.points[stated], statistics.points[other]
+        evidence.append(f"{statistics.boxes} boxes hold {held} points, in {other.unit} {in_other}")
+    reported = "; ".join(evidence) or "neither motion nor points in the boxes report"
+    yield Hit("annotations", f"not stated; taken to be {stated}: {reported}")
+
+
+_REMEDY = "Open the file with `--euler-unit` and `--euler-order` as the message says, and write it again."
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "cuboid-heading-off-motion",
+        Severity.WARNING,
+        "Cuboids move along their headings under the unit and order of their angles that is stated.",
+        _REMEDY,
+        find=_against_motion,
+    ),
+    Rule(
+        "cuboid-angles-off-points",
+        Severity.WARNING,
+        "No other unit or order of their angles puts clearly more points into the cuboids.",
+        _REMEDY,
+        look=_count_in_boxes,
+        conclude=_against_points,
+    ),
+    Rule(
+        "cuboid-angles-unsaid",
+        Severity.HINT,
+        "The scene says in which unit and order the angles of its cuboids are.",
+        "Open the file with `--euler-unit` and `--euler-order`, and write it again, which records them.",
+        look=_count_in_boxes,
+        conclude=_unsaid,
+    ),
+)
 
 _LARGEST_M = 100.0
 """Beyond it even trams and ferries end; a building that long deserves a look."""
@@ -23,10 +306,12 @@ _LARGEST_M = 100.0
 _SMALLEST_M = 0.01
 
 _SIZE_FACTOR = 2.0
+
 _SIZE_CHANGE_M = 0.5
 """Labels grow while more of an object is seen; doubling by more than this is another object."""
 
 _SLACK_M = 2.0
+
 _ACCELERATION = 20.0
 """Twice what tyres hold on a road [m/s²]; with the slack it bounds how far a keyframe lies off the trajectory."""
 
@@ -36,6 +321,7 @@ _FASTEST = 100.0
 _STATIONARY_M = 1.0
 
 _ROTATION_DEG = 100.0
+
 _ROTATION_WITHIN_NS = 600_000_000
 """Nothing on wheels rotates that far within this time."""
 
@@ -167,7 +453,7 @@ def _stationary_moves(subject: Subject) -> Iterator[Hit]:
                 yield Hit(f"{path}.stationary", f"true, yet the keyframes lie {spread:.1f} m apart")
 
 
-def _rotations(subject: Subject) -> Iterator[Hit]:
+def _cuboids_rotations(subject: Subject) -> Iterator[Hit]:
     table, rows = cuboid_paths(subject), cuboid_rows(subject)
     steps = np.diff(table.timestamps_ns)
     reading = stated_reading(subject.scene)
@@ -185,7 +471,7 @@ def _rotations(subject: Subject) -> Iterator[Hit]:
     return _hits(subject, bad, lambda row: f"rotated by {angle_of[row]:.0f}° in {steps[row - 1] / 1e9:.3f} s")
 
 
-RULES: tuple[Rule, ...] = (
+CUBOIDS_RULES: tuple[Rule, ...] = (
     Rule(
         "cuboid-not-finite",
         Severity.ERROR,
@@ -234,7 +520,7 @@ RULES: tuple[Rule, ...] = (
         Severity.WARNING,
         f"No cuboid rotates by more than {_ROTATION_DEG:g}° within {_ROTATION_WITHIN_NS / 1e9:g} s.",
         "Look whether front and back were mixed up in a keyframe.",
-        find=_rotations,
+        find=_cuboids_rotations,
     ),
     Rule(
         "cuboid-stationary-moves",

@@ -1,22 +1,177 @@
-"""Rules about images: of the size that the camera model is for, and showing something new."""
+"""Rules about cameras: intrinsics, images, videos, and boxes and shapes in images."""
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import BinaryIO
 
 import numpy as np
 
-from sceneloom.arrays import UInt8Array
-from sceneloom.checks.rule import Hit, Rule
-from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.scene.cameras import CameraImage, CameraSensor
-from sceneloom.scene.findings import Severity
+from sceneloom.arrays import BoolArray, Float64Array, UInt8Array
+from sceneloom.cameras.camera import MODELS
+from sceneloom.checks.annotation_table import (
+    PartTable,
+    box_paths,
+    camera_rows,
+    point_projections,
+    projections,
+    shape_paths,
+)
+from sceneloom.checks.rule import FrameInHand, Hit, Rule, Subject, timestamps_of
+from sceneloom.errors import DataError
+from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, key_of
+from sceneloom.warnings import Severity
+
+_SHORTEST, _LONGEST = 0.05, 30.0
+"""Focal lengths outside these parts of the image's longer side [1] belong to no camera model: 30 sees two degrees."""
+
+_MOST_UNEQUAL = 1.5
+"""Pixels are square, or nearly so."""
+
+_OWN_FOCAL_MEANING = frozenset({"ftheta", "cylindrical", "equirectangular"})
+"""Models whose two focal lengths need not be alike, or stand for something else."""
+
+
+def _cameras(subject: Subject) -> Iterator[tuple[str, CameraSensor | DepthCameraSensor]]:
+    for path, sensor in subject.sensors():
+        if isinstance(sensor, CameraSensor | DepthCameraSensor):
+            yield path, sensor
+
+
+def _warnings(code: str) -> Callable[[Subject], Iterator[Hit]]:
+    """Report what the reader remarked under a code."""
+
+    def find(subject: Subject) -> Iterator[Hit]:
+        return (Hit(n.location, n.message, n.count) for n in subject.notes if n.code == code)
+
+    return find
+
+
+def _unknown_models(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in _cameras(subject):
+        if sensor.camera.model not in MODELS:
+            problem = f"{sensor.camera.model!r}; expected one of {', '.join(MODELS)}"
+            yield Hit(f"{path}.intrinsics.distortion.model", problem)
+
+
+def _centre_outside(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in _cameras(subject):
+        camera_model = sensor.camera
+        for name, centre, length in (
+            ("cx", camera_model.cx, camera_model.width),
+            ("cy", camera_model.cy, camera_model.height),
+        ):
+            if not -0.5 <= centre <= length - 0.5:
+                problem = f"{centre:g}; expected a pixel of the image, which has {length}"
+                yield Hit(f"{path}.intrinsics.{name}", problem)
+
+
+def _odd_focal_lengths(subject: Subject) -> Iterator[Hit]:
+    for path, sensor in _cameras(subject):
+        camera_model = sensor.camera
+        if camera_model.model in _OWN_FOCAL_MEANING:
+            continue
+        larger, smaller = max(camera_model.fx, camera_model.fy), min(camera_model.fx, camera_model.fy)
+        size = max(camera_model.width, camera_model.height)
+        if larger > _MOST_UNEQUAL * smaller:
+            yield Hit(
+                f"{path}.intrinsics",
+                f"fx {camera_model.fx:g}, fy {camera_model.fy:g}; expected nearly equal ones",
+            )
+        elif not _SHORTEST * size <= larger <= _LONGEST * size:
+            problem = f"focal length {larger:g} px for images of {camera_model.width}x{camera_model.height}"
+            yield Hit(f"{path}.intrinsics", problem)
+
+
+def _video_counts(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
+    """Compare the images of a video with its timestamps, once for each video."""
+    del subject
+    sensor = frame.sensor
+    if not isinstance(sensor, CameraSensor | DepthCameraSensor) or sensor.video is None or frame.number:
+        return
+    named = sensor.video.frame_indices
+    try:
+        count = _images_in(sensor.video.open)
+    except DataError as error:
+        yield Hit(f"{frame.sensor_path}.video.content", error.problem)
+        return
+    expected = len(timestamps_of(sensor))
+    fits = count == expected if named is None else max(named, default=-1) < count
+    if not fits:
+        problem = f"{expected} timestamps; the video has {count} images"
+        yield Hit(f"{frame.sensor_path}.video.timestamps", problem)
+
+
+def _images_in(open_video: Callable[[], BinaryIO]) -> int:
+    """Count the images of a video by its packets, without decoding them.
+
+    Raises:
+        DataError: it is no video, or broken.
+    """
+    from sceneloom.formats.video.reader import VideoReader
+
+    with VideoReader(open_video, name="video") as reader:
+        return reader.count
+
+
+def _as_read(scene: Scene) -> Scene:
+    """What the reader brought into order needs only to be written."""
+    return scene
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "video-or-images",
+        Severity.WARNING,
+        "A camera has a video or images, not both.",
+        "Leave one of them out; the video is taken, the images are carried along.",
+        find=_warnings("video-and-images"),
+    ),
+    Rule(
+        "camera-model-model-known",
+        Severity.WARNING,
+        "The camera model follows a distortion model that can be computed with.",
+        "Use one of the known models; a camera model can be fitted to another model.",
+        find=_unknown_models,
+    ),
+    Rule(
+        "distortion-length",
+        Severity.HINT,
+        "The distortion has as many numbers as its model.",
+        "Write zeros for those that are missing, which is how they are read.",
+        find=_warnings("short-distortion"),
+        fix=_as_read,
+    ),
+    Rule(
+        "principal-point",
+        Severity.WARNING,
+        "The principal point lies inside the image.",
+        "See whether the camera model was calibrated for another size, or the image cut without moving cx and cy.",
+        find=_centre_outside,
+    ),
+    Rule(
+        "focal-length",
+        Severity.WARNING,
+        "Focal lengths are nearly equal, and those of a camera model that there is.",
+        "Give focal lengths in pixels of these images, not in millimetres or of another size.",
+        find=_odd_focal_lengths,
+    ),
+    Rule(
+        "video-count",
+        Severity.ERROR,
+        "A video has as many images as timestamps.",
+        "Find out which images were lost, and give the others their own timestamps.",
+        look=_video_counts,
+    ),
+)
 
 _STEP_PX = 8
 """Every eighth row and column reports whether an image is of one colour."""
 
 _DARK = 10
+
 _PLAIN = 4
 
 
@@ -111,7 +266,7 @@ def _plain(subject: Subject) -> Iterator[Hit]:
             yield Hit(f"{facts.path}.images[{number}]", f"{colour}{more}", count=len(facts.plain))
 
 
-RULES: tuple[Rule, ...] = (
+IMAGES_RULES: tuple[Rule, ...] = (
     Rule(
         "image-size",
         Severity.WARNING,
@@ -135,5 +290,185 @@ RULES: tuple[Rule, ...] = (
         "Look whether the camera was covered or not exposed.",
         look=_look,
         conclude=_plain,
+    ),
+)
+
+_SLACK_PX = 1.0
+"""A box may end this far outside the image: some count pixels from 1, or to the last one's centre."""
+
+
+def _boxes(subject: Subject) -> Iterator[tuple[PartTable, Float64Array, str]]:
+    """All boxes in images, (R, 4) `left top width height` [px], each with its table and its name there."""
+
+    def made(_: Subject) -> list[tuple[PartTable, Float64Array, str]]:
+        paths, seen = box_paths(subject), projections(subject)
+        return [
+            (paths, paths.rows(lambda path: path.values, 4), ".values"),
+            (seen, seen.rows(lambda part: _or_nan(part.boxes, len(part.timestamps_ns), 4), 4), ".boxes"),
+        ]
+
+    yield from subject.table("boxes in images", made)
+
+
+def _or_nan(values: Float64Array | None, count: int, columns: int) -> Float64Array:
+    return np.full((count, columns), np.nan) if values is None else values
+
+
+def _box_hits(subject: Subject, judge: Callable[[Float64Array], BoolArray], expected: str) -> Iterator[Hit]:
+    for table, boxes, name in _boxes(subject):
+        bad = judge(boxes)
+
+        def state(row: int, boxes: Float64Array = boxes) -> str:
+            return f"{_reported(boxes[row])}; expected {expected}"
+
+        yield from table.hits(subject, bad, state, within=name)
+
+
+def _reported(box: Float64Array) -> str:
+    left, top, width, height = box.tolist()
+    return f"{width:g} x {height:g} px at ({left:g}, {top:g})"
+
+
+def _null(boxes: Float64Array) -> BoolArray:
+    return np.asarray(np.isnan(boxes).all(axis=1))
+
+
+def _negative(subject: Subject) -> Iterator[Hit]:
+    return _box_hits(
+        subject, lambda boxes: np.asarray((boxes[:, 2:] < 0).any(axis=1)), "no negative width or height"
+    )
+
+
+def _without_area(subject: Subject) -> Iterator[Hit]:
+    def judge(boxes: Float64Array) -> BoolArray:
+        return np.asarray((boxes[:, 2:] == 0).any(axis=1) & (boxes[:, 2:] >= 0).all(axis=1))
+
+    return _box_hits(subject, judge, "a width and a height")
+
+
+def _partly_finite(subject: Subject) -> Iterator[Hit]:
+    for table, boxes, name in _boxes(subject):
+        bad = ~np.isfinite(boxes).all(axis=1)
+        if name == ".boxes":
+            bad &= ~_null(boxes)
+
+        def state(row: int, boxes: Float64Array = boxes) -> str:
+            return f"{boxes[row].tolist()}; expected finite numbers"
+
+        yield from table.hits(subject, np.asarray(bad), state, within=name)
+    points = point_projections(subject)
+    spots = points.rows(lambda part: _or_nan(part.points, len(part.timestamps_ns), 2), 2)
+    bad = ~np.isfinite(spots).all(axis=1) & ~_null(spots)
+    yield from points.hits(
+        subject,
+        np.asarray(bad),
+        lambda row: f"{spots[row].tolist()}; expected finite numbers",
+        within=".points",
+    )
+
+
+def _null_confirmed(subject: Subject) -> Iterator[Hit]:
+    named = ((projections(subject), "boxes", 4), (point_projections(subject), "points", 2))
+    for table, name, columns in named:
+        for number, part in enumerate(table.parts):
+            values = _or_nan(getattr(part, name), len(part.timestamps_ns), columns)
+            if part.confirmed is None or getattr(part, name) is None:
+                continue
+            rows = np.flatnonzero(_null(values) & np.array([flag is True for flag in part.confirmed], bool))
+            if len(rows):
+                location = f"{table.location(subject, number)}.confirmed[{rows[0]}]"
+                yield Hit(location, f"true, yet {name}[{rows[0]}] is null", count=len(rows))
+
+
+def _extents(subject: Subject) -> Iterator[tuple[PartTable, Float64Array, str]]:
+    """What is drawn into images, as (R, 4) `left top right bottom` [px]; NaN where there is nothing to judge."""
+    for table, boxes, name in _boxes(subject):
+        corners = boxes.copy()
+        corners[:, 2:] += boxes[:, :2]
+        yield table, corners, name
+    shapes = shape_paths(subject)
+    if len(shapes.timestamps_ns):
+        yield shapes, np.array([_around(v) for path in shapes.parts for v in path.vertices]), ".values"
+    points = point_projections(subject)
+    spots = points.rows(lambda part: _or_nan(part.points, len(part.timestamps_ns), 2), 2)
+    yield points, np.hstack([spots, spots]), ".points"
+
+
+def _around(vertices: Float64Array) -> list[float]:
+    if vertices.shape[1] != 2 or len(vertices) == 0:
+        return [np.nan] * 4
+    return [*vertices.min(axis=0).tolist(), *vertices.max(axis=0).tolist()]
+
+
+def _outside(subject: Subject, *, wholly: bool) -> Iterator[Hit]:
+    for table, extents, name in _extents(subject):
+        bad = np.zeros(len(extents), bool)
+        sizes = np.zeros((len(extents), 2))
+        for camera, rows in camera_rows(subject, table):
+            sizes[rows] = camera.camera.width, camera.camera.height
+            bad[rows] = True
+        gone = ((extents[:, 2:] < -_SLACK_PX) | (extents[:, :2] > sizes + _SLACK_PX)).any(axis=1)
+        beyond = ((extents[:, :2] < -_SLACK_PX) | (extents[:, 2:] > sizes + _SLACK_PX)).any(axis=1)
+        bad &= gone if wholly else beyond & ~gone
+
+        def state(row: int, extents: Float64Array = extents, sizes: Float64Array = sizes) -> str:
+            left, top, right, bottom = extents[row].tolist()
+            width, height = sizes[row].tolist()
+            reach = f"from ({left:g}, {top:g}) to ({right:g}, {bottom:g})"
+            return f"{reach}, of an image of {width:g} x {height:g} px"
+
+        yield from table.hits(subject, bad, state, within=name)
+
+
+def _outside_image(subject: Subject) -> Iterator[Hit]:
+    return _outside(subject, wholly=True)
+
+
+def _beyond_image(subject: Subject) -> Iterator[Hit]:
+    return _outside(subject, wholly=False)
+
+
+BOXES_IN_IMAGES_RULES: tuple[Rule, ...] = (
+    Rule(
+        "box-not-finite",
+        Severity.ERROR,
+        "All numbers of a box in an image are finite; a projection that is not there is null as a whole.",
+        "Write null for a box that is not there.",
+        find=_partly_finite,
+    ),
+    Rule(
+        "box-negative-size",
+        Severity.ERROR,
+        "Width and height of a box in an image are not negative.",
+        "Look whether the numbers are left, top, width, height, or two corners.",
+        find=_negative,
+    ),
+    Rule(
+        "box-without-area",
+        Severity.WARNING,
+        "Boxes in images have a width and a height.",
+        "Write null for a projection that is not there, and leave keyframes without a box out.",
+        find=_without_area,
+    ),
+    Rule(
+        "box-outside-image",
+        Severity.WARNING,
+        "What is drawn into an image overlaps it.",
+        "Look whether it counts pixels of an image of another size, or belongs to another camera.",
+        find=_outside_image,
+    ),
+    Rule(
+        "box-beyond-image",
+        Severity.HINT,
+        f"What is drawn into an image ends at its edges, give or take {_SLACK_PX:g} px.",
+        "Clip it to the image if it means what is seen, and keep it if it means the whole object.",
+        find=_beyond_image,
+    ),
+    Rule(
+        "null-box-confirmed",
+        Severity.WARNING,
+        "A projection that a person confirmed is there.",
+        "Take the confirmation out, or draw what is missing.",
+        find=_null_confirmed,
     ),
 )

@@ -1,45 +1,184 @@
-"""Rules about the points of lidars and radars: locations, intensities and colours that sensors give."""
+"""Rules about points of lidars and radars, and about points that belong to objects or classes."""
 
+import zlib
+from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array
-from sceneloom.checks.cloud_facts import FAR_M, SensorFacts, cloud_facts, sensor_facts
-from sceneloom.checks.rule import Hit, Rule
-from sceneloom.checks.subject import FrameInHand, Subject
-from sceneloom.scene.clouds import LidarFrame, PointsSensor, RadarFrame
-from sceneloom.scene.findings import Severity
+from sceneloom.arrays import Float32Array, Int64Array, UInt8Array, read_only
+from sceneloom.checks.rule import FrameInHand, Hit, Rule, Subject, repaired_annotations
+from sceneloom.scene.annotations import Annotation, LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.clouds import (
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    PointsSensor,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+)
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier, key_of
+from sceneloom.warnings import Severity
+
+_FAR_M = 10_000.0
+"""Beyond it float32 is coarser than a millimetre."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudFacts:
+    """The points of one frame.
+
+    Attributes:
+        count: how many.
+        not_finite: of them, how many have a location that is not finite.
+        at_origin: how many lie exactly at the origin.
+        far: how many have a coordinate beyond `_FAR_M`.
+        farthest: the largest coordinate [m], 0 without points.
+        levels: (256,) int64, how many have each intensity; None without intensities.
+        coloured: how many have a colour.
+        white: how many of these are white.
+        black: how many are black.
+        digest: of the locations.
+    """
+
+    count: int
+    not_finite: int
+    at_origin: int
+    far: int
+    farthest: float
+    levels: Int64Array | None = None
+    coloured: int = 0
+    white: int = 0
+    black: int = 0
+    digest: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class _SensorFacts:
+    """The frames of one sensor, one after the other.
+
+    Attributes:
+        path: of the sensor.
+        numbers: of the frames that could be read.
+        counts: of their points.
+        levels: (256,) int64, sums of `CloudFacts.levels`; None without intensities.
+        coloured, white, black: sums of these.
+        digest: of the latest frame.
+        repeated: numbers of frames with the very points of the frame before.
+    """
+
+    path: str
+    numbers: list[int] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+    levels: Int64Array | None = None
+    coloured: int = 0
+    white: int = 0
+    black: int = 0
+    digest: int | None = None
+    repeated: list[int] = field(default_factory=list)
+
+    def add(self, number: int, facts: CloudFacts) -> None:
+        """Take in one more frame."""
+        self.numbers.append(number)
+        self.counts.append(facts.count)
+        if facts.levels is not None:
+            self.levels = facts.levels if self.levels is None else self.levels + facts.levels
+        self.coloured += facts.coloured
+        self.white += facts.white
+        self.black += facts.black
+        if facts.count and facts.digest == self.digest:
+            self.repeated.append(number)
+        self.digest = facts.digest
+
+
+_SensorKey = tuple[type, Identifier]
+
+
+def _sensor_facts(subject: Subject) -> dict[_SensorKey, _SensorFacts]:
+    """What is known of each sensor with points, by the frames read so far."""
+    return subject.table("facts of sensors", lambda _: {})
+
+
+def _cloud_facts(subject: Subject, frame: FrameInHand) -> CloudFacts | None:
+    """Give the facts of a frame in hand, found at the first asking; None for images and what cannot be read."""
+    if not isinstance(frame.frame, LidarFrame | RadarFrame):
+        return None
+    latest = subject.table("facts of the frame in hand", lambda _: dict[str, CloudFacts]())
+    if frame.path not in latest:
+        latest.clear()
+        latest[frame.path] = facts = _facts_of(frame.frame.points)
+        known, key = _sensor_facts(subject), key_of(frame.sensor.id)
+        known.setdefault(key, _SensorFacts(frame.sensor_path)).add(frame.number, facts)
+    return latest[frame.path]
+
+
+def _facts_of(points: LidarPoints | RadarPoints) -> CloudFacts:
+    """Look through the points of one frame."""
+    positions = points.positions
+    x, y, z = np.abs(positions).T
+    largest = np.maximum(np.maximum(x, y), z)
+    finite = np.isfinite(largest)
+    colors = points.colors if isinstance(points, LidarPoints) else None
+    intensities = points.intensities if isinstance(points, LidarPoints) else None
+    return CloudFacts(
+        count=len(positions),
+        not_finite=int(len(positions) - np.count_nonzero(finite)),
+        at_origin=int(np.count_nonzero(largest == 0)),
+        far=int(np.count_nonzero(finite & (largest > _FAR_M))),
+        farthest=float(largest[finite].max(initial=0.0)),
+        levels=None if intensities is None else np.bincount(intensities, minlength=256),
+        coloured=0 if colors is None else len(colors),
+        white=0 if colors is None else _count_of(colors, 255),
+        black=0 if colors is None else _count_of(colors, 0),
+        digest=zlib.crc32(np.ascontiguousarray(positions).data),
+    )
+
+
+def _count_of(colors: UInt8Array, level: int) -> int:
+    """How many points have this level in red, green and blue."""
+    red, green, blue = colors.T
+    return int(np.count_nonzero((red == level) & (green == level) & (blue == level)))
+
 
 _ORIGIN_SHARE = 0.05
+
 _ENOUGH_POINTS = 100
 """Of fewer points nothing is stated."""
 
 _COLLAPSED_SHARE = 0.1
+
 _FEW_LEVELS = 4
+
 _CLIPPED_SHARE = 0.5
+
 _NO_CAMERA = 255
+
 _NORM_TOLERANCE = 0.01
+
 _FASTEST = 150.0
 """Relative to the sensor: two vehicles that meet on a motorway [m/s]."""
 
 
 def _not_finite(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    facts = cloud_facts(subject, frame)
+    facts = _cloud_facts(subject, frame)
     if facts is not None and facts.not_finite:
         message = f"{facts.not_finite} of {facts.count} points have a location that is not finite"
         yield Hit(f"{frame.path}.points.positions", message, count=facts.not_finite)
 
 
 def _at_origin(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    facts = cloud_facts(subject, frame)
+    facts = _cloud_facts(subject, frame)
     if facts is not None and facts.at_origin > max(1, _ORIGIN_SHARE * facts.count):
         message = f"{facts.at_origin} of {facts.count} points lie at 0, 0, 0"
         yield Hit(f"{frame.path}.points.positions", message, count=facts.at_origin)
 
 
 def _far(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    facts = cloud_facts(subject, frame)
+    facts = _cloud_facts(subject, frame)
     if facts is not None and facts.far:
         step_mm = float(np.spacing(np.float32(facts.farthest))) * 1e3
         message = f"coordinates up to {facts.farthest:.0f} m, where float32 steps by {step_mm:.2g} mm"
@@ -56,7 +195,7 @@ def _map_not_finite(subject: Subject) -> Iterator[Hit]:
 
 def _map_far(subject: Subject) -> Iterator[Hit]:
     for path, positions in _maps(subject):
-        far = positions[np.isfinite(positions) & (np.abs(positions) > FAR_M)]
+        far = positions[np.isfinite(positions) & (np.abs(positions) > _FAR_M)]
         if len(far):
             message = f"coordinates up to {np.abs(far).max():.0f} m, too far for float32"
             yield Hit(f"{path}.points.positions", message)
@@ -70,12 +209,12 @@ def _maps(subject: Subject) -> Iterator[tuple[str, Float32Array]]:
 
 def _seen(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     """Take the frame in; what it shows together with the others is stated at the end."""
-    cloud_facts(subject, frame)
+    _cloud_facts(subject, frame)
     yield from ()
 
 
 def _without_points(subject: Subject) -> Iterator[Hit]:
-    for facts in sensor_facts(subject).values():
+    for facts in _sensor_facts(subject).values():
         empty = [number for number, count in zip(facts.numbers, facts.counts, strict=True) if count == 0]
         if empty:
             message = f"{len(empty)} of {len(facts.counts)} frames have no points"
@@ -83,7 +222,7 @@ def _without_points(subject: Subject) -> Iterator[Hit]:
 
 
 def _collapsed(subject: Subject) -> Iterator[Hit]:
-    for facts in sensor_facts(subject).values():
+    for facts in _sensor_facts(subject).values():
         usual = float(np.median(facts.counts))
         few = [
             (number, count)
@@ -97,7 +236,7 @@ def _collapsed(subject: Subject) -> Iterator[Hit]:
 
 
 def _repeated(subject: Subject) -> Iterator[Hit]:
-    for facts in sensor_facts(subject).values():
+    for facts in _sensor_facts(subject).values():
         if facts.repeated:
             message = (
                 f"{len(facts.repeated)} of {len(facts.counts)} frames have the very points of the one before"
@@ -106,13 +245,13 @@ def _repeated(subject: Subject) -> Iterator[Hit]:
 
 
 def _odd_intensities(subject: Subject) -> Iterator[Hit]:
-    for facts in sensor_facts(subject).values():
+    for facts in _sensor_facts(subject).values():
         reported = _reported_intensities(facts)
         if reported is not None:
             yield Hit(f"{facts.path}.frames[].points.intensities", reported, count=len(facts.counts))
 
 
-def _reported_intensities(facts: SensorFacts) -> str | None:
+def _reported_intensities(facts: _SensorFacts) -> str | None:
     levels = facts.levels
     if levels is None or levels.sum() < _ENOUGH_POINTS:
         return None
@@ -128,7 +267,7 @@ def _reported_intensities(facts: SensorFacts) -> str | None:
 
 
 def _all_one_colour(subject: Subject) -> Iterator[Hit]:
-    for facts in sensor_facts(subject).values():
+    for facts in _sensor_facts(subject).values():
         if facts.coloured < _ENOUGH_POINTS:
             continue
         for name, count in (("white", facts.white), ("black", facts.black)):
@@ -189,7 +328,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "points-far",
         Severity.WARNING,
-        f"Points lie within {FAR_M / 1000:g} km of the origin, where float32 reports millimetres.",
+        f"Points lie within {_FAR_M / 1000:g} km of the origin, where float32 reports millimetres.",
         "Choose an origin near the drive, as `sceneloom fuse` does, and keep the way to it in the metadata.",
         find=_map_far,
         look=_far,
@@ -254,5 +393,172 @@ RULES: tuple[Rule, ...] = (
         f"The lengths of radar points are speeds up to {_FASTEST:g} m/s.",
         "Give metres per second along `directions`.",
         look=_absurd_speeds,
+    ),
+)
+
+
+class Entry(NamedTuple):
+    """Labelled points of one sensor or frame: where they stand, whose they are, and which."""
+
+    path: str
+    annotation: LabeledPointsAnnotation
+    points: LabeledPoints
+
+
+FrameKey = tuple[type, Identifier, int | None]
+
+
+def _entries(subject: Subject) -> dict[FrameKey, list[Entry]]:
+    """All labelled points by sensor and frame."""
+
+    def made(inner: Subject) -> dict[FrameKey, list[Entry]]:
+        entries: dict[FrameKey, list[Entry]] = defaultdict(list)
+        for path, annotation in inner.annotations():
+            if isinstance(annotation, LabeledPointsAnnotation):
+                for k, points in enumerate(annotation.labeled_points):
+                    key = (type(points.sensor_id), points.sensor_id, points.sensor_frame)
+                    entries[key].append(Entry(f"{path}.labeled_points[{k}]", annotation, points))
+        return entries
+
+    return subject.table("labelled points by frame", made)
+
+
+def _frames_that_are_not(subject: Subject) -> Iterator[Hit]:
+    for (_, sensor_id, frame), entries in _entries(subject).items():
+        sensor = subject.sensor(sensor_id)
+        if frame is None or sensor is None:
+            continue
+        if isinstance(sensor, PointsSensor):
+            message = f"{frame}; a points sensor has no frames"
+        elif isinstance(sensor, LidarSensor | RadarSensor) and not 0 <= frame < len(sensor.frames):
+            message = f"{frame}; sensor {sensor_id!r} has {len(sensor.frames)} frames, counted from 0"
+        else:
+            continue
+        for entry in entries:
+            yield Hit(f"{entry.path}.sensor_frame", message)
+
+
+def _beyond_frame(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
+    entries = _entries(subject)
+    if not entries or not isinstance(frame.frame, LidarFrame | RadarFrame):
+        return
+    key, count = key_of(frame.sensor.id), len(frame.frame.points)
+    totals = subject.table("points per sensor", lambda _: defaultdict[tuple[type, Identifier], int](int))
+    totals[key] += count
+    yield from _beyond(entries.get((*key, frame.number), []), count, f"frame {frame.number}")
+
+
+def _beyond(entries: list[Entry], count: int, whole: str) -> Iterator[Hit]:
+    for entry in entries:
+        beyond = entry.points.point_ids[entry.points.point_ids >= count]
+        if len(beyond):
+            message = f"point {int(beyond.max())}; {whole} has {count} points, counted from 0"
+            yield Hit(f"{entry.path}.point_ids", message, count=len(beyond))
+
+
+def _beyond_sensor(subject: Subject) -> Iterator[Hit]:
+    """Judge points that are counted through a whole sensor, when all its frames have been read."""
+    totals = subject.table("points per sensor", lambda _: defaultdict[tuple[type, Identifier], int](int))
+    for (kind, sensor_id, frame), entries in _entries(subject).items():
+        if frame is None and isinstance(subject.sensor(sensor_id), LidarSensor | RadarSensor):
+            yield from _beyond(entries, totals[kind, sensor_id], f"sensor {sensor_id!r}")
+
+
+def _beyond_map(subject: Subject) -> Iterator[Hit]:
+    for (_, sensor_id, frame), entries in _entries(subject).items():
+        sensor = subject.sensor(sensor_id)
+        if frame is None and isinstance(sensor, PointsSensor):
+            yield from _beyond(entries, len(sensor.positions), f"sensor {sensor_id!r}")
+
+
+def _labelled_points_repeated(subject: Subject) -> Iterator[Hit]:
+    for entries in _entries(subject).values():
+        for entry in entries:
+            repeated = len(entry.points.point_ids) - len(np.unique(entry.points.point_ids))
+            if repeated:
+                yield Hit(
+                    f"{entry.path}.point_ids", f"{_points(repeated)} named twice in one list", count=repeated
+                )
+
+
+def _each_once(scene: Scene) -> Scene:
+    """Name each point once, at its first location."""
+    return repaired_annotations(scene, _with_each_once)
+
+
+def _with_each_once(annotation: Annotation) -> Annotation:
+    if not isinstance(annotation, LabeledPointsAnnotation):
+        return annotation
+    points = tuple(map(_once, annotation.labeled_points))
+    same = all(new is old for new, old in zip(points, annotation.labeled_points, strict=True))
+    return annotation if same else replace(annotation, labeled_points=points)
+
+
+def _once(points: LabeledPoints) -> LabeledPoints:
+    firsts = np.sort(np.unique(points.point_ids, return_index=True)[1])
+    if len(firsts) == len(points.point_ids):
+        return points
+    return replace(points, point_ids=read_only(points.point_ids[firsts]))
+
+
+def _of_two(subject: Subject) -> Iterator[Hit]:
+    """Find points that belong to two instances: of one frame's instances, sorted by point, two neighbours."""
+    shared: dict[tuple[int, int], list[tuple[Entry, Entry, int]]] = defaultdict(list)
+    for entries in _entries(subject).values():
+        instances = [entry for entry in entries if entry.annotation.is_instance]
+        if len({id(entry.annotation) for entry in instances}) < 2:
+            continue
+        ids = np.concatenate([entry.points.point_ids for entry in instances])
+        owners = np.repeat(np.arange(len(instances)), [len(entry.points.point_ids) for entry in instances])
+        order = np.lexsort((owners, ids))
+        ids, owners = ids[order], owners[order]
+        pairs = np.stack([owners[:-1], owners[1:]], axis=1)[(ids[:-1] == ids[1:])]
+        for (one, other), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
+            first, second = instances[one], instances[other]
+            if first.annotation is not second.annotation:
+                shared[id(second.annotation), id(first.annotation)].append((second, first, int(count)))
+    for locations in shared.values():
+        second, first, _ = locations[0]
+        total = sum(count for *_, count in locations)
+        where = f" in {len(locations)} frames, first here" if len(locations) > 1 else ""
+        message = f"{second.annotation.id!r} shares {_points(total)} with {first.annotation.id!r}{where}"
+        yield Hit(f"{second.path}.point_ids", message)
+
+
+def _points(count: int) -> str:
+    return "1 point" if count == 1 else f"{count} points"
+
+
+LABELLED_POINTS_RULES: tuple[Rule, ...] = (
+    Rule(
+        "labelled-frame-unknown",
+        Severity.ERROR,
+        "The frame of labelled points is a frame of their sensor.",
+        "Count frames from 0; leave `sensor_frame` out where the whole sensor is meant.",
+        find=_frames_that_are_not,
+    ),
+    Rule(
+        "labelled-point-unknown",
+        Severity.ERROR,
+        "Labelled points are points of their frame.",
+        "Label the points again on the frame as it is: its points were thinned or cut since.",
+        find=_beyond_map,
+        look=_beyond_frame,
+        conclude=_beyond_sensor,
+    ),
+    Rule(
+        "labelled-point-twice",
+        Severity.WARNING,
+        "Each labelled point is named once.",
+        "Leave the repetitions out.",
+        find=_labelled_points_repeated,
+        fix=_each_once,
+    ),
+    Rule(
+        "point-in-two-instances",
+        Severity.WARNING,
+        "A point belongs to one instance.",
+        "Decide which of the objects it belongs to.",
+        find=_of_two,
     ),
 )

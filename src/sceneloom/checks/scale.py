@@ -1,8 +1,4 @@
-"""Rules of the profile `scale`: whatever Scale's own library refuses to load or to validate, reported where it stands.
-
-They look at the header of a file, since that is what the library reads; the fields are those of
-`sceneloom.formats.sfs.scale_library`, which the writer of that profile follows, too.
-"""
+"""Rules of the profile `scale`: whatever Scale's own library refuses to load or to validate."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -10,10 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sceneloom.arrays import AnyArray
-from sceneloom.checks.rule import SCALE_ONLY, Hit, Rule
-from sceneloom.checks.subject import Subject
+from sceneloom.checks.rule import SCALE_ONLY, Hit, Rule, Subject
 from sceneloom.formats.sfs.container import format_keys
-from sceneloom.formats.sfs.scale_library import (
+from sceneloom.formats.sfs.profiles import (
     ANNOTATIONS,
     PARTS,
     SENSORS,
@@ -22,7 +17,7 @@ from sceneloom.formats.sfs.scale_library import (
     record_faults,
     time_fault,
 )
-from sceneloom.scene.findings import Severity
+from sceneloom.warnings import Severity
 
 Located = tuple[Location, Any]
 
@@ -174,6 +169,7 @@ _DTYPES: Mapping[str, np.dtype[Any]] = {
     "directions": np.dtype(np.float32),
     "timestamps": np.dtype(np.uint32),
 }
+
 _COLUMNS = {"positions": 3, "colors": 3, "directions": 3}
 
 

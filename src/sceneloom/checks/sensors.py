@@ -1,26 +1,41 @@
-"""Rules about sensors: that they have content, that their parents are there, that their streams are in order."""
+"""Rules about sensors, ids and references: content, parents, order of streams, and that what is named exists."""
 
-from collections.abc import Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from typing import Any
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.checks.annotation_table import sensor_mentions
-from sceneloom.checks.rule import Hit, Rule, unless_recording
-from sceneloom.checks.subject import Subject
-from sceneloom.formats.sfs.fields import SENSOR_RECORDS
-from sceneloom.scene.cameras import CameraSensor
+from sceneloom.checks.annotation_table import SensorMention, sensor_mentions
+from sceneloom.checks.rule import Hit, Rule, Subject, unless_recording
+from sceneloom.formats.sfs.schema import ANNOTATION_RECORDS, SENSOR_RECORDS
+from sceneloom.scene.annotations import (
+    Activation,
+    Annotation,
+    AttributePath,
+    Box2DAnnotation,
+    CameraCalibration,
+    CuboidAnnotation,
+    GroupAnnotation,
+    LabeledPoints,
+    LinkAnnotation,
+    ObjectAnnotation,
+    PlainAnnotation,
+    PointProjection,
+    PointsAnnotation,
+    Projection,
+    ShapeAnnotation,
+)
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
-from sceneloom.scene.depth import DepthCameraSensor
-from sceneloom.scene.findings import Severity
-from sceneloom.scene.motion import GnssSensor, ImuSensor
-from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import Identifier, key_of
+from sceneloom.warnings import Severity
 
 Key = tuple[type, Identifier]
-
 
 _EMPTYING = frozenset({"missing-videos", "unreadable-videos", "unmatched-images"})
 """Faults of a recording that leave a camera without images."""
@@ -215,5 +230,281 @@ RULES: tuple[Rule, ...] = (
         "Latitudes lie within 90 degrees, longitudes within 180.",
         "See whether latitude and longitude are exchanged, or given in another unit than degrees.",
         find=unless_recording(_off_the_earth),
+    ),
+)
+
+
+def _key(identifier: Identifier) -> Key:
+    return type(identifier), identifier
+
+
+def _numbers_by_id(subject: Subject) -> dict[Key, int]:
+    return {_key(annotation.id): k for k, annotation in enumerate(subject.scene.annotations)}
+
+
+def _known_ids(subject: Subject) -> Mapping[Key, int]:
+    return subject.table("numbers of annotations by id", _numbers_by_id)
+
+
+def _unknown(kind: str, identifier: Identifier, known: Mapping[Key, Any]) -> str:
+    """Report that nothing has this id, and whether something has it as text instead of a number."""
+    twin: Identifier | None = str(identifier) if isinstance(identifier, int) else _as_integer(identifier)
+    if twin is not None and _key(twin) in known:
+        return f"{identifier!r} is no {kind}; there is one {twin!r}, which is another id"
+    return f"{identifier!r} is no {kind} of the scene"
+
+
+def _as_integer(text: str) -> int | None:
+    """The integer that a text stands for; ids with more digits than any counter has are not looked at."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= 18 else None
+
+
+def _references_unknown_types(subject: Subject) -> Iterator[Hit]:
+    for path, annotation in subject.annotations():
+        if isinstance(annotation, PlainAnnotation):
+            near = nearest(annotation.type, tuple(ANNOTATION_RECORDS))
+            yield Hit(
+                f"{path}.type", f"{annotation.type!r}{near}; its fields are carried along and not understood"
+            )
+
+
+def _unknown_parents(subject: Subject) -> Iterator[Hit]:
+    known = _known_ids(subject)
+    for path, annotation in subject.annotations():
+        parent_id = annotation.parent_id
+        if parent_id is None or _key(parent_id) in known or subject.is_left_out("annotations", parent_id):
+            continue
+        yield Hit(f"{path}.parent_id", _unknown("annotation", parent_id, known))
+
+
+def _references_parent_cycles(subject: Subject) -> Iterator[Hit]:
+    """Follow each annotation's parents; one that is met again on the same way lies on a cycle."""
+    known, annotations = _known_ids(subject), subject.scene.annotations
+    settled: set[int] = set()
+    for start in range(len(annotations)):
+        trajectory: dict[int, None] = {}
+        number: int | None = start
+        while number is not None and number not in settled and number not in trajectory:
+            trajectory[number] = None
+            parent_id = annotations[number].parent_id
+            number = None if parent_id is None else known.get(_key(parent_id))
+        if number is not None and number in trajectory:
+            cycle = list(trajectory)[list(trajectory).index(number) :]
+            names = " in ".join(repr(annotations[k].id) for k in [*cycle[:5], number])
+            more = f" (and {len(cycle) - 5} more between)" if len(cycle) > 5 else ""
+            yield Hit(f"{subject.annotation_paths[number]}.parent_id", f"{names}{more}; expected no cycle")
+        settled.update(trajectory)
+
+
+def _unknown_sensors(subject: Subject) -> Iterator[Hit]:
+    known = {_key(sensor.id): sensor for sensor in subject.scene.sensors}
+    named = [(_location(subject, mention), mention.sensor_id) for mention in sensor_mentions(subject)]
+    for k, attribute in enumerate(subject.scene.attributes):
+        if attribute.sensor_id is not None:
+            named.append((f"attributes[{k}].sensor_id", attribute.sensor_id))
+    for location, sensor_id in named:
+        if _key(sensor_id) not in known and not subject.is_left_out("sensors", sensor_id):
+            yield Hit(location, _unknown("sensor", sensor_id, known))
+
+
+def _several_for_a_sensor(subject: Subject) -> Iterator[Hit]:
+    """Activations, and projections of a cuboid or of one point, of which a sensor has more than one."""
+    for path, annotation in subject.annotations():
+        for location, parts in _parts_of_sensors(path, annotation):
+            first: dict[Key, int] = {}
+            for k, part in enumerate(parts):
+                before = first.setdefault(_key(part.sensor_id), k)
+                if before != k:
+                    problem = (
+                        f"{part.sensor_id!r} has one already, at [{before}]; expected one for each sensor"
+                    )
+                    yield Hit(f"{location}[{k}].sensor_id", problem)
+
+
+def _parts_of_sensors(path: str, annotation: Annotation) -> Iterator[tuple[str, Sequence[Any]]]:
+    if isinstance(annotation, CuboidAnnotation):
+        yield f"{path}.activations", annotation.activations
+        yield f"{path}.projections", annotation.projections
+    elif isinstance(annotation, PointsAnnotation):
+        for k, of_point in enumerate(annotation.projections):
+            yield f"{path}.projections[{k}]", of_point
+
+
+def _location(subject: Subject, mention: SensorMention) -> str:
+    return subject.annotation_paths[mention.number] + mention.suffix
+
+
+_CLOUDS = (LidarSensor, RadarSensor, PointsSensor)
+
+
+def _wrong_sensors(subject: Subject) -> Iterator[Hit]:
+    for mention in sensor_mentions(subject):
+        sensor = subject.sensor(mention.sensor_id)
+        expected = _expected_sensor(mention.part)
+        if sensor is None or expected is None or isinstance(sensor, PlainSensor):
+            continue
+        classes, word = expected
+        if not isinstance(sensor, classes):
+            yield Hit(_location(subject, mention), f"{mention.sensor_id!r} is {_a(sensor)}; expected {word}")
+
+
+def _expected_sensor(part: Any) -> tuple[tuple[type, ...], str] | None:
+    """Which sensors a part can be about, and in words; None: any."""
+    if isinstance(part, Projection | PointProjection | Box2DAnnotation | CameraCalibration):
+        return (CameraSensor,), "a camera"
+    if isinstance(part, ShapeAnnotation) and part.dimensions == 2:
+        return (CameraSensor,), "a camera"
+    if isinstance(part, Activation):
+        return (LidarSensor, RadarSensor, CameraSensor), "a lidar, a radar or a camera"
+    return (_CLOUDS, "a sensor with points") if isinstance(part, LabeledPoints) else None
+
+
+def _a(sensor: Sensor) -> str:
+    word = str(sensor.type)
+    return f"{'an' if word[:1] in 'aeiou' else 'a'} {word}"
+
+
+def _links(subject: Subject) -> Iterator[tuple[str, LinkAnnotation]]:
+    for path, annotation in subject.annotations():
+        if isinstance(annotation, LinkAnnotation):
+            yield path, annotation
+
+
+def _unknown_link_ends(subject: Subject) -> Iterator[Hit]:
+    known = _known_ids(subject)
+    for path, link in _links(subject):
+        for name in ("from_id", "to_id"):
+            identifier = getattr(link, name)
+            if _key(identifier) not in known and not subject.is_left_out("annotations", identifier):
+                yield Hit(f"{path}.{name}", _unknown("annotation", identifier, known))
+
+
+def _links_to_themselves(subject: Subject) -> Iterator[Hit]:
+    for path, link in _links(subject):
+        if _key(link.from_id) == _key(link.to_id):
+            yield Hit(path, f"leads from {link.from_id!r} to itself; expected two annotations")
+        elif _key(link.id) in (_key(link.from_id), _key(link.to_id)):
+            yield Hit(path, f"one end is the link {link.id!r} itself; expected two other annotations")
+
+
+def _unused(subject: Subject) -> Iterator[Hit]:
+    used = {_key(a.parent_id) for a in subject.scene.annotations if a.parent_id is not None}
+    for _, link in _links(subject):
+        used |= {_key(link.from_id), _key(link.to_id)}
+    for path, annotation in subject.annotations():
+        if _says_nothing(annotation) and _key(annotation.id) not in used:
+            yield Hit(
+                path, f"the {annotation.type} {annotation.id!r} has no members, no links and no attributes"
+            )
+
+
+def _says_nothing(annotation: Annotation) -> bool:
+    return isinstance(annotation, ObjectAnnotation | GroupAnnotation) and not annotation.attributes
+
+
+def _unused_attributes_of_points(subject: Subject) -> Iterator[Hit]:
+    for path, annotation in subject.annotations():
+        count = len(getattr(annotation, "paths", ()))
+        for k, attribute in enumerate(getattr(annotation, "attributes", ())):
+            index = attribute.point_index if isinstance(attribute, AttributePath) else None
+            if index is not None and not 0 <= index < count:
+                location = f"{path}.attributes[{k}].point_index"
+                yield Hit(location, f"{index}; the annotation has {count} points, counted from 0")
+
+
+def _spellings(subject: Subject) -> Iterator[Hit]:
+    """Group labels by their letters and digits alone; of several in a group, one spelling is meant."""
+    counts = Counter(
+        label for a in subject.scene.annotations if isinstance(label := getattr(a, "label", None), str)
+    )
+    groups: dict[str, list[str]] = defaultdict(list)
+    for label in counts:
+        groups["".join(letter for letter in label.casefold() if letter.isalnum())].append(label)
+    for letters, labels in groups.items():
+        if letters and len(labels) > 1:
+            usual = max(labels, key=lambda label: counts[label])
+            reported = ", ".join(f"{label!r} ({counts[label]} times)" for label in labels)
+            rare = sum(counts[label] for label in labels if label != usual)
+            yield Hit("annotations", f"labels {reported}; expected one spelling, as {usual!r}", count=rare)
+
+
+REFERENCES_RULES: tuple[Rule, ...] = (
+    Rule(
+        "annotation-parent-unknown",
+        Severity.ERROR,
+        "The parent that an annotation names is an annotation of the scene.",
+        'Name an annotation that exists, with the type of its id (1 is not "1"), or leave `parent_id` out.',
+        find=_unknown_parents,
+    ),
+    Rule(
+        "annotation-parent-cycle",
+        Severity.ERROR,
+        "No annotation is its own parent, nor a parent of its parents.",
+        "Leave one `parent_id` of the cycle out.",
+        find=_references_parent_cycles,
+    ),
+    Rule(
+        "annotation-type-known",
+        Severity.WARNING,
+        "Every annotation is of a type that the format lists.",
+        "Correct the type; an annotation of another type is carried along, and nothing computes with it.",
+        find=_references_unknown_types,
+    ),
+    Rule(
+        "part-of-sensor-once",
+        Severity.WARNING,
+        "An annotation has one activation and one projection for each sensor.",
+        "Join them: their timestamps, and what belongs to each.",
+        find=_several_for_a_sensor,
+    ),
+    Rule(
+        "annotation-sensor-unknown",
+        Severity.ERROR,
+        "Every sensor that an annotation or an attribute of the scene names is a sensor of the scene.",
+        'Name a sensor that exists, with the type of its id (1 is not "1"), or take the part out.',
+        find=_unknown_sensors,
+    ),
+    Rule(
+        "annotation-sensor-type",
+        Severity.ERROR,
+        "Boxes and shapes in images, projections and camera calibrations are of cameras; labelled points are of "
+        "sensors with points; activations are of lidars, radars and cameras.",
+        "Name the sensor that was meant.",
+        find=_wrong_sensors,
+    ),
+    Rule(
+        "link-end-unknown",
+        Severity.ERROR,
+        "Both ends of a link are annotations of the scene.",
+        "Name annotations that exist, or take the link out.",
+        find=_unknown_link_ends,
+    ),
+    Rule(
+        "link-to-itself",
+        Severity.WARNING,
+        "A link joins two different annotations.",
+        "Name the other annotation, or take the link out.",
+        find=_links_to_themselves,
+    ),
+    Rule(
+        "attribute-point-unknown",
+        Severity.ERROR,
+        "The point that an attribute of a points annotation is for is one of its points.",
+        "Count points from 0, in the order of `paths`.",
+        find=_unused_attributes_of_points,
+    ),
+    Rule(
+        "annotation-unused",
+        Severity.HINT,
+        "Objects and groups have members, links or attributes.",
+        "Take it out if nothing belongs to it.",
+        find=_unused,
+    ),
+    Rule(
+        "label-spellings",
+        Severity.HINT,
+        "A label is spelt in one way throughout a scene.",
+        "Rename the labels to one spelling.",
+        find=_spellings,
     ),
 )

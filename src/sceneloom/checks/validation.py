@@ -1,31 +1,415 @@
-"""`sceneloom.validate`: a path or a scene in, findings out."""
+"""`sceneloom.validate`: open what is checked, run the rules, repair, and report the findings."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
-from sceneloom.checks.catalogue import chosen_rules
-from sceneloom.checks.fixing import repaired
-from sceneloom.checks.opening import open_subject
-from sceneloom.checks.reading import FAULT_RULES
-from sceneloom.checks.recordings.faults import FAULT_RULES as FAULT_RULES_OF_RECORDINGS
-from sceneloom.checks.report import LOCATIONS, ValidationReport, counts_of, findings_of, is_passed
-from sceneloom.checks.rule import Rule
-from sceneloom.checks.subject import Subject
-from sceneloom.checks.walk import Hits, find_all
-from sceneloom.errors import CalibrationError, DataError, PoseError
-from sceneloom.formats.faults import PlacedFault
-from sceneloom.formats.loss import LossReport
-from sceneloom.formats.table import check_scene_output, format_for_output, write_scene
-from sceneloom.scene.findings import Finding
-from sceneloom.scene.scene import Scene
+from sceneloom.checks.faults import FAULT_CODES, FAULT_RULES, UNREADABLE
+from sceneloom.checks.faults import FAULTS_FAULT_RULES as FAULT_RULES_OF_RECORDINGS
+from sceneloom.checks.rule import ALL_PROFILES, CheckProfile, FrameInHand, Hit, Rule, Subject
+from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError, redacted
+from sceneloom.formats.base.diagnostics import PlacedFault
+from sceneloom.formats.base.losses import Loss, LossReport
+from sceneloom.formats.base.registry import (
+    check_scene_output,
+    chosen_corrections,
+    format_and_location,
+    format_for_output,
+    opened_by,
+    part_of,
+    write_scene,
+)
+from sceneloom.formats.base.spec import FormatSpec
+from sceneloom.formats.recording.reader import RecordingExamination
+from sceneloom.formats.sfs.container import collector_paused
+from sceneloom.formats.sfs.reader import Examination
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.scene import Corrections, Scene, Sensor
 from sceneloom.scene.types import Progress
-from sceneloom.scene.warnings import DataWarning, WarningKind
 from sceneloom.stages import stage
+from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
+
+
+def open_subject(
+    path: str | Path,
+    *,
+    format: str | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    corrections: str = Corrections.APPLY,
+    **reading: Any,
+) -> Subject:
+    """Open a file or folder; what cannot be read is a fault of the subject, not an error.
+
+    Args:
+        path: a file or folder, or the URL of a scene file.
+        format: the format's name, where the content should not decide.
+        start, stop: seconds after the first timestamp: the part between them is a scene of its own, without the texts
+            of its file, with the faults of all of it.
+        corrections: as of `open_scene`.
+        reading: reading options of the format; `lenient` plays no part.
+
+    Raises:
+        UnknownFormatError: no format fits the path.
+        OptionError: an option or its value is not known, or there is nothing between `start` and `stop`.
+    """
+    chosen = chosen_corrections(corrections)
+    subject = _whole_subject(path, format, reading)
+    if chosen is not subject.scene.corrections:
+        subject = replace(subject, scene=replace(subject.scene, corrections=chosen))
+    if start is None and stop is None:
+        return subject
+    part = part_of(subject.scene, start=start, stop=stop)
+    return Subject(part, faults=subject.faults, warnings=subject.notes)
+
+
+def _whole_subject(path: str | Path, format: str | None, reading: dict[str, Any]) -> Subject:
+    form, where = format_and_location(path, format=format)
+    options = {name: value for name, value in reading.items() if value is not None and name != "lenient"}
+    if not form.examiner:
+        return _opened(form, where, options)
+    found = form.examine(where, **options)
+    if isinstance(found, RecordingExamination):
+        return _examined_recording(found, where)
+    return _examined(found, where)
+
+
+def _examined(examination: Examination, path: str | Path) -> Subject:
+    if examination.scene is None:
+        return Subject(_nothing(path, "sfs"), faults=examination.faults)
+    return Subject(
+        examination.scene,
+        examination.header,
+        examination.faults,
+        examination.sensor_paths,
+        examination.annotation_paths,
+        examination.warnings,
+        fetch=examination.fetch,
+        frame_numbers=examination.frame_numbers,
+    )
+
+
+def _examined_recording(examination: RecordingExamination, path: Path) -> Subject:
+    scene = examination.scene or _nothing(path, "recording")
+    faults = tuple(
+        fault if fault.code in FAULT_CODES else replace(fault, code=UNREADABLE)
+        for fault in examination.faults
+    )
+    return Subject(scene, faults=faults, recording=examination.contents)
+
+
+def _opened(form: FormatSpec, path: Path, options: dict[str, Any]) -> Subject:
+    """Open what another format holds: whole, or without what is broken, or not at all."""
+    try:
+        return Subject(opened_by(form, path, **options))
+    except DataError as error:
+        fault = _unreadable(path, error)
+    try:
+        return Subject(opened_by(form, path, **options, lenient=True), faults=(fault,))
+    except DataError as error:
+        return Subject(_nothing(path, form.name), faults=(_unreadable(path, error),))
+
+
+def _unreadable(path: Path, error: DataError) -> PlacedFault:
+    location = ": ".join(
+        part for part in (error.file.removeprefix(str(path)).lstrip("/"), error.location) if part
+    )
+    return PlacedFault(location, error.problem, "unreadable")
+
+
+def _nothing(path: str | Path, format_name: str) -> Scene:
+    return Scene((), source=redacted(path), format=format_name)
+
+
+RULE_MODULES: tuple[str, ...] = (
+    "sceneloom.checks.faults",
+    "sceneloom.checks.faults",
+    "sceneloom.checks.faults",
+    "sceneloom.checks.recordings.lines",
+    "sceneloom.checks.recordings.times",
+    "sceneloom.checks.recordings.samples",
+    "sceneloom.checks.recordings.samples",
+    "sceneloom.checks.recordings.samples",
+    "sceneloom.checks.recordings.satellite_fixes",
+    "sceneloom.checks.recordings.satellite_fixes",
+    "sceneloom.checks.recordings.poses",
+    "sceneloom.checks.recordings.lines",
+    "sceneloom.checks.recordings.lines",
+    "sceneloom.checks.recordings.calibration",
+    "sceneloom.checks.recordings.calibration",
+    "sceneloom.checks.recordings.calibration",
+    "sceneloom.checks.recordings.calibration",
+    "sceneloom.checks.recordings.lines",
+    "sceneloom.checks.times",
+    "sceneloom.checks.times",
+    "sceneloom.checks.poses",
+    "sceneloom.checks.recordings.poses",
+    "sceneloom.checks.recordings.satellite_fixes",
+    "sceneloom.checks.recordings.times",
+    "sceneloom.checks.sensors",
+    "sceneloom.checks.images",
+    "sceneloom.checks.points",
+    "sceneloom.checks.point_frames",
+    "sceneloom.checks.point_frames",
+    "sceneloom.checks.images",
+    "sceneloom.checks.sensors",
+    "sceneloom.checks.times",
+    "sceneloom.checks.shapes",
+    "sceneloom.checks.cuboids",
+    "sceneloom.checks.cuboids",
+    "sceneloom.checks.images",
+    "sceneloom.checks.shapes",
+    "sceneloom.checks.points",
+    "sceneloom.checks.poses",
+    "sceneloom.checks.scale",
+)
+"""The modules that offer `RULES`, in the order in which a person would look."""
+
+
+def all_rules() -> tuple[Rule, ...]:
+    """Every rule of every profile."""
+    return tuple(rule for module in RULE_MODULES for rule in import_module(module).RULES)
+
+
+def chosen_rules(
+    profile: CheckProfile | str, *, only: Iterable[str] = (), ignored: Iterable[str] = ()
+) -> tuple[Rule, ...]:
+    """The rules of a profile: only those that are named, but for those that are to be ignored.
+
+    Raises:
+        OptionError: there is no such profile, or no such rule.
+    """
+    profiles = [known.value for known in CheckProfile]
+    if profile not in profiles:
+        raise OptionError(f"profile {profile!r}; expected one of {', '.join(profiles)}")
+    rules, only, ignored = all_rules(), frozenset(only), frozenset(ignored)
+    known_ids = {rule.id for rule in rules}
+    for identifier in sorted((only | ignored) - known_ids):
+        raise OptionError(f"no rule {identifier!r}; `sceneloom validate --rules` lists them")
+    return tuple(
+        rule
+        for rule in rules
+        if CheckProfile(profile) in rule.profiles and rule.id not in ignored and (not only or rule.id in only)
+    )
+
+
+class RuleRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One rule as a list of rules reports it.
+
+    Attributes:
+        id: of the rule.
+        severity: how bad a finding is.
+        summary: what holds in a sound scene.
+        remedy: what a person can do.
+        fixable: whether `--fix` repairs it.
+        only_in: the profiles that it is limited to; () for all.
+    """
+
+    id: str
+    severity: str
+    summary: str
+    remedy: str
+    fixable: bool
+    only_in: tuple[str, ...] = ()
+
+
+def catalogue() -> tuple[RuleRow, ...]:
+    """All rules, those of one room together."""
+    return tuple(
+        RuleRow(
+            id=rule.id,
+            severity=rule.severity.value,
+            summary=rule.summary,
+            remedy=rule.remedy,
+            fixable=rule.fix is not None,
+            only_in=() if rule.profiles == ALL_PROFILES else tuple(sorted(p.value for p in rule.profiles)),
+        )
+        for rule in all_rules()
+    )
+
+
+_Hits = dict[str, list[Hit]]
+"""What was found, by the id of the rule, in the order of the rules."""
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def find_all(
+    subject: Subject, rules: Sequence[Rule], *, frames: bool = True, progress: Progress | None = None
+) -> _Hits:
+    """Run rules over a scene; they look at whatever numbers there are, and those that overflow are not within limits.
+
+    Args:
+        subject: the scene.
+        rules: which.
+        frames: whether frames and images are read for the rules that look at them; each is read once.
+        progress: called with the number of frames done and of all.
+    """
+    # the tables of a scene with many annotations are very many objects that form no cycles
+    with collector_paused():
+        hits: _Hits = {rule.id: list(rule.find(subject)) if rule.find is not None else [] for rule in rules}
+    looking = [rule for rule in rules if rule.look is not None]
+    if not (frames and looking):
+        return hits
+    total = sum(len(_frames_of(sensor)) for sensor in subject.scene.sensors)
+    for done, frame in enumerate(_frames_in_hand(subject), start=1):
+        for rule in looking:
+            if rule.look is not None:
+                hits[rule.id].extend(rule.look(subject, frame))
+        if progress is not None:
+            progress(done, total)
+    for rule in looking:
+        if rule.conclude is not None:
+            hits[rule.id].extend(rule.conclude(subject))
+    return hits
+
+
+def _frames_in_hand(subject: Subject) -> Iterator[FrameInHand]:
+    """Read every frame and decode every image once; one that cannot be read is handed out with its fault."""
+    for path, sensor in subject.sensors():
+        for number in range(len(_frames_of(sensor))):
+            try:
+                yield FrameInHand(sensor, path, number, _read(sensor, number))
+            except SceneloomError as error:
+                yield FrameInHand(sensor, path, number, None, str(error))
+
+
+def _frames_of(sensor: Sensor) -> Sequence[Any]:
+    if isinstance(sensor, CameraSensor):
+        return sensor.images
+    return sensor.frames if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor) else ()
+
+
+def _read(sensor: Sensor, number: int) -> Any:
+    if isinstance(sensor, CameraSensor):
+        return sensor.images[number].loaded()
+    if isinstance(sensor, DepthCameraSensor):
+        return sensor.frames[number].loaded()
+    return _frames_of(sensor)[number]
+
+
+_MOST_ROUNDS = 8
+"""A fix may bring to light what another repairs; none needs more rounds than there are such steps."""
+
+
+def _repaired(scene: Scene, rules: Sequence[Rule], hits: _Hits) -> tuple[Scene, frozenset[str]]:
+    """Apply fixes until nothing is found that one of them would change.
+
+    Args:
+        scene: what the hits were found in.
+        rules: those whose fixes may be applied.
+        hits: of the first search, in frames as well; later ones look at what is known without reading.
+
+    Returns:
+        The repaired scene, and the ids of the rules whose fixes were applied.
+    """
+    fixable = [rule for rule in rules if rule.fix is not None]
+    applied: set[str] = set()
+    for _ in range(_MOST_ROUNDS):
+        before = scene
+        for rule in fixable:
+            if rule.fix is not None and hits.get(rule.id):
+                scene = rule.fix(scene)
+                applied.add(rule.id)
+        if scene is before:
+            break
+        hits = find_all(Subject(scene), fixable, frames=False)
+    return scene, frozenset(applied)
+
+
+LOCATIONS = 20
+"""So many locations of one rule are listed singly unless the caller wants all."""
+
+
+class ValidationReport(msgspec.Struct, frozen=True, kw_only=True):
+    """What was found in a scene.
+
+    Attributes:
+        source: the file or folder, or where the scene came from.
+        format: name of its format.
+        profile: what it was checked against: "sfs", "scale", or "recording" for the lines and files of one.
+        strict: whether warnings count, too.
+        passed: no errors, and where strict no warnings either.
+        findings: by severity, then by rule.
+        counts: how many locations were found, by severity.
+        rules: ids of the rules that were run.
+        frames_read: whether frames and images were read.
+        fixed: what was found at first and is repaired in `output`.
+        left_out: what stood in the source and could not be taken into `output`.
+        losses: what `output` could not hold, though nothing was wrong with it.
+        output: the file that the repaired scene was written to, or None; the findings are then those of it.
+        unwritten: why there is no `output` though there was to be one, or None.
+    """
+
+    source: str
+    format: str
+    profile: str
+    strict: bool
+    passed: bool
+    findings: tuple[Finding, ...]
+    counts: dict[str, int]
+    rules: tuple[str, ...]
+    frames_read: bool = True
+    fixed: tuple[Finding, ...] = ()
+    left_out: tuple[Finding, ...] = ()
+    losses: tuple[Loss, ...] = ()
+    output: str | None = None
+    unwritten: str | None = None
+
+
+def findings_of(
+    hits: _Hits, rules: Sequence[Rule], *, locations: int | None = LOCATIONS
+) -> tuple[Finding, ...]:
+    """Make findings of hits, the worst first.
+
+    Args:
+        hits: of each rule.
+        rules: the rules, in their order.
+        locations: so many locations of one rule are listed singly, the others as one finding with their count; None for
+            all.
+    """
+    ranked = sorted(rules, key=lambda rule: list(Severity).index(rule.severity))
+    return tuple(finding for rule in ranked for finding in _of_rule(rule, hits.get(rule.id, []), locations))
+
+
+def _counts_of(findings: Sequence[Finding]) -> dict[str, int]:
+    """How many locations were found, by severity."""
+    return {severity.value: sum(f.count for f in findings if f.severity == severity) for severity in Severity}
+
+
+def _is_passed(counts: dict[str, int], *, strict: bool) -> bool:
+    """Whether a scene with so many findings is good enough."""
+    return not counts[Severity.ERROR] and not (strict and counts[Severity.WARNING])
+
+
+def _of_rule(rule: Rule, hits: Sequence[Hit], locations: int | None) -> list[Finding]:
+    shown = hits if locations is None or len(hits) <= locations + 1 else hits[:locations]
+    findings = [_finding(rule, hit) for hit in shown]
+    further = hits[len(shown) :]
+    if further:
+        count = sum(hit.count for hit in further)
+        message = f"and more of the same, up to {further[-1].path}"
+        findings.append(_finding(rule, Hit(further[0].path, message, count)))
+    return findings
+
+
+def _finding(rule: Rule, hit: Hit) -> Finding:
+    return Finding(
+        rule=rule.id,
+        severity=rule.severity,
+        path=hit.path,
+        message=hit.message,
+        remedy=rule.remedy,
+        count=hit.count,
+        fixable=rule.fix is not None,
+    )
+
 
 _MEANS_NOTHING = "what is at fault decides what the rest means"
 
@@ -44,7 +428,7 @@ class _Terms:
     locations: int | None
     progress: Progress | None
 
-    def hits(self, subject: Subject) -> Hits:
+    def hits(self, subject: Subject) -> _Hits:
         """Run the rules; of what could not be read at all, only those that state why."""
         if subject.faults and subject.holds_nothing:
             reported = {rule.id for rule in (*FAULT_RULES, *FAULT_RULES_OF_RECORDINGS)}
@@ -60,16 +444,16 @@ class _Terms:
             for rule, found in hits.items()
         }
 
-    def report(self, subject: Subject, hits: Hits) -> ValidationReport:
+    def report(self, subject: Subject, hits: _Hits) -> ValidationReport:
         """Put what was found into a report."""
         findings = findings_of(hits, self.rules, locations=self.locations)
-        counts = counts_of(findings)
+        counts = _counts_of(findings)
         return ValidationReport(
             source=subject.scene.source,
             format=subject.scene.format,
             profile=self.profile or ("recording" if subject.is_recording else "sfs"),
             strict=self.strict,
-            passed=is_passed(counts, strict=self.strict),
+            passed=_is_passed(counts, strict=self.strict),
             findings=findings,
             counts=counts,
             rules=tuple(rule.id for rule in self.rules),
@@ -136,7 +520,7 @@ def validate(
             return report
         if not _can_be_written(subject):
             return msgspec.structs.replace(report, unwritten=_MEANS_NOTHING)
-        scene, applied = repaired(subject.scene, terms.rules, hits)
+        scene, applied = _repaired(subject.scene, terms.rules, hits)
         reported = replace(scene, warnings=(*scene.warnings, *_notes(subject.faults)))
         try:
             with stage("writing"):

@@ -12,8 +12,7 @@ from sceneloom.cli.identifiers import known_id_or_none
 from sceneloom.cli.printing import print_corrections, print_json, print_table, several
 
 if TYPE_CHECKING:
-    from sceneloom.calibrate.health.check import CalibrationHealth
-    from sceneloom.calibrate.health.verdicts import Item
+    from sceneloom.calibrate.health import CalibrationHealth, Item
 
 EXIT_CODES = MappingProxyType({"good": 0, "drifting": 3, "wrong": 4, "cannot determine": 5})
 """What each verdict means to the shell."""
@@ -51,11 +50,11 @@ def check_health(
     reading: Mapping[str, Any],
 ) -> int:
     """Check a calibration, print what came out, draw images where these are asked for; give the exit code."""
-    from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
-    from sceneloom.formats.output import check_output
-    from sceneloom.formats.table import open_scene
+    from sceneloom.formats.base.output import check_output
+    from sceneloom.formats.base.registry import open_scene
+    from sceneloom.formats.kitti.tracking_reader import is_tracking_folder
     from sceneloom.images.calibration import save_calibration_images
-    from sceneloom.pipeline.checked_calibration import check_drive
+    from sceneloom.pipeline.calibrating import check_drive
 
     if not (boxes["boxes3d"] or boxes["boxes2d"]) and is_tracking_folder(Path(path)):
         useless = {
@@ -95,8 +94,8 @@ def _check_folder(
     path: Path | str, boxes: Mapping[str, Any], *, lenient: bool, as_json: bool, verbose: bool
 ) -> int:
     """Check each sequence of a folder by its boxes; the worst gives the exit code."""
-    from sceneloom.formats.kitti.tracking_folder import open_tracking_folder
-    from sceneloom.pipeline.checked_calibration import check_sequences
+    from sceneloom.formats.kitti.tracking_reader import open_tracking_folder
+    from sceneloom.pipeline.calibrating import check_sequences
 
     tracking = open_tracking_folder(
         path, detector_2d=boxes["det2d"], detector_3d=boxes["det3d"], lenient=lenient

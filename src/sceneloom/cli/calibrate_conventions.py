@@ -30,7 +30,7 @@ def check_conventions(
 ) -> int:
     """Judge a file, by a drive where one is given, or a drive; print what was found, and give the exit code."""
     from sceneloom.calibrate.conventions import check_drive, check_file
-    from sceneloom.formats.table import open_scene
+    from sceneloom.formats.base.registry import open_scene
 
     def opened(location: Path | str, judge: Callable[["Scene"], "ConventionsReport"]) -> "ConventionsReport":
         with open_scene(location, **options.stated(**reading)) as scene:
@@ -63,7 +63,7 @@ def check_conventions(
 def _is_drive(path: Path | str) -> bool:
     """Whether a path is one of the formats of drives; a file of numbers alone is none."""
     from sceneloom.errors import SceneloomError
-    from sceneloom.formats.table import format_and_location
+    from sceneloom.formats.base.registry import format_and_location
 
     if Path(path).is_dir() or "://" in str(path):
         return True

@@ -12,7 +12,7 @@ from sceneloom.cli.identifiers import known_id_or_none
 from sceneloom.cli.printing import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.repairing.job import RepairReport
+    from sceneloom.pipeline.calibrating import RepairReport
     from sceneloom.scene.scene import Scene
 
 EXIT_CODES = {"refined": 0, "kept": 3, "cannot determine": 5}
@@ -112,8 +112,8 @@ def repair_calibration(
     """Repair, write, print, and give the exit code."""
     if images is not None and asked.mode != "refine":
         raise click.UsageError("--visualize: with --check and --refine only")
-    from sceneloom.formats.table import open_scene
-    from sceneloom.scene.part import cut_scene
+    from sceneloom.formats.base.registry import open_scene
+    from sceneloom.scene.time_range import cut_scene
 
     with (
         open_scene(path, **options.stated(**reading)) as scene,
@@ -142,7 +142,7 @@ def _repaired(
     overwrite: bool,
     progress: Any,
 ) -> "RepairReport":
-    from sceneloom.pipeline.repairing import job as repairing
+    from sceneloom.pipeline import calibrating as repairing
 
     common: dict[str, Any] = {"form": asked.form, "overwrite": overwrite, "progress": progress}
     if asked.mode == "hand_eye":

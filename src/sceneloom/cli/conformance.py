@@ -11,8 +11,8 @@ from sceneloom.cli.printing import print_json, progress_bar
 from sceneloom.cli.service_options import certificate_of, host_and_port, let_in
 
 if TYPE_CHECKING:
-    from sceneloom.service.conformance.catalogue import Check
-    from sceneloom.service.conformance.examination import Examination, Finding
+    from sceneloom.db34t.conformance.catalogue import Check
+    from sceneloom.db34t.conformance.examination import Examination, Finding
 
 
 @click.command()
@@ -55,10 +55,9 @@ def conformance(
     Any server of the project's .proto can be checked, whoever wrote it. Each check works in a session of its own,
     which is ended after it.
     """
-    from sceneloom.formats.output import check_output
-    from sceneloom.service.conformance.examination import chosen, examine
-    from sceneloom.service.conformance.report import as_builtins, form_of, write_report
-    from sceneloom.service.conformance.transport import Doors, GrpcTransport
+    from sceneloom.db34t.conformance.examination import as_builtins, chosen, examine, form_of, write_report
+    from sceneloom.db34t.transport import Doors, GrpcTransport
+    from sceneloom.formats.base.output import check_output
 
     checks = chosen(only)
     if list_checks:

@@ -9,7 +9,7 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import SHOWN, print_json, print_table, print_warnings, progress_bar, several
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.converting.report import ConversionReport
+    from sceneloom.pipeline.converting import ConversionReport
 
 
 _OWN = ("source", "target", "to", "trajectory", "strict", "loss", "overwrite", "reading", "progress")
@@ -104,8 +104,8 @@ def convert(
     A TARGET without a suffix is a recording's folder, `.sfs` a scene file; `.tum`, `.kitti`, `.csv` (EuRoC) and
     `.jsonl` take one trajectory out of SOURCE, which may be such a file, too.
     """
-    from sceneloom.pipeline.converting.job import convert as convert_scene
-    from sceneloom.pipeline.converting.report import headline
+    from sceneloom.pipeline.converting import convert as convert_scene
+    from sceneloom.pipeline.converting import headline
     from sceneloom.stages import timed
 
     chosen = options.stated(
@@ -146,7 +146,7 @@ def convert(
 
 def _print_supports(report: "ConversionReport", *, verbose: bool) -> None:
     """Print what is not simply kept, grouped by what became of it; every field where that is asked for."""
-    from sceneloom.pipeline.converting.report import short_rows, support_groups, support_rows
+    from sceneloom.pipeline.converting import short_rows, support_groups, support_rows
 
     for title, fields, worth_telling in support_groups(report):
         click.echo(f"  {title}: {several(len(fields), 'field')}", err=True)

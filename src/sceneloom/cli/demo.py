@@ -36,7 +36,7 @@ def demo(
     keep: Path, seed: int, frames: int, video: str, overwrite: bool, as_json: bool, quiet: bool, verbose: bool
 ) -> None:
     """Make a small drive through a synthetic street, fuse it, and show what came out."""
-    from sceneloom.formats.output import check_output
+    from sceneloom.formats.base.output import check_output
 
     begun = time.perf_counter()
     recording = keep / "drive"
@@ -47,12 +47,8 @@ def demo(
     if not quiet:
         click.echo(f"making a drive of {frames / 10:g} s through a synthetic street …", err=True)
 
-    from sceneloom.formats.table import (  # takes a minute where kernels are not compiled yet
-        open_scene,
-        write_scene,
-    )
-    from sceneloom.pipeline.fusing.job import fuse
-    from sceneloom.pipeline.fusing.outputs import FusionOutputs
+    from sceneloom.formats.base.registry import open_scene, write_scene
+    from sceneloom.pipeline.fusing import FusionOutputs, fuse
     from sceneloom.simulate.drive import demo_drive
 
     outputs = FusionOutputs(scene=fused, depth=depth, images=images, overwrite=overwrite)

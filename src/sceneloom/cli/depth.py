@@ -7,14 +7,7 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.identifiers import known_ids
-from sceneloom.cli.printing import (
-    print_json,
-    print_lines,
-    print_table,
-    print_warnings,
-    progress_bar,
-    several,
-)
+from sceneloom.cli.printing import print_json, print_lines, print_table, print_warnings, progress_bar, several
 
 if TYPE_CHECKING:
     from sceneloom.pipeline.depth_images import DepthReport
@@ -64,7 +57,7 @@ def depth(
 ) -> None:
     """Write a depth image for each sweep and image: z in metres, dense by choice, with a confidence."""
     from sceneloom.colouring.visibility import VisibilitySettings
-    from sceneloom.formats.table import open_scene
+    from sceneloom.formats.base.registry import open_scene
     from sceneloom.fusion.configuration import FusionConfiguration
     from sceneloom.pipeline.depth_images import write_depth_images
 

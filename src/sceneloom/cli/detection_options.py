@@ -8,7 +8,7 @@ import click
 from sceneloom.cli import options
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.found_objects import DetectionInput
+    from sceneloom.pipeline.detection_jobs import DetectionInput
 
 FILES = (
     click.option(
@@ -90,8 +90,8 @@ def refuse(given: dict[str, Any], names: Sequence[str], why: str) -> None:
 
 def chosen(given: dict[str, Any]) -> "DetectionInput":
     """What of a path is fused or tracked."""
-    from sceneloom.pipeline.detections.detected_scene import DetectionFiles
-    from sceneloom.pipeline.found_objects import DetectionInput
+    from sceneloom.pipeline.detection_jobs import DetectionInput
+    from sceneloom.pipeline.detection_lists import DetectionFiles
 
     return DetectionInput(
         files=DetectionFiles(

@@ -9,7 +9,7 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import SHOWN, print_json, progress_bar, several
 
 if TYPE_CHECKING:
-    from sceneloom.editing.differences.report import Difference, SceneDifferences
+    from sceneloom.editing.diff import Difference, SceneDifferences
 
 MARKS = {"added": "+", "removed": "-", "changed": "~"}
 MOST = 10 * SHOWN
@@ -70,8 +70,8 @@ def diff(
     **reading: Any,
 ) -> int:
     """Report what differs between two drives, field by field; exit 0 where nothing does, 1 where something does."""
-    from sceneloom.editing.differences.scenes import diff_scenes
-    from sceneloom.formats.shared_options import open_scenes
+    from sceneloom.editing.diff import diff_scenes
+    from sceneloom.formats.base.registry import open_scenes
 
     with (
         open_scenes((first, second), options.stated(**reading)) as (a, b),

@@ -9,7 +9,7 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_table
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.installation.report import Finding
+    from sceneloom.pipeline.installation import Finding
 
 _MARKS = {"good": "ok", "missing": "--", "broken": "BROKEN"}
 
@@ -18,7 +18,7 @@ _MARKS = {"good": "ok", "missing": "--", "broken": "BROKEN"}
 @options.printing
 def doctor(as_json: bool, quiet: bool, verbose: bool) -> int:
     """Report what this installation can do and what it lacks; exit 1 if something needed is broken."""
-    from sceneloom.pipeline.installation.report import examine_installation
+    from sceneloom.pipeline.installation import examine_installation
 
     report = examine_installation()
     if as_json:

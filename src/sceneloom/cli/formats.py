@@ -75,8 +75,8 @@ def _row(form: "FormatListing") -> tuple[str, str, str, str]:
 
 
 def _print_supported_fields(name: str, *, as_json: bool) -> None:
+    from sceneloom.formats.base.losses import Support
     from sceneloom.formats.listing import list_supported_fields
-    from sceneloom.formats.loss import Support
 
     found = list_supported_fields(name)
     if as_json:

@@ -117,9 +117,9 @@ def _fuse_sensor_data(
         raise click.UsageError("nothing to write: state -o drive.sfs, --depth DIR or --visualize DIR")
     _refuse_idle("--depth-format", depth_format, "--depth", depth)
     _refuse_idle("--visualize-every", images_every, "--visualize", images)
-    from sceneloom.formats.table import open_scene
-    from sceneloom.pipeline.fusing.job import fuse as fuse_scene
-    from sceneloom.pipeline.fusing.outputs import FusionOutputs
+    from sceneloom.formats.base.registry import open_scene
+    from sceneloom.pipeline.fusing import FusionOutputs
+    from sceneloom.pipeline.fusing import fuse as fuse_scene
     from sceneloom.stages import timed
 
     outputs = FusionOutputs(

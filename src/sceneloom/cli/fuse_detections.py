@@ -9,7 +9,7 @@ from sceneloom.cli import detection_options, options
 from sceneloom.cli.printing import print_json, print_table, print_warnings, progress_bar, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.detections.report import DetectionFusionReport
+    from sceneloom.pipeline.fusing_detections import DetectionFusionReport
 
 
 def fuse_found(
@@ -39,7 +39,7 @@ def fuse_found(
         )
     from sceneloom.detections.settings import ProjectionSettings
     from sceneloom.fusion.configuration import FusionConfiguration
-    from sceneloom.pipeline.found_objects import fuse_detections
+    from sceneloom.pipeline.detection_jobs import fuse_detections
 
     how: dict[str, Any] = {
         "configuration": FusionConfiguration(**options.stated(detection_algorithm=algorithm)),

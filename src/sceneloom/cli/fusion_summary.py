@@ -7,8 +7,7 @@ import click
 from sceneloom.cli.printing import print_lines, print_losses, print_table, print_warnings, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.fusing.outputs import FusionOutputs
-    from sceneloom.pipeline.fusing.report import CameraReport, FusionReport
+    from sceneloom.pipeline.fusing import CameraReport, FusionOutputs, FusionReport
 
 
 def print_fusion(report: "FusionReport", outputs: "FusionOutputs", *, quiet: bool, verbose: bool) -> None:

@@ -15,7 +15,7 @@ from sceneloom.cli.service_options import calling, connected, host_and_port
 from sceneloom.errors import OptionError
 
 if TYPE_CHECKING:
-    from sceneloom.fusion.events import Result
+    from sceneloom.db34t.queues import Result
     from sceneloom.service.client import FusionClient
 
 _TYPES = {"sensor": 0, "detection": 1}
@@ -61,7 +61,7 @@ def get(
     """Fetch results from a fusion service: those that are there, or as they come."""
     if track and (kind != "detection" or not follow):
         raise click.UsageError("--track needs --type detection and --follow")
-    from sceneloom.service.fetched import described, open_sink
+    from sceneloom.service.result_files import described, open_sink
 
     del verbose
     fetched: Counter[str] = Counter()

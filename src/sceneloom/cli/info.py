@@ -16,7 +16,7 @@ from sceneloom.scene.types import SensorType
 
 if TYPE_CHECKING:
     from sceneloom.scene.scene import Scene
-    from sceneloom.scene.warnings import DataWarning
+    from sceneloom.warnings import DataWarning
 
 
 @click.command()
@@ -45,8 +45,8 @@ def info(
     """Report what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
     if at is not None and images is None:
         raise click.UsageError("--at says when to draw: state --visualize DIR, too")
-    from sceneloom.formats.size import size_on_disk
-    from sceneloom.formats.table import open_scene
+    from sceneloom.formats.base.files import size_on_disk
+    from sceneloom.formats.base.registry import open_scene
     from sceneloom.scene.summary import summarise
 
     with open_scene(path, **options.stated(**reading)) as scene:
@@ -73,8 +73,8 @@ def _draw(
     scene: "Scene", folder: Path, at: float | None, *, overwrite: bool
 ) -> "tuple[list[Path], tuple[DataWarning, ...]]":
     """Draw the annotations; gives the files, and what is in none of them."""
-    from sceneloom.images.annotations.saving import save_annotation_images
-    from sceneloom.images.canvas import counting_left_out
+    from sceneloom.visualization.annotation_sheets import save_annotation_images
+    from sceneloom.visualization.canvas import counting_left_out
 
     with counting_left_out() as left:
         drawn = save_annotation_images(scene, folder, at=at, overwrite=overwrite)

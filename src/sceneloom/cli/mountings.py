@@ -4,8 +4,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import CameraSensor
-from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.ego import EgoAxes
 from sceneloom.scene.scene import Sensor
 

@@ -24,7 +24,7 @@ def _stacked(*options: Callable[[Any], Any]) -> Callable[[Command], Command]:
 
 def location(text: str) -> "Path | str":
     """Take an argument as a path, or as the URL of a scene file, whose double slashes a path would lose."""
-    from sceneloom.formats.urls import path_or_url
+    from sceneloom.formats.base.files import path_or_url
 
     found = path_or_url(text)
     return found if isinstance(found, str) else _noted(found)
@@ -32,7 +32,7 @@ def location(text: str) -> "Path | str":
 
 def _noted(path: Path) -> Path:
     """Take note of an input, so that no output of this run replaces it."""
-    from sceneloom.formats.output import Source
+    from sceneloom.formats.base.output import Source
 
     context = click.get_current_context(silent=True)
     if context is not None and path.exists():
@@ -87,7 +87,7 @@ def not_negative(number: str | float) -> float:
 
 def target(text: str) -> Path:
     """Take an argument as the path of what is to be written; that of a store is written to disk first."""
-    from sceneloom.formats.urls import is_url
+    from sceneloom.formats.base.files import is_url
 
     if is_url(text):
         from sceneloom.cli.uploads import draft_of
@@ -101,7 +101,7 @@ def target(text: str) -> Path:
 
 
 def lists(words: str) -> Callable[[Any], Any]:
-    """Lists of drives in files (`sceneloom.batch.inputs`); `words` state what counts of their lines."""
+    """Lists of drives in files (`sceneloom.batch.jobs`); `words` state what counts of their lines."""
     return click.option(
         "--list",
         "lists",
@@ -450,7 +450,7 @@ _OF_ALL_FORMATS = {"path", "format", "start", "stop", "storage_options"}
 
 def stated(**values: Any) -> dict[str, Any]:
     """The options that the user stated; the others are left to the library's defaults."""
-    from sceneloom.formats.option_values import as_flag
+    from sceneloom.formats.base.spec import as_flag
 
     further = settings("--input-option", values.pop(READ_WITH, ()))
     for name in sorted(_OF_ALL_FORMATS & further.keys()):

@@ -10,8 +10,8 @@ import click
 import msgspec
 
 if TYPE_CHECKING:  # a verb that reads no drive starts quickly without them
-    from sceneloom.formats.loss import LossReport
-    from sceneloom.scene.warnings import DataWarning
+    from sceneloom.formats.base.losses import LossReport
+    from sceneloom.warnings import DataWarning
 
 SHOWN = 5
 """Warnings and losses shown unless `--verbose` is stated."""

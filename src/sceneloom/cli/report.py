@@ -9,7 +9,7 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import print_corrections, print_json, progress_bar, several
 
 if TYPE_CHECKING:
-    from sceneloom.report.numbers.drive import DriveReport
+    from sceneloom.report.drive_report import DriveReport
 
 
 @click.command()
@@ -78,8 +78,7 @@ def report(
     One file that holds everything it shows: a verdict and what to do, timing and gaps, map, calibration, coverage,
     fusion, annotations, all findings of `sceneloom validate`. `--json` prints its numbers.
     """
-    from sceneloom.report.settings import ReportSettings
-    from sceneloom.report.writing import write_report
+    from sceneloom.report.page import ReportSettings, write_report
     from sceneloom.stages import timed
 
     page = Path("report.html") if output is None and numbers is None and not as_json else output

@@ -17,7 +17,7 @@ def salvage(
     path: Path | str, output: Path, overwrite: bool, as_json: bool, quiet: bool, verbose: bool
 ) -> None:
     """Take out of a scene file that was cut off or damaged what is whole, and state what is not."""
-    from sceneloom.formats.sfs.salvaging import salvage as salvage_file
+    from sceneloom.formats.sfs.salvage import salvage as salvage_file
 
     report = salvage_file(path, output, overwrite=overwrite)
     if as_json:

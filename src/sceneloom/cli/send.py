@@ -54,8 +54,8 @@ def send(
             stated = options.stated(trajectory=trajectory, heading=heading, start=start, stop=stop)
             report = _send_log(path, open_client, rate, calls["session"], stated)
         else:
-            from sceneloom.formats.table import open_scene
-            from sceneloom.scene.part import cut_scene
+            from sceneloom.formats.base.registry import open_scene
+            from sceneloom.scene.time_range import cut_scene
             from sceneloom.service.sending import send_scene
 
             with open_scene(path, **options.stated(lenient=lenient, **further)) as scene:
@@ -81,7 +81,7 @@ def _send_log(
 ) -> "SendReport":
     if stated:
         raise click.UsageError(f"--{next(iter(stated))} says nothing of a log, which is sent as it is")
-    from sceneloom.service.sending_logs import send_log
+    from sceneloom.service.replay import send_log
 
     return send_log(path, lambda name: open_client(session or name.replace("#", "-")), rate=rate)
 

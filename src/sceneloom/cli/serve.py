@@ -69,8 +69,7 @@ def serve(
     The first start on a machine compiles for minutes, and logs what; the port is closed until then.
     """
     from sceneloom.kernels.cache import reporting_compiling
-    from sceneloom.service.listening import check_port
-    from sceneloom.service.logs import log_to_standard_error
+    from sceneloom.service.startup import check_port, log_to_standard_error
 
     check_port(host, port)
     logger = log_to_standard_error(quiet=quiet, verbose=verbose)
@@ -81,8 +80,7 @@ def serve(
     with ExitStack() as stack:
         stack.enter_context(reporting_compiling(report))
         from sceneloom.service.running import configured, serve_until_ended
-        from sceneloom.service.security import Security, read_token
-        from sceneloom.service.server import ServerSettings
+        from sceneloom.service.server import Security, ServerSettings, read_token
 
         limits, configure = configured(
             config, **stated(most_sessions=max_sessions, idle_minutes=idle_minutes)

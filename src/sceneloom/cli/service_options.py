@@ -68,7 +68,7 @@ def connected(
     """Give what opens clients of sessions; all are closed in the end. The name "" stands for the chosen session."""
     certificate = certificate_of(client_cert, client_key)
     from sceneloom.service.client import FusionClient
-    from sceneloom.service.security import read_token
+    from sceneloom.service.server import read_token
 
     token = None if token_file is None else read_token(token_file)
     opened: list[FusionClient] = []

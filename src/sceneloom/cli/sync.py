@@ -69,9 +69,9 @@ def sync(
     Streams are IMUs, trajectories, lidars, cameras and satellite receivers. Their motion is compared: what the one
     stream shows later than the other is the offset of their clocks, what it loses over the drive the skew.
     """
-    from sceneloom.formats.table import open_scene
+    from sceneloom.formats.base.registry import open_scene
     from sceneloom.pipeline.syncing import sync as sync_scene
-    from sceneloom.scene.part import cut_scene
+    from sceneloom.scene.time_range import cut_scene
 
     with (
         open_scene(path, **options.stated(**reading)) as scene,

@@ -16,7 +16,7 @@ from sceneloom.cli.printing import (
 )
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.tracking.report import TrackReport
+    from sceneloom.pipeline.tracked_drive import TrackReport
 
 
 @click.command()
@@ -73,8 +73,8 @@ def track(
     fuse --type detection` wrote.
     """
     from sceneloom.detections.settings import ProjectionSettings
-    from sceneloom.pipeline.found_objects import track_objects
-    from sceneloom.pipeline.tracking.job import TrackingSettings
+    from sceneloom.pipeline.detection_jobs import track_objects
+    from sceneloom.pipeline.tracked_drive import TrackingSettings
     from sceneloom.tracking.settings import ImageBox
 
     how: dict[str, Any] = {

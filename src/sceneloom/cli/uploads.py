@@ -45,8 +45,8 @@ def uploads(*, overwrite: bool) -> Iterator[None]:
     if not drafts:
         yield
         return
+    from sceneloom.errors import redacted
     from sceneloom.formats.remote.uploads import check_remote_output, upload
-    from sceneloom.redaction import redacted
 
     for url in drafts.values():
         check_remote_output(url, overwrite=overwrite)

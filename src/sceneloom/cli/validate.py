@@ -12,9 +12,9 @@ from sceneloom.cli.printing import print_json, progress_bar, several
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from sceneloom.checks.report import ValidationReport
-    from sceneloom.formats.loss import Loss
-    from sceneloom.scene.findings import Finding
+    from sceneloom.checks.validation import ValidationReport
+    from sceneloom.formats.base.losses import Loss
+    from sceneloom.warnings import Finding
 
 
 @click.command()
@@ -68,7 +68,7 @@ def validate(
         return
     if path is None:
         raise click.UsageError("Missing argument 'PATH'.", context)
-    from sceneloom.checks.report import LOCATIONS
+    from sceneloom.checks.validation import LOCATIONS
     from sceneloom.checks.validation import validate as validate_scene
     from sceneloom.stages import timed
 
@@ -95,7 +95,7 @@ def validate(
 
 
 def _print_rules(*, as_json: bool) -> None:
-    from sceneloom.checks.catalogue import catalogue
+    from sceneloom.checks.validation import catalogue
 
     rows = catalogue()
     if as_json:

@@ -9,9 +9,8 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import amount, print_json, print_warnings, progress_bar, several
 
 if TYPE_CHECKING:  # the viewer takes long to import, and `--help` needs none of it
-    from sceneloom.view.report import DriveShown, ViewReport
-    from sceneloom.view.settings import DrivePart
-    from sceneloom.view.showing import Viewer
+    from sceneloom.view.settings import DrivePart, DriveShown, ViewReport
+    from sceneloom.view.viewer import Viewer
 
 _FILE = options.source(exists=True, dir_okay=False)
 _FOLDER = options.source(exists=True, file_okay=False)
@@ -74,8 +73,7 @@ def view(
     Nothing leaves this machine. Several drives, or parts of them out of a list, have a tab
     each, and one in which their worlds lie over each other.
     """
-    from sceneloom.view.saving import save_view
-    from sceneloom.view.showing import show_view
+    from sceneloom.view.viewer import save_view, show_view
 
     settings, sources = _settings(given), [*paths, *_listed(lists, quiet=quiet)]
     if save is not None and web:
@@ -97,9 +95,9 @@ def _listed(lists: tuple[Path, ...], *, quiet: bool) -> "list[DrivePart]":
     """The drives of lists, and the parts of them that these name."""
     if not lists:
         return []
-    from sceneloom.batch.inputs import READING
+    from sceneloom.batch.jobs import READING
     from sceneloom.cli.batch.listed import find_listed
-    from sceneloom.formats.table import PART
+    from sceneloom.formats.base.registry import PART
     from sceneloom.view.settings import DrivePart
 
     return [

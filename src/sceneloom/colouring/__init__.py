@@ -11,25 +11,28 @@ if TYPE_CHECKING:
         FusionAlgorithm,
         ViewRequest,
         fuse_by_projection,
+        view_points,
     )
-    from sceneloom.colouring.blending import BlendedPoints, blend_colours
-    from sceneloom.colouring.colours import NO_CAMERA, colour_points
+    from sceneloom.colouring.blending import (
+        NO_CAMERA,
+        BlendedPoints,
+        BlendSettings,
+        PointSources,
+        blend_colours,
+        colour_points,
+        estimate_normals,
+    )
     from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
-    from sceneloom.colouring.lidar_trajectory import LidarTrajectory
-    from sceneloom.colouring.normals import estimate_normals
-    from sceneloom.colouring.provenance import PointSources
-    from sceneloom.colouring.results import FusedFrame, FusedView, PointVisibility
-    from sceneloom.colouring.views import view_points
+    from sceneloom.colouring.results import FusedFrame, FusedView, LidarTrajectory, PointVisibility
+    from sceneloom.colouring.rolling_shutter import ShutterDirection
     from sceneloom.colouring.visibility import VisibilitySettings, find_visible
-    from sceneloom.colouring.weights import BlendSettings
-    from sceneloom.visibility.rolling_shutter import ShutterDirection
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
             "ALGORITHMS": "sceneloom.colouring.algorithms:ALGORITHMS",
-            "NO_CAMERA": "sceneloom.colouring.colours:NO_CAMERA",
-            "BlendSettings": "sceneloom.colouring.weights:BlendSettings",
+            "NO_CAMERA": "sceneloom.colouring.blending:NO_CAMERA",
+            "BlendSettings": "sceneloom.colouring.blending:BlendSettings",
             "BlendedPoints": "sceneloom.colouring.blending:BlendedPoints",
             "ColouredPoints": "sceneloom.colouring.algorithms:ColouredPoints",
             "ExposureGains": "sceneloom.colouring.exposure:ExposureGains",
@@ -37,18 +40,18 @@ else:
             "FusedFrame": "sceneloom.colouring.results:FusedFrame",
             "FusedView": "sceneloom.colouring.results:FusedView",
             "FusionAlgorithm": "sceneloom.colouring.algorithms:FusionAlgorithm",
-            "LidarTrajectory": "sceneloom.colouring.lidar_trajectory:LidarTrajectory",
+            "LidarTrajectory": "sceneloom.colouring.results:LidarTrajectory",
             "PointVisibility": "sceneloom.colouring.results:PointVisibility",
-            "PointSources": "sceneloom.colouring.provenance:PointSources",
-            "ShutterDirection": "sceneloom.visibility.rolling_shutter:ShutterDirection",
+            "PointSources": "sceneloom.colouring.blending:PointSources",
+            "ShutterDirection": "sceneloom.colouring.rolling_shutter:ShutterDirection",
             "ViewRequest": "sceneloom.colouring.algorithms:ViewRequest",
             "VisibilitySettings": "sceneloom.colouring.visibility:VisibilitySettings",
             "blend_colours": "sceneloom.colouring.blending:blend_colours",
-            "colour_points": "sceneloom.colouring.colours:colour_points",
-            "estimate_normals": "sceneloom.colouring.normals:estimate_normals",
+            "colour_points": "sceneloom.colouring.blending:colour_points",
+            "estimate_normals": "sceneloom.colouring.blending:estimate_normals",
             "find_visible": "sceneloom.colouring.visibility:find_visible",
             "fuse_by_projection": "sceneloom.colouring.algorithms:fuse_by_projection",
-            "view_points": "sceneloom.colouring.views:view_points",
+            "view_points": "sceneloom.colouring.algorithms:view_points",
         },
     )
 

@@ -1,22 +1,332 @@
-"""Colours of a cloud out of all images that show it, by weight, between the pixels, with their provenance."""
+"""Colours of a cloud from all images that show it: nearest or blended by weight.
+
+With surface normals and the source of each colour.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite, radians
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, check_array
-from sceneloom.colouring.colours import NO_CAMERA
-from sceneloom.colouring.provenance import PointSources
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, check_array
 from sceneloom.colouring.results import FusedView
-from sceneloom.colouring.weights import BlendSettings, view_weights
 from sceneloom.errors import OptionError
-from sceneloom.kernels.image_samples import sample_between_pixels
+from sceneloom.kernels.colours import mark_outlines, paint_points, sample_between_pixels, weigh_samples
+from sceneloom.kernels.surface_map import number_cubes
+from sceneloom.kernels.thread_pool import ThreadPool
 
-Gains = Mapping[int, Float64Array]
+NO_CAMERA = 255
+"""In `camera_index`: no image shows the point; its colour is then 255, 255, 255."""
+
+
+def colour_points(
+    count: int, views: Sequence[FusedView], camera_indices: Sequence[int], *, threads: int = 1
+) -> tuple[UInt8Array, UInt8Array]:
+    """Give each point the colour of its nearest pixel.
+
+    Among the images in which a point is visible, the one counts in which it is nearest to the image's centre,
+    in units of half the image's diagonal: camera models are sharpest and best calibrated there. Of equally near ones
+    the first.
+
+    Args:
+        count: number of points of the cloud.
+        views: the cloud in each image.
+        camera_indices: what to write into `camera_index`, one for each view, 0 to 254.
+        threads: how many share the points.
+
+    Returns:
+        colors: (count, 3) uint8, red green blue; 255, 255, 255 where no image shows the point.
+        camera_index: (count,) uint8; 255 where no image shows the point.
+
+    Raises:
+        OptionError: the indices are not as many as the views, or out of range.
+    """
+    if len(views) != len(camera_indices):
+        raise OptionError(f"{len(camera_indices)} camera indices for {len(views)} views; expected one each")
+    colors, camera_index = _blank(count, ThreadPool.of(threads, count))
+    eccentricities = np.full(count if len(views) > 1 else 0, np.inf)
+    for view, index in zip(views, camera_indices, strict=True):
+        if not 0 <= index < NO_CAMERA:
+            raise OptionError(f"camera {view.camera_id!r}: index {index}; expected 0 to {NO_CAMERA - 1}")
+        rgb = np.ascontiguousarray(view.rgb)
+        _paint(
+            view,
+            rgb,
+            index,
+            eccentricities,
+            colors,
+            camera_index,
+            ThreadPool.of(threads, len(view.point_ids)),
+        )
+    return colors, camera_index
+
+
+def _blank(count: int, thread_pool: ThreadPool) -> tuple[UInt8Array, UInt8Array]:
+    """Give colours and cameras of points that no image shows."""
+    colors, camera_index = np.empty((count, 3), np.uint8), np.empty(count, np.uint8)
+
+    def fill(_: int, a: int, b: int) -> None:
+        colors[a:b].fill(255)
+        camera_index[a:b].fill(NO_CAMERA)
+
+    thread_pool.share(count, fill)
+    return colors, camera_index
+
+
+def _paint(
+    view: FusedView,
+    rgb: UInt8Array,
+    index: int,
+    eccentricities: Float64Array,
+    colors: UInt8Array,
+    camera_index: UInt8Array,
+    thread_pool: ThreadPool,
+) -> None:
+    """Paint the points of one image, which are all different: threads write to different rows."""
+
+    def paint(_: int, a: int, b: int) -> None:
+        ids, pixels, numbers = view.point_ids[a:b], view.pixels[a:b], view.pixel_numbers[a:b]
+        visible = view.visible[a:b]
+        paint_points(ids, pixels, numbers, visible, rgb, index, eccentricities, colors, camera_index)
+
+    thread_pool.share(len(view.point_ids), paint)
+
+
+NO_IMAGE_NS = np.iinfo(np.int64).min
+"""In `images_ns`: no image shows the point."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointSources:
+    """For each point the image whose colour counts most.
+
+    Attributes:
+        camera_index: (N,) uint8, the camera among the scene's, 255 for none.
+        images_ns: (N,) int64 [ns], time of its image, `NO_IMAGE_NS` for none.
+        pixels: (N, 2) float32 [px], where the point falls in it, NaN for none.
+        weights: (N,) float32, how far the colour is to be trusted, 0 for none.
+    """
+
+    camera_index: UInt8Array
+    images_ns: Int64Array
+    pixels: Float32Array
+    weights: Float32Array
+
+    def __post_init__(self) -> None:
+        count = check_array("sources.camera_index", self.camera_index, (None,), np.uint8)
+        check_array("sources.images_ns", self.images_ns, (count,), np.int64)
+        check_array("sources.pixels", self.pixels, (count, 2), np.float32)
+        check_array("sources.weights", self.weights, (count,), np.float32)
+
+    @classmethod
+    def none(cls, count: int) -> "PointSources":
+        """Of points that no image shows; the arrays are new and may be filled."""
+        return cls(
+            np.full(count, 255, np.uint8),
+            np.full(count, NO_IMAGE_NS, np.int64),
+            np.full((count, 2), np.nan, np.float32),
+            np.zeros(count, np.float32),
+        )
+
+
+_NEAR_SIDE, _NEAR = 0.4, 12.0
+"""Up to so far from the sensor cubes have the smallest side [m]; it doubles with the distance, as the gaps do."""
+
+_LEVELS = 4
+
+_FEWEST = 5
+
+_FLAT, _LINE = 0.1, 0.02
+"""Of the eigenvalues of a plane's spread, the least is at most the first share of the middle one; and the middle one
+at least the second share of the greatest, or else the points lie on a line, as those of one scan line do."""
+
+
+def estimate_normals(points_world: Float64Array, eye_world: Float64Array) -> Float32Array:
+    """Estimate the normal of the surface that each point lies on, of either sign.
+
+    Args:
+        points_world: (N, 3) float64 [m].
+        eye_world: (3,) float64 [m], from where they were measured, nearly.
+
+    Returns:
+        (N, 3) float32 unit vectors; 0 where the points around one make no plane.
+    """
+    check_array("points_world", points_world, (None, 3), np.float64)
+    points = np.ascontiguousarray(points_world)
+    normals = np.zeros((len(points), 3), np.float32)
+    distances = np.linalg.norm(points - eye_world, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        levels = np.clip(np.ceil(np.log2(distances / _NEAR)), 0, _LEVELS - 1)
+    for level in range(_LEVELS):
+        rows = np.flatnonzero(levels == level)
+        if len(rows):
+            normals[rows] = _normals(points[rows], _NEAR_SIDE * 2.0**level)
+    return normals
+
+
+def _normals(points_world: Float64Array, side: float) -> Float32Array:
+    numbers = np.empty(len(points_world), np.int64)
+    count = number_cubes(points_world, side, numbers)
+    normals = np.zeros((count + 1, 3), np.float32)
+    if count:
+        found, flat = _planes(points_world, numbers, count)
+        normals[:count][flat] = found[flat]
+    # a point in no cube has the number -1, the last row
+    return normals[numbers]
+
+
+def _planes(points_world: Float64Array, numbers: Int64Array, count: int) -> tuple[Float64Array, BoolArray]:
+    """The least axis of the spread in each cube, (count, 3), and whether it is that of a plane."""
+    rows = np.flatnonzero(numbers >= 0)
+    inside, cubes = points_world[rows], numbers[rows]
+    held = np.bincount(cubes, minlength=count)
+    means = np.stack([np.bincount(cubes, inside[:, k], count) for k in range(3)], axis=1) / held[:, None]
+    apart = inside - means[cubes]
+    spread = np.empty((count, 3, 3))
+    for a in range(3):
+        for b in range(a, 3):
+            spread[:, a, b] = spread[:, b, a] = np.bincount(cubes, apart[:, a] * apart[:, b], count)
+    values, axes = np.linalg.eigh(spread)
+    flat = (held >= _FEWEST) & (values[:, 0] <= _FLAT * values[:, 1]) & (values[:, 1] >= _LINE * values[:, 2])
+    return axes[:, :, 0], flat
+
+
+_OUTLINE_CELL_DEG = 0.25
+"""Points beside an outline: their gap in the image is a few scan lines at most."""
+
+_SURFACE_DISTANCE = 1.2
+"""Surfaces pass the camera at this distance or more [m], nearly all: roads at the height of the camera."""
+
+_REACH_CELLS = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlendSettings:
+    """How the colours of several images become one.
+
+    A colour is off by what its point falls beside its true location: by noise of the lidar, which does not depend on
+        the
+    distance, and by angles of mountings, which do. Both are equal at `even_distance`: 3 cm and a tenth of a degree meet
+    at 17 m. With time they are off by what moves meanwhile, the ego trajectory included.
+
+    Attributes:
+        mode: "best", the colour with the greatest weight, or "weighted", the mean of all that agree with it.
+        even_distance: where a weight is half of what it is nearby [m].
+        even_seconds: time between point and image at which it is half [s].
+        border_share: how wide the border of an image is in which weights fall, as a share of its shorter side.
+        border_least: what is left of a weight at the very border.
+        least_cosine: what is left of a weight where a surface is seen along itself.
+        outline_factor: what is left of a weight beside the outline of something nearer or farther, where a pixel's
+            colour may be that of the other.
+        agreement: colours that differ from the best one by more than so many levels in a channel are left out of the
+            mean: one of them is not of this surface.
+
+    Raises:
+        OptionError: a number is out of bounds, or the mode is none of these.
+    """
+
+    mode: str = "weighted"
+    even_distance: float = 20.0
+    even_seconds: float = 0.05
+    border_share: float = 0.08
+    border_least: float = 0.05
+    least_cosine: float = 0.1
+    outline_factor: float = 0.1
+    agreement: float = 32.0
+
+    def __post_init__(self) -> None:
+        if self.mode not in _MODES:
+            raise OptionError(f"mode {self.mode!r}; expected one of {', '.join(_MODES)}")
+        for name in ("even_distance", "even_seconds", "agreement"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0):
+                raise OptionError(f"{name} {value}; expected a finite number above 0")
+        for name in ("border_share", "border_least", "least_cosine", "outline_factor"):
+            value = getattr(self, name)
+            if not 0 < value <= 1:
+                raise OptionError(f"{name} {value}; expected more than 0 and at most 1")
+
+
+_MODES = ("best", "weighted")
+"""How several colours become one."""
+
+
+def view_weights(
+    points_world: Float64Array,
+    view: FusedView,
+    settings: BlendSettings,
+    *,
+    normals_world: Float32Array | None = None,
+    timestamps_ns: Int64Array | None = None,
+) -> Float32Array:
+    """Report how far the colours of the points in an image are to be trusted.
+
+    Args:
+        points_world: (N, 3) float64 [m], contiguous.
+        view: the points in the image.
+        settings: the numbers of the weights.
+        normals_world: (N, 3) float32 unit vectors, 0 where not known; None: of no point.
+        timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the image.
+
+    Returns:
+        (M,) float32, one for each of `view.point_ids`; 0 for points that are not visible.
+    """
+    weights = np.empty(len(view.point_ids), np.float32)
+    numbers = np.array(
+        [
+            settings.even_distance,
+            settings.even_seconds,
+            settings.border_share,
+            settings.border_least,
+            settings.least_cosine,
+            settings.outline_factor,
+        ]
+    )
+    weigh_samples(
+        points_world,
+        view.point_ids,
+        view.pixels,
+        view.visible,
+        near_outlines(view),
+        np.zeros((0, 3), np.float32) if normals_world is None else normals_world,
+        np.zeros(0, np.int64) if timestamps_ns is None else timestamps_ns,
+        view.world_from_camera.matrix,
+        view.camera.width,
+        view.camera.height,
+        view.timestamp_ns,
+        numbers,
+        weights,
+    )
+    return weights
+
+
+def near_outlines(view: FusedView) -> BoolArray:
+    """Which points of an image lie beside an outline of something nearer or farther, (M,) bool."""
+    found = np.empty(len(view.point_ids), np.bool_)
+    focal_px = max(min(view.camera.fx, view.camera.fy), 1.0)
+    cell_px = max(radians(_OUTLINE_CELL_DEG) * focal_px, 2.0)
+    mark_outlines(
+        view.pixels,
+        view.depths,
+        view.visible,
+        view.camera.width,
+        view.camera.height,
+        cell_px,
+        _REACH_CELLS * cell_px / focal_px / _SURFACE_DISTANCE,
+        _OUTLINE_STEP,
+        found,
+    )
+    return found
+
+
+_OUTLINE_STEP = 0.3
+"""What counts as a step in depth [m]."""
+
+_Gains = Mapping[int, Float64Array]
 """(3,) factors of red, green and blue for the image of each camera, by the camera's index; 1 for those left out."""
 
-NO_GAINS: Gains = {}
+_NO_GAINS: _Gains = {}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +373,7 @@ def blend_colours(
     settings: BlendSettings | None = None,
     normals_world: Float32Array | None = None,
     timestamps_ns: Int64Array | None = None,
-    gains: Gains = NO_GAINS,
+    gains: _Gains = _NO_GAINS,
 ) -> BlendedPoints:
     """Give each point the best, or the weighted mean, of the colours that images give it between their pixels.
 

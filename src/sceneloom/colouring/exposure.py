@@ -1,4 +1,4 @@
-"""How differently cameras are exposed, from surfaces that two images show, and what evens it out.
+"""Exposure differences between cameras from surfaces that two images show, and the gains that compensate them.
 
 Two images that show the same plain piece of a surface give it two colours; their ratio is that of the exposures,
 whatever the surface's own colour is. Images are linked in this way within a sweep (two cameras at once) and across
@@ -20,28 +20,109 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, FloatArray, Int64Array
-from sceneloom.colouring.exposure_samples import SurfaceSamples, take_samples
+from sceneloom.colouring.blending import near_outlines
 from sceneloom.colouring.results import FusedView
+from sceneloom.kernels.colours import measure_contrasts, sample_between_pixels
 
-LAGS = (1, 4, 12)
+_CUBE = 0.15
+"""Side of the cubes by which locations are found again in other sweeps [m]."""
+
+_DARKEST, _LIGHTEST = 16.0, 240.0
+"""Levels beyond these are cut off, or nearly, in this image or its neighbours."""
+
+_PLAIN = 14.0
+"""Where a channel changes by more than so many levels around a point, which pixel is its own counts too much."""
+
+_MOST_SAMPLES = 8000
+
+_FARTHEST = 60.0
+
+_BORDER_PX = 3.0
+
+_HALF_KEY = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SurfaceSamples:
+    """Chunks of surfaces in one image.
+
+    Attributes:
+        ids: (K,) int64, rows of the cloud, ascending.
+        cubes: (K,) int64, numbers of the cubes of space that they lie in.
+        colors: (K, 3) float32, 0 to 255.
+    """
+
+    ids: Int64Array
+    cubes: Int64Array
+    colors: Float32Array
+
+
+def _take_samples(points_world: Float64Array, view: FusedView) -> _SurfaceSamples:
+    """Take the points of an image that report its exposure: visible, on plain ground, neither dark nor light, no edge.
+
+    Args:
+        points_world: (N, 3) float64 [m].
+        view: the points in the image.
+    """
+    rows = np.flatnonzero(_usable(view))
+    pixels = np.ascontiguousarray(view.pixels[rows])
+    rgb, contrasts = np.ascontiguousarray(view.rgb), np.empty(len(rows), np.float32)
+    measure_contrasts(pixels, rgb, contrasts)
+    plain = contrasts <= _PLAIN
+    rows, pixels = rows[plain], np.ascontiguousarray(pixels[plain])
+    colors = np.empty((len(rows), 3), np.float32)
+    sample_between_pixels(pixels, rgb, colors)
+    inside = ((colors >= _DARKEST) & (colors <= _LIGHTEST)).all(axis=1)
+    rows, colors = rows[inside], colors[inside]
+    every = -(-len(rows) // _MOST_SAMPLES) if len(rows) else 1
+    ids = view.point_ids[rows]
+    # the same points are left out of every image, so that pairs stay whole
+    kept = ids % every == 0
+    ids = ids[kept]
+    return _SurfaceSamples(ids, _cube_numbers(points_world[ids]), colors[kept])
+
+
+def _usable(view: FusedView) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    u, v = view.pixels[:, 0], view.pixels[:, 1]
+    inside = (u >= _BORDER_PX) & (u <= view.camera.width - 1 - _BORDER_PX)
+    inside &= (v >= _BORDER_PX) & (v <= view.camera.height - 1 - _BORDER_PX)
+    usable: np.ndarray[tuple[int], np.dtype[np.bool_]] = (
+        view.visible & inside & (view.depths < _FARTHEST) & ~near_outlines(view)
+    )
+    return usable
+
+
+def _cube_numbers(points_world: Float64Array) -> Int64Array:
+    """One number for the cube of space of each point, the same in every sweep; (N,) int64 of (N, 3) finite points."""
+    cubes = np.floor(points_world / _CUBE).astype(np.int64) & (2 * _HALF_KEY - 1)
+    numbers: Int64Array = (cubes[:, 0] << 42) | (cubes[:, 1] << 21) | cubes[:, 2]
+    return numbers
+
+
+_LAGS = (1, 4, 12)
 """Sweeps that are compared with one: so many before it."""
 
-FEWEST = 30
+_FEWEST = 30
 """Pairs of colours that a link needs."""
 
 _MOST_PAIRS = 400
 """More pairs do not make a link surer: what is wrong with them is wrong with all of them."""
+
 _NOISE = 0.01
 """Of a link's median ratio, at least: light that depends on where it is seen from."""
+
 _DRIFT = 0.5
 """How far exposures wander, as a factor's logarithm, in a second; the pull towards the image before."""
+
 _UNCHANGED = 3.0
 """The weak pull towards no change, as a factor's logarithm; it settles what no link reports."""
+
 _ROUNDS, _ROBUST = 6, 3.0
+
 _MOST_SEAM_PAIRS = 500
 """Of each pair of cameras in each sweep, so many pairs of colours are kept to judge the outcome by."""
 
-Node = tuple[int, int]
+_Node = tuple[int, int]
 """An image: index of the camera, and time [ns]."""
 
 
@@ -56,7 +137,7 @@ class ExposureLink:
         pairs: how many.
     """
 
-    nodes: tuple[Node, Node]
+    nodes: tuple[_Node, _Node]
     log_ratio: Float64Array
     spread: float
     pairs: int
@@ -107,16 +188,16 @@ class ExposureLinks:
     """Gathers what images show both, sweep after sweep; memory depends on a few sweeps and the number of links."""
 
     links: list[ExposureLink] = field(default_factory=list)
-    _recent: deque[dict[Node, SurfaceSamples]] = field(default_factory=lambda: deque(maxlen=LAGS[-1]))
-    _seams: list[tuple[Node, Node, Float32Array, Float32Array]] = field(default_factory=list)
-    _points: dict[Node, int] = field(default_factory=dict)
+    _recent: deque[dict[_Node, _SurfaceSamples]] = field(default_factory=lambda: deque(maxlen=_LAGS[-1]))
+    _seams: list[tuple[_Node, _Node, Float32Array, Float32Array]] = field(default_factory=list)
+    _points: dict[_Node, int] = field(default_factory=dict)
 
     def add(
         self, points_world: Float64Array, views: Sequence[FusedView], camera_indices: Sequence[int]
     ) -> None:
         """Take a sweep: its (N, 3) float64 points [m], and the images that show it."""
         now = {
-            (index, view.timestamp_ns): take_samples(points_world, view)
+            (index, view.timestamp_ns): _take_samples(points_world, view)
             for view, index in zip(views, camera_indices, strict=True)
         }
         for node, samples in now.items():
@@ -125,7 +206,7 @@ class ExposureLinks:
         for k, first in enumerate(nodes):
             for second in nodes[k + 1 :]:
                 self._link(first, second, now[first], now[second], at_once=True)
-        for lag in LAGS:
+        for lag in _LAGS:
             if lag <= len(self._recent):
                 before = self._recent[-lag]
                 for first, earlier in before.items():
@@ -135,11 +216,11 @@ class ExposureLinks:
         self._recent.append(now)
 
     def _link(
-        self, first: Node, second: Node, a: SurfaceSamples, b: SurfaceSamples, *, at_once: bool
+        self, first: _Node, second: _Node, a: _SurfaceSamples, b: _SurfaceSamples, *, at_once: bool
     ) -> None:
         key_a, key_b = (a.ids, b.ids) if at_once else (a.cubes, b.cubes)
         _, rows_a, rows_b = np.intersect1d(key_a, key_b, return_indices=True)
-        if len(rows_a) < FEWEST:
+        if len(rows_a) < _FEWEST:
             return
         colors_a, colors_b = a.colors[rows_a], b.colors[rows_b]
         ratios = np.log(colors_b / colors_a)
@@ -198,7 +279,7 @@ def _median(parts: Sequence[FloatArray]) -> float:
     return float(np.median(found)) if len(found) else float("nan")
 
 
-def _solved(nodes: Sequence[Node], links: Sequence[ExposureLink]) -> Float64Array:
+def _solved(nodes: Sequence[_Node], links: Sequence[ExposureLink]) -> Float64Array:
     """Logarithms of the factors, (P, 3), by iteratively reweighted least squares."""
     row_of = {node: k for k, node in enumerate(nodes)}
     first = np.array([row_of[link.nodes[0]] for link in links])
@@ -224,7 +305,7 @@ def _solved(nodes: Sequence[Node], links: Sequence[ExposureLink]) -> Float64Arra
     return logs
 
 
-def _pulls(nodes: Sequence[Node]) -> Float64Array:
+def _pulls(nodes: Sequence[_Node]) -> Float64Array:
     """Normal equations of the pulls towards no change and towards the image before."""
     normal: Float64Array = np.eye(len(nodes)) / _UNCHANGED**2
     for k, ((camera, time_ns), (following, later_ns)) in enumerate(itertools.pairwise(nodes)):
@@ -237,7 +318,7 @@ def _pulls(nodes: Sequence[Node]) -> Float64Array:
     return normal
 
 
-def _groups(nodes: Sequence[Node], links: Sequence[ExposureLink]) -> tuple[list[set[int]], list[int]]:
+def _groups(nodes: Sequence[_Node], links: Sequence[ExposureLink]) -> tuple[list[set[int]], list[int]]:
     """Cameras that links join, and those that no link joins to another."""
     groups = [{camera} for camera in sorted({camera for camera, _ in nodes})]
     for link in links:

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt16Array, check_array
+from sceneloom.colouring.blending import BlendSettings, view_weights
 from sceneloom.colouring.results import FusedView
-from sceneloom.colouring.weights import BlendSettings, view_weights
 from sceneloom.errors import ArrayError, OptionError
-from sceneloom.kernels.label_votes import count_votes, draw_labels, take_labels
+from sceneloom.kernels.colours import count_votes, draw_labels, take_labels
 
 NO_LABEL = 65535
 """Of a point that no label image shows."""

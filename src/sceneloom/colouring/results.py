@@ -1,4 +1,7 @@
-"""What sensor-data fusion gives: for each lidar frame its coloured world points, for each image its depths."""
+"""What sensor-data fusion gives: coloured world points for each lidar frame, a depth image for each camera image.
+
+The lidar positions of a sweep.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,11 +20,47 @@ from sceneloom.arrays import (
     check_array,
 )
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project_unbounded
+from sceneloom.cameras.projection import project_unbounded
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.clouds import LidarPoints
+from sceneloom.scene.clouds import LidarFrame, LidarPoints
 from sceneloom.scene.point_times import SOUND, TimesFound
+from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.types import NO_FIELDS, Identifier
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarTrajectory:
+    """The short trajectory of a lidar during one sweep, taken as straight and even.
+
+    Attributes:
+        ends_world: (2, 3) float64 [m], where it was at the first and at the last point.
+        fractions: (N,) float32, how far along it was at each point, 0 to 1.
+    """
+
+    ends_world: Float64Array
+    fractions: Float32Array
+
+    def __post_init__(self) -> None:
+        check_array("trajectory.ends_world", self.ends_world, (2, 3), np.float64)
+        check_array("trajectory.fractions", self.fractions, (None,), np.float32)
+
+    @classmethod
+    def of(cls, frame: LidarFrame, location: PoseSource) -> "LidarTrajectory | None":
+        """Give the trajectory of the lidar during a sweep; None where its poses do not reach.
+
+        Args:
+            frame: the sweep; points without times of their own all have the frame's.
+            location: `world_from_lidar`.
+        """
+        times = frame.points.timestamps_ns
+        if times is None or len(times) == 0:
+            times = np.full(len(frame.points), frame.timestamp_ns, np.int64)
+        start_ns, stop_ns = (int(times.min()), int(times.max())) if len(times) else (frame.timestamp_ns,) * 2
+        samples = location.at(np.array([start_ns, stop_ns], np.int64))
+        if (samples.coverage == 2).any():
+            return None
+        fractions = (times - start_ns).astype(np.float32) / np.float32(max(stop_ns - start_ns, 1))
+        return cls(samples.positions, fractions)
 
 
 class PointVisibility(IntEnum):

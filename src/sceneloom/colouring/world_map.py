@@ -1,37 +1,158 @@
-"""A drive as one cloud: sweep after sweep goes into cubes of space, in tiles that rest on the disk while not needed."""
+"""A drive as one voxel map: points and votes per voxel, in tiles that are kept on disk while unused."""
 
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Int64Array
-from sceneloom.colouring.map_points import (
-    CELL,
-    POINT,
-    VOTE,
-    added_votes,
-    cells_of,
-    merged,
-    points_of_cells,
-    votes_of,
-)
+from sceneloom.arrays import AnyArray, BoolArray, Int64Array
 from sceneloom.errors import OptionError
+
+_POINT = np.dtype(
+    [
+        ("position", "f8", 3),
+        ("color", "f4", 3),
+        ("weight", "f4"),
+        ("intensity", "f4"),
+        ("time_ns", "i8"),
+        ("camera", "u1"),
+        ("image", "i4"),
+        ("pixel", "f4", 2),
+        ("label", "u2"),
+    ]
+)
+"""One point: world position [m], colour (0 to 255), how far that is trusted (0 for none), brightness, time [ns], camera
+and number of the image that counts most (255 and -1 for none), where it falls in it [px], label (65535 for none)."""
+
+_CELL = np.dtype(
+    [
+        ("cube", "i8"),
+        ("count", "u4"),
+        ("position", "f8", 3),
+        ("color", "f4", 3),
+        ("weight", "f4"),
+        ("intensity", "f4"),
+        ("best", _POINT),
+    ]
+)
+"""One cube: its number in the tile, how many points fell into it, sums of their positions, of their colours by weight,
+of the weights, of the brightness; and the point with the greatest weight."""
+
+_VOTE = np.dtype([("cube", "i8"), ("label", "u2"), ("count", "u4")])
+"""How many points of a cube have a label."""
+
+_NO_LABEL = 65535
+
+
+def _cells_of(points: AnyArray, cubes: Int64Array, *, agreement: float) -> AnyArray:
+    """Make a cell of each cube that points (N,) of dtype `_POINT` fall into, (C,) ascending by `cube`."""
+    cells = np.zeros(len(points), _CELL)
+    cells["cube"], cells["count"], cells["best"] = cubes, 1, points
+    for name in ("position", "weight", "intensity"):
+        cells[name] = points[name]
+    cells["color"] = points["color"] * points["weight"][:, None]
+    return _merged([cells], agreement=agreement)
+
+
+def _merged(parts: Iterable[AnyArray], *, agreement: float) -> AnyArray:
+    """Join cells of the same cubes, (C,) ascending by `cube`.
+
+    Mean colours hold only those parts whose mean is within `agreement` levels of the best colour of the cube.
+    """
+    cells = np.concatenate([*parts])
+    if not len(cells):
+        return cells
+    order = np.argsort(cells["cube"], kind="stable")
+    cells = cells[order]
+    starts = np.flatnonzero(np.append(True, cells["cube"][1:] != cells["cube"][:-1]))
+    group = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(cells))))
+    best = _best_rows(cells["best"]["weight"], starts, group)
+    joined = cells[best]
+    agrees = _agrees(cells, joined["best"]["color"][group], agreement)
+    for name in ("count", "position", "intensity"):
+        joined[name] = np.add.reduceat(cells[name], starts, axis=0)
+    joined["weight"] = np.add.reduceat(np.where(agrees, cells["weight"], np.float32(0)), starts)
+    joined["color"] = np.add.reduceat(
+        np.where(agrees[:, None], cells["color"], np.float32(0)), starts, axis=0
+    )
+    return joined
+
+
+def _best_rows(weights: AnyArray, starts: Int64Array, group: Int64Array) -> Int64Array:
+    """The row with the greatest weight of each group, the first of equals."""
+    is_best = weights == np.maximum.reduceat(weights, starts)[group]
+    rows = np.flatnonzero(is_best)
+    first: Int64Array = rows[np.unique(group[rows], return_index=True)[1]]
+    return first
+
+
+def _agrees(cells: AnyArray, colors: AnyArray, agreement: float) -> BoolArray:
+    weights = np.maximum(cells["weight"], np.float32(1e-20))[:, None]
+    near: BoolArray = (np.abs(cells["color"] / weights - colors) <= agreement).all(axis=1)
+    return near
+
+
+def _votes_of(points: AnyArray, cubes: Int64Array) -> AnyArray:
+    """Count the labels of points (N,) in each cube, ascending by cube and label."""
+    stated = points["label"] != _NO_LABEL
+    votes = np.zeros(int(stated.sum()), _VOTE)
+    votes["cube"], votes["label"], votes["count"] = cubes[stated], points["label"][stated], 1
+    return _added_votes([votes])
+
+
+def _added_votes(parts: Iterable[AnyArray]) -> AnyArray:
+    """Add up votes of the same cubes and labels."""
+    votes = np.concatenate([*parts])
+    if not len(votes):
+        return votes
+    votes = votes[np.lexsort((votes["label"], votes["cube"]))]
+    new = (votes["cube"][1:] != votes["cube"][:-1]) | (votes["label"][1:] != votes["label"][:-1])
+    starts = np.flatnonzero(np.append(True, new))
+    added = votes[starts]
+    added["count"] = np.add.reduceat(votes["count"], starts)
+    return added
+
+
+def _points_of_cells(cells: AnyArray, votes: AnyArray, *, mean: bool) -> AnyArray:
+    """One point for each cell: at the mean location, with the mean or the best colour and the label with most votes."""
+    points: Any = cells["best"].copy()
+    points["position"] = cells["position"] / cells["count"][:, None]
+    points["intensity"] = cells["intensity"] / cells["count"]
+    if mean:
+        seen = cells["weight"] > 0
+        points["color"][seen] = cells["color"][seen] / cells["weight"][seen, None]
+    points["label"] = _NO_LABEL
+    if len(votes):
+        # of equally many the smaller number
+        order = np.lexsort((-votes["label"].astype(np.int64), votes["count"], votes["cube"]))
+        ranked = votes[order]
+        last = np.append(ranked["cube"][1:] != ranked["cube"][:-1], True)
+        points["label"][np.searchsorted(cells["cube"], ranked["cube"][last])] = ranked["label"][last]
+    ready: AnyArray = points
+    return ready
+
 
 TILE_CUBES = 256
 """A tile is a square column of so many cubes along x and y."""
 
 _MOST_CELLS = 2_000_000
 """Cubes that are held in memory at most, some 250 MB, but for those of one tile; others rest on the disk."""
+
 _PENDING_SHARE, _LEAST_PENDING = 0.5, 50_000
+
 _ROOM_SHARE = 0.75
 """What is left in memory once tiles are put onto the disk."""
+
 _HEIGHT_CUBES = 1 << 24
+
 _FARTHEST_TILE = 1 << 30
+
 _BOUNDS = np.array([64.0 * _HEIGHT_CUBES, 64.0 * _HEIGHT_CUBES, 0.5 * _HEIGHT_CUBES])
+
 _AGREEMENT = 40.0
 """Colours that differ by more levels from the best one of their cube are left out of its mean."""
 
@@ -49,8 +170,8 @@ class _Tile:
         waiting: how many points are not in cells yet, those on the disk included.
     """
 
-    cells: AnyArray | None = field(default_factory=lambda: np.zeros(0, CELL))
-    votes: AnyArray = field(default_factory=lambda: np.zeros(0, VOTE))
+    cells: AnyArray | None = field(default_factory=lambda: np.zeros(0, _CELL))
+    votes: AnyArray = field(default_factory=lambda: np.zeros(0, _VOTE))
     known: int = 0
     pending: list[AnyArray] = field(default_factory=list)
     waiting: int = 0
@@ -89,7 +210,7 @@ class WorldMap:
             raise OptionError(f"voxel {self.voxel}; expected 0.001 to 1000 m")
 
     def add(self, points: AnyArray) -> None:
-        """Take points (N,) of dtype `POINT`; those that are not finite, or beyond all bounds, are left out."""
+        """Take points (N,) of dtype `_POINT`; those that are not finite, or beyond all bounds, are left out."""
         cubes = np.floor(points["position"] / self.voxel)
         inside = (np.abs(cubes) < _BOUNDS).all(axis=1)
         points, cubes = points[inside], cubes[inside].astype(np.int64)
@@ -115,7 +236,7 @@ class WorldMap:
         before = tile.size
         resting = self._file(key, "pending")
         if resting.exists():
-            tile.pending.insert(0, np.fromfile(resting, POINT))
+            tile.pending.insert(0, np.fromfile(resting, _POINT))
             resting.unlink()
         if tile.cells is None:
             tile.cells = np.load(self._file(key, "cells"))
@@ -124,9 +245,9 @@ class WorldMap:
             points = np.concatenate(tile.pending)
             tile.pending, tile.waiting = [], 0
             cubes = self._numbers(points)
-            made = cells_of(points, cubes, agreement=_AGREEMENT)
-            tile.cells = merged([tile.cells, made], agreement=_AGREEMENT)
-            tile.votes = added_votes([tile.votes, votes_of(points, cubes)])
+            made = _cells_of(points, cubes, agreement=_AGREEMENT)
+            tile.cells = _merged([tile.cells, made], agreement=_AGREEMENT)
+            tile.votes = _added_votes([tile.votes, _votes_of(points, cubes)])
             tile.known = len(tile.cells)
         self._size += tile.size - before
 
@@ -157,19 +278,19 @@ class WorldMap:
         return self.folder / f"{key[0]}_{key[1]}_{what}.npy"
 
     def points(self) -> Iterator[AnyArray]:
-        """Give the map tile by tile, (C,) of dtype `POINT` each; nothing can be added afterwards."""
+        """Give the map tile by tile, (C,) of dtype `_POINT` each; nothing can be added afterwards."""
         for key in sorted(self._tiles):
             tile = self._tiles.pop(key)
             self._settle(key, tile)
             for what in ("cells", "votes"):
                 self._file(key, what).unlink(missing_ok=True)
             if tile.cells is not None and len(tile.cells):
-                yield points_of_cells(tile.cells, tile.votes, mean=self.mean)
+                yield _points_of_cells(tile.cells, tile.votes, mean=self.mean)
 
 
 def empty_points(count: int) -> AnyArray:
-    """Points (N,) of dtype `POINT` at 0 that nothing is stated for."""
-    points = np.zeros(count, POINT)
+    """Points (N,) of dtype `_POINT` at 0 that nothing is stated for."""
+    points = np.zeros(count, _POINT)
     points["color"], points["camera"], points["image"], points["label"] = 255, 255, -1, 65535
     points["pixel"] = np.nan
     return points

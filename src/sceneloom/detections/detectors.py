@@ -1,15 +1,181 @@
-"""What two detectors are like: how often they are right, and how far off their boxes are, class by class.
+"""What two detectors are like: which class names match, statistics class by class, independent detectors.
+
+And the TOML files that hold them.
+
+Words are compared without regard to case, blanks, dashes, dots and underscores. What is in no table is kept as it came.
 
 The numbers are fitted to data (`detections.fitting`) and kept in small files (`detections.detector_files`); this module
 says what they mean. A score reports the logarithm of the odds that it names, x = log(s / (1 - s)) of a probability, or
 the logit itself, held between `low` and `high`, between which it was seen.
+
+A location where a detector could report something holds an object (e) with the prior probability π. A score is what it
+says: of the boxes with the score s the share s is true. By Bayes' theorem a box with the score s has reported
+
+    P(box, s | e) / P(box, s | not e) = [s / (1 - s)] / [π / (1 - π)].
+
+Given what is there, detectors err independently of one another, so the ratios of both multiply:
+
+    odds(e | both) = odds(s_3d) odds(s_2d) / odds(π).
+
+Two false boxes seldom fall on one location: the smaller π, the more an agreement says. A detector that had to see the
+object and reports nothing reports too, with its chance D to find what is there:
+
+    odds(e | box, none) = odds(s) (1 - D),
+
+since where nothing is, it was all but certain to report nothing.
+
+Source: Bayes' theorem under conditional independence: Chen et al. 2022, "Multimodal Object Detection via Probabilistic
+Ensembling", eq. 4 for the agreement; Thrun, Burgard and Fox 2005, "Probabilistic Robotics", ch. 4.2 for log odds.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import math
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+from pathlib import Path
 from types import MappingProxyType
+from typing import Any, NamedTuple
 
-Three = tuple[float, float, float]
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, read_only
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.base.files import read_settings
+
+
+class _Kind(NamedTuple):
+    """One class of objects.
+
+    Attributes:
+        family: of classes that detectors take for one another.
+        words: other names of it.
+        size_lwh: typical length, width and height [m].
+        size_sigmas: how much they differ from one object to the next, as standard deviations [m].
+    """
+
+    family: str
+    words: tuple[str, ...]
+    size_lwh: tuple[float, float, float]
+    size_sigmas: tuple[float, float, float]
+
+
+_VEHICLES, _PEOPLE = "vehicles", "people"
+
+KINDS: Mapping[str, _Kind] = MappingProxyType(
+    {
+        "car": _Kind(
+            _VEHICLES,
+            ("vehicle", "passengercar", "sedan", "suv", "taxi", "policecar", "regularvehicle", "auto"),
+            (4.2, 1.8, 1.55),
+            (0.5, 0.15, 0.15),
+        ),
+        "van": _Kind(_VEHICLES, ("minivan", "pickup", "pickuptruck"), (5.0, 1.95, 2.1), (0.7, 0.15, 0.3)),
+        "truck": _Kind(
+            _VEHICLES,
+            ("lorry", "boxtruck", "truckcab", "semitruck", "largevehicle", "constructionvehicle"),
+            (9.0, 2.5, 3.2),
+            (3.0, 0.3, 0.5),
+        ),
+        "bus": _Kind(_VEHICLES, ("coach", "schoolbus", "articulatedbus"), (11.0, 2.6, 3.3), (2.5, 0.2, 0.3)),
+        "trailer": _Kind(_VEHICLES, ("vehiculartrailer",), (10.0, 2.5, 3.5), (3.0, 0.3, 0.7)),
+        "tram": _Kind(_VEHICLES, ("train", "streetcar", "railedvehicle"), (16.0, 2.5, 3.5), (6.0, 0.3, 0.3)),
+        "pedestrian": _Kind(
+            _PEOPLE,
+            ("person", "people", "human", "adult", "child", "walker", "personsitting", "stroller"),
+            (0.8, 0.65, 1.72),
+            (0.25, 0.15, 0.15),
+        ),
+        "cyclist": _Kind(
+            _PEOPLE, ("bicyclist", "bicycle", "bike", "rider"), (1.75, 0.6, 1.7), (0.2, 0.15, 0.15)
+        ),
+        "motorcyclist": _Kind(
+            _PEOPLE, ("motorcycle", "motorbike", "scooter", "moped"), (2.1, 0.75, 1.6), (0.3, 0.15, 0.2)
+        ),
+    }
+)
+"""The classes that are known. A van is often taken for a car and a cyclist for a pedestrian, a bus for neither.
+
+Source: sizes are the means of KITTI's labels, rounded, and common dimensions of road vehicles where it has none.
+"""
+
+SAYS_NOTHING = frozenset({"", "unknown", "object", "misc", "other", "generic", "dontcare", "unclassified"})
+"""Words by which a detector says that something is there, and not what."""
+
+UNLISTED = len(KINDS)
+"""The number of the first class that is in no table, and the row of such classes in tables."""
+
+_OTHERWISE = _Kind("", (), (2.0, 1.2, 1.6), (1.5, 0.6, 0.5))
+
+_NONE = -1
+
+_KIND_OF = {name: name for name in KINDS} | {
+    word: name for name, kind in KINDS.items() for word in kind.words
+}
+
+_LOCATIONS = {name: k for k, name in enumerate(KINDS)}
+
+_FAMILIES = tuple(dict.fromkeys(kind.family for kind in KINDS.values()))
+
+_DROPPED = str.maketrans("", "", " -_.")
+
+FAMILIES: Int64Array = read_only(
+    [*(_FAMILIES.index(kind.family) for kind in KINDS.values()), _NONE], np.int64
+)
+"""(K + 1,), the family of each class of `KINDS`, and -1 for whatever else there is."""
+
+SIZES: Float64Array = read_only(
+    [(*kind.size_lwh, *kind.size_sigmas) for kind in (*KINDS.values(), _OTHERWISE)]
+)
+"""(K + 1, 6) float64 [m]: usual length, width and height of each class, and how much they differ; of words in no table
+wide enough to hold a person and a car."""
+
+
+@lru_cache(maxsize=4096)
+def kind_name(label: str) -> str:
+    """Give the name under which a word is compared: that of its class, or of an unlisted word its letters."""
+    plain = label.casefold().translate(_DROPPED)
+    return _KIND_OF.get(plain, plain)
+
+
+@lru_cache(maxsize=4096)
+def says_nothing(label: str) -> bool:
+    """Whether a word leaves open what it is."""
+    return kind_name(label) in SAYS_NOTHING
+
+
+def numbers_of(labels_3d: Sequence[str], labels_2d: Sequence[str]) -> tuple[Int64Array, Int64Array]:
+    """Give the classes of two detectors as numbers that can be compared.
+
+    Returns:
+        (N,) and (M,) int64, equal for equal classes: their location in `KINDS`, or UNLISTED and more.
+    """
+    others: dict[str, int] = {}
+    return _numbered(labels_3d, others), _numbered(labels_2d, others)
+
+
+def _numbered(labels: Sequence[str], others: dict[str, int]) -> Int64Array:
+    numbers = [_location(label) for label in labels]
+    if None in numbers:
+        for k, number in enumerate(numbers):
+            if number is None:
+                numbers[k] = UNLISTED + others.setdefault(kind_name(labels[k]), len(others))
+    return np.array(numbers, np.int64)
+
+
+@lru_cache(maxsize=4096)
+def _location(label: str) -> int | None:
+    return _LOCATIONS.get(kind_name(label))
+
+
+def table_rows(numbers: Int64Array) -> Int64Array:
+    """Give the rows of tables with one row for each of `KINDS` and a last one for whatever else there is."""
+    rows: Int64Array = np.minimum(numbers, UNLISTED)
+    return rows
+
+
+_Three = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,13 +248,13 @@ class BoxNoise:
     """
 
     scores: tuple[float, float]
-    center_base: Three
-    center_by_score: Three
-    center_by_range: Three
-    size_base: Three
-    size_by_score: Three
-    size_by_range: Three
-    yaw: Three
+    center_base: _Three
+    center_by_score: _Three
+    center_by_range: _Three
+    size_base: _Three
+    size_by_score: _Three
+    size_by_range: _Three
+    yaw: _Three
     agreed: tuple[float, float] = (1.0, 1.0)
 
 
@@ -144,3 +310,223 @@ class Detectors:
     otherwise: str
     degrees_of_freedom: float = float("inf")
     provenance: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+
+INDEPENDENT = "independent"
+
+CENTER_SIGMAS = (0.05, 0.03)
+"""Deviation of a middle along an axis of its box: this share of its usual size along that axis, plus so much [m]."""
+
+SIZE_SIGMAS = (0.06, 0.04)
+"""Deviation of a size: this share of the usual one, plus so much [m]."""
+
+YAW_SIGMA = 0.1
+"""Deviation of a heading [rad]."""
+
+BY_RANGE = 0.5
+"""Deviations grow with the root of the range."""
+
+IMAGE_SIGMAS = ImageNoise(across=(2.0, 0.03), upright=(2.0, 0.03), height=(2.0, 0.06))
+"""Clocks and calibration leave two pixels."""
+
+SUREST = 14.0
+"""Scores beyond these logarithms of odds report no more."""
+
+
+def independent_detectors(
+    *, prior: float = 0.1, recall_2d: float = 0.9, recall_3d: float = 0.5, least_height_px: float = 25.0
+) -> Detectors:
+    """Give detectors of whom nothing is known but what they find.
+
+    Args:
+        prior: share of the locations at which a detector could report something that hold an object.
+        recall_2d, recall_3d: share of the objects in its view that the detector of images and that of sweeps finds.
+        least_height_px: what is less high in the image need not have been found there [px].
+    """
+    visibility = Visibility(
+        recall_2d=recall_2d,
+        recall_3d=recall_3d,
+        weak_recall_2d=recall_2d,
+        heights_px=(least_height_px, least_height_px),
+        prior=prior,
+    )
+    reported = Reported(low=-SUREST, high=SUREST, base=0.0, slope=1.0)
+    both = Agreement(base=-math.log(prior / (1.0 - prior)), sweep=1.0, image=1.0, overlap=0.0)
+    classes = {
+        name: ClassStatistics(
+            sweep=reported,
+            image=reported,
+            both=both,
+            visibility=visibility,
+            noise=_noise(kind),
+            image_noise=IMAGE_SIGMAS,
+        )
+        for name, kind in KINDS.items()
+    }
+    provenance = MappingProxyType(
+        {"data": "none: scores are taken for probabilities of independent detectors"}
+    )
+    return Detectors(
+        name=INDEPENDENT, classes=MappingProxyType(classes), otherwise="car", provenance=provenance
+    )
+
+
+def _noise(kind: _Kind) -> BoxNoise:
+    length, width, height = kind.size_lwh
+    return BoxNoise(
+        scores=(0.0, 0.0),
+        center_base=(
+            _log(CENTER_SIGMAS, length),
+            _log(CENTER_SIGMAS, width),
+            _log(CENTER_SIGMAS, height),
+        ),
+        center_by_score=(0.0, 0.0, 0.0),
+        center_by_range=(BY_RANGE, BY_RANGE, BY_RANGE),
+        size_base=(_log(SIZE_SIGMAS, length), _log(SIZE_SIGMAS, width), _log(SIZE_SIGMAS, height)),
+        size_by_score=(0.0, 0.0, 0.0),
+        size_by_range=(BY_RANGE, BY_RANGE, BY_RANGE),
+        yaw=(math.log(YAW_SIGMA), 0.0, 0.0),
+    )
+
+
+def _log(sigmas: tuple[float, float], side: float) -> float:
+    return math.log(sigmas[0] * side + sigmas[1])
+
+
+FOLDER = Path(__file__).parent / "fitted"
+"""Where the package keeps its files."""
+
+DEFAULT = "simulated"
+"""The detectors that are taken for granted: made up, and known exactly."""
+
+
+def detector_names() -> tuple[str, ...]:
+    """Names of the detectors whose numbers come with the package."""
+    return (*sorted(path.stem for path in FOLDER.glob("*.toml")), INDEPENDENT)
+
+
+def find_detectors(name: str) -> Detectors:
+    """Give detectors by their name, or by the path of a file.
+
+    Raises:
+        OptionError: there are none of that name, and no such file.
+        DataError: the file says something else.
+    """
+    if name == INDEPENDENT:
+        return _independent()
+    kept = FOLDER / f"{name}.toml"
+    if name in detector_names():
+        return _kept(kept)
+    path = Path(name)
+    if path.suffix != ".toml" and not path.is_file():
+        known = ", ".join(detector_names())
+        raise OptionError(f"detectors {name!r}; expected one of {known}, or the path of a TOML file")
+    return read_detectors(path)
+
+
+@lru_cache(maxsize=1)
+def _independent() -> Detectors:
+    return independent_detectors()
+
+
+@lru_cache(maxsize=16)
+def _kept(path: Path) -> Detectors:
+    return read_detectors(path)
+
+
+def read_detectors(path: str | Path) -> Detectors:
+    """Read what detectors are like.
+
+    Raises:
+        DataError: it cannot be read, or says something else.
+    """
+    try:
+        raw = tomllib.loads(read_settings(Path(path)).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise DataError(path, "", f"{error}; expected the TOML of detectors") from None
+    try:
+        found = _File.read(raw)
+    except (msgspec.ValidationError, OverflowError) as error:
+        raise DataError(path, "", f"{error}; expected the numbers of detectors") from None
+    wrong = list(_faults(found))
+    if wrong:
+        raise DataError(path, *wrong[0])
+    classes = {kind_name(name): statistics for name, statistics in found.classes.items()}
+    return Detectors(
+        name=found.name,
+        classes=MappingProxyType(classes),
+        otherwise=kind_name(found.otherwise),
+        degrees_of_freedom=found.degrees_of_freedom,
+        provenance=MappingProxyType(found.provenance),
+    )
+
+
+class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The file's own form."""
+
+    name: str
+    otherwise: str
+    classes: dict[str, ClassStatistics]
+    degrees_of_freedom: float = float("inf")
+    provenance: dict[str, str] = {}
+
+    @classmethod
+    def read(cls, raw: Mapping[str, Any]) -> "_File":
+        return msgspec.convert(dict(raw), cls)
+
+
+def _faults(found: _File) -> Iterator[tuple[str, str]]:
+    """Locations and what is wrong there."""
+    if found.otherwise not in found.classes:
+        yield "otherwise", f"{found.otherwise!r}; expected one of {', '.join(found.classes)}"
+    if not found.degrees_of_freedom > 2.0:
+        yield "degrees_of_freedom", f"{found.degrees_of_freedom}; expected more than 2"
+    for name, own in found.classes.items():
+        if kind_name(name) not in KINDS:
+            yield f"classes.{name}", f"no known class; expected one of {', '.join(KINDS)}"
+        numbers = dict(_numbers(asdict(own), f"classes.{name}"))
+        for location, value in numbers.items():
+            if value != value or abs(value) == float("inf"):  # noqa: PLR0124 - no number
+                yield location, f"{value}; expected a finite number"
+        visibility = own.visibility
+        for key in ("recall_2d", "recall_3d", "weak_recall_2d", "weak_share", "seen_share", "prior"):
+            value = getattr(visibility, key)
+            if not 0.0 <= value <= 1.0 or (key == "prior" and value in {0.0, 1.0}):
+                yield f"classes.{name}.visibility.{key}", f"{value}; expected 0 to 1"
+
+
+def _numbers(value: Any, location: str) -> Iterator[tuple[str, float]]:
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _numbers(inner, f"{location}.{key}")
+    elif isinstance(value, (tuple, list)):
+        for k, inner in enumerate(value):
+            yield from _numbers(inner, f"{location}[{k}]")
+    elif isinstance(value, (int, float)):
+        yield location, float(value)
+
+
+def format_detectors(detectors: Detectors) -> str:
+    """Give the text of the file that says what detectors are like."""
+    lines = [
+        f"name = {_text(detectors.name)}",
+        f"otherwise = {_text(detectors.otherwise)}",
+        f"degrees_of_freedom = {_text(detectors.degrees_of_freedom)}",
+        "",
+        "[provenance]",
+        *(f"{key} = {_text(value)}" for key, value in detectors.provenance.items()),
+    ]
+    for name, own in detectors.classes.items():
+        for part, numbers in asdict(own).items():
+            lines += ["", f"[classes.{name}.{part}]"]
+            lines += [f"{key} = {_text(value)}" for key, value in numbers.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, str):
+        return msgspec.json.encode(value).decode()
+    if isinstance(value, (tuple, list)):
+        return f"[{', '.join(_text(inner) for inner in value)}]"
+    number = f"{value:.5g}"
+    return number if any(sign in number for sign in ".en") else f"{number}.0"

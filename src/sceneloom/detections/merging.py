@@ -30,11 +30,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
-from sceneloom.detections.classes import FAMILIES, UNLISTED, numbers_of, table_rows
+from sceneloom.detections.detectors import FAMILIES, UNLISTED, numbers_of, table_rows
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings, tables_of
 from sceneloom.errors import OptionError
-from sceneloom.kernels import existence_probability
+from sceneloom.kernels import existence as kernels_existence
 from sceneloom.scene.detections import Boxes3D, ScoreForm
 from sceneloom.scene.types import Identifier
 
@@ -140,7 +140,7 @@ def _scores_of_sweep(
     """(N,) float64, how likely the objects of the sweep are by all images."""
     kinds = table_rows(numbers_of([boxes.labels[k] for k in numbers.tolist()], [])[0])
     is_logit = boxes.score_form is ScoreForm.LOGIT
-    own = existence_probability.reported_odds(boxes.scores, numbers, is_logit, _OF_SWEEP, kinds, table)[1]
+    own = kernels_existence.reported_odds(boxes.scores, numbers, is_logit, _OF_SWEEP, kinds, table)[1]
     total = own.copy()
     for c, view in enumerate(views):
         known = rows[c] != NO_BOX
@@ -248,10 +248,10 @@ def _scores_of_images(views: tuple[FusedBoxes, ...], alone: _Alone, table: Float
     """(M,) float64, how likely objects of images alone are by all that show them."""
     kinds = table_rows(numbers_of(alone.labels, [])[0])
     distances = np.linalg.norm(alone.centers, axis=1)
-    near = distances <= table[kinds, existence_probability.FARTHEST_3D]
+    near = distances <= table[kinds, kernels_existence.FARTHEST_3D]
     # what several images have in common: that such a location is empty, and that the sweep has no box there
-    common = table[kinds, existence_probability.PRIOR] + np.where(
-        near, np.log1p(-table[kinds, existence_probability.RECALL_3D]), 0.0
+    common = table[kinds, kernels_existence.PRIOR] + np.where(
+        near, np.log1p(-table[kinds, kernels_existence.RECALL_3D]), 0.0
     )
     total = common.copy()
     for c, view in enumerate(views):

@@ -1,4 +1,4 @@
-"""Several scenes of one drive made one."""
+"""Several scenes of one drive merged: whether they are of one drive, in one world and with one set of ids."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -6,40 +6,269 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.arrays import Int64Array
-from sceneloom.editing.camera_index import recounted
-from sceneloom.editing.joined_annotations import joined_annotation, joined_attributes
-from sceneloom.editing.joined_sensors import Joint, joined_sensor, joined_trajectory
-from sceneloom.editing.record import OURS, assumed, ours_of, skipped, with_warnings
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.editing.joined_sensors import (
+    Joint,
+    contradicting,
+    differing_fields,
+    is_same,
+    joined_annotation,
+    joined_attributes,
+    joined_sensor,
+    joined_trajectory,
+)
+from sceneloom.editing.move_points import FrameChange
+from sceneloom.editing.move_world import moved_world
 from sceneloom.editing.references import (
+    OURS,
     NewIds,
+    assumed,
     attributes_of,
     metadata_of,
+    ours_of,
+    recounted,
+    skipped,
     with_annotation_ids,
+    with_ours,
     with_sensor_ids,
     with_sensor_parent,
+    with_warnings,
 )
-from sceneloom.editing.same_world import (
-    different_drives,
-    in_words_of,
-    in_world_of,
-    merged_metadata,
-    nothing_relates,
-)
-from sceneloom.editing.sameness import contradicting, differing_fields, is_same
-from sceneloom.errors import OptionError
-from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
-from sceneloom.scene.cameras import CameraSensor
-from sceneloom.scene.clouds import LidarSensor, PointsSensor
-from sceneloom.scene.depth import DepthCameraSensor
+from sceneloom.errors import CalibrationError, DataError, OptionError
+from sceneloom.geometry.geodesy import ecef_from_geodetic
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.annotations import Annotation, CuboidAnnotation, CuboidPath, LabeledPointsAnnotation
+from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.poses import Trajectory
-from sceneloom.scene.scene import Scene, Sensor
-from sceneloom.scene.types import Identifier, Key, key_of
-from sceneloom.scene.warnings import DataWarning
+from sceneloom.scene.scene import Scene, Sensor, frame_times
+from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
+from sceneloom.warnings import DataWarning
 
-SHARED = (OdometrySensor, ImuSensor, GnssSensor, PointsSensor)
+_WORLD_FROM_FILE = "world_from_file"
+"""Our entry of the metadata with the transform that an earlier edit took off all locations in the world."""
+
+_SAME_WORLD = 1e-9
+"""Transforms that differ by no more are one [m], [rad]."""
+
+
+def _in_world_of(scene: Scene, first: Scene) -> Scene:
+    """Give a scene in the world of another one, as far as their metadata report how the two are related.
+
+    Raises:
+        DataError: the metadata of one hold no rigid transform where they should.
+    """
+    mine, other = _world_from_file(scene), _world_from_file(first)
+    if mine is None and other is None:
+        return scene
+    here = RigidTransform.identity() if mine is None else mine
+    there = RigidTransform.identity() if other is None else other
+    first_from_here = there.inverse() @ here
+    reported = scene
+    if mine is None or other is None:
+        which = scene if mine is None else first
+        what = "nothing says that its origin was moved; taken to be the world that the others were moved from"
+        reported = with_warnings(scene, [assumed("worlds-related", which.source, what)])
+    if np.abs(first_from_here.matrix - np.eye(4)).max() > _SAME_WORLD:
+        reported = moved_world(reported, FrameChange.constant(first_from_here))
+    entry = ours_of(first).get(_WORLD_FROM_FILE)
+    return with_ours(reported, **{_WORLD_FROM_FILE: entry})
+
+
+_CITY_WORDS = frozenset({"city", "city_name", "location", "map_name"})
+"""Names of metadata that state where a drive was."""
+
+_LONGEST_GAP_S = 3600.0
+"""Parts of one drive are not further apart in time."""
+
+_FASTEST = 100.0
+"""No vehicle is faster [m/s]."""
+
+_SAME_LOCATION = 100.0
+"""How far apart fixes or poses of one ego may be at one time [m]: receivers and their antennas differ."""
+
+
+def _different_drives(first: Scene, second: Scene) -> list[str]:
+    """Report why two scenes in one world are not of one drive; empty where nothing speaks against it."""
+    reasons = []
+    here, there = _cities(first.metadata), _cities(second.metadata)
+    if here and there and here.isdisjoint(there):
+        reasons.append(f"it was in {', '.join(sorted(there))}, the other in {', '.join(sorted(here))}")
+    spans = _span_ns(first), _span_ns(second)
+    if None not in spans:
+        gap_s = (max(span[0] for span in spans if span) - min(span[1] for span in spans if span)) / 1e9
+        if gap_s > _LONGEST_GAP_S:
+            reasons.append(f"{_duration(gap_s)} are between them")
+    apart = _apart(_fixes(first), _fixes(second))
+    if apart is not None:
+        reasons.append(f"their satellite fixes are {apart / 1000:,.1f} km apart")
+    apart = _apart(_ego(first), _ego(second))
+    if apart is not None:
+        reasons.append(f"their egos are {apart:,.0f} m apart at one time")
+    return reasons
+
+
+def _nothing_relates(first: Scene, second: Scene) -> bool:
+    """Whether `_different_drives` had nothing to compare but times, which of clocks that begin at 0 state nothing."""
+    pairs = (
+        (_cities(first.metadata), _cities(second.metadata)),
+        (_fixes(first), _fixes(second)),
+        (_ego(first), _ego(second)),
+    )
+    return not any(here and there for here, there in pairs)
+
+
+def _cities(metadata: Mapping[str, Any], depth: int = 0) -> set[str]:
+    """What metadata call the location, in words without case."""
+    found: set[str] = set()
+    for name, value in metadata.items():
+        if isinstance(value, str) and value.strip() and name.lower() in _CITY_WORDS:
+            found.add(value.strip().casefold())
+        elif isinstance(value, Mapping) and depth < 3:
+            found |= _cities(value, depth + 1)
+    return found
+
+
+def _span_ns(scene: Scene) -> tuple[int, int] | None:
+    times = [timestamps for sensor in scene.sensors if len(timestamps := frame_times(sensor))]
+    times += [
+        trajectory.timestamps_ns
+        for trajectory in scene.trajectories.values()
+        if len(trajectory.timestamps_ns)
+    ]
+    if not times:
+        return None
+    return min(int(timestamps.min()) for timestamps in times), max(
+        int(timestamps.max()) for timestamps in times
+    )
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 3600:,.1f} h" if seconds < 172_800 else f"{seconds / 86_400:,.0f} days"
+
+
+_Track = tuple[Int64Array, Float64Array] | None
+"""Times (N,) and locations (N, 3) [m]."""
+
+
+def _fixes(scene: Scene) -> _Track:
+    """The fixes of the first receiver on the ellipsoid, earth-centred."""
+    for sensor in scene.sensors:
+        if isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns):
+            lla = sensor.positions_lla
+            known = np.isfinite(lla).all(axis=1) & (np.abs(lla[:, 0]) <= 90) & (np.abs(lla[:, 2]) < 1e5)
+            if known.any():
+                return sensor.timestamps_ns[known], ecef_from_geodetic(lla[known])
+    return None
+
+
+def _ego(scene: Scene) -> _Track:
+    """The ego's trajectory, else that of the first sensor whose poses in the world are known, which is close to it."""
+    found = [(trajectory.timestamps_ns, trajectory.positions) for trajectory in scene.trajectories.values()]
+    for one in scene.sensors:
+        if isinstance(one, LidarSensor | RadarSensor | CameraSensor) and one.coordinates is Coordinates.WORLD:
+            path = one.poses
+            found += [] if path is None or path.static else [(path.timestamps_ns, path.positions)]
+    if not found or not len(found[0][0]) or not np.isfinite(found[0][1]).all():
+        return None
+    return found[0]
+
+
+def _apart(first: _Track, second: _Track) -> float | None:
+    """How far apart two ways are where an ego cannot be on both [m]; None where it can."""
+    if first is None or second is None:
+        return None
+    (times, locations), (other_times, other_locations) = first, second
+    inside = (other_times >= times[0]) & (other_times <= times[-1])
+    if inside.any():
+        with np.errstate(over="ignore", invalid="ignore"):
+            at = other_times[inside]
+            expected = np.column_stack([np.interp(at, times, locations[:, axis]) for axis in range(3)])
+            apart = float(np.median(np.linalg.norm(other_locations[inside] - expected, axis=1)))
+        return apart if apart > _SAME_LOCATION else None
+    early, late = ((times, locations), (other_times, other_locations))
+    if other_times[-1] < times[0]:
+        early, late = late, early
+    with np.errstate(over="ignore"):
+        apart = float(np.linalg.norm(late[1][0] - early[1][-1]))
+    gap_s = (int(late[0][0]) - int(early[0][-1])) / 1e9
+    return apart if gap_s >= 0 and apart > _SAME_LOCATION + _FASTEST * gap_s else None
+
+
+def _world_from_file(scene: Scene) -> RigidTransform | None:
+    """The transform that was taken off a scene's locations; None where none is named.
+
+    Raises:
+        DataError: what is named is no rigid transform.
+    """
+    named: Any = ours_of(scene).get(_WORLD_FROM_FILE)
+    if named is None:
+        return None
+    location = f"metadata.sceneloom.{_WORLD_FROM_FILE}"
+    try:
+        matrix: Float64Array = np.array(named, np.float64)
+        return RigidTransform.nearest(matrix)[0]
+    except (TypeError, ValueError, CalibrationError):
+        raise DataError(scene.source, location, f"{named!r}; expected a rigid 4x4 matrix") from None
+
+
+def _in_words_of(scene: Scene, first: Scene) -> Scene:
+    """Give a scene whose cuboids have their angles in the unit and order of another one.
+
+    Raises:
+        OptionError: the annotations of one are in the world and those of the other on the ego.
+    """
+    frames = {annotations_frame(one) for one in (scene, first) if one.annotations}
+    if len(frames) > 1:
+        raise OptionError(
+            f"{scene.source}: its annotations are in the {annotations_frame(scene)} frame, those of {first.source} in "
+            f"the {annotations_frame(first)} frame; bring both into the world first: `sceneloom edit to-world`"
+        )
+    mine, theirs = CuboidAngles.of(scene), CuboidAngles.of(first)
+    there = any(isinstance(annotation, CuboidAnnotation) for annotation in scene.annotations)
+    if mine == theirs or not there:
+        return scene
+    annotations = tuple(_stated_otherwise(annotation, mine, theirs) for annotation in scene.annotations)
+    changed = replace(scene, annotations=annotations)
+    return with_ours(changed, euler_unit=str(theirs.unit), euler_order=theirs.order)
+
+
+def _stated_otherwise(annotation: Annotation, mine: CuboidAngles, theirs: CuboidAngles) -> Annotation:
+    if not isinstance(annotation, CuboidAnnotation):
+        return annotation
+    path = annotation.path
+    return replace(
+        annotation,
+        path=CuboidPath(path.timestamps_ns, _rows(path.values, mine, theirs), path.extras),
+        activations=tuple(
+            entry if entry.cuboids is None else replace(entry, cuboids=_rows(entry.cuboids, mine, theirs))
+            for entry in annotation.activations
+        ),
+        projections=tuple(
+            entry if entry.cuboids is None else replace(entry, cuboids=_rows(entry.cuboids, mine, theirs))
+            for entry in annotation.projections
+        ),
+    )
+
+
+def _rows(rows: Float64Array, mine: CuboidAngles, theirs: CuboidAngles) -> Float64Array:
+    stated = rows.copy()
+    there = np.isfinite(rows[:, 6:]).all(axis=1)
+    stated[there, 6:] = theirs.from_quaternions(mine.quaternions(rows[there, 6:]))
+    return stated
+
+
+def _merged_metadata(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """The fields of both; of those that differ the first's. Gives the names of these, too."""
+    differing = [name for name in first.keys() & second.keys() if not is_same(first[name], second[name])]
+    return {**second, **first}, sorted(differing)
+
+
+_SHARED = (OdometrySensor, ImuSensor, GnssSensor, PointsSensor)
 """What several scenes of one drive may each bring along; where it is the same, it stands in the merged scene once."""
 
 _LISTED = ("deskew", "unfused", "extrapolated", "to_ego", "applied")
@@ -71,15 +300,15 @@ def merge_scenes(
         raise OptionError(f"{len(scenes)} scene to merge; expected two or more")
     merged = scenes[0]
     for scene in scenes[1:]:
-        placed = in_world_of(scene, merged)
-        reasons = different_drives(merged, placed)
+        placed = _in_world_of(scene, merged)
+        reasons = _different_drives(merged, placed)
         if reasons and not force:
             raise OptionError(
                 f"{scene.source}: of another drive than {merged.source}: {'; '.join(reasons)}; expected parts of one "
                 "drive in one world; state `--force` to merge them all the same"
             )
-        unrelated = not reasons and nothing_relates(merged, placed)
-        placed = in_words_of(placed, merged)
+        unrelated = not reasons and _nothing_relates(merged, placed)
+        placed = _in_words_of(placed, merged)
         reported = [
             assumed("different-drives", scene.source, f"merged all the same: {why}") for why in reasons
         ]
@@ -124,7 +353,7 @@ class _Merger:
         annotations = self._annotations(scene, first, [found for found in moved if found is not None])
         stated = attributes_of(scene.attributes, ids)
         attributes = joined_attributes(self.first.attributes, stated)
-        extras, differing = merged_metadata(self.first.extras, scene.extras)
+        extras, differing = _merged_metadata(self.first.extras, scene.extras)
         self._report_differing("", (*contradicting(self.first.attributes, stated), *differing))
         metadata = self._metadata(scene, ids)
         merged = replace(
@@ -257,8 +486,8 @@ class _Merger:
     def _metadata(self, scene: Scene, ids: NewIds) -> Mapping[str, Any]:
         mine, other = ours_of(self.first), metadata_of(ours_of(scene), ids)
         free = [{name: v for name, v in s.metadata.items() if name != OURS} for s in (self.first, scene)]
-        merged, differing = merged_metadata(free[0], free[1])
-        ours, ours_differing = merged_metadata(mine, other)
+        merged, differing = _merged_metadata(free[0], free[1])
+        ours, ours_differing = _merged_metadata(mine, other)
         for name in _LISTED:
             lists = [stated[name] for stated in (mine, other) if isinstance(stated.get(name), list)]
             if len(lists) == 2:
@@ -283,7 +512,7 @@ def _fusion(mine: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _shared(known: Sensor, sensor: Sensor) -> bool:
-    return isinstance(sensor, SHARED) and is_same(known, sensor)
+    return isinstance(sensor, _SHARED) and is_same(known, sensor)
 
 
 def _recounted(sensor: Sensor, numbers: dict[int, int]) -> Sensor:

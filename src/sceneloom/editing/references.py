@@ -1,25 +1,71 @@
-"""Ids that sensors and annotations bear, and the references to them, when some change or go."""
+"""What edits keep consistent: warnings and metadata of their own, ids and references to them.
+
+And camera indices of points.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.annotations.attributes import AttributePath
-from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
-from sceneloom.scene.annotations.corrections import CameraCalibration
-from sceneloom.scene.annotations.cuboids import CuboidAnnotation
-from sceneloom.scene.annotations.keypoints import PointsAnnotation
-from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
-from sceneloom.scene.annotations.plain import PlainAnnotation
-from sceneloom.scene.annotations.relations import EventAnnotation, LinkAnnotation
-from sceneloom.scene.annotations.shapes import ShapeAnnotation
-from sceneloom.scene.plain import PlainSensor
-from sceneloom.scene.scene import Sensor
-from sceneloom.scene.types import Identifier, Key, key_of
+import numpy as np
 
-BELONGING = (
+from sceneloom.arrays import UInt8Array
+from sceneloom.errors import OptionError
+from sceneloom.scene.annotations import (
+    Annotation,
+    AttributePath,
+    Box2DAnnotation,
+    CameraCalibration,
+    CuboidAnnotation,
+    EventAnnotation,
+    LabeledPointsAnnotation,
+    LinkAnnotation,
+    PlainAnnotation,
+    PointsAnnotation,
+    ShapeAnnotation,
+)
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import PlainSensor
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Identifier, Key, key_of
+from sceneloom.warnings import DataWarning, WarningKind
+
+OURS = "sceneloom"
+"""Name of our part of a scene's metadata."""
+
+
+def ours_of(scene: Scene) -> Mapping[str, Any]:
+    """Our part of a scene's metadata; empty where there is none."""
+    ours = scene.metadata.get(OURS)
+    return ours if isinstance(ours, Mapping) else {}
+
+
+def with_ours(scene: Scene, **entries: Any) -> Scene:
+    """The scene with some of our entries of the metadata set; None takes one away."""
+    reported = {name: value for name, value in {**ours_of(scene), **entries}.items() if value is not None}
+    free = {name: value for name, value in scene.metadata.items() if name != OURS}
+    return replace(scene, metadata=MappingProxyType({**free, **({OURS: reported} if reported else {})}))
+
+
+def with_warnings(scene: Scene, warnings: Iterable[DataWarning]) -> Scene:
+    """The scene with further warnings; those that count nothing are left out."""
+    reported = tuple(warning for warning in warnings if warning.count > 0)
+    return replace(scene, warnings=(*scene.warnings, *reported)) if reported else scene
+
+
+def skipped(code: str, location: str, message: str, *, count: int = 1) -> DataWarning:
+    """A warning that something was left out."""
+    return DataWarning(kind=WarningKind.SKIPPED, code=code, location=location, message=message, count=count)
+
+
+def assumed(code: str, location: str, message: str, *, count: int = 1) -> DataWarning:
+    """A warning that something is not stated and was taken to be so."""
+    return DataWarning(kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=count)
+
+
+_BELONGING = (
     Box2DAnnotation,
     ShapeAnnotation,
     PointsAnnotation,
@@ -53,7 +99,7 @@ def with_sensor_ids(annotation: Annotation, sensors: NewIds) -> Annotation | Non
     """Give an annotation that names sensors by their new ids; None where it belongs to one that is gone."""
     if isinstance(annotation, PlainAnnotation):
         return _plain_annotation(annotation, sensors)
-    if isinstance(annotation, BELONGING):
+    if isinstance(annotation, _BELONGING):
         if sensors.gone(annotation.sensor_id):
             return None
         if annotation.sensor_id is not None:
@@ -195,3 +241,59 @@ _NAMING: Mapping[str, Callable[[Any, NewIds], Any]] = MappingProxyType(
     {"unfused": _entries_naming, "extrapolated": _entries_naming, "deskew": _deskewed, "fusion": _fusion}
 )
 """Our entries of the metadata that name sensors."""
+
+_UNSEEN = 255
+"""The `camera_index` of a point that no camera coloured."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecountedFrames:
+    """Reads sweeps and counts the cameras of their points anew; what `LazyFrames` asks for.
+
+    Attributes:
+        frames: as they were.
+        table: (256,) uint8, new number of each camera by its old one.
+    """
+
+    frames: LazyFrames[LidarFrame]
+    table: UInt8Array
+
+    def __call__(self, k: int) -> LidarFrame:
+        """Read sweep `k`.
+
+        Raises:
+            DataError: it cannot be read.
+        """
+        frame = self.frames[k]
+        index = frame.points.camera_index
+        if index is None:
+            return frame
+        return replace(frame, points=replace(frame.points, camera_index=self.table[index]))
+
+
+def recounted(lidar: LidarSensor, numbers: dict[int, int]) -> LidarSensor:
+    """Give a lidar whose points name their cameras by new numbers, by the old ones; of others, no camera.
+
+    Raises:
+        OptionError: a number is beyond those that a point can bear.
+    """
+    if max(numbers.values(), default=0) >= _UNSEEN:
+        raise OptionError(f"{max(numbers.values()) + 1} cameras; points can name {_UNSEEN} at most")
+    table = np.full(256, _UNSEEN, np.uint8)
+    for old, new in numbers.items():
+        table[old] = new
+    timestamps_ns = lidar.frames.timestamps_ns
+    return replace(lidar, frames=LazyFrames(timestamps_ns, RecountedFrames(lidar.frames, table)))
+
+
+def without_cameras(scene: Scene, kept: Scene) -> Scene:
+    """The scene `kept`, made of `scene` by leaving out sensors: its points name the cameras by their new locations."""
+    locations = {key_of(camera.id): k for k, camera in enumerate(kept.cameras)}
+    old = [key_of(camera.id) for camera in scene.cameras]
+    numbers = {k: locations[key] for k, key in enumerate(old) if key in locations}
+    if len(numbers) == len(old):
+        return kept
+    sensors = tuple(
+        recounted(sensor, numbers) if isinstance(sensor, LidarSensor) else sensor for sensor in kept.sensors
+    )
+    return replace(kept, sensors=sensors)

@@ -1,4 +1,4 @@
-"""Paths with fewer timestamps: between those that stay, interpolation gives the others within a tolerance."""
+"""Paths with fewer keyframes, within a tolerance of interpolation."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -9,22 +9,27 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.editing.record import with_warnings
+from sceneloom.editing.references import with_warnings
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rotations import angle_between, slerp
 from sceneloom.geometry.thinning import thin_greedily
-from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.annotations.corrections import LocalizationAdjustment
-from sceneloom.scene.annotations.cuboids import CuboidAnnotation, CuboidPath
-from sceneloom.scene.annotations.keypoints import PointPath, PointsAnnotation, locations_of
+from sceneloom.scene.annotations import (
+    Annotation,
+    CuboidAnnotation,
+    CuboidPath,
+    LocalizationAdjustment,
+    PointPath,
+    PointsAnnotation,
+    locations_of,
+)
+from sceneloom.scene.annotations_at import CuboidAngles
+from sceneloom.scene.ego import Posed
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
-from sceneloom.scene.sensor_sources import Posed
-from sceneloom.scene.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, WarningKind
 
-ROUNDING = 1e-9
+_ROUNDING = 1e-9
 """Tolerances are kept this share smaller, so that another order of the same sums does not break the promise."""
 
 _NEAR_HALF_ROTATION = radians(179.0)
@@ -76,8 +81,8 @@ def simplify_scene(
             raise OptionError(f"{name} {value}; expected a number from 0 on")
     reported = Simplified()
     thinner = _Thinner(
-        tolerance_m * (1.0 - ROUNDING),
-        radians(tolerance_deg) * (1.0 - ROUNDING),
+        tolerance_m * (1.0 - _ROUNDING),
+        radians(tolerance_deg) * (1.0 - _ROUNDING),
         CuboidAngles.of(scene),
         reported,
     )

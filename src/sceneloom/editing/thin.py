@@ -6,19 +6,59 @@ from functools import partial
 
 import numpy as np
 
-from sceneloom.arrays import FloatArray, Int64Array
-from sceneloom.editing.chosen_points import CloudSensor, OnPoints, chosen_map, with_chosen_points
-from sceneloom.editing.record import with_ours, with_warnings
-from sceneloom.editing.voxels import KEEPERS, NEAREST, evenly, one_per_cube
+from sceneloom.arrays import Float64Array, FloatArray, Int64Array
+from sceneloom.editing.move_points import CloudSensor, OnPoints, chosen_map, with_chosen_points
+from sceneloom.editing.references import with_ours, with_warnings
 from sceneloom.errors import OptionError
-from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, Shooting, chosen_shots
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
-from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.labelled import Renumbering, renumbered
 from sceneloom.scene.scene import Scene, Sensor
-from sceneloom.scene.shooting import Shooting, chosen_shots
+from sceneloom.scene.time_range import Renumbering, renumbered
 from sceneloom.scene.types import Identifier, Key, key_of
+
+_NEAREST, FIRST = "nearest", "first"
+
+_KEEPERS = (_NEAREST, FIRST)
+"""Which point of a cube stays: the one nearest to the mean of those in it, or the first."""
+
+
+def one_per_cube(positions: FloatArray, side: float, *, keep: str = _NEAREST) -> Int64Array:
+    """Give the rows, ascending, of one point of each cube of side `side` [m].
+
+    Cubes begin at whole multiples of their side on either side of zero: the one at the origin is no larger than others.
+
+    Args:
+        positions: (N, 3) [m]; a point that is not finite is left out.
+        side: [m].
+        keep: one of `_KEEPERS`.
+
+    Raises:
+        OptionError: the side is not positive, or `keep` is not one of those.
+    """
+    from sceneloom.kernels.surface_map import first_of_cubes, nearest_of_cubes, number_cubes
+
+    if not 0 < side < np.inf:
+        raise OptionError(f"voxel {side}; expected a positive number of metres")
+    if keep not in _KEEPERS:
+        raise OptionError(f"keep {keep!r}; expected one of {', '.join(_KEEPERS)}")
+    points: Float64Array = np.ascontiguousarray(positions, np.float64)
+    numbers = np.empty(len(points), np.int64)
+    chosen = np.empty(number_cubes(points, side, numbers), np.int64)
+    first_of_cubes(numbers, chosen)
+    if keep == _NEAREST:
+        nearest_of_cubes(points, numbers, chosen)
+    return np.sort(chosen)
+
+
+def evenly(count: int, wanted: int) -> Int64Array:
+    """Give `wanted` of `count` rows, evenly spread; all of them where there are no more.
+
+    Row k is the one in whose share of the rows the middle of the k-th of `wanted` equal parts falls.
+    """
+    if wanted >= count:
+        return np.arange(count)
+    return (2 * np.arange(wanted, dtype=np.int64) + 1) * count // (2 * wanted)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +73,15 @@ class Thinning:
     """
 
     voxel: float | None = None
-    keep: str = NEAREST
+    keep: str = _NEAREST
     share: float | None = None
     points: int | None = None
 
     def __post_init__(self) -> None:
         if self.voxel is not None and not 0 < self.voxel < np.inf:
             raise OptionError(f"voxel {self.voxel}; expected a positive number of metres")
-        if self.keep not in KEEPERS:
-            raise OptionError(f"keep {self.keep!r}; expected one of {', '.join(KEEPERS)}")
+        if self.keep not in _KEEPERS:
+            raise OptionError(f"keep {self.keep!r}; expected one of {', '.join(_KEEPERS)}")
         if self.share is not None and not 0 < self.share <= 1:
             raise OptionError(f"share {self.share}; expected more than 0 and at most 1")
         if self.points is not None and self.points < 1:
@@ -72,7 +112,7 @@ def thin_scene(
     scene: Scene,
     *,
     voxel: float | None = None,
-    keep: str = NEAREST,
+    keep: str = _NEAREST,
     share: float | None = None,
     points: int | None = None,
     every: int = 1,
@@ -136,9 +176,9 @@ def _thinned(
     """Thin one sensor, and note what became of the numbers of its frames and points."""
     key = key_of(sensor.id)
     if isinstance(sensor, CameraSensor):
-        return every_shot(sensor, every)
+        return _every_shot(sensor, every)
     if isinstance(sensor, DepthCameraSensor):
-        return every_shot(sensor, every)
+        return _every_shot(sensor, every)
     if isinstance(sensor, PointsSensor) and thinning.changes:
         rows = thinning.rows(sensor.positions)
         changes[key] = Renumbering(rows=partial(_always, rows))
@@ -166,7 +206,7 @@ def _thinned_cloud(
     return replace(sensor, frames=with_chosen_points(frames, thinning, sensor.id, on_points)[::every])
 
 
-def every_shot(camera: Shooting, every: int) -> Shooting:
+def _every_shot(camera: Shooting, every: int) -> Shooting:
     """A camera with every so many-th of its images or depth images, from the first."""
     if every == 1:
         return camera

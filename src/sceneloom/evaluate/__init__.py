@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.evaluate.alignment import ALIGNMENTS
-    from sceneloom.evaluate.report import (
+    from sceneloom.evaluate.trajectory import RPE_DELTAS, evaluate_trajectory
+    from sceneloom.evaluate.trajectory_errors import (
+        ALIGNMENTS,
         AbsoluteErrors,
         AlignmentReport,
         ErrorStatistics,
@@ -15,20 +16,19 @@ if TYPE_CHECKING:
         SegmentErrors,
         TrajectoryReport,
     )
-    from sceneloom.evaluate.trajectory import RPE_DELTAS, evaluate_trajectory
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "ALIGNMENTS": "sceneloom.evaluate.alignment:ALIGNMENTS",
+            "ALIGNMENTS": "sceneloom.evaluate.trajectory_errors:ALIGNMENTS",
             "RPE_DELTAS": "sceneloom.evaluate.trajectory:RPE_DELTAS",
-            "AbsoluteErrors": "sceneloom.evaluate.report:AbsoluteErrors",
-            "AlignmentReport": "sceneloom.evaluate.report:AlignmentReport",
-            "ErrorStatistics": "sceneloom.evaluate.report:ErrorStatistics",
-            "KittiErrors": "sceneloom.evaluate.report:KittiErrors",
-            "RelativeErrors": "sceneloom.evaluate.report:RelativeErrors",
-            "SegmentErrors": "sceneloom.evaluate.report:SegmentErrors",
-            "TrajectoryReport": "sceneloom.evaluate.report:TrajectoryReport",
+            "AbsoluteErrors": "sceneloom.evaluate.trajectory_errors:AbsoluteErrors",
+            "AlignmentReport": "sceneloom.evaluate.trajectory_errors:AlignmentReport",
+            "ErrorStatistics": "sceneloom.evaluate.trajectory_errors:ErrorStatistics",
+            "KittiErrors": "sceneloom.evaluate.trajectory_errors:KittiErrors",
+            "RelativeErrors": "sceneloom.evaluate.trajectory_errors:RelativeErrors",
+            "SegmentErrors": "sceneloom.evaluate.trajectory_errors:SegmentErrors",
+            "TrajectoryReport": "sceneloom.evaluate.trajectory_errors:TrajectoryReport",
             "evaluate_trajectory": "sceneloom.evaluate.trajectory:evaluate_trajectory",
         },
     )

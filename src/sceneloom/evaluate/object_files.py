@@ -1,4 +1,4 @@
-"""Objects of whole sequences from files: KITTI's text, lists of detections, and the cuboids of scenes."""
+"""Objects of whole sequences from files: KITTI labels, detection lists, fused objects and cuboids of scenes."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,27 +7,188 @@ from pathlib import Path
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.db34t.json import parse_json
+from sceneloom.db34t.records import FusedDetections
 from sceneloom.errors import ArrayError, DataError, OptionError
-from sceneloom.evaluate.fused_objects import fused_files, read_fused, truth_in_lidar
-from sceneloom.evaluate.objects import ObjectTable
-from sceneloom.evaluate.overlaps import Similarity
-from sceneloom.evaluate.scene_objects import labelled_times, scene_objects
-from sceneloom.formats.files import file_faults, open_file
-from sceneloom.formats.kitti.chosen_sequence import sequences_called
-from sceneloom.formats.kitti.detection_lists import DetectionList, read_boxes_2d_list, read_boxes_3d_list
-from sceneloom.formats.kitti.labels import KittiLabels, read_labels
-from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.shared_options import open_scenes
-from sceneloom.scene.warnings import DataWarning, WarningKind
+from sceneloom.evaluate.objects import ObjectTable, Similarity
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.files import file_faults, open_file
+from sceneloom.formats.base.registry import open_scenes
+from sceneloom.formats.base.text_tables import read_lines
+from sceneloom.formats.kitti.calibration import read_calibration
+from sceneloom.formats.kitti.labels import (
+    CENTRE_TO_CORNER,
+    DetectionList,
+    KittiLabels,
+    lidar_boxes,
+    read_boxes_2d_list,
+    read_boxes_3d_list,
+    read_labels,
+)
+from sceneloom.formats.kitti.text import sequences_called
+from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.scene.annotations import AttributePath, CuboidAnnotation
+from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame, cuboid_poses, not_in_world
+from sceneloom.scene.scene import Scene, frame_times
+from sceneloom.scene.types import Coordinates, SensorType
+from sceneloom.warnings import DataWarning, WarningKind
 
-LABEL_FOLDERS = ("label_02", "label_2", "data")
+
+def fused_files(path: Path) -> list[Path]:
+    """The files of lines of table 10 of DB34/T 4101 that a path has (itself, or in a folder), by their beginning."""
+    files = sorted(path.glob("*.jsonl")) if path.is_dir() else [path] if path.suffix == ".jsonl" else []
+    return [file for file in files if _begins_with_detections(file)]
+
+
+def _begins_with_detections(file: Path) -> bool:
+    with file_faults(file), open_file(file) as stream:
+        return stream.read(64).lstrip().startswith(b'{"detections"')
+
+
+def _fused_objects_read_fused(path: Path) -> ObjectTable:
+    """Read lines of table 10, as `sceneloom fuse --type detection` writes them; the number of a cloud is its frame.
+
+    Raises:
+        DataError: the file cannot be read, a line is no such record, or a cloud comes twice.
+    """
+    tables: dict[int, ObjectTable] = {}
+    for number, line in read_lines(path):
+        try:
+            record = parse_json(line)
+        except DataError as error:
+            raise DataError(
+                path, f"line {number}", f"{error.location or 'record'}: {error.problem}"
+            ) from error
+        if not isinstance(record, FusedDetections):
+            raise DataError(path, f"line {number}", "is no record of fused detections (table 10)")
+        if record.points_seq in tables:
+            problem = f"cloud {record.points_seq} comes twice; expected the objects of one camera"
+            raise DataError(path, f"line {number}", problem)
+        tables[record.points_seq] = _table_of_record(record)
+    return ObjectTable.joined(list(tables.values()))
+
+
+def _table_of_record(record: FusedDetections) -> ObjectTable:
+    count = len(record.class_names)
+    covariances = np.zeros((count, 7, 7))
+    covariances[:, :3, :3], covariances[:, 3:6, 3:6] = record.center_covs, record.size_covs
+    yaws = np.arctan2(record.directions[:, 1], record.directions[:, 0])
+    columns = [record.centers, record.sizes_lwh, yaws]
+    return ObjectTable(
+        np.full(count, record.points_seq, np.int64),
+        np.full(count, -1, np.int64),
+        record.class_names,
+        record.corners_xyxy.astype(np.float64) - CENTRE_TO_CORNER,
+        np.column_stack(columns).astype(np.float64),
+        scores=record.confidence.astype(np.float64),
+        covariances=covariances,
+    )
+
+
+def _truth_in_lidar(labels: KittiLabels, calibration: Path) -> Float64Array:
+    """Give the boxes of labels in the lidar's frame, (N, 7) as of `ObjectTable.boxes`.
+
+    Raises:
+        DataError: the calibration is missing or faulty.
+    """
+    rectified_from_lidar = read_calibration(calibration).rectified_from_lidar
+    placed = lidar_boxes(labels.sizes_hwl, labels.bottoms, labels.rotations_y, rectified_from_lidar)
+    return np.column_stack(placed)
+
+
+_SCORES = ("existence", "score", "confidence")
+"""Attributes of cuboids that state how sure they are; the first one that a cuboid has counts."""
+
+_NO_LABEL = "object"
+"""The class of cuboids that name none."""
+
+
+def labelled_times(scene: Scene) -> Int64Array:
+    """Times at which objects of a scene are compared: of its first lidar's frames, else the timestamps of its cuboids.
+
+    Returns:
+        (F,) int64 [ns], rising.
+    """
+    for sensor in scene.sensors:
+        if sensor.type == SensorType.LIDAR and len(frame_times(sensor)):
+            return np.unique(frame_times(sensor))
+    timestamps = [cuboid.path.timestamps_ns for cuboid in _cuboids(scene)]
+    return np.unique(np.concatenate([np.zeros(0, np.int64), *timestamps]))
+
+
+def scene_objects(scene: Scene, times_ns: Int64Array) -> ObjectTable:
+    """Give the cuboids of a scene at times (F,) [ns], which become its frames; boxes are in the scene's world.
+
+    A cuboid is there from its first timestamp to its last, a stationary one always.
+
+    Raises:
+        OptionError: the scene has no cuboids, or they are not in the world.
+    """
+    cuboids = _cuboids(scene)
+    if not cuboids:
+        raise OptionError(f"{scene.source}: no cuboids; expected a scene with objects as boxes in space")
+    if annotations_frame(scene) is not Coordinates.WORLD:
+        raise not_in_world(scene.source)
+    angles = CuboidAngles.of(scene)
+    held = [_held_scores(cuboid) for cuboid in cuboids]
+    tables = [_rows(cuboid, k, times_ns, angles, held[k]) for k, cuboid in enumerate(cuboids)]
+    joined = ObjectTable.joined(tables).in_order()
+    return joined if any(score is not None for score in held) else replace(joined, scores=None)
+
+
+def _cuboids(scene: Scene) -> list[CuboidAnnotation]:
+    return [annotation for annotation in scene.annotations if isinstance(annotation, CuboidAnnotation)]
+
+
+def _rows(
+    cuboid: CuboidAnnotation,
+    number: int,
+    times_ns: Int64Array,
+    angles: CuboidAngles,
+    held: AttributePath | None,
+) -> ObjectTable:
+    poses = cuboid_poses(cuboid, times_ns, angles=angles)
+    frames = np.flatnonzero(poses.there).astype(np.int64)
+    ahead = rotate_vectors(poses.quaternions_xyzw[frames], np.array([1.0, 0.0, 0.0]))
+    boxes = (poses.centers_world[frames], poses.sizes_lwh[frames], np.arctan2(ahead[:, 1], ahead[:, 0]))
+    return ObjectTable(
+        frames,
+        np.full(len(frames), number, np.int64),
+        (cuboid.label or _NO_LABEL,) * len(frames),
+        boxes=np.column_stack(boxes).astype(np.float64),
+        scores=_scores(held, times_ns[frames]),
+    )
+
+
+def _held_scores(cuboid: CuboidAnnotation) -> AttributePath | None:
+    """The attribute that says how sure a cuboid is, if its values are numbers."""
+    for name in _SCORES:
+        for attribute in cuboid.attributes:
+            numbers = all(isinstance(value, int | float) for value in attribute.values)
+            if attribute.name == name and attribute.values and numbers:
+                return attribute
+    return None
+
+
+def _scores(held: AttributePath | None, times_ns: Int64Array) -> Float64Array:
+    """How sure a cuboid is at times (M,) [ns]: a value holds until the next; 1 of cuboids that state nothing."""
+    if held is None:
+        return np.ones(len(times_ns))
+    values = np.asarray(held.values, np.float64)
+    if not held.is_timed or held.timestamps_ns is None:
+        return np.full(len(times_ns), values[0])
+    rows = np.searchsorted(held.timestamps_ns, times_ns, side="right") - 1
+    return values[np.clip(rows, 0, len(values) - 1)]
+
+
+_LABEL_FOLDERS = ("label_02", "label_2", "data")
 """Folders inside a given one in which KITTI and those who evaluate by its rules keep labels and results."""
 
-OBJECTS = "objects"
+_OBJECTS = "objects"
 """The name of the only sequence where each file is a frame, and of that of two scenes."""
 
-ObjectSequences = Mapping[str, ObjectTable]
+_ObjectSequences = Mapping[str, ObjectTable]
 """Tables by name of the sequence."""
 
 
@@ -53,8 +214,8 @@ class BothSides:
         warnings: what is to be known about them.
     """
 
-    results: ObjectSequences
-    truth: ObjectSequences
+    results: _ObjectSequences
+    truth: _ObjectSequences
     similarities: tuple[Similarity, ...]
     from_scenes: bool
     warnings: tuple[DataWarning, ...] = ()
@@ -175,13 +336,13 @@ def _kind_of_files(files: Iterable[Path]) -> _Kind:
 
 def _folder_of(path: Path) -> Path:
     """The folder that holds the files, for the one that holds it."""
-    inner = [path / name for name in LABEL_FOLDERS if (path / name).is_dir()]
+    inner = [path / name for name in _LABEL_FOLDERS if (path / name).is_dir()]
     return inner[0] if inner else path
 
 
 def _read_scenes(
     results: Path | str, truth: Path | str, sequences: Sequence[str], ledger: Ledger, corrections: str
-) -> tuple[ObjectSequences, ObjectSequences]:
+) -> tuple[_ObjectSequences, _ObjectSequences]:
     if len(sequences) > 1:
         raise OptionError(f"sequences {', '.join(sequences)}: two scenes are compared; state one sequence")
     chosen = {"sequence": sequences[0]} if sequences else {}
@@ -195,12 +356,12 @@ def _read_scenes(
                     warning.kind, warning.code, f"{scene.source}: {warning.location}", warning.message
                 )
         times_ns = labelled_times(true)
-        return {OBJECTS: scene_objects(found, times_ns)}, {OBJECTS: scene_objects(true, times_ns)}
+        return {_OBJECTS: scene_objects(found, times_ns)}, {_OBJECTS: scene_objects(true, times_ns)}
 
 
 def _read_texts(
     results: Path, truth: Path, kinds: list[_Kind], wanted: frozenset[str], ledger: Ledger
-) -> tuple[ObjectSequences, ObjectSequences]:
+) -> tuple[_ObjectSequences, _ObjectSequences]:
     reported = [kind for kind in kinds if kind in (_Kind.SEQUENCES, _Kind.FRAMES)]
     if len(set(reported)) > 1:
         raise OptionError(f"{results} is {kinds[0]}, {truth} is {kinds[1]}; expected the same on both sides")
@@ -241,7 +402,7 @@ def _read_labels(
         return {file.stem: _table_in_lidar(file) for file in _files_of(path, wanted)}
     if by_frame:
         tables = [_table(read_labels(file), file) for file in _files_of(path, frozenset())]
-        return {OBJECTS: ObjectTable.joined(tables)}
+        return {_OBJECTS: ObjectTable.joined(tables)}
     return {file.stem: _table(read_labels(file), file) for file in _files_of(path, wanted)}
 
 
@@ -255,13 +416,13 @@ def _table(labels: KittiLabels, file: Path) -> ObjectTable:
 def _table_in_lidar(file: Path) -> ObjectTable:
     """The labels of a sequence in the lidar's frame, by the calibration in the folder beside theirs."""
     labels = read_labels(file)
-    boxes = truth_in_lidar(labels, file.parent.with_name("calib") / file.name)
+    boxes = _truth_in_lidar(labels, file.parent.with_name("calib") / file.name)
     return replace(_table(labels, file), boxes=boxes)
 
 
 def _read_fused(path: Path, wanted: frozenset[str]) -> dict[str, ObjectTable]:
     files = [file for file in fused_files(path) if not wanted or file.stem in wanted]
-    return {file.stem: read_fused(file) for file in files}
+    return {file.stem: _fused_objects_read_fused(file) for file in files}
 
 
 def _read_lists(path: Path, wanted: frozenset[str], ledger: Ledger) -> dict[str, ObjectTable]:
@@ -295,8 +456,8 @@ def _detections(
 
 
 def _check_names(
-    found: ObjectSequences,
-    true: ObjectSequences,
+    found: _ObjectSequences,
+    true: _ObjectSequences,
     wanted: Sequence[str],
     paths: tuple[Path | str, Path | str],
 ) -> None:
@@ -321,7 +482,7 @@ def _same_location(results: Path | str, truth: Path | str) -> bool:
     return results == truth
 
 
-def _note_frames(found: ObjectSequences, true: ObjectSequences, ledger: Ledger) -> None:
+def _note_frames(found: _ObjectSequences, true: _ObjectSequences, ledger: Ledger) -> None:
     for name, truth in true.items():
         last = int(truth.frames.max()) if len(truth) else -1
         beyond = np.unique(found[name].frames[found[name].frames > last])
@@ -335,7 +496,7 @@ def _note_frames(found: ObjectSequences, true: ObjectSequences, ledger: Ledger) 
             )
 
 
-def _comparable(found: ObjectSequences, true: ObjectSequences) -> tuple[Similarity, ...]:
+def _comparable(found: _ObjectSequences, true: _ObjectSequences) -> tuple[Similarity, ...]:
     """The similarities for which both sides have boxes that are larger than nothing, or no rows at all."""
     in_image = all(_have_images(side) for side in (found, true))
     in_space = all(_have_space(side) for side in (found, true))
@@ -343,7 +504,7 @@ def _comparable(found: ObjectSequences, true: ObjectSequences) -> tuple[Similari
     return (*reported, *((Similarity.ABOVE, Similarity.SPACE, Similarity.DISTANCE) if in_space else ()))
 
 
-def _have_images(side: ObjectSequences) -> bool:
+def _have_images(side: _ObjectSequences) -> bool:
     filled = [table for table in side.values() if len(table)]
     return not filled or any(
         (table.corners_xyxy[:, 2:] > table.corners_xyxy[:, :2]).all(axis=1).any()
@@ -352,7 +513,7 @@ def _have_images(side: ObjectSequences) -> bool:
     )
 
 
-def _have_space(side: ObjectSequences) -> bool:
+def _have_space(side: _ObjectSequences) -> bool:
     filled = [table for table in side.values() if len(table)]
     return not filled or any(
         (table.boxes[:, 3:6] > 0).all(axis=1).any() for table in filled if table.boxes is not None

@@ -1,7 +1,8 @@
-"""The objects of a sequence as columns: what is held against the truth, and the truth itself."""
+"""Objects of a sequence as columns, and their overlaps frame by frame."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from itertools import chain
 from typing import Protocol
 
@@ -9,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, check_array, read_only
-from sceneloom.errors import ArrayError
+from sceneloom.errors import ArrayError, OptionError
+from sceneloom.kernels import overlaps
 
 _FLOATS: dict[str, tuple[int, ...]] = {
     "corners_xyxy": (4,),
@@ -199,3 +201,136 @@ class ObjectTable:
     def frame_starts(self, frame_count: int) -> Int64Array:
         """Where the rows of each frame begin, (`frame_count` + 1,) int64; rows are in order."""
         return np.searchsorted(self.frames, np.arange(frame_count + 1)).astype(np.int64)
+
+
+def check_sequences(results: Mapping[str, ObjectTable], truth: Mapping[str, ObjectTable]) -> None:
+    """Refuse results and truth of different sequences.
+
+    Raises:
+        OptionError: they are not the same on both sides, or there is none.
+    """
+    if not truth:
+        raise OptionError("the truth has no sequence")
+    for side, names in (("results", set(truth) - set(results)), ("truth", set(results) - set(truth))):
+        if names:
+            raise OptionError(f"{side} without the sequences {', '.join(sorted(names))}")
+
+
+class Similarity(StrEnum):
+    """What says how alike two boxes are, 0 to 1."""
+
+    IMAGE = "2d"
+    """Intersection over union of the boxes of the image."""
+    ABOVE = "bev"
+    """Intersection over union of the boxes as seen from above."""
+    SPACE = "3d"
+    """Intersection over union of the boxes in space."""
+    DISTANCE = "distance"
+    """1 - d / `_ZERO_DISTANCE`, of the horizontal distance d of the middles."""
+
+
+def similarity_named(name: Similarity | str) -> Similarity:
+    """The similarity of that name.
+
+    Raises:
+        OptionError: there is none.
+    """
+    if name not in tuple(Similarity):
+        raise OptionError(f"similarity {str(name)!r}; expected one of {', '.join(Similarity)}")
+    return Similarity(name)
+
+
+_ZERO_DISTANCE = 4.0
+"""Middles that are so far apart have nothing in common, half of it is a similarity of 0.5 [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FramePairs:
+    """All pairs of a true and a found object of one frame, frame after frame.
+
+    Attributes:
+        true_starts, found_starts: (F + 1,) int64, where the objects of each frame begin.
+        starts: (F + 1,) int64, where its pairs begin; in a frame the true objects are rows, the found ones columns.
+    """
+
+    true_starts: Int64Array
+    found_starts: Int64Array
+    starts: Int64Array
+
+    @classmethod
+    def of(cls, true_starts: Int64Array, found_starts: Int64Array) -> "FramePairs":
+        """Pair the objects of each frame."""
+        return cls(true_starts, found_starts, overlaps.pair_starts(true_starts, found_starts))
+
+    @property
+    def locations(self) -> tuple[Int64Array, Int64Array, Int64Array]:
+        """All three, as kernels take them."""
+        return self.true_starts, self.found_starts, self.starts
+
+
+def similarities(
+    truth: ObjectTable, found: ObjectTable, pairs: FramePairs, similarity: Similarity
+) -> Float64Array:
+    """Report how alike the objects of each pair are.
+
+    Args:
+        truth, found: in order of frames.
+
+    Returns:
+        (P,) float64, 0 to 1.
+
+    Raises:
+        OptionError: one of both lacks the boxes that this needs.
+    """
+    column, compare = _COMPARED[similarity]
+    sides = (
+        _column(truth, column, similarity, "the truth"),
+        _column(found, column, similarity, "the results"),
+    )
+    return compare(*sides, pairs)
+
+
+def covered_by(found: ObjectTable, regions: Float64Array, pairs: FramePairs) -> Float64Array:
+    """Report which share of each found box of the image lies in each region of its frame, (P,) float64.
+
+    Args:
+        regions: (R, 4) [px], left, top, right, bottom; the rows of `pairs`.
+    """
+    corners = _column(found, "corners_xyxy", Similarity.IMAGE, "the results")
+    return overlaps.image_shares(_plain(regions), corners, *pairs.locations)
+
+
+def _column(objects: ObjectTable, name: str, similarity: Similarity, side: str) -> Float64Array:
+    column: Float64Array | None = getattr(objects, name)
+    if column is None:
+        raise OptionError(f"similarity {similarity.value!r}: {side} without {name}")
+    return _plain(column)
+
+
+def _plain(column: AnyArray) -> Float64Array:
+    """The same numbers as compiled loops take them: in one piece, and free to be written to."""
+    return np.require(column, np.float64, ["C", "W"])
+
+
+def _in_image(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
+    return overlaps.image_overlaps(truth, found, *pairs.locations)
+
+
+def _from_above(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
+    return overlaps.overlaps_from_above(truth, found, *pairs.locations)
+
+
+def _in_space(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
+    return overlaps.overlaps_in_space(truth, found, *pairs.locations)
+
+
+def _near(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
+    return overlaps.nearnesses(_plain(truth[:, :2]), _plain(found[:, :2]), *pairs.locations, _ZERO_DISTANCE)
+
+
+_COMPARED: dict[Similarity, tuple[str, Callable[[Float64Array, Float64Array, FramePairs], Float64Array]]] = {
+    Similarity.IMAGE: ("corners_xyxy", _in_image),
+    Similarity.ABOVE: ("boxes", _from_above),
+    Similarity.SPACE: ("boxes", _in_space),
+    Similarity.DISTANCE: ("boxes", _near),
+}

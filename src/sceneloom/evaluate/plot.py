@@ -4,9 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from sceneloom.errors import MissingExtraError, OptionError, how_to_install
-from sceneloom.evaluate.pair_errors import TrajectoryErrors
-from sceneloom.evaluate.report import TrajectoryReport
-from sceneloom.formats.output import check_output, replacing
+from sceneloom.evaluate.trajectory_errors import TrajectoryErrors, TrajectoryReport
+from sceneloom.formats.base.output import check_output, replacing
 
 SUFFIXES = (".png", ".svg", ".pdf")
 _SIZE_INCHES = (13.0, 6.5)

@@ -1,6 +1,6 @@
-"""A trajectory compared with a reference: paired by time, aligned, measured."""
+"""A trajectory compared with a reference, with warnings about what the metrics cannot tell."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,42 +9,118 @@ from msgspec import structs
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.evaluate.alignment import Alignment, align_pairs
-from sceneloom.evaluate.association import (
+from sceneloom.evaluate.plot import check_plot, plot_errors
+from sceneloom.evaluate.trajectory_errors import (
+    AbsoluteErrors,
+    Alignment,
+    AlignmentReport,
+    ErrorStatistics,
     MatchedPoses,
     Pairs,
+    TrajectoryErrors,
+    TrajectoryReport,
+    align_pairs,
     associate_poses,
     checked_trajectory,
     covered_share,
+    kitti_errors,
+    parse_delta,
+    relative_errors,
     trajectory_along,
 )
-from sceneloom.evaluate.doubts import doubts_of, same_poses, unmeasured
-from sceneloom.evaluate.pair_errors import TrajectoryErrors
-from sceneloom.evaluate.plot import check_plot, plot_errors
-from sceneloom.evaluate.relative import kitti_errors, parse_delta, relative_errors
-from sceneloom.evaluate.report import AbsoluteErrors, AlignmentReport, ErrorStatistics, TrajectoryReport
-from sceneloom.formats.trajectories.content import TrajectoryFile
-from sceneloom.formats.trajectories.gnss import of_fixes
 from sceneloom.formats.trajectories.table import content_of, read_trajectory_file
+from sceneloom.formats.trajectories.text_formats import of_fixes
+from sceneloom.formats.trajectories.trajectory_file import TrajectoryFile
 from sceneloom.geometry.rotations import (
     angle_between,
+    conjugate_quaternion,
+    matrix_from_quaternion,
+    multiply_quaternions,
+    nearest_rotation,
     quaternion_from_matrix,
 )
 from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Poses, Trajectory
+from sceneloom.warnings import DataWarning, WarningKind
+
+_ROTATED_DEG = 5.0
+
+_STEADY = 0.25
+"""A mean rotation of the device's axes beyond so many degrees.
+
+From which single ones stray by less than this share of it,
+is taken for another choice of axes."""
+
+
+def _doubts_of(alignment: Alignment, pairs: Pairs, aligned: MatchedPoses) -> list[DataWarning]:
+    """What the shape of the trajectory, missing orientations or other axes of the device do to the numbers."""
+    found = [_warning("doubtful-alignment", doubt) for doubt in alignment.doubts]
+    ours, theirs = aligned.quaternions_xyzw, pairs.reference.quaternions_xyzw
+    if ours is None or theirs is None:
+        side = "estimate" if ours is None else "reference"
+        message = (
+            f"the {side} has no orientations: motions are compared in the aligned world, rotates not at all"
+        )
+        return [*found, _warning("no-orientations", message)]
+    rotation, strays_deg = _rotation_of_axes(ours, theirs)
+    # a trajectory that hardly reports the alignment's rotation states nothing about that of the axes, either
+    if not found and rotation > _ROTATED_DEG and strays_deg < _STEADY * rotation:
+        message = (
+            f"the device's axes differ by a steady rotation of {rotation:.1f}° (single poses stray by "
+            f"{strays_deg:.2g}°): if "
+            "one side reports a camera's poses, state `--est-optical` or `--ref-optical`"
+        )
+        found.append(_warning("other-axes", message))
+    return found
+
+
+def _rotation_of_axes(ours: Float64Array, theirs: Float64Array) -> tuple[float, float]:
+    """The mean rotation between the axes of both devices.
+
+    And the mean angle by which single ones stray from it [deg].
+    """
+    rotations = multiply_quaternions(conjugate_quaternion(ours), theirs)
+    mean, _ = nearest_rotation(matrix_from_quaternion(rotations).mean(axis=0))
+    axes = quaternion_from_matrix(mean)
+    angle = angle_between(axes, np.array([0.0, 0.0, 0.0, 1.0]))
+    return float(np.degrees(angle)), float(np.degrees(angle_between(rotations, axes).mean()))
+
+
+def _same_poses(estimate: Trajectory, reference: Trajectory) -> list[DataWarning]:
+    """Report that both are one trajectory, be it by one file or by a copy: its errors state nothing."""
+    pairs = [
+        (getattr(estimate, name), getattr(reference, name))
+        for name in ("timestamps_ns", "positions", "quaternions_xyzw")
+    ]
+    if not all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs):
+        return []
+    return [_warning("same-poses", "estimate and reference are the same poses at the same times")]
+
+
+def _unmeasured(relative: Mapping[str, object]) -> list[DataWarning]:
+    """The steps for which the trajectory is too short."""
+    missing = [delta for delta, errors in relative.items() if errors is None]
+    if not missing:
+        return []
+    return [_warning("no-steps", f"the trajectory is too short for steps of {', '.join(missing)}")]
+
+
+def _warning(code: str, message: str) -> DataWarning:
+    return DataWarning(kind=WarningKind.ASSUMED, code=code, location="", message=message)
+
 
 RPE_DELTAS = ("1s", "5m", "10m", "50m")
 """Steps over which motions are compared where nothing else is stated."""
 
-SmoothedTrajectory = Trajectory | TrajectoryFile | Poses | str | Path
+_SmoothedTrajectory = Trajectory | TrajectoryFile | Poses | str | Path
 """What can be compared: a trajectory, or a file or scene that holds one."""
 
 _FARTHEST_NS = 9_200_000_000_000_000_000
 
 
 def evaluate_trajectory(
-    estimate: SmoothedTrajectory,
-    reference: SmoothedTrajectory,
+    estimate: _SmoothedTrajectory,
+    reference: _SmoothedTrajectory,
     *,
     align: str = "se3",
     align_first: int | None = None,
@@ -99,7 +175,7 @@ def evaluate_trajectory(
         part=(start, stop),
         deltas=rpe_deltas,
     )
-    same = same_poses(ours.trajectory, theirs.trajectory)
+    same = _same_poses(ours.trajectory, theirs.trajectory)
     report = structs.replace(report, warnings=(*ours.warnings, *theirs.warnings, *same, *report.warnings))
     if plot is not None:
         plot_errors(errors, report, Path(plot), overwrite=overwrite)
@@ -107,7 +183,7 @@ def evaluate_trajectory(
 
 
 def _both(
-    estimate: SmoothedTrajectory, reference: SmoothedTrajectory
+    estimate: _SmoothedTrajectory, reference: _SmoothedTrajectory
 ) -> tuple[TrajectoryFile, TrajectoryFile]:
     """The two trajectories; fixes are seen from the other's origin, where that is known."""
     ours, theirs = _content(estimate), _content(reference)
@@ -123,7 +199,7 @@ def _seen_from(content: TrajectoryFile, fixes: GnssSensor, origin_lla: Float64Ar
     return replace(there, warnings=content.warnings)
 
 
-def _content(trajectory: SmoothedTrajectory) -> TrajectoryFile:
+def _content(trajectory: _SmoothedTrajectory) -> TrajectoryFile:
     return read_trajectory_file(trajectory) if isinstance(trajectory, str | Path) else content_of(trajectory)
 
 
@@ -166,7 +242,7 @@ def _compared(
         absolute=absolute,
         relative=tuple(errors for errors in relative.values() if errors is not None),
         kitti=kitti_errors(pairs, aligned),
-        warnings=(*doubts_of(alignment, pairs, aligned), *unmeasured(relative)),
+        warnings=(*_doubts_of(alignment, pairs, aligned), *_unmeasured(relative)),
     )
     return report, errors
 

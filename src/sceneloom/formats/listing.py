@@ -3,12 +3,11 @@
 import msgspec
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.loss import Holding, Supports
-from sceneloom.formats.spec import FormatSpec
-from sceneloom.formats.supported_fields import holding_of
-from sceneloom.formats.table import all_formats, format_named, format_names
-from sceneloom.formats.trajectories.content import TrajectoryForm
+from sceneloom.formats.base.losses import Holding, Supports, holding_of
+from sceneloom.formats.base.registry import all_formats, format_named, format_names
+from sceneloom.formats.base.spec import FormatSpec
 from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS
+from sceneloom.formats.trajectories.trajectory_file import TrajectoryForm
 from sceneloom.scene.contents import MODEL_FIELDS
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from sceneloom.colouring.visibility import VisibilitySettings
-from sceneloom.detections.detector_files import DEFAULT
+from sceneloom.detections.detectors import DEFAULT
 from sceneloom.fusion.algorithms import AlgorithmChoice
 
 

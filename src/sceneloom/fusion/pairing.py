@@ -1,13 +1,91 @@
-"""Which images belong to which sweep, and when that is known: the same for what a detector saw in them."""
+"""Which images belong to which sweep, and when that is known; the same for the detections of a detector.
+
+What the fusion system knows of each sensor stands here, too.
+"""
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Generic, Protocol, TypeVar
 
 from sceneloom.fusion.configuration import FusionConfiguration
+from sceneloom.scene.cameras import GLOBAL, Shutter
+from sceneloom.scene.clouds import LidarFrame
+from sceneloom.scene.point_times import RawTimes, TimesFound, timed_frame
+from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.types import NO_FIELDS, Identifier
+
+_MOST_SWEEPS = 3
+"""So many sweeps are kept for boxes, which come later."""
+
+
+@dataclass(slots=True)
+class KnownLidar:
+    """A lidar.
+
+    Attributes:
+        source: takes its points into the world; None where they come in world coordinates.
+        location: `world_from_lidar`, whatever frame its points come in; None where that is not known.
+        period_ns: the nominal time from sweep to sweep [ns].
+        received: how many sweeps have come.
+        received_boxes: how many lists of boxes have come.
+        last_raw: times of the last sweep's points as they were read.
+        latest: the last sweeps, from the first list of boxes on: their points location what images alone show.
+    """
+
+    source: PoseSource | None
+    location: PoseSource | None
+    period_ns: int
+    received: int = 0
+    received_boxes: int = 0
+    last_raw: RawTimes | None = None
+    latest: deque[LidarFrame] = field(default_factory=lambda: deque(maxlen=_MOST_SWEEPS))
+
+    def remember(self, frame: LidarFrame) -> None:
+        """Keep a sweep for the boxes that will come of it, if any have come so far."""
+        if self.received_boxes:
+            self.latest.append(frame)
+
+    def sweep_at(self, time_ns: int) -> LidarFrame | None:
+        """The sweep that is kept of a time [ns], within half a period; None where there is none."""
+        near = [(abs(frame.reference_ns - time_ns), -k, frame) for k, frame in enumerate(self.latest)]
+        if not near:
+            return None
+        away_ns, _, frame = min(near, key=lambda one: one[:2])
+        return frame if away_ns <= self.period_ns // 2 else None
+
+    def timed(self, frame: LidarFrame) -> tuple[LidarFrame, TimesFound]:
+        """Bring the times of the points onto the scene's clock, and state what they were."""
+        timed = timed_frame(frame, self.period_ns, previous=self.last_raw)
+        self.last_raw = timed.raw
+        return timed.frame, timed.found
+
+
+@dataclass(slots=True)
+class KnownCamera:
+    """A camera.
+
+    Attributes:
+        id: the camera.
+        index: what its points bear as `camera_index`.
+        source: `world_from_camera`.
+        shutter: when the lines of its images are taken.
+    """
+
+    id: Identifier
+    index: int
+    source: PoseSource
+    shutter: Shutter = GLOBAL
+
+
+STILL = Poses.identity()
+
+
+def stationary(source: PoseSource | None) -> PoseSource | None:
+    """The same sensor on an ego that does not move."""
+    return None if source is None else replace(source, path=STILL)
+
 
 _DEFAULTS = FusionConfiguration()
 
@@ -38,10 +116,10 @@ class TimedFrame(Protocol):
         ...
 
 
-Frame = TypeVar("Frame", bound=TimedFrame)
+_Frame = TypeVar("_Frame", bound=TimedFrame)
 """Of a lidar: a sweep, or the boxes in it."""
 
-Partner = TypeVar("Partner", bound=Timed)
+_Partner = TypeVar("_Partner", bound=Timed)
 """Of a camera: an image, or the boxes in it."""
 
 
@@ -64,7 +142,7 @@ def nobody(extras: Mapping[str, Any], leave: Leave) -> None:
 
 
 @dataclass(slots=True)
-class TimedQueue(Generic[Partner]):
+class TimedQueue(Generic[_Partner]):
     """What one camera has sent and a sweep may still ask for, in time order.
 
     Attributes:
@@ -76,12 +154,12 @@ class TimedQueue(Generic[Partner]):
 
     camera_id: Identifier
     most: int | None = None
-    items: deque[Partner] = field(default_factory=deque)
+    items: deque[_Partner] = field(default_factory=deque)
     on_left: OnLeft = nobody
 
-    def add(self, item: Partner) -> int:
+    def add(self, item: _Partner) -> int:
         """Keep one; one that comes late takes its location in time. Gives how many were dropped to make room."""
-        late: list[Partner] = []
+        late: list[_Partner] = []
         while self.items and self.items[-1].timestamp_ns > item.timestamp_ns:
             late.append(self.items.pop())
         self.items.append(item)
@@ -95,7 +173,7 @@ class TimedQueue(Generic[Partner]):
         """Whether one at or after that time has come, so that the nearest one is known."""
         return bool(self.items) and self.items[-1].timestamp_ns >= time_ns
 
-    def nearest(self, time_ns: int, tolerance_ns: int) -> Partner | None:
+    def nearest(self, time_ns: int, tolerance_ns: int) -> _Partner | None:
         """The one nearest in time, the earlier one of two equally near, None beyond the tolerance."""
         near = min(self.items, key=lambda item: abs(item.timestamp_ns - time_ns), default=None)
         if near is None or abs(near.timestamp_ns - time_ns) > tolerance_ns:
@@ -114,7 +192,7 @@ class TimedQueue(Generic[Partner]):
 
 
 @dataclass(frozen=True, slots=True)
-class Waiting(Generic[Frame]):
+class Waiting(Generic[_Frame]):
     """A sweep that waits for images.
 
     Attributes:
@@ -130,7 +208,7 @@ class Waiting(Generic[Frame]):
 
     lidar_id: Identifier
     index: int
-    frame: Frame
+    frame: _Frame
     reference_ns: int
     tolerance_ns: int
     algorithm: Any = None
@@ -139,7 +217,7 @@ class Waiting(Generic[Frame]):
 
 
 @dataclass(slots=True)
-class Pairing(Generic[Frame, Partner]):
+class Pairing(Generic[_Frame, _Partner]):
     """Sweeps in the order in which they came, and the images that they may be paired with.
 
     A sweep is ready as soon as every camera has sent an image at or after its reference time, and where images may
@@ -155,11 +233,11 @@ class Pairing(Generic[Frame, Partner]):
 
     lateness_ns: int = 0
     most_waiting: int | None = None
-    queues: dict[Identifier, TimedQueue[Partner]] = field(default_factory=dict)
-    waiting: deque[Waiting[Frame]] = field(default_factory=deque)
+    queues: dict[Identifier, TimedQueue[_Partner]] = field(default_factory=dict)
+    waiting: deque[Waiting[_Frame]] = field(default_factory=deque)
     on_left: OnLeft = nobody
     _lags_ns: dict[Identifier, int] = field(default_factory=dict)
-    _retiring: dict[Identifier, Waiting[Frame]] = field(default_factory=dict)
+    _retiring: dict[Identifier, Waiting[_Frame]] = field(default_factory=dict)
     _latest_ns: int | None = None
 
     def configure(self, lateness_ns: int, most: int | None) -> None:
@@ -184,7 +262,7 @@ class Pairing(Generic[Frame, Partner]):
             else:
                 self._let_go(self.queues.pop(camera_id))
 
-    def add_frame(self, waiting: Waiting[Frame]) -> int:
+    def add_frame(self, waiting: Waiting[_Frame]) -> int:
         """Let a sweep wait; gives how many were dropped to make room."""
         timestamp_ns = waiting.frame.timestamp_ns
         self.waiting.append(waiting)
@@ -197,13 +275,13 @@ class Pairing(Generic[Frame, Partner]):
             self._retire_after(oldest)
         return dropped
 
-    def add_partner(self, camera_id: Identifier, partner: Partner) -> int:
+    def add_partner(self, camera_id: Identifier, partner: _Partner) -> int:
         """Keep an image; gives how many were dropped to make room."""
         dropped = self.queues[camera_id].add(partner)
         self._note(partner.timestamp_ns)
         return dropped
 
-    def ready(self, *, final: bool = False) -> Iterator[Waiting[Frame]]:
+    def ready(self, *, final: bool = False) -> Iterator[Waiting[_Frame]]:
         """Yield the sweeps whose images are known, oldest first; with `final` all that wait.
 
         What no later sweep can ask for is forgotten once the one after is asked for.
@@ -231,32 +309,32 @@ class Pairing(Generic[Frame, Partner]):
         for queue in self.queues.values():
             self._let_go(queue)
 
-    def partner(self, waiting: Waiting[Frame], camera_id: Identifier) -> Partner | None:
+    def partner(self, waiting: Waiting[_Frame], camera_id: Identifier) -> _Partner | None:
         """A camera's image for a sweep; None where none is near enough."""
         queue = self.queues.get(camera_id)
         return None if queue is None else queue.nearest(waiting.reference_ns, waiting.tolerance_ns)
 
-    def _retire_after(self, waiting: Waiting[Frame]) -> None:
+    def _retire_after(self, waiting: Waiting[_Frame]) -> None:
         """Forget the cameras that a sweep was the last one to know."""
         for camera_id in [known for known, last in self._retiring.items() if last is waiting]:
             del self._retiring[camera_id]
             self._let_go(self.queues.pop(camera_id))
 
-    def _let_go(self, queue: TimedQueue[Partner]) -> None:
+    def _let_go(self, queue: TimedQueue[_Partner]) -> None:
         while queue.items:
             self.on_left(queue.items.popleft().extras, Leave.DONE)
 
     def _note(self, time_ns: int) -> None:
         self._latest_ns = time_ns if self._latest_ns is None else max(self._latest_ns, time_ns)
 
-    def _is_ready(self, waiting: Waiting[Frame]) -> bool:
+    def _is_ready(self, waiting: Waiting[_Frame]) -> bool:
         expected = (queue for camera_id, queue in self.queues.items() if camera_id not in self._retiring)
         if all(self._is_known(queue, waiting) for queue in expected):
             return True
         latest = waiting.reference_ns if self._latest_ns is None else self._latest_ns
         return latest > waiting.reference_ns + waiting.tolerance_ns + self.lateness_ns
 
-    def _is_known(self, queue: TimedQueue[Partner], waiting: Waiting[Frame]) -> bool:
+    def _is_known(self, queue: TimedQueue[_Partner], waiting: Waiting[_Frame]) -> bool:
         """Whether the camera's image for a sweep is known, as far as images report."""
         if not queue.reaches(waiting.reference_ns):
             return False

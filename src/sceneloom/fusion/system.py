@@ -8,22 +8,19 @@ from functools import partial
 from typing import Any, cast
 
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.detections.detector_files import DEFAULT
+from sceneloom.detections.detectors import DEFAULT
 from sceneloom.detections.results import DetectionAlgorithm
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import DataError, OptionError
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm
+from sceneloom.fusion.box_fusion import BoxFusion, BoxPairing, FusedDetectionFrame, SeenBoxes
 from sceneloom.fusion.configuration import FusionConfiguration
-from sceneloom.fusion.detection_fusion import BoxFusion, BoxPairing, FusedDetectionFrame, SeenBoxes
-from sceneloom.fusion.pairing import Leave, OnLeft, Pairing, Waiting, nobody
-from sceneloom.fusion.sensor_fusion import SweepFusion, SweepPairing, TimedSweep
-from sceneloom.fusion.sensors import KnownCamera, KnownLidar
-from sceneloom.scene.cameras import CameraImage
+from sceneloom.fusion.pairing import KnownCamera, KnownLidar, Leave, OnLeft, Pairing, Waiting, nobody
+from sceneloom.fusion.sweep_fusion import SweepFusion, SweepPairing, TimedSweep
+from sceneloom.scene.cameras import GLOBAL, CameraImage, Shutter
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.detections import Boxes3D
-from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import Poses
-from sceneloom.scene.shutter import GLOBAL, Shutter
+from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.types import NO_FIELDS, Identifier
 
 Measurement = LidarFrame | CameraImage | Boxes3D | SeenBoxes

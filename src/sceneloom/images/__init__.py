@@ -5,31 +5,33 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.images.cloud_above import draw_cloud_above
-    from sceneloom.images.cloud_perspective import draw_cloud_perspective
-    from sceneloom.images.colour_maps import ColourMap, colour_map
-    from sceneloom.images.depth_scale import DepthScale
-    from sceneloom.images.drive_cloud import DriveCloud
-    from sceneloom.images.ego import EgoPosition, find_ego
-    from sceneloom.images.sheets import contact_sheet, iter_images, save_images
-    from sceneloom.images.views import draw_depth_image, draw_overlay
+    from sceneloom.visualization.clouds import EgoPosition, draw_cloud_above, draw_cloud_perspective, find_ego
+    from sceneloom.visualization.colour_scales import ColourMap, DepthScale, colour_map
+    from sceneloom.visualization.fused_frames import (
+        DriveCloud,
+        contact_sheet,
+        draw_depth_image,
+        draw_overlay,
+        iter_images,
+        save_images,
+    )
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "ColourMap": "sceneloom.images.colour_maps:ColourMap",
-            "DepthScale": "sceneloom.images.depth_scale:DepthScale",
-            "DriveCloud": "sceneloom.images.drive_cloud:DriveCloud",
-            "EgoPosition": "sceneloom.images.ego:EgoPosition",
-            "colour_map": "sceneloom.images.colour_maps:colour_map",
-            "contact_sheet": "sceneloom.images.sheets:contact_sheet",
-            "draw_cloud_above": "sceneloom.images.cloud_above:draw_cloud_above",
-            "draw_cloud_perspective": "sceneloom.images.cloud_perspective:draw_cloud_perspective",
-            "draw_depth_image": "sceneloom.images.views:draw_depth_image",
-            "draw_overlay": "sceneloom.images.views:draw_overlay",
-            "find_ego": "sceneloom.images.ego:find_ego",
-            "iter_images": "sceneloom.images.sheets:iter_images",
-            "save_images": "sceneloom.images.sheets:save_images",
+            "ColourMap": "sceneloom.visualization.colour_scales:ColourMap",
+            "DepthScale": "sceneloom.visualization.colour_scales:DepthScale",
+            "DriveCloud": "sceneloom.visualization.fused_frames:DriveCloud",
+            "EgoPosition": "sceneloom.visualization.clouds:EgoPosition",
+            "colour_map": "sceneloom.visualization.colour_scales:colour_map",
+            "contact_sheet": "sceneloom.visualization.fused_frames:contact_sheet",
+            "draw_cloud_above": "sceneloom.visualization.clouds:draw_cloud_above",
+            "draw_cloud_perspective": "sceneloom.visualization.clouds:draw_cloud_perspective",
+            "draw_depth_image": "sceneloom.visualization.fused_frames:draw_depth_image",
+            "draw_overlay": "sceneloom.visualization.fused_frames:draw_overlay",
+            "find_ego": "sceneloom.visualization.clouds:find_ego",
+            "iter_images": "sceneloom.visualization.fused_frames:iter_images",
+            "save_images": "sceneloom.visualization.fused_frames:save_images",
         },
     )
 

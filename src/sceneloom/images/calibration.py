@@ -7,17 +7,14 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, FloatArray
 from sceneloom.calibrate.frames import CalibrationFrame
-from sceneloom.calibrate.health.check import CalibrationHealth
-from sceneloom.calibrate.measures.candidate import Change, Parameter
-from sceneloom.calibrate.measures.features import extract
+from sceneloom.calibrate.health import CalibrationHealth
+from sceneloom.calibrate.measures import Change, Parameter, extract
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project
-from sceneloom.formats.output import filling
-from sceneloom.images.canvas import PilImage, seconds_text
-from sceneloom.images.depth_scale import DepthScale
-from sceneloom.images.sheets import save_image
-from sceneloom.images.stamping import draw_discs
-from sceneloom.images.views import framed, image_canvas, subdued
+from sceneloom.cameras.projection import project
+from sceneloom.formats.base.output import filling
+from sceneloom.visualization.canvas import PilImage, draw_discs, seconds_text
+from sceneloom.visualization.colour_scales import DepthScale
+from sceneloom.visualization.fused_frames import framed, image_canvas, save_image, subdued
 
 MOST_DRAWN = 3
 """Frames that are drawn, evenly spread."""

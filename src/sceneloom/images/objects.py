@@ -14,17 +14,22 @@ from sceneloom.arrays import Float64Array, FloatArray
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.geometry.boxes import EDGES, box_corners
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.images.annotations.above import on_map
-from sceneloom.images.annotations.figures import CORNER_FROM_CENTRE, PALETTE, Figure
-from sceneloom.images.annotations.in_image import through_camera_model
-from sceneloom.images.annotations.marking import Name, draw_figure, write_names
-from sceneloom.images.canvas import Canvas, Colour, PilImage, count_text, seconds_text
-from sceneloom.images.cloud_above import SIZE_PX, MapLayout, draw_cloud_above
-from sceneloom.images.ego import EgoPosition
-from sceneloom.images.views import framed, image_canvas, subdued
 from sceneloom.scene.cameras import CameraImage
-from sceneloom.scene.tracks import Support, TrackedObjects
+from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.types import Identifier
+from sceneloom.visualization.annotations import (
+    CORNER_FROM_CENTRE,
+    PALETTE,
+    Figure,
+    Name,
+    draw_figure,
+    on_map,
+    through_camera_model,
+    write_names,
+)
+from sceneloom.visualization.canvas import Canvas, Colour, PilImage, count_text, seconds_text
+from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
+from sceneloom.visualization.fused_frames import framed, image_canvas, subdued
 
 _WORDS = {
     Support.BOTH: "",

@@ -7,7 +7,7 @@ from numba import float64, int32, int64, types
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.rotating import rotation_of_vector
+from sceneloom.kernels.poses import rotation_of_vector
 from sceneloom.kernels.surface_map import INNER, find_cube, first_location, pack_key
 
 SUPPORT = 0.25

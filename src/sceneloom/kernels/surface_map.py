@@ -1,4 +1,4 @@
-"""A map of surfaces: space in cubes, each with the mean and the spread of the points that fell into it."""
+"""Voxels: a map of surfaces with the mean and spread of the points in each voxel, and one point kept per voxel."""
 
 import math
 from typing import Any
@@ -17,12 +17,14 @@ SIDE = 4
 """A cube is cut into this many parts along each axis; each part takes a few points, so that near scan lines, which
 are dense, do not outweigh the rest."""
 
-LINE_SHARE, THIN_SHARE = 0.04, 0.1
+_LINE_SHARE, _THIN_SHARE = 0.04, 0.1
 """Of the largest eigenvalue: a middle one below the first is that of a line; one above the second states nothing."""
-STEEP = 0.7
+
+_STEEP = 0.7
 """A line is steep where its direction has at least this z."""
 
 _HALF_KEY = 1 << 20
+
 _READ_F64_2D = types.Array(float64, 2, "C", readonly=True)
 
 
@@ -198,11 +200,11 @@ def _inform(a: Float64Array, v: Float64Array, noise: float, surface: Float64Arra
     largest = a[long, long]
     if largest < 4.0 * noise * noise:
         return
-    is_steep = abs(v[2, long]) >= STEEP
-    if a[middle, middle] <= LINE_SHARE * largest and not is_steep:
+    is_steep = abs(v[2, long]) >= _STEEP
+    if a[middle, middle] <= _LINE_SHARE * largest and not is_steep:
         return
     for axis in (short, middle):
-        share = 1.0 - a[axis, axis] / (THIN_SHARE * largest)
+        share = 1.0 - a[axis, axis] / (_THIN_SHARE * largest)
         if share > 0.0 and (axis == short or is_steep):
             weight = share / (max(a[axis, axis], 0.0) + noise * noise)
             _add_square(weight, v[0, axis], v[1, axis], v[2, axis], surface[3:9])
@@ -260,3 +262,97 @@ def describe_surfaces(
         a[1, 0], a[2, 0], a[2, 1] = a[0, 1], a[0, 2], a[1, 2]
         _diagonalise(a, v)
         _inform(a, v, noise, out)
+
+
+MOST_CUBES = 2.0**62
+"""Cubes along an axis whose numbers a point may bear: beyond, an int64 does not hold them."""
+
+EQUALLY_NEAR = 1.0 - 1e-9
+"""Squared distances nearer to each other than this are equal: the mean of two points is as near to one as to the other,
+and its rounding must not decide."""
+
+
+@kernel(int64(_READ_F64_2D, float64, int64[::1]), cache=True, nogil=True, error_model="numpy")
+def number_cubes(points: Float64Array, side: float, numbers: Int64Array) -> int:
+    """Number the cubes of side `side` [m] that points fall into, in the order in which they are met.
+
+    A cube holds its lower faces and not its upper ones, on either side of the origin.
+
+    Args:
+        points: (N, 3) [m]; one that is not finite, or too far away to be reported, falls into none.
+        numbers: (N,) number of each point's cube is written here, -1 for none.
+
+    Returns:
+        How many cubes there are.
+    """
+    length = 1024
+    while length < 2 * points.shape[0]:
+        length *= 2
+    mask, count = length - 1, 0
+    table = np.full(length, -1, np.int64)
+    cubes = np.empty((points.shape[0], 3), np.int64)
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0] / side, points[i, 1] / side, points[i, 2] / side
+        if not (abs(x) < MOST_CUBES and abs(y) < MOST_CUBES and abs(z) < MOST_CUBES):
+            numbers[i] = -1
+            continue
+        ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
+        location = first_location(ix * 73856093 ^ iy * 19349663 ^ iz * 83492791, mask)
+        while table[location] >= 0:
+            k = table[location]
+            if cubes[k, 0] == ix and cubes[k, 1] == iy and cubes[k, 2] == iz:
+                break
+            location = (location + 1) & mask
+        if table[location] < 0:
+            table[location] = count
+            cubes[count, 0], cubes[count, 1], cubes[count, 2] = ix, iy, iz
+            count += 1
+        numbers[i] = table[location]
+    return count
+
+
+@kernel(types.void(int64[::1], int64[::1]), cache=True, nogil=True)
+def first_of_cubes(numbers: Int64Array, chosen: Int64Array) -> None:
+    """Write the row of the first point of each cube to `chosen` (C,); `numbers` (N,) as `number_cubes` gives them."""
+    count = 0
+    for i in range(numbers.shape[0]):
+        if numbers[i] == count:
+            chosen[count] = i
+            count += 1
+
+
+@kernel(types.void(_READ_F64_2D, int64[::1], int64[::1]), cache=True, nogil=True, error_model="numpy")
+def nearest_of_cubes(points: Float64Array, numbers: Int64Array, chosen: Int64Array) -> None:
+    """Write the row of that point of each cube to `chosen` which is nearest to the mean of the cube's points.
+
+    Of equally near ones it is the first.
+
+    Args:
+        points: (N, 3) [m].
+        numbers: (N,) as `number_cubes` gives them.
+        chosen: (C,) the rows of the first points; those of the nearest ones afterwards.
+    """
+    count = chosen.shape[0]
+    means, held = np.zeros((count, 3)), np.zeros(count)
+    for i in range(points.shape[0]):
+        cube = numbers[i]
+        if cube >= 0:
+            held[cube] += 1.0
+            for axis in range(3):
+                # relative to the first point, so that the sum loses no digits far from the origin
+                means[cube, axis] += points[i, axis] - points[chosen[cube], axis]
+    for cube in range(count):
+        for axis in range(3):
+            means[cube, axis] = points[chosen[cube], axis] + means[cube, axis] / held[cube]
+    least = np.full(count, np.inf)
+    for i in range(points.shape[0]):
+        cube = numbers[i]
+        if cube < 0:
+            continue
+        apart = 0.0
+        for axis in range(3):
+            away = points[i, axis] - means[cube, axis]
+            apart += away * away
+        if apart < least[cube] * EQUALLY_NEAR:
+            least[cube] = apart
+            chosen[cube] = i

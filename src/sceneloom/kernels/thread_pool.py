@@ -1,4 +1,4 @@
-"""Threads that share the work on one cloud: kernels let go of the interpreter, so that they run side by side."""
+"""Thread pool for per-cloud kernels, which release the GIL."""
 
 import os
 from collections.abc import Callable, Sequence

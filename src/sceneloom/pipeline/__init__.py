@@ -9,51 +9,45 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.colouring.job import colour
-    from sceneloom.pipeline.colouring.report import ColourReport
-    from sceneloom.pipeline.colouring.settings import ColourOutputs, ColourSettings
-    from sceneloom.pipeline.converting.job import convert
-    from sceneloom.pipeline.converting.report import ConversionReport
+    from sceneloom.pipeline.coloured_sweeps import ColourOutputs, ColourSettings
+    from sceneloom.pipeline.colouring import ColourReport, colour
+    from sceneloom.pipeline.converting import ConversionReport, convert
     from sceneloom.pipeline.depth_images import DepthReport, write_depth_images
-    from sceneloom.pipeline.deskewing.job import deskew, deskewed_scene
-    from sceneloom.pipeline.deskewing.report import DeskewReport
-    from sceneloom.pipeline.detections.detected_scene import DetectionFiles
-    from sceneloom.pipeline.detections.report import DetectionFusionReport
-    from sceneloom.pipeline.found_objects import DetectionInput, fuse_detections, track_objects
-    from sceneloom.pipeline.fusing.job import fuse, iter_fused
-    from sceneloom.pipeline.fusing.outputs import FusionOutputs
-    from sceneloom.pipeline.fusing.report import CameraReport, FusionReport
+    from sceneloom.pipeline.deskewing import DeskewReport, deskew, deskewed_scene
+    from sceneloom.pipeline.detection_jobs import DetectionInput, fuse_detections, track_objects
+    from sceneloom.pipeline.detection_lists import DetectionFiles
+    from sceneloom.pipeline.fusing import CameraReport, FusionOutputs, FusionReport, fuse, iter_fused
+    from sceneloom.pipeline.fusing_detections import DetectionFusionReport
     from sceneloom.pipeline.syncing import SyncReport, sync
-    from sceneloom.pipeline.tracking.job import TrackingSettings
-    from sceneloom.pipeline.tracking.report import TrackReport
+    from sceneloom.pipeline.tracked_drive import TrackingSettings, TrackReport
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "CameraReport": "sceneloom.pipeline.fusing.report:CameraReport",
-            "ColourOutputs": "sceneloom.pipeline.colouring.settings:ColourOutputs",
-            "ColourReport": "sceneloom.pipeline.colouring.report:ColourReport",
-            "ColourSettings": "sceneloom.pipeline.colouring.settings:ColourSettings",
-            "ConversionReport": "sceneloom.pipeline.converting.report:ConversionReport",
+            "CameraReport": "sceneloom.pipeline.fusing:CameraReport",
+            "ColourOutputs": "sceneloom.pipeline.coloured_sweeps:ColourOutputs",
+            "ColourReport": "sceneloom.pipeline.colouring:ColourReport",
+            "ColourSettings": "sceneloom.pipeline.coloured_sweeps:ColourSettings",
+            "ConversionReport": "sceneloom.pipeline.converting:ConversionReport",
             "DepthReport": "sceneloom.pipeline.depth_images:DepthReport",
-            "DeskewReport": "sceneloom.pipeline.deskewing.report:DeskewReport",
-            "DetectionFiles": "sceneloom.pipeline.detections.detected_scene:DetectionFiles",
-            "DetectionFusionReport": "sceneloom.pipeline.detections.report:DetectionFusionReport",
-            "DetectionInput": "sceneloom.pipeline.found_objects:DetectionInput",
-            "FusionOutputs": "sceneloom.pipeline.fusing.outputs:FusionOutputs",
-            "FusionReport": "sceneloom.pipeline.fusing.report:FusionReport",
+            "DeskewReport": "sceneloom.pipeline.deskewing:DeskewReport",
+            "DetectionFiles": "sceneloom.pipeline.detection_lists:DetectionFiles",
+            "DetectionFusionReport": "sceneloom.pipeline.fusing_detections:DetectionFusionReport",
+            "DetectionInput": "sceneloom.pipeline.detection_jobs:DetectionInput",
+            "FusionOutputs": "sceneloom.pipeline.fusing:FusionOutputs",
+            "FusionReport": "sceneloom.pipeline.fusing:FusionReport",
             "SyncReport": "sceneloom.pipeline.syncing:SyncReport",
-            "TrackReport": "sceneloom.pipeline.tracking.report:TrackReport",
-            "TrackingSettings": "sceneloom.pipeline.tracking.job:TrackingSettings",
-            "colour": "sceneloom.pipeline.colouring.job:colour",
-            "convert": "sceneloom.pipeline.converting.job:convert",
-            "deskew": "sceneloom.pipeline.deskewing.job:deskew",
-            "deskewed_scene": "sceneloom.pipeline.deskewing.job:deskewed_scene",
-            "fuse": "sceneloom.pipeline.fusing.job:fuse",
-            "fuse_detections": "sceneloom.pipeline.found_objects:fuse_detections",
-            "iter_fused": "sceneloom.pipeline.fusing.job:iter_fused",
+            "TrackReport": "sceneloom.pipeline.tracked_drive:TrackReport",
+            "TrackingSettings": "sceneloom.pipeline.tracked_drive:TrackingSettings",
+            "colour": "sceneloom.pipeline.colouring:colour",
+            "convert": "sceneloom.pipeline.converting:convert",
+            "deskew": "sceneloom.pipeline.deskewing:deskew",
+            "deskewed_scene": "sceneloom.pipeline.deskewing:deskewed_scene",
+            "fuse": "sceneloom.pipeline.fusing:fuse",
+            "fuse_detections": "sceneloom.pipeline.detection_jobs:fuse_detections",
+            "iter_fused": "sceneloom.pipeline.fusing:iter_fused",
             "sync": "sceneloom.pipeline.syncing:sync",
-            "track_objects": "sceneloom.pipeline.found_objects:track_objects",
+            "track_objects": "sceneloom.pipeline.detection_jobs:track_objects",
             "write_depth_images": "sceneloom.pipeline.depth_images:write_depth_images",
         },
     )

@@ -10,23 +10,21 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import finite_rows
+from sceneloom.colouring.depth_completion import METHODS, DenseDepth, complete_depth
 from sceneloom.colouring.results import FusedFrame, FusedView
-from sceneloom.depth.completion import METHODS, complete_depth
-from sceneloom.depth.results import DenseDepth
 from sceneloom.errors import DataError, OptionError, PoseError
-from sceneloom.formats.depth_images import write_confidence_png, write_depth_npz, write_depth_png
-from sceneloom.formats.output import check_output, filling, replacing
+from sceneloom.formats.base.images import write_confidence_png, write_depth_npz, write_depth_png
+from sceneloom.formats.base.output import check_output, filling, replacing
 from sceneloom.fusion.configuration import FusionConfiguration
-from sceneloom.images.canvas import counting_left_out, leave_out
-from sceneloom.images.dense_depths import draw_dense_depth
-from sceneloom.pipeline.aligned.scene import Aligned, align
-from sceneloom.pipeline.fusing.sinks import lidar_folders, names_of
-from sceneloom.pipeline.needed_lidar import check_has_lidar
-from sceneloom.pipeline.play import Skips, build_system, play, telling
+from sceneloom.pipeline.alignment import Aligned, align
+from sceneloom.pipeline.fusing import lidar_folders, names_of
+from sceneloom.pipeline.play import Skips, build_system, check_has_lidar, play, telling
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Progress, key_of
-from sceneloom.scene.warnings import DataWarning
+from sceneloom.visualization.canvas import counting_left_out, leave_out
+from sceneloom.visualization.fused_frames import draw_dense_depth
+from sceneloom.warnings import DataWarning
 
 SPARSE = "sparse"
 DEPTH_METHODS = (SPARSE, *METHODS)

@@ -1,4 +1,4 @@
-"""Play a recorded scene through the fusion system as if it happened now."""
+"""Plays a recorded scene through the fusion system in time order, as if it were live."""
 
 import heapq
 from collections.abc import Callable, Iterator
@@ -9,15 +9,28 @@ from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.system import FusionSystem
-from sceneloom.scene.cameras import CameraImage, CameraSensor
+from sceneloom.scene.cameras import CameraImage, CameraSensor, Shutter
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
-from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.scene import Scene
-from sceneloom.scene.sensor_sources import lidar_position, points_source, sensor_source
-from sceneloom.scene.shutter import Shutter
-from sceneloom.scene.span import scene_period_ns, sweep_period_ns
+from sceneloom.scene.ego import EgoMotion, lidar_position, points_source, sensor_source
+from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns
 from sceneloom.scene.types import Identifier
-from sceneloom.scene.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, WarningKind
+
+
+def check_has_lidar(scene: Scene, needing: str) -> None:
+    """Refuse a scene without a lidar.
+
+    Args:
+        scene: of the job.
+        needing: what needs one, such as "fusing needs".
+
+    Raises:
+        DataError: it has none.
+    """
+    if not scene.lidars:
+        raise DataError(
+            scene.source, "", f"no lidar in it; {needing} one (`sceneloom info` lists what is there)"
+        )
 
 
 @dataclass(slots=True)

@@ -7,19 +7,17 @@ from typing import Any
 
 import msgspec
 
-from sceneloom.editing.record import ours_of, with_ours, with_warnings
-from sceneloom.editing.retiming import ClockCorrection, retimed_scene
+from sceneloom.editing.references import ours_of, with_ours, with_warnings
+from sceneloom.editing.retime import ClockCorrection, retimed_scene
 from sceneloom.errors import OptionError
-from sceneloom.formats.loss import LossReport
-from sceneloom.formats.table import check_scene_output, write_scene
+from sceneloom.formats.base.losses import LossReport
+from sceneloom.formats.base.registry import check_scene_output, write_scene
+from sceneloom.motion.clock.comparison import LEVER_SIGMA, REACH_NS
 from sceneloom.motion.clock.estimate import ClockEstimate, ClockVerdict
-from sceneloom.motion.clock.rotating_clock import REACH_NS
-from sceneloom.motion.clock.scene_clocks import compare_streams
-from sceneloom.motion.clock.streams import Stream, StreamKind, streams_of
-from sceneloom.motion.clock.trajectory_clock import LEVER_SIGMA
+from sceneloom.motion.clock.streams import Stream, StreamKind, compare_streams, streams_of
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress, key_of
-from sceneloom.scene.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, WarningKind
 
 _RANKS = (StreamKind.IMU, StreamKind.TRAJECTORY, StreamKind.LIDAR, StreamKind.CAMERA, StreamKind.GNSS)
 """Which kind of stream is taken for the reference before others."""

@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.report.numbers.drive import DriveReport
-    from sceneloom.report.settings import ReportSettings
-    from sceneloom.report.writing import numbers_as_json, write_report
+    from sceneloom.report.drive_report import DriveReport
+    from sceneloom.report.page import ReportSettings, numbers_as_json, write_report
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "DriveReport": "sceneloom.report.numbers.drive:DriveReport",
-            "ReportSettings": "sceneloom.report.settings:ReportSettings",
-            "numbers_as_json": "sceneloom.report.writing:numbers_as_json",
-            "write_report": "sceneloom.report.writing:write_report",
+            "DriveReport": "sceneloom.report.drive_report:DriveReport",
+            "ReportSettings": "sceneloom.report.page:ReportSettings",
+            "numbers_as_json": "sceneloom.report.page:numbers_as_json",
+            "write_report": "sceneloom.report.page:write_report",
         },
     )
 

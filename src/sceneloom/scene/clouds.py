@@ -1,8 +1,11 @@
-"""Lidar, radar and point-map sensors and their frames."""
+"""Lidar, radar and point-map sensors and their frames.
 
-from collections.abc import Mapping
+Points are unpacked when first used and stay in their file between processes.
+"""
+
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, Protocol, Self, cast
 
 import numpy as np
 
@@ -17,12 +20,98 @@ from sceneloom.arrays import (
 )
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.packed import UnpackedWhenAsked
 from sceneloom.scene.poses import Poses
-from sceneloom.scene.stored import Parcel, packed, unpacked
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, PointsFrame, SensorType
 
-UNSEEN = 255
+
+class Packed(Protocol):
+    """Records that hold what the fields of an object state."""
+
+    def __len__(self) -> int:
+        """Count the records."""
+        ...
+
+    def unpacked(self) -> Any:
+        """Give an object of the same class that has all its fields."""
+        ...
+
+
+class _UnpackedWhenAsked:
+    """The base of a frozen dataclass whose objects may be made of packed records.
+
+    All fields are filled at once, when the first is asked for, and the records let go. Nobody can report such an object
+    from another one, but by the time that the first use takes.
+    """
+
+    # of a base class, since a dataclass with slots has none beside its fields
+    __slots__ = ("_packed",)
+
+    @classmethod
+    def of_packed(cls, packed: Packed) -> Self:
+        """Make an object whose fields are still packed."""
+        made = object.__new__(cls)
+        object.__setattr__(made, "_packed", packed)
+        return made
+
+    def packed_count(self) -> int | None:
+        """Count the records of an object whose fields nobody has asked for yet; None for any other."""
+        packed: Packed | None = getattr(self, "_packed", None)
+        return None if packed is None else len(packed)
+
+    def packed_records(self) -> Packed | None:
+        """Give the records of an object whose fields nobody has asked for yet, to copy them; None for any other."""
+        packed: Packed | None = getattr(self, "_packed", None)
+        return packed
+
+    # type checkers would take any name for a field
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Fill the fields; Python asks here only for what is not there."""
+            if name not in type(self).__dataclass_fields__:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            packed = self._packed
+            if packed is not None:
+                made = packed.unpacked()
+                for field in type(self).__dataclass_fields__:
+                    object.__setattr__(self, field, getattr(made, field))
+                # last: two threads may both fill the fields, but none may find them empty
+                object.__setattr__(self, "_packed", None)
+            return object.__getattribute__(self, name)
+
+
+_Parcel = AnyArray | Callable[[], AnyArray] | None
+"""An array, or what gives it, or nothing."""
+
+
+def _packed(array: AnyArray | None) -> _Parcel:
+    """Give what to pickle in an array's location.
+
+    That is what its memory says with a method `reference(array)`, a function that can be pickled and gives the
+    array again; else the array itself.
+    """
+    memory: Any = array
+    while isinstance(memory, np.ndarray):
+        memory = memory.base
+    if isinstance(memory, memoryview):
+        memory = memory.obj
+    reference = getattr(memory, "reference", None)
+    if array is None or reference is None or array.size == 0 or not array.flags.c_contiguous:
+        return array
+    parcel: _Parcel = reference(array)
+    return parcel
+
+
+def _unpacked(parcel: _Parcel) -> AnyArray | None:
+    """Give the array back.
+
+    Raises:
+        DataError: its file was changed, replaced or removed.
+    """
+    return parcel() if callable(parcel) else parcel
+
+
+_UNSEEN = 255
 """In `camera_index`: no camera saw the point."""
 
 _WHITE, _GREY = 255, 128
@@ -45,7 +134,7 @@ def _recoloured(colors: UInt8Array, camera_index: UInt8Array | None, old: int, n
     """Replace one level of grey where no camera saw the point; another colour there comes from elsewhere."""
     if camera_index is None:
         return colors
-    unseen = (camera_index == UNSEEN) & (colors == old).all(axis=1)
+    unseen = (camera_index == _UNSEEN) & (colors == old).all(axis=1)
     if not unseen.any():
         return colors
     replaced = colors.copy()
@@ -54,7 +143,7 @@ def _recoloured(colors: UInt8Array, camera_index: UInt8Array | None, old: int, n
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LidarPoints(UnpackedWhenAsked):
+class LidarPoints(_UnpackedWhenAsked):
     """The returns of one lidar frame.
 
     A reader may make them by `of_packed`: their number is known at once, their arrays are made at the first use.
@@ -235,7 +324,7 @@ class PointsSensor:
         hold_array(self, "points.colors", (count, 3), np.uint8, optional=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        arrays = packed(self.positions), packed(self.colors)
+        arrays = _packed(self.positions), _packed(self.colors)
         return _restored_map, (self.id, *arrays, self.parent_id, self.extras)
 
     @property
@@ -246,11 +335,11 @@ class PointsSensor:
 
 def _restored_map(
     sensor_id: Identifier,
-    positions: Parcel,
-    colors: Parcel,
+    positions: _Parcel,
+    colors: _Parcel,
     parent_id: Identifier | None,
     extras: Mapping[str, Any],
 ) -> PointsSensor:
     return PointsSensor(
-        sensor_id, cast("Float32Array", unpacked(positions)), unpacked(colors), parent_id, extras
+        sensor_id, cast("Float32Array", _unpacked(positions)), _unpacked(colors), parent_id, extras
     )

@@ -1,4 +1,4 @@
-"""Every field of the model that can hold data, by name: the words in which formats state what they can hold.
+"""Every field of the model that can hold data, by name, and how much of each a scene holds.
 
 A name is the way to the field through the model's classes, with the kind of sensor or annotation instead of its id and
 without indices: the intensities `scene.sensors[k].frames[i].points.intensities` of a lidar are
@@ -6,30 +6,43 @@ without indices: the intensities `scene.sensors[k].frames[i].points.intensities`
 each.
 """
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
+from functools import cache
+from itertools import zip_longest
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from sceneloom.scene.annotations.boxes_2d import Box2DAnnotation
-from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
-from sceneloom.scene.annotations.cuboids import CuboidAnnotation
-from sceneloom.scene.annotations.keypoints import PointsAnnotation
-from sceneloom.scene.annotations.labelled_points import LabeledPointsAnnotation
-from sceneloom.scene.annotations.plain import PlainAnnotation
-from sceneloom.scene.annotations.relations import (
+import numpy as np
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import SceneloomError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.annotations import (
+    AttributePath,
+    Box2DAnnotation,
+    CameraCalibration,
+    CuboidAnnotation,
     EventAnnotation,
     GroupAnnotation,
+    LabeledPointsAnnotation,
     LinkAnnotation,
+    LocalizationAdjustment,
     ObjectAnnotation,
+    PlainAnnotation,
+    PointsAnnotation,
+    ShapeAnnotation,
 )
-from sceneloom.scene.annotations.shapes import ShapeAnnotation
-from sceneloom.scene.cameras import CameraSensor
-from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
-from sceneloom.scene.depth import DepthCameraSensor
-from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
-from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, VideoContent
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor
+from sceneloom.scene.poses import Poses
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Identifier, Key, key_of
 
-Words = dict[str, str]
+_Words = dict[str, str]
 """What fields are, for a person, by their names."""
 
 KINDS: Mapping[type[Any], str] = MappingProxyType(
@@ -70,11 +83,13 @@ _SENSOR = {
     "parent_id": "the sensor that it belongs to",
     "extras": "further fields of the sensor",
 }
+
 _POSED = {
     "poses": "where the sensor was over time",
     "mount": "how the sensor is mounted on the ego",
     "coordinates": "whether its poses lead into the world or onto the ego",
 }
+
 _SWEPT = {
     **_SENSOR,
     **_POSED,
@@ -85,6 +100,7 @@ _SWEPT = {
     "frames.points.extras": "further values of each point",
     "frames.extras": "further fields of each sweep",
 }
+
 _LIDAR = {
     **_SWEPT,
     "model": "the maker's name for the device",
@@ -93,12 +109,15 @@ _LIDAR = {
     "frames.points.rings": "number of the laser of each point",
     "frames.points.camera_index": "which camera coloured each point",
 }
+
 _RADAR = {
     **_SWEPT,
     "frames.points.directions": "direction in which each point's speed is measured",
     "frames.points.lengths": "speed of each point along its direction",
 }
+
 _MAP = {**_SENSOR, "positions": "where the points are", "colors": "colour of each point"}
+
 _CAMERA_MODEL = {
     **_SENSOR,
     **_POSED,
@@ -108,7 +127,7 @@ _CAMERA_MODEL = {
 }
 
 
-def _shots(name: str, image: Words) -> Words:
+def _shots(name: str, image: _Words) -> _Words:
     """The fields of a camera's images or images."""
     shot = {
         "timestamp_ns": "time of each image",
@@ -126,15 +145,18 @@ _CAMERA = {
         {"rgb": "colours of each pixel", "encoded": "the image's file as it is, such as JPEG"},
     ),
 }
+
 _DEPTH_CAMERA = {
     **_CAMERA_MODEL,
     **_shots("frames", {"depth": "depth of each pixel", "scale": "metres per step of the source's depths"}),
 }
+
 _SAMPLES = {
     "timestamps_ns": "time of each value",
     "values": "the measured values",
     "file_seconds": "timestamps as the source has them",
 }
+
 _IMU = {
     **_SENSOR,
     **{
@@ -143,6 +165,7 @@ _IMU = {
         for field, words in _SAMPLES.items()
     },
 }
+
 _GNSS = {
     **_SENSOR,
     "timestamps_ns": "time of each fix",
@@ -158,17 +181,19 @@ _ANNOTATION = {
     "parent_id": "the annotation that it belongs to",
     "extras": "further fields of the annotation",
 }
+
 _STATED = {**_ANNOTATION, "label": "its class", "attributes": "what is stated about it, over time"}
+
 _FOR_ONE = {"sensor_id": "the sensor that it is for"}
 
 
-def _path(name: str, values: Words) -> Words:
+def _path(name: str, values: _Words) -> _Words:
     """The fields of something that an annotation says over time."""
     reported = {"timestamps_ns": "time of each", "extras": "further fields of it", **values}
     return {f"{name}.{field}": words for field, words in reported.items()}
 
 
-def _seen(location: Words) -> Words:
+def _seen(location: _Words) -> _Words:
     """The fields of where cameras see something."""
     reported = {
         "sensor_id": "the camera that sees it",
@@ -179,6 +204,7 @@ def _seen(location: Words) -> Words:
 
 
 _STATIONARY = {**_STATED, "stationary": "whether it is stationary"}
+
 _CUBOID = {
     **_STATIONARY,
     **_path("path", {"values": "size, location and angles of the box"}),
@@ -192,7 +218,9 @@ _CUBOID = {
     ),
     **_seen({"boxes": "its box in the image", "cuboids": "the box as seen then"}),
 }
+
 _BOX_2D = {**_STATIONARY, **_FOR_ONE, **_path("path", {"values": "the box in the image"})}
+
 _SHAPE = {
     **_STATIONARY,
     **_FOR_ONE,
@@ -200,6 +228,7 @@ _SHAPE = {
     "type": "which shape it is",
     "is_closed": "whether the line is closed",
 }
+
 _POINTS = {
     **{field: words for field, words in _STATIONARY.items() if field != "label"},
     **_FOR_ONE,
@@ -207,7 +236,9 @@ _POINTS = {
     "labels": "names of the points",
     **_seen({"points": "its location in the image", "positions": "the location as seen then"}),
 }
+
 _EVENT = {**_STATED, **_FOR_ONE, "start_ns": "when it begins", "duration_ns": "how long it lasts"}
+
 _LABELED_POINTS = {
     **_STATED,
     "is_instance": "whether it is one object and not a class",
@@ -217,7 +248,9 @@ _LABELED_POINTS = {
     "labeled_points.sensor_frame": "the sweep of the points",
     "labeled_points.extras": "further fields of it",
 }
+
 _ADJUSTMENT = {**_ANNOTATION, "poses": "what repairs the localisation"}
+
 _CALIBRATION = {
     **_ANNOTATION,
     **_FOR_ONE,
@@ -225,6 +258,7 @@ _CALIBRATION = {
     "intrinsics": "the calibrated camera model",
     "time_offset_ns": "what repairs the camera's times",
 }
+
 _LINK = {
     **_STATED,
     **_FOR_ONE,
@@ -233,7 +267,7 @@ _LINK = {
     "is_bidirectional": "whether it holds both ways",
 }
 
-_OF_KIND: Mapping[type[Any], Words] = {
+_OF_KIND: Mapping[type[Any], _Words] = {
     LidarSensor: _LIDAR,
     RadarSensor: _RADAR,
     PointsSensor: _MAP,
@@ -280,3 +314,243 @@ MODEL_FIELDS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Each field and what it is, for a person. `order` is no field, but what the sequence of several says."""
+
+AnyFrame = LidarFrame | RadarFrame | CameraImage | DepthFrame
+
+_Reported = Callable[[Identifier, int, AnyFrame], None]
+"""Is reported the sensor's id, the frame's number, and the frame."""
+
+_Framed = TypeVar("_Framed", LidarFrame, RadarFrame, CameraImage, DepthFrame)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Watched(Generic[_Framed]):
+    """Reads frames and reports them."""
+
+    frames: LazyFrames[_Framed]
+    sensor_id: Identifier
+    reported: _Reported
+
+    def __call__(self, k: int) -> _Framed:
+        frame = self.frames[k]
+        self.reported(self.sensor_id, k, frame)
+        return frame
+
+
+def watched(scene: Scene, reported: _Reported) -> Scene:
+    """Give the same scene, which reports each sweep, radar cycle, image and depth image when it is read."""
+    return replace(scene, sensors=tuple(_watched_sensor(sensor, reported) for sensor in scene.sensors))
+
+
+def _watched_sensor(sensor: Sensor, reported: _Reported) -> Sensor:
+    if isinstance(sensor, LidarSensor):
+        sweeps = sensor.frames
+        return replace(sensor, frames=LazyFrames(sweeps.timestamps_ns, _Watched(sweeps, sensor.id, reported)))
+    if isinstance(sensor, RadarSensor):
+        cycles = sensor.frames
+        return replace(sensor, frames=LazyFrames(cycles.timestamps_ns, _Watched(cycles, sensor.id, reported)))
+    if isinstance(sensor, CameraSensor):
+        camera_images = sensor.images
+        seen = LazyFrames(camera_images.timestamps_ns, _Watched(camera_images, sensor.id, reported))
+        return replace(sensor, images=seen)
+    if isinstance(sensor, DepthCameraSensor):
+        images = sensor.frames
+        return replace(sensor, frames=LazyFrames(images.timestamps_ns, _Watched(images, sensor.id, reported)))
+    return sensor
+
+
+_WHOLE = (Camera, RigidTransform, Poses, VideoContent, AttributePath)
+"""Classes that are one field."""
+
+_IMAGES = {"images.decode": "images.rgb", "frames.decode": "frames.depth"}
+"""Functions that make an image are called by what they make."""
+
+_FramedSensor = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
+
+
+def frames_of(sensor: _FramedSensor) -> LazyFrames[Any]:
+    """The sweeps, images or images of a sensor."""
+    return sensor.images if isinstance(sensor, CameraSensor) else sensor.frames
+
+
+@dataclass(frozen=True, slots=True)
+class _Location:
+    """A field of a class: where its value is, what it is called, and the value that says nothing."""
+
+    attribute: str
+    name: str
+    default: Any
+
+
+@cache
+def _locations(cls: Any, trajectory: str) -> tuple[_Location, ...]:
+    found = (field for field in fields(cls) if not field.name.startswith("_") and field.name not in NO_DATA)
+    return tuple(
+        _Location(field.name, _named(f"{trajectory}.{field.name}"), _default(field)) for field in found
+    )
+
+
+def _named(name: str) -> str:
+    for function, image in _IMAGES.items():
+        if name.endswith(function):
+            return name.removesuffix(function) + image
+    return name.removeprefix(".")
+
+
+def _default(field: Field[Any]) -> Any:
+    return None if field.default is MISSING else field.default
+
+
+def _held_values(holder: Any, trajectory: str) -> Iterator[tuple[str, Any]]:
+    """Give name and value of each field that an object of the model holds, and of those within it; frames left out.
+
+    What is absent, empty, or as it is where nobody says anything is not held.
+
+    Args:
+        holder: an object of one of the model's classes.
+        trajectory: the name of what it is.
+    """
+    for location in _locations(holder.__class__, trajectory):
+        value = getattr(holder, location.attribute)
+        if (
+            value is not None
+            and not isinstance(value, LazyFrames)
+            and _says_something(value, location.default)
+        ):
+            yield from _values_in(value, location.name)
+
+
+def _says_something(value: Any, default: Any) -> bool:
+    if isinstance(value, np.ndarray | tuple | Mapping):
+        return len(value) > 0
+    return default is None or bool(value != default)
+
+
+def _values_in(value: Any, name: str) -> Iterator[tuple[str, Any]]:
+    if name == "sensors.imu.streams":
+        for stream, samples in value.items():
+            yield from _held_values(samples, f"{name}.{stream if stream in IMU_STREAMS else 'other'}")
+    elif isinstance(value, tuple) and _has_parts(value):
+        for part in value:
+            yield from _values_in(part, name)
+    elif _is_parted(value):
+        yield from _held_values(value, name)
+    else:
+        yield name, value
+
+
+def _has_parts(values: tuple[Any, ...]) -> bool:
+    """Whether its entries are parts, or lists of parts, of which some may be empty: a point that no camera sees."""
+    return not values or isinstance(values[0], tuple) or _is_parted(values[0])
+
+
+def _is_parted(value: Any) -> bool:
+    """Whether it is an object of the model with fields of its own; functions that make images may be objects, too."""
+    return is_dataclass(value) and not isinstance(value, _WHOLE) and not callable(value)
+
+
+def frame_values(sensor: _FramedSensor, frame: Any) -> Iterator[tuple[str, Any]]:
+    """Give name and value of each field that one sweep, image or image holds."""
+    trajectory = f"{KINDS[type(sensor)]}.{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
+    own_camera_model = isinstance(frame, CameraImage | DepthFrame) and not _same_camera_model(
+        frame.camera, sensor
+    )
+    for name, value in _held_values(frame, trajectory):
+        if own_camera_model or not isinstance(value, Camera):
+            yield name, value
+
+
+def _same_camera_model(camera_model: Camera, sensor: _FramedSensor) -> bool:
+    """Whether an image's camera model is that of its camera, but for zeros at the end of the coefficients."""
+    usual = getattr(sensor, "camera", camera_model)
+    return camera_model == usual or bool(
+        replace(camera_model, coefficients=()) == replace(usual, coefficients=())
+        and all(a == b for a, b in zip_longest(camera_model.coefficients, usual.coefficients, fillvalue=0.0))
+    )
+
+
+def stationary_values(scene: Scene) -> Iterator[tuple[str, Any]]:
+    """Give name and value of each field that a scene holds outside of its frames; `order` is the ids or names."""
+    for several, items in (("sensors", scene.sensors), ("annotations", scene.annotations)):
+        if len(items) > 1:
+            yield f"{several}.order", tuple(item.id for item in items)
+        for item in items:
+            yield from _held_values(item, KINDS[type(item)])
+    if len(scene.trajectories) > 1:
+        yield "trajectories.order", tuple(scene.trajectories)
+    for trajectory in scene.trajectories.values():
+        yield from _held_values(trajectory, "trajectories")
+    for location in _locations(Scene, ""):
+        value = getattr(scene, location.attribute)
+        if location.name in MODEL_FIELDS and _says_something(value, location.default):
+            yield location.name, value
+
+
+class _Sweeping:
+    """What the frames of one sensor were found to hold."""
+
+    def __init__(self, sensor: _FramedSensor) -> None:
+        self.sensor = sensor
+        self.seen: set[int] = set()
+        self.counts: Counter[str] = Counter()
+        self.like_first = 0
+        self.first = _first_frame_holds(sensor)
+
+    def notify(self, k: int, frame: AnyFrame) -> None:
+        if k in self.seen:
+            return
+        self.seen.add(k)
+        if isinstance(frame, LidarFrame) and frame.points.packed_count() is not None:
+            # others may copy the records as they are: they are not unpacked for the sake of counting
+            self.like_first += 1
+        else:
+            self.counts.update(name for name, _ in frame_values(self.sensor, frame))
+
+    def total(self) -> Counter[str]:
+        """How many frames have each field; frames that nobody read are taken to be like the first one."""
+        unread = self.like_first + len(frames_of(self.sensor)) - len(self.seen)
+        return self.counts + Counter(dict.fromkeys(self.first, unread))
+
+
+def _first_frame_holds(sensor: _FramedSensor) -> tuple[str, ...]:
+    frames = frames_of(sensor)
+    if not len(frames):
+        return ()
+    try:
+        return tuple({name: None for name, _ in frame_values(sensor, frames[0])})
+    except SceneloomError:
+        # what is wrong with it is reported to those who need the frame
+        part = "images" if isinstance(sensor, CameraSensor) else "frames"
+        return (f"{KINDS[type(sensor)]}.{part}.timestamp_ns",)
+
+
+class Counting:
+    """Counts what a scene holds; of its frames, what those that are read through `scene` are found to hold.
+
+    Attributes:
+        scene: the same scene, whose frames are counted when they are read; nothing is read twice for it but each
+            sensor's first frame.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Count all but the frames, and look at the first frame of each sensor."""
+        self._stationary = Counter(name for name, _ in stationary_values(scene))
+        self._sweeping: dict[Key, _Sweeping] = {
+            key_of(sensor.id): _Sweeping(sensor)
+            for sensor in scene.sensors
+            if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor)
+        }
+        self.scene = watched(scene, self._reported)
+
+    def _reported(self, sensor_id: Identifier, k: int, frame: AnyFrame) -> None:
+        self._sweeping[key_of(sensor_id)].notify(k, frame)
+
+    def counts(self) -> dict[str, int]:
+        """How many objects or frames hold each field, by names of `MODEL_FIELDS`, in its order; none is left out."""
+        found = sum((sweeping.total() for sweeping in self._sweeping.values()), self._stationary)
+        return {field: found[field] for field in MODEL_FIELDS if found[field]}
+
+
+def contents_of(scene: Scene) -> dict[str, int]:
+    """Report how many objects or frames of a scene hold each field, by its names; only first frames are looked at."""
+    return Counting(scene).counts()

@@ -1,4 +1,4 @@
-"""Sensors of the ego's own motion: odometry, IMU and GNSS."""
+"""Sensors of the ego motion (odometry, IMU, GNSS), and sensors of types that the model has no class for."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -111,3 +111,23 @@ class GnssSensor:
     def type(self) -> SensorType:
         """`gnss`."""
         return SensorType.GNSS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlainSensor:
+    """A sensor of any other type, its fields as the file has them, times in nanoseconds.
+
+    Attributes:
+        id: unique among the scene's sensors.
+        type: the file's own word.
+        fields: all fields but `id` and `type`.
+    """
+
+    id: Identifier
+    type: str
+    fields: Mapping[str, Any]
+
+    @property
+    def parent_id(self) -> Identifier | None:
+        """Id of the parent sensor, or None."""
+        return self.fields.get("parent_id")

@@ -15,7 +15,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.scene.clouds import LidarFrame
-from sceneloom.scene.span import NOMINAL_PERIOD_NS
+from sceneloom.scene.scene import NOMINAL_PERIOD_NS
 
 NEAR_PERIODS = 2
 """A timestamp so many periods before the first point or after the last one is the sweep's own in any convention."""

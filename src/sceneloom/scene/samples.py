@@ -1,16 +1,424 @@
-"""Synchronised sets of a scene's frames by number, for those who train or analyse."""
+"""Synchronised samples of a scene: a sweep with the images, poses and boxes that belong to it."""
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Generic, TypeVar, overload
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, partial
+from typing import Any, Generic, TypeVar, overload
 
-from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.sample import Sample
-from sceneloom.scene.sample_making import SampleMaker
-from sceneloom.scene.sample_selection import ALL, Choice, select
-from sceneloom.scene.scene import Scene
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float64Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError, OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.annotations_at import Boxes, BoxTable
+from sceneloom.scene.cameras import CameraImage, DepthFrame, ShootingSensor, Shot, shots_of
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame
+from sceneloom.scene.ego import EgoMotion, Posed
+from sceneloom.scene.sampling import (
+    ALL,
+    Choice,
+    FramesByTimestamp,
+    Location,
+    Pose,
+    SamplePoses,
+    Selection,
+    SweepsByReference,
+    choose_ego,
+    frame_of_points,
+    locations_of,
+    poses_at,
+    select,
+)
+from sceneloom.scene.scene import Scene, sweep_period_ns
 from sceneloom.scene.types import Identifier
 
-Item = TypeVar("Item")
+_Value = TypeVar("_Value")
+
+_Image = TypeVar("_Image", CameraImage, DepthFrame)
+
+
+class _Once(Generic[_Value]):
+    """Works something out when it is first called, and then keeps it; pickled, it is what was worked out."""
+
+    def __init__(self, work_out: Callable[[], _Value]) -> None:
+        """Take the work."""
+        self._work_out = work_out
+
+    def __call__(self) -> _Value:
+        """Give the result."""
+        return self._result
+
+    @cached_property
+    def _result(self) -> _Value:
+        return self._work_out()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _finished, (self(),)
+
+
+def _finished(result: _Value) -> _Once[_Value]:
+    return _Once(partial(_itself, result))
+
+
+def _itself(result: _Value) -> _Value:
+    return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """What several sensors measured about one moment.
+
+    Every sensor that was asked for is a key of the mappings. Where it has no frame near enough, or its pose is not
+    known, the value is None, and `missing` or `unposed` says why. Images are decoded when their `rgb` is asked for,
+    depth images when their `depth` is. A sample that is pickled takes pixels, poses and boxes along, so that whoever
+    gets it needs no file.
+
+    Attributes:
+        index: number of the reference sensor's frame.
+        timestamp_ns: the moment [ns]: the sweep's reference time (median of its point times), or that of the image.
+        reference_id: the sensor that gives the moment.
+        lidar_id: the lidar of `sweep`; None without any.
+        sweeps: by id of the lidar.
+        images: by id of the camera.
+        radar_frames: by id of the radar.
+        depth_frames: by id of the depth camera.
+        cameras: the camera model by id of the camera or depth camera: that of the image or depth image, where there is
+            one.
+        times_ns: time of each frame that is there, by id [ns]; of sweeps their reference time.
+        missing: why a frame is not there, by id.
+        find_poses: works out where the sensors were.
+        find_boxes: works out the boxes as a sensor sees them at the time of its frame, by id.
+    """
+
+    index: int
+    timestamp_ns: int
+    reference_id: Identifier
+    lidar_id: Identifier | None
+    sweeps: Mapping[Identifier, LidarFrame | None]
+    images: Mapping[Identifier, CameraImage | None]
+    radar_frames: Mapping[Identifier, RadarFrame | None]
+    depth_frames: Mapping[Identifier, DepthFrame | None]
+    cameras: Mapping[Identifier, Camera]
+    times_ns: Mapping[Identifier, int]
+    missing: Mapping[Identifier, str]
+    find_poses: Callable[[], SamplePoses]
+    find_boxes: Mapping[Identifier, Callable[[], Boxes]]
+
+    @property
+    def sweep(self) -> LidarFrame | None:
+        """The reference lidar's sweep; with a camera as reference, the nearest one of the first lidar."""
+        return None if self.lidar_id is None else self.sweeps[self.lidar_id]
+
+    @property
+    def boxes(self) -> Boxes:
+        """The scene's boxes at the sample's moment as the reference sensor sees them, interpolated when asked for.
+
+        A box whose activations name that sensor is there only while it is active for it, by its own computed cuboids.
+
+        Raises:
+            OptionError: unit or order of their angles is none of those known.
+        """
+        return self.boxes_for(self.reference_id)
+
+    def boxes_for(self, sensor_id: Identifier) -> Boxes:
+        """Give the boxes as another sensor of the sample sees them, at the time of its own frame.
+
+        Raises:
+            OptionError: the sensor has no frame in this sample, or as of `boxes`.
+        """
+        if sensor_id not in self.find_boxes:
+            known = ", ".join(map(repr, self.find_boxes))
+            raise OptionError(f"sensor {sensor_id!r} has no frame in this sample; it has frames of {known}")
+        return self.find_boxes[sensor_id]()
+
+    @property
+    def poses(self) -> SamplePoses:
+        """Where the sensors were, each at the time of its frame; interpolated when first asked for."""
+        return self.find_poses()
+
+    @property
+    def unposed(self) -> Mapping[Identifier, str]:
+        """Why the pose of a sensor in the world is not known, by id."""
+        return self.poses.unposed
+
+    @property
+    def time_differences_ns(self) -> dict[Identifier, int]:
+        """How much later than the sample's moment each frame that is there was taken, by id [ns]."""
+        return {sensor_id: time_ns - self.timestamp_ns for sensor_id, time_ns in self.times_ns.items()}
+
+    @property
+    def world_from_lidar(self) -> RigidTransform | None:
+        """Pose of the lidar of `sweep` at the sweep's reference time."""
+        return None if self.lidar_id is None else self.poses.world_from_sensor[self.lidar_id]
+
+    @property
+    def world_from_camera(self) -> dict[Identifier, RigidTransform | None]:
+        """Pose of each camera and depth camera at the time of its image or depth image, by id."""
+        return {camera_id: self.poses.world_from_sensor[camera_id] for camera_id in self.cameras}
+
+    @property
+    def camera_from_lidar(self) -> dict[Identifier, RigidTransform | None]:
+        """Takes the lidar at the sweep's reference time into each of `cameras` at the time of its image, by id.
+
+        The ego's motion between the two times is in it. Without a trajectory (`unposed` says so) only the mountings
+        are, which is right for an ego that is stationary.
+        """
+        poses, lidar_id = self.poses, self.lidar_id
+        return {key: None if lidar_id is None else poses.into(key, lidar_id) for key in self.cameras}
+
+    @property
+    def camera_from_points(self) -> dict[Identifier, RigidTransform | None]:
+        """The same for the positions of `sweep` as they are stored, whichever frame that is, by id of the camera."""
+        return {camera_id: self.poses.into(camera_id, None) for camera_id in self.cameras}
+
+    def arrays(self) -> dict[str, np.ndarray[Any, Any]]:
+        """Give all of it as plain arrays by name, of the same names and dtypes for every sample of a scene.
+
+        They are the caller's own. Shapes differ from sample to sample only where counts do: of points and of boxes.
+        docs/samples.md lists the names.
+
+        Raises:
+            DataError: an image or depth image cannot be decoded.
+        """
+        return _arrays_of(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        for images in ("images", "depth_frames"):
+            values[images] = {camera_id: _with_pixels(image) for camera_id, image in values[images].items()}
+        return Sample, tuple(values.values())
+
+
+def _with_pixels(image: _Image | None) -> _Image | None:
+    """Decode an image; one that cannot be decoded stays as it is and says so when it is asked for."""
+    try:
+        return None if image is None else image.loaded()
+    except DataError:
+        return image
+
+
+_Named = tuple[str, np.ndarray[Any, Any]]
+
+_LIDAR_ARRAYS = ("positions", "intensities", "colors", "timestamps_ns", "rings", "camera_index")
+
+_RADAR_ARRAYS = ("positions", "directions", "lengths", "timestamps_ns")
+
+
+def _arrays_of(sample: Sample) -> dict[str, np.ndarray[Any, Any]]:
+    """Give all arrays of a sample by name.
+
+    Raises:
+        DataError: an image or depth image cannot be decoded.
+    """
+    arrays = {"index": np.array(sample.index), "timestamp_ns": np.array(sample.timestamp_ns)}
+    for lidar_id, sweep in sample.sweeps.items():
+        arrays.update(_cloud(lidar_id, sweep, _LIDAR_ARRAYS))
+    for radar_id, frame in sample.radar_frames.items():
+        arrays.update(_cloud(radar_id, frame, _RADAR_ARRAYS))
+    for camera_id, camera_model in sample.cameras.items():
+        arrays.update(_camera(sample, camera_id, camera_model))
+    for sensor_id, world_from_sensor in sample.poses.world_from_sensor.items():
+        arrays[f"{sensor_id}.found"] = np.array(sensor_id in sample.times_ns)
+        arrays[f"{sensor_id}.time_ns"] = np.array(sample.times_ns.get(sensor_id, sample.timestamp_ns))
+        arrays[f"{sensor_id}.world_from_sensor"] = _matrix(world_from_sensor)
+    if sample.lidar_id is not None:
+        arrays[f"{sample.lidar_id}.world_from_points"] = _matrix(sample.poses.world_from_points)
+        for camera_id, transform in sample.camera_from_lidar.items():
+            arrays[f"{camera_id}.camera_from_lidar"] = _matrix(transform)
+        for camera_id, transform in sample.camera_from_points.items():
+            arrays[f"{camera_id}.camera_from_points"] = _matrix(transform)
+    return {**arrays, **dict(_boxes(sample))}
+
+
+def _cloud(
+    sensor_id: Identifier, frame: LidarFrame | RadarFrame | None, names: tuple[str, ...]
+) -> Iterator[_Named]:
+    """The arrays that the points have; of a frame that is not there no points."""
+    if frame is None:
+        yield f"{sensor_id}.positions", np.zeros((0, 3), np.float32)
+        return
+    for name in names:
+        array: AnyArray | None = getattr(frame.points, name)
+        if array is not None:
+            yield f"{sensor_id}.{name}", array.copy()
+
+
+def _camera(sample: Sample, camera_id: Identifier, camera_model: Camera) -> Iterator[_Named]:
+    """Pixels or depths, and the camera model; of an image that is not there black ones, of a depth image no depths."""
+    size = (camera_model.height, camera_model.width)
+    if camera_id in sample.images:
+        image = sample.images[camera_id]
+        yield f"{camera_id}.rgb", _own(image.rgb) if image else np.zeros((*size, 3), np.uint8)
+    else:
+        frame = sample.depth_frames[camera_id]
+        yield f"{camera_id}.depth", _own(frame.depth) if frame else np.zeros(size, np.float32)
+    yield f"{camera_id}.matrix", camera_model.matrix
+    yield f"{camera_id}.coefficients", np.array(camera_model.coefficients, np.float64)
+
+
+def _own(image: AnyArray) -> AnyArray:
+    return image if image.flags.writeable else image.copy()
+
+
+def _matrix(transform: RigidTransform | None) -> Float64Array:
+    return np.full((4, 4), np.nan) if transform is None else transform.matrix
+
+
+def _boxes(sample: Sample) -> Iterator[_Named]:
+    boxes = sample.boxes
+    yield "boxes.centers_world", boxes.centers_world
+    yield "boxes.sizes_lwh", boxes.sizes_lwh
+    yield "boxes.rotations_world", boxes.rotations_world
+    numbers = np.arange(len(boxes), dtype=np.int64) if boxes.numbers is None else boxes.numbers.copy()
+    yield "boxes.track_numbers", numbers
+    yield "boxes.track_ids", _texts([str(identifier) for identifier in boxes.ids])
+    yield "boxes.labels", _texts(["" if label is None else label for label in boxes.labels])
+
+
+def _texts(texts: list[str]) -> np.ndarray[Any, Any]:
+    """Texts of 64 characters, so that all samples have one dtype; wider only where one is longer."""
+    return np.array(texts, f"<U{max([64, *map(len, texts)])}")
+
+
+_Finder = SweepsByReference | FramesByTimestamp[Any]
+
+_NO_POINTS = Location(None, "there is no sweep")
+
+
+@dataclass(slots=True)
+class _Found:
+    """What was found for a moment, by id of the sensor; the frames are of the class that the sensor gives."""
+
+    frames: dict[Identifier, Any] = field(default_factory=dict)
+    times_ns: dict[Identifier, int] = field(default_factory=dict)
+    missing: dict[Identifier, str] = field(default_factory=dict)
+
+    def add(self, sensor_id: Identifier, answer: tuple[Any, int] | str) -> None:
+        if isinstance(answer, str):
+            self.missing[sensor_id] = answer
+        else:
+            self.frames[sensor_id], self.times_ns[sensor_id] = answer
+
+
+class _SampleMaker:
+    """Makes the samples of a selection; a pickled one begins anew with the same selection.
+
+    Attributes:
+        selection: what each sample holds.
+        count: how many samples there are.
+        trajectory: name of the ego trajectory that poses come from, or None.
+    """
+
+    def __init__(self, selection: Selection) -> None:
+        """Prepare what all samples share; no frame is read.
+
+        Raises:
+            OptionError: there is no such trajectory.
+            PoseError: it has no orientations.
+        """
+        self.selection = selection
+        scene, reference = selection.scene, selection.reference
+        frames = reference.frames if isinstance(reference, LidarSensor) else reference.images
+        self.count = len(frames)
+        ego = choose_ego(scene, selection.trajectory)
+        self.trajectory = None if ego is None else ego.name
+        self._finders: dict[Identifier, _Finder] = {
+            **{lidar.id: _sweeps(lidar) for lidar in selection.lidars},
+            **{camera.id: FramesByTimestamp(shots_of(camera)) for camera in selection.shooting},
+            **{radar.id: FramesByTimestamp(radar.frames) for radar in selection.radars},
+        }
+        sensors: list[Posed] = [*selection.lidars, *selection.shooting, *selection.radars]
+        self._locations = locations_of(scene, sensors, ego)
+        self._points = frame_of_points(scene, selection.lidars[0], ego) if selection.lidars else _NO_POINTS
+        self._boxes = BoxTable(scene)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _SampleMaker, (self.selection,)
+
+    def make(self, index: int) -> Sample:
+        """Make the sample of the reference sensor's frame `index`.
+
+        Raises:
+            DataError: a frame cannot be read.
+        """
+        reference_id = self.selection.reference.id
+        found = _Found()
+        found.add(reference_id, self._finders[reference_id].read(index))
+        moment_ns = found.times_ns[reference_id]
+        for sensor_id, finder in self._finders.items():
+            if sensor_id != reference_id:
+                found.add(sensor_id, finder.find(moment_ns, self.selection.tolerance_ns))
+        return self._sample(index, moment_ns, found)
+
+    def _sample(self, index: int, moment_ns: int, found: _Found) -> Sample:
+        selection, frames = self.selection, found.frames
+        return Sample(
+            index=index,
+            timestamp_ns=moment_ns,
+            reference_id=selection.reference.id,
+            lidar_id=selection.lidars[0].id if selection.lidars else None,
+            sweeps={lidar.id: frames.get(lidar.id) for lidar in selection.lidars},
+            images={camera.id: frames.get(camera.id) for camera in selection.cameras},
+            radar_frames={radar.id: frames.get(radar.id) for radar in selection.radars},
+            depth_frames={camera.id: frames.get(camera.id) for camera in selection.depth_cameras},
+            cameras={
+                camera.id: _camera_model(camera, frames.get(camera.id)) for camera in selection.shooting
+            },
+            times_ns=found.times_ns,
+            missing=found.missing,
+            find_poses=_Once(partial(self._poses, frames, found.times_ns)),
+            find_boxes={
+                sensor_id: _Once(partial(self._boxes_of, sensor_id, time_ns, found.frames[sensor_id]))
+                for sensor_id, time_ns in found.times_ns.items()
+            },
+        )
+
+    def _boxes_of(self, sensor_id: Identifier, time_ns: int, frame: Any) -> Boxes:
+        """The boxes as a sensor sees them at the time of its frame."""
+        return self._boxes.at(time_ns, sensor_id=sensor_id, window_ns=(int(frame.timestamp_ns), time_ns))
+
+    def _locations_for(self, frames: Mapping[Identifier, Any]) -> dict[Identifier, Location]:
+        """The sensors' locations, of cameras those of images that have a mounting of their own."""
+        locations = dict(self._locations)
+        for sensor_id, frame in frames.items():
+            if isinstance(frame, Shot) and frame.mount is not None:
+                location = locations[sensor_id]
+                source = None if location.source is None else location.source.mounted(frame.mount)
+                locations[sensor_id] = replace(location, source=source, mount=frame.mount)
+        return locations
+
+    def _poses(self, frames: Mapping[Identifier, Any], times_ns: Mapping[Identifier, int]) -> SamplePoses:
+        """Poses of the sensors, each at the time of its frame, and that of the stored points."""
+        locations = self._locations_for(frames)
+        asked = [(locations[key], time_ns) for key, time_ns in times_ns.items()]
+        lidars = self.selection.lidars
+        swept_ns = times_ns.get(lidars[0].id) if lidars else None
+        if swept_ns is not None:
+            asked.append((self._points, swept_ns))
+        poses = poses_at(asked)
+        points = Pose(None) if swept_ns is None else poses.pop()
+        found = {key: Pose(None, "it has no frame in this sample") for key in locations}
+        found |= dict(zip(times_ns, poses, strict=True))
+        return SamplePoses(
+            world_from_sensor={key: pose.world_from_sensor for key, pose in found.items()},
+            ego_from_sensor={key: location.mount for key, location in locations.items()},
+            world_from_points=points.world_from_sensor,
+            ego_from_points=self._points.mount,
+            unposed={key: pose.problem for key, pose in found.items() if pose.problem},
+            extrapolated=tuple(key for key, pose in found.items() if pose.extrapolated),
+        )
+
+
+def _sweeps(lidar: LidarSensor) -> SweepsByReference:
+    return SweepsByReference(lidar.frames, sweep_period_ns(lidar))
+
+
+def _camera_model(camera: ShootingSensor, shot: Shot | None) -> Camera:
+    return camera.camera if shot is None else shot.camera
+
+
+_Item = TypeVar("_Item")
 
 
 class Samples(Sequence[Sample]):
@@ -21,7 +429,7 @@ class Samples(Sequence[Sample]):
     them: each process opens the scene's files for itself.
     """
 
-    def __init__(self, maker: SampleMaker, rows: range) -> None:
+    def __init__(self, maker: _SampleMaker, rows: range) -> None:
         """Take what makes the samples, and which of them these are."""
         self._maker, self._rows = maker, rows
 
@@ -60,7 +468,7 @@ class Samples(Sequence[Sample]):
     def __iter__(self) -> Iterator[Sample]:
         return map(self._maker.make, self._rows)
 
-    def map(self, function: Callable[[Sample], Item]) -> "MappedSamples[Item]":
+    def map(self, function: Callable[[Sample], _Item]) -> "MappedSamples[_Item]":
         """Give what a function makes of each sample, made when it is asked for: what a loader's workers hand on.
 
         Args:
@@ -69,10 +477,10 @@ class Samples(Sequence[Sample]):
         return MappedSamples(self, function)
 
 
-class MappedSamples(Sequence[Item], Generic[Item]):
+class MappedSamples(Sequence[_Item], Generic[_Item]):
     """What a function makes of each sample; nothing is made before it is asked for, nothing kept."""
 
-    def __init__(self, samples: Samples, function: Callable[[Sample], Item]) -> None:
+    def __init__(self, samples: Samples, function: Callable[[Sample], _Item]) -> None:
         """Take the samples and the function."""
         self.samples, self._function = samples, function
 
@@ -80,15 +488,15 @@ class MappedSamples(Sequence[Item], Generic[Item]):
         return len(self.samples)
 
     @overload
-    def __getitem__(self, index: int) -> Item: ...
+    def __getitem__(self, index: int) -> _Item: ...
     @overload
-    def __getitem__(self, index: slice) -> "MappedSamples[Item]": ...
-    def __getitem__(self, index: int | slice) -> "Item | MappedSamples[Item]":
+    def __getitem__(self, index: slice) -> "MappedSamples[_Item]": ...
+    def __getitem__(self, index: int | slice) -> "_Item | MappedSamples[_Item]":
         if isinstance(index, slice):
             return MappedSamples(self.samples[index], self._function)
         return self._function(self.samples[index])
 
-    def __iter__(self) -> Iterator[Item]:
+    def __iter__(self) -> Iterator[_Item]:
         return map(self._function, self.samples)
 
 
@@ -114,5 +522,5 @@ def samples_of(
         trajectory=trajectory,
         tolerance_ns=tolerance_ns,
     )
-    maker = SampleMaker(selection)
+    maker = _SampleMaker(selection)
     return Samples(maker, range(maker.count))

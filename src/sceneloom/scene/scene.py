@@ -1,25 +1,24 @@
-"""The scene: every sensor of a drive on one clock and in one frame tree."""
+"""The scene: all sensors of a drive on one clock and in one frame tree; its time span and its assumed camera models."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from importlib import import_module
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from sceneloom.arrays import hold_timestamp
-from sceneloom.errors import OptionError, SceneloomError
-from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.annotations.attributes import AttributePath
-from sceneloom.scene.annotations.corrections import CameraCalibration, LocalizationAdjustment
-from sceneloom.scene.cameras import CameraSensor
+import numpy as np
+
+from sceneloom.arrays import Int64Array, hold_timestamp
+from sceneloom.cameras.camera import MODELS
+from sceneloom.errors import CalibrationError, OptionError, SceneloomError
+from sceneloom.scene.annotations import Annotation, AttributePath, CameraCalibration, LocalizationAdjustment
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
-from sceneloom.scene.depth import DepthCameraSensor
-from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
-from sceneloom.scene.plain import PlainSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import NO_FIELDS, Identifier, key_of
-from sceneloom.scene.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, WarningKind
 
 if TYPE_CHECKING:
     from sceneloom.scene.ego import EgoMotion
@@ -230,3 +229,122 @@ class Scene:
     def cameras(self) -> tuple[CameraSensor, ...]:
         """The cameras, in the order of `sensors`; `camera_index` of a point counts these."""
         return tuple(sensor for sensor in self.sensors if isinstance(sensor, CameraSensor))
+
+
+NOMINAL_PERIOD_NS = 100_000_000
+"""The sweep period of a lidar with a single frame, or all of one time: 10 Hz, the commonest."""
+
+
+def usual_period_ns(timestamps_ns: Int64Array) -> int:
+    """The median time from one timestamp to the next later one [ns]; the nominal period where there is none.
+
+    Args:
+        timestamps_ns: (N,) int64 [ns], in any order.
+    """
+    steps = np.diff(np.unique(timestamps_ns))
+    return int(np.median(steps)) if len(steps) else NOMINAL_PERIOD_NS
+
+
+def sweep_period_ns(lidar: LidarSensor) -> int:
+    """The median time from sweep to sweep [ns]; the nominal one where the timestamps report none."""
+    return usual_period_ns(lidar.frames.timestamps_ns)
+
+
+def scene_period_ns(scene: Scene) -> int:
+    """The longest sweep period of the scene's lidars [ns]: how far poses may be extrapolated."""
+    return max((sweep_period_ns(lidar) for lidar in scene.lidars), default=NOMINAL_PERIOD_NS)
+
+
+def frame_times(sensor: Sensor) -> Int64Array:
+    """The timestamps (N,) int64 [ns] of whatever the sensor gives over time; empty where it has no time."""
+    if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor):
+        return sensor.frames.timestamps_ns
+    if isinstance(sensor, CameraSensor):
+        return sensor.images.timestamps_ns
+    if isinstance(sensor, OdometrySensor):
+        return np.zeros(0, np.int64) if sensor.poses.static else sensor.poses.timestamps_ns
+    if isinstance(sensor, ImuSensor):
+        streams = [stream.timestamps_ns for stream in sensor.streams.values()]
+        return np.sort(np.concatenate(streams)) if streams else np.zeros(0, np.int64)
+    return getattr(sensor, "timestamps_ns", np.zeros(0, np.int64))
+
+
+def time_span(scene: Scene) -> tuple[int, int] | None:
+    """First and last timestamp of what is measured [ns]; None for a scene without time.
+
+    Poses of odometry count only where there is nothing else: they reach beyond what a part of a drive was cut to.
+    """
+    measuring = [sensor for sensor in scene.sensors if not isinstance(sensor, OdometrySensor)]
+    return _span(measuring) or _span(scene.sensors)
+
+
+def _span(sensors: Iterable[Sensor]) -> tuple[int, int] | None:
+    timestamps = [times for times in map(frame_times, sensors) if len(times)]
+    if not timestamps:
+        return None
+    return min(int(times.min()) for times in timestamps), max(int(times.max()) for times in timestamps)
+
+
+_OURS, _ENTRY = "sceneloom", "assumed_models"
+"""Where a scene's metadata state with which of these models it may be computed."""
+
+
+def check_camera_models(
+    scene: Scene, cameras: Iterable[CameraSensor | DepthCameraSensor] | None = None
+) -> None:
+    """Refuse to compute with camera models of models that no source confirms, unless that was asked for on opening.
+
+    Args:
+        scene: whose metadata state what was asked for.
+        cameras: those that are computed with; None for all.
+
+    Raises:
+        CalibrationError: naming the camera, the model and the option.
+    """
+    allowed = assumed_models(scene)
+    for camera in scene.cameras if cameras is None else cameras:
+        model = camera.camera.model
+        if model in MODELS and MODELS[model].on_request and model not in allowed:
+            raise CalibrationError(
+                f"{scene.source}: sensors[{camera.id}].camera: {model!r} is named by the format, but nothing says "
+                "its formula; state `--assume-model` (assume_model=True on opening) to compute with the one that "
+                "docs/CONVENTIONS.md gives"
+            )
+
+
+def assumed_models(scene: Scene) -> tuple[str, ...]:
+    """The models that were asked for."""
+    reported = _ours(scene).get(_ENTRY)
+    return (
+        tuple(name for name in reported if isinstance(name, str))
+        if isinstance(reported, list | tuple)
+        else ()
+    )
+
+
+def _ours(scene: Scene) -> Mapping[str, Any]:
+    ours = scene.metadata.get(_OURS)
+    return ours if isinstance(ours, Mapping) else {}
+
+
+def with_assumed_models(scene: Scene) -> Scene:
+    """Give the scene that may be computed with; its metadata and a warning for each such model report it."""
+    models = {
+        camera.camera.model: camera.id
+        for camera in scene.cameras
+        if camera.camera.model in MODELS and MODELS[camera.camera.model].on_request
+    }
+    if not models:
+        return scene
+    reported = sorted({*assumed_models(scene), *models})
+    metadata = {**scene.metadata, _OURS: {**_ours(scene), _ENTRY: reported}}
+    warnings = (
+        DataWarning(
+            kind=WarningKind.ASSUMED,
+            code="assumed-model",
+            location=f"sensors[{camera_id}].camera",
+            message=f"{model}: computed with by a formula that nothing confirms, as asked for",
+        )
+        for model, camera_id in models.items()
+    )
+    return replace(scene, metadata=MappingProxyType(metadata), warnings=(*scene.warnings, *warnings))

@@ -7,16 +7,14 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
-from sceneloom.scene.annotations.corrections import effect_of
-from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.annotations import effect_of
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor
-from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.poses import Poses
-from sceneloom.scene.scene import Scene, Sensor
-from sceneloom.scene.span import frame_times, time_span
+from sceneloom.scene.scene import Scene, Sensor, frame_times, time_span
 from sceneloom.scene.types import Identifier
-from sceneloom.scene.warnings import DataWarning
+from sceneloom.warnings import DataWarning
 
 GAP_FACTOR = 1.5
 """Two timestamps farther apart than this many median intervals make a gap."""

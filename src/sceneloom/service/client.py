@@ -9,31 +9,45 @@ import grpc
 from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 
+from sceneloom.db34t.properties import Property
+from sceneloom.db34t.protobuf import encode_in, fill_message
+from sceneloom.db34t.queues import Result
+from sceneloom.db34t.records import CalibrationData, SentRecord
+from sceneloom.db34t.transport import (
+    code_of,
+    details_of,
+    read_certificates,
+    read_pair,
+    reader_of,
+    service_error,
+)
+from sceneloom.db34t.types import Cause, Outcome, refused
 from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.events import Result
-from sceneloom.fusion.messages.calibration_data import CalibrationData
-from sceneloom.fusion.messages.protobuf_form import encode_in, fill_message
-from sceneloom.fusion.messages.records import SentRecord
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.fusion.outcome import Cause, Outcome, refused
-from sceneloom.fusion.properties.store import Property
 from sceneloom.scene.poses import Poses
-from sceneloom.service.client_errors import code_of, details_of, reader_of, service_error
-from sceneloom.service.motion_form import motion_request
-from sceneloom.service.pem import read_certificates, read_pair
-from sceneloom.service.received import Sent, outcome_of, property_of, result_of, sent_of
-from sceneloom.service.values import value_to_protobuf
+from sceneloom.service.messages import (
+    Sent,
+    motion_request,
+    outcome_of,
+    property_of,
+    result_of,
+    sent_of,
+    value_to_protobuf,
+)
 
-DEADLINE_S = 30.0
+_DEADLINE_S = 30.0
 """How long an answer may take, beyond what a call itself waits for."""
 
-LARGEST_MESSAGE = 1 << 29
+_LARGEST_MESSAGE = 1 << 29
 """Of an answer [byte]."""
 
 _SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
+
 _LONGEST_WAIT_MS = 2**32 - 1
+
 _LOOPBACK = ("localhost", "127.", "[::1]", "unix:")
-Got = TypeVar("Got")
+
+_Got = TypeVar("_Got")
 
 
 class FusionClient:
@@ -62,7 +76,7 @@ class FusionClient:
         ca: str | Path | None = None,
         certificate: tuple[str | Path, str | Path] | None = None,
         session: str = "",
-        deadline_s: float = DEADLINE_S,
+        deadline_s: float = _DEADLINE_S,
     ) -> None:
         """Make a client; it connects with the first call.
 
@@ -274,8 +288,8 @@ def _channel(
     address: str, ca: str | Path | None, certificate: tuple[str | Path, str | Path] | None
 ) -> grpc.Channel:
     options = [
-        ("grpc.max_receive_message_length", LARGEST_MESSAGE),
-        ("grpc.max_send_message_length", LARGEST_MESSAGE),
+        ("grpc.max_receive_message_length", _LARGEST_MESSAGE),
+        ("grpc.max_send_message_length", _LARGEST_MESSAGE),
         ("grpc.enable_http_proxy", 0),
     ]
     if ca is None:

@@ -1,44 +1,68 @@
-"""The table of the service's methods: what each does with the fusion interface of its session."""
+"""The methods of the service: what each call does with the interface of its session, tracking of fused results.
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+Bytes in and out beside the event loop, and metrics for Prometheus.
+"""
+
+import asyncio
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from time import perf_counter
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 import grpc
+import grpc.aio
+import numpy as np
 from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
+from grpc.aio import ServicerContext
 
+from sceneloom.arrays import Float64Array
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.protobuf import decode_send_request, from_protobuf, parse_message
+from sceneloom.db34t.queues import Result
+from sceneloom.db34t.records import FusedDetections, kind_of
+from sceneloom.db34t.results import FoundObjects, tracked_detections_record
+from sceneloom.db34t.types import DONE, Cause, Outcome, refused
+from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.errors import DataError, OptionError, SceneloomError
-from sceneloom.formats.wire_bytes import LENGTH_TYPE, wire_fields
-from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.messages.protobuf_form import (
-    decode_send_request,
-    from_protobuf,
-    parse_message,
-)
+from sceneloom.formats.base.protobuf import LENGTH_TYPE, wire_fields
+from sceneloom.fusion.algorithms import FusionType
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.fusion.outcome import DONE, Cause, Outcome
-from sceneloom.service.call_errors import CallError
-from sceneloom.service.motion_form import path_of
-from sceneloom.service.replies import properties_message, status_bytes
-from sceneloom.service.values import property_to_protobuf, value_from_protobuf
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.detections import Support, TrackedObjects
+from sceneloom.scene.types import Identifier
+from sceneloom.service.messages import (
+    NO_DATA,
+    path_of,
+    properties_message,
+    property_to_protobuf,
+    status_bytes,
+    value_from_protobuf,
+)
+from sceneloom.service.sessions import DEFAULT_SESSION, CallError, Session, SessionTable
+from sceneloom.tracking.observation import Observation, View
+from sceneloom.tracking.settings import TrackerSettings
+from sceneloom.tracking.tracker import Tracker
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 """The descriptor of the service."""
 
 
-def add_property(fusion: FusionInterface, request: fusion_pb2.AddPropertyRequest) -> Outcome:
+def _add_property(fusion: FusionInterface, request: fusion_pb2.AddPropertyRequest) -> Outcome:
     """Clause 5.3."""
     return fusion.add_property(request.name, request.description, request.type)
 
 
-def set_property(fusion: FusionInterface, request: fusion_pb2.SetPropertyRequest) -> Outcome:
+def _set_property(fusion: FusionInterface, request: fusion_pb2.SetPropertyRequest) -> Outcome:
     """Clause 5.4."""
     return fusion.set_property(request.name, value_from_protobuf(request.value))
 
 
-def get_property(fusion: FusionInterface, request: fusion_pb2.GetPropertyRequest) -> Message:
+def _get_property(fusion: FusionInterface, request: fusion_pb2.GetPropertyRequest) -> Message:
     """Clause 5.5."""
     try:
         return property_to_protobuf(fusion.properties.get(request.name))
@@ -46,23 +70,23 @@ def get_property(fusion: FusionInterface, request: fusion_pb2.GetPropertyRequest
         raise CallError(grpc.StatusCode.NOT_FOUND, Cause.UNKNOWN_NAME, str(error)) from error
 
 
-def list_properties(fusion: FusionInterface, _: fusion_pb2.ListPropertiesRequest) -> Message:
+def _list_properties(fusion: FusionInterface, _: fusion_pb2.ListPropertiesRequest) -> Message:
     """All properties."""
     return properties_message(fusion.properties.snapshot())
 
 
-def set_calibration(fusion: FusionInterface, request: fusion_pb2.SetCalibrationRequest) -> Outcome:
+def _set_calibration(fusion: FusionInterface, request: fusion_pb2.SetCalibrationRequest) -> Outcome:
     """Table 3."""
     data = from_protobuf(request.calibration)
     return fusion.set_calibration(data, camera_id=request.camera_id, lidar_id=request.lidar_id)
 
 
-def send_motion(fusion: FusionInterface, request: fusion_pb2.SendMotionRequest) -> Outcome:
+def _send_motion(fusion: FusionInterface, request: fusion_pb2.SendMotionRequest) -> Outcome:
     """The trajectory of the vehicle."""
     return fusion.send_motion(path_of(request))
 
 
-def send(fusion: FusionInterface, request: bytes) -> Outcome:
+def _send(fusion: FusionInterface, request: bytes) -> Outcome:
     """Clause 5.6; arrays are read where they stand in the request."""
     try:
         record = decode_send_request(request)
@@ -72,12 +96,12 @@ def send(fusion: FusionInterface, request: bytes) -> Outcome:
     return fusion.send(record)
 
 
-def get_counters(fusion: FusionInterface, _: fusion_pb2.GetCountersRequest) -> Message:
+def _get_counters(fusion: FusionInterface, _: fusion_pb2.GetCountersRequest) -> Message:
     """What came in, what was left out and why."""
     return fusion_pb2.Counters(counts=fusion.counters.counts())
 
 
-def flush(fusion: FusionInterface, _: fusion_pb2.FlushRequest) -> Outcome:
+def _flush(fusion: FusionInterface, _: fusion_pb2.FlushRequest) -> Outcome:
     """Fuse what waits."""
     fusion.flush()
     return DONE
@@ -103,18 +127,18 @@ class Call:
 
 CALLS: Mapping[str, Call] = MappingProxyType(
     {
-        "AddProperty": Call(add_property, quick=True),
-        "SetProperty": Call(set_property),
-        "GetProperty": Call(get_property, quick=True),
-        "ListProperties": Call(list_properties, quick=True),
-        "SetCalibration": Call(set_calibration, Cause.BAD_CALIBRATION),
-        "SendMotion": Call(send_motion, Cause.BAD_MOTION),
-        "Send": Call(send, Cause.BAD_RECORD, reads_bytes=True),
+        "AddProperty": Call(_add_property, quick=True),
+        "SetProperty": Call(_set_property),
+        "GetProperty": Call(_get_property, quick=True),
+        "ListProperties": Call(_list_properties, quick=True),
+        "SetCalibration": Call(_set_calibration, Cause.BAD_CALIBRATION),
+        "SendMotion": Call(_send_motion, Cause.BAD_MOTION),
+        "Send": Call(_send, Cause.BAD_RECORD, reads_bytes=True),
         "SendStream": Call(None, Cause.BAD_RECORD),
         "Get": Call(None),
         "Subscribe": Call(None),
-        "GetCounters": Call(get_counters, quick=True),
-        "Flush": Call(flush),
+        "GetCounters": Call(_get_counters, quick=True),
+        "Flush": Call(_flush),
         "CloseSession": Call(None),
     }
 )
@@ -122,7 +146,7 @@ CALLS: Mapping[str, Call] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Method:
+class _Method:
     """A method of the service as the `.proto` describes it, and what it does.
 
     Attributes:
@@ -188,9 +212,9 @@ class Method:
         return CallError(grpc.StatusCode.INVALID_ARGUMENT, self.call.cause, str(reason))
 
 
-METHODS: Mapping[str, Method] = MappingProxyType(
+METHODS: Mapping[str, _Method] = MappingProxyType(
     {
-        method.name: Method(
+        method.name: _Method(
             method.name,
             GetMessageClass(method.input_type),
             GetMessageClass(method.output_type),
@@ -200,3 +224,446 @@ METHODS: Mapping[str, Method] = MappingProxyType(
     }
 )
 """All methods of the `.proto`, by name."""
+
+_DEFAULTS = TrackerSettings()
+
+_MEASURED = (Support.BOTH, Support.SWEEP)
+
+
+@dataclass(slots=True)
+class _OneLidar:
+    """What is followed of one lidar's sweeps.
+
+    Attributes:
+        tracker: follows.
+        origin: (3,) float64 [m], what the tracker's world counts from, in the world of the vehicle's trajectory.
+        waiting: results of the newest sweep, until all of its images are there.
+    """
+
+    tracker: Tracker
+    origin: Float64Array | None = None
+    waiting: list[Result] = field(default_factory=list)
+
+
+class TrackedResults:
+    """Follows objects through results as they are fetched; not for several threads at once."""
+
+    def __init__(self, settings: TrackerSettings = _DEFAULTS) -> None:
+        """Follow nothing yet."""
+        self._settings = settings
+        self._lidars: dict[Identifier, _OneLidar] = {}
+
+    def take(self, result: Result) -> list[Result]:
+        """Take the next result, and give those whose objects are tracks now.
+
+        A result is given for each one taken, with its number and configuration, as soon as all images of its sweep
+        are there, or another sweep comes. Its objects are those that are believed in at the time of the sweep: `id` is
+        that of the track; the numbers of the boxes behind them are not reported.
+        """
+        found = result.found
+        if found is None:
+            return [result]
+        lidar = self._lidars.setdefault(found.frame.lidar_id, _OneLidar(Tracker(self._settings)))
+        given: list[Result] = []
+        if lidar.waiting and _sweep_of(lidar.waiting[0]) != _sweep_of(result):
+            given += _step(lidar)
+        lidar.waiting.append(result)
+        return given + _step(lidar) if found.frame.last else given
+
+
+def _sweep_of(result: Result) -> tuple[int, int] | None:
+    return None if result.found is None else (result.found.frame.index, result.found.frame.timestamp_ns)
+
+
+def _step(lidar: _OneLidar) -> list[Result]:
+    """Follow the objects of the sweep that waits."""
+    pairs = [(result, result.found) for result in lidar.waiting if result.found is not None]
+    lidar.waiting = []
+    first = pairs[0][1]
+    if lidar.origin is None:
+        lidar.origin = first.origin
+    world_from_lidar = RigidTransform(
+        first.world_from_lidar.rotation, first.world_from_lidar.translation + (first.origin - lidar.origin)
+    )
+    objects = lidar.tracker.step(
+        Observation(
+            first.frame.timestamp_ns,
+            world_from_lidar,
+            {found.frame.camera_id: found.frame.fused for _, found in pairs},
+            {
+                found.frame.camera_id: View(found.frame.camera, found.frame.camera_from_lidar)
+                for _, found in pairs
+            },
+        )
+    )
+    return [_tracked(result, found, objects, world_from_lidar.inverse()) for result, found in pairs]
+
+
+def _tracked(
+    result: Result, found: FoundObjects, objects: TrackedObjects, lidar_from_world: RigidTransform
+) -> Result:
+    if not isinstance(result.record, FusedDetections):
+        return result
+    seen = _boxes_of(objects, found.frame.camera_id, lidar_from_world)
+    record = tracked_detections_record(result.record, seen, found.setting, found.frame.camera)
+    return replace(result, record=record, found=None)
+
+
+def _boxes_of(objects: TrackedObjects, camera_id: Identifier, lidar_from_world: RigidTransform) -> FusedBoxes:
+    """Give tracked objects as objects of a sweep and an image, in the lidar's frame.
+
+    `rows_3d` and `rows_2d` report whether there is a box, with 0 for one: its number is not known.
+    """
+    rotation, count = lidar_from_world.rotation, len(objects)
+    headings = np.column_stack([np.cos(objects.yaws), np.sin(objects.yaws), np.zeros(count)]) @ rotation.T
+    unseen = np.full((count, 4), np.nan)
+    measured = np.isin(objects.supports, _MEASURED)
+    pictured = np.isin(objects.supports, (Support.BOTH, Support.IMAGE))
+    return FusedBoxes(
+        timestamp_ns=objects.timestamp_ns,
+        centers=lidar_from_world.apply(objects.centers),
+        center_covariances=rotation @ objects.covariances[:, :3, :3] @ rotation.T,
+        sizes_lwh=objects.sizes_lwh,
+        size_covariances=np.ascontiguousarray(objects.covariances[:, 3:6, 3:6]),
+        yaws=np.arctan2(headings[:, 1], headings[:, 0]),
+        velocities=objects.velocities @ rotation.T,
+        scores=objects.scores,
+        labels=objects.labels,
+        corners_xyxy=np.nan_to_num(objects.corners_xyxy.get(camera_id, unseen)),
+        ids=objects.ids,
+        rows_3d=np.where(measured, 0, NO_BOX),
+        rows_2d=np.where(pictured, 0, NO_BOX),
+    )
+
+
+BOUNDS_S = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+"""Upper bounds of the classes of durations [s]."""
+
+_LONGEST_REQUEST = 8192
+
+_PATIENCE_S = 5.0
+
+
+@dataclass(slots=True)
+class Histogram:
+    """How many durations fell into each class.
+
+    Attributes:
+        counts: for each of `BOUNDS_S`, and of those beyond.
+        total_s: their sum.
+    """
+
+    counts: list[int] = field(default_factory=lambda: [0] * (len(BOUNDS_S) + 1))
+    total_s: float = 0.0
+
+    def add(self, duration_s: float) -> None:
+        """Count a duration; a bound belongs to the class below it."""
+        self.counts[bisect_left(BOUNDS_S, duration_s)] += 1
+        self.total_s += duration_s
+
+
+class Metrics:
+    """What the service counts. For the event loop's thread."""
+
+    def __init__(self) -> None:
+        """Begin at 0."""
+        self._calls: Counter[tuple[str, str]] = Counter()
+        self._durations: dict[str, Histogram] = {}
+
+    def called(self, method: str, outcome: str, duration_s: float) -> None:
+        """Count a call that was answered."""
+        self._calls[method, outcome] += 1
+        histogram = self._durations.get(method)
+        if histogram is None:
+            histogram = self._durations[method] = Histogram()
+        histogram.add(duration_s)
+
+    def text(self, sessions: SessionTable) -> str:
+        """Give all numbers.
+
+        Source: prometheus.io, "Exposition formats", text-based format, version 0.0.4.
+        """
+        return "\n".join([*self._of_calls(), *_of_sessions(sessions)]) + "\n"
+
+    def _of_calls(self) -> Iterator[str]:
+        yield from _head("sceneloom_calls_total", "counter", "Calls by method and how they ended.")
+        for (method, outcome), count in sorted(self._calls.items()):
+            yield _line("sceneloom_calls_total", count, method=method, outcome=outcome)
+        name = "sceneloom_call_seconds"
+        yield from _head(name, "histogram", "How long calls took, waiting for results included.")
+        for method, histogram in sorted(self._durations.items()):
+            below = 0
+            for bound, count in zip((*map(str, BOUNDS_S), "+Inf"), histogram.counts, strict=True):
+                below += count
+                yield _line(f"{name}_bucket", below, method=method, le=bound)
+            yield _line(f"{name}_sum", histogram.total_s, method=method)
+            yield _line(f"{name}_count", below, method=method)
+
+
+def _of_sessions(sessions: SessionTable) -> Iterator[str]:
+    yield from _head("sceneloom_sessions", "gauge", "Sessions that are there.")
+    yield _line("sceneloom_sessions", len(sessions))
+    yield from _head("sceneloom_waiting_results", "gauge", "Results that wait to be fetched.")
+    for session in sessions:
+        yield _line("sceneloom_waiting_results", session.fusion.waiting_results, session=session.name)
+    yield from _head("sceneloom_open_requests", "gauge", "Requests that are being answered.")
+    for session in sessions:
+        yield _line("sceneloom_open_requests", session.open_requests, session=session.name)
+    name = "sceneloom_session_events_total"
+    yield from _head(name, "counter", "What came in, what was left out and why, by the names of GetCounters.")
+    for session in sessions:
+        for event, count in session.fusion.counters.counts().items():
+            yield _line(name, count, session=session.name, event=event)
+
+
+def _head(name: str, kind: str, meaning: str) -> Iterable[str]:
+    return f"# HELP {name} {meaning}", f"# TYPE {name} {kind}"
+
+
+def _line(name: str, value: float, **labels: str) -> str:
+    quoted = ",".join(f'{label}="{_escaped(text)}"' for label, text in labels.items())
+    return f"{name}{{{quoted}}} {value}" if quoted else f"{name} {value}"
+
+
+def _escaped(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+
+
+async def serve_metrics(metrics: Metrics, sessions: SessionTable, port: int) -> asyncio.Server:
+    """Answer `GET /metrics` over HTTP, for this machine alone.
+
+    Args:
+        port: 0 for a free one.
+
+    Raises:
+        OSError: the port cannot be had.
+    """
+
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            async with asyncio.timeout(_PATIENCE_S):
+                head = await reader.readuntil(b"\r\n\r\n")
+                writer.write(_response(head, metrics, sessions))
+                await writer.drain()
+        except (TimeoutError, OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+            pass  # no request came, or nobody is there for the answer
+        finally:
+            writer.close()
+
+    return await asyncio.start_server(answer, "127.0.0.1", port, limit=_LONGEST_REQUEST)
+
+
+def _response(head: bytes, metrics: Metrics, sessions: SessionTable) -> bytes:
+    words = head.split(b"\r\n", 1)[0].split(b" ")
+    if len(words) != 3 or words[0] not in (b"GET", b"HEAD"):
+        return _http("405 Method Not Allowed", b"expected GET /metrics\n")
+    if words[1].split(b"?")[0] != b"/metrics":
+        return _http("404 Not Found", b"expected /metrics\n")
+    body = metrics.text(sessions).encode()
+    return _http("200 OK", body, with_body=words[0] == b"GET")
+
+
+def _http(status: str, body: bytes, *, with_body: bool = True) -> bytes:
+    head = (
+        f"HTTP/1.1 {status}\r\nContent-Type: text/plain; version=0.0.4; charset=utf-8\r\n"
+        f"Content-Length: {len(body)}\r\nConnection: close\r\n\r\n"
+    )
+    return head.encode() + (body if with_body else b"")
+
+
+_Context: TypeAlias = "ServicerContext[bytes, bytes]"
+
+_SMALL = 32_768
+"""Bytes of a request that is answered at once where its session has nothing else to do."""
+
+_FEW = 100
+"""Detections of a result that is made a reply at once."""
+
+_REFUSALS_REPORTED = 100
+
+
+class Handlers:
+    """Answers the methods of the service for the sessions of a table."""
+
+    def __init__(self, sessions: SessionTable, metrics: Metrics) -> None:
+        """Answer for these sessions, and count how."""
+        self.sessions = sessions
+        self.metrics = metrics
+        self.draining = False
+
+    def generic_handler(self) -> grpc.GenericRpcHandler:
+        """Give what a gRPC server is reported, from the table of methods."""
+        special: dict[str, grpc.RpcMethodHandler[Any, Any]] = {
+            "SendStream": grpc.stream_unary_rpc_method_handler(self.send_stream),
+            # one message, whose writing can fail before the call has ended
+            "Get": grpc.unary_stream_rpc_method_handler(self.get),
+            "Subscribe": grpc.unary_stream_rpc_method_handler(self.subscribe),
+            "CloseSession": grpc.unary_unary_rpc_method_handler(self.close_session),
+        }
+        handlers = {
+            name: special.get(name) or grpc.unary_unary_rpc_method_handler(self._unary(method))
+            for name, method in METHODS.items()
+        }
+        return grpc.method_handlers_generic_handler(SERVICE.full_name, handlers)
+
+    def _unary(self, method: _Method) -> Callable[[bytes, _Context], Awaitable[bytes]]:
+        async def answer(request: bytes, context: _Context) -> bytes:
+            with self._counted(method.name) as ended:
+                try:
+                    return await self._answer(method, request)
+                except CallError as error:
+                    ended.append(error.code.name)
+                    if method.answers_status:
+                        return status_bytes(refused(error.cause, error.reason))
+                    await context.abort(error.code, error.reason)
+
+        return answer
+
+    @contextmanager
+    def _counted(self, method: str) -> Iterator[list[str]]:
+        """Measure a call; what is put into the list is how it ended, else it is OK, or what was raised."""
+        begun_s = perf_counter()
+        ended: list[str] = []
+        try:
+            yield ended
+        except asyncio.CancelledError:
+            ended.append("CANCELLED")
+            raise
+        except Exception:
+            ended.append("INTERNAL")
+            raise
+        finally:
+            self.metrics.called(method, ended[0] if ended else "OK", perf_counter() - begun_s)
+
+    async def _answer(self, method: _Method, request: bytes) -> bytes:
+        session = self._session_of(method, request)
+        self._check_open(method)
+        with session.request(len(request), self.sessions.clock):
+            if len(request) <= _SMALL and (method.call.quick or (session.idle and method.name != "Flush")):
+                return method.perform(session.fusion, request)
+            return await session.run(method.perform, session.fusion, request)
+
+    def _session_of(self, method: _Method, request: bytes) -> Session:
+        try:
+            return self.sessions.named(method.session_of(request))
+        except DataError as error:
+            raise method.fault(error) from error
+
+    def _check_open(self, method: _Method) -> None:
+        if self.draining and method.answers_status:
+            raise CallError(grpc.StatusCode.UNAVAILABLE, Cause.CLOSED, "the server is ending")
+
+    async def send_stream(self, requests: AsyncIterator[bytes], _: _Context) -> bytes:
+        """Clause 5.6 for a stream of records."""
+        summary = fusion_pb2.SendSummary()
+        number = 0
+        with self._counted("SendStream"):
+            async for request in requests:
+                status = await self._sent(request)
+                if status.status == 1:
+                    summary.accepted += 1
+                else:
+                    summary.refused += 1
+                    if summary.refused <= _REFUSALS_REPORTED:
+                        summary.refusals.append(fusion_pb2.Refusal(number=number, status=status))
+                number += 1
+        return summary.SerializeToString()
+
+    async def _sent(self, request: bytes) -> fusion_pb2.Status:
+        try:
+            return fusion_pb2.Status.FromString(await self._answer(METHODS["Send"], request))
+        except CallError as error:
+            return fusion_pb2.Status(status=0, cause=str(error.cause), reason=error.reason)
+
+    async def get(self, request: bytes, context: _Context) -> None:
+        """Clause 5.7."""
+        await self._fetch("Get", request, context)
+
+    async def subscribe(self, request: bytes, context: _Context) -> None:
+        """Clause 5.7 as a stream."""
+        await self._fetch("Subscribe", request, context)
+
+    async def _fetch(self, name: str, request: bytes, context: _Context) -> None:
+        method = METHODS[name]
+        with self._counted(name) as ended:
+            try:
+                session = self._session_of(method, request)
+                asked = method.parse(request)
+                with session.request(len(request), self.sessions.clock), session.delivering():
+                    await self._deliver(session, asked, context)
+            except CallError as error:
+                ended.append(error.code.name)
+                await context.abort(error.code, error.reason)
+            except (DataError, OptionError) as error:
+                ended.append("INVALID_ARGUMENT")
+                await context.abort(grpc.StatusCode.INVALID_ARGUMENT, str(error))
+
+    async def _deliver(self, session: Session, asked: Any, context: _Context) -> None:
+        """Write results as they come: one or no data for Get, else until the caller or the session ends."""
+        once = isinstance(asked, fusion_pb2.GetRequest)
+        if not once and asked.track:
+            await self._deliver_tracks(session, asked, context)
+            return
+        most = 1 if once else asked.most
+        fusion_type = asked.fusion_type if asked.HasField("fusion_type") else None
+        delivered = 0
+        while not (most and delivered >= most):
+            result = await session.next_result(fusion_type, asked.wait_ms / 1e3 if once else None)
+            if result is None:
+                break
+            try:
+                await self._write(session, result, context)
+            except BaseException:
+                session.fusion.put_back(result)
+                raise
+            delivered += 1
+        if once and not delivered:
+            await context.write(NO_DATA)
+
+    async def _deliver_tracks(self, session: Session, asked: Any, context: _Context) -> None:
+        """Write results of detection fusion as they come, their objects followed from one to the next."""
+        if asked.HasField("fusion_type") and asked.fusion_type != FusionType.DETECTIONS:
+            raise OptionError(f"track: fusion_type {asked.fusion_type}; expected 1, detections")
+        tracked, delivered = TrackedResults(), 0
+        taken: dict[int, Result] = {}
+        try:
+            while not (asked.most and delivered >= asked.most):
+                result = await session.next_result(FusionType.DETECTIONS, None)
+                if result is None:
+                    break
+                taken[result.number] = result
+                for reported in await session.run(tracked.take, result):
+                    await self._write(session, reported, context)
+                    del taken[reported.number]
+                    delivered += 1
+        finally:
+            for result in taken.values():
+                session.fusion.put_back(result)
+
+    async def _write(self, session: Session, result: Result, context: _Context) -> None:
+        """Write a result; where that fails, who fetched it puts it back, so that others have it."""
+        try:
+            await context.write(await self._reply(session, result))
+        except grpc.aio.InternalError as error:  # the connection has broken
+            raise asyncio.CancelledError from error
+        session.fusion.counters.add(f"delivered.{kind_of(result.record).name}")
+        session.last_fetched_s = self.sessions.clock()
+
+    async def _reply(self, session: Session, result: Result) -> bytes:
+        if isinstance(result.record, FusedDetections) and len(result.record) <= _FEW:
+            return session.replies.reply(result)
+        return await session.run(session.replies.reply, result)
+
+    async def close_session(self, request: bytes, _: _Context) -> bytes:
+        """End a session."""
+        try:
+            name: str = METHODS["CloseSession"].parse(request).session
+        except DataError as error:
+            return status_bytes(refused(Cause.ILL_TYPED, error))
+        session = self.sessions.take(name)
+        if session is None:
+            return status_bytes(
+                refused(Cause.UNKNOWN_NAME, f"session {(name or DEFAULT_SESSION)[:80]!r} is not there")
+            )
+        await session.end()
+        return status_bytes(DONE)

@@ -1,36 +1,531 @@
-"""Sends a drive as its sensors would have sent it: records in the order of time, at a rate."""
+"""Sends a drive to a service as its sensors would: sensor ids, calibrations of table 3 and the ego trajectory first.
+
+Then records in time order, at a rate.
+"""
 
 import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any, Protocol
 
-from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.calibration.camera_models import CAMERA_MODELS
-from sceneloom.fusion.messages.calibration_data import CalibrationData
-from sceneloom.fusion.messages.records import SentRecord, kind_of
-from sceneloom.fusion.outcome import Cause, Outcome
-from sceneloom.scene.poses import Poses
-from sceneloom.scene.scene import Scene
-from sceneloom.scene.span import sweep_period_ns, usual_period_ns
-from sceneloom.scene.types import Progress
-from sceneloom.scene.warnings import DataWarning, WarningKind
-from sceneloom.service.sent_records import Piece, chunks_of
-from sceneloom.service.sent_rig import (
-    CAMERA_AXES,
-    LIDAR_AXES,
-    SentRig,
-    format_camera_models,
-    format_sensors,
-    sent_rig,
-)
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.fitting import fit
+from sceneloom.db34t.boxes import Boxes2d, Boxes3d
+from sceneloom.db34t.calibration import CAMERA_MODELS, CalibrationEntry, DeclaredAxes, calibration_data
+from sceneloom.db34t.records import CalibrationData, SentRecord, kind_of
+from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record, image_data_of, point_cloud_of
+from sceneloom.db34t.types import Cause, Outcome
+from sceneloom.editing.move_world import to_sensor
+from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.ego_trajectory import find_ego_motion
+from sceneloom.pipeline.play import Reader, in_time_order
+from sceneloom.scene.annotations import Box2DAnnotation, CuboidAnnotation
+from sceneloom.scene.annotations_at import BoxTable
+from sceneloom.scene.cameras import CameraImage, CameraSensor, Shutter
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.scene.ego import EgoMotion, points_source, sensor_source
+from sceneloom.scene.point_times import RawTimes, timed_frame
+from sceneloom.scene.poses import Poses, PoseSource
+from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns, time_span, usual_period_ns
+from sceneloom.scene.types import Identifier, PointsFrame, Progress
+from sceneloom.warnings import DataWarning, WarningKind
+
+_CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
+"""Where forward, right and up point in the frames of a scene: what a session has to be reported."""
+
+_MOST_SENSORS = 256
+
+_HELD_BY_TABLE_3 = ("k1", "k2", "p1", "p2", "k3")
+
+_LOOKED_AT = 9
+
+_LOOSE_M, _LOOSE_RAD = 0.02, 0.005
+"""How much a mounting may move before it is stated that it does: more than poses of a rigid one are off."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SentRig:
+    """What a session has to know before the first record.
+
+    Attributes:
+        scene: the scene, its points in the frames of their sensors or of the ego.
+        numbers: sensor_id of each lidar and camera that is sent, lidars first.
+        calibrations: of each camera with each lidar.
+        camera_models: those that table 3 cannot state, by camera number.
+        sources: takes the points of a lidar into the world; None where that is not known.
+        at_once: lidars whose points hold for one time: those that came in the world, where each stands already.
+        path: the trajectory of the first lidar; None where it is not known, or it was stationary.
+        warnings: what was assumed or does not fit.
+    """
+
+    scene: Scene
+    numbers: Mapping[Identifier, int]
+    calibrations: tuple[CalibrationEntry, ...]
+    camera_models: Mapping[int, Camera]
+    sources: Mapping[Identifier, PoseSource | None]
+    at_once: frozenset[Identifier]
+    path: Poses | None
+    warnings: tuple[DataWarning, ...]
+
+
+def sent_rig(scene: Scene, *, trajectory: str | None = None, heading: str | None = None) -> _SentRig:
+    """Number the sensors of a scene and calibrate each camera with each lidar.
+
+    Args:
+        trajectory: the ego trajectory by name, as `fuse` takes it; None for the one that the scene has, if any.
+        heading: "motion" to derive orientations where it has positions only.
+
+    Raises:
+        DataError: there are no lidars or no cameras, or too many sensors.
+        PoseError: it is not known where a sensor is.
+    """
+    scene = scene.corrected()
+    at_once = frozenset(lidar.id for lidar in scene.lidars if lidar.points_frame is PointsFrame.WORLD)
+    if at_once:
+        scene = to_sensor(scene, trajectory=trajectory, heading=heading)
+    lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
+    cameras = [camera for camera in scene.cameras if len(camera.images)]
+    if not lidars or not cameras:
+        problem = (
+            f"{len(lidars)} lidars with sweeps, {len(cameras)} cameras with images; expected one of each"
+        )
+        raise DataError(scene.source, "", problem)
+    if len(lidars) + len(cameras) > _MOST_SENSORS:
+        raise DataError(
+            scene.source, "", f"more than {_MOST_SENSORS} sensors, as many as a session can number"
+        )
+    ids = (*(lidar.id for lidar in lidars), *(camera.id for camera in cameras))
+    numbers = {sensor_id: number for number, sensor_id in enumerate(ids)}
+    ego, warnings = _ego(scene, trajectory, heading)
+    reach_ns = scene_period_ns(scene)
+    locations = _Locations(scene, ego, reach_ns)
+    calibrations: list[CalibrationEntry] = []
+    camera_models: dict[int, Camera] = {}
+    for camera, lidar in product(cameras, lidars):
+        camera_from_points, loose = locations.between(camera, lidar)
+        data, camera_model, reported = _table_3(camera, camera_from_points)
+        calibrations.append(CalibrationEntry(numbers[camera.id], numbers[lidar.id], data))
+        if camera_model is not None:
+            camera_models[numbers[camera.id]] = camera_model
+        warnings += [*loose, *(reported if lidar is lidars[0] else ())]
+    sources = {lidar.id: locations.of_points(lidar) for lidar in lidars}
+    path = _path(sources[lidars[0].id])
+    return _SentRig(
+        scene, numbers, tuple(calibrations), camera_models, sources, at_once, path, tuple(warnings)
+    )
+
+
+def _table_3(
+    camera: CameraSensor, camera_from_points: RigidTransform
+) -> tuple[CalibrationData, Camera | None, list[DataWarning]]:
+    """Give the record of a camera; of a camera model that it cannot hold the one that comes nearest.
+
+    And the camera model itself.
+    """
+    axes = DeclaredAxes.of_words(_CAMERA_AXES), DeclaredAxes.of_words(_LIDAR_AXES)
+    try:
+        return calibration_data(camera.camera, camera_from_points, *axes), None, []
+    except CalibrationError:
+        pass
+    camera_model, message = _nearest(camera.camera)
+    location = f"sensors[{camera.id}]"
+    warning = DataWarning(
+        kind=WarningKind.ASSUMED, code="camera-model-beyond-table-3", location=location, message=message
+    )
+    return calibration_data(camera_model, camera_from_points, *axes), camera.camera, [warning]
+
+
+def _nearest(camera_model: Camera) -> tuple[Camera, str]:
+    fixed = [name for name in MODELS["brown_conrady"].coefficient_names if name not in _HELD_BY_TABLE_3]
+    exactly = "the property `camera_models` says it exactly"
+    try:
+        found = fit(camera_model, "brown_conrady", fixed=fixed)
+    except CalibrationError as error:
+        plain = Camera(
+            "pinhole",
+            camera_model.width,
+            camera_model.height,
+            camera_model.fx,
+            camera_model.fy,
+            camera_model.cx,
+            camera_model.cy,
+        )
+        return (
+            plain,
+            f"a {camera_model.model} camera model, which table 3 cannot hold nearly ({error}); {exactly}",
+        )
+    held = (*found.camera.coefficients[:5], *[0.0] * (len(found.camera.coefficients) - 5))
+    kept = Camera(
+        "brown_conrady",
+        camera_model.width,
+        camera_model.height,
+        found.camera.fx,
+        found.camera.fy,
+        found.camera.cx,
+        found.camera.cy,
+        held,
+    )
+    return kept, f"{found.message(camera_model)}, for table 3; {exactly}"
+
+
+def _format_camera_models(camera_models: Mapping[int, Camera]) -> str:
+    """Write the value of the property `camera_models`."""
+    entries = {
+        str(number): {
+            "model": camera_model.model,
+            "image_size": [camera_model.width, camera_model.height],
+            **{name: getattr(camera_model, name) for name in ("fx", "fy", "cx", "cy")},
+            "coefficients": list(camera_model.coefficients),
+        }
+        for number, camera_model in camera_models.items()
+    }
+    return msgspec.json.encode(entries).decode()
+
+
+def _format_sensors(rig: _SentRig) -> str:
+    """Write the value of the property `sensors`: what shutters roll; empty where none does, as kinds need no saying."""
+    shutters = {
+        rig.numbers[camera.id]: Shutter.of(camera) for camera in rig.scene.cameras if camera.id in rig.numbers
+    }
+    if not any(shutter.seconds for shutter in shutters.values()):
+        return ""
+    entries: dict[str, dict[str, Any]] = {str(number): {"kind": "lidar"} for number in rig.numbers.values()}
+    for number, shutter in shutters.items():
+        entries[str(number)] = {
+            "kind": "camera",
+            "shutter_roll_s": shutter.seconds,
+            "shutter_left_to_right": shutter.over_columns,
+        }
+    return msgspec.json.encode(entries).decode()
+
+
+def _ego(
+    scene: Scene, trajectory: str | None, heading: str | None
+) -> tuple[EgoMotion | None, list[DataWarning]]:
+    """The ego trajectory as far as it is known without looking for it."""
+    if trajectory is not None:
+        return find_ego_motion(scene, name=trajectory, heading=heading), []
+    if not scene.trajectories:
+        return None, []
+    try:
+        return find_ego_motion(scene, heading=heading), []
+    except PoseError as error:
+        message = f"sent without motion: {error}"
+        return None, [
+            DataWarning(
+                kind=WarningKind.SKIPPED, code="motion-unknown", location=scene.source, message=message
+            )
+        ]
+
+
+def _path(source: PoseSource | None) -> Poses | None:
+    if source is None or source.path.static:
+        return None
+    times = source.path.timestamps_ns
+    poses = source.at(times)
+    return Poses(times, poses.positions, poses.quaternions_xyzw)
+
+
+@dataclass(frozen=True, slots=True)
+class _Locations:
+    """Where cameras and points of lidars are, one from another."""
+
+    scene: Scene
+    ego: EgoMotion | None
+    reach_ns: int
+
+    def of_points(self, lidar: LidarSensor) -> PoseSource | None:
+        """Takes the points of a lidar into the world; None where that is not known."""
+        try:
+            return points_source(self.scene, lidar, self.ego, reach_ns=self.reach_ns)
+        except PoseError:
+            return None
+
+    def between(self, camera: CameraSensor, lidar: LidarSensor) -> tuple[RigidTransform, list[DataWarning]]:
+        """Give `camera_from_points`, by their mountings, else by where both were at the same times.
+
+        Raises:
+            PoseError: neither is known.
+        """
+        rider_association = lidar.points_frame is PointsFrame.EGO
+        ego_from_points = RigidTransform.identity() if rider_association else lidar.mount
+        if camera.mount is not None and ego_from_points is not None:
+            return camera.mount.inverse() @ ego_from_points, []
+        found = list(self._seen(camera, lidar))
+        if not found:
+            raise PoseError(
+                f"{self.scene.source}: camera {camera.id!r} and lidar {lidar.id!r} are at no time where both are known"
+            )
+        middle = found[len(found) // 2]
+        return middle, _loose(camera, lidar, middle, found)
+
+    def _seen(self, camera: CameraSensor, lidar: LidarSensor) -> Iterator[RigidTransform]:
+        of_camera = sensor_source(self.scene, camera, self.ego, reach_ns=self.reach_ns)
+        of_points = points_source(self.scene, lidar, self.ego, reach_ns=self.reach_ns)
+        if of_points is None:
+            return
+        times = camera.images.timestamps_ns
+        times = times[np.unique(np.linspace(0, len(times) - 1, _LOOKED_AT).astype(np.int64))]
+        cameras, points = of_camera.at(times), of_points.at(times)
+        for k in np.flatnonzero((cameras.coverage < 2) & (points.coverage < 2)):
+            world_from_camera = RigidTransform.from_quaternion(
+                cameras.positions[k], cameras.quaternions_xyzw[k]
+            )
+            world_from_points = RigidTransform.from_quaternion(
+                points.positions[k], points.quaternions_xyzw[k]
+            )
+            yield world_from_camera.inverse() @ world_from_points
+
+
+def _loose(
+    camera: CameraSensor, lidar: LidarSensor, middle: RigidTransform, found: list[RigidTransform]
+) -> list[DataWarning]:
+    """Report where a camera moves against a lidar: a record of table 3 holds one location."""
+    shift = max(float(np.linalg.norm(one.translation - middle.translation)) for one in found)
+    rotation = max(
+        float(np.linalg.norm(one.rotation @ middle.rotation.T - np.eye(3))) / np.sqrt(2) for one in found
+    )
+    if shift <= _LOOSE_M and rotation <= _LOOSE_RAD:
+        return []
+    message = (
+        f"it moves against lidar {lidar.id!r} by up to {shift:.3f} m and {np.degrees(rotation):.2f}°; the location in "
+        f"the "
+        "middle of the drive was taken"
+    )
+    return [
+        DataWarning(
+            kind=WarningKind.ASSUMED, code="mounting-moves", location=f"sensors[{camera.id}]", message=message
+        )
+    ]
+
+
+_SECOND = 1_000_000_000
+
+_UNNAMED = "object"
+"""The class of a box that has none: the tables want one."""
+
+
+@dataclass(slots=True)
+class _Piece:
+    """What a sensor measured at one time, and the ego trajectory until then.
+
+    Attributes:
+        timestamp_ns: when, on the scene's clock.
+        motion: poses that were not sent before; None where there are none.
+    """
+
+    timestamp_ns: int
+    motion: Poses | None
+    _maker: "_Maker"
+    _sensor_id: Identifier
+    _read: Reader
+
+    def records(self) -> list[SentRecord]:
+        """Read the frame and give its records: the frame itself, then the boxes in it.
+
+        Raises:
+            DataError: it cannot be read, or something in it cannot stand in a record.
+        """
+        return self._maker.records(self._sensor_id, self._read())
+
+
+def _chunks_of(rig: _SentRig) -> Iterator[_Piece]:
+    """Give all that is to be sent, without reading it."""
+    span = time_span(rig.scene)
+    first_ns = 0 if span is None else span[0]
+    if rig.path is not None:
+        first_ns = min(first_ns, rig.path.start_ns)
+    shift_ns = max(-(first_ns // _SECOND), 0) * _SECOND
+    maker = _Maker(rig, shift_ns)
+    motion = _Motion(rig, shift_ns)
+    for timestamp_ns, sensor_id, read in in_time_order(rig.scene):
+        if sensor_id in rig.numbers:
+            yield _Piece(timestamp_ns, motion.until(timestamp_ns), maker, sensor_id, read)
+
+
+@dataclass(slots=True)
+class _Motion:
+    """Cuts the ego trajectory into chunks; each reaches a sweep beyond what it is sent before."""
+
+    rig: _SentRig
+    shift_ns: int
+    _sent: int = 0
+
+    def until(self, timestamp_ns: int) -> Poses | None:
+        path = self.rig.path
+        if path is None:
+            return None
+        reach_ns = 2 * scene_period_ns(self.rig.scene)
+        start = self._sent
+        self._sent = int(
+            np.searchsorted(path.timestamps_ns, min(timestamp_ns + reach_ns, 2**63 - 1), side="right")
+        )
+        if self._sent <= start:
+            self._sent = start
+            return None
+        rows = slice(start, self._sent)
+        if int(path.timestamps_ns[start]) + self.shift_ns >= 2**63 or self.shift_ns >= 2**63:
+            raise OptionError(
+                f"times from {int(path.timestamps_ns[0])} ns; messages hold {2**63 / 1e9:.0f} s from the first"
+            )
+        return Poses(
+            path.timestamps_ns[rows] + self.shift_ns, path.positions[rows], path.quaternions_xyzw[rows]
+        )
+
+
+@dataclass(slots=True)
+class _Maker:
+    """Makes records of frames, and numbers them."""
+
+    rig: _SentRig
+    shift_ns: int
+    _seqs: dict[Identifier, int] = field(default_factory=dict)
+    _raw_times: dict[Identifier, RawTimes | None] = field(default_factory=dict)
+    _tracks: "dict[Identifier, list[_Track]]" = field(default_factory=dict)
+    _boxes: BoxTable = field(init=False)
+    _lidars: dict[Identifier, LidarSensor] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._boxes = BoxTable(self.rig.scene)
+        self._lidars = {lidar.id: lidar for lidar in self.rig.scene.lidars}
+
+    def records(self, sensor_id: Identifier, frame: LidarFrame | CameraImage) -> list[SentRecord]:
+        number = self.rig.numbers[sensor_id]
+        seq = self._seqs.get(sensor_id, -1) + 1
+        self._seqs[sensor_id] = seq
+        if isinstance(frame, LidarFrame):
+            return self._of_sweep(sensor_id, number, seq, frame)
+        return self._of_image(sensor_id, number, seq, frame)
+
+    def _of_sweep(self, lidar_id: Identifier, number: int, seq: int, frame: LidarFrame) -> list[SentRecord]:
+        if lidar_id in self.rig.at_once:
+            frame = replace(frame, points=replace(frame.points, timestamps_ns=None))
+        timed = timed_frame(
+            frame, sweep_period_ns(self._lidars[lidar_id]), previous=self._raw_times.get(lidar_id)
+        )
+        self._raw_times[lidar_id] = timed.raw
+        moved = _shifted(timed.frame, self.shift_ns)
+        records: list[SentRecord] = [point_cloud_of(moved, sensor_id=number, seq=seq)]
+        boxes = self._boxes_3d(lidar_id, number, seq, frame.timestamp_ns)
+        return records if boxes is None else [*records, boxes]
+
+    def _of_image(self, camera_id: Identifier, number: int, seq: int, image: CameraImage) -> list[SentRecord]:
+        moved = replace(image, timestamp_ns=image.timestamp_ns + self.shift_ns)
+        encoding = "rgb8" if image.encoded is None else "jpeg"
+        records: list[SentRecord] = [image_data_of(moved, sensor_id=number, seq=seq, encoding=encoding)]
+        boxes = self._boxes_2d(camera_id, number, seq, image)
+        return records if boxes is None else [*records, boxes]
+
+    def _boxes_3d(self, lidar_id: Identifier, number: int, seq: int, time_ns: int) -> Boxes3d | None:
+        """The cuboids of the scene as a detector in the sweep would state them; None where there are none at all."""
+        source = self.rig.sources[lidar_id]
+        if not self._boxes.annotations or source is None:
+            return None
+        pose = source.at(np.array([time_ns], np.int64))
+        if pose.coverage[0] == 2:
+            return None
+        world_from_points = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
+        rows, found = self._boxes.find(time_ns, sensor_id=lidar_id)
+        points_from_world = world_from_points.inverse()
+        headings = points_from_world.rotate(found.rotations_world[:, :, 0])
+        boxes = Boxes3D(
+            time_ns + self.shift_ns,
+            points_from_world.apply(found.centers_world),
+            found.sizes_lwh,
+            np.arctan2(headings[:, 1], headings[:, 0]),
+            np.ones(len(found)),
+            tuple(label or _UNNAMED for label in found.labels),
+            ids=rows.astype(np.int64),
+        )
+        return boxes_3d_record(boxes, sensor_id=number, seq=seq)
+
+    def _tracks_in(self, camera_id: Identifier) -> "list[_Track]":
+        """The boxes of a camera's images over time: annotations of their own, and cuboids as it sees them."""
+        if camera_id not in self._tracks:
+            found: list[_Track] = []
+            for row, annotation in enumerate(self.rig.scene.annotations):
+                label = getattr(annotation, "label", None) or _UNNAMED
+                if isinstance(annotation, Box2DAnnotation) and annotation.sensor_id == camera_id:
+                    path, always = annotation.path, bool(annotation.stationary)
+                    found.append(_Track(row, label, path.timestamps_ns, path.values, always))
+                elif isinstance(annotation, CuboidAnnotation):
+                    found += [
+                        _Track(row, label, seen.timestamps_ns, seen.boxes)
+                        for seen in annotation.projections
+                        if seen.sensor_id == camera_id and seen.boxes is not None
+                    ]
+            self._tracks[camera_id] = found
+        return self._tracks[camera_id]
+
+    def _boxes_2d(self, camera_id: Identifier, number: int, seq: int, image: CameraImage) -> Boxes2d | None:
+        """The boxes of the scene in an image; None where the scene has none of its camera."""
+        tracks = self._tracks_in(camera_id)
+        if not tracks:
+            return None
+        there = []
+        for track in tracks:
+            left, top, width, height = track.at(image.timestamp_ns)
+            if width > 0 and height > 0:
+                there.append((track.row, track.label, (left, top, left + width, top + height)))
+        boxes = Boxes2D(
+            image.timestamp_ns + self.shift_ns,
+            np.array([corners for _, _, corners in there], np.float64).reshape(-1, 4),
+            np.ones(len(there)),
+            tuple(label for _, label, _ in there),
+            ids=np.array([row for row, _, _ in there], np.int64),
+        )
+        size_wh = image.camera.width, image.camera.height
+        return boxes_2d_record(boxes, sensor_id=number, seq=seq, size_wh=size_wh)
+
+
+@dataclass(frozen=True, slots=True)
+class _Track:
+    """One object in the images of a camera.
+
+    Attributes:
+        row: number of its annotation.
+        label: its class.
+        timestamps_ns: (N,) int64 [ns].
+        boxes: (N, 4) float64 [px], left, top, width, height; NaN where it is not seen.
+        always: whether it holds before and after, too.
+    """
+
+    row: int
+    label: str
+    timestamps_ns: Int64Array
+    boxes: Float64Array
+    always: bool = False
+
+    def at(self, time_ns: int) -> list[float]:
+        """Left, top, width, height [px]; all 0 where it is not there or not seen."""
+        times = self.timestamps_ns
+        if len(times) and (self.always or times[0] <= time_ns <= times[-1]):
+            box = [float(np.interp(time_ns, times, self.boxes[:, k])) for k in range(4)]
+            if np.isfinite(box).all():
+                return box
+        return [0.0] * 4
+
+
+def _shifted(frame: LidarFrame, shift_ns: int) -> LidarFrame:
+    times = frame.points.timestamps_ns
+    if shift_ns == 0:
+        return frame
+    points = frame.points if times is None else replace(frame.points, timestamps_ns=times + shift_ns)
+    return replace(frame, timestamp_ns=frame.timestamp_ns + shift_ns, points=points)
+
 
 _WAITS_S = tuple(0.002 * 2**k for k in range(8))
 """How long a sender waits where the session's queue is full, each time anew: half a second in all."""
-
 
 PATIENCE_MS = 1000
 """How long a session has to wait for what belongs together at least: reading a drive takes its time, and may pause."""
@@ -180,7 +675,7 @@ def send_scene(
     statistics = Statistics(receiver, pace or Pace(rate))
     _configure(receiver, rig)
     skipped: list[DataWarning] = []
-    with refusing(receiver, statistics.pace.rate):
+    with _refusing(receiver, statistics.pace.rate):
         _send_chunks(rig, statistics, skipped if lenient else None, progress)
     receiver.flush()
     return SendReport(
@@ -194,11 +689,11 @@ def send_scene(
 
 
 def _send_chunks(
-    rig: SentRig, statistics: Statistics, skipped: list[DataWarning] | None, progress: Progress | None
+    rig: _SentRig, statistics: Statistics, skipped: list[DataWarning] | None, progress: Progress | None
 ) -> None:
     total = sum(len(lidar.frames) for lidar in rig.scene.lidars)
     total += sum(len(camera.images) for camera in rig.scene.cameras)
-    for done, piece in enumerate(chunks_of(rig), start=1):
+    for done, piece in enumerate(_chunks_of(rig), start=1):
         statistics.pace.until(piece.timestamp_ns)
         try:
             records = piece.records()
@@ -214,7 +709,7 @@ def _send_chunks(
             progress(done, total)
 
 
-def _send_motion(piece: Piece, statistics: Statistics) -> None:
+def _send_motion(piece: _Piece, statistics: Statistics) -> None:
     if piece.motion is not None:
         outcome = statistics.receiver.send_motion(piece.motion)
         statistics.count("motion", outcome, len(piece.motion.timestamps_ns))
@@ -224,12 +719,12 @@ def _unreadable(error: DataError) -> DataWarning:
     return DataWarning(kind=WarningKind.SKIPPED, code="frame-unreadable", location="", message=str(error))
 
 
-def _configure(receiver: Receiver, rig: SentRig) -> None:
+def _configure(receiver: Receiver, rig: _SentRig) -> None:
     """Report what the session has to know: frames, how often sensors measure, camera models and where they are."""
     settings: dict[str, Any] = {
-        "camera_axes": CAMERA_AXES,
-        "lidar_axes": LIDAR_AXES,
-        "sensors": format_sensors(rig),
+        "camera_axes": _CAMERA_AXES,
+        "lidar_axes": _LIDAR_AXES,
+        "sensors": _format_sensors(rig),
         "lidar_frequency": _frequency(
             sweep_period_ns(lidar) for lidar in rig.scene.lidars if lidar.id in rig.numbers
         ),
@@ -247,7 +742,7 @@ def _configure(receiver: Receiver, rig: SentRig) -> None:
         receiver.add_property(
             CAMERA_MODELS, "camera models that table 3 cannot state, as JSON by camera_id", "string"
         )
-        settings[CAMERA_MODELS] = format_camera_models(rig.camera_models)
+        settings[CAMERA_MODELS] = _format_camera_models(rig.camera_models)
     for name, value in settings.items():
         must(receiver.set_property(name, value), f"property {name}")
     for entry in rig.calibrations:
@@ -261,7 +756,7 @@ def _frequency(periods_ns: Iterable[int]) -> int:
 
 
 @contextmanager
-def refusing(receiver: Receiver, rate: float) -> Iterator[None]:
+def _refusing(receiver: Receiver, rate: float) -> Iterator[None]:
     """Let a session refuse what it has no room for, rather than drop it, while records come as fast as they can."""
     if rate > 0:
         yield

@@ -1,33 +1,160 @@
-"""The server: sessions behind gRPC, with health, reflection, and an end that loses nothing."""
+"""The gRPC server: access control (TLS, tokens), sessions, health, reflection, and a shutdown that loses nothing."""
 
 import asyncio
+import hmac
+import ipaddress
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import grpc
 import grpc.aio
+from grpc.aio import ServerInterceptor, ServicerContext
 from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
-from sceneloom.errors import OptionError
-from sceneloom.fusion.events import Event
-from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.queues import QueueLimits
-from sceneloom.service.handlers import Handlers
-from sceneloom.service.limits import ServiceLimits
-from sceneloom.service.listening import check_port
-from sceneloom.service.methods import SERVICE
-from sceneloom.service.metrics import Metrics, serve_metrics
-from sceneloom.service.security import Security
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.queues import Event, QueueLimits
+from sceneloom.db34t.transport import read_certificates, read_pair
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.base.files import read_settings
+from sceneloom.service.methods import SERVICE, Handlers, Metrics, serve_metrics
 from sceneloom.service.sessions import Session, SessionTable
+from sceneloom.service.startup import ServiceLimits, check_port
 
-LOG = logging.getLogger(__name__)
+_OPEN_SERVICES = ("/grpc.health.v1.Health/",)
+"""Services that need no token: they report whether the server is up, and nothing else."""
 
-Observer = Callable[[Event], None]
+_SHORTEST_TOKEN = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Security:
+    """What a caller has to prove, and how the server proves who it is.
+
+    Attributes:
+        tls_certificate, tls_key: PEM files of the server, or None for no encryption.
+        tls_client_authority: PEM file of those who sign the certificates of clients; None where they need none.
+        token: what callers show as `authorization: Bearer …`; None where they need none.
+    """
+
+    tls_certificate: Path | None = None
+    tls_key: Path | None = None
+    tls_client_authority: Path | None = None
+    token: str | None = None
+
+    def check_host(self, host: str) -> None:
+        """Check that the service may be reached at an address.
+
+        Raises:
+            OptionError: others than this machine could reach it without TLS or without a token.
+        """
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            raise OptionError("a TLS certificate or a key alone; expected both")
+        if self.tls_client_authority is not None and self.tls_certificate is None:
+            raise OptionError("an authority of clients' certificates without the server's; expected it, too")
+        if is_loopback(host):
+            return
+        lacking = [
+            name
+            for name, there in (
+                ("a TLS certificate and key", self.tls_certificate is not None),
+                ("a token", self.token is not None),
+            )
+            if not there
+        ]
+        if lacking:
+            raise OptionError(
+                f"host {host!r} is open to other machines, which needs {' and '.join(lacking)}; or use 127.0.0.1"
+            )
+
+    def credentials(self) -> grpc.ServerCredentials | None:
+        """Give what the server encrypts with; None for nothing.
+
+        Raises:
+            DataError: a file holds no certificate, or no key of it.
+            OSError: a file cannot be read.
+        """
+        if self.tls_certificate is None or self.tls_key is None:
+            return None
+        certificate, key = read_pair(self.tls_certificate, self.tls_key)
+        authority = (
+            None if self.tls_client_authority is None else read_certificates(self.tls_client_authority)
+        )
+        return grpc.ssl_server_credentials(
+            [(key, certificate)],
+            root_certificates=authority,
+            require_client_auth=authority is not None,
+        )
+
+    def interceptors(self) -> list[ServerInterceptor]:
+        """Give what looks at calls before they are answered."""
+        return [] if self.token is None else [_TokenCheck(self.token)]
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address is this machine's alone."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def read_token(path: Path) -> str:
+    """Read a token from a file that holds nothing else.
+
+    Raises:
+        DataError: it is no text, too short, or has blanks in it.
+    """
+    try:
+        token = read_settings(path).decode("ascii").strip()
+    except UnicodeDecodeError as error:
+        raise DataError(path, "", "no token; expected ASCII characters") from error
+    if len(token) < _SHORTEST_TOKEN or not token.isprintable() or " " in token:
+        problem = f"{len(token)} characters; expected a token of {_SHORTEST_TOKEN} or more without blanks"
+        raise DataError(path, "", problem)
+    return token
+
+
+class _TokenCheck(ServerInterceptor):
+    """Ends calls that do not show the token."""
+
+    def __init__(self, token: str) -> None:
+        self._expected = f"Bearer {token}".encode()
+
+    async def intercept_service(
+        self,
+        continuation: Callable[
+            [grpc.HandlerCallDetails], "Awaitable[grpc.RpcMethodHandler[Any, Any] | None]"
+        ],
+        handler_call_details: grpc.HandlerCallDetails,
+    ) -> "grpc.RpcMethodHandler[Any, Any] | None":
+        """Let a call through that shows it."""
+        if handler_call_details.method.startswith(_OPEN_SERVICES) or self._shown(handler_call_details):
+            return await continuation(handler_call_details)
+        return grpc.stream_stream_rpc_method_handler(_refuse)
+
+    def _shown(self, details: grpc.HandlerCallDetails) -> bool:
+        found = b""
+        for key, value in details.invocation_metadata or ():
+            if key == "authorization":
+                found = value if isinstance(value, bytes) else value.encode("utf-8", "surrogateescape")
+        return hmac.compare_digest(found, self._expected)
+
+
+async def _refuse(_: Any, context: "ServicerContext[Any, Any]") -> None:
+    await context.abort(grpc.StatusCode.UNAUTHENTICATED, "expected the metadata authorization: Bearer TOKEN")
+
+
+_LOG = logging.getLogger(__name__)
+
+_Observer = Callable[[Event], None]
 
 _LOOK_S = 0.05
 """How often a server that ends looks whether all results were fetched."""
@@ -60,7 +187,7 @@ class ServerSettings:
     limits: ServiceLimits = field(default_factory=ServiceLimits)
     security: Security = field(default_factory=Security)
     configure: Callable[[FusionInterface], None] | None = None
-    observe: Callable[[str], Observer] | None = None
+    observe: Callable[[str], _Observer] | None = None
     clock: Callable[[], float] = time.monotonic
 
 
@@ -156,7 +283,7 @@ class FusionServer:
             await self._health.set(name, health_pb2.HealthCheckResponse.SERVING)
         self._sweeper = asyncio.get_running_loop().create_task(self._sweep())
         await self._open_metrics()
-        LOG.info("listening", extra={"fields": {"address": self.address}})
+        _LOG.info("listening", extra={"fields": {"address": self.address}})
 
     async def _open_metrics(self) -> None:
         port = self.settings.metrics_port
@@ -187,7 +314,7 @@ class FusionServer:
             return ()
         server, self._server = self._server, None
         self._handlers.draining = True
-        LOG.info("draining", extra={"fields": {"sessions": len(self.sessions)}})
+        _LOG.info("draining", extra={"fields": {"sessions": len(self.sessions)}})
         await self._health.enter_graceful_shutdown()
         limit_s = self.settings.limits.drain_seconds if limit_s is None else limit_s
         over_s = time.monotonic() + limit_s + _LAST_WORDS_S
@@ -195,18 +322,18 @@ class FusionServer:
             await asyncio.wait_for(self._deliver_the_rest(), limit_s)
         except TimeoutError:
             if limit_s > 0:
-                LOG.warning("results were not fetched in time", extra={"fields": {"seconds": limit_s}})
+                _LOG.warning("results were not fetched in time", extra={"fields": {"seconds": limit_s}})
         if self._sweeper is not None:
             self._sweeper.cancel()
         hanging = await self.sessions.end_all(max(over_s - time.monotonic(), _LAST_WORDS_S))
         if hanging:
             fields = {"sessions": list(hanging), "seconds": limit_s + _LAST_WORDS_S}
-            LOG.error("sessions do not end: an algorithm hangs", extra={"fields": fields})
+            _LOG.error("sessions do not end: an algorithm hangs", extra={"fields": fields})
         if self._metrics_server is not None:
             self._metrics_server.close()
         await server.stop(min(limit_s, _LAST_WORDS_S))
         self.sessions.close()
-        LOG.info("ended")
+        _LOG.info("ended")
         return hanging
 
     async def _deliver_the_rest(self) -> None:
@@ -223,7 +350,7 @@ class FusionServer:
         while True:
             await asyncio.sleep(min(30.0, 15.0 * self.settings.limits.idle_minutes))
             for name in self.sessions.end_idle():
-                LOG.info("session ended unused", extra={"fields": {"session": name}})
+                _LOG.info("session ended unused", extra={"fields": {"session": name}})
 
     def _interface(self, name: str, on_result: Callable[[], None]) -> FusionInterface:
         observe = self.settings.observe
@@ -235,7 +362,7 @@ class FusionServer:
         )
         if self.settings.configure is not None:
             self.settings.configure(fusion)
-        LOG.info("session begins", extra={"fields": {"session": name}})
+        _LOG.info("session begins", extra={"fields": {"session": name}})
         return fusion
 
 

@@ -1,54 +1,229 @@
-"""The log of sessions: all that came into them and went out of them, in one MCAP file that can be replayed.
-
-A thread of its own writes what waits, so that sessions need not wait for the disk. Messages stand in chunks: after a
-crash they are there as far as they were written, and the file is complete once it is closed.
-
-Source: the MCAP specification, mcap.dev/spec.
-"""
+"""The session log: everything that sessions receive and return, in one MCAP file that can be replayed."""
 
 import logging
 import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, BinaryIO, NamedTuple, Self
 
+import numpy as np
 from google.protobuf.message import Message
 
+from sceneloom.arrays import AnyArray, Float32Array, Float64Array
+from sceneloom.db34t.boxes import Boxes2d, Boxes3d
+from sceneloom.db34t.calibration import SensorKind
+from sceneloom.db34t.protobuf import encode, encode_in, fill_message
+from sceneloom.db34t.queues import Dropped, Event, Flushed, Moved, Refused, Result
+from sceneloom.db34t.received_records import Accepted, Setting
+from sceneloom.db34t.records import (
+    ENCODINGS,
+    FusedDetections,
+    ImageData,
+    PointCloudData,
+    ResultRecord,
+    SensorFusionData,
+    SentRecord,
+    kind_of,
+    size_of,
+)
+from sceneloom.db34t.types import bytes_view
 from sceneloom.errors import OutputError, SceneloomError
-from sceneloom.formats.mcap.foxglove_writing import encode as encode_shown
-from sceneloom.formats.mcap.schemas import foxglove_type, schema_bytes, serialised
-from sceneloom.formats.mcap.writer import McapWriter
-from sceneloom.formats.output import check_output
-from sceneloom.formats.topics.records import AnyRecord, Boxes3DRecord
-from sceneloom.fusion.accepted import Accepted
-from sceneloom.fusion.events import Dropped, Event, Refused, Result
-from sceneloom.fusion.messages.fused import FusedDetections
-from sceneloom.fusion.messages.protobuf_form import encode, encode_in, fill_message
-from sceneloom.fusion.messages.records import ResultRecord, SentRecord, kind_of, size_of
+from sceneloom.formats.base.output import check_output
+from sceneloom.formats.messages.cameras import camera_model_record, is_foreign
+from sceneloom.formats.messages.foxglove import encode as encode_shown
+from sceneloom.formats.messages.foxglove import foxglove_type, schema_bytes, serialised
+from sceneloom.formats.messages.mcap_files import McapWriter
+from sceneloom.formats.messages.points import pack
+from sceneloom.formats.messages.records import (
+    AnyRecord,
+    Box2D,
+    Box3D,
+    Boxes2DRecord,
+    Boxes3DRecord,
+    CameraModelRecord,
+    CloudRecord,
+    CompressedImageRecord,
+    ImageRecord,
+    TransformRecord,
+)
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.fusion.queues import Flushed, Moved
-from sceneloom.fusion.setting import Setting
-from sceneloom.service.log_shown import shown_camera_models, shown_records, shown_transforms
-from sceneloom.service.motion_form import motion_request
-from sceneloom.service.replies import properties_message
-from sceneloom.service.values import value_to_protobuf
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.service.messages import motion_request, properties_message, value_to_protobuf
 from sceneloom.version import __version__
+
+_FrameName = Callable[[str, int], str]
+"""Gives the name of the frame of a kind of sensor and its number."""
+
+_FISHEYE = "kannala_brandt"
+
+_RAW_NAMES = MappingProxyType({1: "mono8", 3: "rgb8", 4: "rgba8"})
+
+_COLOURS = ("r", "g", "b")
+
+_LARGEST_COLOUR = 255
+
+
+def shown_records(
+    record: SentRecord | ResultRecord, frame_id: str, image_frame_id: str = ""
+) -> dict[str, AnyRecord]:
+    """Give what viewers show of a record: one message, or of a result one for each part.
+
+    Args:
+        frame_id: the frame of the sensor; of a result that of its points and boxes.
+        image_frame_id: of a result, the frame of the camera; "" for the same.
+
+    Returns:
+        By part: image, depth, points, boxes_3d, boxes_2d; without those that no message can hold.
+    """
+    camera, found = image_frame_id or frame_id, dict[str, AnyRecord | None]()
+    time_ns = record.timestamp.nanoseconds
+    match record:
+        case ImageData():
+            size_hwc = record.height, record.width, record.channel
+            found["image"] = _image(time_ns, camera, record.encoding, size_hwc, record.data)
+        case PointCloudData():
+            found["points"] = _cloud(time_ns, frame_id, record.fields, record.points)
+        case SensorFusionData():
+            size_hwc = record.height, record.width, record.image_channel
+            image_ns = _image_time_ns(record)
+            found["image"] = _image(image_ns, camera, record.encoding, size_hwc, record.image_data)
+            height, width = record.height, record.width
+            depth = bytes_view(record.image_depth)
+            found["depth"] = ImageRecord(image_ns, camera, "32FC1", width, height, 4 * width, depth)
+            found["points"] = _cloud(time_ns, frame_id, record.point_fields, record.points)
+        case FusedDetections():
+            found["boxes_3d"] = _boxes_3d(record, frame_id)
+            found["boxes_2d"] = _boxes_2d(record, _image_time_ns(record), camera)
+        case Boxes3d():
+            found["boxes_3d"] = _boxes_3d(record, frame_id)
+        case Boxes2d():
+            found["boxes_2d"] = _boxes_2d(record, time_ns, camera)
+    return {part: shown for part, shown in found.items() if shown is not None}
+
+
+def _shown_camera_models(setting: Setting, frame_name: _FrameName) -> dict[int, CameraModelRecord]:
+    """Give the intrinsics of each camera whose model viewers know."""
+    cameras = {camera_id: pair.camera for (camera_id, _), pair in setting.pairs.items()}
+    return {
+        camera_id: camera_model_record(camera, 0, frame_name("camera", camera_id), _FISHEYE)
+        for camera_id, camera in cameras.items()
+        if not is_foreign(camera)
+    }
+
+
+def _shown_transforms(setting: Setting, frame_name: _FrameName) -> Iterator[TransformRecord]:
+    """Give the extrinsics of each camera in its lidars; a left-handed lidar frame has none."""
+    axes = setting.frames.lidar.standard_from_declared(SensorKind.LIDAR)
+    if np.linalg.det(axes) < 0:
+        return
+    standard_from_declared = RigidTransform(axes, np.zeros(3))
+    for (camera_id, lidar_id), pair in setting.pairs.items():
+        lidar_from_camera = (pair.camera_from_lidar @ standard_from_declared).inverse()
+        yield TransformRecord(
+            0,
+            frame_name("lidar", lidar_id),
+            frame_name("camera", camera_id),
+            lidar_from_camera.translation,
+            lidar_from_camera.quaternion_xyzw,
+        )
+
+
+def _image_time_ns(record: SensorFusionData | FusedDetections) -> int:
+    return (record.image_timestamp or record.timestamp).nanoseconds
+
+
+def _image(
+    time_ns: int, frame_id: str, encoding: str, size_hwc: tuple[int, int, int], data: AnyArray
+) -> ImageRecord | CompressedImageRecord | None:
+    height, width, channel = size_hwc
+    if ENCODINGS[encoding].is_file:
+        return CompressedImageRecord(time_ns, frame_id, encoding, bytes_view(data))
+    name = _RAW_NAMES.get(channel) if encoding == "raw" else encoding
+    if name is None:
+        return None
+    return ImageRecord(time_ns, frame_id, name, width, height, width * channel, bytes_view(data))
+
+
+def _cloud(time_ns: int, frame_id: str, names: Sequence[str], table: Float32Array) -> CloudRecord:
+    """Points as they were sent; colours that are whole numbers from 0 to 255 as bytes, which viewers ask for."""
+    colours = table[:, [k for k, name in enumerate(names) if name in _COLOURS]]
+    columns: dict[tuple[str, ...], AnyArray] = {tuple(names): table}
+    # NaN is in no range
+    whole = (colours >= 0) & (colours <= _LARGEST_COLOUR) & (colours == np.floor(colours))
+    if colours.shape[1] == len(_COLOURS) and whole.all():
+        rest = [k for k, name in enumerate(names) if name not in _COLOURS]
+        by_name = [names.index(name) for name in _COLOURS]
+        columns = {
+            tuple(names[k] for k in rest): table[:, rest],
+            ("red", "green", "blue"): table[:, by_name].astype(np.uint8),
+            ("alpha",): np.full(len(table), _LARGEST_COLOUR, np.uint8),
+        }
+    packed = pack(columns, len(table))
+    return CloudRecord(time_ns, frame_id, packed.fields, packed.stride, packed.data, packed.count)
+
+
+def _boxes_3d(record: Boxes3d | FusedDetections, frame_id: str) -> Boxes3DRecord:
+    boxes = tuple(
+        Box3D(
+            str(k),
+            frame_id,
+            record.centers[k],
+            _quaternion_xyzw(record.directions[k]),
+            record.sizes_lwh[k],
+            record.class_names[k],
+            {**_metadata(record, k), "velocity": str(record.velocities[k])},
+        )
+        for k in range(len(record))
+        if record.directions[k].any()
+    )
+    return Boxes3DRecord(record.timestamp.nanoseconds, boxes)
+
+
+def _boxes_2d(record: Boxes2d | FusedDetections, time_ns: int, frame_id: str) -> Boxes2DRecord:
+    boxes = tuple(
+        Box2D(str(k), (x1, y1, x2 - x1, y2 - y1), record.class_names[k], _metadata(record, k))
+        for k, (x1, y1, x2, y2) in enumerate(record.corners_xyxy.astype(np.float64).tolist())
+    )
+    return Boxes2DRecord(time_ns, frame_id, boxes)
+
+
+def _metadata(record: Boxes2d | Boxes3d | FusedDetections, k: int) -> dict[str, str]:
+    return {"id": str(record.id[k]), "confidence": str(record.confidence[k])}
+
+
+def _quaternion_xyzw(direction: Float32Array) -> Float64Array:
+    """Rotation (4,) of the x axis into a direction (3,) of any length but 0, without roll."""
+    dx, dy, dz = direction.astype(np.float64).tolist()
+    yaw, pitch = np.arctan2(dy, dx) / 2, -np.arctan2(dz, np.hypot(dx, dy)) / 2
+    about_y, about_z = (np.sin(pitch), np.cos(pitch)), (np.sin(yaw), np.cos(yaw))
+    return np.array(
+        [
+            -about_z[0] * about_y[0],
+            about_z[1] * about_y[0],
+            about_z[0] * about_y[1],
+            about_z[1] * about_y[1],
+        ]
+    )
+
 
 LOG = logging.getLogger(__name__)
 
 _CHUNK_BYTES = 4 << 20
 """Of messages that are compressed and written together; the most that is kept in memory, beside the largest message."""
+
 _MOST_CHANNELS = 60_000
 """Channels of one file, of at most 65535 that the format counts."""
+
 _OVERHEAD = 2048
 """What an entry that waits keeps beside its arrays [byte], about."""
+
 _SENSORS = {"raw": "sensor", "image": "camera", "boxes_2d": "camera", "points": "lidar", "boxes_3d": "lidar"}
 
 Step = Callable[[int], None]
@@ -471,9 +646,9 @@ class _Session:
         if set(known) - set(setting.table.entries):
             self._add("pairs", value_to_protobuf(list(setting.table.entries)), "pairs")
         if self._box.shown:
-            for camera_id, camera_model in shown_camera_models(setting, self._frame).items():
+            for camera_id, camera_model in _shown_camera_models(setting, self._frame).items():
                 self._show(f"camera/{camera_id}/camera model", camera_model)
-            for transform in shown_transforms(setting, self._frame):
+            for transform in _shown_transforms(setting, self._frame):
                 self._show("frames", transform)
 
     def _frame(self, kind: str, sensor_id: int) -> str:

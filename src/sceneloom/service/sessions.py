@@ -1,7 +1,8 @@
-"""Sessions: rigs of their own, by name, each with its own interface, limits and threads."""
+"""Sessions of the service: a rig each, by name, with its own interface, limits and threads."""
 
 import asyncio
 import re
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -10,21 +11,85 @@ from typing import ParamSpec, Protocol, TypeVar
 
 import grpc
 
-from sceneloom.fusion.events import Result
-from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.outcome import Cause
-from sceneloom.service.call_errors import CallError
-from sceneloom.service.limits import ServiceLimits
-from sceneloom.service.replies import Replies
-from sceneloom.service.waiting import Bell
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.queues import Result
+from sceneloom.db34t.types import Cause
+from sceneloom.errors import SceneloomError
+from sceneloom.service.messages import Replies
+from sceneloom.service.startup import ServiceLimits
 
-Arguments = ParamSpec("Arguments")
-Answer = TypeVar("Answer")
+
+class CallError(SceneloomError):
+    """A call cannot be answered; where it answers with a `Status`, that says cause and reason.
+
+    Attributes:
+        code: what other calls end with.
+        cause: for programs.
+        reason: for people.
+    """
+
+    def __init__(self, code: grpc.StatusCode, cause: Cause, reason: str) -> None:
+        super().__init__(code, cause, reason)
+        self.code, self.cause, self.reason = code, cause, reason
+
+    def __str__(self) -> str:
+        return self.reason
+
+
+class _Bell:
+    """Wakes the coroutines of one event loop that wait for it; rung from any thread, it never waits itself."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Belong to an event loop, in whose thread this is called."""
+        self._loop = loop
+        self._thread_id = threading.get_ident()
+        self._waiting: set[asyncio.Future[None]] = set()
+        self._ringing = False
+
+    def ring(self) -> None:
+        """Wake all who wait now; nothing happens once the loop has ended."""
+        if self._ringing:
+            return
+        self._ringing = True
+        # in its own thread the loop is awake, and need not be woken through a pipe
+        call = (
+            self._loop.call_soon
+            if threading.get_ident() == self._thread_id
+            else self._loop.call_soon_threadsafe
+        )
+        try:
+            call(self._wake)
+        except RuntimeError:
+            if not self._loop.is_closed():
+                raise
+
+    async def wait(self, timeout_s: float | None) -> None:
+        """Wait until it rings, or for so long; who looked before in the same step of the loop misses no ring."""
+        woken = self._loop.create_future()
+        self._waiting.add(woken)
+        try:
+            if timeout_s is None:
+                await woken
+            else:
+                await asyncio.wait((woken,), timeout=timeout_s)
+        finally:
+            self._waiting.discard(woken)
+
+    def _wake(self) -> None:
+        self._ringing = False
+        for woken in self._waiting:
+            if not woken.done():
+                woken.set_result(None)
+
+
+_Arguments = ParamSpec("_Arguments")
+
+_Answer = TypeVar("_Answer")
 
 DEFAULT_SESSION = "default"
 """The session of calls that name none."""
 
-THREADS_OF_SESSION = 2
+_THREADS_OF_SESSION = 2
 """Threads that one session may keep busy, so that none waits for another's."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,63}")
@@ -63,7 +128,7 @@ class Session:
     ) -> None:
         """Start; `sessions` makes them."""
         self.name = name
-        self.bell = Bell(asyncio.get_running_loop())
+        self.bell = _Bell(asyncio.get_running_loop())
         self.fusion = make_interface(name, self.bell.ring)
         self.replies = Replies()
         self.open_requests = 0
@@ -74,7 +139,7 @@ class Session:
         self.observed = False
         self._limits = limits
         self._pool = pool
-        self._threads = asyncio.Semaphore(THREADS_OF_SESSION)
+        self._threads = asyncio.Semaphore(_THREADS_OF_SESSION)
         self._running = 0
         self._bytes = 0
 
@@ -117,10 +182,10 @@ class Session:
 
     async def run(
         self,
-        function: Callable[Arguments, Answer],
-        *arguments: Arguments.args,
-        **options: Arguments.kwargs,
-    ) -> Answer:
+        function: Callable[_Arguments, _Answer],
+        *arguments: _Arguments.args,
+        **options: _Arguments.kwargs,
+    ) -> _Answer:
         """Call a function in one of the session's threads; it goes on where the caller does not wait for it."""
         await self._threads.acquire()
         self._running += 1
@@ -129,7 +194,7 @@ class Session:
         future.add_done_callback(self._ran)
         return await asyncio.shield(future)
 
-    def _ran(self, future: asyncio.Future[Answer]) -> None:
+    def _ran(self, future: asyncio.Future[_Answer]) -> None:
         self._running -= 1
         self._threads.release()
         if not future.cancelled():
@@ -183,7 +248,7 @@ class SessionTable:
         self._make_interface = make_interface
         self._limits = limits
         self._sessions: dict[str, Session] = {}
-        threads = THREADS_OF_SESSION * limits.most_sessions + limits.most_sessions
+        threads = _THREADS_OF_SESSION * limits.most_sessions + limits.most_sessions
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="session")
         self._ending: dict[asyncio.Task[None], str] = {}
 

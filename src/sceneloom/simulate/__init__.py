@@ -5,72 +5,77 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.simulate.annotated import annotate
-    from sceneloom.simulate.boxes import BoxTruth
-    from sceneloom.simulate.camera import CameraSpec, ImageTruth, camera_mount
-    from sceneloom.simulate.detections import SimulatedDetections
-    from sceneloom.simulate.detections_2d import detect_2d
-    from sceneloom.simulate.detections_3d import detect_3d
-    from sceneloom.simulate.detectors import ClassSpec, Detector2dSpec, Detector3dSpec, MissSpec
-    from sceneloom.simulate.drive import SimulatedDrive, demo_drive, plant, simulate_street
-    from sceneloom.simulate.exposure import ExposureSpec
+    from sceneloom.simulate.annotations import annotate
+    from sceneloom.simulate.camera import CameraSpec, ExposureSpec, ImageTruth, camera_mount
+    from sceneloom.simulate.detections import SimulatedDetections, detect_2d, detect_3d
+    from sceneloom.simulate.detectors import ClassSpec, Detector2dSpec, Detector3dSpec, MissSpec, ScoreSpec
+    from sceneloom.simulate.drive import (
+        CleanPoints,
+        OcclusionTruth,
+        SimulatedDrive,
+        Truth,
+        demo_drive,
+        plant,
+        simulate_street,
+    )
     from sceneloom.simulate.faults import Faults, PointTimes, SensorFaults
-    from sceneloom.simulate.inertial import ImuSpec, ImuTruth
-    from sceneloom.simulate.lidar import LidarSpec, Sweep
-    from sceneloom.simulate.mounts import sensor_mount
-    from sceneloom.simulate.movers import Mover
-    from sceneloom.simulate.path import PathSpec
-    from sceneloom.simulate.radar import RadarSpec, RadarTruth
-    from sceneloom.simulate.satellite import GnssSpec
-    from sceneloom.simulate.scores import ScoreSpec
-    from sceneloom.simulate.solid_state import Raster, Rosette, SolidStateSpec
-    from sceneloom.simulate.street import StreetObject
+    from sceneloom.simulate.gnss_imu import GnssSpec, ImuSpec, ImuTruth
+    from sceneloom.simulate.lidar_radar import (
+        LidarSpec,
+        RadarSpec,
+        RadarTruth,
+        Raster,
+        Rosette,
+        SolidStateSpec,
+        Sweep,
+    )
+    from sceneloom.simulate.objects import Mover
+    from sceneloom.simulate.street import BoxTruth, StreetObject
     from sceneloom.simulate.traffic import TrafficSpec
-    from sceneloom.simulate.truth import CleanPoints, OcclusionTruth, Truth
-    from sceneloom.simulate.warp import Stop
+    from sceneloom.simulate.trajectory import PathSpec, Stop, sensor_mount
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "BoxTruth": "sceneloom.simulate.boxes:BoxTruth",
+            "BoxTruth": "sceneloom.simulate.street:BoxTruth",
             "CameraSpec": "sceneloom.simulate.camera:CameraSpec",
             "ClassSpec": "sceneloom.simulate.detectors:ClassSpec",
-            "CleanPoints": "sceneloom.simulate.truth:CleanPoints",
+            "CleanPoints": "sceneloom.simulate.drive:CleanPoints",
             "Detector2dSpec": "sceneloom.simulate.detectors:Detector2dSpec",
             "Detector3dSpec": "sceneloom.simulate.detectors:Detector3dSpec",
-            "ExposureSpec": "sceneloom.simulate.exposure:ExposureSpec",
+            "ExposureSpec": "sceneloom.simulate.camera:ExposureSpec",
             "Faults": "sceneloom.simulate.faults:Faults",
-            "GnssSpec": "sceneloom.simulate.satellite:GnssSpec",
-            "ImuSpec": "sceneloom.simulate.inertial:ImuSpec",
-            "ImuTruth": "sceneloom.simulate.inertial:ImuTruth",
-            "LidarSpec": "sceneloom.simulate.lidar:LidarSpec",
+            "GnssSpec": "sceneloom.simulate.gnss_imu:GnssSpec",
+            "ImuSpec": "sceneloom.simulate.gnss_imu:ImuSpec",
+            "ImuTruth": "sceneloom.simulate.gnss_imu:ImuTruth",
+            "LidarSpec": "sceneloom.simulate.lidar_radar:LidarSpec",
             "MissSpec": "sceneloom.simulate.detectors:MissSpec",
-            "Mover": "sceneloom.simulate.movers:Mover",
-            "OcclusionTruth": "sceneloom.simulate.truth:OcclusionTruth",
-            "PathSpec": "sceneloom.simulate.path:PathSpec",
+            "Mover": "sceneloom.simulate.objects:Mover",
+            "OcclusionTruth": "sceneloom.simulate.drive:OcclusionTruth",
+            "PathSpec": "sceneloom.simulate.trajectory:PathSpec",
             "ImageTruth": "sceneloom.simulate.camera:ImageTruth",
             "PointTimes": "sceneloom.simulate.faults:PointTimes",
-            "RadarSpec": "sceneloom.simulate.radar:RadarSpec",
-            "RadarTruth": "sceneloom.simulate.radar:RadarTruth",
-            "Raster": "sceneloom.simulate.solid_state:Raster",
-            "Rosette": "sceneloom.simulate.solid_state:Rosette",
-            "ScoreSpec": "sceneloom.simulate.scores:ScoreSpec",
+            "RadarSpec": "sceneloom.simulate.lidar_radar:RadarSpec",
+            "RadarTruth": "sceneloom.simulate.lidar_radar:RadarTruth",
+            "Raster": "sceneloom.simulate.lidar_radar:Raster",
+            "Rosette": "sceneloom.simulate.lidar_radar:Rosette",
+            "ScoreSpec": "sceneloom.simulate.detectors:ScoreSpec",
             "SensorFaults": "sceneloom.simulate.faults:SensorFaults",
             "SimulatedDetections": "sceneloom.simulate.detections:SimulatedDetections",
             "SimulatedDrive": "sceneloom.simulate.drive:SimulatedDrive",
-            "SolidStateSpec": "sceneloom.simulate.solid_state:SolidStateSpec",
-            "Stop": "sceneloom.simulate.warp:Stop",
+            "SolidStateSpec": "sceneloom.simulate.lidar_radar:SolidStateSpec",
+            "Stop": "sceneloom.simulate.trajectory:Stop",
             "StreetObject": "sceneloom.simulate.street:StreetObject",
-            "Sweep": "sceneloom.simulate.lidar:Sweep",
+            "Sweep": "sceneloom.simulate.lidar_radar:Sweep",
             "TrafficSpec": "sceneloom.simulate.traffic:TrafficSpec",
-            "Truth": "sceneloom.simulate.truth:Truth",
-            "annotate": "sceneloom.simulate.annotated:annotate",
+            "Truth": "sceneloom.simulate.drive:Truth",
+            "annotate": "sceneloom.simulate.annotations:annotate",
             "camera_mount": "sceneloom.simulate.camera:camera_mount",
             "demo_drive": "sceneloom.simulate.drive:demo_drive",
-            "detect_2d": "sceneloom.simulate.detections_2d:detect_2d",
-            "detect_3d": "sceneloom.simulate.detections_3d:detect_3d",
+            "detect_2d": "sceneloom.simulate.detections:detect_2d",
+            "detect_3d": "sceneloom.simulate.detections:detect_3d",
             "plant": "sceneloom.simulate.drive:plant",
-            "sensor_mount": "sceneloom.simulate.mounts:sensor_mount",
+            "sensor_mount": "sceneloom.simulate.trajectory:sensor_mount",
             "simulate_street": "sceneloom.simulate.drive:simulate_street",
         },
     )

@@ -1,29 +1,129 @@
-"""A camera: one ray through the middle of every pixel, or a few of them, each from where the camera is at its time."""
+"""Simulated cameras: exposure, rendered images, their edges, and the true boxes of whole objects in them."""
 
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import check_camera, project, unproject
+from sceneloom.cameras.projection import check_camera, project, project_unbounded, unproject
+from sceneloom.errors import OptionError
+from sceneloom.geometry.boxes import CORNER_SIGNS, EDGES
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.types import NO_FIELDS
-from sceneloom.simulate.bounds import check_bounds
 from sceneloom.simulate.casting import Hits, Paint, Rays, cast, instances_of, paint, silhouettes
-from sceneloom.simulate.exposure import EXPOSURE_FIELD, Exposure, ExposureSpec
-from sceneloom.simulate.mounts import sensor_mount
-from sceneloom.simulate.path import EgoPath
-from sceneloom.simulate.street import Street
+from sceneloom.simulate.parameters import Stream, check_bounds, generator_for
+from sceneloom.simulate.street import Street, boxes_of
+from sceneloom.simulate.trajectory import EgoPath, sensor_mount
+
+_EXPOSURE_FIELD = "exposureTimeSeconds"
+"""The recording format's word for how long an image was exposed [s]."""
+
+_SECOND_WAVE = 0.382
+"""The shorter of the two waves of the drift, as a share of `drift_period`: without a common measure with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureSpec:
+    """How the brightness of a camera's images changes. A stop is a factor of two.
+
+    The gain is one number per image and multiplies its 8-bit values, which are then cut off at 255. Nothing is
+    blurred, however long the exposure.
+
+    Attributes:
+        drift_stops: how far the automatic wanders to either side at most.
+        drift_period: time of its slow wave [s].
+        steps: sudden changes of the light: when, in seconds after the start of the drive, and by how many stops, such
+            as (4.0, 1.5) for the way out of a shadow. The automatic takes each back.
+        recovery: time in which it takes back 63 % of a step [s]; infinite: never.
+        vignetting: share of the light that the corner farthest from the image's middle lacks; it falls off with the
+            square of the distance.
+        exposure_ns: how long each image is exposed [ns], as its `exposureTimeSeconds` says; 0: not stated.
+
+    Raises:
+        OptionError: a number is out of bounds.
+    """
+
+    drift_stops: float = 0.35
+    drift_period: float = 7.0
+    steps: tuple[tuple[float, float], ...] = ()
+    recovery: float = 0.8
+    vignetting: float = 0.0
+    exposure_ns: int = 8_000_000
+
+    def __post_init__(self) -> None:
+        bounds = (
+            ("drift_stops", self.drift_stops, 0.0, 8.0),
+            ("drift_period", self.drift_period, 0.01, 1e6),
+            ("recovery", self.recovery, 1e-6, float("inf")),
+            ("vignetting", self.vignetting, 0.0, 1.0),
+            ("exposure_ns", self.exposure_ns, 0, 10**9),
+            *((f"steps[{k}] stops", stops, -8.0, 8.0) for k, (_, stops) in enumerate(self.steps)),
+        )
+        check_bounds("exposure", bounds)
+        if not all(np.isfinite(seconds) for seconds, _ in self.steps):
+            raise OptionError(f"exposure.steps: {self.steps}; expected finite times")
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """The exposure of one camera on one drive.
+
+    Attributes:
+        spec: how it changes.
+        start_ns: start of the drive [ns].
+        phases: of the two waves of the drift [rad].
+    """
+
+    spec: ExposureSpec
+    start_ns: int
+    phases: tuple[float, float]
+
+    @classmethod
+    def of(cls, spec: ExposureSpec, *, start_ns: int, seed: int, camera: int) -> "Exposure":
+        """Draw the drift of camera number `camera`."""
+        first, second = generator_for(seed, Stream.EXPOSURE, sensor=camera).uniform(0.0, 2.0 * np.pi, 2)
+        return cls(spec, start_ns, (float(first), float(second)))
+
+    def gain(self, timestamp_ns: int) -> float:
+        """The factor of a image at a time [ns]."""
+        seconds, spec = (timestamp_ns - self.start_ns) * 1e-9, self.spec
+        rotations = 2.0 * np.pi * seconds / spec.drift_period
+        waves = 0.7 * np.sin(rotations + self.phases[0]) + 0.3 * np.sin(
+            rotations / _SECOND_WAVE + self.phases[1]
+        )
+        stops = spec.drift_stops * waves
+        for begin, step in spec.steps:
+            if seconds >= begin:
+                stops += step * np.exp((begin - seconds) / spec.recovery)
+        return float(2.0**stops)
+
+    def applied(self, rgb: UInt8Array, timestamp_ns: int) -> UInt8Array:
+        """An image (H, W, 3) as the camera gives it at a time [ns], rounded and cut off at 255."""
+        factor = self.gain(timestamp_ns) * self._falloff(rgb.shape[0], rgb.shape[1])
+        exposed: UInt8Array = np.rint(np.minimum(255.0, rgb * factor[..., None])).astype(np.uint8)
+        return exposed
+
+    def _falloff(self, height: int, width: int) -> Float64Array:
+        """Share of the light that each pixel gets, (H, W)."""
+        v, u = np.mgrid[:height, :width]
+        squared = (u - (width - 1) / 2) ** 2 + (v - (height - 1) / 2) ** 2
+        share: Float64Array = 1.0 - self.spec.vignetting * squared / max(1.0, float(squared[0, 0]))
+        return share
+
 
 _TILE = 16
+
 _REACH = 900.0
+
 _LONGEST_READOUT_NS = 100_000_000
+
 _LINE_ROUNDS = 4
 """How often the line that sees a point is looked for: each guess is off by what the image moves while the lines that
 the guess before was off by are read, so the second is within a line in traffic."""
+
 _EGO_FROM_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Axes of a camera that looks along the ego's x: right, down, forward."""
 
@@ -203,7 +303,7 @@ class RenderedCamera:
     def image(self, k: int) -> CameraImage:
         """Image k, rendered when its pixels are asked for."""
         exposure_ns = 0 if self.spec.exposure is None else self.spec.exposure.exposure_ns
-        extras = {EXPOSURE_FIELD: exposure_ns / 1e9} if exposure_ns else NO_FIELDS
+        extras = {_EXPOSURE_FIELD: exposure_ns / 1e9} if exposure_ns else NO_FIELDS
         return CameraImage(
             int(self.timestamps_ns[k]), self.spec.camera, partial(self.render, k), extras=extras
         )
@@ -271,3 +371,163 @@ def _with_border(camera: Camera) -> tuple[Camera, int]:
         cy=camera.cy + border,
     )
     return wider, border
+
+
+def edge_mask(truth: ImageTruth, *, within_px: int = 2) -> BoolArray:
+    """Mark the pixels near an outline.
+
+    An outline lies between two neighbouring pixels that show different objects, or depths that differ by more than
+    a plane could explain: 5 % of the depth and more than double the step on either side.
+
+    Args:
+        within_px: how far from an outline pixels are still marked, along rows, columns and diagonals.
+
+    Returns:
+        (H, W) bool.
+    """
+    edges = np.zeros(truth.depths.shape, np.bool_)
+    for axis in (0, 1):
+        instances, depths = (np.moveaxis(array, axis, 0) for array in (truth.instances, truth.depths))
+        view = np.moveaxis(edges, axis, 0)
+        change = (instances[1:] != instances[:-1]) | _jumps(depths.astype(np.float64))
+        view[1:] |= change
+        view[:-1] |= change
+    return _grown(edges, within_px - 1)
+
+
+def _jumps(depths: Float64Array) -> BoolArray:
+    """Where the depth leaps between rows, (H - 1, W)."""
+    steps = np.abs(np.diff(depths, axis=0))
+    beside = np.zeros_like(steps)
+    beside[1:] = steps[:-1]
+    beside[:-1] = np.maximum(beside[:-1], steps[1:])
+    leaps: BoolArray = (steps > 0.05 * np.minimum(depths[1:], depths[:-1])) & (steps > 2.0 * beside)
+    return leaps
+
+
+def _grown(mask: BoolArray, by_px: int) -> BoolArray:
+    """The mask and all pixels at most `by_px` rows and columns from it."""
+    grown = mask
+    for axis in (0, 1):
+        source = grown.copy()
+        for step in range(1, by_px + 1):
+            view, old = np.moveaxis(grown, axis, 0), np.moveaxis(source, axis, 0)
+            view[step:] |= old[:-step]
+            view[:-step] |= old[step:]
+    return grown
+
+
+_NEAR = 0.05
+"""Of a box beside the camera, what lies farther ahead than this is projected [m]."""
+
+_ALONG_EDGES = 25
+"""Points on each edge of a projected box: camera models bend edges."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LineViews:
+    """Where a camera and the boxes of some objects are when each line of an image is taken.
+
+    Attributes:
+        camera_model: of the camera.
+        left_to_right: whether the lines are columns, not rows.
+        rotations, origins: (L, 3, 3) and (L, 3) float64 [m], `world_from_camera` at each line's time.
+        centers_world: (L, M, 3) float64 [m].
+        yaws: (L, M) float64 [rad], counter-clockwise from the world's x.
+        sizes_lwh: (M, 3) float64 [m].
+    """
+
+    camera_model: Camera
+    left_to_right: bool
+    rotations: Float64Array
+    origins: Float64Array
+    centers_world: Float64Array
+    yaws: Float64Array
+    sizes_lwh: Float64Array
+
+    @classmethod
+    def of(cls, camera: RenderedCamera, k: int, instances: Int64Array) -> "LineViews":
+        """See objects (M,) by their instance numbers in image k."""
+        boxes = boxes_of(camera.street, camera.line_times_ns(k))
+        rows = np.searchsorted(boxes.instances, instances)
+        return cls(
+            camera.spec.camera,
+            camera.spec.left_to_right,
+            *camera.line_poses(k),
+            boxes.centers_world[:, rows],
+            boxes.yaws[:, rows],
+            boxes.sizes_lwh[rows],
+        )
+
+    def in_camera(self, which: int, lines: Int64Array, points_box: Float64Array) -> Float64Array:
+        """Take points (N, 3) that are fixed to a box, from its middle and along its axes, to the lines' cameras."""
+        rotated = _about_z(points_box, self.yaws[lines, which])
+        from_camera = rotated + self.centers_world[lines, which] - self.origins[lines]
+        points: Float64Array = np.einsum("nji,nj->ni", self.rotations[lines], from_camera)
+        return points
+
+    def on_box(self, which: int, lines: Int64Array, points_camera: Float64Array) -> Float64Array:
+        """Take points (N, 3) of the lines' cameras to a box: the inverse of `in_camera`."""
+        from_camera = np.einsum("nij,nj->ni", self.rotations[lines], points_camera)
+        apart = from_camera + self.origins[lines] - self.centers_world[lines, which]
+        return _about_z(apart, -self.yaws[lines, which])
+
+    def lines_at(self, pixels: Float64Array) -> Int64Array:
+        """The lines in which finite pixels (N, 2) lie, the first or last for those outside."""
+        last = len(self.origins) - 1
+        return np.clip(np.rint(pixels[:, 0 if self.left_to_right else 1]), 0, last).astype(np.int64)
+
+
+def projected_boxes(views: LineViews, extents: Float64Array) -> Float64Array:
+    """Edges (M, 4) of the projected boxes, clipped to the image; of a box out of the camera model, what is seen of it.
+
+    Args:
+        extents: (M, 4) float64 [px], edges of what is seen of each.
+    """
+    boxes = extents.copy()
+    for which in range(len(boxes)):
+        pixels = _outline(views, which) + 0.5
+        if len(pixels):
+            boxes[which] = *pixels.min(axis=0), *pixels.max(axis=0)
+    return within_image(boxes, views.camera_model)
+
+
+def within_image(boxes: Float64Array, camera_model: Camera) -> Float64Array:
+    """Boxes (M, 4) [px] cut off at the edges of the image."""
+    size = np.array([camera_model.width, camera_model.height] * 2, np.float64)
+    cut: Float64Array = np.clip(boxes, 0.0, size)
+    return cut
+
+
+def _outline(views: LineViews, which: int) -> Float64Array:
+    """Pixels (N, 2) of points on the edges of a box, each as seen by the line that it falls on."""
+    middle = len(views.origins) // 2
+    corners = CORNER_SIGNS * views.sizes_lwh[which] / 2
+    starts, stops = _ahead(views.in_camera(which, np.full(len(corners), middle), corners))
+    steps = np.linspace(0.0, 1.0, _ALONG_EDGES)[:, None, None]
+    along = (starts + steps * (stops - starts)).reshape(-1, 3)
+    lines = np.full(len(along), middle)
+    on_box = views.on_box(which, lines, along)
+    for _ in range(_LINE_ROUNDS if len(views.origins) > 1 else 1):
+        pixels = project_unbounded(views.camera_model, views.in_camera(which, lines, on_box))
+        finite = np.isfinite(pixels).all(axis=1)
+        lines, on_box, pixels = views.lines_at(pixels[finite]), on_box[finite], pixels[finite]
+    return pixels
+
+
+def _about_z(points: Float64Array, angles: Float64Array) -> Float64Array:
+    """Points (N, 3) rotated about the z axis by (N,) angles [rad]."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+    x, y, z = points.T
+    return np.column_stack([cosine * x - sine * y, sine * x + cosine * y, z])
+
+
+def _ahead(corners: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """The parts of a box's edges that lie ahead of the camera: where they start and stop, (E, 3) each."""
+    first, last = np.array(EDGES).T
+    deeper = corners[first, 2] > corners[last, 2]
+    near, far = (corners[np.where(deeper, a, b)] for a, b in ((last, first), (first, last)))
+    reaching = far[:, 2] > _NEAR
+    near, far = near[reaching], far[reaching]
+    share = np.clip((_NEAR - near[:, 2]) / np.maximum(1e-12, far[:, 2] - near[:, 2]), 0.0, 1.0)[:, None]
+    return near + share * (far - near), far

@@ -1,37 +1,429 @@
-"""A synthetic drive: one scene as a reader would give it, and the truth behind it."""
+"""A simulated drive: its sensors, the scene as a reader would give it, and the truth behind it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.scene.poses import Trajectory
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.poses import Poses, PoseSource, Trajectory
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.types import Identifier
-from sceneloom.simulate.boxes import annotations_of
-from sceneloom.simulate.camera import CameraSpec, camera_mount
-from sceneloom.simulate.faults import Faults
-from sceneloom.simulate.inertial import ImuSpec, imu_sensor, imu_truth
-from sceneloom.simulate.lidar import LidarSpec
-from sceneloom.simulate.path import PathSpec, plan_path
-from sceneloom.simulate.planting import plant_in_scene
-from sceneloom.simulate.radar import RadarSpec
-from sceneloom.simulate.randomness import Stream, generator_for
-from sceneloom.simulate.rig import Rig, scene_sensors
-from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
-from sceneloom.simulate.shots import ScanSpec
-from sceneloom.simulate.street import build_street
+from sceneloom.scene.types import NO_FIELDS, Identifier
+from sceneloom.simulate.camera import CameraSpec, ImageTruth, RenderedCamera, camera_mount, edge_mask
+from sceneloom.simulate.casting import Rays, ScanSpec, bundles_by_direction, cast
+from sceneloom.simulate.faults import Faults, plant_in_scene
+from sceneloom.simulate.gnss_imu import GnssSpec, ImuSpec, ImuTruth, gnss_sensor, imu_sensor, imu_truth
+from sceneloom.simulate.lidar_radar import LidarSpec, RadarSpec, ScanningLidar, SimulatedRadar, Sweep
+from sceneloom.simulate.objects import Mover
+from sceneloom.simulate.parameters import Stream, generator_for
+from sceneloom.simulate.street import BoxTruth, Street, StreetObject, annotations_of, boxes_of, build_street
 from sceneloom.simulate.traffic import TrafficSpec, plan_traffic
-from sceneloom.simulate.truth import Truth
+from sceneloom.simulate.trajectory import EgoPath, PathSpec, plan_path
 
-TRAJECTORY = "groundTruth"
+_MARGIN_NS = 200_000_000
+"""How far trajectory, IMU and GNSS reach beyond the first and the last measurement."""
+
+_LONGEST_PERIOD_NS = 1_000_000_000
+"""Longest frame of a further lidar, which ends so much later than the drive at most: so far traffic goes on, too."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """The devices on the ego, and the clock of the drive: the periods of its first lidar.
+
+    Attributes:
+        lidars, cameras, radars: the devices by id, in order.
+        frames: periods of the first lidar.
+        start_ns: start of the drive [ns].
+    """
+
+    lidars: Mapping[str, ScanSpec]
+    cameras: Mapping[str, CameraSpec]
+    radars: Mapping[str, RadarSpec]
+    frames: int
+    start_ns: int
+
+    @classmethod
+    def of(
+        cls,
+        lidars: Sequence[ScanSpec],
+        cameras: Sequence[CameraSpec],
+        radars: Sequence[RadarSpec],
+        *,
+        frames: int,
+        start_ns: int,
+    ) -> "Rig":
+        """Name the devices: "lidar", or "lidar0", "lidar1", … where there are several; "camera0", …; "radar0", ….
+
+        Raises:
+            OptionError: there is no lidar, or a device's times do not fit the others'.
+        """
+        if not lidars:
+            raise OptionError("lidars: none; expected one at least, whose sweeps are the clock of the drive")
+        names = ["lidar"] if len(lidars) == 1 else [f"lidar{index}" for index in range(len(lidars))]
+        rig = cls(
+            dict(zip(names, lidars, strict=True)),
+            {f"camera{index}": spec for index, spec in enumerate(cameras)},
+            {f"radar{index}": spec for index, spec in enumerate(radars)},
+            frames,
+            start_ns,
+        )
+        rig._check()
+        return rig
+
+    @property
+    def period_ns(self) -> int:
+        """Time from one sweep of the first lidar to the next [ns]."""
+        return next(iter(self.lidars.values())).period_ns
+
+    @property
+    def sweep_starts_ns(self) -> Int64Array:
+        """(F,) int64 [ns], the periods of the drive, by which images are taken."""
+        starts: Int64Array = self.start_ns + self.period_ns * np.arange(self.frames, dtype=np.int64)
+        return starts
+
+    @property
+    def trajectory_span_ns(self) -> tuple[int, int]:
+        """First and last time that the first lidar and the cameras need [ns], with a margin.
+
+        The street is laid out for this, so that further lidars and radars do not change it.
+        """
+        offsets = [0, self.period_ns, *(spec.offset_ns for spec in self.cameras.values())]
+        starts = self.sweep_starts_ns
+        return int(starts[0]) + min(offsets) - _MARGIN_NS, int(starts[-1]) + max(offsets) + _MARGIN_NS
+
+    @property
+    def traffic_span_ns(self) -> tuple[int, int]:
+        """First and last time at which what moves has to be somewhere [ns], whatever further sensors there are."""
+        first, last = self.trajectory_span_ns
+        return first, max(last + _LONGEST_PERIOD_NS, self.span_ns[1])
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last time that any sensor needs [ns], with a margin."""
+        first, last = self.trajectory_span_ns
+        ends = [self.frame_starts_ns(spec)[-1:] + spec.period_ns for spec in self.lidars.values()]
+        ends += [self.frame_starts_ns(spec)[-1:] for spec in self.radars.values()]
+        latest = np.concatenate(ends).max(initial=last - _MARGIN_NS)
+        return first, int(latest) + _MARGIN_NS
+
+    def frame_starts_ns(self, spec: ScanSpec | RadarSpec) -> Int64Array:
+        """Starts of all frames of a device that begin within the drive, (F,) int64 [ns].
+
+        The first lidar has one in each of its periods.
+        """
+        length_ns = self.frames * self.period_ns
+        count = max(0, -(-(length_ns - spec.offset_ns) // spec.period_ns))
+        starts: Int64Array = (
+            self.start_ns + spec.offset_ns + spec.period_ns * np.arange(count, dtype=np.int64)
+        )
+        return starts
+
+    def position_lidars(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, ScanningLidar]:
+        """Put the lidars on their trajectory."""
+        return {
+            name: ScanningLidar.of(
+                spec, street, path, seed=seed, timestamps_ns=self.frame_starts_ns(spec), number=number
+            )
+            for number, (name, spec) in enumerate(self.lidars.items())
+        }
+
+    def position_cameras(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, RenderedCamera]:
+        """Put the cameras on their trajectory."""
+        return {
+            name: RenderedCamera.of(
+                spec,
+                street,
+                path,
+                timestamps_ns=self.sweep_starts_ns + spec.offset_ns,
+                seed=seed,
+                number=number,
+            )
+            for number, (name, spec) in enumerate(self.cameras.items())
+        }
+
+    def position_radars(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, SimulatedRadar]:
+        """Put the radars on their trajectory."""
+        return {
+            name: SimulatedRadar(spec, street, path, seed, number, self.frame_starts_ns(spec))
+            for number, (name, spec) in enumerate(self.radars.items())
+        }
+
+    def _check(self) -> None:
+        offsets = [spec.offset_ns for spec in self.cameras.values()]
+        if offsets and (min(offsets) < -self.period_ns or max(offsets) > 2 * self.period_ns):
+            raise OptionError(
+                f"camera offsets {offsets} ns; expected {-self.period_ns} to {2 * self.period_ns}, a sweep's period "
+                "before the sweep and after it"
+            )
+        for name, spec in list(self.lidars.items())[1:]:
+            if spec.period_ns > _LONGEST_PERIOD_NS:
+                raise OptionError(
+                    f"{name}.period_ns: {spec.period_ns}; expected at most {_LONGEST_PERIOD_NS}"
+                )
+
+
+def _scene_sensors(
+    lidars: Mapping[str, ScanningLidar],
+    cameras: Mapping[str, RenderedCamera],
+    radars: Mapping[str, SimulatedRadar],
+    ego: Poses,
+) -> tuple[LidarSensor | CameraSensor | RadarSensor, ...]:
+    """Give the sensors as a reader would: frames that are made when asked for, poses along the ego's, mountings."""
+    return (
+        *(_lidar_sensor(name, lidar, ego) for name, lidar in lidars.items()),
+        *(_camera_sensor(name, camera, ego) for name, camera in cameras.items()),
+        *(_radar_sensor(name, radar, ego) for name, radar in radars.items()),
+    )
+
+
+def _lidar_sensor(name: str, lidar: ScanningLidar, ego: Poses) -> LidarSensor:
+    return LidarSensor(
+        name,
+        LazyFrames(lidar.timestamps_ns, lidar.frame),
+        poses=_mounted(ego, lidar.spec.mount),
+        mount=lidar.spec.mount,
+        model="simulated",
+    )
+
+
+def _camera_sensor(name: str, camera: RenderedCamera, ego: Poses) -> CameraSensor:
+    times = camera.timestamps_ns
+    return CameraSensor(
+        name,
+        camera.spec.camera,
+        LazyFrames(times, camera.image),
+        poses=_mounted(ego, camera.spec.mount),
+        mount=camera.spec.mount,
+        fps=1e9 / float(times[1] - times[0]) if len(times) > 1 else None,
+        extras=_shutter_fields(camera.spec),
+    )
+
+
+def _shutter_fields(spec: CameraSpec) -> Mapping[str, Any]:
+    """What `calibration.json` of a recording says of a rolling shutter, where its reader would keep it.
+
+    Source: "calibration extras" of the recording format, docs/CONVENTIONS.md.
+    """
+    if spec.readout_ns == 0:
+        return NO_FIELDS
+    entry: dict[str, Any] = {"shutterRollTimeSeconds": spec.readout_ns / 1e9}
+    if spec.left_to_right:
+        entry["rollingShutterLeftToRight"] = True
+    return {"calibration": entry}
+
+
+def _radar_sensor(name: str, radar: SimulatedRadar, ego: Poses) -> RadarSensor:
+    return RadarSensor(
+        name,
+        LazyFrames(radar.timestamps_ns, radar.frame),
+        poses=_mounted(ego, radar.spec.mount),
+        mount=radar.spec.mount,
+    )
+
+
+def _mounted(ego: Poses, mount: RigidTransform) -> Poses:
+    """`world_from_sensor` at the trajectory's own times."""
+    poses = PoseSource(ego, mount).at(ego.timestamps_ns)
+    return Poses(ego.timestamps_ns, poses.positions, poses.quaternions_xyzw)
+
+
+_BEYOND = 1.0
+"""How far past a point its line of sight is followed [m]: enough to find the surface that it lies on."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanPoints:
+    """Where the returns of a sweep come from, in the order of the frame's points, without noise.
+
+    Attributes:
+        positions_world: (N, 3) float64 [m].
+        instances: (N,) int32, what was hit; 0 is the ground.
+        colors: (N, 3) uint8, colour of the bare surface there, which an image shows averaged over a pixel.
+        ranges: (N,) float64 [m], from the lidar at the point's own time.
+        velocities: (N, 3) float64 [m/s], world frame, of what was hit, at the point; zero where it is stationary.
+    """
+
+    positions_world: Float64Array
+    instances: AnyArray
+    colors: UInt8Array
+    ranges: Float64Array
+    velocities: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OcclusionTruth:
+    """What hides objects in an image; those that no pixel's centre would show are left out.
+
+    Attributes:
+        instances: (I,) int64, rising.
+        visible_px: (I,) int64, pixels whose centres show the object.
+        alone_px: (I,) int64, pixels that would show it if nothing else were there.
+    """
+
+    instances: Int64Array
+    visible_px: Int64Array
+    alone_px: Int64Array
+
+    @property
+    def hidden(self) -> Float64Array:
+        """Which share of each object is hidden, (I,) float64, 0 to 1."""
+        shares: Float64Array = 1.0 - self.visible_px / self.alone_px
+        return shares
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What is exactly so in a simulated drive. Images are rendered when asked for, nothing is kept.
+
+    Attributes:
+        street: everything that stands in it and that moves.
+        path: the ego trajectory as a curve.
+        lidars: the lidars by id, with their noise apart.
+        cameras: the cameras by id.
+        radars: the radars by id, with their noise apart.
+        imu: the inertial unit's signals without errors, and its bias.
+    """
+
+    street: Street
+    path: EgoPath
+    lidars: Mapping[str, ScanningLidar]
+    cameras: Mapping[str, RenderedCamera]
+    radars: Mapping[str, SimulatedRadar]
+    imu: ImuTruth
+
+    @property
+    def lidar(self) -> ScanningLidar:
+        """The first lidar."""
+        return next(iter(self.lidars.values()))
+
+    @property
+    def objects(self) -> tuple[StreetObject, ...]:
+        """What stands in the street; object k has instance number k + 1."""
+        return self.street.objects
+
+    @property
+    def movers(self) -> tuple[Mover, ...]:
+        """What moves; instance numbers go on after those of the objects."""
+        return self.street.movers.things
+
+    def boxes(self, timestamps_ns: ArrayLike) -> BoxTruth:
+        """Boxes and velocities of all that stands and moves, at (T,) times [ns]."""
+        return boxes_of(self.street, np.asarray(timestamps_ns, np.int64))
+
+    def world_from_ego(self, timestamps_ns: Int64Array) -> Poses:
+        """Exact ego poses at strictly increasing times [ns]."""
+        return self.path.poses(timestamps_ns)
+
+    def world_from_camera(self, camera_id: str, k: int) -> RigidTransform:
+        """Exact pose of a camera at the time of its image k; of a rolling shutter, that of its middle."""
+        return self._camera(camera_id).pose(k)
+
+    def image(self, camera_id: str, k: int) -> ImageTruth:
+        """Depths, instances and colours of image k in one go.
+
+        Raises:
+            OptionError: there is no such camera.
+        """
+        return self._camera(camera_id).truth(k)
+
+    def depth(self, camera_id: str, k: int) -> Float32Array:
+        """Depth z at the pixels' centres, (H, W) float32 [m]; 0 for the sky."""
+        return self.image(camera_id, k).depths
+
+    def instances(self, camera_id: str, k: int) -> AnyArray:
+        """What the pixels' centres show, (H, W) int32; 0 the ground, -1 the sky."""
+        return self.image(camera_id, k).instances
+
+    def colors(self, camera_id: str, k: int) -> UInt8Array:
+        """Colour along the ray through each pixel's centre, (H, W, 3) uint8, whatever the exposure was."""
+        return self.image(camera_id, k).colors
+
+    def exposure(self, camera_id: str, k: int) -> float:
+        """By what image k is brighter than the true colours, in its middle; 1.0 where nothing changes it."""
+        return self._camera(camera_id).gain(k)
+
+    def edges(self, camera_id: str, k: int, *, within_px: int = 2) -> BoolArray:
+        """Which pixels lie near an outline, (H, W) bool; `edge_mask` says what an outline is."""
+        return edge_mask(self.image(camera_id, k), within_px=within_px)
+
+    def occlusion(self, camera_id: str, k: int) -> OcclusionTruth:
+        """How much of each object image k shows, and how much it would show if nothing stood before it."""
+        camera = self._camera(camera_id)
+        alone = camera.silhouettes(k)
+        shown = self.instances(camera_id, k)
+        visible = np.bincount(shown[shown > 0], minlength=len(alone) + 1)[1:]
+        inside = np.flatnonzero(alone)
+        return OcclusionTruth(inside + 1, visible[inside], alone[inside])
+
+    def visible(
+        self, camera_id: str, k: int, points_world: ArrayLike, *, tolerance: float = 0.01
+    ) -> BoolArray:
+        """Report for each surface point whether nothing stands between it and the camera, when its line is taken.
+
+        Whether it falls into the image is another question.
+
+        Args:
+            points_world: (N, 3) float [m], on surfaces, such as `clean_points_world` gives.
+            tolerance: how far from the first surface on its line of sight a point may lie and be seen [m].
+
+        Returns:
+            (N,) bool.
+        """
+        camera, points = self._camera(camera_id), np.asarray(points_world, np.float64).reshape(-1, 3)
+        lines, (_, origins) = camera.lines_seeing(k, points), camera.line_poses(k)
+        apart = points - origins[lines]
+        distances = np.linalg.norm(apart, axis=1)
+        directions = apart / np.maximum(1e-12, distances)[:, None]
+        rays = Rays.bundled(directions, bundles_by_direction(directions), pose_of_ray=lines)
+        reach = float(distances.max(initial=0.0)) + _BEYOND
+        upright = np.tile(np.eye(3), (len(origins), 1, 1))
+        hits = cast(self.street, rays, upright, origins, camera.line_times_ns(k), reach=reach)
+        free: BoolArray = (hits.ranges == 0.0) | (hits.ranges > distances - tolerance)
+        return free
+
+    def sweep(self, k: int, lidar_id: str | None = None) -> Sweep:
+        """Sweep k of a lidar, by default the first, with everything that is known about it.
+
+        Raises:
+            OptionError: there is no such lidar.
+        """
+        return self._lidar(lidar_id).sweep(k)
+
+    def clean_points_world(self, k: int, lidar_id: str | None = None) -> CleanPoints:
+        """Where the points of frame k of a lidar, by default the first, come from, without noise.
+
+        Raises:
+            OptionError: there is no such lidar.
+        """
+        sweep = self.sweep(k, lidar_id)
+        return CleanPoints(sweep.points_world, sweep.instances, sweep.colors, sweep.ranges, sweep.velocities)
+
+    def _lidar(self, lidar_id: str | None) -> ScanningLidar:
+        if lidar_id is None:
+            return self.lidar
+        if lidar_id not in self.lidars:
+            raise OptionError(f"lidar {lidar_id!r}; expected one of {', '.join(map(repr, self.lidars))}")
+        return self.lidars[lidar_id]
+
+    def _camera(self, camera_id: str) -> RenderedCamera:
+        if camera_id not in self.cameras:
+            raise OptionError(f"camera {camera_id!r}; expected one of {', '.join(map(repr, self.cameras))}")
+        return self.cameras[camera_id]
+
+
+_TRAJECTORY = "groundTruth"
 """Name of the trajectory that is exactly the ego trajectory."""
 
-ANNOTATED = frozenset({"car", "bin", "tree", "pole"})
+_ANNOTATED = frozenset({"car", "bin", "tree", "pole"})
 """Classes of objects that get a box in the scene's annotations; `Truth.objects` knows all."""
 
 _IMU_SHIFT_NS = 1_300_000
@@ -184,12 +576,12 @@ def _timestamps(span_ns: tuple[int, int], rate_hz: float) -> Int64Array:
 
 def _scene(seed: int, truth: Truth, others: tuple[Any, ...], timestamps_ns: Int64Array) -> Scene:
     ego = truth.path.poses(timestamps_ns)
-    sensors = (*scene_sensors(truth.lidars, truth.cameras, truth.radars, ego), *others)
-    trajectory = Trajectory(TRAJECTORY, ego.timestamps_ns, ego.positions, ego.quaternions_xyzw)
+    sensors = (*_scene_sensors(truth.lidars, truth.cameras, truth.radars, ego), *others)
+    trajectory = Trajectory(_TRAJECTORY, ego.timestamps_ns, ego.positions, ego.quaternions_xyzw)
     return Scene(
         sensors,
-        annotations=annotations_of(truth.street, ANNOTATED, start_ns=int(truth.lidar.timestamps_ns[0])),
-        trajectories={TRAJECTORY: trajectory},
+        annotations=annotations_of(truth.street, _ANNOTATED, start_ns=int(truth.lidar.timestamps_ns[0])),
+        trajectories={_TRAJECTORY: trajectory},
         metadata=_metadata(seed),
         source=f"simulated street {seed}",
         format="simulated",

@@ -1,19 +1,29 @@
-"""What can be injected in a drive so that its scene is wrong while its truth stays right."""
+"""Faults injected into a drive: which there are, the frames they make, and a scene with them."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from types import MappingProxyType
+from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt8Array, read_only
+from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.cameras import CameraImage, CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
+from sceneloom.scene.poses import Poses, PoseSource
+from sceneloom.scene.scene import Scene, Sensor, frame_times
 from sceneloom.scene.types import Identifier, SensorType
+from sceneloom.simulate.parameters import Stream, generator_for
 
-Interval = tuple[int, int]
+_Interval = tuple[int, int]
 """`[start_ns, stop_ns)` on the true clock [ns]."""
 
 
@@ -68,9 +78,9 @@ class SensorFaults:
     clock_skew_ppm: float = 0.0
     lost_share: float = 0.0
     lost_frames: tuple[int, ...] = ()
-    drop_outs: tuple[Interval, ...] = ()
-    blind: tuple[Interval, ...] = ()
-    stuck: tuple[Interval, ...] = ()
+    drop_outs: tuple[_Interval, ...] = ()
+    blind: tuple[_Interval, ...] = ()
+    stuck: tuple[_Interval, ...] = ()
     swapped: tuple[tuple[int, int], ...] = ()
     point_times: PointTimes = PointTimes.RIGHT
     intensity_scale: float = 1.0
@@ -113,6 +123,7 @@ _BOUNDS: tuple[tuple[str, float, float], ...] = (
     ("intensity_scale", 0.0, 1e3),
     ("focal_scale", 0.1, 10.0),
 )
+
 _NOTHING_WRONG = SensorFaults()
 
 
@@ -135,9 +146,10 @@ _STREAM_FAULTS = frozenset(
         "swapped",
     }
 )
+
 _CLOUD_FAULTS = _STREAM_FAULTS | {"rotation_deg", "shift", "blind", "point_times"}
 
-POSSIBLE_FAULTS: Mapping[str, frozenset[str]] = MappingProxyType(
+_POSSIBLE_FAULTS: Mapping[str, frozenset[str]] = MappingProxyType(
     {
         SensorType.LIDAR: _CLOUD_FAULTS | {"intensity_scale"},
         SensorType.RADAR: _CLOUD_FAULTS,
@@ -164,3 +176,295 @@ class Faults:
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise OptionError(f"faults.seed: {self.seed}; expected a number that is not negative")
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """A sensor's clock against the true one: offset, and a drift from the sensor's first timestamp on."""
+
+    first_ns: int
+    offset_ns: int
+    skew_ppm: float
+
+    def stated(self, timestamps_ns: AnyArray) -> Int64Array:
+        """What the clock says at true times [ns]."""
+        times = np.asarray(timestamps_ns, np.int64)
+        drift = np.rint((times - self.first_ns) * (self.skew_ppm * 1e-6)).astype(np.int64)
+        stated: Int64Array = times + self.offset_ns + drift
+        return stated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FramePlan:
+    """Which frames come, of what and when.
+
+    Attributes:
+        contents: (F,) int64, number of the true frame that each one shows.
+        true_ns: (F,) int64 [ns], when the frame should be of.
+        stated_ns: (F,) int64 [ns], the timestamp that it gets.
+        blind: (F,) bool, nothing is in it.
+    """
+
+    contents: Int64Array
+    true_ns: Int64Array
+    stated_ns: Int64Array
+    blind: BoolArray
+
+    @classmethod
+    def of(
+        cls, wrong: SensorFaults, timestamps_ns: Int64Array, clock: Clock, *, seed: int, sensor_id: Identifier
+    ) -> "FramePlan":
+        """Work the faults of a sensor out for its true timestamps (N,) int64 [ns].
+
+        Raises:
+            OptionError: a frame number is beyond the last frame.
+        """
+        count = len(timestamps_ns)
+        named = [*wrong.lost_frames, *(number for pair in wrong.swapped for number in pair)]
+        beyond = [number for number in named if not 0 <= number < count]
+        if beyond:
+            raise OptionError(f"faults of sensor {sensor_id!r}: frame {beyond[0]}; expected 0 to {count - 1}")
+        contents = np.arange(count)
+        for interval in wrong.stuck:
+            inside = np.flatnonzero(_within(timestamps_ns, (interval,)))
+            contents[inside] = contents[inside[:1]]
+        order = np.arange(count)
+        for one, other in wrong.swapped:
+            order[[one, other]] = other, one
+        key = zlib.crc32(repr(sensor_id).encode())
+        lost = generator_for(seed, Stream.FAULTS, key).random(count) < wrong.lost_share
+        lost[list(wrong.lost_frames)] = True
+        lost |= _within(timestamps_ns, wrong.drop_outs)
+        order = order[~lost[order]]
+        true_ns = timestamps_ns[order]
+        return cls(contents[order], true_ns, clock.stated(true_ns), _within(true_ns, wrong.blind))
+
+
+def _within(timestamps_ns: Int64Array, intervals: tuple[_Interval, ...]) -> BoolArray:
+    """Which times lie in one of the intervals."""
+    inside = np.zeros(len(timestamps_ns), np.bool_)
+    for start, stop in intervals:
+        inside |= (timestamps_ns >= start) & (timestamps_ns < stop)
+    return inside
+
+
+_POINT_TIMES: Mapping[PointTimes, tuple[int, int, int]] = MappingProxyType(
+    {
+        PointTimes.RIGHT: (1, 1, 1),
+        PointTimes.ZERO: (0, 0, 1),
+        PointTimes.FRAME: (0, 1, 1),
+        PointTimes.RELATIVE: (1, 0, 1),
+        PointTimes.MICROSECONDS: (1, 1, 1000),
+        PointTimes.RELATIVE_MICROSECONDS: (1, 0, 1000),
+        PointTimes.STRETCHED: (1000, 1, 1),
+    }
+)
+"""Factor on the time within the frame, factor on the frame's timestamp, divisor of their sum; others have no times."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaultyClouds:
+    """Reads the frames of a lidar or radar and plants its faults in them."""
+
+    frames: LazyFrames[Any]
+    plan: FramePlan
+    clock: Clock
+    wrong: SensorFaults
+
+    def __call__(self, index: int) -> Any:
+        """Read one of the frames that come."""
+        frame: LidarFrame | RadarFrame = self.frames[int(self.plan.contents[index])]
+        stated_ns = int(self.plan.stated_ns[index])
+        points: Any = _emptied(frame.points) if self.plan.blind[index] else frame.points
+        late_ns = int(self.plan.true_ns[index]) - frame.timestamp_ns
+        points = replace(points, timestamps_ns=self._times(points.timestamps_ns, late_ns, stated_ns))
+        if self.wrong.intensity_scale != 1.0:
+            points = replace(points, intensities=_scaled(points.intensities, self.wrong.intensity_scale))
+        changed: Any = replace(frame, timestamp_ns=stated_ns, points=points)
+        return changed
+
+    def _times(self, times: Int64Array | None, late_ns: int, stated_ns: int) -> Int64Array | None:
+        if times is None or self.wrong.point_times not in _POINT_TIMES:
+            return None
+        within, timestamp, divisor = _POINT_TIMES[self.wrong.point_times]
+        stated = self.clock.stated(times + late_ns) - stated_ns
+        return read_only((within * stated + timestamp * stated_ns) // divisor)
+
+
+def _emptied(points: Any) -> Any:
+    """The same arrays of a lidar's or a radar's points, without rows."""
+    arrays = {f.name: getattr(points, f.name) for f in fields(points) if f.name != "extras"}
+    empty = {name: None if array is None else array[:0] for name, array in arrays.items()}
+    extras = {
+        name: array[:0] if len(array) == len(points) else array for name, array in points.extras.items()
+    }
+    return replace(points, **empty, extras=extras)
+
+
+def _scaled(intensities: UInt8Array | None, factor: float) -> UInt8Array | None:
+    if intensities is None:
+        return None
+    return read_only(np.clip(np.rint(intensities * factor), 0, 255), np.uint8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FaultyImages:
+    """Reads the images of a camera and plants its faults in them."""
+
+    images: LazyFrames[CameraImage]
+    plan: FramePlan
+    error: RigidTransform
+    focal_scale: float
+
+    def __call__(self, index: int) -> CameraImage:
+        """Read one of the images that come."""
+        image = self.images[int(self.plan.contents[index])]
+        camera = _refocused(image.camera, self.focal_scale)
+        changed = replace(
+            image,
+            timestamp_ns=int(self.plan.stated_ns[index]),
+            camera=camera,
+            mount=None if image.mount is None else image.mount @ self.error,
+        )
+        if not self.plan.blind[index]:
+            return changed
+        return replace(changed, decode=_Black(camera.width, camera.height), encoded=None)
+
+
+@dataclass(frozen=True, slots=True)
+class _Black:
+    """Makes a black image."""
+
+    width: int
+    height: int
+
+    def __call__(self) -> UInt8Array:
+        return np.zeros((self.height, self.width, 3), np.uint8)
+
+
+def _refocused(camera: Camera, scale: float) -> Camera:
+    """The same camera model with its focal lengths scaled."""
+    return camera if scale == 1.0 else replace(camera, fx=camera.fx * scale, fy=camera.fy * scale)
+
+
+_Cloud = TypeVar("_Cloud", LidarSensor, RadarSensor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Job:
+    """The faults of one sensor, and what its random losses start from."""
+
+    wrong: SensorFaults
+    clock: Clock
+    seed: int
+    sensor_id: Identifier
+
+    @classmethod
+    def of(cls, sensor: Sensor, wrong: SensorFaults, seed: int) -> "_Job":
+        times = frame_times(sensor)
+        first_ns = int(times.min()) if len(times) else 0
+        clock = Clock(first_ns, wrong.time_offset_ns, wrong.clock_skew_ppm)
+        return cls(wrong, clock, seed, sensor.id)
+
+    def plan(self, timestamps_ns: Int64Array) -> FramePlan:
+        return FramePlan.of(self.wrong, timestamps_ns, self.clock, seed=self.seed, sensor_id=self.sensor_id)
+
+
+def _plant_in_cloud(sensor: _Cloud, job: _Job) -> tuple[_Cloud, Int64Array]:
+    plan = job.plan(sensor.frames.timestamps_ns)
+    frames = LazyFrames(plan.stated_ns, FaultyClouds(sensor.frames, plan, job.clock, job.wrong))
+    return replace(sensor, frames=frames, **_placement(sensor, job.wrong)), plan.contents
+
+
+def _plant_in_camera(sensor: CameraSensor, job: _Job) -> tuple[CameraSensor, Int64Array]:
+    plan, scale = job.plan(sensor.images.timestamps_ns), job.wrong.focal_scale
+    images = LazyFrames(plan.stated_ns, _FaultyImages(sensor.images, plan, job.wrong.error, scale))
+    camera = _refocused(sensor.camera, scale)
+    placed = _placement(sensor, job.wrong)
+    return replace(sensor, camera=camera, images=images, video=None, **placed), plan.contents
+
+
+def _placement(sensor: LidarSensor | RadarSensor | CameraSensor, wrong: SensorFaults) -> dict[str, Any]:
+    """The mounting and the poses that the scene states, where they are wrong."""
+    if not wrong.named & {"rotation_deg", "shift"}:
+        return {}
+    poses: Poses | None = sensor.poses
+    if poses is not None:
+        stated = PoseSource(poses, wrong.error).at(poses.timestamps_ns)
+        poses = replace(poses, positions=stated.positions, quaternions_xyzw=stated.quaternions_xyzw)
+    return {"poses": poses, "mount": None if sensor.mount is None else sensor.mount @ wrong.error}
+
+
+def _plant_in_imu(sensor: ImuSensor, job: _Job) -> tuple[ImuSensor, Int64Array]:
+    plans = {name: job.plan(samples.timestamps_ns) for name, samples in sensor.streams.items()}
+    streams = {
+        name: VectorSamples(
+            plans[name].stated_ns, _rotated(samples.values[plans[name].contents], job.wrong.error)
+        )
+        for name, samples in sensor.streams.items()
+    }
+    contents = max((plan.contents for plan in plans.values()), key=len, default=np.zeros(0, np.int64))
+    return replace(sensor, streams=streams), contents
+
+
+def _rotated(values: Float64Array, error: RigidTransform) -> Float64Array:
+    """What a unit reports that is rotated while its frame counts as the ego's; only vectors of space rotate."""
+    return error.rotate(values) if values.shape[1] == 3 else values
+
+
+def _plant_in_gnss(sensor: GnssSensor, job: _Job) -> tuple[GnssSensor, Int64Array]:
+    plan = job.plan(sensor.timestamps_ns)
+    rows = plan.contents
+    changed = replace(
+        sensor,
+        timestamps_ns=plan.stated_ns,
+        positions_lla=sensor.positions_lla[rows],
+        accuracies=sensor.accuracies[rows],
+        vertical_accuracies=sensor.vertical_accuracies[rows],
+        file_seconds=None,
+    )
+    return changed, rows
+
+
+_PLANTERS: Mapping[str, Callable[[Any, _Job], tuple[Any, Int64Array]]] = MappingProxyType(
+    {
+        SensorType.LIDAR: _plant_in_cloud,
+        SensorType.RADAR: _plant_in_cloud,
+        SensorType.CAMERA: _plant_in_camera,
+        SensorType.IMU: _plant_in_imu,
+        SensorType.GNSS: _plant_in_gnss,
+    }
+)
+
+
+def plant_in_scene(scene: Scene, faults: Faults) -> tuple[Scene, Mapping[Identifier, Int64Array]]:
+    """Make a scene wrong; its frames are still read when asked for, each the same whenever it is.
+
+    Returns:
+        The scene, and for each sensor with faults (F,) int64: the number of the true frame that each of its frames
+        shows (of an IMU: of its longest stream).
+
+    Raises:
+        OptionError: there is no such sensor or frame, or a fault means nothing for that kind of sensor.
+    """
+    for sensor_id, wrong in faults.sensors.items():
+        _check_possible(scene.sensor(sensor_id), wrong)
+    sensors: list[Sensor] = []
+    true_frames: dict[Identifier, Int64Array] = {}
+    for sensor in scene.sensors:
+        changed = sensor
+        if sensor.id in faults.sensors:
+            job = _Job.of(sensor, faults.sensors[sensor.id], faults.seed)
+            changed, true_frames[sensor.id] = _PLANTERS[str(sensor.type)](sensor, job)
+        sensors.append(changed)
+    return replace(scene, sensors=tuple(sensors)), true_frames
+
+
+def _check_possible(sensor: Sensor, wrong: SensorFaults) -> None:
+    possible = _POSSIBLE_FAULTS.get(str(sensor.type), frozenset())
+    strange = sorted(wrong.named - possible)
+    if strange:
+        raise OptionError(
+            f"faults of sensor {sensor.id!r}: {', '.join(strange)}; a sensor of type {sensor.type} can have "
+            f"{', '.join(sorted(possible)) or 'none'}"
+        )

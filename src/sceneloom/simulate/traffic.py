@@ -1,36 +1,213 @@
-"""What moves in the street besides the ego: how much of it, and what each of them does."""
+"""Traffic: what moves besides the ego, along which tracks, without collisions."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array
-from sceneloom.simulate.bounds import check_bounds
-from sceneloom.simulate.clearance import Clearance, Plans, plans_of
-from sceneloom.simulate.ground import Lane
-from sceneloom.simulate.movers import Mover, Movers, MovingDesign, pack_movers
-from sceneloom.simulate.path import EgoPath
-from sceneloom.simulate.people import design_cyclist, design_moving_car, design_pedestrian
-from sceneloom.simulate.splines import DEGREE, control_points_through, spline_derivatives
-from sceneloom.simulate.street import Street
-from sceneloom.simulate.tracks import Track
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array
+from sceneloom.simulate.objects import (
+    Mover,
+    Movers,
+    MovingDesign,
+    PackedShapes,
+    design_cyclist,
+    design_moving_car,
+    design_pedestrian,
+    pack_movers,
+)
+from sceneloom.simulate.parameters import check_bounds
+from sceneloom.simulate.street import Lane, Street
+from sceneloom.simulate.trajectory import DEGREE, EgoPath, control_points_through, spline_derivatives
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Track:
+    """A line at a constant distance beside the trajectory, straight on beyond its ends.
+
+    Attributes:
+        points: (L, 2) float64 [m], world frame.
+        headings: (L,) float64 [rad], of the trajectory.
+        along: (L,) float64 [m], arc length of this line, from 0.
+        widths: (L,) float64, length of this line per length of the trajectory: small on the inside of a bend.
+        parameters: (L,) float64, the ego's curve parameters beside the points.
+    """
+
+    points: Float64Array
+    headings: Float64Array
+    along: Float64Array
+    widths: Float64Array
+    parameters: Float64Array
+
+    @classmethod
+    def of(cls, lane: Lane, left: float) -> "_Track":
+        """Lay a line `left` of the trajectory [m]."""
+        normals = np.column_stack([-np.sin(lane.headings), np.cos(lane.headings)])
+        points = lane.points + left * normals
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(steps)])
+        return cls(points, lane.headings, along, 1.0 - lane.curvatures * left, lane.parameters)
+
+    @property
+    def length(self) -> float:
+        """Length of the line [m]."""
+        return float(self.along[-1])
+
+    def beside(self, parameters: Float64Array) -> Float64Array:
+        """How far along it one is beside the ego's curve at (N,) parameters, (N,) [m]."""
+        along: Float64Array = np.interp(parameters, self.parameters, self.along)
+        return along
+
+    def at(self, along: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Give points (N, 2) [m] and the trajectory's headings (N,) [rad] at arc lengths (N,)."""
+        inside = np.clip(along, 0.0, self.length)
+        points = np.column_stack([np.interp(inside, self.along, self.points[:, axis]) for axis in range(2)])
+        headings = np.interp(inside, self.along, self.headings)
+        ahead = np.column_stack([np.cos(headings), np.sin(headings)])
+        return points + (along - inside)[:, None] * ahead, headings
+
+    def narrowest(self, first: float, last: float) -> float:
+        """The least of `widths` between two arc lengths [m]; below 0 the line runs backwards."""
+        low, high = np.searchsorted(self.along, [first, last])
+        return float(self.widths[max(0, low - 1) : high + 1].min(initial=1.0))
+
+
+_HEADROOM = 2.0
+"""Shapes whose lowest point is higher [m] are passed under."""
+
+_SPARE = np.array([0.4, 0.04])
+"""How much longer to either end and wider to either side ground plans are taken [m]."""
+
+_STRETCH = 32
+"""Times of a trajectory that are looked at together."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plans:
+    """Rectangles on the ground, one per time or per thing.
+
+    Attributes:
+        centers: (N, 2) float64 [m], world frame.
+        yaws: (N,) float64 [rad], of the side `half[:, 0]`.
+        half: (N, 2) float64 [m].
+        there: (N,) bool, whether it counts.
+    """
+
+    centers: Float64Array
+    yaws: Float64Array
+    half: Float64Array
+    there: BoolArray
+
+    @property
+    def radii(self) -> Float64Array:
+        """Half the diagonals (N,) [m]."""
+        return np.hypot(self.half[:, 0], self.half[:, 1])
+
+    def taken(self, which: AnyArray | slice) -> "_Plans":
+        """Some of them, by index or mask."""
+        return _Plans(self.centers[which], self.yaws[which], self.half[which], self.there[which])
+
+
+def _plans_of(shapes: PackedShapes) -> _Plans:
+    """Give the ground plans of the shapes that something on the ground can run into."""
+    half = shapes.halves
+    rotations = np.swapaxes(shapes.maps[:, :, :3] * half[:, :, None], 1, 2)
+    yaws = np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])
+    along = np.stack([np.cos(yaws), np.sin(yaws)], axis=1)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    extents = [
+        (np.abs(np.einsum("pi,pij->pj", axis, rotations[:, :2])) * half).sum(axis=1)
+        for axis in (along, across)
+    ]
+    lowest = shapes.spheres[:, 2] - (np.abs(rotations[:, 2]) * half).sum(axis=1)
+    return _Plans(shapes.spheres[:, :2], yaws, np.stack(extents, axis=1), lowest < _HEADROOM)
+
+
+def _overlapping(a: _Plans, b: _Plans) -> BoolArray:
+    """Report pair by pair (N,) whether rectangles that are both there touch: no side's direction parts them."""
+    apart = b.centers - a.centers
+    touching = a.there & b.there
+    rotation = b.yaws - a.yaws
+    cosine, sine = np.abs(np.cos(rotation)), np.abs(np.sin(rotation))
+    mixed = np.stack([np.stack([cosine, sine], axis=1), np.stack([sine, cosine], axis=1)], axis=1)
+    for own, other in ((a, b), (b, a)):
+        along = np.stack([np.cos(own.yaws), np.sin(own.yaws)], axis=1)
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        reach = own.half + np.einsum("nij,nj->ni", mixed, other.half)
+        for k, axis in enumerate((along, across)):
+            touching = touching & (np.abs((apart * axis).sum(axis=1)) < reach[:, k])
+    return touching
+
+
+@dataclass(slots=True)
+class _Clearance:
+    """The ground that is taken at each of T times while movers are planned.
+
+    Attributes:
+        stationary: what never moves.
+        moving: the plans of each mover, one per time.
+    """
+
+    stationary: _Plans
+    moving: list[_Plans] = field(default_factory=list)
+
+    def try_add(self, plans: _Plans) -> bool:
+        """Take the ground of a mover at all times unless it would come too near something; report whether."""
+        wider = _Plans(plans.centers, plans.yaws, plans.half + _SPARE, plans.there)
+        if not plans.there.any() or self._hits_stationary(wider) or self._hits_moving(wider):
+            return False
+        self.moving.append(plans)
+        return True
+
+    def _hits_stationary(self, plans: _Plans) -> bool:
+        plans = plans.taken(plans.there)
+        return any(
+            self._hits_near(plans.taken(slice(start, start + _STRETCH)))
+            for start in range(0, len(plans.yaws), _STRETCH)
+        )
+
+    def _hits_near(self, plans: _Plans) -> bool:
+        """The same for a short stretch of a trajectory, where few things stand."""
+        reach = self.stationary.radii[:, None] + float(plans.radii.max())
+        low, high = plans.centers.min(axis=0) - reach, plans.centers.max(axis=0) + reach
+        near = ((self.stationary.centers > low) & (self.stationary.centers < high)).all(axis=1)
+        obstacles = self.stationary.taken(near & self.stationary.there)
+        apart = plans.centers[:, None] - obstacles.centers[None]
+        reach = plans.radii[:, None] + obstacles.radii[None]
+        time, which = np.nonzero((apart * apart).sum(axis=2) < reach * reach)
+        return len(time) > 0 and bool(_overlapping(plans.taken(time), obstacles.taken(which)).any())
+
+    def _hits_moving(self, plans: _Plans) -> bool:
+        for other in self.moving:
+            apart, reach = plans.centers - other.centers, plans.radii + other.radii
+            near = np.flatnonzero((apart * apart).sum(axis=1) < reach * reach)
+            if len(near) and _overlapping(plans.taken(near), other.taken(near)).any():
+                return True
+        return False
+
 
 _KNOT_STEP = 0.25
+
 _MARGIN = 1.0
 """How far curves reach beyond the drive [s]."""
+
 _LOOK = 0.05
 """Movers are kept apart at times this close [s]."""
+
 _END = 3.0
 """Nearer to the end of the street than this nobody is there [m]."""
+
 _EGO_LW = (4.6, 1.86)
 """Ground that the ego takes [m]."""
+
 _TRIES = 6
 
-OWN_LANE, ONCOMING_LANE = 0.0, 3.5
-EDGES = ((-1.5, 1.0), (5.05, -1.0))
+_OWN_LANE, _ONCOMING_LANE = 0.0, 3.5
+
+_EDGES = ((-1.5, 1.0), (5.05, -1.0))
 """Where cyclists ride: metres left of the trajectory, and whether with the ego or against it."""
-PAVEMENTS = (-5.6, 9.1)
+
+_PAVEMENTS = (-5.6, 9.1)
 """Where pedestrians walk between posts, trees and bins: metres left of the trajectory."""
 
 
@@ -82,7 +259,7 @@ class _Plan:
     lane: Lane
     knots: Float64Array
     looks: Float64Array
-    clearance: Clearance
+    clearance: _Clearance
     designs: list[MovingDesign] = field(default_factory=list)
     curves: list[Float64Array] = field(default_factory=list)
     there: list[BoolArray] = field(default_factory=list)
@@ -104,7 +281,7 @@ class _Plan:
         inside = np.ones(len(samples), np.bool_) if inside is None else inside
         there = np.interp(self.looks, self.knots, inside.astype(np.float64)) >= 1.0
         half = np.tile(np.array(design.size_lwh[:2]) / 2, (len(self.looks), 1))
-        if not self.clearance.try_add(Plans(states[:, :2], states[:, 2], half, there)):
+        if not self.clearance.try_add(_Plans(states[:, :2], states[:, 2], half, there)):
             return False
         self.designs.append(design)
         self.curves.append(curve)
@@ -131,7 +308,7 @@ def plan_traffic(
     knots: Float64Array = first - _MARGIN + _KNOT_STEP * (np.arange(count, dtype=np.float64) - 2.0)
     looks: Float64Array = np.arange(first, last + _LOOK, _LOOK)
     plan = _Plan(
-        path, Lane.of(path), knots, looks, Clearance(plans_of(street.shapes), [_ego_plans(path, looks)])
+        path, Lane.of(path), knots, looks, _Clearance(_plans_of(street.shapes), [_ego_plans(path, looks)])
     )
     _add_cars(generator, spec, plan)
     _add_cyclists(generator, spec, plan)
@@ -148,11 +325,11 @@ def plan_traffic(
     )
 
 
-def _ego_plans(path: EgoPath, looks: Float64Array) -> Plans:
+def _ego_plans(path: EgoPath, looks: Float64Array) -> _Plans:
     states = path.at_seconds(looks)
     yaws = np.arctan2(states.rotations[:, 1, 0], states.rotations[:, 0, 0])
     half = np.tile(np.array(_EGO_LW) / 2, (len(looks), 1))
-    return Plans(states.positions[:, :2], yaws, half, np.ones(len(looks), np.bool_))
+    return _Plans(states.positions[:, :2], yaws, half, np.ones(len(looks), np.bool_))
 
 
 def _thing(instance: int, plan: _Plan, k: int, *, span_ns: tuple[int, int]) -> Mover:
@@ -165,7 +342,7 @@ def _thing(instance: int, plan: _Plan, k: int, *, span_ns: tuple[int, int]) -> M
 
 
 def _on_track(
-    track: Track, along: Float64Array, *, ahead: float, gait: Float64Array | float = 0.0
+    track: _Track, along: Float64Array, *, ahead: float, gait: Float64Array | float = 0.0
 ) -> tuple[Float64Array, BoolArray]:
     """Samples of someone who follows a track, and which of them lie in the street."""
     points, headings = track.at(along)
@@ -181,14 +358,14 @@ def _add_cars(generator: np.random.Generator, spec: TrafficSpec, plan: _Plan) ->
     spacing = 100.0 / spec.cars
     parameters, _, _ = plan.path.warp.at(plan.knots)
     for side in (1.0, -1.0):
-        track = Track.of(plan.lane, OWN_LANE + generator.uniform(-0.08, 0.08))
+        track = _Track.of(plan.lane, _OWN_LANE + generator.uniform(-0.08, 0.08))
         ego = track.beside(parameters)
         room = track.length - float(ego.max()) if side > 0 else float(ego.min())
         for gap in _gaps(generator, generator.uniform(14.0, 24.0), spacing, room - 8.0):
             wave = _wave(generator, 2.0, (0.3, 0.5))
             along = ego + side * gap + wave(parameters)
             plan.try_add(design_moving_car(generator), *_on_track(track, along, ahead=1.0))
-    track = Track.of(plan.lane, ONCOMING_LANE)
+    track = _Track.of(plan.lane, _ONCOMING_LANE)
     speed, wave = generator.uniform(6.5, 9.0), _wave(generator, 3.0, (0.35, 0.45))
     driven = speed * plan.knots + wave(plan.knots)
     reach = track.length + float(np.ptp(driven))
@@ -221,8 +398,8 @@ def _wave(
 
 def _add_cyclists(generator: np.random.Generator, spec: TrafficSpec, plan: _Plan) -> None:
     """Cyclists at both edges of the road, each at a speed of its own."""
-    for left, ahead in EDGES:
-        track = Track.of(plan.lane, left)
+    for left, ahead in _EDGES:
+        track = _Track.of(plan.lane, left)
         flow = 4.5 * float(np.ptp(plan.knots))
         for _ in range(generator.poisson(spec.cyclists / 100.0 * (track.length + flow))):
             design = design_cyclist(generator)
@@ -237,8 +414,8 @@ def _add_cyclists(generator: np.random.Generator, spec: TrafficSpec, plan: _Plan
 
 def _add_pedestrians(generator: np.random.Generator, spec: TrafficSpec, plan: _Plan) -> None:
     """Some walk along the pavements, some stand there, some cross the street."""
-    for left in PAVEMENTS:
-        length = Track.of(plan.lane, left).length
+    for left in _PAVEMENTS:
+        length = _Track.of(plan.lane, left).length
         for _ in range(generator.poisson(spec.pedestrians / 100.0 * length)):
             kind = generator.uniform()
             add = _try_stand if kind < spec.stationary else _try_walk
@@ -249,7 +426,7 @@ def _add_pedestrians(generator: np.random.Generator, spec: TrafficSpec, plan: _P
 
 
 def _try_walk(generator: np.random.Generator, plan: _Plan, design: MovingDesign, left: float) -> bool:
-    track = Track.of(plan.lane, left)
+    track = _Track.of(plan.lane, left)
     ahead = 1.0 if generator.uniform() < 0.5 else -1.0
     speed, wave = generator.uniform(0.95, 1.6), _wave(generator, 0.25, (0.3, 0.5))
     walked = speed * (plan.knots - plan.knots[0]) + wave(plan.knots)
@@ -262,7 +439,7 @@ def _try_walk(generator: np.random.Generator, plan: _Plan, design: MovingDesign,
 
 def _try_stand(generator: np.random.Generator, plan: _Plan, design: MovingDesign, left: float) -> bool:
     side = np.sign(left - 1.75)
-    spot = Track.of(plan.lane, left + generator.uniform(-1.2, 0.5) * side)
+    spot = _Track.of(plan.lane, left + generator.uniform(-1.2, 0.5) * side)
     point, heading = spot.at(np.array([generator.uniform(_END, spot.length - _END)]))
     rotated = heading[0] + generator.uniform(-np.pi, np.pi)
     sample = np.array([*point[0], rotated, 0.0])
@@ -272,14 +449,14 @@ def _try_stand(generator: np.random.Generator, plan: _Plan, design: MovingDesign
 
 def _try_cross(generator: np.random.Generator, plan: _Plan, design: MovingDesign, left: float) -> bool:
     """Stand on the pavement, cross the street squarely near where the ego is by then, stand again."""
-    track = Track.of(plan.lane, left)
+    track = _Track.of(plan.lane, left)
     begin = generator.uniform(plan.knots[0] - 6.0, plan.knots[-1])
     parameter, _, _ = plan.path.warp.at(np.array([begin]))
     along = track.beside(parameter)[0] + generator.uniform(-15.0, 60.0)
     if not _END < along < track.length - _END:
         return False
     (near,), (heading,) = track.at(np.array([along]))
-    across = (PAVEMENTS[0] + PAVEMENTS[1] - left) - left
+    across = (_PAVEMENTS[0] + _PAVEMENTS[1] - left) - left
     speed, strides = generator.uniform(1.1, 1.6), 0.8 * design.size_lwh[2]
     share = _crossing_share(plan.knots, begin, abs(across) / speed)
     side = np.array([-np.sin(heading), np.cos(heading)])

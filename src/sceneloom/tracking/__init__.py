@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.tracking.drive import track_drive
     from sceneloom.tracking.observation import Observation, View
     from sceneloom.tracking.settings import ImageBox, TrackerSettings
+    from sceneloom.tracking.smoother import track_drive
     from sceneloom.tracking.tracker import Tracker
 else:
     __getattr__, __dir__ = names_on_first_use(
@@ -18,7 +18,7 @@ else:
             "Tracker": "sceneloom.tracking.tracker:Tracker",
             "TrackerSettings": "sceneloom.tracking.settings:TrackerSettings",
             "View": "sceneloom.tracking.observation:View",
-            "track_drive": "sceneloom.tracking.drive:track_drive",
+            "track_drive": "sceneloom.tracking.smoother:track_drive",
         },
     )
 

@@ -1,4 +1,6 @@
-"""Objects of a drive that is over: what later moments report earlier ones.
+"""Offline tracks: smoothed with later observations, over a whole drive.
+
+Source: Rauch, Tung and Striebel 1965, "Maximum Likelihood Estimates of Linear Dynamic Systems".
 
 Of each object that the tracker followed, reported or not:
 
@@ -8,20 +10,79 @@ Of each object that the tracker followed, reported or not:
 - its boxes in images are smoothed as they differ from its outlines.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
-from sceneloom.scene.tracks import Support, Track, Tracks
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
+from sceneloom.scene.detections import Support, Track, TrackedObjects, Tracks
 from sceneloom.scene.types import Identifier
-from sceneloom.tracking import existence, image_boxes, motion
+from sceneloom.tracking import states
+from sceneloom.tracking import states as tracking_states
 from sceneloom.tracking.observation import Observation
-from sceneloom.tracking.population import no_boxes
 from sceneloom.tracking.settings import ImageBox, TrackerSettings
-from sceneloom.tracking.smoothing import smoothed, smoothed_walk
-from sceneloom.tracking.tracker import Moment
+from sceneloom.tracking.states import no_boxes
+from sceneloom.tracking.tracker import DEFAULTS, Moment, Tracker
+
+
+def smoothed(
+    means: Float64Array,
+    covariances: Float64Array,
+    predicted_means: Float64Array,
+    predicted_covariances: Float64Array,
+    slopes: Float64Array,
+) -> tuple[Float64Array, Float64Array]:
+    """Smooth the states of one object.
+
+    A heading that was reversed on the way is taken as the last one says, all along.
+
+    Args:
+        means, covariances: (K, 11) and (K, 11, 11), with the boxes up to each moment.
+        predicted_means, predicted_covariances: the same before the boxes of each moment were read; the first are not
+            looked at.
+        slopes: (K, 11, 11), of each moment's prediction with respect to the moment before.
+    """
+    later, spread = means.copy(), covariances.copy()
+    for k in range(len(means) - 2, -1, -1):
+        gain = np.linalg.solve(predicted_covariances[k + 1], slopes[k + 1] @ covariances[k]).T
+        apart = later[k + 1] - predicted_means[k + 1]
+        rotations = round(float(apart[states.YAW]) / np.pi)
+        apart[states.YAW] -= rotations * np.pi
+        later[k] = means[k] + gain @ apart
+        later[k, states.YAW] = states.wrapped(later[k, states.YAW] + (rotations % 2) * np.pi)
+        spread[k] = covariances[k] + gain @ (spread[k + 1] - predicted_covariances[k + 1]) @ gain.T
+        spread[k] = (spread[k] + spread[k].T) / 2.0
+    return later, spread
+
+
+def smoothed_walk(
+    measures: Float64Array, noises: Float64Array, known: BoolArray, drifts: Float64Array, first: float
+) -> Float64Array:
+    """Smooth numbers that wander, each on its own.
+
+    Args:
+        measures, noises: (K, 4), with variances; looked at where `known`.
+        known: (K,).
+        drifts: (K,), variance that is added from the moment before to each.
+        first: variance around 0 before anything is known.
+
+    Returns:
+        (K, 4) float64.
+    """
+    count = len(measures)
+    means, variances = np.zeros_like(measures), np.zeros_like(measures)
+    mean, variance = np.zeros(measures.shape[1]), np.full(measures.shape[1], first)
+    for k in range(count):
+        variance = variance + (drifts[k] if k else 0.0)
+        if known[k]:
+            gain = variance / (variance + noises[k])
+            mean, variance = mean + gain * (measures[k] - mean), variance * (1.0 - gain)
+        means[k], variances[k] = mean, variance
+    for k in range(count - 2, -1, -1):
+        means[k] += variances[k] / (variances[k] + drifts[k + 1]) * (means[k + 1] - means[k])
+    return means
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,13 +116,13 @@ class Course:
         return len(self.moments)
 
 
-def look_back(moments: Sequence[Moment], settings: TrackerSettings) -> Tracks:
+def _look_back(moments: Sequence[Moment], settings: TrackerSettings) -> Tracks:
     """Give the objects of a drive by all its moments."""
-    kept = [course for course in courses(moments) if course.likely.max() >= settings.accept]
+    kept = [course for course in _courses(moments) if course.likely.max() >= settings.accept]
     return Tracks(tuple(_track(course, moments, settings) for course in kept))
 
 
-def courses(moments: Sequence[Moment]) -> list[Course]:
+def _courses(moments: Sequence[Moment]) -> list[Course]:
     """Give each object's trajectory through the drive, smoothed."""
     locations: dict[int, list[tuple[int, int]]] = {}
     for k, moment in enumerate(moments):
@@ -86,7 +147,7 @@ def _course(number: int, moments: Sequence[Moment], locations: list[tuple[int, i
         means=means,
         covariances=covariances,
         supports=np.array([objects.supports[row] for objects, row in rows]),
-        likely=existence.probabilities(np.array([objects.log_odds[row] for objects, row in rows])),
+        likely=tracking_states.probabilities(np.array([objects.log_odds[row] for objects, row in rows])),
         seen={
             camera_id: np.array([_row(objects.corners_xyxy.get(camera_id), row) for objects, row in rows])
             for camera_id in cameras
@@ -104,8 +165,8 @@ def _smoothed(
 ) -> tuple[Float64Array, Float64Array]:
     """The states of an object, knowing what came later."""
     states = [(moments[k].objects.means[row], moments[k].objects.covariances[row]) for k, row in locations]
-    spread = np.zeros((motion.SIZE, motion.SIZE))
-    predicted = [(np.zeros(motion.SIZE), spread, spread)]
+    spread = np.zeros((tracking_states.SIZE, tracking_states.SIZE))
+    predicted = [(np.zeros(tracking_states.SIZE), spread, spread)]
     for k, _ in locations[1:]:
         before = moments[k].predicted
         row = int(np.searchsorted(before.ids, number))
@@ -130,9 +191,9 @@ def _track(course: Course, moments: Sequence[Moment], settings: TrackerSettings)
         timestamps_ns=course.timestamps_ns[kept],
         centers=course.means[kept, :3],
         sizes_lwh=course.means[kept, 3:6],
-        yaws=course.means[kept, motion.YAW],
+        yaws=course.means[kept, tracking_states.YAW],
         velocities=course.means[kept, 7:10],
-        yaw_rates=course.means[kept, motion.ROTATION],
+        yaw_rates=course.means[kept, tracking_states.ROTATION],
         covariances=course.covariances[kept, :10, :10],
         scores=np.full(len(kept), course.likely.max()),
         supports=supports[kept].astype(np.uint8),
@@ -169,14 +230,14 @@ def _corners(
         if camera_id in observation.views:
             camera = observation.views[camera_id].camera
             row = slice(i, i + 1)
-            corners[row] = image_boxes.applied(differing[row], outlined[row], camera.width, camera.height)
+            corners[row] = tracking_states.applied(differing[row], outlined[row], camera.width, camera.height)
     return corners
 
 
 def _outline(mean: Float64Array, observation: Observation, camera_id: Identifier) -> Float64Array:
     if camera_id not in observation.views:
         return np.zeros(4)
-    lines = image_boxes.outlines(
+    lines = tracking_states.outlines(
         mean[None, :7], np.ones(1), observation.world_from_lidar, observation.views[camera_id]
     )
     outline: Float64Array = lines.corners_xyxy[0]
@@ -184,10 +245,65 @@ def _outline(mean: Float64Array, observation: Observation, camera_id: Identifier
 
 
 def _smoothed_differences(course: Course, seen: Float64Array, outlined: Float64Array) -> Float64Array:
-    known = image_boxes.has_area(seen) & image_boxes.has_area(outlined)
+    known = tracking_states.has_area(seen) & tracking_states.has_area(outlined)
     apart, noises = np.zeros((len(seen), 4)), np.ones((len(seen), 4))
-    apart[known] = image_boxes.differences(seen[known], outlined[known])
-    noises[known] = image_boxes.noises(seen[known])
+    apart[known] = tracking_states.differences(seen[known], outlined[known])
+    noises[known] = tracking_states.noises(seen[known])
     seconds = np.diff(course.timestamps_ns, prepend=course.timestamps_ns[:1]) / 1e9
-    drift = image_boxes.DRIFTS[0 if course.vehicle else 1] ** 2
-    return smoothed_walk(apart, noises, known, drift * seconds, image_boxes.UNKNOWN)
+    drift = tracking_states.DRIFTS[0 if course.vehicle else 1] ** 2
+    return smoothed_walk(apart, noises, known, drift * seconds, tracking_states.UNKNOWN)
+
+
+_COLUMNS = (
+    *("centers", "sizes_lwh", "yaws", "velocities", "yaw_rates", "covariances", "scores", "supports"),
+)
+
+
+def track_drive(
+    observations: Iterable[Observation], *, settings: TrackerSettings = DEFAULTS, offline: bool = False
+) -> Tracks:
+    """Follow the objects of a drive.
+
+    Args:
+        observations: moment by moment, in the order of their times.
+        settings: what is taken for granted.
+        offline: whether later moments may report earlier ones.
+    """
+    tracker = Tracker(settings)
+    if offline:
+        return _look_back([tracker.advance(observation) for observation in observations], settings)
+    return gathered([tracker.step(observation) for observation in observations])
+
+
+def gathered(moments: list[TrackedObjects]) -> Tracks:
+    """Give objects reported moment by moment as one track each; of several tellings of one time the last counts."""
+    latest = list({moment.timestamp_ns: moment for moment in moments}.values())
+    latest.sort(key=lambda moment: moment.timestamp_ns)
+    rows: dict[int, list[tuple[TrackedObjects, int]]] = {}
+    for moment in latest:
+        for row, number in enumerate(moment.ids.tolist()):
+            rows.setdefault(number, []).append((moment, row))
+    return Tracks(tuple(_drive_track(number, rows[number]) for number in sorted(rows)))
+
+
+def _drive_track(number: int, states: list[tuple[TrackedObjects, int]]) -> Track:
+    columns: dict[str, Any] = {
+        name: np.array([getattr(moment, name)[row] for moment, row in states]) for name in _COLUMNS
+    }
+    cameras = dict.fromkeys(camera_id for moment, _ in states for camera_id in moment.corners_xyxy)
+    corners = {
+        camera_id: np.array(
+            [
+                moment.corners_xyxy[camera_id][row] if camera_id in moment.corners_xyxy else [np.nan] * 4
+                for moment, row in states
+            ]
+        )
+        for camera_id in cameras
+    }
+    return Track(
+        id=number,
+        label=states[-1][0].labels[states[-1][1]],
+        timestamps_ns=np.array([moment.timestamp_ns for moment, _ in states], np.int64),
+        corners_xyxy=corners,
+        **columns,
+    )

@@ -1,41 +1,326 @@
-"""One drive, ready to be logged: what there is of it, in the order of time."""
+"""One drive ready to be logged, in time order, with its warnings and the layout of the viewer."""
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from sceneloom.arrays import Int64Array
+from sceneloom.checks.validation import validate
 from sceneloom.errors import DataError, OptionError
-from sceneloom.scene.annotations.plain import PlainAnnotation
-from sceneloom.scene.cameras import CameraSensor
+from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
+from sceneloom.scene.annotations import EventAnnotation, PlainAnnotation
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
-from sceneloom.scene.depth import DepthCameraSensor
-from sceneloom.scene.findings import Finding
-from sceneloom.scene.part import cut_scene
-from sceneloom.scene.plain import PlainSensor
-from sceneloom.scene.scene import Scene
-from sceneloom.scene.span import time_span
+from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor
+from sceneloom.scene.scene import Scene, time_span
+from sceneloom.scene.time_range import cut_scene
 from sceneloom.scene.types import Identifier, Key, Progress, key_of
-from sceneloom.view.annotations.corrections import show_corrections
-from sceneloom.view.annotations.layers import AnnotationLayers, annotation_layers
-from sceneloom.view.annotations.points import LabelledPoints
-from sceneloom.view.annotations.relations import show_graph
-from sceneloom.view.annotations.states import list_annotations, show_attributes, show_events
-from sceneloom.view.clouds import LidarView, RadarView, lidar_view, show_map
-from sceneloom.view.depths import depth_feed, fused_depth_feed
-from sceneloom.view.feeds import Feed, play
-from sceneloom.view.found_files import read_detections, read_tracks
-from sceneloom.view.images import CameraView, PlacedCamera, ShownImage, with_straight_camera_models
-from sceneloom.view.layout import Facts
-from sceneloom.view.locations import Locations, find_locations
-from sceneloom.view.motion import show_motion
-from sceneloom.view.notes import Reported, find_mistakes, log_notes
-from sceneloom.view.objects import ObjectsView, by_camera
-from sceneloom.view.report import DriveShown
-from sceneloom.view.settings import ViewSettings
-from sceneloom.view.stream import Stream
+from sceneloom.view.annotations import (
+    ATTRIBUTES,
+    EVENTS,
+    LIST,
+    RELATIONS,
+    AnnotationLayers,
+    LabelledPoints,
+    annotation_layers,
+    list_annotations,
+    show_attributes,
+    show_corrections,
+    show_events,
+    show_graph,
+)
+from sceneloom.view.images import (
+    DEPTH,
+    IMAGE,
+    CameraView,
+    PlacedCamera,
+    ShownImage,
+    depth_feed,
+    fused_depth_feed,
+    with_straight_camera_models,
+)
+from sceneloom.view.motion import EARTH, EGO, GNSS, IMU, MAP, show_motion
+from sceneloom.view.objects import ObjectsView, by_camera, read_detections, read_tracks
+from sceneloom.view.points import SENSORS, WORLD, LidarView, RadarView, lidar_view, show_map
+from sceneloom.view.poses import Locations, find_locations
+from sceneloom.view.settings import DriveShown, ViewSettings
+from sceneloom.view.stream import TIME, Feed, Stream, blueprint_sdk, escaped, play, sdk
+from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
+
+_NOTES = "notes"
+
+_LEVELS: Mapping[str, str] = MappingProxyType(
+    {
+        WarningKind.ASSUMED: "INFO",
+        WarningKind.REPAIRED: "INFO",
+        WarningKind.SKIPPED: "WARN",
+        Severity.ERROR: "ERROR",
+        Severity.WARNING: "WARN",
+        Severity.HINT: "INFO",
+    }
+)
+
+
+@dataclass(slots=True)
+class _Reported:
+    """Gathers what could not be shown, counted by code and location."""
+
+    lines: dict[tuple[str, str], tuple[str, int]] = field(default_factory=dict)
+
+    def __call__(self, code: str, location: str, message: str) -> None:
+        """Take one more."""
+        first, count = self.lines.get((code, location), (message, 0))
+        self.lines[code, location] = first, count + 1
+
+    @property
+    def warnings(self) -> tuple[DataWarning, ...]:
+        """All of it."""
+        return tuple(
+            DataWarning(
+                kind=WarningKind.REPAIRED if code == "straightened" else WarningKind.SKIPPED,
+                code=code,
+                location=location,
+                message=message,
+                count=count,
+            )
+            for (code, location), (message, count) in self.lines.items()
+        )
+
+
+def _find_mistakes(scene: Scene) -> tuple[Finding, ...]:
+    """What the rules of `validate` find that need no frames."""
+    return validate(scene, frames=False).findings
+
+
+def _log_notes(
+    stream: Stream, time_ns: int, warnings: Sequence[DataWarning], findings: Sequence[Finding]
+) -> None:
+    """Log them at a time, the worst first; warnings that a finding reports already are not repeated."""
+    reported = {finding.message for finding in findings}
+    order = {level: k for k, level in enumerate(("ERROR", "WARN", "INFO"))}
+    lines = [
+        (_LEVELS[one.severity], f"{one.path}: {one.message}; {one.remedy} [{one.rule}]") for one in findings
+    ]
+    lines += [
+        (_LEVELS[one.kind], f"{one.kind}: {one.location}: {one.message}{_times(one.count)}")
+        for one in warnings
+        if one.message not in reported
+    ]
+    for level, text in sorted(lines, key=lambda line: order[line[0]]):
+        stream.log(time_ns, stream.path(_NOTES), sdk().TextLog(text, level=level), kind="notes")
+
+
+def _times(count: int) -> str:
+    return f" ({count} times)" if count > 1 else ""
+
+
+_BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0
+"""Where the eye stands behind the ego, and where it looks [m]."""
+
+_MOVED = 2.0
+"""How far the ego must have come for its trajectory to notify where forward is [m]."""
+
+_IN_IMAGES = ("annotations", "tracks/boxes", "tracks/history")
+"""What has a location in the world and is shown through the camera models, too."""
+
+_BACKGROUND = (16, 18, 22)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Facts:
+    """What a layout depends on.
+
+    Attributes:
+        root: the drive's entity.
+        title: its name.
+        cameras: those with images.
+        eye, target: (3,) [m], where the eye is, and what it looks at: in the ego's frame if it follows the ego.
+        follows: whether the eye moves with the ego.
+        curves: of each inertial unit, its id and the names of its streams.
+        depths, gnss, plan, earth, events, attributes, relations, listed: whether there is anything of it.
+    """
+
+    root: str
+    title: str
+    cameras: tuple[Identifier, ...]
+    eye: tuple[float, ...]
+    target: tuple[float, ...]
+    follows: bool
+    curves: tuple[tuple[Identifier, tuple[str, ...]], ...]
+    depths: bool
+    gnss: bool
+    plan: bool
+    earth: bool
+    events: bool
+    attributes: bool
+    relations: bool
+    listed: bool
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        scene: Scene,
+        locations: Locations,
+        cameras: tuple[Identifier, ...],
+        settings: ViewSettings,
+    ) -> "_Facts":
+        """Look at what a scene has."""
+        eye, target = _eye(locations)
+        gnss = any(isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns) for sensor in scene.sensors)
+        joined = any(
+            one.parent_id is not None or one.type in {"link", "group", "object"} for one in scene.annotations
+        )
+        return cls(
+            root=f"/{escaped(name)}",
+            title=name,
+            cameras=cameras,
+            eye=eye,
+            target=target,
+            follows=locations.path is not None,
+            curves=tuple(
+                (one.id, tuple(one.streams))
+                for one in scene.sensors
+                if isinstance(one, ImuSensor) and one.streams
+            ),
+            depths=settings.depth is not None,
+            gnss=gnss,
+            plan=gnss or locations.path is not None,
+            earth=gnss and settings.map_tiles,
+            events=any(isinstance(one, EventAnnotation) for one in scene.annotations),
+            attributes=any(one.is_timed and one.values for one in scene.attributes),
+            relations=joined,
+            listed=bool(scene.annotations) or any(not one.is_timed for one in scene.attributes),
+        )
+
+
+def _eye(locations: Locations) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Behind and above the ego, looking where it goes; seen from the ego, whose axes may point anywhere."""
+    forward, up = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    path = locations.path
+    if path is not None:
+        back = conjugate_quaternion(path.quaternions_xyzw[:1])
+        up = rotate_vectors(back, up[None])[0]
+        steps = np.linalg.norm(path.positions - path.positions[0], axis=1)
+        trajectory = path.positions[int(np.argmax(steps > _MOVED))] - path.positions[0]
+        if steps.max() > _MOVED:
+            forward = rotate_vectors(back, trajectory[None])[0]
+        forward = forward - (forward @ up) * up
+        length = float(np.linalg.norm(forward))
+        forward = forward / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
+    eye = _ABOVE * up - _BEHIND * forward
+    return tuple(eye.tolist()), tuple((_AHEAD * forward).tolist())
+
+
+def layout(drives: Sequence[_Facts]) -> Any:
+    """Make the layout: of one drive, or of several, each under a tab of its own, with all worlds over each other."""
+    rrb = blueprint_sdk()
+    parts = [_drive(facts) for facts in drives]
+    if len(drives) == 1:
+        content = parts[0]
+    else:
+        together = rrb.Spatial3DView(
+            origin="/", contents=[f"+ {facts.root}/{WORLD}/**" for facts in drives], name="together"
+        )
+        content = rrb.Tabs(*parts, together, active_tab=0)
+    return rrb.Blueprint(
+        content,
+        rrb.BlueprintPanel(state="expanded"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIME),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _drive(facts: _Facts) -> Any:
+    rrb = blueprint_sdk()
+    worlds = [_world(facts, "world", follows=facts.follows)]
+    if facts.follows:
+        worlds.append(_world(facts, "from afar", follows=False))
+    top = rrb.Tabs(*worlds, active_tab=0) if len(worlds) > 1 else worlds[0]
+    tabs = rrb.Tabs(*_tabs(facts), active_tab=0)
+    left = rrb.Vertical(top, tabs, row_shares=[3, 1])
+    if not facts.cameras:
+        return _named(left, facts)
+    images = [_camera(facts, camera_id) for camera_id in facts.cameras]
+    columns = 1 if len(images) <= 3 else 2
+    side = rrb.Grid(*images, grid_columns=columns) if len(images) > 1 else images[0]
+    return rrb.Horizontal(left, side, column_shares=[3, 2], name=facts.title)
+
+
+def _world(facts: _Facts, name: str, *, follows: bool) -> Any:
+    """The world with the eye behind the ego; or, of a drive that moves, all of it, the eye where the viewer puts it."""
+    rrb = blueprint_sdk()
+    world = f"{facts.root}/{WORLD}"
+    eye = {"position": facts.eye, "look_target": facts.target} if follows or not facts.follows else {}
+    return rrb.Spatial3DView(
+        origin=f"{world}/{EGO}" if follows else world,
+        contents=f"+ {world}/**",
+        name=name,
+        background=_BACKGROUND,
+        line_grid=not follows,
+        eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, **eye),
+    )
+
+
+def _named(container: Any, facts: _Facts) -> Any:
+    return blueprint_sdk().Horizontal(container, name=facts.title)
+
+
+def _camera(facts: _Facts, camera_id: Identifier) -> Any:
+    """The images of a camera with what is drawn into them and what the camera model sees of the world.
+
+    Its fused depths.
+    """
+    rrb = blueprint_sdk()
+    path = f"{facts.root}/{WORLD}/{SENSORS}/{escaped(camera_id)}/{IMAGE}"
+    through = [f"+ {facts.root}/{WORLD}/{name}/**" for name in _IN_IMAGES]
+    images = rrb.Spatial2DView(
+        origin=path, contents=["+ $origin/**", f"- $origin/{DEPTH}/**", *through], name=str(camera_id)
+    )
+    if not facts.depths:
+        return images
+    depths = rrb.Spatial2DView(origin=path, contents=[f"+ $origin/{DEPTH}/**"], name=f"{camera_id}: depth")
+    return rrb.Tabs(images, depths, active_tab=0, name=str(camera_id))
+
+
+def _tabs(facts: _Facts) -> list[Any]:
+    rrb = blueprint_sdk()
+    root = facts.root
+    views = [
+        rrb.TextLogView(origin=root, contents=[f"+ {root}/{_NOTES}", f"+ {root}/{EVENTS}/**"], name="log")
+    ]
+    if facts.gnss:
+        views.append(rrb.TimeSeriesView(origin=f"{root}/{GNSS}", name="satellite fixes"))
+    for sensor_id, streams in facts.curves:
+        plots = [
+            rrb.TimeSeriesView(origin=f"{root}/{IMU}/{escaped(sensor_id)}/{escaped(name)}", name=name)
+            for name in streams
+        ]
+        views.append(rrb.Horizontal(*plots, name=str(sensor_id)))
+    if facts.plan:
+        views.append(rrb.Spatial2DView(origin=f"{root}/{MAP}", name="map [m]", background=_BACKGROUND))
+    if facts.earth:
+        views.append(
+            rrb.MapView(origin=f"{root}/{EARTH}", name="map", background=rrb.MapProvider.OpenStreetMap)
+        )
+    if facts.events:
+        views.append(rrb.StateTimelineView(origin=f"{root}/{EVENTS}", name="events"))
+    if facts.attributes:
+        views.append(rrb.TimeSeriesView(origin=f"{root}/{ATTRIBUTES}", name="attributes"))
+        views.append(rrb.StateTimelineView(origin=f"{root}/{ATTRIBUTES}", name="attributes in words"))
+    if facts.listed:
+        views.append(rrb.TextDocumentView(origin=f"{root}/{LIST}", name="annotations"))
+    if facts.relations:
+        views.append(rrb.GraphView(origin=f"{root}/{RELATIONS}", name="relations"))
+    return views
+
 
 _READ_BY_THREADS = frozenset({"recording", "sfs"})
 """Formats in which each camera has a reader of its own, so that several may be read at once."""
@@ -63,14 +348,14 @@ class DriveView:
     locations: Locations
     bent: frozenset[Key]
     settings: ViewSettings
-    reported: Reported
+    reported: _Reported
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> _Facts:
         """What its layout depends on."""
         kinds = CameraSensor | DepthCameraSensor
         cameras = tuple(sensor.id for sensor in self.scene.sensors if isinstance(sensor, kinds))
-        return Facts.of(self.name, self.scene, self.locations, cameras, self.settings)
+        return _Facts.of(self.name, self.scene, self.locations, cameras, self.settings)
 
 
 def prepare_drive(
@@ -88,7 +373,7 @@ def prepare_drive(
         OptionError: a sensor or trajectory is not there, or no frame lies in the part.
         PoseError: the named trajectory cannot be used.
     """
-    reported = Reported()
+    reported = _Reported()
     scene = scene.corrected()
     reference_ns = _reference_ns(scene)
     chosen = _with_sensors(scene, settings.sensors)
@@ -247,8 +532,8 @@ def log_drive(view: DriveView, stream: Stream, *, progress: Progress | None = No
     scene, reported = view.scene, view.reported
     show_motion(stream, view.locations, scene)
     span_ns = time_span(scene) or (0, 0)
-    findings = find_mistakes(view.measured) if view.settings.findings else ()
-    log_notes(stream, span_ns[0], (*scene.warnings, *view.locations.warnings), findings)
+    findings = _find_mistakes(view.measured) if view.settings.findings else ()
+    _log_notes(stream, span_ns[0], (*scene.warnings, *view.locations.warnings), findings)
     run = _Run(
         view,
         stream,
@@ -263,7 +548,7 @@ def log_drive(view: DriveView, stream: Stream, *, progress: Progress | None = No
         if progress is not None:
             progress(done, total)
     run.annotations.finish()
-    log_notes(stream, span_ns[0], (*reported.warnings, *stream.warnings), ())
+    _log_notes(stream, span_ns[0], (*reported.warnings, *stream.warnings), ())
     return _shown(run, span_ns, findings)
 
 
@@ -290,7 +575,7 @@ def _log_lasting(run: _Run) -> None:
     list_annotations(stream, scene)
 
 
-def _passed_over(reported: Reported, lenient: bool, error: Exception) -> bool:  # noqa: FBT001 - bound by `partial`
+def _passed_over(reported: _Reported, lenient: bool, error: Exception) -> bool:  # noqa: FBT001 - bound by `partial`
     """Whether to go on after a moment that cannot be read, and report it."""
     if not (lenient and isinstance(error, DataError)):
         return False

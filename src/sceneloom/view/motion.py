@@ -7,17 +7,14 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.images.canvas import Colour
-from sceneloom.motion.gnss_receivers import usable_fixes, usable_positions
+from sceneloom.motion.ego_trajectory import usable_fixes, usable_positions
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
-from sceneloom.view.clouds import WORLD
-from sceneloom.view.colours import colour_of_name, one_packed
-from sceneloom.view.locations import Locations
-from sceneloom.view.poses import transform_columns
-from sceneloom.view.sdk import sdk
-from sceneloom.view.stream import Stream, fits
+from sceneloom.view.points import WORLD, colour_of_name, one_packed
+from sceneloom.view.poses import Locations, transform_columns
+from sceneloom.view.stream import Stream, fits, sdk
+from sceneloom.visualization.canvas import Colour
 
 EGO, TRAJECTORIES, IMU, GNSS, MAP, EARTH = "ego", "trajectories", "imu", "gnss", "map", "earth"
 """Entities: the ego's frame, ways through the world, curves of both kinds of sensors, the plan, locations on earth."""

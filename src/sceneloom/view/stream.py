@@ -1,20 +1,121 @@
-"""What is logged goes through here: under the root of its drive, at a time on the one clock."""
+"""Logging to Rerun: the SDK (imported on first use, analytics off), entity paths and time.
 
-from collections.abc import Iterable
+And the streams of a drive in time order.
+"""
+
+import importlib.util
+import os
+import platform
+import subprocess
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cache
+from heapq import merge
+from pathlib import Path
 from typing import Any, SupportsInt
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import AnyArray, BoolArray, Int64Array
+from sceneloom.errors import MissingExtraError, how_to_install
 from sceneloom.scene.types import Identifier
-from sceneloom.scene.warnings import DataWarning, WarningKind
-from sceneloom.view.sdk import sdk
+from sceneloom.warnings import DataWarning, WarningKind
+
+_FOLDERS = ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME", "XDG_STATE_HOME")
+"""Where programs of a desktop keep what they remember.
+
+Source: XDG Base Directory Specification 0.8.
+"""
+
+_PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
+
+_NOBODY = "http://127.0.0.1:1"
+"""A proxy that is not there: what would go through it goes nowhere."""
+
+_NEAR = "127.0.0.1,localhost"
+
+
+@cache
+def sdk() -> Any:
+    """Import `rerun`.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import rerun
+    except ImportError as error:
+        raise MissingExtraError(f"viewing needs rerun-sdk: {how_to_install('view')}") from error
+    return rerun
+
+
+@cache
+def blueprint_sdk() -> Any:
+    """Import `rerun.blueprint`, of which layouts are made.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    sdk()
+    import rerun.blueprint
+
+    return rerun.blueprint
+
+
+def viewer_command(*options: str) -> list[str]:
+    """The words that run Rerun's own program, which is installed with its SDK.
+
+    The program itself and not the Python module that starts it: a program that is ended would leave its child behind.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    sdk()
+    found = importlib.util.find_spec("rerun_cli")
+    if found is None or found.origin is None:
+        raise MissingExtraError(f"Rerun's viewer is missing: {how_to_install('view')}")
+    name = "rerun.exe" if platform.system() == "Windows" else "rerun"
+    return [str(Path(found.origin).with_name(name)), *options]
+
+
+def silent_environment(
+    folder: Path, given: Mapping[str, str] | None = None, *, offline: bool = True
+) -> dict[str, str]:
+    """Give an environment in which Rerun's program sends no usage data and writes to `folder` only.
+
+    The program sends none after its own command `analytics disable`, which it keeps in its folder of settings: that is
+    a folder of ours here, so that nothing is written to the home folder, and what a person has set there stays as is.
+    It would still ask for its newest version and for examples; that goes to a proxy that is not there.
+
+    Args:
+        folder: an empty folder that lives as long as the program.
+        given: the environment to begin with; None for this process's.
+        offline: let the program reach this machine only.
+    """
+    environment = {**(os.environ if given is None else given), **dict.fromkeys(_FOLDERS, str(folder))}
+    if offline:
+        # both spellings are in use, and the small one counts more
+        for name in _PROXIES:
+            environment |= {name: _NOBODY, name.lower(): _NOBODY}
+        environment |= {"NO_PROXY": _NEAR, "no_proxy": _NEAR}
+    if platform.system() == "Darwin":
+        environment["HOME"] = str(folder)
+    subprocess.run(  # noqa: S603 - our own words
+        viewer_command("analytics", "disable"),
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=True,
+    )
+    return environment
+
 
 TIME = "time"
 """The timeline of capture times [ns]."""
-FRAME = "frame"
+
+_FRAME = "frame"
 """The timeline of frame numbers: which sweep of the first lidar (or image of the first camera) was the last one."""
 
 _SINCE_EPOCH_NS = 100_000_000_000_000_000
@@ -78,7 +179,7 @@ class Stream:
             else {"duration": np.timedelta64(time_ns, "ns")}
         )
         self.recording.set_time(TIME, **named)
-        self.recording.set_time(FRAME, sequence=int(self.frames_at([time_ns])[0]))
+        self.recording.set_time(_FRAME, sequence=int(self.frames_at([time_ns])[0]))
         self.recording.log(path, *archetypes, strict=True)
         self._note(kind, 1, size)
 
@@ -100,7 +201,7 @@ class Stream:
             if self.calendar
             else {"duration": timestamps.view("timedelta64[ns]")}
         )
-        indexes = [rr.TimeColumn(TIME, **named), rr.TimeColumn(FRAME, sequence=self.frames_at(timestamps))]
+        indexes = [rr.TimeColumn(TIME, **named), rr.TimeColumn(_FRAME, sequence=self.frames_at(timestamps))]
         self.recording.send_columns(path, indexes, [one for many in columns for one in many], strict=True)
         self._note(kind, len(timestamps), 0)
 
@@ -147,3 +248,79 @@ def escaped(name: Identifier) -> str:
     """A name as one part of an entity's path."""
     escape = sdk().escape_entity_path_part
     return str(escape(str(name) or "-"))
+
+
+Report = Callable[[str, str, str], None]
+"""Is reported what could not be shown: a code, a location, a message; the same code and location are counted."""
+
+_MOST_THREADS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Feed:
+    """Moments to be logged one after another.
+
+    Attributes:
+        times_ns: (N,) int64 [ns], ascending.
+        log: logs moment `k`, with what was prepared for it.
+        prepare: does the work on moment `k` that may be done before its rotation, while other feeds are logged; one
+            moment of a feed at a time, in their order.
+    """
+
+    times_ns: Int64Array
+    log: Callable[[int, Any], None]
+    prepare: Callable[[int], Any] | None = None
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+
+@dataclass(slots=True)
+class _Ahead:
+    """Prepares the next moment of a feed while others have their rotation."""
+
+    feed: Feed
+    pool: ThreadPoolExecutor
+    coming: "Future[Any] | None" = None
+
+    def begin(self, k: int) -> None:
+        """Set about moment `k`, if there is one."""
+        if self.feed.prepare is not None and k < len(self.feed):
+            self.coming = self.pool.submit(self.feed.prepare, k)
+
+    def log(self, k: int) -> None:
+        """Log moment `k`, and set about the next one."""
+        coming, self.coming = self.coming, None
+        try:
+            prepared = None if coming is None else coming.result()
+        finally:
+            self.begin(k + 1)
+        self.feed.log(k, prepared)
+
+
+def play(feeds: Sequence[Feed], on_fault: Callable[[Exception], bool]) -> Iterator[None]:
+    """Log the moments of all feeds in the order of time, yielding after each.
+
+    Args:
+        feeds: the feeds.
+        on_fault: is given what went wrong with a moment; whether to go on with the next.
+    """
+    threads = min(_MOST_THREADS, os.cpu_count() or 1)
+    with ThreadPoolExecutor(threads, thread_name_prefix="sceneloom-view") as pool:
+        ahead = [_Ahead(feed, pool) for feed in feeds]
+        for one in ahead:
+            one.begin(0)
+        try:
+            for _, order, k in merge(*(_keyed(order, feed) for order, feed in enumerate(feeds))):
+                try:
+                    ahead[order].log(k)
+                except Exception as error:
+                    if not on_fault(error):
+                        raise
+                yield
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _keyed(order: int, feed: Feed) -> Iterator[tuple[int, int, int]]:
+    return ((time_ns, order, k) for k, time_ns in enumerate(feed.times_ns.tolist()))

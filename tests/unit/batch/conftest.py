@@ -5,7 +5,7 @@ import os
 import pytest
 
 from sceneloom.batch import Input, Job
-from sceneloom.batch.working import run_task
+from sceneloom.batch.workers import run_task
 
 VERBS = '''
 import os, signal

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from sceneloom.batch import Input, run
-from sceneloom.batch.files import give_files
-from sceneloom.batch.inputs import FileOption, find_inputs
+from sceneloom.batch.jobs import FileOption, find_inputs, give_files
 from sceneloom.errors import DataError, OptionError
 
 OPTIONS = {

@@ -6,12 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sceneloom.batch.inputs import find_inputs
-from sceneloom.batch.jobs import Input
-from sceneloom.batch.naming import output_names
+from sceneloom.batch.jobs import Input, find_inputs, output_names
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats import fingerprints
-from sceneloom.formats.fingerprints import fingerprint, late_fingerprint
+from sceneloom.formats.base import files
+from sceneloom.formats.base.files import fingerprint, late_fingerprint
 
 
 def test_patterns_and_lists_give_each_drive_once(tmp_path):
@@ -118,10 +116,10 @@ def test_only_what_takes_long_to_look_at_is_not_looked_at_anew(tmp_path, monkeyp
     (tmp_path / "b").write_text("2")
     second = late_fingerprint(str(tmp_path))
     assert second == fingerprint(str(tmp_path)) != first
-    monkeypatch.setattr(fingerprints, "_LONG_SECONDS", 0.0)
-    monkeypatch.setattr(fingerprints, "_LASTING", 1e9)
+    monkeypatch.setattr(files, "_LONG_SECONDS", 0.0)
+    monkeypatch.setattr(files, "_LASTING", 1e9)
     assert late_fingerprint(str(tmp_path)) == second
     (tmp_path / "b").unlink()
     assert late_fingerprint(str(tmp_path)) == second
-    monkeypatch.setattr(fingerprints, "_LATE", {})
+    monkeypatch.setattr(files, "_LATE", {})
     assert late_fingerprint(str(tmp_path)) == first

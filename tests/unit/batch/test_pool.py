@@ -39,7 +39,7 @@ def test_a_worker_that_cannot_be_started_is_started_once_more(tmp_path, drives, 
 
 
 def test_a_fault_of_a_worker_that_is_no_outcome_is_one_of_its_task(tmp_path, drives, job, monkeypatch):
-    monkeypatch.setattr("sceneloom.batch.pool.run_task", print_nothing)
+    monkeypatch.setattr("sceneloom.batch.workers.run_task", print_nothing)
     summary = run(job("copy", drives("a.sfs")), tmp_path / "out", workers=1)
     assert summary.failed == 1
 

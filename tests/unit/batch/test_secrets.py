@@ -9,7 +9,7 @@ import pytest
 from sceneloom.batch import run
 from sceneloom.batch.outputs import record_folder
 from sceneloom.batch.record import Record
-from sceneloom.batch.watching import MetricsFile, read_figures, write_page
+from sceneloom.batch.running import MetricsFile, read_figures, write_page
 from sceneloom.errors import OptionError
 
 QUERY = "X-Amz-Signature={}&X-Amz-Date={}&Expires={}"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from sceneloom.batch.warming import Warming
+from sceneloom.batch.workers import Warming
 from sceneloom.kernels.cache import KernelCache
 
 
@@ -13,10 +13,10 @@ def cache(monkeypatch):
     """What is found of 9 kernels, and what the clock says."""
     found = {"compiled": 0, "writable": True, "clock": 0.0}
     monkeypatch.setattr(
-        "sceneloom.batch.warming.find_kernel_cache",
+        "sceneloom.batch.workers.find_kernel_cache",
         lambda: KernelCache(Path(), found["writable"], 9, found["compiled"]),
     )
-    monkeypatch.setattr("sceneloom.batch.warming.time.monotonic", lambda: found["clock"])
+    monkeypatch.setattr("sceneloom.batch.workers.time.monotonic", lambda: found["clock"])
     return found
 
 

@@ -8,7 +8,7 @@ import pytest
 from sceneloom.batch import Outcome, RunSummary, run
 from sceneloom.batch.jobs import State
 from sceneloom.batch.record import Record
-from sceneloom.batch.watching import MetricsFile, format_metrics, read_figures, write_page
+from sceneloom.batch.running import MetricsFile, format_metrics, read_figures, write_page
 from sceneloom.errors import OutputError
 
 SECOND = 10**9

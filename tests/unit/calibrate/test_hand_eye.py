@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.calibrate.hand_eye import align_motions, paired_motions
-from sceneloom.calibrate.lidar_to_ego import lidar_to_ego
-from sceneloom.calibrate.mounting_estimate import step_between
+from sceneloom.calibrate.extrinsics import step_between
+from sceneloom.calibrate.lidar_to_ego import align_motions, lidar_to_ego, paired_motions
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import (

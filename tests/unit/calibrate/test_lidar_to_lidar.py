@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sceneloom.calibrate.ground_start import ground_plane
+from sceneloom.calibrate.extrinsics import ground_plane, step_between
 from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
-from sceneloom.calibrate.mounting_estimate import step_between
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.simulate import (
     Faults,

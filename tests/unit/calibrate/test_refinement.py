@@ -7,18 +7,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
-from sceneloom.calibrate.measures.candidate import UNITS, Change
-from sceneloom.calibrate.mounting_estimate import step_between
-from sceneloom.calibrate.refinement.cues import find_cues
-from sceneloom.calibrate.refinement.moving_pixels import moving_pixels
-from sceneloom.calibrate.refinement.refine import refine
-from sceneloom.calibrate.refinement.results import RefinementVerdict
-from sceneloom.calibrate.refinement.views import views_of
+from sceneloom.calibrate.measures import UNITS, Change
+from sceneloom.calibrate.refinement import RefinementVerdict, refine, views_of
+from sceneloom.calibrate.refinement_objective import find_cues, moving_pixels
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.aligned_maps import sum_maps
+from sceneloom.kernels.image_agreement import sum_maps
 from sceneloom.simulate import CameraSpec, LidarSpec, PathSpec, simulate_street
 
 CAMERA_MODEL = Camera("pinhole", 621, 188, 360.0, 360.0, 310.0, 93.5)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.calibrate.scan_order import find_scan_order
+from sceneloom.calibrate.frames import find_scan_order
 
 
 def scanned(lines: int = 16, steps: int = 360) -> tuple[np.ndarray, np.ndarray]:

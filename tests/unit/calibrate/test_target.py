@@ -4,11 +4,15 @@ import cv2
 import numpy as np
 import pytest
 
-from sceneloom.calibrate.mounting_estimate import step_between
-from sceneloom.calibrate.target.board import Board
-from sceneloom.calibrate.target.board_pose import board_in_cloud, board_pose
-from sceneloom.calibrate.target.corners import find_corners
-from sceneloom.calibrate.target.target_start import BoardView, start_from_target
+from sceneloom.calibrate.checkerboard import (
+    Board,
+    BoardView,
+    board_in_cloud,
+    board_pose,
+    find_corners,
+    start_from_target,
+)
+from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.cameras import project, unproject
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError, PoseError

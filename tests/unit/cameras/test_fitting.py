@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras import MODELS, Camera, project_unbounded, unproject
+from sceneloom.cameras.camera import Chart
 from sceneloom.cameras.fitting import PERSPECTIVE_REACH, fit, measured_fit, nearest
-from sceneloom.cameras.table import Chart
 from sceneloom.errors import CalibrationError, OptionError
 
 BARREL = Camera("brown_conrady", 1920, 1080, 1200.0, 1205.0, 959.0, 541.0, (-0.2, 0.06, 1e-3, -5e-4, -0.01))

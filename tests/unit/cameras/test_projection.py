@@ -20,7 +20,7 @@ from sceneloom.cameras import (
     unproject,
 )
 from sceneloom.errors import ArrayError, CalibrationError
-from sceneloom.kernels.directions import map_directions
+from sceneloom.kernels.projection import map_directions
 
 SIZE = (640, 480, 500.0, 510.0, 318.7, 243.2)
 BARREL = (-0.3, 0.1, 0.001, -0.002, -0.01)

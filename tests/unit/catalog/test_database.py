@@ -6,11 +6,12 @@ from itertools import product
 import numpy as np
 import pytest
 
-from sceneloom.catalog import TABLES, opened, query, update
+from sceneloom.catalog import TABLES, opened, update
+from sceneloom.catalog import database as catalog_database
 from sceneloom.catalog.database import Database
-from sceneloom.catalog.parquet import read_part
+from sceneloom.catalog.storage import read_part
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats import files
+from sceneloom.formats.base import files as base_files
 
 
 @pytest.fixture
@@ -46,7 +47,7 @@ def test_sql_that_is_wrong_writes_or_looks_elsewhere_is_refused(copied, tmp_path
     (tmp_path / "secret.txt").write_text("secret")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(OptionError, match="SQL"):
-        query(copied, sql.format(tmp_path, copied))
+        catalog_database(copied, sql.format(tmp_path, copied))
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -117,25 +118,25 @@ def test_no_statement_writes_anything_anywhere(copied, tmp_path, monkeypatch, gu
 def test_names_of_this_program_are_no_tables(catalogue):
     secret = [1, 2, 3]
     with pytest.raises(OptionError, match="secret"):
-        query(catalogue, "SELECT * FROM secret")
+        catalog_database(catalogue, "SELECT * FROM secret")
     assert secret
 
 
 def test_a_damaged_file_is_named_and_made_anew_by_an_update(copied, drives):
     files = sorted(copied.glob("annotations/*.parquet"))
-    whole = query(copied, "SELECT count(*) FROM annotations").rows
+    whole = catalog_database(copied, "SELECT count(*) FROM annotations").rows
     files[0].write_bytes(files[0].read_bytes()[:-7])
     with pytest.raises(DataError, match="no whole Parquet file") as refused:
-        query(copied, "SELECT * FROM annotations")
+        catalog_database(copied, "SELECT * FROM annotations")
     assert refused.value.file == str(files[0])
     report = update(copied)
     assert (len(report.changed), report.unchanged) == (3, 0)
-    assert query(copied, "SELECT count(*) FROM annotations").rows == whole
+    assert catalog_database(copied, "SELECT count(*) FROM annotations").rows == whole
 
 
 def test_a_file_that_declares_far_more_rows_than_its_bytes_is_refused(copied, monkeypatch):
-    monkeypatch.setattr(files, "ALWAYS_UNPACKED", 1)
-    monkeypatch.setattr(files, "LARGEST_RATIO", 0)
+    monkeypatch.setattr(base_files, "ALWAYS_UNPACKED", 1)
+    monkeypatch.setattr(base_files, "LARGEST_RATIO", 0)
     with pytest.raises(DataError, match="bytes that unpack to"):
         read_part(next(copied.glob("annotations/*.parquet")))
 
@@ -145,7 +146,7 @@ def test_a_folder_that_is_no_catalogue_is_refused(tmp_path, content):
     if content is not None:
         (tmp_path / "catalog.json").write_text(content)
     with pytest.raises(DataError):
-        query(tmp_path, "SELECT 1")
+        catalog_database(tmp_path, "SELECT 1")
     with pytest.raises(DataError):
         update(tmp_path)
 
@@ -161,7 +162,7 @@ def test_files_with_wrong_bytes_give_rows_or_an_error_about_data(copied, table):
             content[location] = int(random.integers(256))
         file.write_bytes(content)
         try:
-            query(copied, "SELECT * FROM annotations JOIN scenes USING (scene)")
+            catalog_database(copied, "SELECT * FROM annotations JOIN scenes USING (scene)")
         except DataError:
             refused += 1
     assert refused
@@ -171,17 +172,17 @@ def test_files_with_wrong_bytes_give_rows_or_an_error_about_data(copied, table):
 def test_damage_inside_a_file_is_named_and_repaired(copied, table):
     (file,) = copied.glob(f"{table}/*.parquet")
     sql = f"SELECT * FROM {table} ORDER BY ALL"
-    whole, right = file.read_bytes(), repr(query(copied, sql).rows)
+    whole, right = file.read_bytes(), repr(catalog_database(copied, sql).rows)
     footer = int.from_bytes(whole[-8:-4], "little") + 8
     file.write_bytes(whole[:4] + bytes(len(whole) - footer - 4) + whole[-footer:])
     if table == "findings" and right == "[]":
         return  # nothing is in it
     with pytest.raises(DataError, match="delete the file") as refused:
-        query(copied, sql)
+        catalog_database(copied, sql)
     assert refused.value.file == str(file)
     file.unlink()
     assert len(update(copied).changed) == 3
-    assert repr(query(copied, sql).rows) == right
+    assert repr(catalog_database(copied, sql).rows) == right
 
 
 @pytest.mark.parametrize("table", ["annotations", "scenes"])
@@ -197,5 +198,5 @@ def test_updates_of_files_with_wrong_bytes_end_well_or_name_them(copied, drives,
         report = update(copied, drives[:1], checks="none")
         assert not report.failed
         assert not update(copied, drives, checks="none").failed
-        assert query(copied, "SELECT count(*) FROM scenes").rows == [(3,)]
-        assert query(copied, "SELECT count(*) FROM annotations").rows[0][0] > 200
+        assert catalog_database(copied, "SELECT count(*) FROM scenes").rows == [(3,)]
+        assert catalog_database(copied, "SELECT count(*) FROM annotations").rows[0][0] > 200

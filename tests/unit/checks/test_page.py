@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from sceneloom.checks.catalogue import catalogue
+from sceneloom.checks.validation import catalogue
 
 PAGE = Path(__file__).parents[3] / "docs" / "checks.md"
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.checks.reading import FAULT_RULES
+from sceneloom.checks.faults import FAULT_RULES
 from sceneloom.errors import DataError
 from sceneloom.scene import DataWarning, LazyFrames, LidarSensor, WarningKind
 

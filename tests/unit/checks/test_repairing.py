@@ -4,7 +4,7 @@ import numpy as np
 
 from sceneloom.checks import validate
 from sceneloom.formats import open_scene
-from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.sfs.writer import write_scene
 from sceneloom.scene import (
     AttributePath,
     CuboidAnnotation,

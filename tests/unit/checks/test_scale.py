@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.checks import all_rules, validate
-from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.sfs.writer import write_scene
 from sceneloom.scene import (
     AttributePath,
     CuboidAnnotation,

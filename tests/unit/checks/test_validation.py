@@ -7,10 +7,8 @@ import pytest
 
 import sceneloom
 from sceneloom.checks import Hit, Rule, all_rules, chosen_rules, validate
-from sceneloom.checks.catalogue import catalogue
-from sceneloom.checks.report import findings_of
-from sceneloom.checks.subject import Subject
-from sceneloom.checks.walk import find_all
+from sceneloom.checks.rule import Subject
+from sceneloom.checks.validation import catalogue, find_all, findings_of
 from sceneloom.errors import OptionError, OutputError, UnknownFormatError
 from sceneloom.scene import LazyFrames, Severity
 

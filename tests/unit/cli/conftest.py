@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import sceneloom
-from sceneloom.batch.working import run_task
+from sceneloom.batch.workers import run_task
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli import main
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street

@@ -232,7 +232,7 @@ def test_nothing_is_written_to_a_url(call: Call, arguments: tuple[str, ...]) -> 
 def test_a_url_that_cannot_be_read_is_named_as_it_was_stated(
     call: Call, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], problem: str
 ) -> None:
-    monkeypatch.setattr("sceneloom.formats.remote.patience.time.sleep", lambda _: None)
+    monkeypatch.setattr("sceneloom.formats.remote.stores.time.sleep", lambda _: None)
     outcome = call(*arguments)
     assert outcome.code == 1
     assert f"http://127.0.0.1:9/b.sfs: {problem}" in outcome.err

@@ -8,7 +8,7 @@ import pytest
 
 import sceneloom
 from sceneloom.cli.batch.one_drive import BATCHED, verb_named
-from sceneloom.scene.span import time_span
+from sceneloom.scene.scene import time_span
 
 
 def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, recording, tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from tests.malformed.mutants import mutant_of, sound_scene
 
 import sceneloom
-from sceneloom.formats.remote import patience
+from sceneloom.formats.remote import stores
 
 fsspec = pytest.importorskip("fsspec", reason="the extra `cloud` is not installed")
 pytest.importorskip("aiohttp", reason="the extra `cloud` is not installed")
@@ -96,8 +96,8 @@ class Web:
 
 @pytest.fixture
 def web(tmp_path, monkeypatch):
-    monkeypatch.setattr("sceneloom.formats.remote.patience.time.sleep", lambda _: None)
-    quick = patience.Patience(tries=2, deadline=5.0, answer=0.3)
+    monkeypatch.setattr("sceneloom.formats.remote.stores.time.sleep", lambda _: None)
+    quick = stores.Patience(tries=2, deadline=5.0, answer=0.3)
     for module in ("patience", "ranged"):
         monkeypatch.setattr(f"sceneloom.formats.remote.{module}.PATIENCE", quick, raising=False)
     sceneloom.write(sound_scene(), tmp_path / "drive.sfs")

@@ -8,7 +8,7 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.fusion.messages.json_form import parse_json
+from sceneloom.db34t.json import parse_json
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import (
     CameraSpec,

@@ -6,10 +6,9 @@ import pytest
 
 pytest.importorskip("grpc", reason="the extra `serve` is not installed")
 
-from sceneloom.service.conformance.examination import CHECKS
+from sceneloom.db34t.conformance.examination import CHECKS
 from sceneloom.service.running import running_server
-from sceneloom.service.security import Security
-from sceneloom.service.server import ServerSettings
+from sceneloom.service.server import Security, ServerSettings
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +41,9 @@ def test_checks_are_listed_without_a_server(call):
 
 
 def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, address, monkeypatch):
-    from sceneloom.service.conformance import transport
+    from sceneloom.db34t import transport as db34t_transport
 
-    sound = transport.GrpcTransport.call
+    sound = db34t_transport.GrpcTransport.call
 
     def two(self, method, request):
         reply = sound(self, method, request)
@@ -52,7 +51,7 @@ def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, ad
             reply.status = 2
         return reply
 
-    monkeypatch.setattr(transport.GrpcTransport, "call", two)
+    monkeypatch.setattr(db34t_transport.GrpcTransport, "call", two)
     outcome = call("conformance", address, "--only", "5.3-3", "--quiet")
     assert outcome.code == 1
     assert "5.3-3   failed" in outcome.out
@@ -61,9 +60,9 @@ def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, ad
 
 
 def test_nobody_at_the_address_unknown_checks_and_reports_are_reported(call, address, tmp_path, monkeypatch):
-    from sceneloom.service.conformance import transport
+    from sceneloom.db34t import transport as db34t_transport
 
-    monkeypatch.setattr(transport, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(db34t_transport, "PATIENCE_S", 1.0)
     nobody = call("conformance", "127.0.0.1:1", "--quiet")
     assert nobody.code == 1
     assert nobody.err.startswith("sceneloom: 127.0.0.1:1: no server answers there; is it running")

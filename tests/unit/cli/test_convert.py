@@ -11,7 +11,7 @@ import pytest
 import sceneloom
 from sceneloom import convert
 from sceneloom import open as open_drive
-from sceneloom.formats.table import format_named, written_formats
+from sceneloom.formats.base.registry import format_named, written_formats
 
 if TYPE_CHECKING:
     from tests.unit.cli.conftest import Call

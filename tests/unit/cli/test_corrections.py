@@ -12,14 +12,14 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.catalog.drafts import read_draft
-from sceneloom.catalog.drives import read_drive
+from sceneloom.catalog.building import read_drive
+from sceneloom.catalog.storage import read_draft
 from sceneloom.cli.main import sceneloom as command_line
+from sceneloom.db34t.json import format_json
+from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
 from sceneloom.formats.trajectories.table import read_trajectory
-from sceneloom.fusion.messages.json_form import format_json
-from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.checked_calibration import check_drive
+from sceneloom.pipeline.calibrating import check_drive
 from sceneloom.scene import (
     AttributePath,
     CameraCalibration,
@@ -28,7 +28,7 @@ from sceneloom.scene import (
     Poses,
     Scene,
 )
-from sceneloom.service.sent_rig import sent_rig
+from sceneloom.service.sending import sent_rig
 from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
 from sceneloom.view.drive import prepare_drive
 from sceneloom.view.settings import ViewSettings

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from sceneloom.pipeline import installation
-from sceneloom.pipeline.installation.report import Finding, InstallationReport, Status
+from sceneloom.pipeline.installation import Finding, InstallationReport, Status
 from sceneloom.version import __version__
 
 

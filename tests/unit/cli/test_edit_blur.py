@@ -7,8 +7,8 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.editing.hiding.boxes import ImageBox
-from sceneloom.pipeline.sharing.blurring import blur_files
+from sceneloom.editing.redact import ImageBox
+from sceneloom.pipeline.redacting import blur_files
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 

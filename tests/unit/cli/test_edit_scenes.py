@@ -12,7 +12,7 @@ import pytest
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.scene import CuboidAnnotation, LocalizationAdjustment, Poses
-from sceneloom.scene.span import time_span
+from sceneloom.scene.scene import time_span
 from sceneloom.simulate import CameraSpec, LidarSpec, annotate, simulate_street
 
 Call = Callable[..., Any]

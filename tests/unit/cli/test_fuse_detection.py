@@ -8,11 +8,11 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections.detector_files import FOLDER
+from sceneloom.db34t.json import format_json, parse_json
+from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
+from sceneloom.detections.detectors import FOLDER
 from sceneloom.formats.kitti.labels import read_labels
-from sceneloom.fusion.messages.json_form import format_json, parse_json
-from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
-from sceneloom.scene.span import time_span
+from sceneloom.scene.scene import time_span
 from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, detect_2d, detect_3d, simulate_street
 
 

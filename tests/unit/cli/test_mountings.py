@@ -13,15 +13,7 @@ from scipy.spatial.transform import Rotation
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli.mountings import mounting_text
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraSensor,
-    ImuSensor,
-    LazyFrames,
-    LidarSensor,
-    Scene,
-    Trajectory,
-    VectorSamples,
-)
+from sceneloom.scene import CameraSensor, ImuSensor, LazyFrames, LidarSensor, Scene, Trajectory, VectorSamples
 from sceneloom.scene.ego import ego_axes
 
 CAMERA_MODEL = Camera("pinhole", 8, 6, 6.0, 6.0, 3.5, 2.5)

@@ -5,20 +5,20 @@ import shutil
 
 import pytest
 
-from sceneloom.batch import inputs
+from sceneloom.batch import jobs
 from sceneloom.calibrate.conventions import read_extrinsics
-from sceneloom.catalog import query
-from sceneloom.detections.detector_files import read_detectors
+from sceneloom.catalog import database
+from sceneloom.db34t.interface import read_configuration_file
+from sceneloom.db34t.transport import read_certificates, read_pair
+from sceneloom.detections.detectors import read_detectors
 from sceneloom.errors import DataError
-from sceneloom.evaluate.fused_objects import fused_files
-from sceneloom.formats import files
-from sceneloom.fusion.configuration_file import read_configuration_file
-from sceneloom.report.collecting import read_losses
-from sceneloom.service.pem import read_certificates, read_pair
-from sceneloom.service.security import read_token
+from sceneloom.evaluate.object_files import fused_files
+from sceneloom.formats.base import files as base_files
+from sceneloom.report.page import read_losses
+from sceneloom.service.server import read_token
 
 READERS = {
-    "a list of drives": lambda path: list(inputs._listed(path, {}, frozenset())),
+    "a list of drives": lambda path: list(jobs._listed(path, {}, frozenset())),
     "extrinsics": read_extrinsics,
     "detectors": read_detectors,
     "a configuration": read_configuration_file,
@@ -52,12 +52,12 @@ def test_a_pipe_among_the_sweeps_of_a_recording_is_named_as_what_it_is(recording
 def test_the_marker_of_a_catalogue_that_is_a_pipe_is_named(tmp_path):
     os.mkfifo(tmp_path / "catalog.json")
     with pytest.raises(DataError, match=r"catalog\.json: cannot be read: is a named pipe"):
-        query(tmp_path, "SELECT 1")
+        database(tmp_path, "SELECT 1")
 
 
 @pytest.mark.parametrize("what", sorted(READERS.keys() - {"losses", "fused detections"}))
 def test_settings_that_are_very_long_are_refused(tmp_path, what, monkeypatch):
-    monkeypatch.setattr(files, "LARGEST_SETTINGS", 1000)
+    monkeypatch.setattr(base_files, "LARGEST_SETTINGS", 1000)
     path = tmp_path / "input.toml"
     path.write_bytes(b"#" * 1001)
     with pytest.raises(DataError, match="1001 bytes; expected 1000 at most"):

@@ -10,7 +10,7 @@ import click
 import pytest
 
 import sceneloom
-from sceneloom.checks.catalogue import catalogue
+from sceneloom.checks.validation import catalogue
 from sceneloom.cli.main import sceneloom as command_line
 
 SOURCES = Path(sceneloom.__file__).parent

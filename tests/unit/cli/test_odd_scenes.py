@@ -22,9 +22,9 @@ from PIL import Image
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli.main import sceneloom as command_line
-from sceneloom.formats.table import written_formats
-from sceneloom.fusion.messages.json_form import format_json
-from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
+from sceneloom.db34t.json import format_json
+from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
+from sceneloom.formats.base.registry import written_formats
 from sceneloom.service.running import running_server
 from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
 
@@ -1081,7 +1081,7 @@ def test_no_verb_breaks_on_what_is_no_finite_number(
 def test_only_programs_and_not_imports_change_how_numpy_warns() -> None:
     script = (
         "import warnings, numpy as np; before = list(warnings.filters), np.geterr(); "
-        "import sceneloom, sceneloom.cli.main, sceneloom.batch.working, sceneloom.view; "
+        "import sceneloom, sceneloom.cli.main, sceneloom.batch.workers, sceneloom.view; "
         "reported = [f for f in warnings.filters if f not in before[0] and 'encountered' in str(f[1])]; "
         "assert reported == [], reported; assert np.geterr() == before[1]"
     )

@@ -11,7 +11,7 @@ from sceneloom.colouring import fuse_by_projection
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.fusion.algorithms import FusionType, algorithm, chosen_algorithm
-from sceneloom.pipeline.tracking.job import TrackingSettings
+from sceneloom.pipeline.tracked_drive import TrackingSettings
 
 FILE = """
 from dataclasses import replace
@@ -161,7 +161,7 @@ def test_detection_fusion_takes_functions_of_one_pair():
 
 
 def test_a_client_of_the_service_cannot_have_a_file_executed(tmp_path, file):
-    from sceneloom.fusion.interface import FusionInterface
+    from sceneloom.db34t.interface import FusionInterface
 
     marker = tmp_path / "executed"
     file.write_text(f"open({str(marker)!r}, 'w')\n", "utf-8")

@@ -11,15 +11,14 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli.main import main
 from sceneloom.cli.main import sceneloom as program
+from sceneloom.colouring.cuboid_projection import project_cuboids
 from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.service.client import FusionClient
 from sceneloom.service.replay import compare
 from sceneloom.service.running import running_server
-from sceneloom.service.security import Security
-from sceneloom.service.server import ServerSettings
+from sceneloom.service.server import Security, ServerSettings
 from sceneloom.service.session_log import BlackBox
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
-from sceneloom.visibility import project_cuboids
 
 TOKEN = "sixteen-characters-or-more"
 

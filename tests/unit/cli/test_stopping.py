@@ -13,7 +13,7 @@ import pytest
 
 Call = Callable[..., Any]
 
-FUSE: Any = import_module("sceneloom.pipeline.fusing.job")
+FUSE: Any = import_module("sceneloom.pipeline.fusing")
 """The module that plays drives to the fusion."""
 
 _USUAL = {signal.SIGINT: signal.default_int_handler}

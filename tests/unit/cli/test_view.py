@@ -5,7 +5,7 @@ import json
 import pytest
 
 import sceneloom
-from sceneloom.scene.span import time_span
+from sceneloom.scene.scene import time_span
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'sceneloom[view]'")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project, unproject
+from sceneloom.cameras.projection import project, unproject
 from sceneloom.geometry.rigid import RigidTransform
 
 CAMERA_FROM_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])

@@ -5,8 +5,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import BlendSettings, VisibilitySettings, blend_colours, view_points
-from sceneloom.colouring.provenance import NO_IMAGE_NS
-from sceneloom.colouring.weights import near_outlines, view_weights
+from sceneloom.colouring.blending import NO_IMAGE_NS, near_outlines, view_weights
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 

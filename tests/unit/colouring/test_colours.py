@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring.colours import colour_points
+from sceneloom.colouring.blending import colour_points
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.pixel_numbers import pixel_numbers
+from sceneloom.kernels.projection import pixel_numbers
 
 
 def make_view(point_ids, pixels, rgb, visible=None):

@@ -7,7 +7,7 @@ from sceneloom.colouring import LidarTrajectory
 from sceneloom.errors import ArrayError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import LidarFrame, LidarPoints, Poses
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 
 AHEAD = Poses(
     np.array([0, 1000], np.int64), np.array([[0.0, 0, 0], [10, 0, 0]]), np.array([[0.0, 0, 0, 1]] * 2)

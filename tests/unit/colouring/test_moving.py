@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from sceneloom.colouring.lidar_trajectory import LidarTrajectory
-from sceneloom.colouring.moving import LAGS, MovingPoints
-from sceneloom.colouring.moving_boxes import MovingBoxes
+from sceneloom.colouring.moving_points import LAGS, MovingBoxes, MovingPoints
+from sceneloom.colouring.results import LidarTrajectory
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.scene import CuboidAnnotation, CuboidPath, Scene
 from sceneloom.simulate import LidarSpec, TrafficSpec, simulate_street

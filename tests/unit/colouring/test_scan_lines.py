@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from sceneloom.colouring.scan_lines import (
+from sceneloom.colouring.visibility import (
     find_lines,
     fit_reach,
     look_around,

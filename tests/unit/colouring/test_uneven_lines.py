@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sceneloom.colouring.scan_lines import ScanLines, look_around
-from sceneloom.colouring.uneven_lines import are_uneven, split_by_spacing
+from sceneloom.colouring.visibility import ScanLines, are_uneven, look_around, split_by_spacing
 
 UNKNOWN = ScanLines(0.01, 0.01, 0.0)
 FINE = np.arange(-4.0, 4.0, 0.25)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring.views import view_points
+from sceneloom.colouring.algorithms import view_points
 from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.errors import ArrayError, CalibrationError
 from sceneloom.geometry.rigid import RigidTransform

@@ -5,7 +5,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import LidarTrajectory
-from sceneloom.colouring.views import view_points
+from sceneloom.colouring.algorithms import view_points
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 from sceneloom.errors import ArrayError, OptionError
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.depth import METHODS, complete_depth
+from sceneloom.colouring.depth_completion import METHODS, complete_depth
 from sceneloom.errors import ArrayError, OptionError
 
 CAMERA = Camera("pinhole", 160, 120, 120.0, 120.0, 79.5, 59.5)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from sceneloom.detections.assignment import ONE_UNKNOWN, SAME_FAMILY, SURER, assign, assign_pairs, pair_gains
-from sceneloom.detections.classes import numbers_of
+from sceneloom.detections.detectors import numbers_of
+from sceneloom.detections.projection import ONE_UNKNOWN, SAME_FAMILY, SURER, assign, assign_pairs, pair_gains
 from sceneloom.detections.results import NO_BOX
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import unproject
+from sceneloom.cameras.projection import unproject
 from sceneloom.detections.camera_only import EDGES, position_by_height
-from sceneloom.detections.classes import KINDS, numbers_of, table_rows
+from sceneloom.detections.detectors import KINDS, numbers_of, table_rows
 from sceneloom.geometry.rigid import RigidTransform
 
 CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)

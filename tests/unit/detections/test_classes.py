@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.detections.classes import (
+from sceneloom.detections.detectors import (
     FAMILIES,
     KINDS,
     SIZES,

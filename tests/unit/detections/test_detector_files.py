@@ -4,13 +4,13 @@ from dataclasses import asdict
 
 import pytest
 
-from sceneloom.detections.detector_files import (
+from sceneloom.detections.detectors import (
     detector_names,
     find_detectors,
     format_detectors,
+    independent_detectors,
     read_detectors,
 )
-from sceneloom.detections.independent import independent_detectors
 from sceneloom.errors import DataError, OptionError
 
 TEXT = format_detectors(independent_detectors())

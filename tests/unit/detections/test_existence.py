@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from sceneloom.detections.detector_files import find_detectors
-from sceneloom.detections.existence import existence_table
-from sceneloom.detections.independent import independent_detectors
-from sceneloom.kernels import existence_probability
+from sceneloom.detections.detectors import find_detectors, independent_detectors
+from sceneloom.detections.settings import existence_table
+from sceneloom.kernels import existence
 from sceneloom.scene.detections import ScoreForm
 
 PRIOR = 0.15
@@ -32,14 +31,14 @@ OUTLINE = np.array([[10.0, 20, 110, 120]])
 
 def reported(score, form=ScoreForm.PROBABILITY, *, of_image=False):
     logit = form is ScoreForm.LOGIT
-    return existence_probability.reported_odds(np.array([score]), CAR, logit, of_image, CAR, TABLE)
+    return existence.reported_odds(np.array([score]), CAR, logit, of_image, CAR, TABLE)
 
 
 def exists(of_sweep, of_image=None, *, seen_share=1.0):
     """How likely the object of a box of a sweep is, with a partner in the image or without."""
     partners, others = (CAR - 1, CAR * 0.0) if of_image is None else (CAR, of_image[0])
     shares = np.array([seen_share])
-    return existence_probability.scores_of_sweep(
+    return existence.scores_of_sweep(
         OUTLINE, shares, partners, of_sweep[0], of_sweep[1], OUTLINE, others, CAR, TABLE
     )[0]
 
@@ -55,15 +54,13 @@ def test_a_report_that_the_other_detector_does_not_share_is_worth_what_counting_
     # where nothing is, silence is taken for certain; here it is so in 0.9 of the cases
     odds = share_true(2, 0) / (1 - share_true(2, 0)) * SAYS_IF_NOT[0]
     assert exists(reported(share_true(2))) == pytest.approx(odds / (1 + odds), rel=1e-12)
-    of_image = existence_probability.scores_of_image(
-        CAR, np.array([20.0]), reported(share_true(2))[1], CAR, TABLE
-    )
+    of_image = existence.scores_of_image(CAR, np.array([20.0]), reported(share_true(2))[1], CAR, TABLE)
     assert of_image[0] == pytest.approx(odds / (1 + odds), rel=1e-12)
 
 
 def test_what_cannot_be_seen_is_not_missed():
     assert exists(reported(0.7), seen_share=0.0) == pytest.approx(0.7, rel=1e-12)
-    far = existence_probability.scores_of_image(CAR, np.array([71.0]), reported(0.7)[1], CAR, TABLE)
+    far = existence.scores_of_image(CAR, np.array([71.0]), reported(0.7)[1], CAR, TABLE)
     assert far[0] == pytest.approx(0.7, rel=1e-12)
 
 
@@ -94,26 +91,22 @@ def logistic(odds):
 def scores_without_boxes(count):
     """How likely sure objects of a sweep are, of which so many have no box in the image, all of them plain to see."""
     kinds = np.zeros(count, np.int64)
-    reported_3d, odds, _ = existence_probability.reported_odds(
+    reported_3d, odds, _ = existence.reported_odds(
         np.full(count, 5.0), np.arange(count), True, False, kinds, FITTED_TABLE
     )
     outlines, none = np.tile(OUTLINE, (count, 1)), np.zeros((0, 4))
-    return existence_probability.scores_of_sweep(
+    return existence.scores_of_sweep(
         outlines, np.ones(count), kinds - 1, reported_3d, odds, none, np.zeros(0), kinds, FITTED_TABLE
     )
 
 
 def test_a_fitted_pair_has_the_odds_that_the_formula_says():
     score_3d, score_2d, (low, high) = 1.5, 0.8, (CAR_NUMBERS.image.low, CAR_NUMBERS.image.high)
-    reported_3d = existence_probability.reported_odds(
-        np.array([score_3d]), CAR, True, False, CAR, FITTED_TABLE
-    )
-    reported_2d = existence_probability.reported_odds(
-        np.array([score_2d]), CAR, False, True, CAR, FITTED_TABLE
-    )
+    reported_3d = existence.reported_odds(np.array([score_3d]), CAR, True, False, CAR, FITTED_TABLE)
+    reported_2d = existence.reported_odds(np.array([score_2d]), CAR, False, True, CAR, FITTED_TABLE)
     # half as wide as the outline: an overlap of one half
     partner = OUTLINE - np.array([[0.0, 0, 50, 0]])
-    found = existence_probability.scores_of_sweep(
+    found = existence.scores_of_sweep(
         OUTLINE, np.ones(1), CAR, reported_3d[0], reported_3d[1], partner, reported_2d[0], CAR, FITTED_TABLE
     )
     both = CAR_NUMBERS.both

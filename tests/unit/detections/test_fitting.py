@@ -5,10 +5,15 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
-from sceneloom.detections.fitting.examples import LabelledPair
-from sceneloom.detections.fitting.existence_fit import fit_reported
-from sceneloom.detections.fitting.fit import FitSettings, fit_detectors
-from sceneloom.detections.fitting.regression import fit_deviations, fit_odds, weighted_quantile
+from sceneloom.detections.fitting import (
+    FitSettings,
+    LabelledPair,
+    fit_detectors,
+    fit_deviations,
+    fit_odds,
+    fit_reported,
+    weighted_quantile,
+)
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import OptionError

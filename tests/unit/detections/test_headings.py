@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.detections.headings import orient_by_motion
+from sceneloom.detections.projection import orient_by_motion
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,14 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
-from sceneloom.detections.classes import numbers_of
+from sceneloom.detections.detectors import numbers_of
 from sceneloom.detections.merging import DEFAULTS, merge_views
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import NO_BOX
 from sceneloom.detections.settings import tables_of
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels import existence_probability as columns
+from sceneloom.kernels import existence as columns
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 
 CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from sceneloom.detections.classes import KINDS
-from sceneloom.detections.independent import CENTER_SIGMAS, SIZE_SIGMAS, independent_detectors
-from sceneloom.detections.noise import box_covariances, noise_table
+from sceneloom.detections.detectors import CENTER_SIGMAS, KINDS, SIZE_SIGMAS, independent_detectors
+from sceneloom.detections.settings import box_covariances, noise_table
 
 NOISE = noise_table(independent_detectors())
 YAWS = np.array([0.4, -2.0, 1.0, 0.2])

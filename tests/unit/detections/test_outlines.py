@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections.outlines import boxes_with_area, boxes_with_position, project_outlines
+from sceneloom.detections.projection import boxes_with_area, boxes_with_position, project_outlines
 from sceneloom.geometry.rigid import RigidTransform
 
 CAMERA_MODEL = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)

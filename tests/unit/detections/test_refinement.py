@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections.outlines import project_outlines
-from sceneloom.detections.refinement import refine
+from sceneloom.detections.projection import project_outlines, refine
 from sceneloom.detections.results import NO_BOX
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform

@@ -6,7 +6,7 @@ import pytest
 
 from sceneloom.editing import crop_scene
 from sceneloom.formats import open_scene, write_scene
-from sceneloom.scene.span import time_span
+from sceneloom.scene.scene import time_span
 from sceneloom.simulate import LidarSpec, simulate_street
 
 

@@ -8,10 +8,7 @@ import pytest
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.editing import simplify_scene
-from sceneloom.editing.differences.arrays import apart
-from sceneloom.editing.differences.frames import pairs
-from sceneloom.editing.differences.report import Change
-from sceneloom.editing.differences.scenes import diff_scenes
+from sceneloom.editing.diff import Change, apart, diff_scenes, pairs
 from sceneloom.errors import OptionError
 from sceneloom.geometry.euler import cuboid_angles_from_rotation
 from sceneloom.geometry.rigid import RigidTransform
@@ -42,7 +39,7 @@ from sceneloom.scene import (
     VertexPath,
     WarningKind,
 )
-from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.simulate import LidarSpec, TrafficSpec
 
 CAMERA_MODEL = Camera("pinhole", 8, 6, 5.0, 5.0, 3.5, 2.5)

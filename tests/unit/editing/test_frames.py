@@ -32,8 +32,7 @@ from sceneloom.scene import (
     Trajectory,
     VertexPath,
 )
-from sceneloom.scene.at import cuboid_at
-from sceneloom.scene.sample_boxes import BoxTable
+from sceneloom.scene.annotations_at import BoxTable, cuboid_at
 
 CHANGES = {PointsFrame.WORLD: to_world, PointsFrame.EGO: to_ego, PointsFrame.SENSOR: to_sensor}
 

@@ -2,7 +2,7 @@
 
 import json
 
-from sceneloom.editing.retiming import ClockCorrection, retimed_scene
+from sceneloom.editing.retime import ClockCorrection, retimed_scene
 from sceneloom.formats import open_scene, write_scene
 from sceneloom.scene.types import key_of
 

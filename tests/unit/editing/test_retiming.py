@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.editing.retiming import ClockCorrection, retimed_scene
+from sceneloom.editing.retime import ClockCorrection, retimed_scene
 from sceneloom.errors import OptionError
 from sceneloom.scene import Box2DAnnotation, BoxPath, EventAnnotation
 from sceneloom.scene.types import key_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.editing import thin_scene
-from sceneloom.editing.voxels import evenly, one_per_cube
+from sceneloom.editing.thin import evenly, one_per_cube
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
     LabeledPoints,

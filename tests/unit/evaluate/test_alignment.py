@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom import evaluate_trajectory
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.evaluate.alignment import align_pairs, umeyama
-from sceneloom.evaluate.association import MatchedPoses, Pairs
+from sceneloom.evaluate.trajectory_errors import MatchedPoses, Pairs, align_pairs, umeyama
 from sceneloom.scene import Trajectory
 
 

@@ -8,9 +8,9 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import DataError, OptionError
-from sceneloom.evaluate.detection.comparison import compare_detections
-from sceneloom.evaluate.scene_objects import labelled_times, scene_objects
-from sceneloom.evaluate.tracking.comparison import compare_tracks
+from sceneloom.evaluate.detection import compare_detections
+from sceneloom.evaluate.object_files import labelled_times, scene_objects
+from sceneloom.evaluate.tracking import compare_tracks
 from sceneloom.scene import AttributePath, CuboidAnnotation, CuboidPath, Scene
 
 SECOND = 1_000_000_000

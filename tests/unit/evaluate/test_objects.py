@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import ArrayError
-from sceneloom.evaluate.objects import ObjectTable
-from sceneloom.evaluate.overlaps import FramePairs, Similarity, similarities
+from sceneloom.evaluate.objects import FramePairs, ObjectTable, Similarity, similarities
 from sceneloom.formats.kitti.labels import KittiLabels
 
 shapely = pytest.importorskip("shapely", reason="no shapely: pip install shapely")

@@ -96,7 +96,7 @@ class Served:
 def waits(monkeypatch):
     """The waits between tries [s], which take no time."""
     found = []
-    monkeypatch.setattr("sceneloom.formats.remote.patience.time.sleep", found.append)
+    monkeypatch.setattr("sceneloom.formats.remote.stores.time.sleep", found.append)
     return found
 
 

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from sceneloom.formats.byte_stream import ByteStream
+from sceneloom.formats.base.files import ByteStream
 
 CONTENT = bytes(range(50))
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError, UnknownOptionError
-from sceneloom.formats.clouds.names import name_of_time, numbers_of_names, stem_of, times_of_names
-from sceneloom.formats.loss import Support
-from sceneloom.formats.table import find_format, open_scene, write_scene
-from sceneloom.pipeline.converting.job import convert
+from sceneloom.formats.base.losses import Support
+from sceneloom.formats.base.registry import find_format, open_scene, write_scene
+from sceneloom.formats.points.reader import name_of_time, numbers_of_names, stem_of, times_of_names
+from sceneloom.pipeline.converting import convert
 from sceneloom.scene import (
     CuboidAnnotation,
     CuboidPath,

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import ArrayError, OutputError
-from sceneloom.formats.depth_images import write_confidence_png, write_depth_npz, write_depth_png
+from sceneloom.formats.base.images import write_confidence_png, write_depth_npz, write_depth_png
 
 
 def _depths():

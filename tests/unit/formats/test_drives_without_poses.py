@@ -10,8 +10,8 @@ from sceneloom import convert, fuse
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.formats import open_scene, write_scene
-from sceneloom.formats.default_poses import stationary_ego
-from sceneloom.formats.loss import Support
+from sceneloom.formats.base.losses import Support
+from sceneloom.formats.base.poses import stationary_ego
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     CameraImage,

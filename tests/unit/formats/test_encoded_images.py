@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from sceneloom.errors import DataError
-from sceneloom.formats.encoded_images import EncodedImage
+from sceneloom.formats.base.images import EncodedImage
 
 
 def encoded(form, size=(64, 48), **options):

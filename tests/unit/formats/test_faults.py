@@ -3,8 +3,7 @@
 import pytest
 
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.faults import MOST_LOCATIONS, FaultLedger
-from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.base.diagnostics import MOST_LOCATIONS, FaultLedger, Ledger
 
 
 def line(number):

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sceneloom.formats.file_names import file_stem, file_stems
+from sceneloom.formats.base.output import file_stem, file_stems
 
 IDS = st.one_of(st.integers(), st.text(st.characters(exclude_categories=["Cs"]), max_size=300))
 

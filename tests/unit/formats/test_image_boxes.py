@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from sceneloom.editing.hiding.boxes import ImageBox
+from sceneloom.editing.redact import ImageBox
 from sceneloom.errors import DataError
-from sceneloom.formats.image_boxes import read_image_boxes
+from sceneloom.pipeline.image_boxes import read_image_boxes
 
 
 def read(tmp_path, text, name="boxes.csv"):

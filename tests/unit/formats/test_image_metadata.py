@@ -7,7 +7,7 @@ import pytest
 from PIL import Image, PngImagePlugin
 
 from sceneloom.errors import DataError
-from sceneloom.formats.image_metadata import without_metadata
+from sceneloom.formats.base.images import without_metadata
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (40, 56, 3), np.uint8)
 SECRET = b"49.011 N, taken by Ann"

@@ -6,9 +6,9 @@ import pytest
 from tests.test_documentation import SHARED_PAGES
 
 from sceneloom.errors import OptionError
+from sceneloom.formats.base.losses import Support
+from sceneloom.formats.base.registry import FORMATS, format_named
 from sceneloom.formats.listing import FormatListing, list_formats, list_supported_fields
-from sceneloom.formats.loss import Support
-from sceneloom.formats.table import FORMATS, format_named
 from sceneloom.scene.contents import MODEL_FIELDS
 
 PAGE = Path(__file__).parents[3] / "docs" / "converting.md"

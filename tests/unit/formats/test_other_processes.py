@@ -19,12 +19,12 @@ import simplejpeg
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
-from sceneloom.formats.video.png_folder import PngFolder
+from sceneloom.formats.recording.images import PngFolder
 from sceneloom.formats.video.reader import VideoReader, open_video
-from sceneloom.pipeline.aligned.origin import moved_scene
-from sceneloom.pipeline.deskewing.job import deskewed_scene
+from sceneloom.pipeline.alignment import moved_scene
+from sceneloom.pipeline.deskewing import deskewed_scene
 from sceneloom.scene import CameraImage, LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsSensor, Scene
-from sceneloom.scene.part import cut_scene
+from sceneloom.scene.time_range import cut_scene
 from sceneloom.simulate import (
     CameraSpec,
     Faults,

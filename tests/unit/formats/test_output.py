@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sceneloom.errors import DataError, OutputError
-from sceneloom.formats.output import FolderKind, Source, check_output, filling, replacing
+from sceneloom.formats.base.output import FolderKind, Source, check_output, filling, replacing
 
 KIND = FolderKind("folder of ours", (r"data\.jsonl", r"images/\d+\.png"), r"data\.jsonl")
 
@@ -221,7 +221,7 @@ from contextlib import suppress
 from pathlib import Path
 from sceneloom.errors import OutputError
 from sceneloom.formats import output
-from sceneloom.formats.output import FolderKind, check_output, filling, on_trial, replacing, replacing_together
+from sceneloom.formats.base.output import FolderKind, check_output, filling, on_trial, replacing, replacing_together
 
 job, top, exchanges = sys.argv[1], Path(sys.argv[2]), sys.argv[3] == "exchange"
 kind = FolderKind("folder", (r"\w",))
@@ -336,7 +336,7 @@ def test_a_second_rename_that_fails_leaves_the_old_folder(tmp_path: Path, monkey
     target = tmp_path / "home"
     target.mkdir()
     (target / "data.jsonl").write_text("old")
-    monkeypatch.setattr("sceneloom.formats.output._renameat2", lambda *_: errno.EINVAL)
+    monkeypatch.setattr("sceneloom.formats.base.output._renameat2", lambda *_: errno.EINVAL)
     rename = Path.rename
 
     def failing(path: Path, to: Path) -> Path:

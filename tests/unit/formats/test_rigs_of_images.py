@@ -15,10 +15,10 @@ from PIL import Image
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
 from sceneloom.formats import open_scene, write_scene
-from sceneloom.formats.loss import Support
+from sceneloom.formats.base.losses import Support
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraCalibration, Coordinates, LazyFrames, Poses, Scene
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 SIZE = (83, 80)

@@ -5,15 +5,9 @@ from pathlib import Path
 import pytest
 
 from sceneloom.errors import OptionError, UnknownFormatError
-from sceneloom.formats import table
-from sceneloom.formats.spec import FormatSpec
-from sceneloom.formats.table import (
-    FORMATS,
-    find_format,
-    format_for_output,
-    format_named,
-    open_scene,
-)
+from sceneloom.formats.base import registry
+from sceneloom.formats.base.registry import FORMATS, find_format, format_for_output, format_named, open_scene
+from sceneloom.formats.base.spec import FormatSpec
 
 
 def log_line(folder: Path) -> None:
@@ -71,7 +65,7 @@ TWIN = FormatSpec(
 
 
 def test_a_suffix_of_two_formats_asks_for_a_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(table, "all_formats", lambda: [*map(format_named, FORMATS), TWIN])
+    monkeypatch.setattr(registry, "all_formats", lambda: [*map(format_named, FORMATS), TWIN])
     with pytest.raises(OptionError, match=r"belongs to several formats; state `--to sfs` or `--to twin`"):
         format_for_output(tmp_path / "drive.sfs")
 

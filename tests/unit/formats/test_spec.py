@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from sceneloom.errors import MissingExtraError, OptionError, UnknownOptionError
-from sceneloom.formats import table
-from sceneloom.formats.spec import FormatSpec
-from sceneloom.formats.table import FORMATS, FormatRow, find_format, formats_that_may_be
+from sceneloom.formats.base import registry
+from sceneloom.formats.base.registry import FORMATS, FormatRow, find_format, formats_that_may_be
+from sceneloom.formats.base.spec import FormatSpec
 from sceneloom.scene import Scene
 
 
@@ -40,20 +40,24 @@ def theirs(monkeypatch: pytest.MonkeyPatch) -> None:
             return THEIRS
 
     point = Point("theirs", "theirs:FORMAT", "sceneloom.formats")
-    monkeypatch.setattr(table, "_entry_points", lambda: (point,))
+    monkeypatch.setattr(registry, "_entry_points", lambda: (point,))
 
 
 @pytest.mark.usefixtures("theirs")
 def test_a_format_of_another_package_is_asked_of_every_path(tmp_path, monkeypatch):
     (tmp_path / "a.bin").write_bytes(b"THEIRS")
     assert find_format(tmp_path / "a.bin") is THEIRS
-    monkeypatch.setattr("sceneloom.formats.spec.imported", lambda name: globals()[name.partition(":")[2]])
-    with table.open_scene(tmp_path / "a.bin", loud=True) as scene:
+    monkeypatch.setattr(
+        "sceneloom.formats.base.spec.imported", lambda name: globals()[name.partition(":")[2]]
+    )
+    with registry.open_scene(tmp_path / "a.bin", loud=True) as scene:
         assert scene.metadata["loud"] is True
 
 
 def test_options_that_are_not_stated_are_none_and_unknown_ones_are_refused(monkeypatch):
-    monkeypatch.setattr("sceneloom.formats.spec.imported", lambda name: globals()[name.partition(":")[2]])
+    monkeypatch.setattr(
+        "sceneloom.formats.base.spec.imported", lambda name: globals()[name.partition(":")[2]]
+    )
     assert THEIRS.open("a", loud=None).metadata["loud"] is False
     with pytest.raises(UnknownOptionError, match="opening theirs"):
         THEIRS.open("a", quiet=True)
@@ -96,7 +100,7 @@ def test_rows_look_at_beginnings_endings_and_members(row, made, fits, tmp_path):
         file = path / name if name else path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, "utf-8")
-    assert row.fits(table._LookedAt(path)) is fits
+    assert row.fits(registry._LookedAt(path)) is fits
 
 
 def test_a_file_is_asked_of_those_formats_only_that_begin_so(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.formats.clouds.table import read_cloud
+from sceneloom.formats.points.files import read_cloud
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Poses, Scene
 from sceneloom.scene.clouds import grey_where_unseen, white_where_unseen
 

@@ -3,7 +3,7 @@
 import pytest
 from google.protobuf.internal.encoder import _VarintBytes
 
-from sceneloom.formats.wire_bytes import enclosed, field_head, varint, wire_fields
+from sceneloom.formats.base.protobuf import enclosed, field_head, varint, wire_fields
 from sceneloom.fusion.messages.wire import fusion_pb2
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.types import Cause
 from sceneloom.errors import OptionError
 from sceneloom.fusion.algorithms import FusionType, algorithm, names
-from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.outcome import Cause
 
 from .sending import box_2d, box_3d, boxes_2d, boxes_3d, calibration, cloud, image
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
+from sceneloom.db34t.interface import FusionInterface, read_configuration_file
 from sceneloom.errors import DataError
-from sceneloom.fusion.configuration_file import read_configuration_file
-from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import ImageData, PointCloudData, Timestamp
 
 WHOLE = """

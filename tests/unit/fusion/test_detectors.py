@@ -3,9 +3,9 @@
 import pytest
 from tests.unit.fusion.sending import boxes_2d, boxes_3d, calibration
 
-from sceneloom.detections.detector_files import detector_names
-from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.outcome import Cause
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.types import Cause
+from sceneloom.detections.detectors import detector_names
 
 
 def confidence_with(detectors):

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.outcome import Cause
-from sceneloom.fusion.properties.predefined import PREDEFINED
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.properties import PREDEFINED
+from sceneloom.db34t.types import Cause
 
 from .sending import boxes_2d, boxes_3d, calibration, cloud, image
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sceneloom.fusion.calibration.entries import MOST_PAIRS, CalibrationEntry, format_calibrations
-from sceneloom.fusion.interface import FusionInterface
+from sceneloom.db34t.calibration import MOST_PAIRS, CalibrationEntry, format_calibrations
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.queues import QueueLimits
+from sceneloom.db34t.types import Cause
 from sceneloom.fusion.messages import Boxes2d, Boxes3d, PointCloudData
-from sceneloom.fusion.outcome import Cause
-from sceneloom.fusion.queues import QueueLimits
 
 from .sending import (
     FORWARD,
@@ -293,7 +293,7 @@ def failing(*_, **__):
 @pytest.mark.parametrize("kind", [0, 1])
 def test_an_algorithm_that_fails_is_counted_and_ends_nothing(fusion, kind, monkeypatch):
     monkeypatch.setattr("sceneloom.fusion.system.algorithm", lambda kind, name: failing)
-    monkeypatch.setattr("sceneloom.fusion.interface.algorithm", lambda kind, name: failing)
+    monkeypatch.setattr("sceneloom.db34t.interface.algorithm", lambda kind, name: failing)
     assert fusion.set_property("fusion_type", kind)
     assert fusion.set_property("fusion_algorithm", "failing")
     sends = ((image, cloud), (boxes_2d, boxes_3d))[kind]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.fusion.interface import FusionInterface
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.protobuf import encode
 from sceneloom.fusion.messages import CalibrationData
-from sceneloom.fusion.messages.protobuf_form import encode
 from sceneloom.scene.poses import Poses
 
 from .sending import HEIGHT, START_NS, WIDTH, boxes_2d, boxes_3d, cloud, image

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
+from sceneloom.db34t.results import declared_columns
 from sceneloom.detections.results import FusedBoxes
-from sceneloom.fusion.outgoing import declared_columns
 
 ROTATION = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 CAMERA = Camera("pinhole", 640, 480, 500.0, 500.0, 319.5, 239.5)

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.fusion.detection_fusion import SeenBoxes
+from sceneloom.fusion.box_fusion import SeenBoxes
 from sceneloom.fusion.system import FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes2D, Boxes3D, LidarFrame, LidarPoints
-from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import Poses
+from sceneloom.scene.poses import Poses, PoseSource
 
 CAMERA = Camera("pinhole", 1200, 400, 700.0, 700.0, 599.5, 199.5)
 PERIOD_NS = 100_000_000

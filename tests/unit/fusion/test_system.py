@@ -12,7 +12,7 @@ from sceneloom.fusion import FusionConfiguration, FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraImage, LidarFrame, LidarPoints, Poses
 from sceneloom.scene.point_times import SOUND, PointTimes
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 
 CAMERA = Camera("pinhole", 8, 6, 4.0, 4.0, 3.5, 2.5)
 EGO_FROM_CAMERA = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from tests.unit.fusion.sending import START_NS, box_3d, calibration, timestamp
 
-from sceneloom.fusion.interface import FusionInterface
+from sceneloom.db34t.interface import FusionInterface
 from sceneloom.fusion.messages import Boxes2d, Boxes3d
-from sceneloom.fusion.tracked import TrackedResults
 from sceneloom.scene import Poses
+from sceneloom.service.methods import TrackedResults
 
 PERIOD_MS, COUNT, SPEED = 100, 12, 10.0
 

@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from sceneloom.fusion.interface import FusionInterface
+from sceneloom.db34t.interface import FusionInterface
 from sceneloom.fusion.messages import Boxes2d, Boxes3d
 
 from .sending import calibration, cloud, image, timestamp

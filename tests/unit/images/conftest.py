@@ -8,7 +8,7 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.results import FusedView
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.pixel_numbers import pixel_numbers
+from sceneloom.kernels.projection import pixel_numbers
 
 Points = Sequence[tuple[float, float, float, bool]]
 MakeView = Callable[..., FusedView]

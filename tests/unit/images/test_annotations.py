@@ -6,12 +6,6 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import OptionError, OutputError
-from sceneloom.images.annotations.above import draw_annotations_above
-from sceneloom.images.annotations.corrections import draw_adjustment, draw_calibration
-from sceneloom.images.annotations.figures import colour_of, figures_in_image, figures_in_world
-from sceneloom.images.annotations.in_image import draw_annotations_in_image
-from sceneloom.images.annotations.saving import save_annotation_images
-from sceneloom.images.annotations.timeline import draw_timeline
 from sceneloom.scene import (
     AttributePath,
     CameraCalibration,
@@ -23,6 +17,19 @@ from sceneloom.scene import (
     ShapeType,
 )
 from sceneloom.simulate import CameraSpec, LidarSpec, annotate, demo_drive, simulate_street
+from sceneloom.visualization.annotation_sheets import (
+    draw_adjustment,
+    draw_calibration,
+    draw_timeline,
+    save_annotation_images,
+)
+from sceneloom.visualization.annotations import (
+    colour_of,
+    draw_annotations_above,
+    draw_annotations_in_image,
+    figures_in_image,
+    figures_in_world,
+)
 
 EVERY_TYPE = {
     "cuboid", "box_2d", "points", "event", "labeled_points", "point_segmentation", "localization_adjustment",

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sceneloom.images.canvas import Canvas, count_text, seconds_text, text_height
+from sceneloom.visualization.canvas import Canvas, count_text, seconds_text, text_height
 
 
 @given(st.integers(-(2**63), 2**63 - 1))

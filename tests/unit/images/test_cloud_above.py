@@ -3,7 +3,7 @@ import pytest
 
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.images import EgoPosition, draw_cloud_above
-from sceneloom.images.cloud_above import layout_map
+from sceneloom.visualization.clouds import layout_map
 
 SIZE = (900, 640)
 EGO = EgoPosition(np.array([100.0, 50.0, 0.0]), np.array([1.0, 0.0, 0.0]))

@@ -4,7 +4,7 @@ import pytest
 
 from sceneloom.errors import OptionError
 from sceneloom.images import EgoPosition, draw_cloud_perspective
-from sceneloom.images.cloud_perspective import Viewpoint, background, viewpoint_behind
+from sceneloom.visualization.clouds import Viewpoint, background, viewpoint_behind
 
 SIZE = (900, 640)
 EGO = EgoPosition(np.array([100.0, 50.0, 1.0]), np.array([0.0, 1.0, 0.0]))

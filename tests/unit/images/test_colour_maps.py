@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import OptionError
-from sceneloom.images.colour_maps import ANCHORS, colour_map, oklab_from_srgb, srgb_from_oklab
+from sceneloom.visualization.colour_scales import ANCHORS, colour_map, oklab_from_srgb, srgb_from_oklab
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sceneloom.errors import OptionError
-from sceneloom.images.depth_scale import COARSE_DIGITS, ROUND_DIGITS, DepthScale, round_down, round_up
+from sceneloom.visualization.colour_scales import (
+    COARSE_DIGITS,
+    ROUND_DIGITS,
+    DepthScale,
+    round_down,
+    round_up,
+)
 
 DEPTHS = st.floats(0.01, 5000.0)
 

@@ -7,8 +7,8 @@ from PIL import Image
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.images import DriveCloud
-from sceneloom.images.drive_cloud import CUBE
 from sceneloom.scene import LidarPoints, Poses
+from sceneloom.visualization.fused_frames import CUBE
 
 RED, BLUE = (250, 10, 10), (10, 10, 250)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.images.ego import EgoPosition, find_ego, middle_of
+from sceneloom.visualization.clouds import EgoPosition, find_ego, middle_of
 
 # An IMU whose x points to the left of the car, as z stays up.
 ROTATED = RigidTransform(

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sceneloom.images.stamping import draw_crosses, draw_discs
+from sceneloom.visualization.canvas import draw_crosses, draw_discs
 
 RED, BLUE, GROUND = (255, 0, 0), (0, 0, 255), (40, 40, 40)
 

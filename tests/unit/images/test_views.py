@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from sceneloom.images import DepthScale, draw_depth_image, draw_overlay
-from sceneloom.images.canvas import STRIP, Canvas
-from sceneloom.images.colour_maps import colour_map
-from sceneloom.images.scale_bar import placed_ticks
-from sceneloom.images.views import NO_DEPTH, view_scale
+from sceneloom.visualization.canvas import STRIP, Canvas
+from sceneloom.visualization.colour_scales import colour_map, placed_ticks
+from sceneloom.visualization.fused_frames import NO_DEPTH, view_scale
 
 SCALE = DepthScale(2.0, 50.0)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from sceneloom.kernels.assignment import best_columns
+from sceneloom.kernels.scores import best_columns
 
 
 def columns_by_scipy(gains: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.kernels.block_chain import chain_covariances, solve_chain
+from sceneloom.kernels.imu_chain import chain_covariances, solve_chain
 
 
 def chain(count: int, n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

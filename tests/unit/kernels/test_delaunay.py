@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from sceneloom.depth.surfaces import triangles_between
+from sceneloom.colouring.depth_completion import triangles_between
 from sceneloom.kernels.delaunay import MOST_EXTENT, hilbert_codes, triangulate
 
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from sceneloom.kernels.depth_grades import grade_depths
+from sceneloom.kernels.completion import grade_depths
 
 
 def test_each_pixel_gets_the_cell_of_its_doubt_and_its_gap():

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from sceneloom.kernels.depth_images import draw_depths, mark_nearest
-from sceneloom.kernels.pixel_numbers import pixel_numbers
+from sceneloom.kernels.colours import draw_depths, mark_nearest
+from sceneloom.kernels.projection import pixel_numbers
 
 WIDTH, HEIGHT = 7, 5
 

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from sceneloom.kernels.directions import map_directions
+from sceneloom.kernels.projection import map_directions
 
 ROTATION = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 CAMERA_FROM_WORLD = np.column_stack([ROTATION, [0.3, -0.2, 1.1]])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.kernels.edge_aware import link_pixels, smooth_downward, smooth_rightward
+from sceneloom.kernels.completion import link_pixels, smooth_downward, smooth_rightward
 
 SHAPE = (19, 23)
 

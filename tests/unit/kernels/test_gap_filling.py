@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.kernels.gap_filling import (
-    blend_neighbours,
-    fill_across,
-    fill_down,
-    look_up,
-    widen_samples,
-)
+from sceneloom.kernels.completion import blend_neighbours, fill_across, fill_down, look_up, widen_samples
 
 SHAPE = (40, 30)
 STEEPEST = 0.002

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.kernels.halved_chroma import conversion_factors, rgb_from_halved_chroma
+from sceneloom.kernels.images import conversion_factors, rgb_from_halved_chroma
 
 SHARES = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722)}
 

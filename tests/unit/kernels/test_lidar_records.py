@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sceneloom.formats.recording.lidar_files import XYZIRT
-from sceneloom.kernels.lidar_records import unpack
+from sceneloom.formats.recording.lidars import XYZIRT
+from sceneloom.kernels.packed import unpack
 
 FLOAT32 = st.floats(width=32)
 RECORDS = st.lists(

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sceneloom.kernels.lzf import LARGEST_RATIO, unfold
+from sceneloom.kernels.packed import LARGEST_RATIO, unfold
 
 
 def unfold_slowly(packed: bytes) -> bytes | None:

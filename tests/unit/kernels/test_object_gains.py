@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.kernels.object_gains import add_gains_in_image, gains_in_space
+from sceneloom.kernels.tracking import add_gains_in_image, gains_in_space
 
 LEAST, FREEDOM, MOST = 0.09, 4.0, 2.0
 

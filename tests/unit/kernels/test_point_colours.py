@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from sceneloom.kernels.pixel_numbers import pixel_numbers
-from sceneloom.kernels.point_colours import paint_points
+from sceneloom.kernels.colours import paint_points
+from sceneloom.kernels.projection import pixel_numbers
 
 WIDTH, HEIGHT, COUNT = 9, 6, 60
 

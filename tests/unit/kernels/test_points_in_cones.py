@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sceneloom.kernels.points_in_cones import points_in_cones
+from sceneloom.kernels.boxes import points_in_cones
 
 
 def test_points_whose_angle_to_an_axis_is_small_enough_are_chosen():

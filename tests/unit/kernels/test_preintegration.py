@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
-from sceneloom.motion.gnss_imu.preintegration import Preintegrated, preintegrated
-from sceneloom.simulate.inertial import GRAVITY, ImuSpec, imu_truth
-from sceneloom.simulate.path import EgoPath, PathSpec, plan_path
+from sceneloom.motion.gnss_imu.measurements import Preintegrated, preintegrated
+from sceneloom.simulate.gnss_imu import GRAVITY, ImuSpec, imu_truth
+from sceneloom.simulate.trajectory import EgoPath, PathSpec, plan_path
 
 PATH = plan_path(
     np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0))

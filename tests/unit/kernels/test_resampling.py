@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from sceneloom.kernels.resampling import resample_bilinear
+from sceneloom.kernels.images import resample_bilinear
 
 
 def slow_value(rgb, u, v):

@@ -3,8 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from sceneloom.kernels.direction_grid import measure_extent
-from sceneloom.kernels.spacing import find_neighbours, measure_across, measure_along_axes
+from sceneloom.kernels.direction_grid import (
+    find_neighbours,
+    measure_across,
+    measure_along_axes,
+    measure_extent,
+)
 
 CELL = 0.002
 STEPS = [(dx, dy) for dx in range(-6, 7) for dy in range(-6, 7) if 0 < dx * dx + dy * dy <= 36]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sceneloom.motion.odometry.local_map import SurfaceLevel
+from sceneloom.motion.odometry.registration import SurfaceLevel
 
 NOISE = 0.02
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
-from sceneloom.kernels.triangle_filling import fill_triangles, measure_slopes, measure_triangles
+from sceneloom.kernels.completion import fill_triangles, measure_slopes, measure_triangles
 
 SHAPE = (50, 70)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.kernels.twin_boxes import without_twins
+from sceneloom.kernels.tracking import without_twins
 
 SHARE, OVERLAP = 0.5, 0.5
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.kernels.upright_overlaps import overlaps_from_above, overlaps_in_space
+from sceneloom.kernels.overlaps import overlaps_from_above, overlaps_in_space
 
 shapely = pytest.importorskip("shapely", reason="no shapely: pip install shapely")
 

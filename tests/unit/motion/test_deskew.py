@@ -8,7 +8,7 @@ from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_at, points_to_world
 from sceneloom.scene import LidarFrame, LidarPoints, Poses
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 
 MOUNT = RigidTransform(Rotation.from_euler("xyz", [0.1, -0.2, 0.3]).as_matrix(), np.array([1.0, 0.2, 1.7]))
 

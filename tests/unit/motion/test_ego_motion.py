@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.motion.ego_motion import find_ego_motion
+from sceneloom.motion.ego_trajectory import find_ego_motion
 from sceneloom.scene import (
     DataWarning,
     LazyFrames,

@@ -8,13 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rotations import angle_between
-from sceneloom.motion.inertial import imu_motion, integrate_rates
-from sceneloom.motion.stationary import find_stationary
+from sceneloom.motion.imu import find_stationary, imu_motion, integrate_rates
 from sceneloom.scene import ImuSensor, Scene, VectorSamples, WarningKind
 from sceneloom.simulate import simulate_street
-from sceneloom.simulate.inertial import ImuSpec
-from sceneloom.simulate.path import PathSpec
-from sceneloom.simulate.warp import Stop
+from sceneloom.simulate.gnss_imu import ImuSpec
+from sceneloom.simulate.trajectory import PathSpec, Stop
 
 SECOND = 1_000_000_000
 

@@ -6,10 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion import sensor_paths
-from sceneloom.motion.sensor_paths import camera_path, sensor_path
-from sceneloom.scene import CameraImage, LazyFrames, Poses
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene import CameraImage, LazyFrames, Poses, ego
+from sceneloom.scene.ego import camera_path, sensor_path
+from sceneloom.scene.poses import PoseSource
 
 MOUNT = RigidTransform(Rotation.from_euler("z", 0.4).as_matrix(), np.array([2.0, 0.5, 1.7]))
 
@@ -66,7 +65,7 @@ def test_looking_piece_by_piece_gives_the_path_that_looking_at_once_gives(
     source = PoseSource(winding_path(), MOUNT)
     frames = np.arange(100_000_000, 3_800_000_000, 130_000_000, dtype=np.int64)
     whole = sensor_path(source, frames)
-    monkeypatch.setattr(sensor_paths, "_FRAMES_AT_ONCE", 3)
+    monkeypatch.setattr(ego, "_FRAMES_AT_ONCE", 3)
     chunks = sensor_path(source, frames)
     assert whole is not None
     assert chunks is not None

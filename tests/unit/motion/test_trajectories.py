@@ -5,8 +5,7 @@ import pytest
 
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rotations import rotate_vectors
-from sceneloom.motion.heading import headed_poses
-from sceneloom.motion.trajectories import choose_trajectory
+from sceneloom.motion.ego_trajectory import choose_trajectory, headed_poses
 from sceneloom.scene import Scene, Trajectory
 
 

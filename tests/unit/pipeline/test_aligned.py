@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.editing.odometry import EGO_ID
+from sceneloom.editing.move_world import EGO_ID
 from sceneloom.errors import DataError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
@@ -40,7 +40,7 @@ from sceneloom.scene import (
     ShapeType,
     VertexPath,
 )
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 
 LOCATIONS = np.array([[100.0, 200.0, 3.0]], np.float32)
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.calibrate.health.verdicts import Verdict
+from sceneloom.calibrate.health import Verdict
 from sceneloom.cameras.camera import Camera
+from sceneloom.db34t.json import format_json
+from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
 from sceneloom.errors import OptionError
-from sceneloom.fusion.messages.json_form import format_json
-from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.checked_calibration import check_drive
-from sceneloom.pipeline.detections.detected import poses_at
+from sceneloom.pipeline.calibrating import check_drive
+from sceneloom.pipeline.detected_drive import poses_at
 from sceneloom.scene.detections import Boxes2D, Boxes3D
-from sceneloom.scene.sensor_sources import sensor_source
+from sceneloom.scene.ego import sensor_source
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 CAMERA_MODEL = Camera("pinhole", 640, 320, 360.0, 360.0, 319.5, 159.5)

@@ -11,8 +11,8 @@ from PIL import Image
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.clouds.table import read_cloud
-from sceneloom.formats.clouds.written import NO_LABEL
+from sceneloom.formats.points.cloud import NO_LABEL
+from sceneloom.formats.points.files import read_cloud
 from sceneloom.pipeline import ColourOutputs, ColourSettings, colour, iter_fused
 from sceneloom.scene import CameraImage, LabeledPointsAnnotation, LazyFrames, LidarFrame, LidarPoints
 from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.depth import METHODS
+from sceneloom.colouring.depth_completion import METHODS
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.pipeline.depth_images import write_depth_images
 from sceneloom.simulate import (

@@ -12,7 +12,7 @@ import pytest
 import sceneloom
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.one_moment import LEFT_SKEWED, MEASURED
+from sceneloom.motion.deskew import LEFT_SKEWED, MEASURED
 from sceneloom.pipeline import deskew, deskewed_scene, iter_fused
 from sceneloom.scene import (
     Coordinates,
@@ -26,9 +26,9 @@ from sceneloom.scene import (
     Scene,
     VectorSamples,
 )
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import LidarSpec, SimulatedDrive, simulate_street
-from sceneloom.simulate.inertial import ImuSpec
+from sceneloom.simulate.gnss_imu import ImuSpec
 
 SWEEPS = 4
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.editing.odometry import EGO_ID
+from sceneloom.editing.move_world import EGO_ID
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
-from sceneloom.pipeline.aligned.scene import align
+from sceneloom.pipeline.alignment import align
 from sceneloom.scene import (
     CameraImage,
     GnssSensor,
@@ -27,8 +27,8 @@ from sceneloom.scene import (
     Scene,
     Trajectory,
 )
-from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.span import time_span
+from sceneloom.scene.poses import PoseSource
+from sceneloom.scene.scene import time_span
 
 
 def with_lidar(scene: Scene, **changes: object) -> Scene:

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.pipeline.detections.detected import DetectedDrive
-from sceneloom.pipeline.tracking.labelled_drive import FOLLOWED, label_drive
+from sceneloom.pipeline.detected_drive import DetectedDrive
+from sceneloom.pipeline.tracked_drive import FOLLOWED, label_drive
 from sceneloom.scene import CuboidAnnotation, Support, Track, Tracks
-from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.sensor_sources import sensor_source
+from sceneloom.scene.ego import EgoMotion, sensor_source
 from sceneloom.simulate import LidarSpec, simulate_street
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 import sceneloom
-from sceneloom.redaction import without_folders
+from sceneloom.errors import without_folders
 from sceneloom.scene import DataWarning, WarningKind
 
 TARGETS = {

@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project
+from sceneloom.cameras.projection import project
 from sceneloom.colouring import FusedView
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import iter_fused
 from sceneloom.scene import Coordinates, LazyFrames, Poses, Scene
 from sceneloom.simulate import CameraSpec, LidarSpec, PathSpec, SimulatedDrive, camera_mount, simulate_street
-from sceneloom.simulate.mounts import sensor_mount
+from sceneloom.simulate.trajectory import sensor_mount
 
 CAMERA_MODEL = Camera("brown_conrady", 640, 360, 400.0, 400.0, 319.5, 179.5, (-0.12, 0.04, 0.0004, -0.0003))
 LIDAR = LidarSpec(beams=16, elevations_deg=(-20.0, 5.0), steps=600, range_sigma=0.0)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import sceneloom
+from sceneloom.calibrate.extrinsics import moved_by, step_between
 from sceneloom.calibrate.frames import calibration_frames
-from sceneloom.calibrate.mounting_estimate import moved_by, step_between
+from sceneloom.db34t.json import parse_json
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.fusion.messages.json_form import parse_json
-from sceneloom.pipeline.repairing.outputs import Repair, form_for, write_calibration
+from sceneloom.pipeline.calibrating import Repair, form_for, write_calibration
 from sceneloom.scene import Scene
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 

@@ -7,13 +7,11 @@ import pytest
 from PIL import Image
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.pipeline.detections.detected import DetectedCamera, DetectedDrive, moments
-from sceneloom.pipeline.detections.sweep_points import SweepPoints
-from sceneloom.pipeline.tracking.images import save_tracking_images
-from sceneloom.pipeline.tracking.job import track
+from sceneloom.pipeline.detected_drive import DetectedCamera, DetectedDrive, SweepPoints, moments
+from sceneloom.pipeline.tracked_drive import track
+from sceneloom.pipeline.tracking import save_tracking_images
 from sceneloom.scene import Boxes2D, Boxes3D, PointsFrame, Scene
-from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.sensor_sources import sensor_source
+from sceneloom.scene.ego import EgoMotion, sensor_source
 from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
 
 

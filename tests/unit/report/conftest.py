@@ -7,9 +7,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.report.collecting import Collected, collect
-from sceneloom.report.page.rendering import render_page
-from sceneloom.report.settings import ReportSettings
+from sceneloom.report.page import Collected, ReportSettings, collect, render_page
 from sceneloom.scene import (
     CameraImage,
     CameraSensor,

@@ -8,17 +8,8 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.report.numbers.clouds import RANGE_EDGES, CloudStatistics
-from sceneloom.report.numbers.surroundings import coverage_of
-from sceneloom.scene import (
-    CameraSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    PointsFrame,
-    Scene,
-)
+from sceneloom.report.coverage import RANGE_EDGES, CloudStatistics, coverage_of
+from sceneloom.scene import CameraSensor, LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Scene
 from sceneloom.simulate import camera_mount
 
 

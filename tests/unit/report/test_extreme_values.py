@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from sceneloom.arrays import finite_rows
-from sceneloom.checks import annotation_times
-from sceneloom.images.cloud_above import layout_map
-from sceneloom.images.clouds import sample_polyline
-from sceneloom.report.numbers.clouds import CloudStatistics
+from sceneloom.checks import times
+from sceneloom.report.coverage import CloudStatistics
+from sceneloom.visualization.clouds import layout_map, sample_polyline
 
 LARGEST = float(np.finfo(np.float32).max)
 
@@ -39,4 +38,4 @@ def test_maps_of_locations_that_are_far_off_have_no_infinite_grid(far):
 
 
 def test_bounds_of_times_stay_within_64_bits():
-    assert -(2**63) <= annotation_times._LEAST_NS < annotation_times._MOST_NS < 2**63
+    assert -(2**63) <= times._LEAST_NS < times._MOST_NS < 2**63

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.report.numbers.labels import OTHER, Spread, labels_of
+from sceneloom.report.annotations import OTHER, Spread, labels_of
 from sceneloom.scene import (
     AttributePath,
     CameraImage,

@@ -7,7 +7,7 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import DataError
-from sceneloom.report.numbers.metrics import metrics_of
+from sceneloom.report.trajectory import metrics_of
 from sceneloom.scene import Scene, Trajectory
 
 

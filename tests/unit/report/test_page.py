@@ -9,10 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from sceneloom.report.collecting import collect
-from sceneloom.report.page.rendering import render_page
-from sceneloom.report.plots import COLOURS
-from sceneloom.report.settings import ReportSettings
+from sceneloom.report.content import COLOURS
+from sceneloom.report.page import ReportSettings, collect, render_page
 from sceneloom.scene import (
     AttributePath,
     CuboidAnnotation,

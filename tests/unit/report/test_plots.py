@@ -5,9 +5,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from sceneloom.report.collecting import collect
-from sceneloom.report.plots import bars, columns, draw_plan, histogram, line_plot, middle_text
-from sceneloom.report.settings import ReportSettings
+from sceneloom.report.content import bars, columns, draw_plan, histogram, line_plot, middle_text
+from sceneloom.report.page import ReportSettings, collect
 from sceneloom.scene import GnssSensor, Scene, Trajectory
 
 NAMES = ("a", "$x^2$ $", "<b>&", "车", "\x00\u202e\ud800", "n" * 300, "")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sceneloom.report.numbers.timing import stream_timing, timing_of
+from sceneloom.report.timing import stream_timing, timing_of
 from sceneloom.scene import GnssSensor, Scene
-from sceneloom.scene.span import time_span
+from sceneloom.scene.scene import time_span
 
 MS = 1_000_000
 

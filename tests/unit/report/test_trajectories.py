@@ -7,7 +7,7 @@ import pymap3d
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.report.numbers.trajectories import MOST_CORNERS, trajectories_of
+from sceneloom.report.trajectory import MOST_CORNERS, trajectories_of
 from sceneloom.scene import GnssSensor, Scene, Trajectory
 
 RADIUS, SPEED, SECONDS = 40.0, 8.0, 20.0

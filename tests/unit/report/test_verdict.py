@@ -4,18 +4,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from sceneloom.calibrate.health.verdicts import Verdict as Health
+from sceneloom.calibrate.health import Verdict as Health
 from sceneloom.checks import validate
-from sceneloom.pipeline.fusing.report import CameraReport
-from sceneloom.report.numbers.calibration import CalibrationCheck
-from sceneloom.report.numbers.clouds import CloudCoverage
-from sceneloom.report.numbers.fusing import Fusion
-from sceneloom.report.numbers.labels import Labels
-from sceneloom.report.numbers.metrics import Metrics
-from sceneloom.report.numbers.surroundings import Coverage
-from sceneloom.report.numbers.timing import Timing, stream_timing
-from sceneloom.report.numbers.trajectories import Trajectories
-from sceneloom.report.numbers.verdict import Evidence, verdict_of
+from sceneloom.pipeline.fusing import CameraReport
+from sceneloom.report.annotations import Labels
+from sceneloom.report.coverage import CloudCoverage, Coverage
+from sceneloom.report.drive_report import Evidence, verdict_of
+from sceneloom.report.fusion import CalibrationCheck, Fusion
+from sceneloom.report.timing import Timing, stream_timing
+from sceneloom.report.trajectory import Metrics, Trajectories
 from sceneloom.scene import Finding, Scene, Severity
 from sceneloom.scene.summary import summarise
 

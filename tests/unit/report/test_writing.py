@@ -7,10 +7,9 @@ import msgspec
 import pytest
 
 from sceneloom.errors import DataError, MissingExtraError, OptionError, OutputError
-from sceneloom.formats.loss import Loss, LossReport, Support
-from sceneloom.report import ReportSettings, write_report
-from sceneloom.report.collecting import read_losses
-from sceneloom.report.numbers import provenance
+from sceneloom.formats.base.losses import Loss, LossReport, Support
+from sceneloom.report import ReportSettings, drive_report, write_report
+from sceneloom.report.page import read_losses
 from sceneloom.scene import Scene
 
 
@@ -47,27 +46,27 @@ def test_settings_that_cannot_be_followed_are_refused(settings, reported):
 def test_the_hash_of_a_file_is_what_sha256sum_gives(tmp_path):
     file = tmp_path / "drive.sfs"
     file.write_bytes(b"abc" * 1000)
-    assert provenance.hash_of(file) == (hashlib.sha256(b"abc" * 1000).hexdigest(), "file", 3000)
+    assert drive_report.hash_of(file) == (hashlib.sha256(b"abc" * 1000).hexdigest(), "file", 3000)
 
 
 def test_the_hash_of_a_folder_changes_with_names_and_contents(tmp_path):
     (tmp_path / "a").write_bytes(b"1")
     (tmp_path / "b").write_bytes(b"2")
-    first = provenance.hash_of(tmp_path)[0]
+    first = drive_report.hash_of(tmp_path)[0]
     (tmp_path / "b").rename(tmp_path / "c")
-    second = provenance.hash_of(tmp_path)[0]
+    second = drive_report.hash_of(tmp_path)[0]
     (tmp_path / "c").write_bytes(b"3")
-    assert len({first, second, provenance.hash_of(tmp_path)[0]}) == 3
+    assert len({first, second, drive_report.hash_of(tmp_path)[0]}) == 3
 
 
 def test_a_large_drive_is_hashed_by_its_ends(tmp_path, monkeypatch):
-    monkeypatch.setattr(provenance, "MOST_HASHED", 10)
+    monkeypatch.setattr(drive_report, "MOST_HASHED", 10)
     file = tmp_path / "large"
     file.write_bytes(b"0123456789abcdef")
-    digest, kind, size = provenance.hash_of(file)
+    digest, kind, size = drive_report.hash_of(file)
     assert (kind, size) == ("ends", 16)
     file.write_bytes(b"0123456789abcdeX")
-    assert provenance.hash_of(file)[0] != digest
+    assert drive_report.hash_of(file)[0] != digest
 
 
 def test_losses_are_read_as_a_conversion_reports_them(tmp_path):

@@ -11,7 +11,6 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.images.annotations.figures import figures_in_world
 from sceneloom.scene import (
     Activation,
     CameraSensor,
@@ -26,9 +25,9 @@ from sceneloom.scene import (
     Poses,
     Scene,
 )
-from sceneloom.scene.at import active_at, cuboid_at, cuboid_poses
-from sceneloom.scene.sample_boxes import BoxTable
+from sceneloom.scene.annotations_at import BoxTable, active_at, cuboid_at, cuboid_poses
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+from sceneloom.visualization.annotations import figures_in_world
 
 MS = 1_000_000
 SPEED = 5.0

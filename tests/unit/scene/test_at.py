@@ -17,8 +17,9 @@ from sceneloom.scene import (
     ShapeType,
     VertexPath,
 )
-from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.at import (
+from sceneloom.scene.annotations_at import (
+    BoxTable,
+    CuboidAngles,
     attribute_at,
     box_2d_at,
     cuboid_at,
@@ -27,7 +28,6 @@ from sceneloom.scene.at import (
     points_at,
     shape_at,
 )
-from sceneloom.scene.sample_boxes import BoxTable
 
 READINGS = [("degrees", "xyz"), ("radians", "zyx"), ("degrees", "yxz")]
 

@@ -9,7 +9,7 @@ from typing import Any
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import AttributePath, Poses, Scene, Sensor, Trajectory, VideoContent
-from sceneloom.scene.annotations.annotation import Annotation
+from sceneloom.scene.annotations import Annotation
 from sceneloom.scene.contents import IMU_STREAMS, KINDS, MODEL_FIELDS, NO_DATA
 
 WHOLE = {Camera, RigidTransform, Poses, VideoContent, AttributePath}

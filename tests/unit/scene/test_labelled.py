@@ -3,7 +3,7 @@
 import numpy as np
 
 from sceneloom.scene import LabeledPoints, LabeledPointsAnnotation
-from sceneloom.scene.labelled import Renumbering, renumbered
+from sceneloom.scene.time_range import Renumbering, renumbered
 from sceneloom.scene.types import key_of
 
 

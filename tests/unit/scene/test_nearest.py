@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.scene import CameraImage, LazyFrames, LidarFrame, LidarPoints
-from sceneloom.scene.nearest import FramesByTimestamp, SweepsByReference
+from sceneloom.scene.sampling import FramesByTimestamp, SweepsByReference
 
 CAMERA_MODEL = Camera("pinhole", 4, 3, 2.0, 2.0, 1.5, 1.0)
 PERIOD = 100

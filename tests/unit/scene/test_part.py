@@ -24,8 +24,8 @@ from sceneloom.scene import (
     Trajectory,
     VectorSamples,
 )
-from sceneloom.scene.part import cut_scene
-from sceneloom.scene.span import time_span
+from sceneloom.scene.scene import time_span
+from sceneloom.scene.time_range import cut_scene
 
 SECOND = 1_000_000_000
 TIMES = np.arange(0, 200 * SECOND, SECOND // 2, dtype=np.int64)

@@ -32,7 +32,7 @@ from sceneloom.scene import (
     ShapeType,
     VertexPath,
 )
-from sceneloom.scene.part import cut_scene
+from sceneloom.scene.time_range import cut_scene
 
 SECOND = 1_000_000_000
 

@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.motion.point_time_warnings import PointTimesStatistics
+from sceneloom.motion.deskew import PointTimesStatistics
 from sceneloom.scene import LidarFrame, LidarPoints, WarningKind
-from sceneloom.scene.point_times import (
-    PointTimes,
-    RawTimes,
-    TimedFrame,
-    TimesFound,
-    timed_frame,
-)
+from sceneloom.scene.point_times import PointTimes, RawTimes, TimedFrame, TimesFound, timed_frame
 
 PERIOD = 100_000_000
 EPOCH = 1_700_000_000_123_456_789

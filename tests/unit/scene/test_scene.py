@@ -20,9 +20,9 @@ from sceneloom.scene import (
     VectorSamples,
     VideoContent,
 )
-from sceneloom.scene.part import cut_scene
-from sceneloom.scene.span import time_span
+from sceneloom.scene.scene import time_span
 from sceneloom.scene.summary import summarise
+from sceneloom.scene.time_range import cut_scene
 
 CAMERA = Camera("pinhole", 4, 2, 3.0, 3.0, 1.5, 0.5)
 SECOND = 1_000_000_000

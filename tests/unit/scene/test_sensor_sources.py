@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from sceneloom.errors import PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Coordinates, LazyFrames, LidarSensor, OdometrySensor, PointsFrame, Poses, Scene
-from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.sensor_sources import lidar_position, points_source, sensor_source
+from sceneloom.scene.ego import EgoMotion, lidar_position, points_source, sensor_source
 
 TIMES = np.array([0, 100, 200], np.int64)
 EGO = Poses(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.scene.span import NOMINAL_PERIOD_NS, usual_period_ns
+from sceneloom.scene.scene import NOMINAL_PERIOD_NS, usual_period_ns
 
 
 @pytest.mark.parametrize(

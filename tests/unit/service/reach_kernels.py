@@ -10,20 +10,12 @@ import numpy as np
 from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
-from sceneloom.cameras.table import MODELS
-from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.messages import (
-    Box2d,
-    Box3d,
-    CalibrationData,
-    ImageData,
-    PointCloudData,
-    Timestamp,
-)
-from sceneloom.fusion.tracked import TrackedResults
+from sceneloom.cameras.camera import MODELS
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.fusion.messages import Box2d, Box3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.scene.poses import Poses
-from sceneloom.service.running import running_server
-from sceneloom.service.warming import warm_up
+from sceneloom.service.methods import TrackedResults
+from sceneloom.service.running import running_server, warm_up
 
 WIDTH, HEIGHT = 64, 48
 FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
@@ -144,8 +136,8 @@ def sessions():
 
 
 def conformance():
-    from sceneloom.service.conformance.examination import examine
-    from sceneloom.service.conformance.transport import Doors, GrpcTransport
+    from sceneloom.db34t.conformance.examination import examine
+    from sceneloom.db34t.transport import Doors, GrpcTransport
 
     with running_server() as server, GrpcTransport.connected(server.address, Doors()) as transport:
         assert examine(transport, address=server.address).failed_ids == ()

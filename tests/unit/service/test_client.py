@@ -9,23 +9,22 @@ import grpc
 import numpy as np
 import pytest
 
-from sceneloom.errors import OptionError
-from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
-from sceneloom.fusion.messages.protobuf_form import encode
-from sceneloom.fusion.outcome import Cause, Outcome
-from sceneloom.scene.poses import Poses
-from sceneloom.service.client import FusionClient
-from sceneloom.service.client_errors import (
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.protobuf import encode
+from sceneloom.db34t.transport import (
     DeadlineError,
     ServiceError,
     TooLargeError,
     UnauthenticatedError,
     UnreachableError,
 )
-from sceneloom.service.limits import ServiceLimits
-from sceneloom.service.security import Security
-from sceneloom.service.server import FusionServer, ServerSettings
+from sceneloom.db34t.types import Cause, Outcome
+from sceneloom.errors import OptionError
+from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
+from sceneloom.scene.poses import Poses
+from sceneloom.service.client import FusionClient
+from sceneloom.service.server import FusionServer, Security, ServerSettings
+from sceneloom.service.startup import ServiceLimits
 
 WIDTH, HEIGHT = 32, 24
 FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)

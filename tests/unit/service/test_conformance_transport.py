@@ -7,16 +7,10 @@ import pytest
 from grpc_reflection.v1alpha import reflection_pb2
 from grpc_reflection.v1alpha.reflection import ReflectionServicer
 
+from sceneloom.db34t.conformance.examination import examine
+from sceneloom.db34t.transport import SERVICE, CallFailedError, Doors, GrpcTransport, NobodyAnswersError
 from sceneloom.errors import OptionError
-from sceneloom.service.conformance.examination import examine
-from sceneloom.service.conformance.transport import (
-    SERVICE,
-    CallFailedError,
-    Doors,
-    GrpcTransport,
-    NobodyAnswersError,
-)
-from sceneloom.service.security import Security
+from sceneloom.service.server import Security
 
 from .test_security import Authority
 

@@ -13,13 +13,13 @@ import grpc
 import numpy as np
 import pytest
 
+from sceneloom.db34t.protobuf import to_send_request
+from sceneloom.db34t.queues import Refused
 from sceneloom.errors import DataError
-from sceneloom.fusion.events import Refused
-from sceneloom.fusion.messages.protobuf_form import to_send_request
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.service.limits import ServiceLimits
 from sceneloom.service.replay import compare, is_complete, read_log
 from sceneloom.service.session_log import unfinished_path
+from sceneloom.service.startup import ServiceLimits
 
 PATIENCE_S = 60
 """For other processes on a busy machine."""

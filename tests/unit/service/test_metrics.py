@@ -7,7 +7,7 @@ import socket
 
 import pytest
 
-from sceneloom.service.metrics import BOUNDS_S, Histogram
+from sceneloom.service.methods import BOUNDS_S, Histogram
 
 LINE = re.compile(r'(?P<name>[a-z_]+)(?:\{(?P<labels>(?:[a-z]+="(?:[^"\\]|\\.)*",?)*)\})? (?P<value>\S+)')
 

@@ -11,12 +11,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
+from sceneloom.db34t.transport import read_pair
 from sceneloom.errors import DataError, OptionError
 from sceneloom.service.client import FusionClient
-from sceneloom.service.listening import check_port
-from sceneloom.service.pem import read_pair
-from sceneloom.service.security import Security, is_loopback, read_token
-from sceneloom.service.server import FusionServer, ServerSettings
+from sceneloom.service.server import FusionServer, Security, ServerSettings, is_loopback, read_token
+from sceneloom.service.startup import check_port
 
 TOKEN = "0123456789abcdefghij"
 

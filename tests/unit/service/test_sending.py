@@ -7,21 +7,20 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
+from sceneloom.colouring.cuboid_projection import project_cuboids
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.protobuf import encode
+from sceneloom.db34t.queues import Dropped
+from sceneloom.db34t.types import DONE, Cause, refused
 from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.events import Dropped
-from sceneloom.fusion.interface import FusionInterface
 from sceneloom.fusion.messages import Boxes2d, Boxes3d, ImageData, PointCloudData, Timestamp
-from sceneloom.fusion.messages.protobuf_form import encode
-from sceneloom.fusion.outcome import DONE, Cause, refused
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import iter_fused
 from sceneloom.scene import CameraSensor, PointsFrame
-from sceneloom.service.replay import compare
+from sceneloom.service.replay import compare, send_log
 from sceneloom.service.sending import PATIENCE_MS, Pace, Statistics, send_scene
-from sceneloom.service.sending_logs import send_log
 from sceneloom.service.session_log import BlackBox
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
-from sceneloom.visibility import project_cuboids
 
 CAMERA = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
 

@@ -4,7 +4,7 @@ import grpc
 import numpy as np
 import pytest
 
-from sceneloom.fusion.messages.protobuf_form import to_send_request
+from sceneloom.db34t.protobuf import to_send_request
 from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.methods import CALLS, METHODS, SERVICE
 

@@ -4,11 +4,10 @@ import asyncio
 
 import pytest
 
+from sceneloom.db34t.interface import FusionInterface
 from sceneloom.errors import DataError
-from sceneloom.fusion.interface import FusionInterface
-from sceneloom.service.call_errors import CallError
-from sceneloom.service.limits import ServiceLimits
-from sceneloom.service.sessions import SessionTable
+from sceneloom.service.sessions import CallError, SessionTable
+from sceneloom.service.startup import ServiceLimits
 
 
 class Clock:

@@ -13,9 +13,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from sceneloom.service import running, warming
+from sceneloom.service import running
+from sceneloom.service import running as service_running
+from sceneloom.service.running import warm_up
 from sceneloom.service.server import ServerSettings
-from sceneloom.service.warming import warm_up
 
 REACHING = Path(__file__).with_name("reach_kernels.py")
 
@@ -52,10 +53,10 @@ def test_missing_kernels_are_compiled_side_by_side_and_reported(monkeypatch, cap
         def __exit__(self, *_):
             pass
 
-    monkeypatch.setattr(warming, "lacks_kernels", lambda name: name in missing)
-    monkeypatch.setattr(warming, "find_kernel_cache", lambda: SimpleNamespace(writable=True))
-    monkeypatch.setattr(warming.os, "cpu_count", lambda: 2)
-    monkeypatch.setattr(warming.subprocess, "Popen", Compiler)
+    monkeypatch.setattr(service_running, "lacks_kernels", lambda name: name in missing)
+    monkeypatch.setattr(service_running, "find_kernel_cache", lambda: SimpleNamespace(writable=True))
+    monkeypatch.setattr(service_running.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(service_running.subprocess, "Popen", Compiler)
     with caplog.at_level(logging.INFO, "sceneloom.service"):
         assert warm_up() == 2
     assert len(asked) == 2

@@ -7,10 +7,9 @@ import pytest
 
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
-from sceneloom.simulate.ground import GroundMap, Lane
-from sceneloom.simulate.path import EgoPath
-from sceneloom.simulate.shapes import Material, PackedShapes, Pattern, Shape, ShapeKind
-from sceneloom.simulate.street import Street
+from sceneloom.simulate.objects import Material, PackedShapes, Pattern, Shape, ShapeKind
+from sceneloom.simulate.street import GroundMap, Lane, Street
+from sceneloom.simulate.trajectory import EgoPath
 
 GREY = Material(Pattern.PLAIN, ((128.0, 128.0, 128.0),) * 3)
 

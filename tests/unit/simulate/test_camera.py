@@ -8,9 +8,8 @@ from scipy import ndimage
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, OptionError
 from sceneloom.simulate import CameraSpec, ImageTruth, camera_mount
-from sceneloom.simulate.camera import RenderedCamera
-from sceneloom.simulate.edges import edge_mask
-from sceneloom.simulate.shapes import Material, Pattern
+from sceneloom.simulate.camera import RenderedCamera, edge_mask
+from sceneloom.simulate.objects import Material, Pattern
 
 PINHOLE = Camera("pinhole", 120, 80, 100.0, 110.0, 59.5, 38.0)
 BROWN = Camera("brown_conrady", 120, 80, 80.0, 82.0, 58.0, 40.0, (-0.2, 0.05, 0.001, -0.002, -0.004))

@@ -22,7 +22,7 @@ from sceneloom.simulate import (
     simulate_street,
 )
 from sceneloom.simulate.detections import FALSE
-from sceneloom.simulate.shapes import PackedShapes
+from sceneloom.simulate.objects import PackedShapes
 
 CARS = {"car": ClassSpec(half_evidence=8.0, false_rate=1.5, size_lwh=(4.2, 1.8, 1.5))}
 SHARP = {"car": ClassSpec(half_evidence=1e-6, false_rate=0.0, size_lwh=(4.2, 1.8, 1.5))}

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project
+from sceneloom.cameras.projection import project
 from sceneloom.errors import OptionError
 from sceneloom.scene import CameraSensor, GnssSensor, ImuSensor, LidarSensor, PointsFrame, SensorType
 from sceneloom.simulate import CameraSpec, ImuSpec, LidarSpec, camera_mount, demo_drive, simulate_street

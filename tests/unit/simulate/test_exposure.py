@@ -4,7 +4,7 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, simulate_street
-from sceneloom.simulate.exposure import Exposure
+from sceneloom.simulate.camera import Exposure
 
 CAMERA_MODEL = Camera("pinhole", 81, 61, 60.0, 60.0, 40.0, 30.0)
 SMALL = LidarSpec(beams=2, steps=20)

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project
+from sceneloom.cameras.projection import project
 from sceneloom.errors import OptionError
 from sceneloom.simulate import (
     CameraSpec,
@@ -291,7 +291,7 @@ def test_faults_can_be_given_with_the_drive_and_do_not_depend_on_the_order_of_re
 
 def test_what_reads_faulty_frames_can_be_pickled_where_the_frames_can(right):
     from sceneloom.scene import LazyFrames
-    from sceneloom.simulate.faulty_frames import Clock, FaultyClouds, FramePlan
+    from sceneloom.simulate.faults import Clock, FaultyClouds, FramePlan
 
     kept = right.scene.lidars[0].frames
     wrong, clock = SensorFaults(lost_frames=(1,), time_offset_ns=9), Clock(0, 9, 0.0)

@@ -5,9 +5,8 @@ from scipy.spatial.transform import Rotation
 from sceneloom.errors import OptionError
 from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.simulate import GnssSpec, ImuSpec
-from sceneloom.simulate.inertial import imu_sensor, imu_truth
-from sceneloom.simulate.path import plan_path
-from sceneloom.simulate.satellite import gnss_sensor
+from sceneloom.simulate.gnss_imu import gnss_sensor, imu_sensor, imu_truth
+from sceneloom.simulate.trajectory import plan_path
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 

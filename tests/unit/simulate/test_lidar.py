@@ -6,10 +6,10 @@ import pytest
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_to_world
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import LidarSpec, simulate_street
-from sceneloom.simulate.lidar import ScanningLidar
-from sceneloom.simulate.shapes import Material, Pattern
+from sceneloom.simulate.lidar_radar import ScanningLidar
+from sceneloom.simulate.objects import Material, Pattern
 
 HEIGHT = 1.5
 UPRIGHT = RigidTransform(np.eye(3), np.array([0.0, 0.0, HEIGHT]))

@@ -6,11 +6,21 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast, instances_of, paint, velocities_of
-from sceneloom.simulate.ground import GroundMap, Lane
-from sceneloom.simulate.movers import Mover, MovingDesign, Part, pack_movers
-from sceneloom.simulate.people import design_cyclist, design_moving_car, design_pedestrian
-from sceneloom.simulate.shapes import Material, PackedShapes, Pattern, Shape, ShapeKind
-from sceneloom.simulate.street import Street
+from sceneloom.simulate.objects import (
+    Material,
+    Mover,
+    MovingDesign,
+    PackedShapes,
+    Part,
+    Pattern,
+    Shape,
+    ShapeKind,
+    design_cyclist,
+    design_moving_car,
+    design_pedestrian,
+    pack_movers,
+)
+from sceneloom.simulate.street import GroundMap, Lane, Street
 
 PLAIN = Material(Pattern.PLAIN, ((100.0, 120.0, 140.0),) * 3, reflectivity=0.3)
 STEP = 0.5

@@ -4,27 +4,27 @@ from numba import njit
 from scipy.spatial.transform import Rotation
 
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels import textures
+from sceneloom.simulate import painting
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast, paint
-from sceneloom.simulate.ground import Lane
-from sceneloom.simulate.shapes import Material, Pattern, Shape, ShapeKind
+from sceneloom.simulate.objects import Material, Pattern, Shape, ShapeKind
+from sceneloom.simulate.street import Lane
 
 BASE, SECOND, THIRD = (200.0, 60.0, 40.0), (30.0, 90.0, 200.0), (60.0, 200.0, 90.0)
 
 
 @njit
 def _bands(x, period, low, high, width):
-    return textures.bands(x, period, low, high, width)
+    return painting.bands(x, period, low, high, width)
 
 
 @njit
 def _band(x, low, high, width):
-    return textures.band(x, low, high, width)
+    return painting.band(x, low, high, width)
 
 
 @njit
 def _noise(x, y, salt, width):
-    return textures.noise(x, y, salt, width)
+    return painting.noise(x, y, salt, width)
 
 
 def look(street, origin, directions, *, pixel_angle=0.0, reach=300.0):

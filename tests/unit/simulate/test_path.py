@@ -3,10 +3,8 @@ import pytest
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from sceneloom.simulate.ground import Lane
-from sceneloom.simulate.path import PathSpec, plan_path, rotation_from_angles
-from sceneloom.simulate.street import build_street
-from sceneloom.simulate.warp import Stop
+from sceneloom.simulate.street import Lane, build_street
+from sceneloom.simulate.trajectory import PathSpec, Stop, plan_path, rotation_from_angles
 
 STEP = 1e-4
 # A central difference of step h is off by h²/6 times the next derivative but one (below 100 here), and float64

@@ -8,12 +8,10 @@ from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import PointsFrame, SensorType
 from sceneloom.simulate import LidarSpec, RadarSpec, sensor_mount, simulate_street
-from sceneloom.simulate.ground import GroundMap, Lane
-from sceneloom.simulate.movers import Mover, MovingDesign, Part, pack_movers
-from sceneloom.simulate.path import EgoPath
-from sceneloom.simulate.radar import FALSE_ALARM, SimulatedRadar
-from sceneloom.simulate.shapes import PackedShapes, Shape, ShapeKind
-from sceneloom.simulate.street import Street
+from sceneloom.simulate.lidar_radar import FALSE_ALARM, SimulatedRadar
+from sceneloom.simulate.objects import Mover, MovingDesign, PackedShapes, Part, Shape, ShapeKind, pack_movers
+from sceneloom.simulate.street import GroundMap, Lane, Street
+from sceneloom.simulate.trajectory import EgoPath
 
 EXACT = RadarSpec(
     mount=sensor_mount(position=(3.0, 1.0, 0.7), yaw_deg=20.0),

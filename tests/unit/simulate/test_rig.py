@@ -10,7 +10,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.motion.deskew import points_to_world
 from sceneloom.scene import RadarSensor
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import (
     CameraSpec,
     ExposureSpec,

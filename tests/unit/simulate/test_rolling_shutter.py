@@ -7,16 +7,14 @@ from scipy.spatial.transform import Rotation
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project, unproject
+from sceneloom.cameras.projection import project, unproject
 from sceneloom.errors import OptionError
 from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, camera_mount, simulate_street
 from sceneloom.simulate.camera import RenderedCamera
-from sceneloom.simulate.ground import GroundMap, Lane
-from sceneloom.simulate.movers import Mover, MovingDesign, Part, pack_movers
-from sceneloom.simulate.path import EgoPath
-from sceneloom.simulate.shapes import PackedShapes
-from sceneloom.simulate.street import Street
-from sceneloom.simulate.truth import Truth
+from sceneloom.simulate.drive import Truth
+from sceneloom.simulate.objects import Mover, MovingDesign, PackedShapes, Part, pack_movers
+from sceneloom.simulate.street import GroundMap, Lane, Street
+from sceneloom.simulate.trajectory import EgoPath
 
 CAMERA_MODEL = Camera("pinhole", 160, 120, 100.0, 100.0, 79.5, 59.5)
 READOUT_NS = 40_000_000

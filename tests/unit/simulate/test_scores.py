@@ -4,7 +4,7 @@ from scipy.stats import beta, kstest
 
 from sceneloom.errors import OptionError
 from sceneloom.scene import ScoreForm
-from sceneloom.simulate.scores import ScoreSpec, deal_out, draw_scores
+from sceneloom.simulate.detectors import ScoreSpec, deal_out, draw_scores
 
 
 def draw_boxes(seed, *, frames=4000, false_rate=0.6, repeated=0.0, **spec):

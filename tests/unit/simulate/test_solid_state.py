@@ -8,7 +8,7 @@ import pytest
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import Raster, Rosette, SolidStateSpec, sensor_mount
-from sceneloom.simulate.lidar import ScanningLidar
+from sceneloom.simulate.lidar_radar import ScanningLidar
 
 PERIOD_NS = 100_000_000
 UPRIGHT = RigidTransform(np.eye(3), np.array([0.0, 0.0, 1.5]))

@@ -1,7 +1,7 @@
 import numpy as np
 from scipy.interpolate import BSpline
 
-from sceneloom.simulate.splines import control_points_through, spline_derivatives, spline_grid
+from sceneloom.simulate.trajectory import control_points_through, spline_derivatives, spline_grid
 
 CONTROL = np.random.default_rng(0).normal(size=(3, 20, 2))
 ALONG = np.random.default_rng(1).uniform(0, 15, 40)

@@ -3,10 +3,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from sceneloom.simulate.ground import GroundMap, Lane
-from sceneloom.simulate.path import plan_path
-from sceneloom.simulate.shapes import ShapeKind
-from sceneloom.simulate.street import build_street
+from sceneloom.simulate.objects import ShapeKind
+from sceneloom.simulate.street import GroundMap, Lane, build_street
+from sceneloom.simulate.trajectory import plan_path
 
 
 @pytest.fixture(scope="module", params=[0, 1, 2])

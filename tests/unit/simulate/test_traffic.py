@@ -19,7 +19,7 @@ from sceneloom.simulate import (
     simulate_street,
 )
 from sceneloom.simulate.camera import RenderedCamera
-from sceneloom.simulate.movers import NO_MOVERS
+from sceneloom.simulate.objects import NO_MOVERS
 from sceneloom.simulate.street import Street
 
 EXACT_LIDAR = LidarSpec(beams=32, steps=600, range_sigma=0.0, drop_rate=0.0)

@@ -4,7 +4,7 @@ from scipy.integrate import quad
 
 from sceneloom.errors import OptionError
 from sceneloom.simulate import PathSpec, Stop
-from sceneloom.simulate.warp import TimeWarp
+from sceneloom.simulate.trajectory import TimeWarp
 
 STOPS = (Stop(20.0, 5.0), Stop(4.0, 2.0))
 RAMP = 3.0

@@ -13,7 +13,7 @@ from sceneloom.simulate import (
     detect_2d,
     simulate_street,
 )
-from sceneloom.simulate.whole_boxes import LineViews, projected_boxes
+from sceneloom.simulate.camera import LineViews, projected_boxes
 
 CAMERA_MODEL = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 95.5)
 AHEAD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])

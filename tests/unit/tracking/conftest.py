@@ -8,7 +8,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import FusedBoxes
-from sceneloom.detections.outlines import project_outlines
+from sceneloom.detections.projection import project_outlines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.tracking import Observation, View
 

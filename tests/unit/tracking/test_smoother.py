@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.scene.tracks import Support
+from sceneloom.scene.detections import Support
 from sceneloom.tracking import TrackerSettings, track_drive
 
 TIMES = np.arange(40) / 10.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.tracks import Support
+from sceneloom.scene.detections import Support
 from sceneloom.tracking import ImageBox, Observation, Tracker, TrackerSettings, track_drive
 
 TIMES = np.arange(40) / 10.0

@@ -11,10 +11,10 @@ from tests.properties.injected import SHOTS, TIMES
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
-from sceneloom.formats.depth_images import write_depth_png
+from sceneloom.formats.base.images import write_depth_png
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.images.objects import objects_of_fused
-from sceneloom.pipeline.tracking.lines import track_lines
+from sceneloom.pipeline.tracking import track_lines
 from sceneloom.scene import Support, TrackedObjects
 from sceneloom.view.objects import ellipsoid
 

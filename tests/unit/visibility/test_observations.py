@@ -6,10 +6,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project, unproject
+from sceneloom.cameras.projection import project, unproject
+from sceneloom.colouring.cuboid_projection import visibility
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes
-from sceneloom.visibility.observations import visibility
 
 HERE = RigidTransform.identity()
 PINHOLE = Camera("pinhole", 800, 600, 500.0, 500.0, 399.5, 299.5)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sceneloom.colouring.cuboid_points import count_points, with_activations, with_counts, with_labeled_points
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.boxes import points_in_box
 from sceneloom.geometry.rigid import RigidTransform
@@ -24,8 +25,6 @@ from sceneloom.scene import (
     Trajectory,
 )
 from sceneloom.simulate import LidarSpec, TrafficSpec, simulate_street
-from sceneloom.visibility.counted import with_activations, with_counts, with_labeled_points
-from sceneloom.visibility.points import count_points
 
 ON_FACES = 0.02
 """Share of the points of an object that lie on its faces within what a straight path between samples is off."""

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
+from sceneloom.colouring.cuboid_points import activation_of
+from sceneloom.colouring.cuboid_projection import project_cuboids
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
@@ -22,8 +24,6 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street
-from sceneloom.visibility.activations import activation_of
-from sceneloom.visibility.projected import project_cuboids
 
 CAMERA_MODEL = Camera("pinhole", 800, 600, 500.0, 500.0, 399.5, 299.5)
 LOOKS_ALONG_X = np.array([[-0.5, 0.5, -0.5, 0.5]])

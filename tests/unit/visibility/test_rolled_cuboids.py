@@ -5,11 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project_unbounded
+from sceneloom.cameras.projection import project_unbounded
+from sceneloom.colouring.cuboid_projection import project_cuboids
 from sceneloom.geometry.boxes import CORNER_SIGNS, EDGES
 from sceneloom.scene import CameraImage, CameraSensor, CuboidAnnotation, CuboidPath, LazyFrames, Poses, Scene
 from sceneloom.simulate import camera_mount
-from sceneloom.visibility import project_cuboids
 
 SPEED, ROTATION, ROLL_S = 15.0, np.radians(30.0), 0.04
 MOUNT = camera_mount(position=(1.5, 0.3, 1.6), yaw_deg=20.0)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project, unproject
+from sceneloom.cameras.projection import project, unproject
 from sceneloom.colouring import (
     LidarTrajectory,
     PointVisibility,
@@ -16,12 +16,11 @@ from sceneloom.colouring import (
     VisibilitySettings,
     view_points,
 )
+from sceneloom.colouring.rolling_shutter import project_by_lines
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.pose_source import PoseSource
-from sceneloom.scene.poses import Poses
-from sceneloom.scene.shutter import Shutter
+from sceneloom.scene.cameras import Shutter
+from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.simulate import camera_mount
-from sceneloom.visibility.rolling_shutter import project_by_lines
 
 SPEED, ROTATION, READOUT_S = 15.0, math.radians(30.0), 0.033
 MOUNT = camera_mount(position=(1.5, 0.3, 1.6), yaw_deg=40.0)

@@ -1,20 +1,378 @@
-"""Rules about the times of a recording's streams: their order, their rates, their gaps, and that they run together."""
+"""Streams of a recording as rules look at them, and rules about their times: order, rates, gaps, overlap.
+
+And the fixes.
+"""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
+import msgspec
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array
-from sceneloom.checks.reading import as_read
-from sceneloom.checks.recordings.repaired_streams import without_repetitions
-from sceneloom.checks.recordings.streams import Kind, Stream, location, location_in_file, streams_of
-from sceneloom.checks.rule import Find, Hit, Rule
-from sceneloom.checks.subject import Subject
-from sceneloom.formats.recording.column_arrays import line_seconds
-from sceneloom.scene.findings import Severity
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
+from sceneloom.checks.faults import as_read
+from sceneloom.checks.rule import Find, Hit, Rule, Subject, chosen_frames
+from sceneloom.formats.recording.columns import (
+    Columns,
+    LineLog,
+    RecordingColumns,
+    is_sorted,
+    line_seconds,
+    lines_of,
+    time_order,
+)
+from sceneloom.formats.recording.reader import RECEIVER, imu_streams, receivers
+from sceneloom.geometry.rotations import normalise_quaternion
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
+from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.warnings import Severity
+
+_FEWEST_FOR_A_RATE = 4
+"""Fewer samples do not report what is usual."""
+
+_SAME_TIME = 0.5e-9
+"""Times closer than this [s] are one time: the scene counts nanoseconds."""
+
+
+class Kind(StrEnum):
+    """What a stream is of; a sensor's word is the format's own."""
+
+    CAMERA = "camera"
+    LIDAR = "lidar"
+    ACCELEROMETER = "accelerometer"
+    GYROSCOPE = "gyroscope"
+    MAGNETOMETER = "magnetometer"
+    BAROMETER = "barometer"
+    TEMPERATURE = "imuTemperature"
+    GNSS = "gnss"
+    POSES = "poses"
+    OTHER = "other"
+
+    @classmethod
+    def of_sensor(cls, name: str) -> "Kind":
+        """The kind of `sensor` lines of a type."""
+        return cls(name) if name in _SENSORS else cls.OTHER
+
+
+_SENSORS = frozenset({"accelerometer", "gyroscope", "magnetometer", "barometer", "imuTemperature"})
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """A stream in the order of its times.
+
+    Attributes:
+        name: as messages state it: "accelerometer", "gps", "groundTruth", "camera0", "lidar".
+        kind: what it is of.
+        file_seconds: (N,) float64 [s], in the order of the file.
+        file_values: (N, K) float64 in the order of the file; None for images and sweeps.
+        code: of the stream in `log`.
+        log: which line each sample was read from.
+        known_lines: (N,) int64, line of each in the order of the file, where that is known beforehand.
+        file: name of the file that it stands in.
+    """
+
+    name: str
+    kind: Kind
+    file_seconds: Float64Array
+    file_values: Float64Array | None = None
+    code: int = 0
+    log: LineLog | None = None
+    known_lines: Int64Array | None = None
+    file: str = "data.jsonl"
+
+    def __len__(self) -> int:
+        return len(self.file_seconds)
+
+    @cached_property
+    def file_lines(self) -> Int64Array | None:
+        """(N,) int64, line of each in the order of the file; None where it cannot be reported."""
+        if self.known_lines is not None or self.log is None:
+            return self.known_lines
+        lines = lines_of(self.log, self.code)
+        return lines if len(lines) == len(self) else None
+
+    @cached_property
+    def order(self) -> Int64Array:
+        """(N,) int64, row of the file's order that each row was."""
+        return time_order(self.file_seconds)
+
+    @cached_property
+    def seconds(self) -> Float64Array:
+        """(N,) float64 [s], ascending."""
+        return self.file_seconds if is_sorted(self.file_seconds) else self.file_seconds[self.order]
+
+    @property
+    def values(self) -> Float64Array:
+        """(N, K) float64, in the order of `seconds`; (N, 0) for images and sweeps."""
+        if self.file_values is None:
+            return np.zeros((len(self), 0))
+        return self.file_values if is_sorted(self.file_seconds) else self.file_values[self.order]
+
+    @cached_property
+    def intervals(self) -> Float64Array:
+        """(N - 1,) float64 [s], from each time to the next; 0 for one and the same time."""
+        steps = np.diff(self.seconds)
+        steps[steps < _SAME_TIME] = 0.0
+        return steps
+
+    @cached_property
+    def period(self) -> float | None:
+        """The usual interval [s]; None where the times report none."""
+        if len(self) < _FEWEST_FOR_A_RATE:
+            return None
+        median = float(np.median(self.intervals))
+        return median if median > 0 else None
+
+    @property
+    def whole(self) -> str:
+        """Where findings about all of it are reported."""
+        return f"{self.file}: {self.name}"
+
+    def at(self, row: int) -> str:
+        """A sample in words; `row` counts in the order of `seconds`."""
+        return f"{self.name} at {self.seconds[row]:.6f} s"
+
+
+def streams_of(subject: Subject) -> tuple[Stream, ...]:
+    """All streams of the recording that have samples; none where the subject is no recording."""
+    return subject.table("streams of the recording", _make_streams)
+
+
+def streams_of_kind(subject: Subject, *kinds: Kind) -> Iterator[Stream]:
+    """Those of some kinds."""
+    return (stream for stream in streams_of(subject) if stream.kind in kinds)
+
+
+def location(stream: Stream, row: int) -> str:
+    """Where a sample stands: its line, if that is known; `row` counts in the order of `seconds`."""
+    return _location_in_file(stream, int(stream.order[row]))
+
+
+def _location_in_file(stream: Stream, row: int) -> str:
+    """As `location`; `row` counts in the order of the file."""
+    lines = stream.file_lines
+    return stream.whole if lines is None else f"{stream.file}: line {lines[row]}"
+
+
+def _make_streams(subject: Subject) -> tuple[Stream, ...]:
+    if subject.recording is None:
+        return ()
+    columns, file = subject.recording.columns, subject.recording.data_name
+    found = (*_frames(columns), *_lidars(columns), *_sensors(columns), *_fixes(columns), *_poses(columns))
+    return tuple(replace(stream, file=file) for stream in found if len(stream))
+
+
+def _frames(columns: RecordingColumns) -> Iterator[Stream]:
+    lines = np.asarray(columns.frames.lines, np.int64)
+    for index, camera in sorted(columns.frames.cameras.items()):
+        there = np.asarray(camera.missing, np.int8) == 0
+        rows = np.asarray(camera.rows, np.int64)[there]
+        seconds = np.asarray(camera.seconds, np.float64)[there]
+        yield Stream(f"camera{index}", Kind.CAMERA, seconds, known_lines=lines[rows])
+
+
+def _lidars(columns: RecordingColumns) -> Iterator[Stream]:
+    for index, lidar in sorted(columns.lidars.items()):
+        name = f"lidar{index}" if len(columns.lidars) > 1 else "lidar"
+        seconds, lines = np.asarray(lidar.sweeps.seconds), np.asarray(lidar.lines, np.int64)
+        yield Stream(name, Kind.LIDAR, seconds, known_lines=lines)
+
+
+def _sensors(columns: RecordingColumns) -> Iterator[Stream]:
+    for name, stream in imu_streams(columns).items():
+        yield _of_columns(name, Kind.of_sensor(name), stream, columns.log)
+
+
+def _fixes(columns: RecordingColumns) -> Iterator[Stream]:
+    for name, (_, stream) in receivers(columns).items():
+        yield _of_columns("gps" if name == RECEIVER else name, Kind.GNSS, stream, columns.log)
+
+
+def _poses(columns: RecordingColumns) -> Iterator[Stream]:
+    for (root, name), poses in columns.poses.items():
+        reported = name if name == root or not root else f"{root} {name}"
+        yield _of_columns(reported, Kind.POSES, poses.samples, columns.log)
+
+
+def _of_columns(name: str, kind: Kind, columns: Columns, log: LineLog) -> Stream:
+    seconds = np.asarray(columns.seconds, np.float64)
+    values = np.asarray(columns.values, np.float64).reshape(len(seconds), columns.width)
+    return Stream(name, kind, seconds, values, columns.code, log)
+
+
+NORM_TOLERANCE = 1e-3
+"""Lengths of quaternions that are off by no more [1] are rounding."""
+
+
+def without_repetitions(scene: Scene) -> Scene:
+    """Leave out samples, fixes and images that state the same as the one before at the same time."""
+    sensors = tuple(map(_reported_once, scene.sensors))
+    if any(new is not old for new, old in zip(sensors, scene.sensors, strict=True)):
+        scene = replace(scene, sensors=sensors)
+    return _without_kept_poses(scene)
+
+
+def _without_kept_poses(scene: Scene) -> Scene:
+    """Leave out lines that are kept as text and state a pose once more that a trajectory has."""
+    kept = scene.metadata.get("recording")
+    texts = kept.get("other_lines") if isinstance(kept, Mapping) else None
+    if not isinstance(kept, Mapping) or not isinstance(texts, list):
+        return scene
+    origins = kept.get("trajectory_origins", {})
+    known = {
+        tuple(origins.get(name, (name, name))): trajectory for name, trajectory in scene.trajectories.items()
+    }
+    stay = [k for k, text in enumerate(texts) if not _is_known_pose(text, known)]
+    if len(stay) == len(texts):
+        return scene
+    seconds = kept.get("other_seconds", {})
+    anchors = {str(new): seconds[str(old)] for new, old in enumerate(stay) if str(old) in seconds}
+    rest = {**kept, "other_lines": [texts[k] for k in stay], "other_seconds": anchors}
+    return replace(scene, metadata=MappingProxyType({**scene.metadata, "recording": MappingProxyType(rest)}))
+
+
+def _is_known_pose(text: str, known: Mapping[tuple[str, ...], Trajectory]) -> bool:
+    """Whether a line says nothing but a pose that its trajectory has at that time."""
+    try:
+        line = msgspec.json.decode(text, type=dict[str, Any])
+        seconds = float(line.pop("time"))
+        (root, pose), *others = line.items()
+    except (msgspec.MsgspecError, KeyError, TypeError, ValueError):
+        return False
+    trajectory = known.get((root, pose.get("name", root))) if isinstance(pose, dict) and not others else None
+    if trajectory is None or not set(pose) <= {"name", "position", "orientation"}:
+        return False
+    row = int(np.searchsorted(trajectory.timestamps_ns, round(seconds * 1e9)))
+    if row == len(trajectory.timestamps_ns) or trajectory.timestamps_ns[row] != round(seconds * 1e9):
+        return False
+    rotation = None if trajectory.quaternions_xyzw is None else trajectory.quaternions_xyzw[row]
+    wanted = dict(zip("xyz", trajectory.positions[row].tolist(), strict=True))
+    orientation = None if rotation is None else dict(zip("xyzw", rotation.tolist(), strict=True))
+    return bool(pose.get("position") == wanted and pose.get("orientation") == orientation)
+
+
+def _reported_once(sensor: Sensor) -> Sensor:
+    if isinstance(sensor, ImuSensor):
+        streams = {name: _samples_once(samples) for name, samples in sensor.streams.items()}
+        if all(streams[name] is samples for name, samples in sensor.streams.items()):
+            return sensor
+        return replace(sensor, streams=MappingProxyType(streams))
+    if isinstance(sensor, CameraSensor):
+        return _images_once(sensor)
+    return _fixes_once(sensor) if isinstance(sensor, GnssSensor) else sensor
+
+
+def _images_once(camera: CameraSensor) -> CameraSensor:
+    """Of entries that mean one image of a video, keep the first."""
+    video = camera.video
+    if video is None or video.frame_indices is None:
+        return camera
+    indices = np.array(video.frame_indices, np.float64)[:, None]
+    kept = np.flatnonzero(_first_of_equals(camera.images.timestamps_ns, indices))
+    if len(kept) == len(indices):
+        return camera
+    chosen = tuple(video.frame_indices[k] for k in kept.tolist())
+    images = chosen_frames(camera.images, kept.astype(np.int64))
+    return replace(camera, images=images, video=replace(video, frame_indices=chosen))
+
+
+def _samples_once(samples: VectorSamples) -> VectorSamples:
+    kept = _first_of_equals(samples.timestamps_ns, samples.values)
+    if kept.all():
+        return samples
+    seconds = None if samples.file_seconds is None else read_only(samples.file_seconds[kept])
+    return VectorSamples(read_only(samples.timestamps_ns[kept]), read_only(samples.values[kept]), seconds)
+
+
+def _fixes_once(sensor: GnssSensor) -> GnssSensor:
+    values = np.column_stack([sensor.positions_lla, sensor.accuracies, sensor.vertical_accuracies])
+    kept = _first_of_equals(sensor.timestamps_ns, values)
+    if kept.all():
+        return sensor
+    return replace(
+        sensor,
+        timestamps_ns=read_only(sensor.timestamps_ns[kept]),
+        positions_lla=read_only(sensor.positions_lla[kept]),
+        accuracies=read_only(sensor.accuracies[kept]),
+        vertical_accuracies=read_only(sensor.vertical_accuracies[kept]),
+        file_seconds=None if sensor.file_seconds is None else read_only(sensor.file_seconds[kept]),
+    )
+
+
+def _first_of_equals(timestamps_ns: Int64Array, values: Float64Array) -> BoolArray:
+    """Which rows differ from the one before in time or value, (N,) bool."""
+    kept = np.ones(len(timestamps_ns), np.bool_)
+    alike = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    kept[1:] = (np.diff(timestamps_ns) != 0) | ~alike.all(axis=1)
+    return kept
+
+
+def _lengths(subject: Subject) -> Iterator[Hit]:
+    if subject.recording is None:
+        return
+    for name, trajectory in subject.scene.trajectories.items():
+        if trajectory.quaternions_xyzw is not None:
+            errors = _norm_errors(trajectory.quaternions_xyzw)
+            off = np.flatnonzero(errors > NORM_TOLERANCE)
+            if len(off):
+                worst = int(errors.argmax())
+                length = float(np.linalg.norm(trajectory.quaternions_xyzw[worst]))
+                reported = (
+                    f"{len(off)} of {len(errors)} orientations are not of length 1, the worst {length:.5f}"
+                )
+                yield Hit(
+                    f"trajectories[{name}]",
+                    f"{reported} at {trajectory.timestamps_ns[worst] / 1e9:.6f} s",
+                    len(off),
+                )
+
+
+def _norm_errors(quaternions_xyzw: Float64Array) -> Float64Array:
+    errors: Float64Array = np.abs(np.linalg.norm(quaternions_xyzw, axis=1) - 1.0)
+    return errors
+
+
+def with_unit_orientations(scene: Scene) -> Scene:
+    """Scale orientations to length 1 that are off by more than rounding; the others stay as they are."""
+    trajectories = {
+        name: _with_unit_orientations(trajectory) for name, trajectory in scene.trajectories.items()
+    }
+    if all(trajectories[name] is trajectory for name, trajectory in scene.trajectories.items()):
+        return scene
+    return replace(scene, trajectories=MappingProxyType(trajectories))
+
+
+def _with_unit_orientations(trajectory: Trajectory) -> Trajectory:
+    quaternions = trajectory.quaternions_xyzw
+    if quaternions is None:
+        return trajectory
+    off = _norm_errors(quaternions) > NORM_TOLERANCE
+    if not off.any():
+        return trajectory
+    units = np.where(off[:, None], normalise_quaternion(quaternions), quaternions)
+    return replace(trajectory, quaternions_xyzw=read_only(units))
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "orientation-norm",
+        Severity.WARNING,
+        f"Orientations of poses have length 1, within {NORM_TOLERANCE:g}; beyond 0.01 they are refused.",
+        "Write quaternions with more digits; `--fix` scales them to length 1.",
+        find=_lengths,
+        fix=with_unit_orientations,
+    ),
+)
 
 GAP_SECONDS = 0.25
+
 GAP_PERIODS = 10.0
 """An interval that exceeds the usual one by more than both is a gap."""
 
@@ -25,6 +383,7 @@ _FEW_FRAMES = 40
 """Of fewer, one or two that are missing make more than `JITTER_SHARE`."""
 
 JITTER_PERIODS = 0.2
+
 JITTER_SHARE = 0.05
 """More intervals than this share that differ by more than this part of the usual one."""
 
@@ -46,7 +405,9 @@ RATES_HZ: Mapping[Kind, tuple[float, float]] = MappingProxyType(
 """The rates between which the vendor's diagnosis lets streams pass, sweeps as images."""
 
 _RATE_TOLERANCE = 0.01
+
 _FRAMES = frozenset({Kind.CAMERA, Kind.LIDAR})
+
 _IRREGULAR = frozenset({Kind.GNSS, Kind.POSES, Kind.TEMPERATURE, Kind.OTHER})
 """Kinds that come when they can: when satellites are seen, when a method has found a pose."""
 
@@ -66,7 +427,7 @@ def _out_of_order(subject: Subject) -> Iterator[Hit]:
                 f"{stream.name} at {stream.file_seconds[row]:.6f} s comes after the one at "
                 f"{stream.file_seconds[row - 1]:.6f} s; such steps go back by up to {-steps.min():.6f} s"
             )
-            yield Hit(location_in_file(stream, row), problem, len(back))
+            yield Hit(_location_in_file(stream, row), problem, len(back))
     if subject.recording is not None and not is_reported:
         yield from _lines_out_of_order(subject.recording.data_name, line_seconds(subject.recording.columns))
 
@@ -228,7 +589,7 @@ def _apart(subject: Subject) -> Iterator[Hit]:
                 yield Hit(stream.whole, problem)
 
 
-RULES: tuple[Rule, ...] = (
+TIMES_RULES: tuple[Rule, ...] = (
     Rule(
         "lines-in-order",
         Severity.WARNING,

@@ -17,8 +17,8 @@ from sceneloom.cli.printing import print_json
 
 if TYPE_CHECKING:
     from sceneloom.batch.jobs import Further, Input, Outcome
-    from sceneloom.batch.pool import Executor
     from sceneloom.batch.running import Reported, RunSummary
+    from sceneloom.batch.workers import Executor
 
 _OWN = (
     "inputs",
@@ -185,11 +185,10 @@ _OPTIONS = (
 
 
 def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
-    from sceneloom.batch.files import give_files
-    from sceneloom.batch.jobs import Job
+    from sceneloom.batch.jobs import Job, give_files
     from sceneloom.batch.running import run
     from sceneloom.cli.batch.listed import find_listed
-    from sceneloom.formats.processors import processors
+    from sceneloom.formats.base.files import processors
 
     workers = own["workers"] or processors()
     taken, whole = beside(name), partial(_is_one_task, values)
@@ -242,7 +241,7 @@ def _is_one_task(values: Mapping[str, Any], drive: "Input") -> bool:
     lists = any(values.get(name) or drive.files.get(name) for name in ("boxes3d", "boxes2d"))
     if not takes or lists:
         return False
-    from sceneloom.formats.kitti.tracking_folder import is_tracking_folder
+    from sceneloom.formats.kitti.tracking_reader import is_tracking_folder
 
     return Path(drive.location).is_dir() and is_tracking_folder(Path(drive.location))
 
@@ -251,8 +250,8 @@ def _all_reported(reported: "Reported | None", metrics: Path | None) -> "Reporte
     """Report the file of metrics, too, if there is one."""
     if metrics is None:
         return reported
-    from sceneloom.batch.watching import MetricsFile
-    from sceneloom.formats.output import check_output
+    from sceneloom.batch.running import MetricsFile
+    from sceneloom.formats.base.output import check_output
 
     check_output(metrics, overwrite=True)
     file = MetricsFile(metrics)

@@ -10,8 +10,7 @@ from sceneloom.cli import options
 from sceneloom.cli.batch.one_drive import BATCHED
 
 if TYPE_CHECKING:
-    from sceneloom.batch.inputs import FileOption
-    from sceneloom.batch.jobs import Input
+    from sceneloom.batch.jobs import FileOption, Input
 
 
 def find_listed(
@@ -33,8 +32,7 @@ def find_listed(
         stays: which data sets do not count so, since the verb does all their drives at once.
         quiet: state nothing.
     """
-    from sceneloom.batch.files import flag_of
-    from sceneloom.batch.inputs import each_drive, find_inputs
+    from sceneloom.batch.jobs import each_drive, find_inputs, flag_of
 
     others = {option for batched in BATCHED.values() for option in batched.beside}
     found = find_inputs(locations, lists, files=files or {}, others=others)

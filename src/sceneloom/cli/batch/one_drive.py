@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from sceneloom.batch.inputs import READING, FileOption
+from sceneloom.batch.jobs import READING, FileOption
 from sceneloom.cli import options
 from sceneloom.cli.printing import print_json
 from sceneloom.errors import OptionError
@@ -45,12 +45,12 @@ class Batched:
 BATCHED: Mapping[str, Batched] = MappingProxyType(
     {
         "fuse": Batched(
-            *("path", "output", ".sfs", ("sceneloom.cli.fuse", "sceneloom.pipeline.fusing.job")),
+            *("path", "output", ".sfs", ("sceneloom.cli.fuse", "sceneloom.pipeline.fusing")),
             folders=("depth", "images"),
             beside=("boxes3d", "boxes2d", "detectors"),
         ),
         "convert": Batched(
-            *("source", "target", ".sfs", ("sceneloom.cli.convert", "sceneloom.pipeline.converting.job")),
+            *("source", "target", ".sfs", ("sceneloom.cli.convert", "sceneloom.pipeline.converting")),
             files=("loss",),
             beside=("from_times",),
         ),
@@ -58,12 +58,12 @@ BATCHED: Mapping[str, Batched] = MappingProxyType(
             *("path", "", ".json", ("sceneloom.cli.validate", "sceneloom.checks.validation")), files=("fix",)
         ),
         "track": Batched(
-            *("path", "output", ".sfs", ("sceneloom.cli.track", "sceneloom.pipeline.found_objects")),
+            *("path", "output", ".sfs", ("sceneloom.cli.track", "sceneloom.pipeline.detection_jobs")),
             folders=("images",),
             beside=("boxes3d", "boxes2d", "detectors"),
         ),
         "report": Batched(
-            *("path", "output", ".html", ("sceneloom.cli.report", "sceneloom.report.writing")),
+            *("path", "output", ".html", ("sceneloom.cli.report", "sceneloom.report.page")),
             files=("numbers",),
             beside=("truth", "losses"),
         ),
@@ -77,7 +77,7 @@ _NAMED = "detectors"
 
 def beside(name: str) -> dict[str, FileOption]:
     """The options of a verb that name files which it reads beside a drive."""
-    from sceneloom.detections.detector_files import detector_names
+    from sceneloom.detections.detectors import detector_names
 
     wanted = BATCHED[name].beside
     return {

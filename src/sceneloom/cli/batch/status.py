@@ -43,8 +43,8 @@ def status(
     from sceneloom.batch.jobs import State
     from sceneloom.batch.outputs import record_folder
     from sceneloom.batch.record import Record
-    from sceneloom.batch.watching import read_figures, write_page
-    from sceneloom.redaction import redacted
+    from sceneloom.batch.running import read_figures, write_page
+    from sceneloom.errors import redacted
 
     folder = record or (record_folder(output) if isinstance(output, str) else output)
     with Record.opened(folder) as opened:

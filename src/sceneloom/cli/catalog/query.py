@@ -9,8 +9,7 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_table
 
 if TYPE_CHECKING:
-    from sceneloom.catalog.database import Result
-    from sceneloom.catalog.selection import Selection
+    from sceneloom.catalog.database import Result, Selection
 
 FORMS = ("table", "json", "csv", "list")
 
@@ -111,7 +110,7 @@ def query(
     del quiet, verbose
     if sql is not None and any(value not in {None, ()} for value in filters.values()):
         raise click.UsageError("--sql takes the position of filters: state them in its WHERE")
-    from sceneloom.catalog.query import query as query_catalogue
+    from sceneloom.catalog.database import query as query_catalogue
 
     wanted = sql if sql is not None else _selection(filters)
     result = query_catalogue(catalogue, wanted, show=show, gap=gap, margin=margin, limit=limit)
@@ -119,7 +118,7 @@ def query(
 
 
 def _selection(filters: dict[str, Any]) -> "Selection":
-    from sceneloom.catalog.selection import Selection
+    from sceneloom.catalog.database import Selection
 
     pairs = [pair.partition("=") for pair in filters.pop("attributes")]
     for name, sign, value in pairs:
@@ -131,25 +130,25 @@ def _selection(filters: dict[str, Any]) -> "Selection":
 
 
 def _print_rows(result: "Result") -> None:
-    from sceneloom.catalog.results import format_cell
+    from sceneloom.catalog.database import format_cell
 
     print_table([result.columns, *([format_cell(value) for value in row] for row in result.rows)], indent="")
 
 
 def _print_json(result: "Result") -> None:
-    from sceneloom.catalog.results import records
+    from sceneloom.catalog.database import records
 
     print_json(records(result))
 
 
 def _print_csv(result: "Result") -> None:
-    from sceneloom.catalog.results import format_csv
+    from sceneloom.catalog.database import format_csv
 
     click.echo(format_csv(result), nl=False)
 
 
 def _print_list(result: "Result") -> None:
-    from sceneloom.catalog.results import iter_list
+    from sceneloom.catalog.database import iter_list
 
     for line in iter_list(result):
         click.echo(line)

@@ -10,9 +10,7 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_lines, several
 
 if TYPE_CHECKING:
-    from sceneloom.catalog.building import CatalogReport
-    from sceneloom.catalog.drives import Drive
-    from sceneloom.catalog.running import Failure
+    from sceneloom.catalog.building import CatalogReport, Drive, Failure
 
 checks = click.option(
     "--checks",
@@ -34,8 +32,8 @@ def named_drives(
     locations: Sequence[str], lists: Sequence[Path], reading: Mapping[str, Any], *, quiet: bool
 ) -> "list[Drive]":
     """The drives that a command names, and how each is opened, which lists may state; whole ones only."""
-    from sceneloom.batch.inputs import READING
-    from sceneloom.catalog.drives import Drive
+    from sceneloom.batch.jobs import READING
+    from sceneloom.catalog.building import Drive
     from sceneloom.cli.batch.listed import find_listed
 
     found = find_listed("catalog", locations, lists, reading=reading, quiet=quiet)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @common
 def anonymise(path: Path, output: Path, fixes: str, dates: str, **common: Any) -> None:
     """Take out of a drive where it was, by whom, and on request when."""
-    from sceneloom.editing.anonymise.scene import anonymised_scene
+    from sceneloom.editing.anonymise import anonymised_scene
 
     def change(scenes: "Sequence[Scene]", _: Any) -> "Scene":
         return anonymised_scene(scenes[0], fixes=fixes, dates=dates)

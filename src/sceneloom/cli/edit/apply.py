@@ -9,7 +9,7 @@ import click
 from sceneloom.cli.edit.running import annotations_in, common, editing, run_edit
 
 if TYPE_CHECKING:
-    from sceneloom.editing.chosen_points import OnPoints
+    from sceneloom.editing.move_points import OnPoints
     from sceneloom.scene.scene import Scene
 
 

@@ -11,7 +11,7 @@ from sceneloom.cli.edit.running import common, editing, print_edit
 from sceneloom.cli.printing import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.sharing.blurring import BlurReport
+    from sceneloom.pipeline.redacting import BlurReport
 
 
 @click.command()
@@ -72,8 +72,8 @@ def blur(
     **reading: Any,
 ) -> None:
     """Hide faces, plates and other locations in videos and images for good."""
-    from sceneloom.formats.image_boxes import read_image_boxes
-    from sceneloom.pipeline.sharing.blurring import blur_files
+    from sceneloom.pipeline.image_boxes import read_image_boxes
+    from sceneloom.pipeline.redacting import blur_files
 
     boxes = () if box_file is None else read_image_boxes(box_file)
     names = tuple(name for label in labels for name in label.split(",") if name)

@@ -41,7 +41,7 @@ def camera_model(
     path: Path, output: Path, model: str, cameras: tuple[str, ...], limit: float, share: float, **common: Any
 ) -> None:
     """Report the camera models by another model, fitted as near as it comes; images stay as they are."""
-    from sceneloom.editing.camera_models import convert_camera_models
+    from sceneloom.editing.cameras import convert_camera_models
 
     def change(scenes: "Sequence[Scene]", _: Any) -> "Scene":
         chosen = known_ids(scenes[0], cameras)

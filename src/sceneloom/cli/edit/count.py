@@ -11,8 +11,8 @@ from sceneloom.cli.edit.running import chosen_trajectory, common, editing, run_e
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
+    from sceneloom.colouring.cuboid_points import PointCounts
     from sceneloom.scene.scene import Scene
-    from sceneloom.visibility.points import PointCounts
 
 
 @click.command()
@@ -49,8 +49,12 @@ def count(
     **common: Any,
 ) -> None:
     """Count the points in each cuboid: an attribute `points` per lidar, and labelled points on request."""
-    from sceneloom.visibility.counted import with_activations, with_counts, with_labeled_points
-    from sceneloom.visibility.points import count_points
+    from sceneloom.colouring.cuboid_points import (
+        count_points,
+        with_activations,
+        with_counts,
+        with_labeled_points,
+    )
 
     details: dict[str, Any] = {}
 

@@ -11,7 +11,7 @@ from sceneloom.cli.edit.running import common, editing, run_edit, trajectory
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
-    from sceneloom.editing.chosen_points import OnPoints
+    from sceneloom.editing.move_points import OnPoints
     from sceneloom.scene.scene import Scene
 
 _CHOICES = ("start", "stop", "box", "frame", "reach", "trajectory", "heading")

@@ -18,7 +18,7 @@ from sceneloom.cli.printing import (
 )
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.deskewing.report import DeskewReport
+    from sceneloom.pipeline.deskewing import DeskewReport
 
 
 @click.command()
@@ -52,8 +52,8 @@ def deskew(
     **reading: Any,
 ) -> None:
     """Undo the motion during each lidar sweep: points stay in their sensor, as if measured all at one time."""
-    from sceneloom.formats.table import open_scene
-    from sceneloom.pipeline.deskewing.job import deskew as deskew_scene
+    from sceneloom.formats.base.registry import open_scene
+    from sceneloom.pipeline.deskewing import deskew as deskew_scene
 
     with (
         open_scene(path, **options.stated(**reading)) as scene,

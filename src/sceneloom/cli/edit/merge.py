@@ -10,7 +10,7 @@ from sceneloom.cli import options
 from sceneloom.cli.edit.running import OUTPUT, common, run_edit
 
 if TYPE_CHECKING:
-    from sceneloom.editing.chosen_points import OnPoints
+    from sceneloom.editing.move_points import OnPoints
     from sceneloom.scene.scene import Scene
 
 

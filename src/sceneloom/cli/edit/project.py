@@ -54,8 +54,8 @@ def project(
     **common: Any,
 ) -> None:
     """See the cuboids with the cameras: boxes in each image, shares cut off and hidden."""
-    from sceneloom.scene.annotations.cuboids import CuboidAnnotation
-    from sceneloom.visibility.projected import project_cuboids
+    from sceneloom.colouring.cuboid_projection import project_cuboids
+    from sceneloom.scene.annotations import CuboidAnnotation
 
     details: dict[str, Any] = {}
 

@@ -11,7 +11,7 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_losses, print_warnings, progress_bar, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.edited import EditReport, Joining
+    from sceneloom.pipeline.editing import EditReport, Joining
     from sceneloom.scene.ego import EgoMotion
     from sceneloom.scene.scene import Scene
 
@@ -43,8 +43,8 @@ def chosen_trajectory(
 
     Which is for others to refuse.
     """
-    from sceneloom.motion.ego_motion import find_ego_motion
-    from sceneloom.scene.sensor_sources import needs_ego
+    from sceneloom.motion.ego_trajectory import find_ego_motion
+    from sceneloom.scene.ego import needs_ego
 
     if (trajectory is None and heading is None) or not needs_ego(scene):
         return trajectory
@@ -80,7 +80,7 @@ def run_edit(
 
     What it then has put into `details` is reported besides: single values to people, all of it to machines.
     """
-    from sceneloom.pipeline.edited import edit_files
+    from sceneloom.pipeline.editing import edit_files
 
     with progress_bar(f"edit {edit}", quiet=quiet) as progress:
         report = edit_files(

@@ -10,7 +10,7 @@ from sceneloom.cli.edit.running import common, editing, run_edit
 from sceneloom.cli.identifiers import known_ids
 
 if TYPE_CHECKING:
-    from sceneloom.editing.chosen_points import OnPoints
+    from sceneloom.editing.move_points import OnPoints
     from sceneloom.scene.scene import Scene
 
 

@@ -9,7 +9,7 @@ import click
 from sceneloom.cli.edit.running import common, editing, run_edit, trajectory
 
 if TYPE_CHECKING:
-    from sceneloom.editing.chosen_points import OnPoints
+    from sceneloom.editing.move_points import OnPoints
     from sceneloom.scene.scene import Scene
 
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @common
 def to_sensor(path: Path, output: Path, trajectory: str | None, heading: str | None, **common: Any) -> None:
     """Bring the points of lidars and radars into the frames of their sensors."""
-    from sceneloom.editing.frames import to_sensor as change_frame
+    from sceneloom.editing.move_world import to_sensor as change_frame
 
     def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
         del on_points

@@ -9,7 +9,7 @@ import click
 from sceneloom.cli.edit.running import annotations_in, common, editing, run_edit, trajectory
 
 if TYPE_CHECKING:
-    from sceneloom.editing.chosen_points import OnPoints
+    from sceneloom.editing.move_points import OnPoints
     from sceneloom.scene.scene import Scene
 
 
@@ -27,7 +27,7 @@ def to_world(
     **common: Any,
 ) -> None:
     """Bring points, poses and annotations into the world, each frame at its own time."""
-    from sceneloom.editing.frames import to_world as change_frame
+    from sceneloom.editing.move_world import to_world as change_frame
 
     def change(scenes: "Sequence[Scene]", on_points: "OnPoints") -> "Scene":
         del on_points

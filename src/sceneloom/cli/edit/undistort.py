@@ -46,7 +46,7 @@ def undistort(
     **common: Any,
 ) -> None:
     """Resample images so that their camera models are pinholes; what is drawn into them follows."""
-    from sceneloom.editing.undistortion import undistort_scene
+    from sceneloom.editing.cameras import undistort_scene
 
     width, height = size or (None, None)
 

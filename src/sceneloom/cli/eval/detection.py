@@ -68,10 +68,9 @@ def detection(
     cuboids; RESULTS may also be lists of detections, CLASS/NNNN.txt, or what `sceneloom fuse --type detection` wrote,
     whose covariances are judged, too.
     """
-    from sceneloom.evaluate.detection.comparison import compare_detections
-    from sceneloom.evaluate.detection.plot import plot_detection
-    from sceneloom.evaluate.detection.rules import DetectionRules
+    from sceneloom.evaluate.detection import compare_detections, plot_detection
     from sceneloom.evaluate.plot import check_plot
+    from sceneloom.evaluate.rules import DetectionRules
 
     if plot is not None:
         check_plot(plot, overwrite=overwrite)

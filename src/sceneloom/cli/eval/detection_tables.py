@@ -7,9 +7,12 @@ import click
 from sceneloom.cli.printing import print_table, several
 
 if TYPE_CHECKING:
-    from sceneloom.evaluate.detection.comparison import DetectionReport
-    from sceneloom.evaluate.detection.covariances import CovarianceScores
-    from sceneloom.evaluate.detection.evaluation import ClassDetection, DetectionScores
+    from sceneloom.evaluate.detection import (
+        ClassDetection,
+        CovarianceScores,
+        DetectionReport,
+        DetectionScores,
+    )
 
 _COLUMNS = ("AP40", "AP11", "max F1", "at score", "precision", "recall", "objects", "detections", "ECE")
 

@@ -7,7 +7,12 @@ import click
 from sceneloom.cli.printing import print_table, seconds, several
 
 if TYPE_CHECKING:
-    from sceneloom.evaluate.report import ErrorStatistics, KittiErrors, RelativeErrors, TrajectoryReport
+    from sceneloom.evaluate.trajectory_errors import (
+        ErrorStatistics,
+        KittiErrors,
+        RelativeErrors,
+        TrajectoryReport,
+    )
 
 _COLUMNS = ("mean", "rms", "median", "95 %", "max", "min", "std")
 

@@ -45,8 +45,7 @@ def tracking(
     Both are KITTI's text (a file NNNN.txt for each sequence, in a folder, or one file), or scenes with cuboids.
     """
     from sceneloom.evaluate.plot import check_plot
-    from sceneloom.evaluate.tracking.comparison import compare_tracks
-    from sceneloom.evaluate.tracking.plot import plot_tracking
+    from sceneloom.evaluate.tracking import compare_tracks, plot_tracking
 
     if plot is not None:
         check_plot(plot, overwrite=overwrite)

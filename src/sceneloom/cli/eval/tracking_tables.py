@@ -7,8 +7,7 @@ import click
 from sceneloom.cli.printing import print_table, several
 
 if TYPE_CHECKING:
-    from sceneloom.evaluate.tracking.comparison import TrackingReport
-    from sceneloom.evaluate.tracking.evaluation import ClassTracking, TrackingScores
+    from sceneloom.evaluate.tracking import ClassTracking, TrackingReport, TrackingScores
 
 _HOTA = ("HOTA", "DetA", "AssA", "LocA", "DetRe", "DetPr", "AssRe", "AssPr")
 _CLEAR = ("MOTA", "MOTP", "Recall", "Precision", "TP", "FN", "FP", "IDSW", "Frag", "MT", "PT", "ML")

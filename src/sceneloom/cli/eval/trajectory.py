@@ -86,7 +86,7 @@ def trajectory(
     """
     from sceneloom.evaluate.plot import check_plot
     from sceneloom.evaluate.trajectory import RPE_DELTAS, evaluate_trajectory
-    from sceneloom.formats.shared_options import SharedOptions
+    from sceneloom.formats.base.registry import SharedOptions
     from sceneloom.formats.trajectories.table import read_trajectory_file
 
     if plot is not None:
@@ -132,7 +132,7 @@ def _own(reading: dict[str, Any], side: str) -> dict[str, Any]:
 
 def _offset_ns(text: str) -> int:
     """Seconds as they were typed, in nanoseconds, without rounding."""
-    from sceneloom.formats.rig.timestamps import TimestampError, parse_timestamp
+    from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
 
     try:
         return parse_timestamp(text, "seconds")

@@ -15,7 +15,7 @@ Source: https://argoverse.github.io/user-guide/datasets/sensor.html and the pack
 from functools import partial
 from pathlib import Path
 
-from sceneloom.formats.spec import FormatSpec, any_drive, drives_in
+from sceneloom.formats.base.spec import FormatSpec, any_drive, drives_in
 
 POSES = "city_SE3_egovehicle.feather"
 MOUNTS = "calibration/egovehicle_SE3_sensor.feather"
@@ -44,7 +44,7 @@ FORMAT = FormatSpec(
     sniff=partial(any_drive, is_drive=is_log),
     near_miss=_near_miss,
     drives=partial(drives_in, is_drive=is_log),
-    reader="sceneloom.formats.argoverse2.scene_from_log:open_argoverse2",
+    reader="sceneloom.formats.argoverse2.reader:open_argoverse2",
     read_options=("lenient", "sequence", "one_lidar", "distorted"),
     instead="Argoverse 2 is only read; write a scene file (drive.sfs) or a recording (a folder) in its location",
 )

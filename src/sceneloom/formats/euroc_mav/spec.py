@@ -5,7 +5,7 @@ Only read.
 
 from pathlib import Path
 
-from sceneloom.formats.spec import FormatSpec
+from sceneloom.formats.base.spec import FormatSpec
 
 _MAV = "mav0"
 TABLE, DESCRIPTION = "data.csv", "sensor.yaml"
@@ -44,7 +44,7 @@ FORMAT = FormatSpec(
     suffixes=(".mav0",),
     sniff=_sniff,
     near_miss=_near_miss,
-    reader="sceneloom.formats.euroc_mav.reading:read_euroc",
+    reader="sceneloom.formats.euroc_mav.reader:read_euroc",
     read_options=("lenient",),
     instead="a EuRoC folder is only read; write a scene file (drive.sfs), a recording (a folder), or its trajectory "
     "(trajectory.csv)",

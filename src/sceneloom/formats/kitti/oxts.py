@@ -1,17 +1,27 @@
-"""OXTS: what KITTI's GNSS and inertial unit measured, a line of 30 numbers for each image, without times."""
+"""OXTS lines, KITTI's GNSS and IMU measurements, read as sensors and a trajectory, and written."""
 
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
-from sceneloom.formats.kitti.number_lines import as_table, read_lines
-from sceneloom.geometry.geodesy import enu_from_geodetic
-from sceneloom.geometry.rotations import multiply_quaternions
-from sceneloom.scene.poses import Poses
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.losses import Loss, Support
+from sceneloom.formats.kitti.text import as_table, read_lines
+from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
+from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import matrix_from_quaternion, multiply_quaternions
+from sceneloom.scene.ego import stated_origin
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
+from sceneloom.scene.poses import Poses, Trajectory
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.warnings import WarningKind
 
-FIELDS = (
+_FIELDS = (
     *("lat", "lon", "alt", "roll", "pitch", "yaw"),
     *("vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au"),
     *("wx", "wy", "wz", "wf", "wl", "wu", "pos_accuracy", "vel_accuracy"),
@@ -34,11 +44,11 @@ def read_oxts(path: Path, timestamps_ns: Int64Array | None = None) -> Poses:
     """
     values = read_fields(path)
     times = np.arange(len(values), dtype=np.int64) * PERIOD_NS if timestamps_ns is None else timestamps_ns
-    return trajectory_of(values, times[: len(values)].copy())
+    return _trajectory_of(values, times[: len(values)].copy())
 
 
-def trajectory_of(values: Float64Array, timestamps_ns: Int64Array) -> Poses:
-    """The trajectory of the unit, of lines (N, 30) in the order of `FIELDS` and their times (N,) [ns].
+def _trajectory_of(values: Float64Array, timestamps_ns: Int64Array) -> Poses:
+    """The trajectory of the unit, of lines (N, 30) in the order of `_FIELDS` and their times (N,) [ns].
 
     As `read_oxts`.
     """
@@ -51,21 +61,21 @@ PERIOD_NS = 100_000_000
 
 
 def read_fields(path: Path) -> Float64Array:
-    """The numbers of each line, (N, 30) float64, in the order of `FIELDS`.
+    """The numbers of each line, (N, 30) float64, in the order of `_FIELDS`.
 
     Raises:
         DataError: as `read_oxts`.
     """
     rows = []
     for line in read_lines(path):
-        line.check_count((len(FIELDS),), "those of KITTI's OXTS unit, latitude first")
-        row = line.floats(0, FIELDS)
+        line.check_count((len(_FIELDS),), "those of KITTI's OXTS unit, latitude first")
+        row = line.floats(0, _FIELDS)
         if abs(row[0]) > 90 or abs(row[1]) > 180:
             raise line.fault(f"latitude {row[0]}, longitude {row[1]}; expected degrees within ±90 and ±180")
         rows.append(row)
     if not rows:
-        raise DataError(path, "", f"is empty; expected lines of {len(FIELDS)} numbers")
-    return as_table(rows, len(FIELDS))
+        raise DataError(path, "", f"is empty; expected lines of {len(_FIELDS)} numbers")
+    return as_table(rows, len(_FIELDS))
 
 
 def _quaternions(roll_pitch_yaw: Float64Array) -> Float64Array:
@@ -77,3 +87,279 @@ def _quaternions(roll_pitch_yaw: Float64Array) -> Float64Array:
         rotations.append(rotation)
     roll, pitch, yaw = rotations
     return multiply_quaternions(yaw, multiply_quaternions(pitch, roll))
+
+
+_GNSS_ID, IMU_ID, _TRAJECTORY = "gnss", "imu", "oxts"
+"""What the unit's sensors and its trajectory are called."""
+
+_STREAMS = MappingProxyType(
+    {
+        "accelerometer": ("ax", "ay", "az"),
+        "gyroscope": ("wx", "wy", "wz"),
+        "velocity": ("vn", "ve", "vf", "vl", "vu"),
+        "levelAcceleration": ("af", "al", "au"),
+        "levelGyroscope": ("wf", "wl", "wu"),
+        "oxtsStatus": ("vel_accuracy", "navstat", "numsats", "posmode", "velmode", "orimode"),
+    }
+)
+"""Streams of the IMU and their columns: every number that is not in the fixes or the trajectory."""
+
+
+def _columns_of(values: Float64Array, names: tuple[str, ...]) -> Float64Array:
+    """Some of the columns of lines (N, 30), by their names."""
+    return np.ascontiguousarray(values[:, [_FIELDS.index(name) for name in names]])
+
+
+def oxts_sensors(
+    values: Float64Array, timestamps_ns: Int64Array, location: str, ledger: Ledger
+) -> tuple[tuple[Sensor, ...], Trajectory]:
+    """Give the receiver, the inertial unit and the trajectory (`world_from_ego`: east, north, up of the first fix).
+
+    Args:
+        values: (N, 30) float64, in the order of `_FIELDS`.
+        timestamps_ns: (N,) int64 [ns], strictly rising.
+        location: for messages.
+        ledger: reported columns that state nothing.
+    """
+    timestamps = read_only(timestamps_ns)
+    accuracies = _columns_of(values, ("pos_accuracy",))[:, 0]
+    gnss = GnssSensor(
+        _GNSS_ID,
+        timestamps,
+        read_only(values[:, :3]),
+        read_only(np.where(accuracies > 0, accuracies, np.nan)),
+        read_only(np.full(len(values), np.nan)),
+        mount=RigidTransform.identity(),
+    )
+    streams = {}
+    for stream, names in _STREAMS.items():
+        found = _columns_of(values, names)
+        if stream in ("accelerometer", "gyroscope") and not found.any():
+            message = f"{' '.join(names)} are 0 in every line, which no unit measures: taken as not reported"
+            ledger.note(WarningKind.ASSUMED, "oxts-zeros", location, message)
+            continue
+        streams[stream] = VectorSamples(timestamps, read_only(found))
+    path = _trajectory_of(values, timestamps)
+    trajectory = Trajectory(_TRAJECTORY, path.timestamps_ns, path.positions, path.quaternions_xyzw)
+    return (gnss, ImuSensor(IMU_ID, MappingProxyType(streams))), trajectory
+
+
+def rising(
+    values: Float64Array, timestamps_ns: Int64Array, location: str, ledger: Ledger
+) -> tuple[Float64Array, Int64Array]:
+    """Bring lines into the order of their times; of several of one time the first stays."""
+    back = int((np.diff(timestamps_ns) < 0).sum())
+    if back:
+        ledger.note(
+            WarningKind.REPAIRED,
+            "samples-sorted",
+            location,
+            "times run backwards; sorted by time",
+            count=back,
+        )
+    times, rows = np.unique(timestamps_ns, return_index=True)
+    lost = len(timestamps_ns) - len(times)
+    if lost:
+        ledger.note(
+            WarningKind.SKIPPED, "repeated-times", location, "lines with the time of another one", count=lost
+        )
+    return values[rows], times.astype(np.int64)
+
+
+_UNTOLD = {"navstat": -1.0, "numsats": -1.0, "posmode": -1.0, "velmode": -1.0, "orimode": -1.0}
+"""What stands for states that nothing reports; of all other columns it is 0."""
+
+_SAME_LOCATION = 1e-6
+
+_STEP_NS = 50_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OxtsLines:
+    """Lines of a unit.
+
+    Attributes:
+        values: (N, 30) float64, in the order of `_FIELDS`.
+        losses: what they do not hold, and what was made up.
+    """
+
+    values: Float64Array
+    losses: tuple[Loss, ...]
+
+    def texts(self) -> list[str]:
+        """Each line, all digits."""
+        whole = len(_FIELDS) - len(_UNTOLD)
+        return [
+            " ".join([*(repr(value) for value in row[:whole]), *(str(int(value)) for value in row[whole:])])
+            for row in self.values.tolist()
+        ]
+
+
+def oxts_lines(scene: Scene, path: Poses, timestamps_ns: Int64Array) -> OxtsLines:
+    """Give a line for each time.
+
+    Args:
+        scene: whose IMU and receiver are asked, the first of each.
+        path: `world_from_ego`, its axes east, north and up.
+        timestamps_ns: (N,) int64 [ns].
+    """
+    table = _Table(timestamps_ns)
+    imu = next((sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)), None)
+    gnss = next((sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)), None)
+    held = path.held(timestamps_ns)
+    beyond = (
+        0 if path.static else int(((timestamps_ns < path.start_ns) | (timestamps_ns > path.stop_ns)).sum())
+    )
+    if beyond:
+        what = "beyond the trajectory: its end poses written"
+        table.lose("trajectories.positions", what, beyond, Support.APPROXIMATED)
+    rotations = matrix_from_quaternion(held.quaternions_xyzw)
+    angles = cuboid_angles_from_rotation(rotations, unit=AngleUnit.RADIANS, order="zyx")
+    table.put(("roll", "pitch", "yaw"), angles)
+    _put_locations(table, scene, path, held.positions, gnss)
+    _put_motion(table, path, angles[:, 2])
+    _put_inertial(table, imu, angles)
+    _put_accuracies(table, gnss)
+    return OxtsLines(table.values, tuple(table.losses))
+
+
+class _Table:
+    def __init__(self, timestamps_ns: Int64Array) -> None:
+        self.timestamps_ns = timestamps_ns
+        self.values = np.zeros((len(timestamps_ns), len(_FIELDS)))
+        self.losses: list[Loss] = []
+        for name, value in _UNTOLD.items():
+            self.put((name,), np.full((len(timestamps_ns), 1), value))
+
+    def put(self, names: tuple[str, ...], values: Float64Array) -> None:
+        self.values[:, [_FIELDS.index(name) for name in names]] = values
+
+    def of(self, names: tuple[str, ...]) -> Float64Array:
+        return self.values[:, [_FIELDS.index(name) for name in names]]
+
+    def lose(self, name: str, what: str, count: int, support: Support, error: float | None = None) -> None:
+        self.losses.append(Loss(field=name, what=what, count=count, support=support, largest_error=error))
+
+
+def _put_locations(
+    table: _Table, scene: Scene, path: Poses, positions: Float64Array, gnss: GnssSensor | None
+) -> None:
+    """Latitude, longitude and altitude of the trajectory: by the world's origin where it is known."""
+    names = ("lat", "lon", "alt")
+    if gnss is not None and np.array_equal(gnss.timestamps_ns, table.timestamps_ns):
+        trajectory = enu_from_geodetic(gnss.positions_lla, gnss.positions_lla[0])
+        if np.abs(trajectory - positions).max(initial=0.0) <= _SAME_LOCATION:
+            table.put(names, gnss.positions_lla)
+            return
+    origin, error = _origin(scene, path, gnss)
+    count = len(positions)
+    if origin is None:
+        origin = np.zeros(3)
+        what = "where on earth the world is, is not known: written as if its origin were at latitude and longitude 0"
+        table.lose("trajectories.positions", what, count, Support.APPROXIMATED)
+    elif error is not None:
+        what = "placed on earth by the satellite receiver's fixes, taking the world's axes as east, north and up [m]"
+        table.lose("sensors.gnss.positions_lla", what, count, Support.APPROXIMATED, error)
+    if count and np.linalg.norm(positions[0]) > _SAME_LOCATION:
+        what = "read back, the world's origin is the first line's location"
+        table.lose("trajectories.positions", what, count, Support.CONVERTED)
+    table.put(names, geodetic_from_enu(positions, origin))
+
+
+def _origin(scene: Scene, path: Poses, gnss: GnssSensor | None) -> tuple[Float64Array | None, float | None]:
+    """The world's origin on earth, (3,) latitude, longitude, altitude.
+
+    And how far fixes are from the trajectory it gives.
+    """
+    stated = stated_origin(scene)
+    if stated is not None:
+        return np.array(stated), None
+    if gnss is None or not len(gnss.timestamps_ns):
+        return None, None
+    finite = np.isfinite(gnss.positions_lla).all(axis=1)
+    if not finite.any():
+        return None, None
+    first = gnss.positions_lla[finite][0]
+    fixes = enu_from_geodetic(gnss.positions_lla[finite], first)
+    shift = np.median(path.held(gnss.timestamps_ns[finite]).positions - fixes, axis=0)
+    origin: Float64Array = geodetic_from_enu(-shift, first)
+    error = float(np.abs(path.held(gnss.timestamps_ns[finite]).positions - fixes - shift).max())
+    return origin, error
+
+
+def _put_motion(table: _Table, path: Poses, yaws: Float64Array) -> None:
+    """Velocities of the trajectory, over a tenth of a second."""
+    ahead = path.held(table.timestamps_ns + _STEP_NS).positions
+    behind = path.held(table.timestamps_ns - _STEP_NS).positions
+    span_ns = np.full(len(yaws), 2 * _STEP_NS)
+    if not path.static:
+        late = np.minimum(table.timestamps_ns + _STEP_NS, path.stop_ns)
+        span_ns = late - np.maximum(table.timestamps_ns - _STEP_NS, path.start_ns)
+    velocity = (ahead - behind) / (np.maximum(span_ns, 1)[:, None] / 1e9)
+    east, north, up = velocity.T
+    forward = east * np.cos(yaws) + north * np.sin(yaws)
+    left = north * np.cos(yaws) - east * np.sin(yaws)
+    table.put(_STREAMS["velocity"], np.column_stack([north, east, forward, left, up]))
+
+
+def _put_inertial(table: _Table, imu: ImuSensor | None, angles: Float64Array) -> None:
+    """Accelerations and rates at the lines' times, in the unit's axes and in level ones."""
+    if imu is None:
+        return
+    level = _level_rotations(angles)
+    for stream, levelled in (("accelerometer", "levelAcceleration"), ("gyroscope", "levelGyroscope")):
+        values = _at(table, imu, stream)
+        if values is not None:
+            table.put(_STREAMS[stream], values)
+            table.put(_STREAMS[levelled], np.einsum("nij,nj->ni", level, values))
+    for stream in ("velocity", "levelAcceleration", "levelGyroscope", "oxtsStatus"):
+        values = _at(table, imu, stream) if _same_times(table, imu, stream) else None
+        if values is not None:
+            table.put(_STREAMS[stream], values)
+    for stream, samples in imu.streams.items():
+        kind = stream if stream in ("accelerometer", "gyroscope", "magnetometer") else "other"
+        if stream not in _STREAMS:
+            table.lose(f"sensors.imu.streams.{kind}", f"{stream!r} left out", len(samples), Support.DROPPED)
+        elif not _same_times(table, imu, stream):
+            what = "a value at the time of each line, between the nearest two; the others are left out"
+            table.lose(f"sensors.imu.streams.{kind}", what, len(samples), Support.APPROXIMATED)
+
+
+def _level_rotations(angles: Float64Array) -> Float64Array:
+    """What takes the unit's axes into level ones of the same heading, (N, 3, 3)."""
+    from sceneloom.geometry.euler import rotation_from_cuboid_angles
+
+    level = angles.copy()
+    level[:, 2] = 0.0
+    return rotation_from_cuboid_angles(level, unit=AngleUnit.RADIANS, order="zyx")
+
+
+def _same_times(table: _Table, imu: ImuSensor, stream: str) -> bool:
+    samples = imu.streams.get(stream)
+    return samples is not None and np.array_equal(samples.timestamps_ns, table.timestamps_ns)
+
+
+def _at(table: _Table, imu: ImuSensor, stream: str) -> Float64Array | None:
+    """The values of a stream at the lines' times, straight between the nearest two; None where it does not fit."""
+    samples = imu.streams.get(stream)
+    if samples is None or not len(samples) or samples.values.shape[1] != len(_STREAMS[stream]):
+        return None
+    if _same_times(table, imu, stream):
+        return samples.values
+    start = int(samples.timestamps_ns[0])
+    own, wanted = (samples.timestamps_ns - start) / 1e9, (table.timestamps_ns - start) / 1e9
+    return np.column_stack([np.interp(wanted, own, column) for column in samples.values.T])
+
+
+def _put_accuracies(table: _Table, gnss: GnssSensor | None) -> None:
+    if gnss is None or not len(gnss.timestamps_ns):
+        return
+    nearest = np.clip(
+        np.searchsorted(gnss.timestamps_ns, table.timestamps_ns), 0, len(gnss.timestamps_ns) - 1
+    )
+    table.put(("pos_accuracy",), np.nan_to_num(gnss.accuracies[nearest], nan=0.0)[:, None])
+    if np.isfinite(gnss.vertical_accuracies).any():
+        table.lose("sensors.gnss.vertical_accuracies", "left out", len(gnss.timestamps_ns), Support.DROPPED)
+    if not np.array_equal(gnss.timestamps_ns, table.timestamps_ns):
+        what = "fixes are left out: lines have the locations of the ego trajectory"
+        table.lose("sensors.gnss.positions_lla", what, len(gnss.timestamps_ns), Support.APPROXIMATED)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from sceneloom.formats.loss import KEPT, Supports, approximated, converted, dropped
-from sceneloom.formats.spec import FormatSpec
+from sceneloom.formats.base.losses import KEPT, Supports, approximated, converted, dropped
+from sceneloom.formats.base.spec import FormatSpec
 
 IMAGES = (".png", ".jpg", ".jpeg")
 SWEEPS = (".bin",)
@@ -430,9 +430,9 @@ RAW = FormatSpec(
     sniff=_is_raw,
     near_miss=_raw_near_miss,
     drives=raw_drives_below,
-    reader="sceneloom.formats.kitti.raw.reading:open_raw",
+    reader="sceneloom.formats.kitti.raw_reader:open_raw",
     read_options=("sequence", "lenient"),
-    writer="sceneloom.formats.kitti.raw.writing:write_raw",
+    writer="sceneloom.formats.kitti.raw_writer:write_raw",
     write_options=("kind", "sequence"),
     supports=_RAW_SUPPORTS,
 )
@@ -443,9 +443,9 @@ OBJECT = FormatSpec(
     looks_like="frames of KITTI's object benchmark (velodyne, image_2, calib, label_2)",
     sniff=_is_object,
     near_miss=_object_near_miss,
-    reader="sceneloom.formats.kitti.object.reading:open_object",
+    reader="sceneloom.formats.kitti.object_reader:open_object",
     read_options=("lenient",),
-    writer="sceneloom.formats.kitti.object.writing:write_object",
+    writer="sceneloom.formats.kitti.benchmark_writer:write_object",
     supports=_OBJECT_SUPPORTS,
 )
 
@@ -456,9 +456,9 @@ TRACKING = FormatSpec(
     sniff=_is_tracking,
     near_miss=_tracking_near_miss,
     drives=_tracking_drives,
-    reader="sceneloom.formats.kitti.tracking.reading:open_tracking",
+    reader="sceneloom.formats.kitti.tracking_reader:open_tracking",
     read_options=("sequence", "lenient"),
-    writer="sceneloom.formats.kitti.tracking.writing:write_tracking",
+    writer="sceneloom.formats.kitti.benchmark_writer:write_tracking",
     write_options=("sequence",),
     supports=_TRACKING_SUPPORTS,
 )
@@ -470,9 +470,9 @@ ODOMETRY = FormatSpec(
     sniff=_is_odometry,
     near_miss=_odometry_near_miss,
     drives=_odometry_drives,
-    reader="sceneloom.formats.kitti.odometry.reading:open_odometry",
+    reader="sceneloom.formats.kitti.odometry_reader:open_odometry",
     read_options=("sequence", "labels", "lenient"),
-    writer="sceneloom.formats.kitti.odometry.writing:write_odometry",
+    writer="sceneloom.formats.kitti.odometry_writer:write_odometry",
     write_options=("sequence",),
     supports=_ODOMETRY_SUPPORTS,
 )

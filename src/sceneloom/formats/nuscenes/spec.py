@@ -3,8 +3,8 @@
 from pathlib import Path
 from types import MappingProxyType
 
-from sceneloom.formats.loss import KEPT, Supports, converted, dropped
-from sceneloom.formats.spec import FormatSpec
+from sceneloom.formats.base.losses import KEPT, Supports, converted, dropped
+from sceneloom.formats.base.spec import FormatSpec
 
 _MARKS = ("sample_data", "ego_pose", "calibrated_sensor")
 """Tables that nobody else has; a folder with one of them is nuScenes', be it half a one."""
@@ -34,7 +34,7 @@ def _near_miss(path: Path) -> str | None:
 
 
 def _scene_names(path: Path) -> tuple[str, ...]:
-    from sceneloom.formats.nuscenes.selection import scene_names
+    from sceneloom.formats.nuscenes.reader import scene_names
 
     return scene_names(path)
 
@@ -111,9 +111,9 @@ FORMAT = FormatSpec(
     sniff=_sniff,
     near_miss=_near_miss,
     drives=_scene_names,
-    reader="sceneloom.formats.nuscenes.scene_from_tables:open_nuscenes",
+    reader="sceneloom.formats.nuscenes.reader:open_nuscenes",
     read_options=("lenient", "sequence", "keyframes"),
-    writer="sceneloom.formats.nuscenes.writing:write_nuscenes",
+    writer="sceneloom.formats.nuscenes.writer:write_nuscenes",
     write_options=("version", "keyframe_rate_hz", "images", "channel", "trajectory"),
     supports=SUPPORTS,
     along_trajectory=True,

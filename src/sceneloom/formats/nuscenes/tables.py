@@ -1,23 +1,33 @@
-"""The tables of the nuScenes schema, and reading them row by row: those of the whole data set have gigabytes.
+"""The tables of the nuScenes schema: rows read one by one, rows written with stable tokens.
 
-Source: "nuScenes schema" of the nuScenes development kit; `lidarseg` and `category.index` are those of
-nuScenes-lidarseg.
+And which moments are samples.
 """
 
+import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from hashlib import blake2b
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from types import TracebackType
+from typing import Annotated, Any, Self, TypeVar
 
 import msgspec
+import numpy as np
 
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.files import open_file, read_bytes
+from sceneloom.formats.base.files import open_file, read_bytes
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.scene import Scene
 
-Microseconds = Annotated[int, msgspec.Meta(ge=-9_000_000_000_000_000, le=9_000_000_000_000_000)]
+_Microseconds = Annotated[int, msgspec.Meta(ge=-9_000_000_000_000_000, le=9_000_000_000_000_000)]
 """A time; as nanoseconds it has to be within 64 bits."""
 
-Vector = tuple[float, float, float]
+_Vector = tuple[float, float, float]
+
 Quaternion = tuple[float, float, float, float]
 """w, x, y, z."""
 
@@ -38,7 +48,7 @@ class SampleRow(msgspec.Struct, kw_only=True):
     """A moment at which objects are labelled; times are microseconds."""
 
     token: str
-    timestamp: Microseconds
+    timestamp: _Microseconds
     scene_token: str
     next: str = ""
     prev: str = ""
@@ -52,7 +62,7 @@ class SampleDataRow(msgspec.Struct, kw_only=True):
     ego_pose_token: str
     calibrated_sensor_token: str
     filename: str
-    timestamp: Microseconds
+    timestamp: _Microseconds
     is_key_frame: bool
     fileformat: str = ""
     width: int | None = None
@@ -65,9 +75,9 @@ class EgoPoseRow(msgspec.Struct, kw_only=True):
     """Where the ego was: world from ego."""
 
     token: str
-    translation: Vector
+    translation: _Vector
     rotation: Quaternion
-    timestamp: Microseconds
+    timestamp: _Microseconds
 
 
 class CalibratedSensorRow(msgspec.Struct, kw_only=True):
@@ -75,9 +85,9 @@ class CalibratedSensorRow(msgspec.Struct, kw_only=True):
 
     token: str
     sensor_token: str
-    translation: Vector
+    translation: _Vector
     rotation: Quaternion
-    camera_intrinsic: list[Vector] = []
+    camera_intrinsic: list[_Vector] = []
 
 
 class SensorRow(msgspec.Struct, kw_only=True):
@@ -145,8 +155,8 @@ class AnnotationRow(msgspec.Struct, kw_only=True):
     token: str
     sample_token: str
     instance_token: str
-    translation: Vector
-    size: Vector
+    translation: _Vector
+    size: _Vector
     rotation: Quaternion
     attribute_tokens: list[str] = []
     visibility_token: str = ""
@@ -185,11 +195,14 @@ NEEDED = ("scene", "sample", "sample_data", "ego_pose", "calibrated_sensor", "se
 """Tables without which no scene can be opened."""
 
 _PIECE = 1 << 23
+
 _LONGEST_ROW = 1 << 16
+
 _ROW_END = re.compile(rb"\}\s*,")
+
 _FIELD = re.compile(r"\$\[(?P<row>\d+)\](?:\.(?P<field>\S+?))?`?$")
 
-Row = TypeVar("Row")
+_Row = TypeVar("_Row")
 
 
 def iter_rows(folder: Path, table: str) -> Iterator[Any]:
@@ -254,3 +267,171 @@ def _decoded(path: Path, decoder: "msgspec.json.Decoder[list[Any]]", content: by
         raise DataError(path, where, problem) from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise DataError(path, "", f"is no JSON: {error}") from error
+
+
+WrittenTablesRow = Mapping[str, Any]
+
+
+def token_of(*parts: object) -> str:
+    """A token of 32 hexadecimal digits, as nuScenes has them."""
+    return blake2b("\0".join(map(str, parts)).encode(), digest_size=16).hexdigest()
+
+
+def wxyz(quaternion_xyzw: Float64Array) -> list[float]:
+    """A rotation as the tables have it."""
+    x, y, z, w = quaternion_xyzw.tolist()
+    return [w, x, y, z]
+
+
+def placed(transform: RigidTransform) -> dict[str, list[float]]:
+    """A transform as two fields of a row."""
+    return {
+        "translation": transform.translation.tolist(),
+        "rotation": wxyz(transform.quaternion_xyzw),
+    }
+
+
+class TableWriter:
+    """An open table; its rows are on the disk as soon as they are added."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        """Begin a table."""
+        self._file = (folder / f"{name}.json").open("x", encoding="utf-8", newline="\n")
+        self._file.write("[")
+        self._between = "\n"
+
+    def add(self, **row: Any) -> None:
+        """Write a row."""
+        self._file.write(self._between + json.dumps(row, allow_nan=False))
+        self._between = ",\n"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.write("\n]\n")
+        self._file.close()
+
+
+def write_table(folder: Path, name: str, rows: Iterable[WrittenTablesRow]) -> None:
+    """Write a whole table."""
+    with TableWriter(folder, name) as table:
+        for row in rows:
+            table.add(**row)
+
+
+_RATE_HZ = 2.0
+"""Samples a second in nuScenes."""
+
+KEY_FRAMES = "key_frames_us"
+"""Under this name a sensor that was read from nuScenes keeps the times of its key frames."""
+
+Written = LidarSensor | RadarSensor | CameraSensor
+
+_SECOND = 1_000_000_000
+
+_MICROSECOND = 1000
+
+
+def timestamps_of(sensor: Written) -> Int64Array:
+    """The times of a sensor's frames [ns]."""
+    return (sensor.images if isinstance(sensor, CameraSensor) else sensor.frames).timestamps_ns
+
+
+def microseconds(timestamps_ns: Int64Array) -> Int64Array:
+    """Times [ns] as the tables have them [µs]; halves go to the even one."""
+    whole: Int64Array = np.rint(timestamps_ns % _SECOND / _MICROSECOND).astype(np.int64)
+    return timestamps_ns // _SECOND * 1_000_000 + whole
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """The samples of a scene.
+
+    Attributes:
+        tokens: of each.
+        timestamps_ns: (S,) int64 [ns], ascending.
+        reach_ns: how far from a sample its frames may be.
+    """
+
+    tokens: tuple[str, ...]
+    timestamps_ns: Int64Array
+    reach_ns: int
+
+    def key_rows(self, sensor: Written) -> BoolArray:
+        """(N,) bool: which frames of a sensor are key frames: the nearest one of each sample, at most one each."""
+        timestamps = timestamps_of(sensor)
+        known = sensor.extras.get(KEY_FRAMES)
+        if isinstance(known, list | tuple):
+            return np.isin(microseconds(timestamps), np.array(known, np.int64))
+        chosen = np.zeros(len(timestamps), np.bool_)
+        for time in self.timestamps_ns.tolist():
+            after = int(np.searchsorted(timestamps, time))
+            near = [row for row in (after - 1, after) if 0 <= row < len(timestamps) and not chosen[row]]
+            best = min(near, key=lambda row: abs(int(timestamps[row]) - time), default=None)
+            if best is not None and abs(int(timestamps[best]) - time) <= self.reach_ns:
+                chosen[best] = True
+        return chosen
+
+    def numbers(self, sensor: Written, is_key: BoolArray) -> Int64Array:
+        """(N,) int64: the sample that each frame belongs to: of key frames the nearest, else the next one."""
+        timestamps = timestamps_of(sensor)
+        after = np.minimum(np.searchsorted(self.timestamps_ns, timestamps), len(self.timestamps_ns) - 1)
+        before = np.maximum(after - 1, 0)
+        nearer = np.abs(timestamps - self.timestamps_ns[before]) < np.abs(
+            timestamps - self.timestamps_ns[after]
+        )
+        return np.where(is_key & nearer, before, after).astype(np.int64)
+
+
+def choose_samples(scene: Scene, sensors: list[Written], *, rate_hz: float | None, name: str) -> Samples:
+    """Choose the samples: those that the scene was read with, else so many a second of the first lidar's frames.
+
+    Args:
+        scene: what is written.
+        sensors: those that are written; without a lidar the first of them counts.
+        rate_hz: samples a second; None: as read, else two.
+        name: of the scene, for the tokens.
+
+    Raises:
+        DataError: no sensor has a frame.
+    """
+    framed = [sensor for sensor in sensors if len(timestamps_of(sensor))]
+    if not framed:
+        raise DataError(scene.source, "", "holds no sweep, radar cycle or image that nuScenes could hold")
+    reference = next((sensor for sensor in framed if isinstance(sensor, LidarSensor)), framed[0])
+    timestamps = np.sort(timestamps_of(reference))
+    if rate_hz is None:
+        read = _samples_read(scene.metadata.get("nuscenes"), timestamps)
+        if read is not None:
+            return read
+    chosen = _spread(timestamps, _SECOND / (rate_hz or _RATE_HZ))
+    tokens = tuple(token_of("sample", name, time) for time in chosen.tolist())
+    return Samples(tokens, chosen, round(_SECOND / (rate_hz or _RATE_HZ) / 2))
+
+
+def _samples_read(about: Any, timestamps_ns: Int64Array) -> Samples | None:
+    """The samples that the scene was read with, as far as the reference still has their frames."""
+    rows = about.get("samples") if isinstance(about, Mapping) else None
+    if not isinstance(rows, list | tuple):
+        return None
+    there = set(microseconds(timestamps_ns).tolist())
+    kept = [(str(token), int(time)) for token, time in rows if int(time) in there]
+    if not kept:
+        return None
+    times = np.array([time for _, time in kept], np.int64) * _MICROSECOND
+    return Samples(tuple(token for token, _ in kept), times, round(_SECOND / _RATE_HZ / 2))
+
+
+def _spread(timestamps_ns: Int64Array, period_ns: float) -> Int64Array:
+    """Timestamps that are a period apart, as nearly as there are."""
+    slack = float(np.median(np.diff(timestamps_ns))) / 2 if len(timestamps_ns) > 1 else 0.0
+    chosen: list[int] = []
+    due = float(timestamps_ns[0])
+    for time in timestamps_ns.tolist():
+        if time >= due - slack and (not chosen or time > chosen[-1]):
+            chosen.append(time)
+            due = max(due + period_ns, time + period_ns / 2)
+    return np.array(chosen, np.int64)

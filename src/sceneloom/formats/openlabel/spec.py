@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 from types import MappingProxyType
 
-from sceneloom.formats.loss import KEPT, Supports, converted, dropped
-from sceneloom.formats.spec import FormatSpec, first_bytes
+from sceneloom.formats.base.losses import KEPT, Supports, converted, dropped
+from sceneloom.formats.base.spec import FormatSpec, first_bytes
 
 _BEGINNING = 4096
 _FIRST = re.compile(rb"(?:\xef\xbb\xbf)?\s*\{\s*\"openlabel\"\s*:")
@@ -87,8 +87,8 @@ FORMAT = FormatSpec(
     suffixes=(".json",),
     sniff=_sniff,
     near_miss=_near_miss,
-    reader="sceneloom.formats.openlabel.reading:read_openlabel",
+    reader="sceneloom.formats.openlabel.reader:read_openlabel",
     read_options=("lenient", "rate_hz"),
-    writer="sceneloom.formats.openlabel.writing:write_openlabel",
+    writer="sceneloom.formats.openlabel.writer:write_openlabel",
     supports=SUPPORTS,
 )

@@ -5,7 +5,7 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from sceneloom.formats.spec import FormatSpec, any_drive, drives_in
+from sceneloom.formats.base.spec import FormatSpec, any_drive, drives_in
 
 _FRAME = re.compile(r"\d+\.pkl(\.gz)?")
 _MOST_LOOKED_AT = 50
@@ -50,7 +50,7 @@ FORMAT = FormatSpec(
     sniff=partial(any_drive, is_drive=is_drive),
     near_miss=_near_miss,
     drives=partial(drives_in, is_drive=is_drive),
-    reader="sceneloom.formats.pandaset.scene_from_folder:open_pandaset",
+    reader="sceneloom.formats.pandaset.reader:open_pandaset",
     read_options=("lenient", "sequence"),
     instead="PandaSet is only read; write a scene file (drive.sfs) or a recording (a folder) in its location",
 )

@@ -1,14 +1,14 @@
-"""What COLMAP and nerfstudio share as formats: options, supported fields, and that they are only written."""
+"""What the formats of posed images share: options and supported fields."""
 
 from dataclasses import dataclass
 from types import MappingProxyType
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.loss import KEPT, Supports, approximated, converted, dropped
-from sceneloom.formats.option_values import as_positive
-from sceneloom.formats.spec import option
+from sceneloom.formats.base.losses import KEPT, Supports, approximated, converted, dropped
+from sceneloom.formats.base.spec import as_positive, option
 
-IMAGES = ("jpg", "png", "none")
+_IMAGES = ("jpg", "png", "none")
+
 ONLY_WRITTEN = "{} is only written; its poses hold no times that a drive could be read from"
 """Of a format, why it is not read."""
 
@@ -32,8 +32,8 @@ class PosedSettings:
     )
 
     def __post_init__(self) -> None:
-        if self.images not in IMAGES:
-            raise OptionError(f"images {self.images!r}; expected one of {', '.join(IMAGES)}")
+        if self.images not in _IMAGES:
+            raise OptionError(f"images {self.images!r}; expected one of {', '.join(_IMAGES)}")
         object.__setattr__(self, "voxel", as_positive("voxel", self.voxel))
         object.__setattr__(self, "points", _count("points", self.points))
 
@@ -49,6 +49,7 @@ def _count(name: str, value: str | int) -> int:
 
 
 _IMAGES_ONLY = dropped("left out: the target holds images with camera models and poses, and points")
+
 _THINNED = approximated("one point per cube, in the world as at the time of its sweep")
 
 SUPPORTS: Supports = MappingProxyType(

@@ -6,9 +6,9 @@ from typing import Any
 
 import msgspec
 
-from sceneloom.formats.files import open_file
-from sceneloom.formats.loss import KEPT, converted, dropped
-from sceneloom.formats.spec import FormatSpec, begins
+from sceneloom.formats.base.files import open_file
+from sceneloom.formats.base.losses import KEPT, converted, dropped
+from sceneloom.formats.base.spec import FormatSpec, begins
 
 DATA_FILE = "data.jsonl"
 
@@ -52,7 +52,7 @@ def _object(text: bytes) -> dict[str, Any] | None:
 def _is_known(line: dict[str, Any]) -> bool:
     if "time" not in line:
         return False
-    from sceneloom.formats.recording.line_shapes import RECORD_KEYS
+    from sceneloom.formats.recording.columns import RECORD_KEYS
 
     values = (line, *line.values())
     is_pose = any(isinstance(value, dict) and isinstance(value.get("position"), dict) for value in values)
@@ -125,9 +125,9 @@ FORMAT = FormatSpec(
     looks_like="a folder with a data.jsonl, a zip file of one, or a file of such lines",
     sniff=_sniff,
     near_miss=_near_miss,
-    reader="sceneloom.formats.recording.scene_from_recording:open_recording",
+    reader="sceneloom.formats.recording.reader:open_recording",
     read_options=("lenient", "altitude", "camera_shift", "image_index"),
-    examiner="sceneloom.formats.recording.examination:examine_recording",
+    examiner="sceneloom.formats.recording.reader:examine_recording",
     writer="sceneloom.formats.recording.writer:write_recording",
     write_options=("images",),
     output_check="sceneloom.formats.recording.writer:check_outside_recordings",

@@ -1,4 +1,4 @@
-"""Zipped recordings: unpacked into a folder of their own, within bounds, which goes when the scene is closed."""
+"""Zipped recordings: unpacked within bounds into a temporary folder that is removed when the scene is closed."""
 
 import atexit
 import os
@@ -12,21 +12,28 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from zipfile import BadZipFile, LargeZipFile, ZipFile, ZipInfo
 
 from sceneloom.errors import DataError
-from sceneloom.formats.files import open_file
+from sceneloom.formats.base.files import open_file
 
 MOST_FILES = 1_000_000
 """More files than this are not unpacked: 28 hours of lidar at 10 Hz have as many."""
+
 LARGEST_TOTAL = 1 << 40
 """Nor more bytes than this in all."""
+
 LARGEST_RATIO = 300
 """Nor archives whose files are this many times as large as they are: the lines of a log shrink to a tenth."""
 
 _ALWAYS_FINE = 64 << 20
 """Bytes that may come out of an archive of any size."""
+
 _SPARE_BYTES = 64 << 20
+
 _BLOCK = 1 << 20
+
 _LONGEST_NAME = 1000
+
 _BESIDE = ("__MACOSX/", ".DS_Store")
+
 _FAULTS = (
     BadZipFile,
     LargeZipFile,

@@ -1,4 +1,4 @@
-"""Files and folders put into a store: each object appears whole or not at all, a folder's marker comes last."""
+"""Files and folders put into a store: each object appears whole or not at all, the marker of a folder comes last."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -7,12 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from urllib.parse import unquote, urlsplit
 
-from sceneloom.errors import DataError, OutputError
-from sceneloom.formats.remote.faults import faults
-from sceneloom.formats.remote.patience import patiently
-from sceneloom.formats.remote.ranged import SIDE_BY_SIDE
-from sceneloom.formats.remote.stores import Store, open_store
-from sceneloom.redaction import redacted
+from sceneloom.errors import DataError, OutputError, redacted
+from sceneloom.formats.remote.stores import SIDE_BY_SIDE, Store, faults, open_store, patiently
 
 MARKER = "_SUCCESS"
 """An empty object that is written into a folder last: while it is missing, the folder is not whole.

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sceneloom.formats.spec import FormatSpec
+from sceneloom.formats.base.spec import FormatSpec
 
 MANIFEST = "rig.toml"
 """Name of the manifest in a folder."""
@@ -31,7 +31,7 @@ FORMAT = FormatSpec(
     looks_like="a folder with a rig.toml, which `sceneloom formats --template rig.toml --from FOLDER` writes",
     suffixes=(".toml",),
     sniff=_looks_like_manifest,
-    reader="sceneloom.formats.rig.scene_from_rig:open_rig",
+    reader="sceneloom.formats.rig.reader:open_rig",
     read_options=("lenient", "assume_model"),
     instead="a rig is only read; write a scene file (drive.sfs) or a recording (a folder) in its location, or begin a "
     "manifest with `sceneloom formats --template rig.toml`",

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sceneloom.formats.spec import FormatSpec
+from sceneloom.formats.base.spec import FormatSpec
 
 CLOUDS = (".ply", ".pcd")
 
@@ -32,7 +32,7 @@ FORMAT = FormatSpec(
     suffixes=(".scale-toolkit",),
     sniff=_recognises,
     near_miss=_near_miss,
-    reader="sceneloom.formats.scale_toolkit.scene_from_folder:open_scale_toolkit",
+    reader="sceneloom.formats.scale_toolkit.reader:open_scale_toolkit",
     read_options=("lenient", "rate_hz"),
     instead="folders of Scale's lidar toolkit are only read; write a scene file (drive.sfs), which Scale's own library "
     "reads with --profile scale",

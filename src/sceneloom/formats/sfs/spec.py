@@ -8,9 +8,9 @@ from types import MappingProxyType
 from typing import Any
 
 from sceneloom.errors import OptionError
-from sceneloom.formats.files import open_file
-from sceneloom.formats.loss import KEPT, converted, dropped
-from sceneloom.formats.spec import FormatSpec, option
+from sceneloom.formats.base.files import open_file
+from sceneloom.formats.base.losses import KEPT, converted, dropped
+from sceneloom.formats.base.spec import FormatSpec, option
 from sceneloom.geometry.euler import ORDERS, AngleUnit
 from sceneloom.scene.types import PointsFrame
 
@@ -104,11 +104,11 @@ FORMAT = FormatSpec(
     looks_like="a file that begins with the JSON header of a scene",
     suffixes=(".sfs",),
     sniff=has_scene_header,
-    reader="sceneloom.formats.sfs.reading:read_scene",
+    reader="sceneloom.formats.sfs.reader:read_scene",
     read_options=ReadingOptions,
     reads_urls=True,
-    examiner="sceneloom.formats.sfs.examination:examine",
-    writer="sceneloom.formats.sfs.writing:write_scene",
+    examiner="sceneloom.formats.sfs.reader:examine",
+    writer="sceneloom.formats.sfs.writer:write_scene",
     write_options=("profile", "time_unit", "time_offset_ns"),
     supports=MappingProxyType(
         {

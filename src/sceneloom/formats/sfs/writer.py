@@ -1,43 +1,301 @@
-"""Writing a file as a stream: sensors, frames and annotations come one by one, the header is made at the end."""
+"""Writing a scene as a whole or as a stream; the header is made at the end."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Int64Array
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.loss import LossReport
-from sceneloom.formats.output import replacing
-from sceneloom.formats.sfs.assembly import Contents, assemble, with_euler
-from sceneloom.formats.sfs.camera_models import with_written_camera_model
-from sceneloom.formats.sfs.clock_keeper import ClockKeeper
-from sceneloom.formats.sfs.drafts import Losses, SensorDraft, check_new
-from sceneloom.formats.sfs.garbage import collector_paused
-from sceneloom.formats.sfs.image_notes import ImageNotesWriter
-from sceneloom.formats.sfs.profiles import profile_named
-from sceneloom.formats.sfs.root import OURS
-from sceneloom.formats.sfs.sensor_drafts import draft_of
-from sceneloom.formats.sfs.spool import Spool
-from sceneloom.formats.sfs.times import TICKS_NS, chosen_offset_ns
-from sceneloom.formats.sfs.write_annotations import annotation_record, attribute_record
-from sceneloom.formats.sfs.write_clouds import CloudWriter
-from sceneloom.formats.sfs.write_images import CameraDraft, ImageWriter, note_losses
-from sceneloom.formats.sfs.write_records import trajectory_record, warning_record
-from sceneloom.formats.table import FORMATS
-from sceneloom.scene.annotations.annotation import Annotation
-from sceneloom.scene.annotations.corrections import CameraCalibration
-from sceneloom.scene.cameras import CameraImage, CameraSensor
+from sceneloom.formats.base.losses import LossReport, Support
+from sceneloom.formats.base.output import replacing
+from sceneloom.formats.base.registry import FORMATS
+from sceneloom.formats.sfs.clock import READABLE_TICKS_NS, TICKS_NS, UINT32_MAX, chosen_offset_ns
+from sceneloom.formats.sfs.container import collector_paused
+from sceneloom.formats.sfs.encode import (
+    Items,
+    RecordWriter,
+    attribute_record,
+    draft_of,
+    encode_header,
+    trajectory_record,
+    warning_record,
+    with_written_camera_model,
+)
+from sceneloom.formats.sfs.encode import annotation_record as encode_annotation_record
+from sceneloom.formats.sfs.images import ImageNotesWriter
+from sceneloom.formats.sfs.metadata import OURS
+from sceneloom.formats.sfs.profiles import (
+    Profile,
+    attribute_fits,
+    profile_named,
+    simplified_attributes,
+    thousandths,
+)
+from sceneloom.formats.sfs.reader import DEFAULT_EULER
+from sceneloom.formats.sfs.records import Location
+from sceneloom.formats.sfs.schema import annotation_record, sensor_record
+from sceneloom.formats.sfs.spool import (
+    Blob,
+    CameraDraft,
+    ClockKeeper,
+    CloudWriter,
+    ImageWriter,
+    Losses,
+    SensorDraft,
+    Spool,
+    check_new,
+    note_losses,
+)
+from sceneloom.scene.annotations import (
+    Annotation,
+    Box2DAnnotation,
+    CameraCalibration,
+    CuboidAnnotation,
+    EventAnnotation,
+    LocalizationAdjustment,
+    PointsAnnotation,
+    ShapeAnnotation,
+)
+from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
-from sceneloom.scene.depth import DepthCameraSensor
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, key_of
-from sceneloom.scene.warnings import WarningKind
+from sceneloom.warnings import WarningKind
 
-Frame = LidarFrame | RadarFrame | CameraImage
+_VERSION = "1.0"
+
+_LAYOUT = 1
+"""Number of the layout of our metadata."""
+
+_UNIT_OF = {tick_ns: unit for unit, tick_ns in TICKS_NS.items()}
+
+_EVERYWHERE = "sensors[], annotations[], attributes[]"
+
+_ROUNDING = 0.5
+"""How far a time is off at most where it is rounded [µs]."""
+
+
+@dataclass(slots=True)
+class _Contents:
+    """Everything that a writer was given, arrays of frames spooled already.
+
+    Attributes:
+        drafts: the sensors, by id.
+        annotations: their records.
+        attributes: of the scene and its sensors.
+        metadata: free fields.
+        ours: fields of our entry of the metadata.
+        extras: further root fields.
+        time_unit: how the unit is spelt; None for the usual spelling.
+    """
+
+    drafts: dict[tuple[type, Identifier], SensorDraft] = field(default_factory=dict)
+    annotations: list[dict[str, Any]] = field(default_factory=list)
+    attributes: list[Mapping[str, Any]] = field(default_factory=list)
+    metadata: dict[str, Any] = field(default_factory=dict)
+    ours: dict[str, Any] = field(default_factory=dict)
+    extras: dict[str, Any] = field(default_factory=dict)
+    time_unit: str | None = None
+
+
+class _Recorder:
+    """Spools the arrays of a first pass over everything, and remembers where each stands."""
+
+    def __init__(self, spool: Spool) -> None:
+        self.spool = spool
+        self.known: dict[int, tuple[AnyArray, Blob]] = {}
+
+    def add(self, array: AnyArray) -> Blob:
+        """Spool one array."""
+        blob = self.spool.add(array)
+        self.known[id(array)] = (array, blob)
+        return blob
+
+
+class _Replay:
+    """Gives the blobs of a first pass again, each once; an array made anew is spooled anew."""
+
+    def __init__(self, first: _Recorder) -> None:
+        self._first = first
+
+    def add(self, array: AnyArray) -> Blob:
+        """Find or spool one array."""
+        known = self._first.known.pop(id(array), None)
+        return self._first.spool.add(array) if known is None else known[1]
+
+
+def _assemble(contents: _Contents, profile: Profile, keeper: ClockKeeper, losses: Losses) -> bytes:
+    """Make the header.
+
+    Raises:
+        OptionError: something cannot be held by the format.
+    """
+    firsts = [first for draft in contents.drafts.values() if (first := draft.first_ns()) is not None]
+    if firsts:
+        keeper.clock_for(min(firsts))
+    recorder = _Recorder(keeper.spool)
+    passed = _Pass(contents, profile, RecordWriter(keeper.clock, recorder))
+    header = passed.header()
+    if passed.writer.lowest < 0:
+        # a time that stands only in annotations or attributes is earlier than all frames and poses
+        keeper.clock_for(passed.writer.lowest * keeper.tick_ns + keeper.clock.offset_ns)
+        passed = _Pass(contents, profile, RecordWriter(keeper.clock, _Replay(recorder)))
+        header = passed.header()
+    losses.add_all(passed.losses)
+    return encode_header(header, passed.items)
+
+
+@dataclass(slots=True)
+class _Pass:
+    """One attempt at the header."""
+
+    contents: _Contents
+    profile: Profile
+    writer: RecordWriter
+    losses: Losses = field(default_factory=Losses)
+    items: Items = field(default_factory=list)
+
+    def header(self) -> dict[str, Any]:
+        """Write everything; the locations of arrays are left empty."""
+        clock = self.writer.clock
+        header: dict[str, Any] = {
+            "version": _VERSION,
+            "time_unit": self.contents.time_unit or _UNIT_OF[clock.tick_ns],
+            "time_offset": max(clock.offset_ns, 0) // clock.tick_ns,
+        }
+        header["sensors"], sensors_aside, notes = self._sensors()
+        header["annotations"], annotations_aside, exact = self._annotations()
+        header["attributes"], attributes_aside, exact_of_scene = self._attributes()
+        header["metadata"] = self._metadata()
+        ours = self._ours(
+            {
+                **self.contents.ours,
+                "time_shift_ns": -clock.offset_ns if clock.offset_ns < 0 else None,
+                "sensor_notes": notes or None,
+                "attributes": attributes_aside or None,
+                "exact_attributes": exact_of_scene + exact or None,
+            },
+            {
+                "sensors": (sensors_aside, sensor_record),
+                "annotations": (annotations_aside, annotation_record),
+            },
+        )
+        if ours:
+            header["metadata"][OURS] = {"layout": _LAYOUT, **ours}
+        further = {name: value for name, value in self.contents.extras.items() if name not in header}
+        self._count_rounding()
+        return {**header, **self._written(further, "scene", ())}
+
+    def _metadata(self) -> dict[str, Any]:
+        inner: Items = []
+        written = self.writer.plain_object(self.contents.metadata, inner)
+        self.items.extend((("metadata", *keys), blob) for keys, blob in inner)
+        return written
+
+    def _ours(self, fields: Mapping[str, Any], aside: Mapping[str, tuple[list[Any], Any]]) -> dict[str, Any]:
+        """Write our entry of the metadata, and in it what the format or the profile has no field for."""
+        location: Location = ("metadata", OURS)
+        written = self._written(fields, OURS, location)
+        for name, (records, record_of) in aside.items():
+            if records:
+                written[name] = self._list(records, (*location, name), record_of)
+        return written
+
+    def _written(self, record: Mapping[str, Any], name: str, location: Location) -> dict[str, Any]:
+        inner: Items = []
+        written = self.writer.write(record, name, inner)
+        self.items.extend(((*location, *keys), blob) for keys, blob in inner)
+        return written
+
+    def _list(
+        self, records: list[dict[str, Any]], location: Location, record_of: Any
+    ) -> list[dict[str, Any]]:
+        return [
+            self._written(record, record_of(record["type"]), (*location, index))
+            for index, record in enumerate(records)
+        ]
+
+    def _sensors(self) -> tuple[list[Any], list[dict[str, Any]], list[dict[str, Any]]]:
+        """Write the sensors; give those that must stand aside, and the notes."""
+        kept: list[dict[str, Any]] = []
+        aside: list[dict[str, Any]] = []
+        notes: list[dict[str, Any]] = []
+        for draft in self.contents.drafts.values():
+            record = draft.record(self.writer.clock, self.losses)
+            obstacle = self.profile.sensor_obstacle(record, self.writer.clock)
+            (kept if obstacle is None else aside).append(record)
+            if obstacle is not None:
+                self.losses.add(draft.location, obstacle, kept="metadata.sceneloom.sensors")
+            if draft.note:
+                notes.append({"id": draft.id, **draft.note})
+        return self._list(kept, ("sensors",), sensor_record), aside, notes
+
+    def _annotations(self) -> tuple[list[Any], list[dict[str, Any]], list[Mapping[str, Any]]]:
+        """Write the annotations; give those that must stand aside, and the exact attributes."""
+        kept: list[dict[str, Any]] = []
+        aside: list[dict[str, Any]] = []
+        exact: list[Mapping[str, Any]] = []
+        for record in self.contents.annotations:
+            simple, exact_records = self._simplified(record)
+            obstacle = self.profile.annotation_obstacle(simple)
+            if obstacle is None:
+                kept.append(simple)
+                exact += exact_records
+            else:
+                aside.append(record)
+                where = "metadata.sceneloom.annotations"
+                self.losses.add(f"annotations[{record['type']}]", obstacle, kept=where)
+        self._note_exact(exact, "annotations[].attributes[]")
+        return self._list(kept, ("annotations",), annotation_record), aside, exact
+
+    def _simplified(self, record: dict[str, Any]) -> tuple[dict[str, Any], list[Mapping[str, Any]]]:
+        attributes = record.get("attributes")
+        if self.profile.exact_attributes or not isinstance(attributes, list | tuple):
+            return record, []
+        simple, exact = simplified_attributes(attributes, record["id"])
+        return {**record, "attributes": simple}, exact
+
+    def _attributes(self) -> tuple[list[Any], list[Mapping[str, Any]], list[Mapping[str, Any]]]:
+        """Write the scene's attributes; give those that must stand aside, and the exact ones."""
+        if self.profile.exact_attributes:
+            return self._written({"attributes": self.contents.attributes}, "scene", ())["attributes"], [], []
+        fitting: list[Mapping[str, Any]] = []
+        aside: list[Mapping[str, Any]] = []
+        for attribute in self.contents.attributes:
+            (fitting if attribute_fits(thousandths(attribute)) else aside).append(attribute)
+        simple, exact = simplified_attributes(fitting, None)
+        what = "Scale's loader takes text and integers only"
+        self.losses.add("attributes[]", what, count=len(aside), kept="metadata.sceneloom.attributes")
+        self._note_exact(exact, "attributes[]")
+        return self._written({"attributes": simple}, "scene", ())["attributes"], aside, exact
+
+    def _note_exact(self, exact: list[Mapping[str, Any]], where: str) -> None:
+        what = "made integers (fractions in thousandths), static ones with one time stamp"
+        self.losses.add(where, what, count=len(exact), kept="metadata.sceneloom.exact_attributes")
+
+    def _count_rounding(self) -> None:
+        what = "times rounded to whole microseconds, halves to even: at most 0.5 µs off"
+        self.losses.add(
+            _EVERYWHERE, what, count=self.writer.rounded, support=Support.CONVERTED, largest_error=_ROUNDING
+        )
+        what = "numbers that are infinite or none, written as null"
+        self.losses.add(_EVERYWHERE, what, count=self.writer.not_numbers)
+
+
+def _with_euler(contents: _Contents) -> None:
+    """Record how the angles of cuboids are meant, where there are cuboids and nothing says it."""
+    if any(record["type"] == "cuboid" for record in contents.annotations):
+        contents.ours = {**DEFAULT_EULER, **contents.ours}
+
+
+_Frame = LidarFrame | RadarFrame | CameraImage
 
 _RESERVED = frozenset(
     {
@@ -52,8 +310,11 @@ _RESERVED = frozenset(
         "warnings",
     }
 )
+
 _ROOT = frozenset({"version", "time_unit", "time_offset"})
+
 _PER_FRAME, _PER_POSE, _PER_ANNOTATION = 2048, 180, 2048
+
 _LEAST_HEADER, _UNKNOWN_HEADER = 1 << 17, 1 << 20
 
 
@@ -126,7 +387,7 @@ class SceneWriter:
         self._usual_offset_ns = usual_offset_ns
         if usual_offset_ns is None and first_ns is not None:
             self._usual_offset_ns = chosen_offset_ns(first_ns)
-        self._contents = Contents()
+        self._contents = _Contents()
         self._cameras: dict[tuple[type, Identifier], CameraDraft] = {}
         self._unfused: list[Mapping[str, Any]] = []
         self._losses = Losses()
@@ -174,10 +435,10 @@ class SceneWriter:
                 note = note_losses(camera, self._losses)
                 if note is not None:
                     self._contents.drafts[key].note["images"] = note
-            with_euler(self._contents)
+            _with_euler(self._contents)
             self._contents.ours["unfused"] = self._unfused or None
             with collector_paused():
-                header = assemble(self._contents, self._profile, opened.keeper, self._losses)
+                header = _assemble(self._contents, self._profile, opened.keeper, self._losses)
             opened.spool.finish(header)
         self.losses = LossReport.of(self._losses.all())
         return self.losses
@@ -201,7 +462,7 @@ class SceneWriter:
             for frame in sensor.frames:
                 self.add_frame(sensor.id, frame)
 
-    def add_frame(self, sensor_id: Identifier, frame: Frame) -> None:
+    def add_frame(self, sensor_id: Identifier, frame: _Frame) -> None:
         """Write one more frame of a lidar or radar, or one more image of a camera without a video.
 
         Raises:
@@ -255,7 +516,7 @@ class SceneWriter:
         if isinstance(annotation, CameraCalibration):
             any_model = self._profile.any_distortion
             annotation = with_written_camera_model(annotation, self._losses, any_model=any_model)
-        self._contents.annotations.append(annotation_record(annotation))
+        self._contents.annotations.append(encode_annotation_record(annotation))
 
     def set_metadata(self, fields: Mapping[str, Any]) -> None:
         """Add free fields; those under "sceneloom" join ours.
@@ -348,3 +609,108 @@ class SceneWriter:
         frames = max(self._frame_count, sum(len(d.frames or ()) for d in contents.drafts.values()))
         expected = frames * _PER_FRAME + poses * _PER_POSE + len(contents.annotations) * _PER_ANNOTATION
         return max(expected, _LEAST_HEADER if self._frame_count else _UNKNOWN_HEADER)
+
+
+_LATEST_START_NS = {"sfs": None, "scale": 90_000_000_000}
+
+
+def write_scene(
+    scene: Scene,
+    path: str | Path,
+    *,
+    overwrite: bool = False,
+    profile: str = "sfs",
+    time_unit: str | None = None,
+    time_offset_ns: int | None = None,
+) -> LossReport:
+    """Write a scene to a file.
+
+    Args:
+        scene: any scene; one that was read from a file of this format keeps its unit, offset and timestamps.
+        path: the file to be made.
+        overwrite: whether a file there may be replaced.
+        profile: "sfs", or "scale" for a file that Scale's own library loads and validates.
+        time_unit: "microseconds" or "nanoseconds"; None for the scene's own, else microseconds.
+        time_offset_ns: the absolute time of the file's zero [ns]; None to choose it.
+
+    Returns:
+        What the file cannot hold.
+
+    Raises:
+        OptionError: a value is not one that can be followed, or something cannot be held by the format.
+        DataError: a frame or image cannot be read.
+        OutputError: the file exists, or cannot be written.
+    """
+    times_ns = list(_known_times(scene))
+    unit = time_unit or _own_unit(scene, profile)
+    from_sfs = scene.format == "sfs"
+    own_spelling = (
+        scene.extras.get("time_unit") if from_sfs and time_unit is None and profile == "sfs" else None
+    )
+    keeps_offset = from_sfs and time_offset_ns is None and _offset_serves(scene, times_ns, unit, profile)
+    with SceneWriter(
+        path,
+        overwrite=overwrite,
+        profile=profile,
+        time_unit=unit,
+        time_offset_ns=time_offset_ns,
+        usual_offset_ns=scene.time_offset_ns if keeps_offset else None,
+        first_ns=min(times_ns, default=None),
+        frame_count=sum(len(s.frames) for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor)),
+        verbatim=from_sfs,
+    ) as writer:
+        writer.add_scene(scene)
+        if isinstance(own_spelling, str) and READABLE_TICKS_NS.get(own_spelling) == TICKS_NS[unit]:
+            writer.spell_time_unit(own_spelling)
+    return writer.losses
+
+
+def _own_unit(scene: Scene, profile: str) -> str:
+    own = scene.extras.get("time_unit")
+    if profile == "scale" or not isinstance(own, str) or own not in READABLE_TICKS_NS:
+        return "microseconds"
+    return next(unit for unit, tick_ns in TICKS_NS.items() if tick_ns == READABLE_TICKS_NS[own])
+
+
+def _offset_serves(scene: Scene, times_ns: list[int], unit: str, profile: str) -> bool:
+    """Whether the offset of the file that the scene comes from can stay."""
+    offset_ns, tick_ns = scene.time_offset_ns, TICKS_NS[unit]
+    if offset_ns % tick_ns or not times_ns:
+        return offset_ns % tick_ns == 0
+    latest_start_ns = _LATEST_START_NS.get(profile)
+    starts_late = latest_start_ns is not None and min(times_ns) - offset_ns > latest_start_ns
+    wraps = tick_ns > 1 and (max(times_ns) - offset_ns) // tick_ns > UINT32_MAX
+    return offset_ns <= min(times_ns) and not starts_late and not wraps
+
+
+def _known_times(scene: Scene) -> Iterator[int]:
+    """First and last of all times that are known without reading a frame [ns]."""
+    for sensor in scene.sensors:
+        if isinstance(sensor, LidarSensor | RadarSensor) and len(sensor.frames):
+            times = sensor.frames.timestamps_ns
+            yield from (int(times.min()), int(times.max()))
+        if isinstance(sensor, CameraSensor) and len(sensor.images):
+            times = sensor.images.timestamps_ns
+            yield from (int(times.min()), int(times.max()))
+        if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | OdometrySensor):
+            poses = sensor.poses
+            if poses is not None and not poses.static:
+                yield from (poses.start_ns, poses.stop_ns)
+    for annotation in scene.annotations:
+        for times in _times_of(annotation):
+            if len(times):
+                yield from (int(times.min()), int(times.max()))
+
+
+def _times_of(annotation: Annotation) -> list[Int64Array]:
+    """The times of an annotation's paths, or of its beginning."""
+    if isinstance(annotation, CuboidAnnotation | Box2DAnnotation | ShapeAnnotation):
+        return [annotation.path.timestamps_ns]
+    if isinstance(annotation, PointsAnnotation):
+        return [path.timestamps_ns for path in annotation.paths]
+    if isinstance(annotation, EventAnnotation):
+        return [np.array([annotation.start_ns], np.int64)]
+    if isinstance(annotation, LocalizationAdjustment | CameraCalibration):
+        poses = annotation.poses
+        return [] if poses is None or poses.static else [poses.timestamps_ns]
+    return []

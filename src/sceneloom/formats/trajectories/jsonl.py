@@ -1,8 +1,4 @@
-"""JSONL: the pose lines of a recording, `{"groundTruth": {"position": …, "orientation": …}, "time": …}`.
-
-A pose stands under any key, which is the trajectory's name, or right at the root, as programs for visual odometry
-write it. Times are read from their decimals, not through floating point.
-"""
+"""Trajectories as the `groundTruth` lines of a recording."""
 
 from array import array
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,29 +10,32 @@ import msgspec
 import numpy as np
 
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.files import file_faults, open_file
-from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.loss import Loss
-from sceneloom.formats.poses import PoseRows
-from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem, quote
-from sceneloom.formats.recording.line_shapes import ROOT_KEYS, NamedPose
-from sceneloom.formats.recording.merged_lines import merged_lines
-from sceneloom.formats.recording.trajectories import RANKS
-from sceneloom.formats.recording.written_lines import NumberLines
-from sceneloom.formats.recording.written_times import TimeWriter
-from sceneloom.formats.rig.timestamps import TimestampError, parse_timestamp
-from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
-from sceneloom.formats.trajectories.rows import further_losses, ordered
-from sceneloom.formats.trajectories.supported_fields import NAMED
-from sceneloom.scene.warnings import WarningKind
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.files import file_faults, open_file
+from sceneloom.formats.base.losses import Loss
+from sceneloom.formats.base.poses import PoseRows
+from sceneloom.formats.base.text_tables import TimestampError, TimeWriter, parse_timestamp
+from sceneloom.formats.recording.columns import DECODER_FAULTS, ROOT_KEYS, NamedPose, json_problem, quote
+from sceneloom.formats.recording.reader import RANKS
+from sceneloom.formats.recording.write_lines import NumberLines, merged_lines
+from sceneloom.formats.trajectories.trajectory_file import (
+    NAMED,
+    Reading,
+    TrajectoryFile,
+    TrajectoryForm,
+    further_losses,
+    ordered,
+)
+from sceneloom.warnings import WarningKind
 
-ROOT_NAME = "output"
+_ROOT_NAME = "output"
 """How poses right at the root are called."""
 
 _Line = dict[str, msgspec.Raw]
-_decode_line = msgspec.json.Decoder(_Line).decode
-_decode_pose = msgspec.json.Decoder(NamedPose).decode
 
+_decode_line = msgspec.json.Decoder(_Line).decode
+
+_decode_pose = msgspec.json.Decoder(NamedPose).decode
 
 _OTHER_KEYS = ROOT_KEYS - {"groundTruth", "pose"}
 """Keys of a recording's lines under which no pose stands."""
@@ -109,7 +108,7 @@ def _take_line(found: dict[str, _Poses], text: bytes, number: int, unit: str | N
 def _poses_of(line: _Line, text: bytes) -> Iterator[tuple[str, bytes | msgspec.Raw]]:
     """The keys under which a position stands, each with the text of the pose."""
     if "position" in line:
-        yield ROOT_NAME, text
+        yield _ROOT_NAME, text
     for key, raw in line.items():
         if key not in _OTHER_KEYS and b'"position"' in bytes(raw) and "position" in _fields(raw):
             yield key, raw

@@ -1,4 +1,4 @@
-"""The table of the forms, and a trajectory read from and written to whatever holds one."""
+"""The table of trajectory formats; a trajectory read from and written to any of them, or read from a scene."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,31 +8,176 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import Float64Array, read_only
 from sceneloom.errors import OptionError, PoseError, UnknownFormatError, check_option_names
-from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.loss import LossReport
-from sceneloom.formats.output import replacing_together
-from sceneloom.formats.table import claims_of, format_and_location, format_names
-from sceneloom.formats.trajectories import euroc, gnss, jsonl, kitti, named_columns, tum
-from sceneloom.formats.trajectories.axes import from_optical, to_optical
-from sceneloom.formats.trajectories.content import Reading, TrajectoryFile, TrajectoryForm
-from sceneloom.formats.trajectories.first_lines import beginning
-from sceneloom.formats.trajectories.scenes import is_scene_name, read_scene_trajectory
-from sceneloom.formats.urls import is_url
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.files import is_url
+from sceneloom.formats.base.losses import LossReport
+from sceneloom.formats.base.output import replacing_together
+from sceneloom.formats.base.registry import chosen_corrections, claims_of, format_and_location, format_names
+from sceneloom.formats.base.spec import FormatSpec
+from sceneloom.formats.trajectories import jsonl, text_formats
+from sceneloom.formats.trajectories.text_formats import of_fixes
+from sceneloom.formats.trajectories.trajectory_file import Reading, TrajectoryFile, TrajectoryForm, beginning
+from sceneloom.motion.ego_trajectory import GNSS, RESERVED, usable_fixes
+from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Poses, Trajectory
+from sceneloom.scene.scene import Corrections, Scene
 from sceneloom.scene.types import Progress
+from sceneloom.warnings import DataWarning, WarningKind
+
+_FIXES = "fixes"
+"""Name of the positions that the first satellite receiver of a scene reported; of others, `fixes:ID`."""
+
+
+def _is_scene_name(name: str | None) -> bool:
+    """Whether a trajectory of that name is computed from sensors, or reported by one."""
+    return name is not None and (name in RESERVED or name.partition(":")[0] == _FIXES)
+
+
+def _read_scene_trajectory(
+    form: FormatSpec,
+    location: Any,
+    reading: Reading,
+    options: Mapping[str, Any],
+    progress: Progress | None = None,
+) -> TrajectoryFile:
+    """Open a scene and take a trajectory out of it.
+
+    Args:
+        form: the format of the scene.
+        location: what the format opens.
+        reading: its `name`: a name out of `scene.trajectories`, "lidar" or "gnss" to find the trajectory from the
+            sweeps or from GNSS and IMU, "fixes" or "fixes:ID" for what a satellite receiver reported. None: the default
+            one; where there is none and no lidar, the fixes as received, since what is compared is what was reported,
+            and not what a smoother makes of it where a scene is placed; else what `find_ego_motion` finds.
+        options: reading options of the format.
+        progress: reported after each sweep, where the trajectory is found from the sweeps.
+
+    Raises:
+        OptionError: there is none of that name.
+        PoseError: there is none at all, or it cannot be found.
+    """
+    further = dict(options)
+    chosen = chosen_corrections(further.pop("corrections", Corrections.APPLY))
+    with form.open(location, **further) as opened:
+        scene = replace(opened, corrections=chosen).corrected()
+        found = _named(scene, reading, progress)
+    return TrajectoryFile(
+        found.trajectory,
+        form.name,
+        found.fixes,
+        found.origin_lla,
+        found.columns,
+        (*scene.warnings, *found.warnings),
+    )
+
+
+def _named(scene: Scene, reading: Reading, progress: Progress | None) -> TrajectoryFile:
+    name = reading.name
+    if name is None and scene.trajectories:
+        return TrajectoryFile(next(iter(scene.trajectories.values())))
+    if name in scene.trajectories:
+        return TrajectoryFile(scene.trajectories[str(name)])
+    receivers = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
+    if receivers and (name == _FIXES or (name is None and not scene.lidars)):
+        return _received(scene, receivers[0], _FIXES, reading)
+    for sensor in receivers:
+        if name == f"{_FIXES}:{sensor.id}":
+            return _received(scene, sensor, name, reading)
+    if name is None or name in RESERVED:
+        return _computed(scene, name, progress)
+    raise OptionError(f"{scene.source}: no trajectory {name!r}; there are: {_choices(scene, receivers)}")
+
+
+def _received(scene: Scene, sensor: GnssSensor, name: str, reading: Reading) -> TrajectoryFile:
+    """The fixes that are locations: one at 0, 0 before reception would else be the origin of all."""
+    location, usable = f"{scene.source}: sensors[{sensor.id}]", usable_fixes(sensor)
+    if not usable.any():
+        raise PoseError(f"{location}: no usable GNSS fixes in it; expected one or more")
+    if usable.all():
+        return of_fixes(sensor, origin_lla=reading.origin_lla, name=name)
+    kept = GnssSensor(
+        sensor.id,
+        sensor.timestamps_ns[usable],
+        sensor.positions_lla[usable],
+        sensor.accuracies[usable],
+        sensor.vertical_accuracies[usable],
+    )
+    lost, message = int((~usable).sum()), "fixes that are no location were left out"
+    reported = DataWarning(
+        kind=WarningKind.SKIPPED, code="gnss-fixes-left-out", location=location, message=message, count=lost
+    )
+    return replace(of_fixes(kept, origin_lla=reading.origin_lla, name=name), warnings=(reported,))
+
+
+def _computed(scene: Scene, name: str | None, progress: Progress | None) -> TrajectoryFile:
+    from sceneloom.motion.ego_trajectory import find_ego_motion
+
+    ego = find_ego_motion(scene, name=name, progress=progress)
+    path = ego.path
+    if path.static:
+        raise PoseError(
+            f"{scene.source}: the trajectory {ego.name!r} has no times; nothing can be compared with it"
+        )
+    trajectory = Trajectory(
+        ego.name, path.timestamps_ns, path.positions, path.quaternions_xyzw, covariances=ego.covariances
+    )
+    origin = None if ego.enu_origin_lla is None else read_only(ego.enu_origin_lla, np.float64)
+    return TrajectoryFile(trajectory, origin_lla=origin, warnings=ego.warnings)
+
+
+def _choices(scene: Scene, receivers: list[GnssSensor]) -> str:
+    found = [*scene.trajectories]
+    found += ["lidar"] if scene.lidars and "lidar" not in found else []
+    found += [name for name in (GNSS, _FIXES) if receivers and name not in found]
+    return ", ".join([*found, *(f"{_FIXES}:{sensor.id}" for sensor in receivers[1:])]) or "none"
+
+
+_VEHICLE_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def _from_optical(content: TrajectoryFile) -> TrajectoryFile:
+    """The same way with the world's and the device's axes rotated from x right, y down, z forward to x forward.
+
+    Z up.
+    """
+    return _rotated(content, _VEHICLE_FROM_OPTICAL)
+
+
+def _to_optical(content: TrajectoryFile) -> TrajectoryFile:
+    """The same way with the world's and the device's axes rotated from x forward, y left, z up to z forward, y down."""
+    return _rotated(content, _VEHICLE_FROM_OPTICAL.T)
+
+
+def _rotated(content: TrajectoryFile, here_from_there: Float64Array) -> TrajectoryFile:
+    """Exchange axes, which rounds nothing: a rotation seen in other axes has its own axis rotated like any vector."""
+    trajectory, six = content.trajectory, np.kron(np.eye(2), here_from_there)
+    quaternions, covariances = trajectory.quaternions_xyzw, trajectory.covariances
+    if quaternions is not None:
+        quaternions = np.concatenate([quaternions[:, :3] @ here_from_there.T, quaternions[:, 3:]], axis=1)
+    trajectory = replace(
+        trajectory,
+        positions=read_only(trajectory.positions @ here_from_there.T),
+        quaternions_xyzw=None if quaternions is None else read_only(quaternions),
+        covariances=None if covariances is None else read_only(six @ covariances @ six.T),
+    )
+    columns = {name: read_only(values @ here_from_there.T) for name, values in content.columns.items()}
+    return replace(content, trajectory=trajectory, columns=columns)
+
 
 TRAJECTORY_FORMS: Mapping[str, TrajectoryForm] = MappingProxyType(
-    {module.FORM.name: module.FORM for module in (tum, kitti, euroc, gnss, named_columns, jsonl)}
+    {
+        module.FORM.name: module.FORM
+        for module in (text_formats, text_formats, text_formats, text_formats, text_formats, jsonl)
+    }
 )
 """The forms of files by name; of two that recognise a file the first counts."""
 
-FORM_NAMES = tuple(TRAJECTORY_FORMS)
+_FORM_NAMES = tuple(TRAJECTORY_FORMS)
 
-OWN_SUFFIXES = {".tum", ".kitti", ".jsonl"}
+_OWN_SUFFIXES = {".tum", ".kitti", ".jsonl"}
 """Suffixes that nothing but one form has."""
-
 
 _READING = ("form", "name", "times", "rate_hz", "unit", "origin_lla", "optical", "lenient")
 
@@ -80,7 +225,7 @@ def read_trajectory_file(
         origin_lla=None if origin_lla is None else _origin(origin_lla),
     )
     chosen = _form_named(form) if form is not None else find_form(where)
-    if form is None and chosen is jsonl.FORM and is_scene_name(reading.name):
+    if form is None and chosen is jsonl.FORM and _is_scene_name(reading.name):
         chosen = None
     if times is not None and (chosen is None or chosen.name != "kitti"):
         raise OptionError(
@@ -90,14 +235,14 @@ def read_trajectory_file(
     if chosen is None:
         scene_form, location = format_and_location(where, format=form)
         options = {**options, **({"lenient": True} if lenient else {})}
-        content = read_scene_trajectory(scene_form, location, reading, options, progress)
+        content = _read_scene_trajectory(scene_form, location, reading, options, progress)
     else:
         check_option_names(f"opening a trajectory ({chosen.name})", options, _READING)
         ledger = Ledger(lenient=lenient)
         with ledger.telling():
             content = chosen.read(Path(where), reading, ledger)
         content = replace(content, warnings=ledger.warnings)
-    return from_optical(content) if optical else content
+    return _from_optical(content) if optical else content
 
 
 def _check_used(path: str | Path, form: TrajectoryForm | None, reading: Reading) -> None:
@@ -107,16 +252,18 @@ def _check_used(path: str | Path, form: TrajectoryForm | None, reading: Reading)
         OptionError: naming the option, and what it is for.
     """
     what = "scenes" if form is None else f"the form {form.name!r}"
-    if reading.rate_hz is not None and form is not kitti.FORM:
+    if reading.rate_hz is not None and form is not text_formats.KITTI_FORM:
         raise OptionError(
             f"{path}: {what} has its own times; the rate {reading.rate_hz:g} Hz would not be used, and is for KITTI's "
             "poses: leave it out"
         )
-    if reading.unit is not None and (form is None or (form is kitti.FORM and reading.rate_hz is not None)):
+    if reading.unit is not None and (
+        form is None or (form is text_formats.KITTI_FORM and reading.rate_hz is not None)
+    ):
         raise OptionError(
             f"{path}: no times in a text are read here; the unit {reading.unit!r} would not be used: leave it out"
         )
-    if reading.origin_lla is not None and form not in (None, gnss.FORM):
+    if reading.origin_lla is not None and form not in (None, text_formats.GNSS_FORM):
         raise OptionError(
             f"{path}: {what} has positions in metres; the origin would not be used, and is for satellite fixes: "
             "leave it out"
@@ -163,7 +310,7 @@ def write_trajectory(
         trajectory: what to write; a `TrajectoryFile` brings what else its file stated.
         path: the file to write; its suffix chooses the form unless `form` does.
         form: a name out of `TRAJECTORY_FORMS`.
-        origin_lla: latitude [deg], longitude [deg] and altitude [m] of the world's origin, for the form `gnss`.
+        origin_lla: latitude [deg], longitude [deg] and altitude [m] of the world's origin, for the form `text_formats`.
         optical: whether to rotate the axes from x forward, y left, z up to those of cameras.
         overwrite: whether a file that exists may be replaced.
 
@@ -178,11 +325,11 @@ def write_trajectory(
     target = Path(path)
     chosen = form_for_output(target) if form is None else _form_named(form)
     if chosen is None:
-        raise OptionError(f"form {form!r} is one of scenes; expected one of: {', '.join(FORM_NAMES)}")
+        raise OptionError(f"form {form!r} is one of scenes; expected one of: {', '.join(_FORM_NAMES)}")
     content = content_of(trajectory)
     if origin_lla is not None:
         content = replace(content, origin_lla=_origin(origin_lla))
-    content = to_optical(content) if optical else content
+    content = _to_optical(content) if optical else content
     targets = [target] if chosen.beside is None else [target, chosen.beside(target)]
     with replacing_together(targets, overwrite=overwrite) as (draft, *_):
         return LossReport.of(chosen.write(content, draft, target))
@@ -225,7 +372,7 @@ def find_form(path: str | Path) -> TrajectoryForm | None:
         found = next((form for form in forms if form.recognises(text)), None)
         # a suffix of its own reports the form of a file that is torn, whose fault can then be named
         found = found or next(
-            (form for form in forms if where.suffix.lower() in OWN_SUFFIXES & {*form.suffixes}), None
+            (form for form in forms if where.suffix.lower() in _OWN_SUFFIXES & {*form.suffixes}), None
         )
         if found is not None:
             return found
@@ -257,7 +404,7 @@ def form_for_output(path: Path) -> TrajectoryForm:
 def _form_named(name: str) -> TrajectoryForm | None:
     """The form of that name; None for a format of scenes."""
     if name not in TRAJECTORY_FORMS and name not in format_names():
-        known = ", ".join((*FORM_NAMES, *format_names()))
+        known = ", ".join((*_FORM_NAMES, *format_names()))
         raise OptionError(f"no form of trajectories {name!r}; there are {known}")
     return TRAJECTORY_FORMS.get(name)
 

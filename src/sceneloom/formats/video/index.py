@@ -1,19 +1,229 @@
-"""Which images a video holds, found by walking through its packets without decoding any."""
+"""The source of a video, and which images it holds: found from its packets or from the tables of an mp4.
 
-from collections.abc import Mapping
-from contextlib import suppress
+Without decoding.
+"""
+
+import io
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple, cast
 
 import av
 import numpy as np
+from av.codec.context import ThreadType
+from av.container import InputContainer
 from av.packet import Packet
 from av.video.stream import VideoStream
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import DataError
-from sceneloom.formats.video.matroska import check_whole
-from sceneloom.formats.video.source import OpenVideo, VideoSource, decoder_faults
+from sceneloom.formats.base.files import (
+    Bytes,
+    ByteStream,
+    check_pixels,
+    check_regular,
+    file_faults,
+    open_file,
+    processors,
+    why_no_file,
+)
+
+VideoSource = Path | str | bytes | bytearray | memoryview | Callable[[], BinaryIO]
+"""A file, its bytes, or a function that opens them anew each time."""
+
+_DEMUXERS = (
+    "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,flv,ogg,ivf,h264,hevc,obu,mjpeg,mxf,asf,nut,"
+    "yuv4mpegpipe"
+)
+"""Containers of one video each. Playlists are not among them: they could name any file or address."""
+
+_MOST_AHEAD = 4
+"""Images that are decoded at the same time at most: each is kept, and a jump waits for all of them."""
+
+
+def source_name(source: VideoSource, name: str | None) -> str:
+    """What messages call the video: the given name, else its path, else `video`."""
+    if name is not None:
+        return name
+    return str(source) if isinstance(source, Path | str) else "video"
+
+
+def as_path(source: Path | str) -> Path:
+    """The path of a file, of the class that it is of."""
+    return source if isinstance(source, Path) else Path(source)
+
+
+def open_bytes(source: VideoSource) -> BinaryIO:
+    """Open the source as a new seekable binary file."""
+    if isinstance(source, Path | str):
+        return open_file(as_path(source))
+    if callable(source):
+        return source()
+    return cast("BinaryIO", io.BufferedReader(ByteStream(memoryview(source).cast("B"))))
+
+
+@contextmanager
+def decoder_faults(name: str, location: str) -> Iterator[None]:
+    """Rotate whatever the video library raises into a DataError at `location`."""
+    try:
+        yield
+    except (av.FFmpegError, OSError, ValueError, MemoryError) as error:
+        problem = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise DataError(name, location, f"cannot be read as video: {problem}") from error
+
+
+class OpenVideo:
+    """An open container and its video stream; closes what it opened.
+
+    Attributes:
+        container: positioned at the first packet.
+        stream: the container's video.
+        works_ahead: whether the decoder gives images and faults some packets late.
+
+    Raises:
+        DataError: the source cannot be opened, is no video, or holds no video stream.
+    """
+
+    container: InputContainer
+    stream: VideoStream
+    works_ahead: bool = False
+
+    def __init__(self, source: VideoSource, name: str, *, options: Mapping[str, str] | None = None) -> None:
+        """Open the source and find its video stream.
+
+        Args:
+            source: the video.
+            name: what messages call it.
+            options: further ones for the container.
+        """
+        if isinstance(source, Path | str):
+            if not as_path(source).is_file():
+                raise DataError(
+                    name, "", "not a file" if as_path(source).is_dir() else why_no_file(as_path(source))
+                )
+            with file_faults(as_path(source)):
+                check_regular(as_path(source))
+        self._file: BinaryIO | None = None
+        with decoder_faults(name, ""):
+            self._open(source, options or {})
+        try:
+            self.stream = self._find_stream(name)
+        except DataError:
+            self.close()
+            raise
+
+    def _open(self, source: VideoSource, further: Mapping[str, str]) -> None:
+        if isinstance(source, Path | str):
+            # the prefix keeps a colon in a file's name from being taken for a protocol
+            target: Any = f"file:{os.fspath(source)}"
+        else:
+            target = self._file = open_bytes(source)
+        options = {"format_whitelist": _DEMUXERS, **further}
+        try:
+            self.container = cast("InputContainer", av.open(target, "r", container_options=options))
+        except BaseException:
+            self._close_file()
+            raise
+
+    def _find_stream(self, name: str) -> VideoStream:
+        stream = cast("VideoStream | None", self.container.streams.best("video"))
+        if stream is None:
+            raise DataError(name, "", "holds no video stream")
+        decoder = stream.codec_context
+        if decoder is None or decoder.width <= 0 or decoder.height <= 0:
+            raise DataError(name, "", "its video stream is of an unknown codec or image size")
+        check_pixels(name, "", decoder.width, decoder.height)
+        return stream
+
+    def decode_ahead(self) -> None:
+        """Have other processors work on the next images while the last is used; to be stated before there is one.
+
+        What others pass over is a fault to it, too: who wants to know
+        which packet is damaged, and to have what others make of it, asks one that does not work ahead.
+        """
+        available = processors()
+        if available == 1:
+            return
+        decoder = self.stream.codec_context
+        decoder.thread_type = ThreadType.AUTO
+        decoder.thread_count = min(available + 1, _MOST_AHEAD)
+        decoder.options = {**decoder.options, "err_detect": "explode"}
+        self.works_ahead = True
+
+    def _close_file(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def close(self) -> None:
+        """Release the container and the file under it."""
+        with suppress(av.FFmpegError, OSError):
+            self.container.close()
+        self._close_file()
+
+
+_SEGMENT = 0x18538067
+
+_LONGEST_HEAD = 12
+
+
+class _Element(NamedTuple):
+    """The head of an element; `stop` is None where its size is not known, as while it is being recorded."""
+
+    identifier: int
+    start: int
+    stop: int | None
+
+
+def _check_whole(source: VideoSource, name: str) -> None:
+    """Check that no element reaches beyond the end of the file.
+
+    Raises:
+        DataError: one does.
+    """
+    with open_bytes(source) as file:
+        size = file.seek(0, os.SEEK_END)
+        stop = _declared_stop(file, size)
+    if stop > size:
+        raise DataError(name, f"byte {size}", f"is cut off: the container goes on to byte {stop} at least")
+
+
+def _declared_stop(file: BinaryIO, size: int) -> int:
+    """The end of the element that reaches farthest, as far as the file can be followed."""
+    location = 0
+    while location < size:
+        element = _read_head(file, location)
+        if element is None:
+            return location
+        if element.stop is not None and element.stop > size:
+            return element.stop
+        into = element.identifier == _SEGMENT or element.stop is None
+        location = element.start if into else int(element.stop or 0)
+    return location
+
+
+def _read_head(file: BinaryIO, location: int) -> _Element | None:
+    file.seek(location)
+    head = file.read(_LONGEST_HEAD)
+    identifier_length = _width(head[:1], longest=4)
+    size_length = _width(head[identifier_length : identifier_length + 1], longest=8)
+    start = identifier_length + size_length
+    if not identifier_length or not size_length or len(head) < start:
+        return None
+    identifier = int.from_bytes(head[:identifier_length], "big")
+    unknown = (1 << 7 * size_length) - 1
+    size = int.from_bytes(head[identifier_length:start], "big") & unknown
+    return _Element(identifier, location + start, None if size == unknown else location + start + size)
+
+
+def _width(first: bytes, *, longest: int) -> int:
+    """How many bytes a number has whose first byte this is; 0 where none begins like this."""
+    width = 9 - first[0].bit_length() if first else 0
+    return width if width <= longest else 0
+
 
 _ASSUMED_RATE = Fraction(25)
 """Images a second where neither packets nor container name any time; only `timestamps` depend on it."""
@@ -122,7 +332,7 @@ def read_index(
     try:
         with decoder_faults(name, ""):
             if "matroska" in opened.container.format.name and not cut_off:
-                check_whole(source, name)
+                _check_whole(source, name)
             packets = _first_packets(opened) if cut_off else _walk(opened, name)
         tick, rate = opened.stream.time_base, opened.stream.average_rate
         return _index_of(
@@ -214,3 +424,75 @@ def _counted_index(packets: _Packets, time_base: Fraction, rate: Fraction | None
     pts = np.array([round(k * period) for k in range(count)], np.int64)
     start = np.zeros(count, np.int64)
     return VideoIndex(time_base, pts, np.arange(count), start, timed=False, hidden=packets.hidden)
+
+
+BY_TABLES = {"fflags": "noparse+nofillin"}
+"""Options for packets that are reported as the tables report them. Source.
+
+AVFMT_FLAG_NOPARSE of libavformat/avformat.h.
+"""
+
+_LONG_SIZE, _TO_THE_END = 1, 0
+
+_LOOKED_AT = 64 << 10
+
+_MOST_BOXES = 10_000
+
+
+def read_table_index(content: Bytes, name: str) -> VideoIndex:
+    """Walk through all packets of an mp4 video; of the bytes of its images only the first few are fetched.
+
+    Raises:
+        DataError: the container breaks off.
+    """
+    return read_index(lambda: open_hollow(content), name, options=BY_TABLES)
+
+
+def open_hollow(content: Bytes) -> BinaryIO:
+    """Open an mp4 video as a file whose images read as NULs, but for the first bytes.
+
+    By which decoders are reported.
+    """
+    payloads = [(start + _LOOKED_AT, stop) for start, stop in _media(content)]
+    return cast("BinaryIO", io.BufferedReader(_Hollow(content, payloads), _LOOKED_AT))
+
+
+class _Hollow(ByteStream):
+    """A file whose payloads read as NULs."""
+
+    def __init__(self, content: Bytes, payloads: list[tuple[int, int]]) -> None:
+        super().__init__(content)
+        self._payloads = payloads
+
+    def readinto(self, buffer: Any) -> int:
+        start, length = self.location, len(buffer)
+        for first, stop in self._payloads:
+            if first <= start < stop:
+                length = min(length, stop - start)
+                buffer[:length] = bytes(length)
+                self.location += length
+                return length
+            if start < first:
+                length = min(length, first - start)
+        return super().readinto(memoryview(buffer)[:length])
+
+
+def _media(content: Bytes) -> Iterator[tuple[int, int]]:
+    """What is in the boxes that hold images: first byte, and the one after the last.
+
+    Source: ISO/IEC 14496-12, 4.2 (boxes) and 8.1.1 (media data).
+    """
+    location = 0
+    for _ in range(_MOST_BOXES):
+        head = bytes(content[location : location + 16])
+        if len(head) < 8:
+            return
+        size, name, header = int.from_bytes(head[:4], "big"), head[4:8], 8
+        if size == _LONG_SIZE:
+            size, header = int.from_bytes(head[8:16], "big"), 16
+        stop = len(content) if size == _TO_THE_END else location + size
+        if stop < location + header:
+            return
+        if name == b"mdat":
+            yield location + header, min(stop, len(content))
+        location = stop

@@ -1,30 +1,303 @@
-"""Frame-exact reading of a video: any image by its number; forward without seeking or decoding twice."""
+"""Frame-exact reading of a video: any image by its number, forward without seeking or decoding twice, as red.
 
+Green and blue; and videos as the images of a camera.
+"""
+
+import os
+from collections import deque
+from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO, Protocol, Self
+from weakref import WeakValueDictionary
 
+import av
 import numpy as np
+from av.packet import Packet
 from av.video.frame import VideoFrame
+from av.video.plane import VideoPlane
+from av.video.reformatter import Interpolation, VideoReformatter
+from av.video.stream import VideoStream
 
-from sceneloom.arrays import Float64Array, UInt8Array, UInt16Array
+from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, UInt16Array
+from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
-from sceneloom.formats.identity import FileIdentity
-from sceneloom.formats.video.colours import Colours
-from sceneloom.formats.video.cursor import Cursor
-from sceneloom.formats.video.forking import rest_while_forking
-from sceneloom.formats.video.index import VideoIndex, read_index
-from sceneloom.formats.video.source import (
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.files import FileIdentity, open_file
+from sceneloom.formats.video.index import (
     OpenVideo,
+    VideoIndex,
     VideoSource,
     as_path,
+    codec_reorders,
     decoder_faults,
     open_bytes,
+    presentation_ticks,
+    read_index,
+    read_table_index,
     source_name,
 )
-from sceneloom.formats.video.table_index import read_table_index
+from sceneloom.kernels.images import conversion_factors, rgb_from_halved_chroma
+from sceneloom.scene.cameras import CameraImage, VideoContent
+
+
+class Cursor:
+    """Decodes onward from where a container stands; keeps the image it gave last and nothing else.
+
+    Attributes:
+        first: the first image it can give; those before it need another start.
+    """
+
+    def __init__(self, opened: OpenVideo, images: VideoIndex, name: str) -> None:
+        """Start at the container's next packet, taken to be its first.
+
+        Raises:
+            DataError: damage has changed the stream's codec to an unknown one.
+        """
+        self.first = 0
+        self._images, self._name = images, name
+        self._works_ahead = opened.works_ahead
+        with decoder_faults(name, ""):
+            self._reorders = codec_reorders(opened.stream)
+            self._packets: Iterator[Packet[VideoStream]] = opened.container.demux(opened.stream)
+        self._pending: deque[VideoFrame] = deque()
+        self._current: tuple[int, VideoFrame] | None = None
+        self._next = 0
+        self._entered: Packet[VideoStream] | None = None
+        self._broken: int | None = None
+
+    def enter(self, entry: int) -> bool:
+        """Go on to the next key frame; report whether it lies early enough for what starts at `entry`."""
+        with decoder_faults(self._name, f"image {entry}"):
+            for packet in self._packets:
+                image = self._images.find(presentation_ticks(packet, reorders=self._reorders))
+                if packet.size and packet.is_keyframe and image is not None:
+                    self.first, self._next, self._entered = image, image, packet
+                    return bool(self._images.positions[image] <= self._images.positions[entry])
+        return False
+
+    def reaches(self, index: int) -> bool:
+        """Whether decoding on gives this image, and no key frame further on gives it sooner."""
+        if self._current is not None and self._current[0] == index:
+            return True
+        return index >= self._next and int(self._images.entries[index]) <= self._next
+
+    def advance(self, index: int) -> VideoFrame | None:
+        """Decode on until this image; None where the decoder passes over it.
+
+        Raises:
+            DataError: the image, or one that it leans on, is damaged.
+        """
+        while self._current is None or self._current[0] != index:
+            step = self._decode_next(index)
+            if step is None:
+                return None
+            self._current, self._next = step, step[0] + 1
+            if step[0] > index:
+                return None
+        frame = self._current[1]
+        if frame.is_corrupt or self._leans_on_broken(index):
+            raise DataError(self._name, f"image {index}", "cannot be decoded: it or one before it is damaged")
+        return frame
+
+    def _leans_on_broken(self, index: int) -> bool:
+        if self._broken is None:
+            return False
+        images = self._images
+        same_group = images.entries[index] == images.entries[self._broken]
+        return bool(same_group and images.positions[index] >= images.positions[self._broken])
+
+    def _decode_next(self, wanted: int) -> tuple[int, VideoFrame] | None:
+        while True:
+            while not self._pending:
+                packet = self._next_packet()
+                if packet is None:
+                    return None
+                self._pending.extend(self._decode(packet, wanted))
+            frame = self._pending.popleft()
+            image = self._images.find(frame.pts) if self._images.timed else self._next
+            if image is not None:
+                return image, frame
+
+    def _next_packet(self) -> "Packet[VideoStream] | None":
+        if self._entered is not None:
+            packet, self._entered = self._entered, None
+            return packet
+        with decoder_faults(self._name, f"image {self._next}"):
+            return next(self._packets, None)
+
+    def _decode(self, packet: "Packet[VideoStream]", wanted: int) -> list[VideoFrame]:
+        if self._images.timed and packet.size:
+            packet.pts = presentation_ticks(packet, reorders=self._reorders)
+        try:
+            return packet.decode()
+        except (av.FFmpegError, ValueError) as error:
+            image = self._images.find(packet.pts) if self._images.timed else None
+            if image is not None:
+                self._note_broken(image)
+            if image is None or image == wanted or self._works_ahead:
+                raise DataError(self._name, f"image {wanted}", f"cannot be decoded: {error}") from error
+            return []
+
+    def _note_broken(self, image: int) -> None:
+        """Remember the first one of a group."""
+        entries = self._images.entries
+        if self._broken is None or entries[self._broken] != entries[image]:
+            self._broken = image
+
+
+class Resting(Protocol):
+    """What can be put to rest while its process forks."""
+
+    def hold(self) -> None:
+        """Close what must not be forked, and let nothing be opened until `release`."""
+        ...
+
+    def release(self) -> None:
+        """Go on, in the parent as in the child."""
+        ...
+
+
+_KNOWN: "WeakValueDictionary[int, Resting]" = WeakValueDictionary()
+
+_HELD: list[Resting] = []
+
+
+def _rest_while_forking(holder: Resting) -> None:
+    """Have an object put to rest whenever the process forks, as long as there are other references to it."""
+    _KNOWN[id(holder)] = holder
+
+
+def _hold() -> None:
+    for reference in _KNOWN.valuerefs():
+        holder = reference()
+        if holder is not None:
+            holder.hold()
+            _HELD.append(holder)
+
+
+def _release() -> None:
+    while _HELD:
+        _HELD.pop().release()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_hold, after_in_parent=_release, after_in_child=_release)
+
+_TO_RGB = Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
+"""Chroma interpolated, results rounded: half a level off the formulas, where the fast way is 1 to 3 dark."""
+
+_HALVED = frozenset({"yuv420p", "yuvj420p"})
+"""FFmpeg's names of pixels in three planes of bytes, the colours at half the resolution both ways."""
+
+
+class _Colours:
+    """Converts the images of one stream; for one thread at a time."""
+
+    def __init__(self) -> None:
+        self._reformatter = VideoReformatter()
+        self._formulas: dict[tuple[str, int, int, bool], _ColourFormula | None] = {}
+
+    def rgb(self, frame: VideoFrame) -> UInt8Array:
+        """Give (height, width, 3) uint8, red green blue.
+
+        Raises:
+            av.FFmpegError, ValueError: the converter does not know the image's pixels.
+        """
+        formula = self._formula_of(frame) if _is_halved(frame) else None
+        return _convert(frame, self._reformatter) if formula is None else formula.rgb(frame)
+
+    def _formula_of(self, frame: VideoFrame) -> "_ColourFormula | None":
+        kind = (frame.format.name, frame.colorspace, frame.color_range, frame.interlaced_frame)
+        if kind not in self._formulas:
+            # loads the compiler: for images only, not for opening and counting
+
+            self._formulas[kind] = _formula_like_converter(frame)
+        return self._formulas[kind]
+
+
+def _convert(frame: VideoFrame, reformatter: VideoReformatter) -> UInt8Array:
+    """Have FFmpeg's converter give (height, width, 3) uint8, red green blue, of any kind of pixels.
+
+    Raises:
+        av.FFmpegError, ValueError: it does not know them.
+    """
+    image = reformatter.reformat(frame, format="rgb24", interpolation=_TO_RGB, threads=1)
+    return np.ascontiguousarray(image.to_ndarray())
+
+
+def _is_halved(frame: VideoFrame) -> bool:
+    """Whether all colours are halves; of an odd size the converter stretches them, and rows may stand upside down."""
+    even = not (frame.width % 2 or frame.height % 2)
+    return (
+        frame.format.name in _HALVED
+        and even
+        and all(plane.line_size >= plane.width for plane in frame.planes)
+    )
+
+
+_SHARES = ((0.299, 0.114), (0.2126, 0.0722))
+"""Of red and of blue in brightness. Source: ITU-R BT.601-7 and BT.709-6, clause 3."""
+
+_PROBE_WIDTH, _PROBE_HEIGHT = 32, 16
+"""Room for a hundred samples of colour."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ColourFormula:
+    """How brightness and halved colours become red, green and blue.
+
+    Attributes:
+        factors: (6,) as the kernel takes them.
+        half_columns: how far right of the even column a sample of colour lies, in halves of a pixel: 0 or 1.
+    """
+
+    factors: Int64Array
+    half_columns: int
+
+    def rgb(self, frame: VideoFrame) -> UInt8Array:
+        """Give (height, width, 3) uint8 of an image of even size in three planes of bytes."""
+        luma, blue, red = (_rows(plane) for plane in frame.planes)
+        rgb = np.empty((frame.height, frame.width, 3), np.uint8)
+        lines = rgb.reshape(frame.height, 3 * frame.width)
+        rgb_from_halved_chroma(luma, blue, red, self.factors, self.half_columns, lines)
+        return rgb
+
+
+_FORMULAS = tuple(
+    _ColourFormula(conversion_factors(*shares, full=full), half_columns)
+    for shares, full, half_columns in product(_SHARES, (False, True), (0, 1))
+)
+
+
+def _formula_like_converter(frame: VideoFrame) -> _ColourFormula | None:
+    """Find the formula that gives what the converter gives, within a level, for an image marked like this one.
+
+    The marks that state where samples of colour lie are shown to the converter only, so it is asked by an image that
+    it marks itself. None where no formula of ours does.
+    """
+    probe = VideoReformatter().reformat(frame, width=_PROBE_WIDTH, height=_PROBE_HEIGHT)
+    if probe is frame:
+        return None
+    random = np.random.default_rng(0)
+    for plane in probe.planes:
+        plane.update(random.integers(60, 190, plane.buffer_size, dtype=np.uint8).tobytes())
+    expected = _convert(probe, VideoReformatter()).astype(np.int16)
+    for formula in _FORMULAS:
+        if np.abs(formula.rgb(probe) - expected).max() <= 1:
+            return formula
+    return None
+
+
+def _rows(plane: VideoPlane) -> UInt8Array:
+    """(height, at least width), the memory of the plane itself."""
+    return np.frombuffer(memoryview(plane), np.uint8).reshape(plane.height, plane.line_size)
+
 
 _TABLES = b"ftyp"
 """What mp4 and mov videos begin with after four bytes: their tables state where each image is. Matroska has none."""
@@ -89,9 +362,9 @@ class VideoReader:
     def _begin(self) -> None:
         """Make what no other process can have a part in."""
         self._cursor: Cursor | None = None
-        self._colours = Colours()
+        self._colours = _Colours()
         self._lock = Lock()
-        rest_while_forking(self)
+        _rest_while_forking(self)
 
     def __getstate__(self) -> dict[str, Any]:
         source = self._source
@@ -320,3 +593,123 @@ def open_video(source: VideoSource, *, name: str | None = None, cut_off: bool = 
         with suppress(DataError):  # what is wrong with it, all of it reports
             return VideoReader(content, name=shown, index=read_table_index(content, shown))
     return VideoReader(source, name=name, cut_off=cut_off)
+
+
+class VideoFile:
+    """A video by its path. In another process it opens again, if it is still the file that was opened here.
+
+    Attributes:
+        path: the file.
+        cut_off: whether only what is left of a damaged video is read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open nothing yet."""
+        self.path = path
+        self.cut_off = False
+        self._closed = False
+        self._reader: VideoReader | None = None
+        self._lock = Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "cut_off": self.cut_off, "_closed": self._closed, "_reader": self._reader}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = Lock()
+
+    def reader(self) -> VideoReader:
+        """The open video.
+
+        Raises:
+            DataError: it cannot be read as one, or was closed.
+        """
+        with self._lock:
+            if self._closed:
+                raise DataError(self.path, "", "is closed")
+            if self._reader is None:
+                self._reader = open_video(self.path, cut_off=self.cut_off)
+            return self._reader
+
+    def whole_or_left(self, ledger: Ledger) -> VideoReader:
+        """The open video with its list of images; a lenient reading takes what is left of one that breaks off.
+
+        Raises:
+            DataError: it cannot be read, or no image of it is left.
+        """
+        reader = self.reader()
+        try:
+            reader.index  # noqa: B018 - the walk through the packets finds out whether it is whole
+        except DataError as error:
+            if not ledger.lenient:
+                raise
+            reader.close()
+            self._reader, self.cut_off = None, True
+            try:
+                count = self.reader().count
+            except DataError:
+                count = 0
+            if count == 0:
+                raise error from None
+            problem = f"{error.problem}; its first {count} images are read"
+            ledger.fault("unreadable-videos", DataError(error.file, error.location, problem))
+        return self.reader()
+
+    def rgb(self, index: int) -> UInt8Array:
+        """Decode one image."""
+        return self.reader().rgb(index)
+
+    def container_ns(self) -> Int64Array:
+        """The times that the video has itself, (N,) int64 [ns], rounded from its ticks once each.
+
+        Raises:
+            DataError: it has none.
+        """
+        index = self.reader().index
+        if not index.timed:
+            raise DataError(self.path, "", "has no times of its own; give them with csv, lines or rate_hz")
+        ticks, base = index.pts.tolist(), index.time_base * 10**9
+        return np.array([round(tick * base) for tick in ticks], np.int64)
+
+    def open_binary(self) -> BinaryIO:
+        """Open the video's bytes."""
+        return open_file(self.path)
+
+    def content(self, chosen: Int64Array) -> VideoContent | None:
+        """The video for those who copy it, with the images that are used of it; None for what is left of one."""
+        if self.cut_off:
+            return None
+        reader = self.reader()
+        whole = np.array_equal(chosen, np.arange(reader.count))
+        return VideoContent(self.open_binary, reader.codec, None if whole else tuple(chosen.tolist()))
+
+    def close(self) -> None:
+        """Release the file; no image can be read afterwards."""
+        with self._lock:
+            self._closed = True
+            if self._reader is not None:
+                self._reader.close()
+            self._reader = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VideoImages:
+    """Makes the images of one camera from a video.
+
+    Attributes:
+        video: the file.
+        chosen: (N,) int64, number of each image in the video.
+        timestamps_ns: (N,) int64 [ns].
+        camera: the camera model of all.
+    """
+
+    video: VideoFile
+    chosen: Int64Array
+    timestamps_ns: Int64Array
+    camera: Camera
+
+    def __call__(self, k: int) -> CameraImage:
+        """Make image `k` without decoding it."""
+        return CameraImage(
+            int(self.timestamps_ns[k]), self.camera, partial(self.video.rgb, int(self.chosen[k]))
+        )

@@ -1,24 +1,204 @@
-"""Putting a video into another container: its packets copied where that can be done, encoded anew where not."""
+"""Remuxing: the packets of a video copied into another container or into Annex B messages.
 
+Encoded again only where they cannot be copied.
+"""
+
+import io
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cache
 from io import BytesIO
 from itertools import chain
-from typing import BinaryIO
+from typing import Any, BinaryIO, Self, cast
 
+import av
 import numpy as np
+from av.container import OutputContainer
+from av.packet import Packet
+from av.video.stream import VideoStream
 
-from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
-from sceneloom.errors import DataError, OutputError
-from sceneloom.formats.video.index import VideoIndex
-from sceneloom.formats.video.packet_copy import PacketTimes, check_count, copy_packets
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
+from sceneloom.errors import ArrayError, DataError, OutputError
+from sceneloom.formats.base.files import FileView
+from sceneloom.formats.video.index import (
+    OpenVideo,
+    VideoIndex,
+    VideoSource,
+    decoder_faults,
+    read_index,
+    source_name,
+)
 from sceneloom.formats.video.reader import VideoReader
-from sceneloom.formats.video.source import VideoSource, source_name
-from sceneloom.formats.video.writer import VideoTarget, VideoWriter, open_container, target_name
+from sceneloom.formats.video.writer import (
+    MICROSECONDS,
+    VideoTarget,
+    VideoWriter,
+    abandon,
+    open_container,
+    target_name,
+    writing_faults,
+)
+from sceneloom.scene.cameras import VideoContent
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PacketTimes:
+    """When the packets of a copy are shown and decoded.
+
+    Attributes:
+        tick: length of one tick [s].
+        pts, dts, durations: (N,) int64 [ticks], one per packet in the order of storage.
+    """
+
+    tick: Fraction
+    pts: Int64Array
+    dts: Int64Array
+    durations: Int64Array
+
+    @classmethod
+    def of(cls, index: VideoIndex, timestamps_seconds: Sequence[float] | Float64Array | None) -> Self:
+        """Spread times, given in the order of showing, over the packets in their order of storage.
+
+        An image must be decoded no later than it is shown. With the packets' times sorted, s, and d the most
+        locations that a packet is stored behind its rank in showing, dts[k] = s[k - d] fulfils that and increases;
+        before the first time it goes on backwards in steps of the first period.
+        """
+        if timestamps_seconds is None:
+            tick, shown = index.time_base, index.pts - index.pts[:1]
+        else:
+            tick, shown = MICROSECONDS, _to_ticks(timestamps_seconds, len(index))
+        count = len(shown)
+        periods = np.ones(count, np.int64)
+        periods[:-1] = np.diff(shown)
+        periods[-1:] = periods[-2:-1] if count > 1 else 1
+        ranks = np.empty(count, np.int64)
+        ranks[index.positions] = np.arange(count)
+        delay = int((np.arange(count) - ranks).max(initial=0))
+        before = -periods[:1] * np.arange(delay, 0, -1)
+        return cls(tick, shown[ranks], np.concatenate([before, shown])[:count], periods[ranks])
+
+
+def _check_count(timestamps: int, images: int) -> None:
+    """Refuse a list of times that is not one for each image.
+
+    Raises:
+        ArrayError: it is not.
+    """
+    if timestamps != images:
+        raise ArrayError(f"timestamps_seconds: {timestamps} times for {images} images; expected one for each")
+
+
+def _copy_packets(
+    source: VideoSource,
+    target: VideoTarget,
+    container: str,
+    times: _PacketTimes,
+    name: str,
+    *,
+    taken: BoolArray | None = None,
+) -> None:
+    """Copy packets that hold images into a new container, one at a time.
+
+    Args:
+        source: the video.
+        target: where to.
+        container: of what kind.
+        times: of the packets that are copied.
+        name: what messages call the source.
+        taken: (N,) bool, which packets to copy, in the order of storage; None for all.
+
+    Raises:
+        DataError: the source is damaged.
+        OutputError: the target cannot be written.
+    """
+    called = target_name(target)
+    opened = OpenVideo(source, name)
+    try:
+        header = len(opened.stream.codec_context.extradata or b"")
+        output = open_container(target, container, images=len(times.pts), header_bytes=header)
+        try:
+            with writing_faults(called):
+                stream = _same_stream(output, opened.stream, times.tick)
+            for position, packet in enumerate(_taken(_iter_image_packets(opened, name), taken)):
+                _set_times(packet, times, position, name)
+                packet.stream = stream
+                with writing_faults(called):
+                    output.mux_one(packet)
+        except BaseException:
+            abandon(output)
+            raise
+        with writing_faults(called):
+            output.close()
+    finally:
+        opened.close()
+
+
+def _same_stream(output: OutputContainer, original: VideoStream, tick: Fraction) -> VideoStream:
+    """Add a stream like another one to a file, with ticks of its own."""
+    stream = output.add_stream_from_template(original, opaque=True)
+    stream.time_base = tick
+    if "matroska" in output.format.name and original.average_rate:
+        # else readers take the ticks for the rate
+        stream.codec_context.framerate = original.average_rate
+    if output.format.name == "mp4" and original.codec_context.codec.canonical_name == "hevc":
+        # of the two names of HEVC in mp4, Apple's players know this one only
+        stream.codec_context.codec_tag = "hvc1"
+    return stream
+
+
+def _iter_image_packets(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoStream]]":
+    """Give the packets that hold an image which is shown, in the order of storage.
+
+    Raises:
+        DataError: the container is damaged.
+    """
+    packets = opened.container.demux(opened.stream)
+    while True:
+        with decoder_faults(name, ""):
+            packet = next(packets, None)
+        if packet is None:
+            return
+        if packet.size and not packet.is_discard:
+            yield packet
+
+
+def _taken(
+    packets: "Iterator[Packet[VideoStream]]", taken: BoolArray | None
+) -> "Iterator[Packet[VideoStream]]":
+    if taken is None:
+        return packets
+    # packets beyond those that were there before are handed on, and refused there
+    return (packet for k, packet in enumerate(packets) if k >= len(taken) or taken[k])
+
+
+def _set_times(packet: "Packet[VideoStream]", times: _PacketTimes, position: int, name: str) -> None:
+    """Set the times of the packet that is stored at a position.
+
+    Raises:
+        DataError: no time was found for it: the file is being changed.
+    """
+    if position >= len(times.pts):
+        raise DataError(name, f"packet {position}", "was not there before; the file changes while it is read")
+    packet.time_base = times.tick
+    packet.pts, packet.dts = int(times.pts[position]), int(times.dts[position])
+    packet.duration = int(times.durations[position])
+
+
+def _to_ticks(timestamps_seconds: Sequence[float] | Float64Array, count: int) -> Int64Array:
+    timestamps = np.asarray(timestamps_seconds, np.float64)
+    _check_count(len(timestamps), count)
+    ticks = np.rint((timestamps - timestamps[:1]) / float(MICROSECONDS)).astype(np.int64)
+    backwards = np.flatnonzero(np.diff(ticks) <= 0)
+    if len(backwards):
+        k = int(backwards[0]) + 1
+        raise ArrayError(f"timestamps_seconds[{k}]: {timestamps[k]}; expected more than {timestamps[k - 1]}")
+    return ticks
+
 
 _MP4_CODECS = frozenset({"h264", "hevc"})
 """What is copied into mp4; others either do not belong there or play nowhere."""
+
 _DEFAULT_FPS = 10.0
 
 
@@ -81,7 +261,7 @@ def remux_to_mp4(
             )
             return RemuxResult(result.images, result.codec, copied=False, reason=reason)
         codec, index = reader.codec, reader.index
-    copy_packets(source, target, "mp4", PacketTimes.of(index, timestamps_seconds), called)
+    _copy_packets(source, target, "mp4", _PacketTimes.of(index, timestamps_seconds), called)
     return RemuxResult(len(index), codec, copied=True)
 
 
@@ -118,12 +298,12 @@ def copy_to_matroska(
             return None
         codec, index = reader.codec, reader.index
     taken = np.arange(len(index)) if frame_indices is None else np.asarray(frame_indices, np.int64)
-    if not can_be_cut(index, taken) or codec not in _codecs_of_matroska():
+    if not _can_be_cut(index, taken) or codec not in _codecs_of_matroska():
         return None
-    times = PacketTimes.of(index.part(taken), None)
+    times = _PacketTimes.of(index.part(taken), None)
     is_taken = np.zeros(len(index), np.bool_)
     is_taken[index.positions[taken]] = True
-    copy_packets(source, target, "matroska", times, called, taken=is_taken)
+    _copy_packets(source, target, "matroska", times, called, taken=is_taken)
     return RemuxResult(len(taken), codec, copied=True)
 
 
@@ -134,7 +314,7 @@ def _codecs_of_matroska() -> frozenset[str]:
         return frozenset(container.supported_codecs)
 
 
-def can_be_cut(index: VideoIndex, taken: Int64Array) -> bool:
+def _can_be_cut(index: VideoIndex, taken: Int64Array) -> bool:
     """Whether some images of a video can be decoded without the others.
 
     An image needs what is stored from its key frame up to it, and nothing else.
@@ -227,4 +407,103 @@ def _with_times(
         if count < len(timestamps):
             yield rgb, float(timestamps[count])
         count += 1
-    check_count(len(timestamps), count)
+    _check_count(len(timestamps), count)
+
+
+_FILTERS = {"h264": "h264_mp4toannexb", "hevc": "hevc_mp4toannexb"}
+"""FFmpeg's filters that put packets into Annex B form, with the parameters before each key image."""
+
+_START_CODE = b"\x00\x00\x01"
+
+_PARAMETERS = {"h264": lambda byte: byte & 0x1F == 7, "hevc": lambda byte: (byte >> 1) & 0x3F == 33}
+"""Whether a unit with this first byte holds the parameters of a sequence, without which nothing is decoded."""
+
+
+def starts_video(packet: bytes | memoryview, codec: str) -> bool:
+    """Whether decoding can begin with a packet in Annex B form: whether it holds the sequence's parameters."""
+    content, location = bytes(packet), 0
+    while (location := content.find(_START_CODE, location)) >= 0 and location + 3 < len(content):
+        if _PARAMETERS[codec](content[location + 3]):
+            return True
+        location += 3
+    return False
+
+
+def annex_b_to_mp4(raw: BinaryIO, target: BinaryIO, timestamps_ns: Int64Array, name: str) -> None:
+    """Put a stream in Annex B form into an mp4 file.
+
+    Args:
+        raw: the packets one after another.
+        target: a seekable binary file.
+        timestamps_ns: (N,) int64 [ns], when each image is shown, in the order of decoding.
+        name: what messages call the video.
+
+    Raises:
+        DataError: the packets cannot be read, or are more or fewer than their times.
+    """
+    order = np.argsort(timestamps_ns, kind="stable").astype(np.int64)
+    micros = (timestamps_ns[order] - timestamps_ns[order[:1]]) // 1000
+    # images of one microsecond keep their order
+    steps = np.arange(len(micros))
+    ticks = np.maximum.accumulate(micros - steps) + steps
+    zeros = np.zeros(len(order), np.int64)
+    index = VideoIndex(Fraction(1, 1_000_000), ticks, order, zeros, timed=True, hidden=0)
+    times = _PacketTimes.of(index, (ticks * 1e-6).astype(np.float64))
+    _copy_packets(lambda: cast("BinaryIO", io.BufferedReader(FileView(raw))), target, "mp4", times, name)
+
+
+class AnnexBPackets:
+    """The packets of a camera's video, one by one.
+
+    Attributes:
+        codec: "h264" or "hevc".
+        reordered: whether images are decoded in another order than they are shown in.
+        order: (N,) int64, which image of the camera each packet is, in the order of decoding.
+    """
+
+    def __init__(self, video: VideoContent, count: int, name: str) -> None:
+        """List the packets.
+
+        Args:
+            video: that they are of.
+            count: images of the camera.
+            name: what messages call the video.
+
+        Raises:
+            DataError: the video is damaged, or has another number of images.
+        """
+        self.codec, self._video, self._name = video.codec, video, name
+        index = read_index(video.open, name)
+        indices = video.frame_indices
+        chosen = np.arange(len(index)) if indices is None else np.asarray(indices, np.int64)
+        if len(chosen) != count:
+            raise DataError(name, "", f"{len(chosen)} images; expected {count} as the camera has")
+        self.obstacle = _video_packets_obstacle(video.codec, index, chosen)
+        positions = index.positions[chosen] if self.obstacle is None else np.zeros(0, np.int64)
+        self.order = np.argsort(positions).astype(np.int64)
+        self.reordered = bool((np.diff(self.order) < 0).any())
+        self._wanted = frozenset(positions.tolist())
+
+    def __iter__(self) -> Iterator[bytes]:
+        opened = OpenVideo(self._video.open, self._name)
+        try:
+            with decoder_faults(self._name, ""):
+                filtered: Any = av.BitStreamFilterContext(_FILTERS[self.codec], in_stream=opened.stream)
+            for position, packet in enumerate(_iter_image_packets(opened, self._name)):
+                with decoder_faults(self._name, f"packet {position}"):
+                    content = b"".join(bytes(part) for part in filtered.filter(packet))
+                if position in self._wanted:
+                    yield content
+        finally:
+            opened.close()
+
+
+def _video_packets_obstacle(codec: str, index: VideoIndex, chosen: Sequence[int] | Int64Array) -> str | None:
+    """Why the packets cannot be handed on; None where they can."""
+    if codec not in _FILTERS:
+        return f"messages hold H.264 and HEVC, the video is {codec}"
+    if index.hidden:
+        return "the video holds images that are not to be shown"
+    if not _can_be_cut(index, np.asarray(chosen, np.int64)):
+        return "images that are taken need others that are not"
+    return None

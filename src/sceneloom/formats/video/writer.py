@@ -1,4 +1,4 @@
-"""Encoding images into a video file."""
+"""Encoding images into a video file, and the codecs that the video library brings."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Any, BinaryIO, Self, cast
+from typing import Any, BinaryIO, Literal, Self, cast
 
 import av
 import numpy as np
@@ -18,15 +18,64 @@ from av.video.stream import VideoStream
 from sceneloom.arrays import UInt8Array, UInt16Array, check_array
 from sceneloom.errors import ArrayError, OptionError, OutputError
 
+_WANTED: Mapping[str, tuple[str, Literal["r", "w"]]] = MappingProxyType(
+    {
+        "H.264, read": ("h264", "r"),
+        "H.264, written": ("libx264", "w"),
+        "FFV1, read": ("ffv1", "r"),
+        "FFV1, written": ("ffv1", "w"),
+        "HEVC, read": ("hevc", "r"),
+        "AV1, read": ("libdav1d", "r"),
+        "VP9, read": ("vp9", "r"),
+        "MJPEG, read": ("mjpeg", "r"),
+    }
+)
+
+NEEDED_CODECS = ("H.264, read", "H.264, written", "FFV1, read", "FFV1, written")
+"""Without these, recordings cannot be read or written."""
+
+_LOSSY, _LOSSLESS = 1 << 1, 1 << 2
+"""Source: AV_CODEC_PROP_LOSSY and AV_CODEC_PROP_LOSSLESS of libavcodec/codec_desc.h."""
+
+
+def is_lossless(codec: str) -> bool:
+    """Whether videos of a codec, as FFmpeg calls it, never lose anything."""
+    from av.codec import Codec
+    from av.codec.codec import UnknownCodecError
+
+    try:
+        properties = int(Codec(codec, "r").properties)
+    except (UnknownCodecError, ValueError):
+        return False
+    return bool(properties & _LOSSLESS) and not properties & _LOSSY
+
+
+def available_codecs() -> dict[str, bool]:
+    """Report of each codec that drives come in whether it is there."""
+    from av.codec import Codec
+    from av.codec.codec import UnknownCodecError
+
+    found = {}
+    for words, (name, mode) in _WANTED.items():
+        try:
+            found[words] = Codec(name, mode) is not None
+        except (UnknownCodecError, ValueError):
+            found[words] = False
+    return found
+
+
 VideoTarget = Path | BinaryIO
 """A file to be made, or a seekable binary file open for writing, which stays open."""
 
 MICROSECONDS = Fraction(1, 1_000_000)
+
 _TICKS = MappingProxyType({"matroska": Fraction(1, 1000), "mp4": MICROSECONDS})
 """Length of one tick in each container; Matroska's is the millisecond that its muxer is bound to."""
+
 _CONTAINERS = MappingProxyType({".mkv": "matroska", ".mp4": "mp4"})
 
 _TO_YUV = Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INP | Interpolation.ACCURATE_RND
+
 _BT601_MATRIX = 6
 """AVCOL_SPC_SMPTE170M. Readers that ignore what a stream says of its colours, OpenCV among them, take BT.601."""
 
@@ -64,7 +113,7 @@ _X264 = "chromaloc=1:mbtree=0"
 """Chroma is averaged over each square of four pixels; H.264 supposes it at the left edge where a stream is silent.
 Without macroblock trees, since with them the same images now and then gave other bytes."""
 
-_LOSSLESS = MappingProxyType({"level": "3", "slices": "4", "slicecrc": "1", "g": "1", "threads": "2"})
+_WRITER_LOSSLESS = MappingProxyType({"level": "3", "slices": "4", "slicecrc": "1", "g": "1", "threads": "2"})
 
 _ENCODERS = MappingProxyType(
     {
@@ -72,8 +121,8 @@ _ENCODERS = MappingProxyType(
         "h264": _Encoder(
             "libx264", "yuv420p", {"preset": "fast", "threads": "2", "x264-params": _X264}, halves=True
         ),
-        "ffv1": _Encoder("ffv1", "bgr0", _LOSSLESS),
-        "ffv1-gray16": _Encoder("ffv1", "gray16le", _LOSSLESS, sixteen_bits=True),
+        "ffv1": _Encoder("ffv1", "bgr0", _WRITER_LOSSLESS),
+        "ffv1-gray16": _Encoder("ffv1", "gray16le", _WRITER_LOSSLESS, sixteen_bits=True),
     }
 )
 

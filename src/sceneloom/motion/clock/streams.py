@@ -1,4 +1,4 @@
-"""The streams of a drive that have a clock, and what each reports the ego's motion."""
+"""The streams of a drive that have a clock, and the comparison of two of them."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -6,18 +6,26 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import SceneloomError
-from sceneloom.motion.clock.dead_reckoning import DeadReckonedTrajectory, Unit
-from sceneloom.motion.clock.rotating import Rotating
-from sceneloom.motion.clock.trajectories import Fixes, SmoothedTrajectory, TrajectoryCurve
-from sceneloom.motion.imu_samples import ACCELEROMETER, GYROSCOPE
+from sceneloom.motion.clock.comparison import LEVER_SIGMA, REACH_NS, compare_trajectories, compare_turnings
+from sceneloom.motion.clock.estimate import ClockEstimate, ClockVerdict
+from sceneloom.motion.clock.signals import (
+    DeadReckonedTrajectory,
+    Fixes,
+    Rotating,
+    SmoothedTrajectory,
+    TrajectoryCurve,
+    Unit,
+)
+from sceneloom.motion.imu import ACCELEROMETER, GYROSCOPE
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
-from sceneloom.scene.motion import GnssSensor, ImuSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory
-from sceneloom.scene.scene import Scene
-from sceneloom.scene.span import frame_times
+from sceneloom.scene.scene import Scene, frame_times
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
 
 
@@ -32,7 +40,7 @@ class StreamKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReportedMotion:
+class _ReportedMotion:
     """What a stream reports the ego's motion.
 
     Attributes:
@@ -67,7 +75,7 @@ class Stream:
     kind: StreamKind
     source: Any
     scene: Scene
-    _reported: ReportedMotion | None = field(default=None)
+    _reported: _ReportedMotion | None = field(default=None)
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
@@ -83,7 +91,7 @@ class Stream:
             return False
         return max(mine[0], others[0]) <= min(mine[1], others[1]) + reach_ns
 
-    def reported(self, progress: Progress | None = None) -> ReportedMotion:
+    def reported(self, progress: Progress | None = None) -> _ReportedMotion:
         """What it reports the motion; worked out once, which for images and sweeps takes long.
 
         Args:
@@ -93,7 +101,7 @@ class Stream:
             try:
                 self._reported = _TELLERS[self.kind](self, progress)
             except SceneloomError as error:
-                self._reported = ReportedMotion(why_not=str(error))
+                self._reported = _ReportedMotion(why_not=str(error))
         return self._reported
 
 
@@ -117,60 +125,60 @@ def streams_of(scene: Scene) -> tuple[Stream, ...]:
     )
 
 
-def _of_imu(stream: Stream, progress: Progress | None) -> ReportedMotion:
+def _of_imu(stream: Stream, progress: Progress | None) -> _ReportedMotion:
     del progress
     imu: ImuSensor = stream.source
     rates, forces = imu.streams[GYROSCOPE], imu.streams.get(ACCELEROMETER)
     rotating = Rotating.of_rates(rates.timestamps_ns, rates.values[:, :3])
     if forces is None:
-        return ReportedMotion(rotating)
-    return ReportedMotion(
+        return _ReportedMotion(rotating)
+    return _ReportedMotion(
         rotating, trajectory=lambda origin_ns: DeadReckonedTrajectory(Unit.of(rates, forces), origin_ns)
     )
 
 
-def _of_trajectory(stream: Stream, progress: Progress | None) -> ReportedMotion:
+def _of_trajectory(stream: Stream, progress: Progress | None) -> _ReportedMotion:
     del progress
     return _trajectory_reported(stream.source)
 
 
-def _trajectory_reported(trajectory: Trajectory) -> ReportedMotion:
+def _trajectory_reported(trajectory: Trajectory) -> _ReportedMotion:
     rotations = trajectory.quaternions_xyzw
-    return ReportedMotion(
+    return _ReportedMotion(
         None if rotations is None else Rotating.of_poses(trajectory.timestamps_ns, rotations),
         Fixes.of_trajectory(trajectory),
         lambda origin_ns: TrajectoryCurve(trajectory, origin_ns),
     )
 
 
-def _of_lidar(stream: Stream, progress: Progress | None) -> ReportedMotion:
+def _of_lidar(stream: Stream, progress: Progress | None) -> _ReportedMotion:
     from sceneloom.motion.odometry.run import lidar_odometry
 
     lidar: LidarSensor = stream.source
     if lidar.points_frame is PointsFrame.WORLD:
-        return ReportedMotion(why_not="its points are in the world already, by a clock that is not reported")
+        return _ReportedMotion(why_not="its points are in the world already, by a clock that is not reported")
     alone = replace(stream.scene, sensors=(lidar,), annotations=(), attributes=())
     return _trajectory_reported(lidar_odometry(alone, progress=progress, lenient=True).trajectory)
 
 
-def _of_camera(stream: Stream, progress: Progress | None) -> ReportedMotion:
-    from sceneloom.motion.clock.camera_rotating import camera_rotating
+def _of_camera(stream: Stream, progress: Progress | None) -> _ReportedMotion:
+    from sceneloom.motion.clock.camera_rotation import camera_rotating
 
     camera: CameraSensor = stream.source
     rotating = camera_rotating(camera, progress=progress)
-    return ReportedMotion(rotating, ego_from_body=None if camera.mount is None else camera.mount.rotation)
+    return _ReportedMotion(rotating, ego_from_body=None if camera.mount is None else camera.mount.rotation)
 
 
-def _of_receiver(stream: Stream, progress: Progress | None) -> ReportedMotion:
+def _of_receiver(stream: Stream, progress: Progress | None) -> _ReportedMotion:
     del progress
     receiver: GnssSensor = stream.source
-    return ReportedMotion(
+    return _ReportedMotion(
         fixes=Fixes.of_receiver(receiver),
         location=None if receiver.mount is None else receiver.mount.translation,
     )
 
 
-_TELLERS: Mapping[StreamKind, Callable[[Stream, Progress | None], ReportedMotion]] = MappingProxyType(
+_TELLERS: Mapping[StreamKind, Callable[[Stream, Progress | None], _ReportedMotion]] = MappingProxyType(
     {
         StreamKind.IMU: _of_imu,
         StreamKind.TRAJECTORY: _of_trajectory,
@@ -180,3 +188,110 @@ _TELLERS: Mapping[StreamKind, Callable[[Stream, Progress | None], ReportedMotion
     }
 )
 """How each kind of stream reports the motion."""
+
+_KNOWN_LEVER_SIGMA = 0.05
+"""How well a stated mounting of an antenna is known on each axis [m]."""
+
+
+class Method(StrEnum):
+    """By what two streams were compared."""
+
+    ROTATING = "rotating"
+    TRAJECTORY = "estimated_trajectory"
+    NONE = "none"
+
+
+def compare_streams(
+    reference: Stream,
+    stream: Stream,
+    *,
+    reach_ns: int = REACH_NS,
+    lever_sigma: float = LEVER_SIGMA,
+    progress: Progress | None = None,
+) -> tuple[Method, ClockEstimate]:
+    """Find how the clock of one stream goes against that of another.
+
+    By how the ego rotated, where both report it; else by where it was.
+
+    Args:
+        reach_ns: offsets up to this are looked for [ns].
+        lever_sigma: how far from the ego's origin a receiver's antenna may be on each axis, where no mounting is
+            stated [m].
+        progress: reported while images or sweeps are looked at.
+    """
+    if not stream.meets(reference, reach_ns):
+        return Method.NONE, ClockEstimate.unknown("their timestamps have no time in common")
+    first, second = reference.reported(progress), stream.reported(progress)
+    for name, reported in ((reference.name, first), (stream.name, second)):
+        if reported.why_not:
+            return Method.NONE, ClockEstimate.unknown(f"{name}: {reported.why_not}")
+    by_rotation: ClockEstimate | None = None
+    if first.rotating is not None and second.rotating is not None:
+        by_rotation = compare_turnings(
+            first.rotating, second.rotating, reach_ns=reach_ns, reference_from_stream=_between(first, second)
+        )
+        if by_rotation.verdict is not ClockVerdict.NOT_OBSERVABLE:
+            return Method.ROTATING, by_rotation
+    by_trajectory = _by_trajectory(first, second, reach_ns=reach_ns, lever_sigma=lever_sigma)
+    if by_trajectory is not None and (
+        by_rotation is None or by_trajectory.verdict is not ClockVerdict.NOT_OBSERVABLE
+    ):
+        return Method.TRAJECTORY, by_trajectory
+    if by_rotation is not None:
+        return Method.ROTATING, by_rotation
+    return Method.NONE, ClockEstimate.unknown(
+        "the one reports only where it was, the other only how it rotated"
+    )
+
+
+def _between(reference: _ReportedMotion, stream: _ReportedMotion) -> Float64Array:
+    """The rotation from the stream's body into the reference's, as far as their mountings state it."""
+    identity = np.eye(3)
+    into_ego = identity if stream.ego_from_body is None else stream.ego_from_body
+    from_ego = identity if reference.ego_from_body is None else reference.ego_from_body.T
+    return np.asarray(from_ego @ into_ego, np.float64)
+
+
+def _by_trajectory(
+    reference: _ReportedMotion, stream: _ReportedMotion, *, reach_ns: int, lever_sigma: float
+) -> ClockEstimate | None:
+    """Compare fixes with a trajectory, where one has the one and the other the other."""
+    for reported, estimated_trajectory, fixes_are_reference in (
+        (stream, reference.trajectory, False),
+        (reference, stream.trajectory, True),
+    ):
+        fixes = reported.fixes
+        if fixes is not None and estimated_trajectory is not None and len(fixes):
+            origin_ns = int(fixes.timestamps_ns[0])
+            return compare_trajectories(
+                fixes,
+                estimated_trajectory(origin_ns),
+                origin_ns=origin_ns,
+                fixes_are_reference=fixes_are_reference,
+                reach_ns=reach_ns,
+                lever=reported.location,
+                lever_sigma=lever_sigma
+                if reported.location is None
+                else min(lever_sigma, _KNOWN_LEVER_SIGMA),
+            )
+    return None
+
+
+def gyroscope_against_trajectory(
+    gyroscope: VectorSamples, trajectory: Trajectory, *, reach_ns: int = REACH_NS
+) -> ClockEstimate:
+    """Find how the timestamps of a trajectory lie against those of the gyroscope that rides along.
+
+    Args:
+        gyroscope: yaw rates (N, 3) [rad/s] in the ego's frame; rows that are no numbers are left out.
+        trajectory: `world_from_ego`.
+        reach_ns: offsets up to this are looked for [ns].
+
+    Returns:
+        The trajectory's clock against the gyroscope's. A minute of 100 Hz takes a few tenths of a second.
+    """
+    if trajectory.quaternions_xyzw is None:
+        return ClockEstimate.unknown(f"trajectory {trajectory.name!r} has no orientations")
+    rates = Rotating.of_rates(gyroscope.timestamps_ns, gyroscope.values[:, :3])
+    estimated_trajectory = Rotating.of_poses(trajectory.timestamps_ns, trajectory.quaternions_xyzw)
+    return compare_turnings(rates, estimated_trajectory, reach_ns=reach_ns)

@@ -12,12 +12,18 @@ from sceneloom.geometry.rotations import (
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
-from sceneloom.kernels import motion_chain as kernels
-from sceneloom.kernels.block_chain import chain_covariances, solve_chain
-from sceneloom.kernels.motion_chain import ACCELEROMETER, GYROSCOPE, POSITION, ROTATION, SIZE, VELOCITY
-from sceneloom.motion.gnss_imu.carried_fixes import Fixes, crossed_with
-from sceneloom.motion.gnss_imu.preintegration import Preintegrated
-from sceneloom.motion.gnss_imu.settings import SmootherSettings
+from sceneloom.kernels import imu_chain as kernels
+from sceneloom.kernels.imu_chain import (
+    ACCELEROMETER,
+    GYROSCOPE,
+    MOTION_CHAIN_ROTATION,
+    POSITION,
+    SIZE,
+    VELOCITY,
+    chain_covariances,
+    solve_chain,
+)
+from sceneloom.motion.gnss_imu.measurements import Fixes, Preintegrated, SmootherSettings, crossed_with
 
 _MAX_DAMPINGS = 12
 _LARGEST_DAMPING = 1e3
@@ -46,7 +52,7 @@ class States:
 
     def stepped(self, step: Float64Array) -> "States":
         """Go a step, (K, 15) in the order of `kernels.motion_chain`."""
-        rotations = matrix_from_quaternion(quaternion_from_rotation_vector(step[:, ROTATION]))
+        rotations = matrix_from_quaternion(quaternion_from_rotation_vector(step[:, MOTION_CHAIN_ROTATION]))
         return States(
             self.rotations @ rotations,
             self.positions + step[:, POSITION],
@@ -233,13 +239,13 @@ def _add_priors(chain: Chain, states: States, blocks: Float64Array, right: Float
         blocks[0, rows, rows] += np.eye(3) * sigma**-2
         right[0, rows] -= value * sigma**-2
         cost += float(value @ value) * sigma**-2
-    blocks[0, ROTATION, ROTATION] += np.eye(3) * _UNKNOWN_ROTATION**-2
+    blocks[0, MOTION_CHAIN_ROTATION, MOTION_CHAIN_ROTATION] += np.eye(3) * _UNKNOWN_ROTATION**-2
     if not chain.measured.any():
         k = next((int(one.locations[0]) for one in chain.relative if len(one.locations)), 0)
         slope = np.cross(states.rotations[k], [0.0, 0.0, -1.0])[:2]
         tilt = states.rotations[k][:2, 2]
-        blocks[k, ROTATION, ROTATION] += slope.T @ slope * _TILT**-2
-        right[k, ROTATION] -= slope.T @ tilt * _TILT**-2
+        blocks[k, MOTION_CHAIN_ROTATION, MOTION_CHAIN_ROTATION] += slope.T @ slope * _TILT**-2
+        right[k, MOTION_CHAIN_ROTATION] -= slope.T @ tilt * _TILT**-2
         cost += float(tilt @ tilt) * _TILT**-2
     return cost
 
@@ -350,8 +356,14 @@ def inertial_residuals(chain: Chain, states: States) -> tuple[Float64Array, Floa
     residuals = np.hstack([rotation, felt - inertial.gains, gone - inertial.trajectories])
     residuals[:, 3:] -= changes[:, 3:]
     first, second = np.zeros((len(seconds), 9, SIZE)), np.zeros((len(seconds), 9, SIZE))
-    first[:, :3, ROTATION], second[:, :3, ROTATION] = -np.swapaxes(relative, 1, 2), np.eye(3)
-    first[:, 3:6, ROTATION], first[:, 6:9, ROTATION] = -crossed_with(felt), -crossed_with(gone)
+    first[:, :3, MOTION_CHAIN_ROTATION], second[:, :3, MOTION_CHAIN_ROTATION] = (
+        -np.swapaxes(relative, 1, 2),
+        np.eye(3),
+    )
+    first[:, 3:6, MOTION_CHAIN_ROTATION], first[:, 6:9, MOTION_CHAIN_ROTATION] = (
+        -crossed_with(felt),
+        -crossed_with(gone),
+    )
     first[:, 3:6, VELOCITY], second[:, 3:6, VELOCITY] = -inverse, inverse
     first[:, 6:9, POSITION], second[:, 6:9, POSITION] = -inverse, inverse
     first[:, 6:9, VELOCITY] = -seconds[:, :, None] * inverse

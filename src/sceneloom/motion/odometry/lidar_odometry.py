@@ -7,19 +7,22 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, FloatArray, Int64Array
 from sceneloom.errors import ArrayError
-from sceneloom.motion.odometry.configuration import OdometryConfiguration
-from sceneloom.motion.odometry.first_guess import SPEEDS, guess_motion
-from sceneloom.motion.odometry.local_map import LocalMap
-from sceneloom.motion.odometry.motion_state import (
+from sceneloom.motion.odometry.registration import (
     ROTATION,
     SHIFT,
+    SPEEDS,
     VELOCITY,
     YAW_RATE,
+    Fit,
+    LocalMap,
     MotionState,
+    OdometryConfiguration,
+    Sweep,
+    fit_sweep,
+    guess_motion,
     rotation_vector,
+    usable_sweep,
 )
-from sceneloom.motion.odometry.registration import Fit, fit_sweep
-from sceneloom.motion.odometry.sweep import Sweep, usable_sweep
 
 _UNKNOWN_ROTATION_RATE, _UNKNOWN_SPEED = 0.5, 20.0
 _GUESSED_ROTATION_RATE, _GUESSED_SPEED = 0.1, 1.0

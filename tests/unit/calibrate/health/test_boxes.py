@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
-from sceneloom.calibrate.health.boxes import health_of_boxes, judge_boxes, with_boxes
-from sceneloom.calibrate.health.check import PARTS, CalibrationHealth
-from sceneloom.calibrate.health.verdicts import Item, Verdict, judge
+from sceneloom.calibrate.health import (
+    PARTS,
+    CalibrationHealth,
+    Item,
+    Verdict,
+    health_of_boxes,
+    judge,
+    judge_boxes,
+    with_boxes,
+)
 from sceneloom.detections.residuals import BoxRotation
 
 GOOD, DRIFTING, WRONG, UNTOLD = Verdict.GOOD, Verdict.DRIFTING, Verdict.WRONG, Verdict.UNDETERMINED

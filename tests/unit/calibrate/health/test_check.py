@@ -7,17 +7,11 @@ import numpy as np
 import pytest
 
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
-from sceneloom.calibrate.health.check import CalibrationHealth, check_frames, views_of
-from sceneloom.calibrate.health.verdicts import Verdict
-from sceneloom.calibrate.measures.candidate import Change
+from sceneloom.calibrate.health import CalibrationHealth, Verdict, check_frames, views_of
+from sceneloom.calibrate.measures import Change
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.simulate import (
-    CameraSpec,
-    LidarSpec,
-    SimulatedDrive,
-    simulate_street,
-)
+from sceneloom.simulate import CameraSpec, LidarSpec, SimulatedDrive, simulate_street
 
 Frames = tuple[CalibrationFrame, ...]
 AHEAD = Camera("pinhole", 620, 188, 360.0, 360.0, 309.5, 93.5)

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.calibrate.health.boxes import health_of_boxes
-from sceneloom.calibrate.health.coarse import with_coarse
-from sceneloom.calibrate.health.motion import judge_motion
-from sceneloom.calibrate.health.verdicts import Item, Verdict, judge
+from sceneloom.calibrate.health import Item, Verdict, health_of_boxes, judge, judge_motion, with_coarse
 
 AXES = Rotation.from_matrix([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 

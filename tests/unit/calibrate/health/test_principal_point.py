@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.calibrate.health.principal_point import instead_of_rotation, look_alikes, why_untold
+from sceneloom.calibrate.health import instead_of_rotation, look_alikes, why_untold
 from sceneloom.cameras.camera import Camera
 
 PINHOLE = Camera("pinhole", 1242, 375, 720.0, 700.0, 620.5, 187.0)

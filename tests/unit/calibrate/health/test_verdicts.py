@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.calibrate.health.verdicts import Verdict, judge
+from sceneloom.calibrate.health import Verdict, judge
 
 NOTHING = np.zeros((3, 3))
 

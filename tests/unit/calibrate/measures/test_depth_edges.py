@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from sceneloom.calibrate.frames import CalibrationFrame
-from sceneloom.calibrate.measures.depth_edges import DepthEdges, find_depth_edges
-from sceneloom.calibrate.scan_order import find_scan_order
+from sceneloom.calibrate.frames import CalibrationFrame, find_scan_order
+from sceneloom.calibrate.measures import DepthEdges, find_depth_edges
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.simulate.shots import directions_at
+from sceneloom.simulate.casting import directions_at
 
 CAMERA_FROM_LIDAR = RigidTransform(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), np.zeros(3))
 STEP = np.radians(0.5)

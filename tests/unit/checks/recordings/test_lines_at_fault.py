@@ -6,7 +6,7 @@ import json
 import pytest
 
 from sceneloom.checks import validate
-from sceneloom.formats.faults import MOST_LOCATIONS
+from sceneloom.formats.base.diagnostics import MOST_LOCATIONS
 
 COUNT = 40
 LINES = [

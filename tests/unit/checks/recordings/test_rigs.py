@@ -9,17 +9,12 @@ import numpy as np
 import pytest
 
 from sceneloom.checks import validate
-from sceneloom.checks.recordings import (
-    calibrated_camera_models,
-    calibration_entries,
-    frame_lines,
-    lidar_lines,
-    mountings,
-)
+from sceneloom.checks.recordings import calibration
+from sceneloom.checks.recordings import lines as recordings_lines
 
 RULES = tuple(
     rule.id
-    for module in (frame_lines, calibration_entries, calibrated_camera_models, mountings, lidar_lines)
+    for module in (recordings_lines, calibration, calibration, calibration, recordings_lines)
     for rule in module.RULES
 )
 FRAMES = 12

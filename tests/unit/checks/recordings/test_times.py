@@ -5,16 +5,10 @@ import json
 import pytest
 
 from sceneloom.checks import validate
-from sceneloom.checks.recordings import (
-    fixes,
-    imu_times,
-    imu_values,
-    presence,
-    sensor_values,
-    times,
-)
+from sceneloom.checks.recordings import lines as recordings_lines
+from sceneloom.checks.recordings import samples, satellite_fixes, times
 
-MODULES = (times, imu_times, imu_values, sensor_values, fixes, presence)
+MODULES = (times, samples, samples, samples, satellite_fixes, recordings_lines)
 
 
 def test_a_sound_drive_keeps_every_rule_over_its_lines(written, drive):

@@ -50,7 +50,7 @@ def test_noise_above_the_limit_is_reported(reported, drive, deviation, is_loud):
 def test_noise_agrees_with_the_vendors_kind_of_filter():
     from scipy.signal import butter, filtfilt
 
-    from sceneloom.checks.recordings.imu_values import _mean_noise
+    from sceneloom.checks.recordings.samples import _mean_noise
 
     noise = np.random.default_rng(1).standard_normal((20_000, 3))
     b, a = butter(3, 0.5, btype="high")

@@ -9,8 +9,7 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.editing.anonymise.fields import kind_of
-from sceneloom.editing.anonymise.scene import anonymised_scene
+from sceneloom.editing.anonymise import anonymised_scene, kind_of
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
     AttributePath,
@@ -27,7 +26,7 @@ from sceneloom.scene import (
     Scene,
     Trajectory,
 )
-from sceneloom.scene.annotations.boxes_2d import BoxPath
+from sceneloom.scene.annotations import BoxPath
 
 EARLY = 1_700_000_000_123_456_789
 TIMES = np.array([EARLY, EARLY + 100_000_000, EARLY + 200_000_000])

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.editing.hiding.boxes import ImageBox, find_hidings
-from sceneloom.editing.hiding.filling import filled
-from sceneloom.editing.hiding.hide import hide_in_images
-from sceneloom.editing.hiding.regions import hidden_regions
+from sceneloom.editing.redact import ImageBox, filled, find_hidings, hidden_regions, hide_in_images
 from sceneloom.errors import OptionError
 from sceneloom.scene import (
     Box2DAnnotation,
@@ -21,8 +18,7 @@ from sceneloom.scene import (
     ShapeAnnotation,
     VertexPath,
 )
-from sceneloom.scene.annotations.boxes_2d import BoxPath
-from sceneloom.scene.annotations.shapes import ShapeType
+from sceneloom.scene.annotations import BoxPath, ShapeType
 
 CAMERA = Camera("pinhole", 64, 48, 50.0, 50.0, 31.5, 23.5)
 PERIOD_NS = 100_000_000

@@ -5,13 +5,9 @@ import pytest
 from scipy import stats
 
 from sceneloom.errors import ArrayError, OptionError
-from sceneloom.evaluate.detection.calibration import judge_calibration
-from sceneloom.evaluate.detection.covariances import judge_covariances
-from sceneloom.evaluate.detection.curve import score_curve
-from sceneloom.evaluate.detection.evaluation import evaluate_detection
-from sceneloom.evaluate.detection.rules import DIFFICULTIES, DetectionRules, at_difficulty, pair_detections
-from sceneloom.evaluate.objects import ObjectTable
-from sceneloom.evaluate.overlaps import Similarity
+from sceneloom.evaluate.detection import evaluate_detection, judge_calibration, judge_covariances, score_curve
+from sceneloom.evaluate.objects import ObjectTable, Similarity
+from sceneloom.evaluate.rules import DIFFICULTIES, DetectionRules, at_difficulty, pair_detections
 
 IN_IMAGE = DetectionRules(similarity=Similarity.IMAGE, least_overlap=0.5)
 

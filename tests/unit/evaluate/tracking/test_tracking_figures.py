@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import ArrayError, OptionError
-from sceneloom.evaluate.objects import ObjectTable
-from sceneloom.evaluate.overlaps import Similarity
-from sceneloom.evaluate.tracking.evaluation import evaluate_tracking, score_sequence
-from sceneloom.evaluate.tracking.protocol import TrackingRules
+from sceneloom.evaluate.objects import ObjectTable, Similarity
+from sceneloom.evaluate.rules import TrackingRules
+from sceneloom.evaluate.tracking import evaluate_tracking, score_sequence
 
 IN_SPACE = TrackingRules(similarity=Similarity.SPACE)
 

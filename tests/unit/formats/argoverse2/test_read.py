@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 import sceneloom
 from sceneloom.errors import DataError, MissingExtraError, OptionError
-from sceneloom.formats import files
-from sceneloom.formats.argoverse2.feather import read_columns
-from sceneloom.formats.drives import drives_of
-from sceneloom.scene.angles import CuboidAngles
+from sceneloom.formats.argoverse2.reader import read_columns
+from sceneloom.formats.base import files as base_files
+from sceneloom.formats.base.registry import drives_of
+from sceneloom.scene.annotations_at import CuboidAngles
 
 pa = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 feather = pytest.importorskip("pyarrow.feather", reason="pyarrow is not installed")
@@ -355,7 +355,7 @@ def test_columns_that_declare_far_more_than_their_bytes_are_refused_before_they_
     table = pa.table({"x": np.zeros(10**6), "word": words})
     feather.write_feather(table, path, compression=compression)
     assert len(read_columns(path, {"x": np.float64})["x"]) == 10**6
-    monkeypatch.setattr(files, "ALWAYS_UNPACKED", 10**6)
+    monkeypatch.setattr(base_files, "ALWAYS_UNPACKED", 10**6)
     monkeypatch.setattr(feather, "read_table", lambda *_, **__: pytest.fail("it was unpacked"))
     with pytest.raises(DataError, match="bytes that unpack to"):
         read_columns(path, {"x": np.float64})

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.clouds.layout import parse_layout
-from sceneloom.formats.clouds.table import read_cloud
+from sceneloom.formats.points.cloud import parse_layout
+from sceneloom.formats.points.files import read_cloud
 
 ROWS = np.array([[1.0, 2.0, 3.0, 0.5], [-4.0, 5.0, 6.0, 0.25]], np.float32)
 

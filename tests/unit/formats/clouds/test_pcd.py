@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.table import read_cloud
+from sceneloom.formats.points.files import read_cloud
 
 HEAD = """# .PCD v0.7 - Point Cloud Data file format
 VERSION 0.7

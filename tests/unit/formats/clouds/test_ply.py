@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.table import read_cloud
+from sceneloom.formats.points.files import read_cloud
 
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 POINTS = [(1.5, -2.0, 0.25, 200, 123456789), (4.0, 5.0, -6.0, 0, -7)]

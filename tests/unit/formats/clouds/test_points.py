@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.clouds.cloud import Cloud
-from sceneloom.formats.clouds.points import (
+from sceneloom.formats.points.cloud import Cloud
+from sceneloom.formats.points.mapping import (
     IntensityScale,
     PointMapping,
     PointTimes,

@@ -9,9 +9,8 @@ import trimesh
 from pypcd4 import PointCloud
 
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.clouds.table import read_cloud
-from sceneloom.formats.clouds.writing import open_cloud_writer
-from sceneloom.formats.clouds.written import NO_LABEL, WrittenPoints
+from sceneloom.formats.points.cloud import NO_LABEL, WrittenPoints
+from sceneloom.formats.points.files import open_cloud_writer, read_cloud
 
 START_NS = 1_700_000_000_123_456_789
 

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from sceneloom.errors import DataError, OptionError, UnknownFormatError, UnknownOptionError
-from sceneloom.formats.table import find_format, open_scene, write_scene
+from sceneloom.formats.base.registry import find_format, open_scene, write_scene
 from sceneloom.scene import CameraSensor, ImuSensor, PointsSensor
 
 T0 = 1_403_636_579_763_555_584

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.formats.kitti.sequence_scene import sequence_scene
-from sceneloom.formats.kitti.tracking_folder import open_tracking_folder
+from sceneloom.formats.kitti.tracking_reader import open_tracking_folder, sequence_scene
 
 
 def test_the_camera_is_where_the_calibration_and_the_trajectory_put_it(tracking_folder, tmp_path):

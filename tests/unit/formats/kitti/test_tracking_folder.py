@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.kitti.tracking_folder import is_tracking_folder, open_tracking_folder
+from sceneloom.formats.kitti.tracking_reader import is_tracking_folder, open_tracking_folder
 from sceneloom.scene import ScoreForm
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.models import project
+from sceneloom.cameras.projection import project
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats import open_scene, write_scene
-from sceneloom.formats.loss import Support
+from sceneloom.formats.base.losses import Support
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.scene import (
@@ -20,8 +20,8 @@ from sceneloom.scene import (
     PointsFrame,
     Scene,
 )
-from sceneloom.scene.at import cuboid_poses
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.annotations_at import cuboid_poses
+from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import CameraSpec, GnssSpec, ImuSpec, LidarSpec, camera_mount, simulate_street
 
 FORMATS = ("kitti-raw", "kitti-object", "kitti-tracking", "kitti-odometry")

@@ -10,10 +10,9 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
-from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.mcap.index import read_index
-from sceneloom.formats.mcap.writer import McapWriter
-from sceneloom.formats.topics.file_bytes import FileBytes
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.messages.file_bytes import FileBytes
+from sceneloom.formats.messages.mcap_files import McapWriter, read_index
 
 SIZES = (0, 10, 3000, 1_500_000, 40)
 MESSAGES = [(k % 2, 1000 + 7 * k, np.random.default_rng(k).bytes(SIZES[k % len(SIZES)])) for k in range(12)]

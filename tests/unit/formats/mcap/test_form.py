@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from sceneloom.errors import UnknownFormatError, UnknownOptionError
-from sceneloom.formats.table import find_format
-from sceneloom.formats.topics.spec import MCAP
+from sceneloom.formats.base.registry import find_format
+from sceneloom.formats.messages.spec import MCAP
 
 WITHOUT = """
 import sys, importlib.abc

@@ -20,9 +20,9 @@ from tests.unit.formats.nuscenes.schema_folder import (
 
 import sceneloom
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.drives import drives_of
+from sceneloom.formats.base.registry import drives_of
 from sceneloom.formats.nuscenes import tables as row_tables
-from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations_at import CuboidAngles
 
 NEAR = 1e-9
 """Two ways of float64 through rotations, of numbers up to 1000."""

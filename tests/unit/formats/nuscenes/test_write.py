@@ -10,7 +10,7 @@ from tests.unit.formats.nuscenes.schema_folder import CAMERA_MOUNT, lidar_rows, 
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.loss import Support
+from sceneloom.formats.base.losses import Support
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     AttributePath,
@@ -31,7 +31,7 @@ from sceneloom.scene import (
     Scene,
     Trajectory,
 )
-from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations_at import CuboidAngles
 
 KEYS = {
     "scene": ("log_token", "first_sample_token", "last_sample_token"),

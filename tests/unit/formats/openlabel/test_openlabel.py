@@ -8,9 +8,9 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, OutputError, UnknownOptionError
-from sceneloom.formats.loss import Support
+from sceneloom.formats.base.losses import Support
+from sceneloom.formats.base.registry import find_format, open_scene, write_scene
 from sceneloom.formats.openlabel.spec import FORMAT
-from sceneloom.formats.table import find_format, open_scene, write_scene
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     Activation,

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.pandaset import pickled_frames
-from sceneloom.formats.pandaset.pickled_frames import read_pickled_frame
+from sceneloom.formats.pandaset import pickles
+from sceneloom.formats.pandaset.pickles import read_pickled_frame
 
 FRAMES = Path(__file__).parent / "frames"
 VERSIONS = ["pandas_1", "pandas_2", "pandas_3"]
@@ -85,7 +85,7 @@ def test_the_objects_that_stand_for_names_cannot_be_changed_by_a_file(tmp_path):
     program = b"\x80\x04" + b"cbuiltins\nslice\n" + b"}\x8c\x05_makeK\x01sb."
     with pytest.raises(DataError, match="changes what it must not"):
         read_pickled_frame(written(tmp_path / "a.pkl", program))
-    assert pickled_frames._NAMED["slice"](1, 2) == slice(1, 2)
+    assert pickles._NAMED["slice"](1, 2) == slice(1, 2)
 
 
 def test_operations_that_no_frame_needs_are_refused(tmp_path):
@@ -96,7 +96,7 @@ def test_operations_that_no_frame_needs_are_refused(tmp_path):
 
 
 def test_a_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(pickled_frames, "LARGEST", 1000)
+    monkeypatch.setattr(pickles, "LARGEST", 1000)
     path = written(tmp_path / "a.pkl.gz", gzip.compress(bytes(5000)))
     with pytest.raises(DataError, match="more than 1000 bytes"):
         read_pickled_frame(path)
@@ -131,4 +131,4 @@ def test_a_frame_with_a_flipped_byte_is_read_or_a_data_error(tmp_path, version):
 def test_the_golden_frames_hold_only_what_the_reader_allows():
     for path in sorted(FRAMES.glob("*/*.pkl.gz")):
         found = {operation.name for operation, _, _ in pickletools.genops(gzip.decompress(path.read_bytes()))}
-        assert found <= pickled_frames._OPERATIONS
+        assert found <= pickles._OPERATIONS

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 import sceneloom
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.drives import drives_of
+from sceneloom.formats.base.registry import drives_of
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.angles import CuboidAngles
+from sceneloom.scene.annotations_at import CuboidAngles
 
 FRAMES = Path(__file__).parent / "frames" / "pandas_1"
 FIRST_S = 1_557_539_924.5

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras import project
-from sceneloom.formats.recording.camera_models import CAMERA_MODEL_READINGS
+from sceneloom.formats.recording.calibration import CAMERA_MODEL_READINGS
 from sceneloom.formats.recording.spec import FORMAT
 
 # two lines of "Example data.jsonl" in the description of the format, as they stand there

@@ -11,11 +11,11 @@ from sceneloom.checks import validate
 from sceneloom.editing import crop_scene, merge_scenes, thin_scene, to_ego, to_world, undistort_scene
 from sceneloom.errors import DataError
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.formats.sfs.writing import write_scene as write_sfs
-from sceneloom.pipeline.aligned.origin import moved_scene
+from sceneloom.formats.sfs.writer import write_scene as write_sfs
+from sceneloom.pipeline.alignment import moved_scene
 from sceneloom.scene import DepthCameraSensor
+from sceneloom.scene.contents import watched
 from sceneloom.scene.summary import summarise
-from sceneloom.scene.watched import watched
 
 LOOKS_AHEAD = [[0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, -0.2], [0.0, 0.0, 0.0, 1.0]]
 COUNT = 4

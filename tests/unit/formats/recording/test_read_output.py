@@ -7,8 +7,8 @@ import pytest
 
 from sceneloom.checks import validate
 from sceneloom.errors import DataError, UnknownFormatError
+from sceneloom.formats.base.registry import find_format
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.formats.table import find_format
 
 # a line as the vendor's software puts it out, the numbers shortened
 OUTPUT = (

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.editing.differences.report import Change
-from sceneloom.editing.differences.scenes import diff_scenes
+from sceneloom.editing.diff import Change, diff_scenes
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (

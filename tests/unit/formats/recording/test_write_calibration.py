@@ -8,13 +8,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras import Camera, project_unbounded, unproject
-from sceneloom.cameras.table import MODELS
+from sceneloom.cameras.camera import MODELS
 from sceneloom.errors import CalibrationError
-from sceneloom.formats.ledger import Ledger
-from sceneloom.formats.recording.mounts import rigid_transform
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.recording.calibration import rigid_transform
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.formats.recording.written_calibration import camera_entry, camera_model_entry
-from sceneloom.formats.recording.written_mounts import matrix_entry, mount_entry, mounting
+from sceneloom.formats.recording.write_calibration import (
+    camera_entry,
+    camera_model_entry,
+    matrix_entry,
+    mount_entry,
+    mounting,
+)
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, Coordinates, GnssSensor, LazyFrames, Poses, Scene
 
@@ -67,7 +72,7 @@ def test_camera_models_are_written_under_the_format_s_names(kind):
 
 def read_again(fields):
     """The camera model that the format's own reader makes of the fields."""
-    from sceneloom.formats.recording.camera_models import CameraParameters, camera_model
+    from sceneloom.formats.recording.calibration import CameraParameters, camera_model
 
     return camera_model(msgspec.convert(fields, CameraParameters), None, "calibration.json")
 

@@ -9,8 +9,8 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, OptionError
+from sceneloom.formats.recording.write_images import to_steps
 from sceneloom.formats.recording.writer import write_recording
-from sceneloom.formats.recording.written_depth import to_steps
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     CameraImage,

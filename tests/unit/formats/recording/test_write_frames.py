@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.formats.recording.image_rows import group_images
+from sceneloom.formats.recording.write_images import group_images
 
 MS = 1_000_000
 

@@ -7,9 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from sceneloom.formats.recording.merged_lines import OneByOne, WrittenLine, merged_lines
-from sceneloom.formats.recording.number_texts import exact_seconds, number_texts, row_texts, seconds_texts
-from sceneloom.formats.recording.written_times import TimeWriter
+from sceneloom.formats.base.text_tables import (
+    TimeWriter,
+    exact_seconds,
+    number_texts,
+    row_texts,
+    seconds_texts,
+)
+from sceneloom.formats.recording.write_lines import OneByOne, WrittenLine, merged_lines
 
 SPANS = {
     "around zero": (-(10**7), 10**7),

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, CalibrationError, DataError, OptionError, OutputError, PoseError
-from sceneloom.formats.recording.scene_from_recording import open_recording
+from sceneloom.formats.recording.reader import open_recording
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (

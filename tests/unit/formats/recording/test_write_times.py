@@ -5,7 +5,7 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
-from sceneloom.formats.recording.written_times import TimeWriter, means, seconds_text, writing_order
+from sceneloom.formats.base.text_tables import TimeWriter, means, seconds_text, writing_order
 
 
 @pytest.mark.parametrize(

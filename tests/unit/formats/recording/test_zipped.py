@@ -14,9 +14,9 @@ import pytest
 
 from sceneloom.checks import validate
 from sceneloom.errors import DataError
+from sceneloom.formats.base.registry import find_format, open_scene
 from sceneloom.formats.recording import zipped
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.formats.table import find_format, open_scene
 
 LINES = [
     {"sensor": {"type": "gyroscope", "values": [0.0, 0.1, 0.2]}, "time": 0.0},

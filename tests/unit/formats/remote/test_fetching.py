@@ -6,10 +6,10 @@ import fsspec
 import pytest
 
 import sceneloom
-from sceneloom.batch.inputs import find_inputs
+from sceneloom.batch.jobs import find_inputs
 from sceneloom.errors import DataError, OptionError, UnknownFormatError
 from sceneloom.formats.remote import stores
-from sceneloom.formats.remote.fetching import fetch
+from sceneloom.formats.remote.mirror import fetch
 from sceneloom.formats.remote.uploads import MARKER
 
 CLOUD = (

@@ -15,8 +15,9 @@ import pytest
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
-from sceneloom.formats.remote import mirror, mirrored_path, stores
-from sceneloom.formats.remote.fetching import fetch
+from sceneloom.formats.remote import mirror, stores
+from sceneloom.formats.remote import mirror as remote_mirror
+from sceneloom.formats.remote.mirror import fetch
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
@@ -145,8 +146,8 @@ def test_other_processes_fetch_what_they_read(clouds, tmp_path):
 def filmed(tmp_path, monkeypatch):
     """A recording with an mp4 of noise, in groups of ten images; a store of this machine serves it."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr(mirrored_path, "_WORTHWHILE", 100_000)
-    for module in (mirror, mirrored_path):
+    monkeypatch.setattr(remote_mirror, "_WORTHWHILE", 100_000)
+    for module in (mirror, remote_mirror):
         monkeypatch.setattr(module, "HEAD", 8192)
         monkeypatch.setattr(module, "PIECE", 16384)
     camera_model = {
@@ -283,7 +284,7 @@ def test_folders_of_all_formats_hold_what_they_hold_on_disk(drive, tmp_path, for
 def test_a_connection_that_is_busy_while_a_drive_is_closed_ends_with_its_answer(clouds, monkeypatch):
     closed, read, close = [], stores.Handle.read, stores.Handle.close
     location = fetch(f"local://{clouds}")
-    fetching = mirrored_path.mirror_of(location.path)
+    fetching = remote_mirror.mirror_of(location.path)
 
     def slow(self, start, stop, **how):
         found = read(self, start, stop, **how)

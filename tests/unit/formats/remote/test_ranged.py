@@ -9,12 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 import sceneloom
-from sceneloom.batch.working import may_pass
+from sceneloom.batch.workers import may_pass
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError
-from sceneloom.formats.remote import ranged
-from sceneloom.formats.remote.patience import Patience, patiently
-from sceneloom.formats.remote.ranged import RemoteIdentity
+from sceneloom.formats.remote import stores
+from sceneloom.formats.remote.stores import Patience, RemoteIdentity, patiently
 
 CONTENT = bytes(np.random.default_rng(3).integers(0, 256, 900_000, np.uint8))
 SECRET = "https-me:hidden"
@@ -37,7 +36,7 @@ def test_ranges_come_whole_after_faults_that_pass(served, waits, faults):
 
 def test_a_slow_answer_is_asked_for_again(served, waits, monkeypatch):
     served.files["drive.bin"] = CONTENT
-    monkeypatch.setattr(ranged, "PATIENCE", Patience(answer=0.3))
+    monkeypatch.setattr(stores, "PATIENCE", Patience(answer=0.3))
     file = opened(served)
     served.faults[:] = ["slow"]
     assert file.fetch(5, 5000) == CONTENT[5:5000]

@@ -10,7 +10,7 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import DataError
-from sceneloom.formats.remote.fetching import find_urls
+from sceneloom.formats.remote.mirror import find_urls
 from sceneloom.formats.remote.uploads import upload
 
 SIGNED = "?X-Amz-Signature=hidden&X-Amz-Credential=hidden%2Fus&sig=hidden&token=hidden"

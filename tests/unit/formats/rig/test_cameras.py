@@ -12,8 +12,8 @@ from PIL import Image
 
 from sceneloom.cameras import MODELS, project
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.rig.camera_models import frame_from_camera, read_camera_model
-from sceneloom.scene.shutter import Shutter
+from sceneloom.formats.rig.cameras import frame_from_camera, read_camera_model
+from sceneloom.scene.cameras import Shutter
 
 SIZE = (640, 480)
 POINTS = np.random.default_rng(0).uniform([-1, -1, 3], [1, 1, 9], (50, 3))

@@ -10,8 +10,7 @@ from PIL import Image
 import sceneloom
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.rig.spec import FORMAT
-from sceneloom.formats.rig.survey import survey
-from sceneloom.formats.rig.template import TEMPLATE, quoted, template_text, write_template
+from sceneloom.formats.rig.template import TEMPLATE, quoted, survey, template_text, write_template
 
 from .conftest import MANIFEST, START_NS
 

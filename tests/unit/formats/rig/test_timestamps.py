@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sceneloom.formats.rig.timestamps import NamePattern, TimestampError, parse_timestamp
+from sceneloom.formats.base.text_tables import NamePattern, TimestampError, parse_timestamp
 
 
 @pytest.mark.parametrize(

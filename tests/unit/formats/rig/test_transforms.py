@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.ledger import Ledger
+from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.rig.transforms import Edge, FrameTree, frame_from_optical, read_transform
 from sceneloom.geometry.rigid import RigidTransform
 

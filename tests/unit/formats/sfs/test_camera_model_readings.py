@@ -7,9 +7,9 @@ import pytest
 
 from sceneloom.errors import CalibrationError, OptionError
 from sceneloom.formats.sfs.spec import FORMAT
-from sceneloom.formats.sfs.writing import write_scene
-from sceneloom.pipeline.aligned.scene import align
-from sceneloom.scene.assumed_camera_models import assumed_models, check_camera_models
+from sceneloom.formats.sfs.writer import write_scene
+from sceneloom.pipeline.alignment import align
+from sceneloom.scene.scene import assumed_models, check_camera_models
 
 INTRINSICS = {"fx": 100, "fy": 101.5, "cx": 3.5, "cy": 2.0, "width": 8, "height": 6}
 BROWN = [0.1, 0.2, 0.003, 0.004, 0, 0, 0, 0, 0, 0]
@@ -104,7 +104,7 @@ def test_fusing_and_converting_such_a_camera_model_need_the_option(open_header, 
     with pytest.raises(CalibrationError, match="assume-model"):
         align(scene)
     from sceneloom.editing import convert_camera_models, undistort_scene
-    from sceneloom.formats.table import write_scene as write_any
+    from sceneloom.formats.base.registry import write_scene as write_any
 
     write_recording = partial(write_any, path=tmp_path / "drive")
     for convert in (undistort_scene, partial(convert_camera_models, model="fisheye"), write_recording):

@@ -174,7 +174,7 @@ def test_all_faulty_items_are_collected_and_leave_nothing_in_their_locations(tmp
 
 def test_arrays_behind_four_gigabytes_are_read(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "sceneloom.formats.files.LARGEST_HOLES", 1e9
+        "sceneloom.formats.base.files.LARGEST_HOLES", 1e9
     )  # a file without holes would take minutes
     """A file of holes takes no room on disk."""
     far = 5 * 2**30 + 3

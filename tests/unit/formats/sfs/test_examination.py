@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs.examination import examine
+from sceneloom.formats.sfs.reader import examine
 from sceneloom.formats.sfs.spec import FORMAT, ReadingOptions
 
 POSE = [0, 0, 0, 0, 0, 0, 1]

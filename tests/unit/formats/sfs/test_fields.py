@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sceneloom.formats.sfs.fields import ANNOTATION_RECORDS, RECORDS, SENSOR_RECORDS, Kind
+from sceneloom.formats.sfs.schema import ANNOTATION_RECORDS, RECORDS, SENSOR_RECORDS, Kind
 
 PAGE = Path(__file__).parents[4] / "docs" / "formats" / "sfs.md"
 OF_RECORDS = {Kind.RECORD, Kind.RECORDS, Kind.RECORD_OR_RECORDS, Kind.RECORD_LISTS, Kind.RECORD_MAP}

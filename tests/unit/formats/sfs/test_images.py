@@ -9,10 +9,9 @@ from PIL import Image
 
 from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs.mp4 import video_codec
+from sceneloom.formats.sfs.images import video_codec
 from sceneloom.formats.sfs.spec import FORMAT
-from sceneloom.formats.sfs.writer import SceneWriter
-from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.sfs.writer import SceneWriter, write_scene
 from sceneloom.formats.video.reader import open_video
 from sceneloom.formats.video.remux import encode_to_mp4
 from sceneloom.geometry.rigid import RigidTransform

@@ -12,11 +12,10 @@ from click.testing import CliRunner
 import sceneloom
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError, MissingExtraError
-from sceneloom.formats.remote.ranged import GAP, coalesced
-from sceneloom.formats.sfs import remote as module
-from sceneloom.formats.sfs.container import Container
-from sceneloom.formats.sfs.remote import RemoteFile
-from sceneloom.formats.urls import is_url, path_or_url
+from sceneloom.formats.base.files import is_url, path_or_url
+from sceneloom.formats.remote.stores import GAP, coalesced
+from sceneloom.formats.sfs import container as module
+from sceneloom.formats.sfs.container import Container, RemoteFile
 from sceneloom.formats.video.remux import encode_to_mp4
 
 

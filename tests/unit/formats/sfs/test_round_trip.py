@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from sceneloom.formats.sfs.clock import INT64_MIN
 from sceneloom.formats.sfs.spec import FORMAT
-from sceneloom.formats.sfs.times import INT64_MIN
-from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.sfs.writer import write_scene
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import GnssSensor, OdometrySensor, Scene, Trajectory
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.formats.sfs.times import INT64_MIN, FileClock, TimeRangeError, chosen_offset_ns
+from sceneloom.formats.sfs.clock import INT64_MIN, FileClock, TimeRangeError, chosen_offset_ns
 
 OFFSETS_NS = [0, 1_700_000_000_000_000_000, -5_000]
 

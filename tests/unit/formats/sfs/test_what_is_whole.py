@@ -8,8 +8,8 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs.examination import examine
-from sceneloom.formats.sfs.removal import copied, parse_path
+from sceneloom.formats.sfs.reader import examine
+from sceneloom.formats.sfs.schema import copied, parse_path
 from sceneloom.formats.sfs.spec import FORMAT
 
 POSE = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]

@@ -5,8 +5,7 @@ import pytest
 
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.sfs.spec import FORMAT
-from sceneloom.formats.sfs.writer import SceneWriter
-from sceneloom.formats.sfs.writing import write_scene
+from sceneloom.formats.sfs.writer import SceneWriter, write_scene
 from sceneloom.scene import (
     Coordinates,
     CuboidAnnotation,

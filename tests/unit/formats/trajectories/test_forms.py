@@ -8,8 +8,8 @@ import pytest
 
 from sceneloom import read_trajectory, write_trajectory
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError, UnknownFormatError
-from sceneloom.formats.trajectories.content import TrajectoryFile
 from sceneloom.formats.trajectories.table import find_form, read_trajectory_file
+from sceneloom.formats.trajectories.trajectory_file import TrajectoryFile
 from sceneloom.scene import Poses, Trajectory
 
 TUM = """# ground truth trajectory

@@ -94,7 +94,7 @@ def decode_all(content: bytes) -> list[np.ndarray]:
 @pytest.fixture
 def decoded_packets(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Sizes of the packets that the reader has given to the decoder so far."""
-    from sceneloom.formats.video.cursor import Cursor
+    from sceneloom.formats.video.reader import Cursor
 
     sizes: list[int] = []
     decode: Callable = Cursor._decode

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from sceneloom.errors import DataError
-from sceneloom.formats.video.png_folder import PngFolder
+from sceneloom.formats.recording.images import PngFolder
 
 
 @pytest.fixture

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.video.index import read_index
-from sceneloom.formats.video.table_index import read_table_index
+from sceneloom.formats.video.index import read_index, read_table_index
 
 
 class Counted:

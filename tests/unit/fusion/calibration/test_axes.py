@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sceneloom.db34t.calibration import DeclaredAxes, SensorKind
 from sceneloom.errors import CalibrationError
-from sceneloom.fusion.calibration.axes import DeclaredAxes, SensorKind
 
 
 @pytest.mark.parametrize(

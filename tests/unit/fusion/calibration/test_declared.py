@@ -7,15 +7,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import CalibrationError
-from sceneloom.fusion.calibration.axes import DeclaredAxes
-from sceneloom.fusion.calibration.declared import (
+from sceneloom.db34t.calibration import (
+    DeclaredAxes,
+    MatrixLayout,
     calibrated_pair,
     calibration_data,
     camera_of,
     check_calibration,
+    matrix_of,
+    numbers_of,
+    possible_layouts,
 )
-from sceneloom.fusion.calibration.layouts import MatrixLayout, matrix_of, numbers_of, possible_layouts
+from sceneloom.errors import CalibrationError
 from sceneloom.fusion.messages import CalibrationData
 from sceneloom.geometry.rigid import RigidTransform
 

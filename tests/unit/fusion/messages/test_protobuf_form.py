@@ -6,10 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.messages import Boxes3d, FusedDetections, ImageData, PointCloudData, Timestamp
-from sceneloom.fusion.messages.array_bytes import bytes_of
-from sceneloom.fusion.messages.protobuf_form import (
+from sceneloom.db34t.protobuf import (
     decode,
     decode_send_request,
     encode,
@@ -19,6 +16,9 @@ from sceneloom.fusion.messages.protobuf_form import (
     parse_message,
     to_protobuf,
 )
+from sceneloom.db34t.types import bytes_of
+from sceneloom.errors import DataError, OptionError
+from sceneloom.fusion.messages import Boxes3d, FusedDetections, ImageData, PointCloudData, Timestamp
 from sceneloom.fusion.messages.wire import fusion_pb2
 
 TIME = Timestamp(1595682678, 715705367)
@@ -225,10 +225,10 @@ def test_equal_records_have_equal_bytes():
 
 def test_records_and_json_need_no_protobuf_and_without_it_the_extra_is_named():
     program = (
-        "import sys; import sceneloom.fusion.messages.json_form; print('google.protobuf' in sys.modules)\n"
+        "import sys; import sceneloom.db34t.json; print('google.protobuf' in sys.modules)\n"
         "sys.modules['google.protobuf'] = None\n"
         "from sceneloom.errors import MissingExtraError\n"
-        "try:\n    import sceneloom.fusion.messages.protobuf_form\n"
+        "try:\n    import sceneloom.db34t.protobuf\n"
         "except MissingExtraError as error:\n    print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

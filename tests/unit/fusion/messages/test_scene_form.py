@@ -8,28 +8,25 @@ from PIL import Image
 
 from sceneloom.cameras import Camera
 from sceneloom.colouring import FusedFrame, view_points
-from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.recording.lidar_files import XYZIRT
-from sceneloom.fusion.messages import Box2d, Boxes3d, ImageData, PointCloudData, RawData, Timestamp
-from sceneloom.fusion.messages.scene_form.boxes import (
+from sceneloom.db34t.scene_objects import (
     boxes_2d_of,
     boxes_2d_record,
     boxes_3d_of,
     boxes_3d_record,
-)
-from sceneloom.fusion.messages.scene_form.clouds import (
-    lidar_frame_of,
-    lidar_frame_of_raw,
-    lidar_frame_of_result,
-    point_cloud_of,
-)
-from sceneloom.fusion.messages.scene_form.images import (
+    depth_frame_of,
     image_data_of,
     image_of,
     image_of_result,
+    lidar_frame_of,
+    lidar_frame_of_raw,
+    lidar_frame_of_result,
     pixels_of_raw,
+    point_cloud_of,
+    sensor_fusion_of,
 )
-from sceneloom.fusion.messages.scene_form.results import depth_frame_of, sensor_fusion_of
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.recording.lidars import XYZIRT
+from sceneloom.fusion.messages import Box2d, Boxes3d, ImageData, PointCloudData, RawData, Timestamp
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes2D, Boxes3D, CameraImage, LidarFrame, LidarPoints, PointsFrame, ScoreForm
 

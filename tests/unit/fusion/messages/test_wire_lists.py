@@ -3,22 +3,21 @@
 import numpy as np
 import pytest
 
-from sceneloom.errors import DataError
-from sceneloom.fusion.messages.boxes import Boxes2d, Boxes3d
-from sceneloom.fusion.messages.fused import FusedDetections
-from sceneloom.fusion.messages.protobuf_form import (
+from sceneloom.db34t.boxes import Boxes2d, Boxes3d
+from sceneloom.db34t.protobuf import (
     decode_send_request,
     encode,
     from_protobuf,
     from_send_request,
     parse_message,
+    read_usual_list,
     to_protobuf,
     to_send_request,
 )
-from sceneloom.fusion.messages.records import RECORD_KINDS
-from sceneloom.fusion.messages.timestamps import Timestamp
+from sceneloom.db34t.records import RECORD_KINDS, FusedDetections
+from sceneloom.db34t.types import Timestamp
+from sceneloom.errors import DataError
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.fusion.messages.wire_lists import read_usual_list
 
 NAMES = ("car", "Pedestrian", "行人", "x" * 300, "é")
 TIMES = (Timestamp(0, 0), Timestamp(1595682678, 715705367), Timestamp(2**32 - 1, 0))

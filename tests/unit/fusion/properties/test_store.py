@@ -5,10 +5,9 @@ import threading
 import numpy as np
 import pytest
 
+from sceneloom.db34t.properties import MOST_PROPERTIES, PREDEFINED, PropertyStore
+from sceneloom.db34t.types import Cause
 from sceneloom.errors import OptionError
-from sceneloom.fusion.outcome import Cause
-from sceneloom.fusion.properties.predefined import PREDEFINED
-from sceneloom.fusion.properties.store import MOST_PROPERTIES, PropertyStore
 
 TABLE_2 = {
     "fusion_type": 0,

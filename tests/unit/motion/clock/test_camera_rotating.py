@@ -8,10 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras import Camera, unproject
 from sceneloom.errors import DataError
-from sceneloom.motion.clock.bearings import rotation_between
-from sceneloom.motion.clock.camera_rotating import camera_rotating
-from sceneloom.motion.clock.rotating import Rotating
-from sceneloom.motion.clock.rotating_clock import compare_turnings
+from sceneloom.motion.clock.camera_rotation import camera_rotating, rotation_between
+from sceneloom.motion.clock.comparison import compare_turnings
+from sceneloom.motion.clock.signals import Rotating
 from sceneloom.scene import CameraImage, CameraSensor, LazyFrames
 
 CAMERA_MODEL = Camera("fisheye", 160, 120, 90.0, 90.0, 79.5, 59.5, (0.02, -0.005, 0.001, 0.0))

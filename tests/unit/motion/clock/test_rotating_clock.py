@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sceneloom.motion.clock.comparison import compare_turnings
 from sceneloom.motion.clock.estimate import ClockVerdict
-from sceneloom.motion.clock.rotating import Rotating, RotationCurve
-from sceneloom.motion.clock.rotating_clock import compare_turnings
+from sceneloom.motion.clock.signals import Rotating, RotationCurve
 
 NOISE = 0.002
 """Of a consumer's gyroscope, a sample [rad/s]."""

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from sceneloom.motion.clock.dead_reckoning import DeadReckonedTrajectory, Unit
+from sceneloom.motion.clock.comparison import compare_trajectories
 from sceneloom.motion.clock.estimate import ClockVerdict
-from sceneloom.motion.clock.trajectories import Fixes
-from sceneloom.motion.clock.trajectory_clock import compare_trajectories
+from sceneloom.motion.clock.signals import DeadReckonedTrajectory, Fixes, Unit
 from sceneloom.scene import VectorSamples
 
 RADIUS, RATE = 30.0, 0.3

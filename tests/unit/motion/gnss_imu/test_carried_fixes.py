@@ -4,14 +4,18 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
-from sceneloom.kernels.motion_chain import SIZE
-from sceneloom.motion.gnss_imu.carried_fixes import Fixes, carried_fixes, fix_variances
-from sceneloom.motion.gnss_imu.fixes import GnssFixes
-from sceneloom.motion.gnss_imu.knots import knot_times
-from sceneloom.motion.gnss_imu.samples import InertialSamples
-from sceneloom.motion.gnss_imu.settings import SmootherSettings
-from sceneloom.simulate.inertial import GRAVITY, ImuSpec, imu_truth
-from sceneloom.simulate.path import PathSpec, plan_path
+from sceneloom.kernels.imu_chain import SIZE
+from sceneloom.motion.gnss_imu.measurements import (
+    Fixes,
+    GnssFixes,
+    InertialSamples,
+    SmootherSettings,
+    carried_fixes,
+    fix_variances,
+    knot_times,
+)
+from sceneloom.simulate.gnss_imu import GRAVITY, ImuSpec, imu_truth
+from sceneloom.simulate.trajectory import PathSpec, plan_path
 
 PATH = plan_path(
     np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
-from sceneloom.motion.gnss_imu.carried_fixes import Fixes
 from sceneloom.motion.gnss_imu.chain import (
     BodySpeeds,
     Chain,
@@ -16,8 +15,7 @@ from sceneloom.motion.gnss_imu.chain import (
     inertial_residuals,
     step,
 )
-from sceneloom.motion.gnss_imu.preintegration import preintegrated
-from sceneloom.motion.gnss_imu.settings import SmootherSettings
+from sceneloom.motion.gnss_imu.measurements import Fixes, SmootherSettings, preintegrated
 
 COUNT = 5
 WEIGHTS = np.array([1.0, 0.5, 1.0])

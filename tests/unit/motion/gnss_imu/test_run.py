@@ -16,9 +16,9 @@ from sceneloom.geometry.rotations import (
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.ego_motion import find_ego_motion, with_trajectory_estimated
-from sceneloom.motion.gnss_imu.run import GnssImuRun, gnss_imu_motion
-from sceneloom.motion.gnss_imu.settings import SmootherSettings
+from sceneloom.motion.ego_trajectory import find_ego_motion, with_trajectory_estimated
+from sceneloom.motion.gnss_imu.measurements import SmootherSettings
+from sceneloom.motion.gnss_imu.smoother import GnssImuRun, gnss_imu_motion
 from sceneloom.scene import (
     GnssSensor,
     ImuSensor,
@@ -28,10 +28,16 @@ from sceneloom.scene import (
     VectorSamples,
     WarningKind,
 )
-from sceneloom.simulate.inertial import GRAVITY, ImuSpec, ImuTruth, imu_sensor, imu_truth
-from sceneloom.simulate.path import EgoPath, PathSpec, plan_path
-from sceneloom.simulate.satellite import GnssSpec, gnss_sensor
-from sceneloom.simulate.warp import Stop
+from sceneloom.simulate.gnss_imu import (
+    GRAVITY,
+    GnssSpec,
+    ImuSpec,
+    ImuTruth,
+    gnss_sensor,
+    imu_sensor,
+    imu_truth,
+)
+from sceneloom.simulate.trajectory import EgoPath, PathSpec, Stop, plan_path
 
 SETTINGS = SmootherSettings(gravity=GRAVITY)  # the synthetic world has the same gravity everywhere
 ORIGIN = GnssSpec().origin_lla

@@ -7,8 +7,7 @@ import pytest
 
 from sceneloom.errors import DataError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.odometry.run import lidar_odometry
-from sceneloom.motion.odometry.scene_sweeps import SceneSweeps
+from sceneloom.motion.odometry.run import SceneSweeps, lidar_odometry
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Scene
 from sceneloom.simulate import LidarSpec, simulate_street
 

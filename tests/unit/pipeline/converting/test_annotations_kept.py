@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.formats.loss import Support
-from sceneloom.formats.table import written_formats
+from sceneloom.formats.base.losses import Support
+from sceneloom.formats.base.registry import written_formats
 from sceneloom.scene import (
     AttributePath,
     Box2DAnnotation,

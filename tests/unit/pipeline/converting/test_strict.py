@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.errors import LossError, OptionError, OutputError
 from sceneloom.formats import open_scene, write_scene
-from sceneloom.formats.loss import Support
+from sceneloom.formats.base.losses import Support
 from sceneloom.pipeline import convert
 from sceneloom.scene import (
     EventAnnotation,

@@ -2,10 +2,17 @@
 
 import pytest
 
-from sceneloom.formats.loss import KEPT, Loss, Support, approximated, converted, dropped
-from sceneloom.formats.supported_fields import holding_of, unknown_names
-from sceneloom.pipeline.converting.field_names import fields_meant
-from sceneloom.pipeline.converting.supports import field_supports, lost
+from sceneloom.formats.base.losses import (
+    KEPT,
+    Loss,
+    Support,
+    approximated,
+    converted,
+    dropped,
+    holding_of,
+    unknown_names,
+)
+from sceneloom.pipeline.converting import field_supports, fields_meant, lost
 from sceneloom.scene.contents import MODEL_FIELDS
 
 HOLDS = {

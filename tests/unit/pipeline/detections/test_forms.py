@@ -5,15 +5,14 @@ import json
 import numpy as np
 import pytest
 
+from sceneloom.db34t.json import format_json
+from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
 from sceneloom.errors import DataError, UnknownFormatError
-from sceneloom.formats.ledger import Ledger
-from sceneloom.fusion.messages.json_form import format_json
-from sceneloom.fusion.messages.scene_form.boxes import boxes_2d_record, boxes_3d_record
+from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.detections.lists.context import ListContext
-from sceneloom.pipeline.detections.lists.table import form_of, read_boxes_2d, read_boxes_3d
+from sceneloom.pipeline.detection_lists import ListContext, form_of, read_boxes_2d, read_boxes_3d
 from sceneloom.scene import Boxes2D, Boxes3D, Poses, ScoreForm
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.poses import PoseSource
 
 TIMES = np.array([0, 100_000_000, 200_000_000], np.int64)
 LIDAR_FROM_CAMERA = RigidTransform(

@@ -11,9 +11,8 @@ import pytest
 
 from sceneloom.errors import how_to_install
 from sceneloom.kernels import cache
-from sceneloom.pipeline.installation import packages, report
-from sceneloom.pipeline.installation.packages import find_packages
-from sceneloom.pipeline.installation.report import Status, examine_installation
+from sceneloom.pipeline import installation
+from sceneloom.pipeline.installation import Status, examine_installation, find_packages
 
 
 def findings(group):
@@ -39,7 +38,7 @@ REQUIREMENTS = [
 
 
 def test_packages_are_looked_for_as_the_metadata_name_them(monkeypatch):
-    monkeypatch.setattr(packages, "requires", lambda _: REQUIREMENTS)
+    monkeypatch.setattr(installation, "requires", lambda _: REQUIREMENTS)
     found = {one.name: one for one in find_packages()}
     assert sorted(found) == ["fsspec", "no-such-package", "numpy", "scipy"]
     assert found["numpy"].problem is None
@@ -48,11 +47,11 @@ def test_packages_are_looked_for_as_the_metadata_name_them(monkeypatch):
 
 
 def test_what_is_needed_and_broken_makes_it_unsound_and_a_missing_extra_does_not(monkeypatch):
-    monkeypatch.setattr(packages, "requires", lambda _: REQUIREMENTS[3:4])
+    monkeypatch.setattr(installation, "requires", lambda _: REQUIREMENTS[3:4])
     assert examine_installation().is_sound
     extra = findings("extras")["mcap"]
     assert (extra.status, extra.remedy) == (Status.MISSING, how_to_install("mcap"))
-    monkeypatch.setattr(packages, "requires", lambda _: REQUIREMENTS[1:2])
+    monkeypatch.setattr(installation, "requires", lambda _: REQUIREMENTS[1:2])
     broken = examine_installation()
     assert not broken.is_sound
     assert findings("packages")["scipy"].remedy == "pip uninstall scipy, then pip install 'scipy>=999.1'"
@@ -64,7 +63,7 @@ def test_a_package_that_cannot_be_imported_is_broken(monkeypatch, tmp_path):
     (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: crooked\nVersion: 1.0\n")
     (tmp_path / "crooked.py").write_text("raise OSError('libcrooked.so: cannot open')")
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(packages, "requires", lambda _: ["crooked>=1"])
+    monkeypatch.setattr(installation, "requires", lambda _: ["crooked>=1"])
     (found,) = find_packages()
     assert found.problem == "cannot be imported: libcrooked.so: cannot open"
 
@@ -73,7 +72,7 @@ def test_a_folder_that_is_not_installed_says_so(monkeypatch):
     def absent(_):
         raise importlib.metadata.PackageNotFoundError
 
-    monkeypatch.setattr(packages, "requires", absent)
+    monkeypatch.setattr(installation, "requires", absent)
     assert "not installed" in findings("packages")["sceneloom"].stated
 
 
@@ -92,8 +91,8 @@ def test_kernels_count_as_compiled_once_there_is_an_index_of_their_present_sourc
     index.write_bytes(b"of" + cache.source_digest(source).encode())
     assert cache.find_kernel_cache().compiled == 1
     assert cache.find_kernel_cache().kernels == cold.kernels > 150
-    asked = ["sceneloom.kernels.occlusion", "sceneloom.cameras.pinhole", "sceneloom.kernels.voxels"]
-    others = ["sceneloom.kernels.cache", "sceneloom.cameras.table", "numba.core", "sceneloom"]
+    asked = ["sceneloom.kernels.occlusion", "sceneloom.cameras.pinhole", "sceneloom.kernels.surface_map"]
+    others = ["sceneloom.kernels.cache", "sceneloom.cameras.camera", "numba.core", "sceneloom"]
     assert [cache.lacks_kernels(name) for name in (*asked, *others)] == [True] * 3 + [False] * 4
 
 
@@ -143,7 +142,7 @@ def test_kept_kernels_are_those_of_the_content_of_their_sources_and_not_of_their
     ],
 )
 def test_what_to_do_about_kernels(warm, writable, stated):
-    remedy = report._kernel_remedy(warm=warm, writable=writable)
+    remedy = installation._kernel_remedy(warm=warm, writable=writable)
     assert remedy is None if stated is None else stated in remedy
 
 

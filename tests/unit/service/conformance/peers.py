@@ -2,15 +2,15 @@
 
 from collections import defaultdict
 
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.protobuf import fill_message
+from sceneloom.db34t.records import kind_of
+from sceneloom.db34t.transport import SERVICE, CallFailedError
 from sceneloom.errors import OptionError
-from sceneloom.fusion.interface import FusionInterface
-from sceneloom.fusion.messages.protobuf_form import fill_message
-from sceneloom.fusion.messages.records import kind_of
 from sceneloom.fusion.messages.wire import fusion_pb2
-from sceneloom.service.call_errors import CallError
-from sceneloom.service.conformance.transport import SERVICE, CallFailedError
+from sceneloom.service.messages import property_to_protobuf
 from sceneloom.service.methods import METHODS
-from sceneloom.service.values import property_to_protobuf
+from sceneloom.service.sessions import CallError
 
 
 class HereTransport:

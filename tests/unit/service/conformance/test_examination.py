@@ -4,12 +4,11 @@ import re
 
 import pytest
 
+from sceneloom.db34t.conformance.catalogue import CLAUSES, PROPERTY_ROWS, ROWS, TYPE_ROWS, Basis
+from sceneloom.db34t.conformance.examination import CHECKS, PARTS, chosen, examine
+from sceneloom.db34t.tables import TABLES
+from sceneloom.db34t.transport import CallFailedError
 from sceneloom.errors import OptionError
-from sceneloom.fusion.messages.tables import TABLES
-from sceneloom.service.conformance.catalogue import Basis
-from sceneloom.service.conformance.examination import CHECKS, PARTS, chosen, examine
-from sceneloom.service.conformance.quotes import CLAUSES, PROPERTY_ROWS, ROWS, TYPE_ROWS
-from sceneloom.service.conformance.transport import CallFailedError
 
 from .defects import broken_servers
 from .peers import HereTransport

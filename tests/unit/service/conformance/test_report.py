@@ -5,9 +5,8 @@ from html.parser import HTMLParser
 
 import pytest
 
+from sceneloom.db34t.conformance.examination import examine, write_report
 from sceneloom.errors import OptionError, OutputError
-from sceneloom.service.conformance.examination import examine
-from sceneloom.service.conformance.report import write_report
 
 from .defects import Broken, status_two
 from .peers import HereTransport

@@ -16,11 +16,11 @@ from sceneloom.scene import (
     Support,
     Tracks,
 )
-from sceneloom.scene.at import cuboid_at
+from sceneloom.scene.annotations_at import cuboid_at
 from sceneloom.simulate import CameraSpec, LidarSpec, RadarSpec, TrafficSpec, simulate_street
-from sceneloom.tracking.labels.making import label_tracks
-from sceneloom.tracking.labels.quality import FlagKind
-from sceneloom.tracking.labels.settings import LabelSettings
+from sceneloom.tracking.label_paths import FlagKind
+from sceneloom.tracking.labels import label_tracks
+from sceneloom.tracking.settings import LabelSettings
 
 FRAMES = 10
 TOLERANCES = LabelSettings(tolerance_m=0.04, tolerance_deg=0.8)

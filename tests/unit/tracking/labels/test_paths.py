@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from sceneloom.scene import CuboidAnnotation, CuboidPath, Support
-from sceneloom.scene.angles import CuboidAngles
-from sceneloom.scene.at import cuboid_at
-from sceneloom.tracking.labels.paths import boxed_part, label_path, usual_heading, weighted_medians
-from sceneloom.tracking.labels.settings import LabelSettings
+from sceneloom.scene.annotations_at import CuboidAngles, cuboid_at
+from sceneloom.tracking.label_paths import boxed_part, label_path, usual_heading, weighted_medians
+from sceneloom.tracking.settings import LabelSettings
 
 DEGREES = CuboidAngles()
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.tracking.labels.rider_association import riders
+from sceneloom.tracking.labels import riders
 
 
 @pytest.fixture

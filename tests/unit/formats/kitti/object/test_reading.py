@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sceneloom.cameras.models import project
+from sceneloom.cameras.projection import project
 from sceneloom.errors import DataError
 from sceneloom.formats import open_scene
 from sceneloom.geometry.boxes import box_corners
-from sceneloom.scene.at import cuboid_poses
+from sceneloom.scene.annotations_at import cuboid_poses
 
 CALIBRATIONS = {
     3: {"P2": "48 0 17 2.88 0 48 13 0.5 0 0 1 0.003", "T": "0.01 -0.08 -0.27"},

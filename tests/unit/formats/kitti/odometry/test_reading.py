@@ -8,8 +8,8 @@ from PIL import Image
 
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats import open_scene
-from sceneloom.formats.drives import drives_of
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.formats.base.registry import drives_of
+from sceneloom.scene.poses import PoseSource
 
 TR = np.array([[0, -1, 0, 0.01], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1.0]])
 POSES = np.stack([np.eye(4), np.eye(4)])

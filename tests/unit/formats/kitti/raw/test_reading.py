@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from sceneloom.cameras.models import project
+from sceneloom.cameras.projection import project
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats import open_scene
-from sceneloom.formats.drives import drives_of
+from sceneloom.formats.base.registry import drives_of
 from sceneloom.geometry.boxes import box_corners
-from sceneloom.scene.at import cuboid_poses
-from sceneloom.scene.pose_source import PoseSource
+from sceneloom.scene.annotations_at import cuboid_poses
+from sceneloom.scene.poses import PoseSource
 
 FIRST_NS = 1_317_042_145_594_360_375
 """2011-09-26 13:02:25.594360375, of `date -u +%s` and the nine digits."""

@@ -6,7 +6,7 @@ from PIL import Image
 
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats import open_scene
-from sceneloom.formats.drives import drives_of
+from sceneloom.formats.base.registry import drives_of
 
 CALIBRATION = """P2: 48 0 17 2.88 0 48 13 0.5 0 0 1 0.003
 R_rect 1 0 0 0 1 0 0 0 1

@@ -1,0 +1,737 @@
+"""How well an image and a cloud agree under a candidate calibration: image edges and grey levels, depth edges.
+
+Features, and their agreement.
+
+Source: Levinson and Thrun 2013, "Automatic Online Calibration of Cameras and Lasers": range jumps to both sides, the
+nearer point counts. Ours: jumps across the scan lines too, and their direction, which edges of images must share.
+
+Source: mutual information of intensity and grey: Pandey, McBride, Savarese and Eustice 2012, "Automatic Targetless
+Extrinsic Calibration of a 3D Lidar and Camera by Maximizing Mutual Information"; over levels that are equally frequent
+it is, but for a constant, the normalised information distance that Taylor and Nieto 2012 use. Linear B-splines as the
+Parzen window: Unser and Thévenaz 2000.
+"""
+
+from collections.abc import Collection, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.calibrate.frames import CalibrationFrame, ScanOrder, moved_by
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.projection import (
+    PointsInImage,
+    domain_angle,
+    intrinsics_vector,
+    project_unbounded,
+    projection_kernel,
+    unproject,
+)
+from sceneloom.colouring.visibility import VisibilitySettings, find_visible
+from sceneloom.kernels.image_agreement import fill_histogram, sum_by_table, sum_edges
+
+
+class Parameter(IntEnum):
+    """The numbers of a change, in this order."""
+
+    PITCH = 0
+    YAW = 1
+    ROLL = 2
+    RIGHT = 3
+    DOWN = 4
+    AHEAD = 5
+    FOCAL = 6
+    LATER = 7
+
+
+COUNT = len(Parameter)
+
+ROTATION = (Parameter.PITCH, Parameter.YAW, Parameter.ROLL)
+
+TRANSLATION = (Parameter.RIGHT, Parameter.DOWN, Parameter.AHEAD)
+
+UNITS = np.array([*(np.radians(0.25),) * 3, 0.05, 0.05, 0.05, 0.01, 0.02])
+"""What counts as about as much of each: 0.25 degrees, 5 cm, 1 % of the focal length, 20 ms."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What a candidate changes of the stated calibration.
+
+    Attributes:
+        numbers: eight: a rotation about the camera's x, y and z axes [rad] and a shift along them [m], of the cloud as
+            the camera sees it; the logarithm of a factor on the focal lengths; how long after its timestamp an image
+            was really taken [s].
+    """
+
+    numbers: tuple[float, ...] = (0.0,) * COUNT
+
+    @classmethod
+    def of(cls, numbers: Float64Array) -> "Change":
+        """Take (8,) numbers."""
+        return cls(tuple(float(number) for number in numbers))
+
+    @classmethod
+    def rotation(cls, rotation: Float64Array) -> "Change":
+        """Rotate the cloud about the camera's axes by a rotation vector, (3,) [rad]."""
+        return cls((*(float(number) for number in rotation), *(0.0,) * (COUNT - 3)))
+
+    def camera_from_lidar(self, stated: Float64Array) -> Float64Array:
+        """Change a `camera_from_lidar`, (4, 4)."""
+        changed: Float64Array = moved_by(np.array(self.numbers[:6])) @ stated
+        return changed
+
+    def camera_from_points(self, frame: CalibrationFrame) -> Float64Array:
+        """Give what takes the points of a frame into the camera, (4, 4)."""
+        changed = self.camera_from_lidar(frame.camera_from_lidar.matrix)
+        return frame.camera_from_points(changed, later=self.numbers[Parameter.LATER])
+
+    def camera_model(self, intrinsics_vector: Float64Array) -> Float64Array:
+        """Change the numbers of a camera model."""
+        scale = np.exp(self.numbers[Parameter.FOCAL])
+        if scale == 1.0:
+            return intrinsics_vector
+        changed = intrinsics_vector.copy()
+        changed[:2] *= scale
+        return changed
+
+
+DIRECTIONS = 4
+"""Edges are distinguished by the direction across them: 0, 45, 90, 135 degrees from rightward to downward."""
+
+_LEVELS = 24
+"""Grey levels and intensities are distinguished by so many."""
+
+_PIXELS_PER_RADIAN = 750.0
+"""About the finest that is looked at: a pixel of 0.08 degrees is less than the step of nearly all lidars."""
+
+_SMOOTHED_PX = 1.0
+
+_SURROUNDINGS_PX = 61
+"""Edges are compared with others this near."""
+
+_NOISE = 2.0
+"""Grey levels per pixel that noise and compression make."""
+
+_STRONGEST = 3.0
+
+_WIDTHS_PX = {"fine": 1.0, "coarse": 5.0}
+"""How far edges are widened, so that what misses them by a little still meets them."""
+
+_GREY_PX = 1.5
+
+_STEPS = 16
+"""Parts of a grey level that are distinguished."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _MeasuredImage:
+    """What measures need of an image.
+
+    Attributes:
+        camera: the camera model of the reduced image.
+        camera_model: its numbers as the projection takes them.
+        grey: (H, W) float32, the reduced image, 0 to 255.
+        edges: by name of the width, "fine" and "coarse": (4, H, W) float32, strength of edges across each direction,
+            as multiples of what is usual around them.
+        levels: (H, W) float32, 0 to `_LEVELS` - 1, each level as frequent as any other.
+        plainness: share of the image that shows nothing: of one brightness, as far as can be reported.
+    """
+
+    camera: Camera
+    camera_model: Float64Array
+    grey: Float32Array
+    edges: dict[str, Float32Array]
+    levels: Float32Array
+    plainness: float
+
+
+def blur(image: Float32Array, width: float) -> Float32Array:
+    """Blur an image (H, W) float32 by a Gaussian of a standard deviation [px], up to three of it; borders mirror."""
+    return np.asarray(ndimage.gaussian_filter(image, width, truncate=3.0), np.float32)
+
+
+def box_means(image: Float32Array, size: int) -> Float32Array:
+    """Average an image (H, W) float32 over squares of an odd side [px]; the border's pixels go on beyond it."""
+    return np.asarray(ndimage.uniform_filter(image, size, mode="nearest"), np.float32)
+
+
+def measured_image(
+    grey: Float32Array, camera: Camera, *, widths: Sequence[str] = tuple(_WIDTHS_PX)
+) -> _MeasuredImage:
+    """Reduce an image to what its camera model distinguishes at 0.08 degrees, and find its edges and levels.
+
+    Args:
+        widths: names of the widths at which edges are wanted.
+    """
+    small, camera_model = _reduced_image(grey, camera)
+    smoothed = blur(small, _SMOOTHED_PX)
+    across, down = ndimage.sobel(smoothed, 1) / 8.0, ndimage.sobel(smoothed, 0) / 8.0
+    strength = np.hypot(across, down)
+    shares = 1.0 / (box_means(strength, _SURROUNDINGS_PX) + np.float32(_NOISE))
+    trajectories = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    cosines, sines = np.cos(trajectories).astype(np.float32), np.sin(trajectories).astype(np.float32)
+    directed = [
+        np.minimum(np.abs(across * cosine + down * sine) * shares, np.float32(_STRONGEST))
+        for cosine, sine in zip(cosines, sines, strict=True)
+    ]
+    edges = {name: np.stack([blur(image, _WIDTHS_PX[name]) for image in directed]) for name in widths}
+    plain = float(np.mean(box_means(strength, 9) < 0.25))
+    return _MeasuredImage(
+        camera_model, intrinsics_vector(camera_model), small, edges, evened(blur(small, _GREY_PX)), plain
+    )
+
+
+def _reduced_image(grey: Float32Array, camera: Camera) -> tuple[Float32Array, Camera]:
+    """Average blocks of pixels to what the camera model distinguishes at 0.08 degrees.
+
+    What is left over at the ends is cut.
+    """
+    factor = max(int(min(camera.fx, camera.fy) / _PIXELS_PER_RADIAN + 0.25), 1)
+    height, width = grey.shape[0] // factor, grey.shape[1] // factor
+    if factor == 1 or height < 2 or width < 2:
+        return grey, camera
+    blocks = grey[: height * factor, : width * factor].reshape(height, factor, width, factor)
+    cut = Camera(
+        camera.model,
+        width * factor,
+        height * factor,
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+        camera.coefficients,
+    )
+    return np.ascontiguousarray(blocks.mean(axis=(1, 3), dtype=np.float32)), cut.resized(width, height)
+
+
+def evened(grey: Float32Array) -> Float32Array:
+    """Rotate brightness (H, W), 0 to 255, into levels that are as frequent as any other, 0 to `_LEVELS` - 1."""
+    sample = np.sort(grey.ravel()[:: max(grey.size // 20_000, 1)])
+    shares = np.searchsorted(sample, np.arange(256 * _STEPS) / _STEPS) / max(len(sample), 1)
+    table = (shares * (_LEVELS - 1)).astype(np.float32)
+    return table[np.clip(grey * _STEPS, 0, len(table) - 1).astype(np.int32)]
+
+
+_LEAST_JUMP, _JUMP_SHARE, _LARGEST_JUMP = 0.4, 0.04, 3.0
+"""A jump is larger than this [m], and than this share of the range; one larger than that counts no more [m]."""
+
+_GAP_STEPS = 4.0
+
+_SLANT_FACTOR = 2.0
+"""A surface that slants so many times as much as where it was last seen explains a jump."""
+
+_NEIGHBOURS = 16
+
+_ISOLATED = 3.0
+
+_SURFACE_DISTANCE = 0.6
+"""Surfaces pass the lidar no nearer [m]: along them inverse range changes by less than one over it for each radian, so
+that ground seen at a grazing angle is no edge."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthEdges:
+    """Points at the edges of what is near.
+
+    Attributes:
+        points_lidar: (N, 3) float64 [m], at the image's time, as far away as the nearer of two points, halfway to the
+            direction of the farther one: the edge is somewhere between the two.
+        outwards_lidar: (N, 3) float64 [m], as far away, in the direction of the farther one.
+        weights: (N,) float32, the jump [m], at most 3.
+    """
+
+    points_lidar: Float64Array
+    outwards_lidar: Float64Array
+    weights: Float32Array
+
+
+def find_depth_edges(frame: CalibrationFrame, chosen: Int64Array) -> DepthEdges:
+    """Find the edges among some points of a frame.
+
+    Args:
+        chosen: (M,) int64, the points that the camera may see.
+    """
+    if frame.scan is None:
+        eye = frame.camera_from_lidar.inverse().translation
+        near, far = _jumps_anywhere(frame.points_lidar, chosen, eye)
+        shares, reaches = np.ones(len(near)), np.ones(len(near))
+    else:
+        eye = np.zeros(3)
+        near, far, shares, reaches = _jumps_in_scan(frame.scan, chosen, len(frame.points_lidar))
+    inner, outer = frame.points_lidar[near] - eye, frame.points_lidar[far] - eye
+    ranges_near, ranges_far = np.linalg.norm(inner, axis=1), np.linalg.norm(outer, axis=1)
+    weights = (shares * np.minimum(ranges_far - ranges_near, _LARGEST_JUMP)).astype(np.float32)
+    outer *= (ranges_near / ranges_far)[:, None]
+    middle = inner + outer
+    middle *= (reaches * ranges_near / np.linalg.norm(middle, axis=1))[:, None]
+    return DepthEdges(np.ascontiguousarray(middle + eye), np.ascontiguousarray(outer + eye), weights)
+
+
+def _is_jump(near: Float64Array, far: Float64Array, apart: Float64Array | float) -> BoolArray:
+    """Whether the range jumps between two points, seen at an angle [rad] to one another."""
+    with np.errstate(divide="ignore"):
+        steep = 1.0 / near - 1.0 / far > apart / _SURFACE_DISTANCE
+    return np.asarray((far - near > _least_jump(near)) & steep)
+
+
+def _least_jump(near: Float64Array) -> Float64Array:
+    return np.maximum(_LEAST_JUMP, _JUMP_SHARE * near)
+
+
+def _jumps_in_scan(
+    scan: ScanOrder, chosen: Int64Array, count: int
+) -> tuple[Int64Array, Int64Array, Float64Array, Float64Array]:
+    """Jumps between neighbours on a line, and between lines; these count less, since lines lie farther apart.
+
+    Returns:
+        near, far: (N,) int64, the points.
+        shares: (N,) what each counts.
+        reaches: (N,) how far the edge is, as a multiple of the near point's range.
+    """
+    wanted = np.zeros(count, np.bool_)
+    wanted[chosen] = True
+    rows = np.flatnonzero(wanted[scan.order])
+    lines, azimuths, ranges = scan.lines[rows], scan.azimuths[rows], scan.ranges[rows]
+    points = scan.order[rows]
+    if len(rows) < 2:
+        return points[:0], points[:0], np.zeros(0), np.zeros(0)
+    same = np.diff(lines) == 0
+    step = float(np.median(np.diff(azimuths)[same])) if same.any() else 0.0
+    spacing = _line_spacing(scan)
+    after = np.full(len(rows), -1)
+    pairs = np.flatnonzero(same & (np.diff(azimuths) <= _GAP_STEPS * step))
+    after[pairs] = pairs + 1
+    trajectories = [
+        _jumps_along(trajectory, _reversed(trajectory), ranges, apart)
+        for trajectory, apart in ((after, step), (rows_above(lines, azimuths, scan.count, step), spacing))
+    ]
+    near, far, reaches = (np.concatenate(parts) for parts in zip(*trajectories, strict=True))
+    share = min(step / spacing, 1.0) if spacing > 0 else 1.0
+    return (
+        points[near],
+        points[far],
+        np.repeat([1.0, share], [len(trajectory[0]) for trajectory in trajectories]),
+        reaches,
+    )
+
+
+def _reversed(ahead: Int64Array) -> Int64Array:
+    """Of each row the one that it is ahead of; -1 for none."""
+    behind = np.full(len(ahead), -1)
+    behind[ahead[ahead >= 0]] = np.flatnonzero(ahead >= 0)
+    return behind
+
+
+def _jumps_along(
+    ahead: Int64Array, behind: Int64Array, ranges: Float64Array, apart: float
+) -> tuple[Int64Array, Int64Array, Float64Array]:
+    """Jumps from each row to the one ahead and to the one behind: near rows, far rows, reaches."""
+    found = []
+    for onwards, back in ((ahead, behind), (behind, ahead)):
+        near = np.flatnonzero(onwards >= 0)
+        near = near[_is_jump(ranges[near], ranges[onwards[near]], apart)]
+        far, before = onwards[near], back[near]
+        slants, known = _slants(ranges, near, before)
+        # a plane's inverse range changes evenly with the angle
+        explained = 1.0 / ranges[near] - 1.0 / ranges[far] < _SLANT_FACTOR * slants
+        kept = known & ~explained
+        reaches = 1.0 / np.maximum(1.0 - 0.5 * slants * ranges[near], ranges[near] / ranges[far])
+        found.append((near[kept], far[kept], reaches[kept]))
+    return (
+        np.concatenate([found[0][0], found[1][0]]),
+        np.concatenate([found[0][1], found[1][1]]),
+        np.concatenate([found[0][2], found[1][2]]),
+    )
+
+
+def _slants(ranges: Float64Array, near: Int64Array, before: Int64Array) -> tuple[Float64Array, BoolArray]:
+    """How much inverse range falls towards an edge on the surface that ends there, and whether it is that surface.
+
+    Where the surface is one point wide its slant counts as none; a point that itself lies behind an edge, or has none
+    beside it, is no end of a surface that is known.
+    """
+    previous = np.where(before >= 0, ranges[before], ranges[near])
+    same = np.abs(previous - ranges[near]) < _least_jump(ranges[near])
+    slants = np.where(same, 1.0 / previous - 1.0 / ranges[near], 0.0)
+    return slants, np.asarray((before >= 0) & (same | (previous > ranges[near])))
+
+
+def _line_spacing(scan: ScanOrder) -> float:
+    """Usual angle from line to line [rad]."""
+    means = np.bincount(scan.lines, scan.elevations) / np.maximum(np.bincount(scan.lines), 1)
+    return float(np.median(np.diff(means))) if len(means) > 1 else 0.0
+
+
+def rows_above(lines: Int64Array, azimuths: Float64Array, count: int, step: float) -> Int64Array:
+    """The point of the next line above at the same azimuth, by row; -1 for none.
+
+    Args:
+        lines, azimuths: (M,) of points in the order of a scan.
+        count: number of lines.
+        step: usual angle between points of a line [rad].
+    """
+    rotation = 8.0  # more than all azimuths span, so that lines follow one another
+    keys = lines * rotation + azimuths
+    wanted = (lines + 1) * rotation + azimuths
+    after = np.clip(np.searchsorted(keys, wanted), 1, len(keys) - 1)
+    nearer = np.where(np.abs(keys[after] - wanted) < np.abs(keys[after - 1] - wanted), after, after - 1)
+    found: Int64Array = np.where(
+        np.abs(keys[nearer] - wanted) <= _GAP_STEPS / 2 * max(step, 1e-4), nearer, -1
+    )
+    found[lines + 1 >= count] = -1
+    return found
+
+
+def _jumps_anywhere(
+    points_lidar: Float64Array, chosen: Int64Array, eye_lidar: Float64Array
+) -> tuple[Int64Array, Int64Array]:
+    """Jumps between neighbours in direction as seen from a location near the lidar, where no lines are known."""
+    if len(chosen) <= _NEIGHBOURS:
+        return chosen[:0], chosen[:0]
+    points = points_lidar[chosen] - eye_lidar
+    ranges = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
+    directions = points / ranges[:, None]
+    found = cKDTree(directions).query(directions, k=_NEIGHBOURS + 1)
+    distances, others = np.asarray(found[0]), np.asarray(found[1], np.int64)
+    usual = np.median(distances[:, -1])
+    jumps = _is_jump(ranges[:, None], ranges[others], distances) & (distances < _ISOLATED * usual)
+    nearest = np.argmax(jumps, axis=1)
+    rows = np.flatnonzero(jumps.any(axis=1))
+    return chosen[rows], chosen[others[rows, nearest[rows]]]
+
+
+_TILES_ACROSS, _TILES_DOWN = 6, 3
+
+_TILES = _TILES_ACROSS * _TILES_DOWN
+"""Tiles of an image: how much these differ reports how much chance there is in a score."""
+
+_BESIDE = np.radians(6.0)
+"""Points so far outside the image may come into it [rad]."""
+
+_MOST_POINTS = 6000
+"""Points of a frame whose intensity is compared, evenly drawn."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameFeatures:
+    """What the measures need of one frame.
+
+    Attributes:
+        frame: the frame.
+        image: its image.
+        edge_points: (E, 3) float64 [m], lidar frame.
+        edge_kinds: (E,) uint8, the direction across the edge, as `MeasuredImage.edges` counts.
+        edge_weights: (E,) float32.
+        edge_cells: (E,) int16, tile of the image.
+        level_points: (P, 3) float64 [m], lidar frame, seen by the camera.
+        levels: (P,) float32, intensity as a level that is as frequent as any other, 0 to `_LEVELS` - 1.
+        level_cells: (P,) int16.
+        seen: how many points the camera sees by the stated calibration.
+        around: (A,) int64, the points of the frame in the image and around it.
+        visible: (V,) int64, those in the image that nothing hides.
+    """
+
+    frame: CalibrationFrame
+    image: _MeasuredImage
+    edge_points: Float64Array
+    edge_kinds: UInt8Array
+    edge_weights: Float32Array
+    edge_cells: AnyArray
+    level_points: Float64Array
+    levels: Float32Array
+    level_cells: AnyArray
+    seen: int
+    around: Int64Array
+    visible: Int64Array
+
+    def thinned(self, every: int) -> "FrameFeatures":
+        """One of so many edges and levels."""
+        return replace(
+            self,
+            edge_points=np.ascontiguousarray(self.edge_points[::every]),
+            edge_kinds=np.ascontiguousarray(self.edge_kinds[::every]),
+            edge_weights=np.ascontiguousarray(self.edge_weights[::every]),
+            edge_cells=np.ascontiguousarray(self.edge_cells[::every]),
+            level_points=np.ascontiguousarray(self.level_points[::every]),
+            levels=np.ascontiguousarray(self.levels[::every]),
+            level_cells=np.ascontiguousarray(self.level_cells[::every]),
+        )
+
+
+def extract(frame: CalibrationFrame, image: _MeasuredImage | None = None) -> FrameFeatures:
+    """Take what is needed from a frame under its stated calibration; `image` where it was measured before."""
+    if image is None:
+        image = measured_image(frame.grey, frame.camera)
+    chosen = _around_view(frame)
+    edges = find_depth_edges(frame, chosen)
+    stated = frame.camera_from_lidar
+    near, far = (
+        project_unbounded(image.camera, stated.apply(points))
+        for points in (edges.points_lidar, edges.outwards_lidar)
+    )
+    towards = np.arctan2(far[:, 1] - near[:, 1], far[:, 0] - near[:, 0])
+    known = _as_in_memory(near, np.flatnonzero(np.isfinite(near).all(axis=1) & np.isfinite(towards)))
+    kinds = np.rint(towards[known] * DIRECTIONS / np.pi).astype(np.int64) % DIRECTIONS
+    seen, visible = _seen(frame, chosen)
+    level_rows, levels = _levels(frame, visible)
+    level_pixels = project_unbounded(image.camera, stated.apply(frame.points_lidar[level_rows]))
+    order = _as_in_memory(level_pixels, np.arange(len(level_rows)))
+    return FrameFeatures(
+        frame,
+        image,
+        np.ascontiguousarray(edges.points_lidar[known]),
+        kinds.astype(np.uint8),
+        edges.weights[known],
+        _tiles(near[known], image),
+        np.ascontiguousarray(frame.points_lidar[level_rows[order]]),
+        levels[order],
+        _tiles(level_pixels[order], image),
+        seen,
+        chosen,
+        visible,
+    )
+
+
+def _as_in_memory(pixels: Float64Array, rows: Int64Array) -> Int64Array:
+    """Order rows of (N, 2) pixels by where an image has them: what lies together is looked up together."""
+    lines = np.floor(pixels[rows, 1] / 4.0)
+    ordered: Int64Array = rows[np.lexsort((pixels[rows, 0], lines))]
+    return ordered
+
+
+def _project_features(
+    features: FrameFeatures,
+    points_lidar: Float64Array,
+    camera_from_points: Float64Array,
+    camera_model: Float64Array,
+) -> tuple[Int64Array, Float32Array]:
+    """Give ids and pixels of the points that fall into the (reduced) image under a candidate.
+
+    Args:
+        points_lidar: (N, 3) [m].
+        camera_from_points: (4, 4), as `Change.camera_from_points` gives it.
+        camera_model: as `Change.camera_model` gives it.
+    """
+    camera, count = features.image.camera, len(points_lidar)
+    room = PointsInImage.room(count)
+    kernel = projection_kernel(camera.model)
+    kept = kernel(points_lidar, camera_from_points, camera_model, camera.width, camera.height, room)
+    return room.point_ids[:kept], room.pixels[:kept]
+
+
+def _around_view(frame: CalibrationFrame) -> Int64Array:
+    """The points that the camera sees or nearly sees, as far as directions report."""
+    camera = frame.camera
+    across, down = np.linspace(-0.5, camera.width - 0.5, 9), np.linspace(-0.5, camera.height - 0.5, 9)
+    border = np.array(
+        [(u, v) for u in across for v in (down[0], down[-1])]
+        + [(u, v) for v in down for u in (across[0], across[-1])]
+    )
+    rays = unproject(camera, border)
+    angles = np.arccos(np.clip(rays[np.isfinite(rays).all(axis=1), 2], -1.0, 1.0))
+    widest = float(angles.max()) if len(angles) == len(border) else domain_angle(camera)
+    stated = frame.camera_from_lidar
+    ahead, seen_from = stated.rotation[2], stated.inverse().translation
+    relative = frame.points_lidar - seen_from
+    ranges = np.sqrt(np.einsum("ij,ij->i", relative, relative))
+    forward = np.einsum("ij,j->i", relative, ahead)
+    rows: Int64Array = np.flatnonzero(forward > np.cos(min(widest + _BESIDE, np.pi)) * ranges)
+    return rows
+
+
+def _visible_points(frame: CalibrationFrame) -> Int64Array:
+    """The points of a frame that its image shows under the stated calibration, (V,)."""
+    return _seen(frame, _around_view(frame))[1]
+
+
+def _seen(frame: CalibrationFrame, chosen: Int64Array) -> tuple[int, Int64Array]:
+    """The points that the camera sees under the stated calibration, hidden ones left out."""
+    points = np.ascontiguousarray(frame.points_lidar[chosen])
+    pixels = project_unbounded(frame.camera, frame.camera_from_lidar.apply(points))
+    size = np.array([frame.camera.width, frame.camera.height])
+    inside = np.flatnonzero(np.all((pixels >= -0.5) & (pixels < size - 0.5), axis=1))
+    if len(inside) == 0:
+        return 0, chosen[:0]
+    visible = find_visible(points, inside, frame.camera_from_lidar.matrix, VisibilitySettings())
+    return len(inside), chosen[inside[visible]]
+
+
+def _levels(frame: CalibrationFrame, visible: Int64Array) -> tuple[Int64Array, Float32Array]:
+    """Some of the visible points, and their intensities as levels; none where all intensities are the same."""
+    values = None if frame.intensities is None else frame.intensities[visible]
+    if values is None or len(values) < 2 or values.min() == values.max():
+        return visible[:0], np.zeros(0, np.float32)
+    drawn = np.linspace(0, len(visible) - 1, min(_MOST_POINTS, len(visible))).astype(np.int64)
+    return visible[drawn], _evened_levels(values)[drawn]
+
+
+def _evened_levels(intensities: UInt8Array) -> Float32Array:
+    """Intensities (N,) as levels that are as frequent as any other, 0 to `_LEVELS` - 1."""
+    # points of one intensity share the middle of their levels
+    counts = np.bincount(intensities, minlength=256)
+    middles = (np.cumsum(counts) - 0.5 * counts) / max(len(intensities), 1) * (_LEVELS - 1)
+    return middles.astype(np.float32)[intensities]
+
+
+def _tiles(pixels: Float64Array, image: _MeasuredImage) -> AnyArray:
+    columns = np.clip(pixels[:, 0] / image.camera.width * _TILES_ACROSS, 0, _TILES_ACROSS - 1).astype(
+        np.int16
+    )
+    rows = np.clip(pixels[:, 1] / image.camera.height * _TILES_DOWN, 0, _TILES_DOWN - 1).astype(np.int16)
+    return np.asarray(rows * _TILES_ACROSS + columns, np.int16)
+
+
+EDGES, _EDGES_COARSE, INFORMATION = "edges", "edges-coarse", "information"
+
+MEASURES = (EDGES, _EDGES_COARSE, INFORMATION)
+"""The measures; of all of them more is better."""
+
+_WIDTHS = {EDGES: "fine", _EDGES_COARSE: "coarse"}
+
+_SMOOTHED_BINS = 0.7
+
+_THINNED = 3
+"""One feature of so many reports well enough where to look next."""
+
+_LEAST_SHARE = 0.25
+"""Of the features that fall into the images under the stated calibration, so many must do so under a candidate."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Score:
+    """What one candidate came to, by cells: tiles of the images of one view.
+
+    Attributes:
+        sums: (M, C) float64, by measure and cell.
+        totals: (M, C) float64, weight of the features behind each sum.
+    """
+
+    sums: Float64Array
+    totals: Float64Array
+
+    def values(self, weights: Float64Array | None = None) -> Float64Array:
+        """Give means by measure, (M,), or (B, M) for weights (B, C) of the cells; NaN where nothing was measured."""
+        sums, totals = (
+            (self.sums.sum(axis=1), self.totals.sum(axis=1))
+            if weights is None
+            else (weights @ self.sums.T, weights @ self.totals.T)
+        )
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.where(totals > 0, sums / totals, np.nan))
+
+
+class Agreement:
+    """Scores candidates by all frames.
+
+    Attributes:
+        features: what was taken from the frames.
+        views: (F,) int64, which frames show nearly the same.
+        cells: number of cells.
+    """
+
+    def __init__(
+        self,
+        frames: Sequence[CalibrationFrame],
+        views: Int64Array | None = None,
+        *,
+        images: Sequence[_MeasuredImage | None] | None = None,
+    ) -> None:
+        """Take the features of the frames.
+
+        Args:
+            views: (F,) int64, which frames show nearly the same; None: each another.
+            images: of the frames, where they were measured before.
+        """
+        measured = (None,) * len(frames) if images is None else images
+        self.features: tuple[FrameFeatures, ...] = tuple(map(extract, frames, measured))
+        self.views = np.arange(len(frames)) if views is None else views
+        self.cells = _TILES * (int(self.views.max(initial=0)) + 1)
+
+    @cached_property
+    def _stated_totals(self) -> Float64Array:
+        totals: Float64Array = self._score(Change()).totals.sum(axis=1)
+        return totals
+
+    @cached_property
+    def _thinned(self) -> "Agreement":
+        """The same by some of the features, for a first look."""
+        thinned = copy(self)
+        thinned.features = tuple(features.thinned(_THINNED) for features in self.features)
+        return thinned
+
+    def score(
+        self,
+        change: Change,
+        measures: Collection[str] = MEASURES,
+        *,
+        by_cells: bool = False,
+        rough: bool = False,
+    ) -> Score:
+        """Score a candidate; a measure whose features have mostly left the images has no value.
+
+        Args:
+            measures: the only ones to be taken; the others have no value.
+            by_cells: share out the information among the cells, which takes longer; else the first one has it all.
+            rough: by some of the features only.
+        """
+        if rough:
+            return self._thinned.score(change, measures, by_cells=by_cells)
+        score = self._score(change, measures, by_cells=by_cells)
+        few = score.totals.sum(axis=1) < _LEAST_SHARE * self._stated_totals
+        if not few.any():
+            return score
+        return Score(np.where(few[:, None], 0.0, score.sums), np.where(few[:, None], 0.0, score.totals))
+
+    def _score(
+        self, change: Change, measures: Collection[str] = MEASURES, *, by_cells: bool = False
+    ) -> Score:
+        sums, totals = np.zeros((len(MEASURES), self.cells)), np.zeros((len(MEASURES), self.cells))
+        placed = []
+        histogram = np.zeros((_LEVELS, _LEVELS))
+        for features, view in zip(self.features, self.views.tolist(), strict=True):
+            own = slice(view * _TILES, (view + 1) * _TILES)
+            placing = (
+                change.camera_from_points(features.frame),
+                change.camera_model(features.image.camera_model),
+            )
+            ids, pixels = _project_features(features, features.edge_points, *placing)
+            for row, name in enumerate(MEASURES):
+                if name in _WIDTHS and name in measures:
+                    sum_edges(
+                        ids, pixels, features.edge_kinds, features.edge_weights, features.edge_cells,
+                        features.image.edges[_WIDTHS[name]], sums[row, own], totals[row, own],
+                    )  # fmt: skip
+            if INFORMATION not in measures:
+                continue
+            ids, pixels = _project_features(features, features.level_points, *placing)
+            fill_histogram(ids, pixels, features.levels, features.image.levels, histogram)
+            placed.append((features, own, ids, pixels))
+        row = MEASURES.index(INFORMATION)
+        table = _pointwise_information(histogram)
+        if not by_cells:
+            # bins share points as the table shares its numbers, so that all points together need no second look
+            sums[row, 0], totals[row, 0] = (histogram * table).sum(), histogram.sum()
+            return Score(sums, totals)
+        for features, own, ids, pixels in placed:
+            sum_by_table(
+                ids, pixels, features.levels, features.level_cells, features.image.levels, table,
+                sums[row, own], totals[row, own],
+            )  # fmt: skip
+        return Score(sums, totals)
+
+
+def _pointwise_information(histogram: Float64Array) -> Float64Array:
+    """Give log p(a, b) / (p(a) p(b)) [nat] from counts (B, B); its mean over the points is the mutual information."""
+    total = histogram.sum()
+    if total <= 0:
+        return np.zeros_like(histogram)
+    joint = ndimage.gaussian_filter(histogram, _SMOOTHED_BINS, mode="nearest") / total
+    joint = (joint + 1e-6) / (joint + 1e-6).sum()
+    table: Float64Array = np.log(joint / np.outer(joint.sum(axis=1), joint.sum(axis=0)))
+    return table

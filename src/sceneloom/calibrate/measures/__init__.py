@@ -1,1 +1,0 @@
-"""How well an image and a cloud agree under a candidate calibration."""

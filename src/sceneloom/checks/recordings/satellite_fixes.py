@@ -1,0 +1,483 @@
+"""Rules about satellite fixes: on Earth, plausible, and in agreement with the gyroscope and the trajectory."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.checks.poses import FASTEST
+from sceneloom.checks.recordings.times import Kind, Stream, location, streams_of_kind
+from sceneloom.checks.rule import Hit, Rule, Subject
+from sceneloom.geometry.geodesy import enu_from_geodetic
+from sceneloom.motion.ego_trajectory import usable_fixes
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.poses import Trajectory
+from sceneloom.warnings import Severity
+
+LOWEST, HIGHEST = -500.0, 10_000.0
+"""Altitudes [m] between the Dead Sea's shore and the highest roads, with room for aeroplanes."""
+
+WORST_ACCURACY = 1000.0
+"""A fix that is less accurate [m] is of a mobile network, or in another unit."""
+
+UNKNOWN_ACCURACY = 5.0
+"""Taken where a fix says none [m]."""
+
+JUMP_SIGMAS = 8.0
+
+HARDEST_ACCELERATION = 10.0
+
+JUMP_MARGIN = 0.5
+"""A fix jumps that lies farther off the trajectory between its neighbours than 8 of their accuracies.
+
+What a vehicle can
+swerve meanwhile [m/s²], and half a metre."""
+
+LONGEST_STEP = 3.0
+"""Between fixes farther apart [s] the trajectory is not known well enough."""
+
+_RADIANS = (np.pi / 2, np.pi)
+
+
+def _on_earth(stream: Stream) -> BoolArray:
+    """Which fixes are on the earth, (N,) bool."""
+    latitudes, longitudes = stream.values[:, 0], stream.values[:, 1]
+    usable: BoolArray = (np.abs(latitudes) <= 90) & (np.abs(longitudes) <= 180)
+    return usable
+
+
+def _non_finite(stream: Stream) -> BoolArray:
+    """Which fixes are exactly at 0, 0, (N,) bool."""
+    nowhere: BoolArray = (stream.values[:, :2] == 0).all(axis=1)
+    return nowhere
+
+
+def locations_in_order(stream: Stream) -> Int64Array:
+    """Rows of the fixes that are locations, the first of each time, (M,) int64."""
+    rows = np.flatnonzero(_on_earth(stream) & ~_non_finite(stream))
+    first: Int64Array = rows[np.diff(stream.seconds[rows], prepend=-np.inf) > 0]
+    return first
+
+
+def _notify(
+    stream: Stream, wrong: BoolArray, column: str, values: Float64Array, expected: str
+) -> Iterator[Hit]:
+    rows = np.flatnonzero(wrong)
+    if len(rows):
+        row = int(rows[0])
+        problem = f"{stream.at(row)}: {column} {_shown(values[row])}; expected {expected}"
+        yield Hit(location(stream, row), problem, len(rows))
+
+
+def _shown(value: Float64Array) -> str:
+    return ", ".join(f"{number:.9g}" for number in np.atleast_1d(value).tolist())
+
+
+def _off_the_earth(subject: Subject) -> Iterator[Hit]:
+    for stream in streams_of_kind(subject, Kind.GNSS):
+        wrong, locations = ~_on_earth(stream), stream.values[:, :2]
+        expected = "degrees within 90 and 180"
+        if (wrong & (np.abs(locations[:, 0]) <= 180) & (np.abs(locations[:, 1]) <= 90)).any():
+            expected += ": are latitude and longitude exchanged?"
+        yield from _notify(stream, wrong, "latitude, longitude", locations, expected)
+
+
+def _at_zero(subject: Subject) -> Iterator[Hit]:
+    for stream in streams_of_kind(subject, Kind.GNSS):
+        locations, nowhere = stream.values[:, :2], _non_finite(stream)
+        expected = "a location: receivers write 0, 0 before they know one"
+        yield from _notify(stream, nowhere, "latitude, longitude", locations, expected)
+        others = locations[~nowhere]
+        if len(others) and (np.abs(others) <= _RADIANS).all():
+            problem = f"all latitudes and longitudes are {_shown(others[0])} or near it: are these radians?"
+            yield Hit(stream.whole, f"{problem} The format wants degrees")
+
+
+def _altitudes(subject: Subject) -> Iterator[Hit]:
+    for stream in streams_of_kind(subject, Kind.GNSS):
+        altitudes = stream.values[:, 2]
+        wrong = ~((altitudes >= LOWEST) & (altitudes <= HIGHEST))
+        expected = f"{LOWEST:g} to {HIGHEST:g} m"
+        if len(altitudes) and HIGHEST < abs(float(np.median(altitudes))) <= 1000 * HIGHEST:
+            expected += ": is it in millimetres?"
+        yield from _notify(stream, wrong, "altitude", altitudes, expected)
+
+
+def _accuracies(subject: Subject) -> Iterator[Hit]:
+    for stream in streams_of_kind(subject, Kind.GNSS):
+        for column, name in ((3, "accuracy"), (4, "verticalAccuracy")):
+            stated = stream.values[:, column]
+            wrong = ~np.isnan(stated) & ~((stated > 0) & (stated <= WORST_ACCURACY))
+            expected = f"more than 0 and at most {WORST_ACCURACY:g} m, or none where it is not known"
+            yield from _notify(stream, wrong, name, stated, expected)
+
+
+def _jumps(subject: Subject) -> Iterator[Hit]:
+    for stream in streams_of_kind(subject, Kind.GNSS):
+        rows = locations_in_order(stream)
+        if len(rows) < 2:
+            continue
+        seconds, fixes = stream.seconds[rows], stream.values[rows]
+        locations = enu_from_geodetic(
+            np.column_stack([fixes[:, :2], np.zeros(len(fixes))]), [*fixes[0, :2], 0.0]
+        )
+        sigmas = _sigmas(fixes[:, 3])
+        off, allowed = _off_the_trajectory(seconds, locations[:, :2], sigmas)
+        too_far = _too_far(seconds, locations[:, :2], sigmas)
+        peaks = _peaks(off, allowed)
+        too_far[1:] &= ~peaks[:-1]
+        for k in np.flatnonzero(peaks | too_far).tolist():
+            row = int(rows[k])
+            yield Hit(location(stream, row), _reported(stream, row, seconds, locations, sigmas, off, k))
+
+
+def _reported(
+    stream: Stream,
+    row: int,
+    seconds: Float64Array,
+    locations: Float64Array,
+    sigmas: Float64Array,
+    off: Float64Array,
+    k: int,
+) -> str:
+    before = max(k - 1, 0)
+    step = float(np.linalg.norm(locations[k] - locations[before]))
+    speed = step / (seconds[k] - seconds[before]) if k else 0.0
+    lies = f"lies {off[k]:.1f} m off the trajectory between its neighbours, " if off[k] > 0 else "lies "
+    there = f"{step:.1f} m from the one before, {speed:.0f} m/s"
+    return f"{stream.at(row)} {lies}{there}; its accuracy is {sigmas[k]:.2g} m"
+
+
+def _sigmas(accuracies: Float64Array) -> Float64Array:
+    is_stated = (accuracies > 0) & (accuracies <= WORST_ACCURACY)
+    sigmas: Float64Array = np.where(is_stated, accuracies, UNKNOWN_ACCURACY)
+    return sigmas
+
+
+def _off_the_trajectory(
+    seconds: Float64Array, locations: Float64Array, sigmas: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """How far each fix lies off the straight trajectory between its neighbours, and how far it may, (N,) [m] each."""
+    off, allowed = np.zeros(len(seconds)), np.full(len(seconds), np.inf)
+    if len(seconds) < 3:
+        return off, allowed
+    before, after = seconds[1:-1] - seconds[:-2], seconds[2:] - seconds[1:-1]
+    share = (before / (before + after))[:, None]
+    off[1:-1] = np.linalg.norm(locations[1:-1] - locations[:-2] * (1 - share) - locations[2:] * share, axis=1)
+    worst = np.maximum(sigmas[1:-1], np.maximum(sigmas[:-2], sigmas[2:]))
+    swerve = 0.5 * HARDEST_ACCELERATION * before * after
+    known = (before <= LONGEST_STEP) & (after <= LONGEST_STEP)
+    allowed[1:-1] = np.where(known, JUMP_SIGMAS * worst + swerve + JUMP_MARGIN, np.inf)
+    return off, allowed
+
+
+def _peaks(off: Float64Array, allowed: Float64Array) -> BoolArray:
+    """Fixes that are off by too much, and by more than their neighbours, which a wrong fix puts off by half."""
+    padded = np.concatenate([[0.0], off, [0.0]])
+    peaks: BoolArray = (off > allowed) & (off > padded[:-2]) & (off >= padded[2:])
+    return peaks
+
+
+def _too_far(seconds: Float64Array, locations: Float64Array, sigmas: Float64Array) -> BoolArray:
+    """Fixes that nothing on the ground reaches from the one before, nor leaves for the next but one, (N,) bool."""
+    steps = np.linalg.norm(np.diff(locations, axis=0), axis=1)
+    reach = FASTEST * np.diff(seconds) + JUMP_SIGMAS * np.hypot(sigmas[1:], sigmas[:-1])
+    far: BoolArray = np.concatenate([[False], ~(steps <= reach)])
+    far[1:] &= ~far[:-1]
+    return far
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "fixes-on-earth",
+        Severity.ERROR,
+        "Latitudes of fixes lie within 90 degrees, longitudes within 180.",
+        "See whether they are exchanged, or in another unit than degrees.",
+        find=_off_the_earth,
+    ),
+    Rule(
+        "fixes-somewhere",
+        Severity.WARNING,
+        "No fix is at latitude 0, longitude 0, and not all are within what radians reach.",
+        "Leave fixes out that are none; write degrees.",
+        find=_at_zero,
+    ),
+    Rule(
+        "fixes-altitude",
+        Severity.WARNING,
+        "Altitudes of fixes are -500 to 10000 m.",
+        "Write metres above the ellipsoid.",
+        find=_altitudes,
+    ),
+    Rule(
+        "fixes-accuracy",
+        Severity.WARNING,
+        "Accuracies of fixes are more than 0 and at most 1000 m, where they are given.",
+        "Leave the accuracy out where it is not known: whoever weighs fixes by it trusts one of 0 without end.",
+        find=_accuracies,
+    ),
+    Rule(
+        "fixes-jump",
+        Severity.WARNING,
+        "No fix lies farther off the trajectory between its neighbours than 8 of their accuracies, 10 m/s² and 0.5 m "
+        "explain, nor is reached at more than 150 m/s.",
+        "Leave the fix out, or give it the accuracy that it has.",
+        find=_jumps,
+    ),
+)
+
+LEAST_CORRELATION = -0.8
+"""Rotates that correlate worse were taken to the other side."""
+
+_FEWEST_ROTATIONS = 6
+
+_LEAST_ROTATION = 0.1
+"""Root mean square of the rotations from leg to leg [rad] that notify a side."""
+
+_SHORTEST_LEG = 5.0
+
+_LEG_SIGMAS = 10.0
+"""Legs are longer than this [m], and than so many accuracies of the fixes that bound them."""
+
+_SHARPEST_ROTATION = 1.0
+"""Between legs that differ by more [rad] the trajectory is not known: it may have rotated to either side."""
+
+_MOST_FIXES = 4_000
+
+
+def _mirrored(subject: Subject) -> Iterator[Hit]:
+    streams = {stream.kind: stream for stream in streams_of_kind(subject, Kind.GYROSCOPE, Kind.ACCELEROMETER)}
+    if len(streams) < 2:
+        return
+    seconds, rotated = _rotated_left(streams[Kind.GYROSCOPE], streams[Kind.ACCELEROMETER])
+    for fixes in streams_of_kind(subject, Kind.GNSS):
+        reported = _rotations_of(fixes)
+        if len(seconds) < 2 or reported is None:
+            continue
+        times, rotations = reported
+        measured = np.diff(np.interp(times, seconds, rotated))
+        known = (
+            (np.abs(rotations) < _SHARPEST_ROTATION) & (times[:-1] >= seconds[0]) & (times[1:] <= seconds[-1])
+        )
+        rotations, measured = rotations[known], measured[known]
+        if len(rotations) < _FEWEST_ROTATIONS or np.sqrt((measured * measured).mean()) < _LEAST_ROTATION:
+            continue
+        length = float(np.sqrt((rotations * rotations).sum() * (measured * measured).sum()))
+        found = float((rotations * measured).sum()) / length if length > 0 else 0.0
+        if found < LEAST_CORRELATION:
+            problem = (
+                f"{len(rotations)} rotates of the trajectory correlate by {found:.2f} with those that the gyroscope "
+                f"measured about "
+                "the accelerometer's up: are latitude and longitude exchanged, or do accelerations point down at rest?"
+            )
+            yield Hit(fixes.whole, problem)
+
+
+def _rotated_left(gyroscope: Stream, accelerometer: Stream) -> tuple[Float64Array, Float64Array]:
+    """How far the device had rotated about its up at each sample of the gyroscope [rad]."""
+    up = accelerometer.values.mean(axis=0)
+    length = float(np.linalg.norm(up))
+    if not 0 < length < np.inf:
+        return np.zeros(0), np.zeros(0)
+    rates = gyroscope.values @ (up / length)
+    steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(gyroscope.seconds)
+    return gyroscope.seconds, np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _rotations_of(fixes: Stream) -> tuple[Float64Array, Float64Array] | None:
+    """The times in the middle of each leg, (L,) [s], and the rotations between them to the left, (L - 1,) [rad]."""
+    usable = locations_in_order(fixes)
+    usable = usable[:: len(usable) // _MOST_FIXES + 1]
+    if len(usable) <= _FEWEST_ROTATIONS:
+        return None
+    lla = np.column_stack([fixes.values[usable, :2], np.zeros(len(usable))])
+    locations, seconds = enu_from_geodetic(lla, lla[0])[:, :2], fixes.seconds[usable]
+    accuracies = fixes.values[usable, 3]
+    stated = accuracies[accuracies > 0]
+    ends = _ends_of_legs(
+        locations, max(_SHORTEST_LEG, _LEG_SIGMAS * float(np.median(stated)) if len(stated) else 0.0)
+    )
+    legs = np.diff(locations[ends], axis=0)
+    courses = np.unwrap(np.arctan2(legs[:, 1], legs[:, 0]))
+    return 0.5 * (seconds[ends[1:]] + seconds[ends[:-1]]), np.diff(courses)
+
+
+def _ends_of_legs(locations: Float64Array, shortest: float) -> Int64Array:
+    """Fixes that each lie so far from the one before, (L + 1,) int64."""
+    ends, (east, north) = [0], locations[0].tolist()
+    for row, (x, y) in enumerate(locations.tolist()):
+        if (x - east) ** 2 + (y - north) ** 2 >= shortest * shortest:
+            ends.append(row)
+            east, north = x, y
+    return np.array(ends, np.int64)
+
+
+FIXES_ROTATING_RULES: tuple[Rule, ...] = (
+    Rule(
+        "fixes-mirrored",
+        Severity.WARNING,
+        "The trajectory of the fixes rotates to the side to which the gyroscope rotates: they do not correlate by "
+        "less than -0.8.",
+        "See whether latitude and longitude are exchanged, and whether the accelerometer points up at rest.",
+        find=_mirrored,
+    ),
+)
+
+NEAREST_REPORTED = 5.0
+"""Fixes within this distance [m] of a trajectory agree with it, whatever they claim: antennas sit elsewhere."""
+
+_ACCURACIES = 4.0
+"""And those within so many times the accuracy that they claim,"""
+
+_DRIFT = 0.01
+"""and within this part of the trajectory: odometry drifts."""
+
+_FEWEST_FIXES = 10
+
+_LEAST_SPREAD = 5.0
+
+_USUAL_ACCURACY = 5.0
+
+_CLEARLY = 0.3
+"""A mirrored trajectory fits better if it leaves less than this part of the distance."""
+
+_MIRRORED_REPORTED = 2.0
+"""Trajectories less bent [m] have no left and right."""
+
+_HEIGHTS_REPORT = 3.0
+
+_ROTATED_HEIGHTS = -0.7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Case:
+    """A trajectory and the fixes during it, locations along the ground as complex numbers [m].
+
+    Attributes:
+        fixes: (M,) complex, east and north.
+        ups: (M,) height of the fixes.
+        seconds: (M,) of the fixes, counted from the trajectory's first pose.
+        trajectory: the trajectory.
+        tolerance: so far apart they still agree.
+        vertical: accuracy of the heights.
+    """
+
+    fixes: np.ndarray[tuple[int], np.dtype[np.complex128]]
+    ups: Float64Array
+    seconds: Float64Array
+    trajectory: Trajectory
+    tolerance: float
+    vertical: float
+
+    def locations(self) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
+        """Where the trajectory was at the time of each fix: (N,) x + iy [m], world."""
+        return np.asarray(self._at(0) + 1j * self._at(1))
+
+    def heights(self) -> Float64Array:
+        """How high the trajectory was at the time of each fix, (N,) [m]."""
+        return self._at(2)
+
+    def _at(self, axis: int) -> Float64Array:
+        seconds = (self.trajectory.timestamps_ns - self.trajectory.timestamps_ns[0]) / 1e9
+        return np.interp(self.seconds, seconds, self.trajectory.positions[:, axis])
+
+
+def _cases(subject: Subject) -> Iterator[_Case]:
+    receivers = [s for s in subject.scene.sensors if isinstance(s, GnssSensor)]
+    if not receivers or not len(receivers[0].timestamps_ns):
+        return
+    receiver = receivers[0]
+    # a fix at 0, 0 before reception would else be the location from which all are seen
+    usable = usable_fixes(receiver) & np.isfinite(receiver.positions_lla).all(axis=1)
+    for trajectory in subject.scene.trajectories.values():
+        during = usable & (receiver.timestamps_ns >= trajectory.timestamps_ns[0])
+        rows = np.flatnonzero(during & (receiver.timestamps_ns <= trajectory.timestamps_ns[-1]))
+        if len(rows) < _FEWEST_FIXES:
+            continue
+        enu = enu_from_geodetic(receiver.positions_lla[rows], receiver.positions_lla[rows[0]])
+        length = float(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum())
+        accuracy = _usual(receiver.accuracies[rows])
+        case = _Case(
+            fixes=enu[:, 0] + 1j * enu[:, 1],
+            ups=enu[:, 2],
+            seconds=(receiver.timestamps_ns[rows] - trajectory.timestamps_ns[0]) / 1e9,
+            trajectory=trajectory,
+            tolerance=max(NEAREST_REPORTED, _ACCURACIES * accuracy),
+            vertical=_usual(receiver.vertical_accuracies[rows]),
+        )
+        reach = _DRIFT * min(length, float(np.abs(np.diff(case.fixes)).sum()))
+        yield _Case(case.fixes, case.ups, case.seconds, trajectory, case.tolerance + reach, case.vertical)
+
+
+def _usual(accuracies: Float64Array) -> float:
+    known = accuracies[np.isfinite(accuracies)]
+    return float(np.median(known)) if len(known) else _USUAL_ACCURACY
+
+
+def _fit(case: _Case, *, mirrored: bool = False) -> float:
+    """Distance [m] of half of the fixes once the trajectory is laid onto them by a rotation and a translation.
+
+    It is laid once more without the farthest ones.
+    """
+    locations = case.locations()
+    trajectories = np.conj(locations) if mirrored else locations
+    kept = np.ones(len(trajectories), np.bool_)
+    for _ in range(2):
+        wanted, given = case.fixes - case.fixes[kept].mean(), trajectories - trajectories[kept].mean()
+        product = np.vdot(given[kept], wanted[kept])
+        rotation = product / np.abs(product) if product else 1.0
+        away = np.abs(wanted - rotation * given)
+        kept = away <= 3.0 * np.median(away) + 1e-9
+    return float(np.median(away))
+
+
+def _far_apart(subject: Subject) -> Iterator[Hit]:
+    for case in _cases(subject):
+        spread = float(min(np.abs(case.fixes - case.fixes.mean()).max(), np.inf))
+        moved = float(np.abs(case.locations() - case.locations().mean()).max())
+        if max(spread, moved) < max(_LEAST_SPREAD, 2.0 * case.tolerance):
+            continue
+        away, mirrored = _fit(case), _fit(case, mirrored=True)
+        # so much better that no drift explains it, though both may be near
+        is_mirrored = mirrored < _CLEARLY * away and away > _MIRRORED_REPORTED
+        if away <= case.tolerance and not is_mirrored:
+            continue
+        reported = (
+            f"rotated and shifted as well as can be, half of the fixes lie more than {away:.1f} m off; "
+            f"expected {case.tolerance:.1f} m at most"
+        )
+        if is_mirrored:
+            reported += f", and it is {mirrored:.1f} m if x and y are exchanged, or one is negated (mirrored)"
+        yield Hit(f"trajectories[{case.trajectory.name}]", reported)
+
+
+def _upside_down(subject: Subject) -> Iterator[Hit]:
+    for case in _cases(subject):
+        ups, heights = case.ups - case.ups.mean(), case.heights() - case.heights().mean()
+        if ups.std() < max(_HEIGHTS_REPORT * case.vertical, _LEAST_SPREAD) or heights.std() == 0:
+            continue
+        correlation = float((ups * heights).mean() / (ups.std() * heights.std()))
+        if correlation < _ROTATED_HEIGHTS:
+            reported = f"z falls where the fixes climb (correlation {correlation:.2f}): probably z of the world points down"
+            yield Hit(f"trajectories[{case.trajectory.name}]", reported)
+
+
+POSES_AND_GNSS_RULES: tuple[Rule, ...] = (
+    Rule(
+        "poses-against-gnss",
+        Severity.WARNING,
+        f"Trajectories lie along the fixes of the satellites, within {NEAREST_REPORTED:g} m or {_ACCURACIES:g} times "
+        f"their "
+        f"accuracy, and {_DRIFT:.0%} of the trajectory.",
+        "Write positions in metres, in a right-handed world whose z points up, on the clock of the fixes.",
+        find=_far_apart,
+    ),
+    Rule(
+        "heights-against-gnss",
+        Severity.WARNING,
+        "Trajectories climb where the altitudes of the fixes do.",
+        "Write positions in a world whose z points up.",
+        find=_upside_down,
+    ),
+)

@@ -1,0 +1,281 @@
+"""Points on moving objects: found by rays of other sweeps that pass through them, or by annotated boxes that move.
+
+A point is voted free by another sweep whose rays pass it closely, all of them on to something clearly farther, and met
+by one that measures something at its location. What was stationary is met again and again; what moved has left its
+location, or had not come there yet, when the others looked. A sweep is held against some before and some after it, so
+that little has to be kept. What moves later than the last of these stays: a parked car that leaves a minute after is
+not found.
+
+Votes of single points are noisy at outlines and where scan lines are far apart; neighbours decide with them.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from sceneloom.arrays import (
+    AnyArray,
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    Int64Array,
+    UInt8Array,
+    check_array,
+)
+from sceneloom.colouring.results import LidarTrajectory
+from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.kernels.free_space import fill_directions, vote_free_space
+from sceneloom.kernels.surface_map import number_cubes
+from sceneloom.scene.annotations import CuboidAnnotation
+from sceneloom.scene.annotations_at import CuboidAngles, CuboidPoses, cuboid_poses
+from sceneloom.scene.scene import Scene
+
+LAGS = (2, 5, 10, 15)
+"""A sweep is held against those that came so many sweeps before and after it."""
+
+_LONG_DRIVE = 21
+"""Shorter drives are compared over shorter times."""
+
+
+def lags_for(sweeps: int) -> tuple[int, ...]:
+    """The lags for a drive of so many sweeps, so that each has others to be held against."""
+    share = min(1.0, max(sweeps - 1, 1) / (_LONG_DRIVE - 1))
+    return tuple(sorted({max(1, round(lag * share)) for lag in LAGS}))
+
+
+_CELL_DEG = 0.5
+
+_SURFACE_DISTANCE = 1.0
+"""Surfaces pass the lidar at this distance or more [m]: lidars stand higher above the road."""
+
+_MARGIN, _MARGIN_SHARE = 0.3, 0.01
+
+_ASIDE = 0.2
+
+_FARTHEST = 80.0
+
+_NUMBERS = np.array([_SURFACE_DISTANCE, _MARGIN, _MARGIN_SHARE, _ASIDE, _FARTHEST])
+
+_FEWEST_FREE = 2
+
+_FREE_PER_MET = 0.5
+
+_CUBE = 0.5
+
+_SPECK, _MOSTLY = 0.12, 0.5
+"""In a cube of neighbours, shares of moving points below which none of them is, and above which all are that were not
+met."""
+
+_Load = TypeVar("_Load")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenSweep:
+    """A sweep by the directions in which it was measured.
+
+    Attributes:
+        points_world: (N, 3) float32 [m].
+        trajectory: of the lidar during it.
+        nearest: (rows, columns) int32, the nearest point in each cell of directions.
+    """
+
+    points_world: Float32Array
+    trajectory: LidarTrajectory
+    nearest: AnyArray
+
+    @classmethod
+    def of(cls, points_world: Float32Array, trajectory: LidarTrajectory) -> "SeenSweep":
+        """Sort a sweep (N, 3) float32 [m] by directions."""
+        check_array("points_world", points_world, (len(trajectory.fractions), 3), np.float32)
+        columns = round(360 / _CELL_DEG)
+        nearest = np.empty((columns // 2, columns), np.int32)
+        points = np.ascontiguousarray(points_world)
+        fill_directions(points, trajectory.fractions, np.ascontiguousarray(trajectory.ends_world), nearest)
+        return cls(points, trajectory, nearest)
+
+
+@dataclass(slots=True, eq=False)
+class _Waiting(Generic[_Load]):
+    """A sweep whose votes are not complete yet."""
+
+    load: _Load
+    sweep: SeenSweep | None
+    free: UInt8Array
+    met: UInt8Array
+
+
+@dataclass(slots=True)
+class MovingPoints(Generic[_Load]):
+    """Finds moving points while sweeps pass, each of which is given on when those after it have been seen.
+
+    Memory depends on the sweeps in between, not on the drive.
+
+    Attributes:
+        lags: how many sweeps before and after each one it is held against, ascending.
+    """
+
+    lags: tuple[int, ...] = LAGS
+    _window: deque[_Waiting[_Load]] = field(default_factory=deque)
+    _due: int = 0
+
+    def add(
+        self, load: _Load, points_world: Float32Array, trajectory: LidarTrajectory | None
+    ) -> Iterator[tuple[_Load, BoolArray]]:
+        """Take a sweep of one lidar; give on those that are judged now.
+
+        Args:
+            load: what belongs to the sweep and is given on with it.
+            points_world: (N, 3) float32 [m].
+            trajectory: from where it was measured; None where that is not known: then nothing of it is taken as moving.
+
+        Yields:
+            What was given with a sweep, and which of its points move, (N,) bool.
+        """
+        count = check_array("points_world", points_world, (None, 3), np.float32)
+        sweep = None if trajectory is None else SeenSweep.of(points_world, trajectory)
+        now = _Waiting(load, sweep, np.zeros(count, np.uint8), np.zeros(count, np.uint8))
+        self._window.append(now)
+        for lag in self.lags:
+            if lag < len(self._window):
+                before = self._window[-1 - lag]
+                _vote(now, before)
+                _vote(before, now)
+        self._due += 1
+        if self._due > self.lags[-1]:
+            self._due -= 1
+            yield self._judged(self._window[-1 - self.lags[-1]])
+        if len(self._window) > 2 * self.lags[-1]:
+            self._window.popleft()
+
+    def flush(self) -> Iterator[tuple[_Load, BoolArray]]:
+        """Give on what still waits for sweeps that do not come any more."""
+        waiting = list(self._window)[len(self._window) - self._due :]
+        self._window.clear()
+        self._due = 0
+        for each in waiting:
+            yield self._judged(each)
+
+    def _judged(self, waiting: _Waiting[_Load]) -> tuple[_Load, BoolArray]:
+        points = np.zeros((0, 3), np.float32) if waiting.sweep is None else waiting.sweep.points_world
+        moving = np.zeros(len(waiting.free), np.bool_)
+        if waiting.sweep is not None:
+            moving = _judge_votes(points, waiting.free, waiting.met)
+        return waiting.load, moving
+
+
+def _vote(points: _Waiting[_Load], others: _Waiting[_Load]) -> None:
+    if points.sweep is None or others.sweep is None:
+        return
+    other = others.sweep
+    vote_free_space(
+        points.sweep.points_world,
+        other.points_world,
+        other.trajectory.fractions,
+        np.ascontiguousarray(other.trajectory.ends_world),
+        other.nearest,
+        _NUMBERS,
+        points.free,
+        points.met,
+    )
+
+
+def _judge_votes(points_world: Float32Array, free: UInt8Array, met: UInt8Array) -> BoolArray:
+    """Report which points move, by their own votes and those of their neighbours.
+
+    Args:
+        points_world: (N, 3) float32 [m].
+        free: (N,) uint8, how many other sweeps looked through each point.
+        met: (N,) uint8, how many met something there.
+    """
+    own = (free >= _FEWEST_FREE) & (free > _FREE_PER_MET * met)
+    numbers = np.empty(len(points_world), np.int64)
+    count = number_cubes(points_world.astype(np.float64), _CUBE, numbers)
+    inside = numbers >= 0
+    held = np.bincount(numbers[inside], minlength=count)
+    share = np.bincount(numbers[inside], own[inside], count) / np.maximum(held, 1)
+    around = np.append(share, 0.0)[numbers]
+    moving: BoolArray = (own & (around >= _SPECK)) | ((around >= _MOSTLY) & (met <= free))
+    return moving
+
+
+_MOVES = 1.0
+"""A box moves if its centre comes so far from its first location [m]; annotators' hands are steadier than that."""
+
+_ROOM = 0.15
+"""Boxes are taken larger by this on all sides but below [m]: they are drawn around most points, not around all."""
+
+_GROUND = 0.08
+"""Points so near to the bottom of a box are those of the road, which it stands on [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingBoxes:
+    """The cuboids of a scene that move.
+
+    Attributes:
+        cuboids: the annotations, centres in the world.
+        angles: how their angles are meant.
+    """
+
+    cuboids: tuple[CuboidAnnotation, ...]
+    angles: CuboidAngles
+
+    @classmethod
+    def of(cls, scene: Scene) -> "MovingBoxes":
+        """Choose the cuboids that leave their first location."""
+        cuboids = (each for each in scene.annotations if isinstance(each, CuboidAnnotation))
+        return cls(tuple(each for each in cuboids if _moves(each)), CuboidAngles.of(scene))
+
+    def inside(self, points_world: Float64Array, timestamps_ns: Int64Array) -> BoolArray:
+        """Which points lie in one of them at their own time.
+
+        Args:
+            points_world: (N, 3) float64 [m].
+            timestamps_ns: (N,) int64 [ns].
+        """
+        found = np.zeros(len(points_world), np.bool_)
+        if len(points_world) == 0:
+            return found
+        ends_ns = [int(timestamps_ns.min()), int(timestamps_ns.max())]
+        for cuboid in self.cuboids:
+            rows = self._near(cuboid, points_world, ends_ns)
+            if len(rows):
+                poses = cuboid_poses(cuboid, timestamps_ns[rows], angles=self.angles)
+                found[rows] |= _within(points_world[rows], poses)
+        return found
+
+    def _near(
+        self, cuboid: CuboidAnnotation, points_world: Float64Array, ends_ns: Sequence[int]
+    ) -> Int64Array:
+        """Points within reach of the box between two times."""
+        poses = cuboid_poses(cuboid, ends_ns, angles=self.angles)
+        if not poses.there.any():
+            return np.zeros(0, np.int64)
+        centers, sizes = poses.centers_world[poses.there], poses.sizes_lwh[poses.there]
+        reach = np.linalg.norm(sizes, axis=1).max() / 2 + _ROOM * 2 + np.ptp(centers, axis=0).max()
+        apart = np.abs(points_world - centers.mean(axis=0)).max(axis=1)
+        # a box that comes or goes within the sweep is known at one end only
+        return np.flatnonzero(apart <= reach + (0.0 if poses.there.all() else 5.0))
+
+
+def _moves(cuboid: CuboidAnnotation) -> bool:
+    centers = cuboid.path.values[:, 3:6]
+    if cuboid.stationary or len(centers) < 2:
+        return False
+    with np.errstate(invalid="ignore"):
+        return bool(np.nanmax(np.linalg.norm(centers - centers[0], axis=1)) > _MOVES)
+
+
+def _within(points_world: Float64Array, poses: CuboidPoses) -> BoolArray:
+    inside = np.zeros(len(points_world), np.bool_)
+    there = np.flatnonzero(poses.there)
+    world_from_box = matrix_from_quaternion(poses.quaternions_xyzw[there])
+    apart = points_world[there] - poses.centers_world[there]
+    in_box = np.einsum("nij,ni->nj", world_from_box, apart)
+    halves = poses.sizes_lwh[there] / 2
+    above = in_box[:, 2] >= np.minimum(_GROUND, halves[:, 2]) - halves[:, 2]
+    inside[there] = (np.abs(in_box) <= halves + _ROOM).all(axis=1) & above
+    return inside

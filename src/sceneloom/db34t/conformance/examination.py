@@ -1,0 +1,294 @@
+"""Runs the conformance checks against a server, and writes the outcome as JSON, Markdown or HTML."""
+
+import json
+import secrets
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from sceneloom.db34t.conformance import extension_checks, fusion_checks, property_checks, record_checks
+from sceneloom.db34t.conformance.catalogue import Bench, Catalogue, Check, NoResultError, Seen
+from sceneloom.db34t.transport import CallFailedError, Transport
+from sceneloom.errors import OptionError
+from sceneloom.formats.base.output import replacing
+
+PARTS: tuple[Catalogue, ...] = tuple(
+    part.CHECKS
+    for part in (
+        *(property_checks, property_checks, fusion_checks, fusion_checks, record_checks, record_checks),
+        *(record_checks, fusion_checks, fusion_checks, extension_checks, extension_checks),
+    )
+)
+"""The parts of the kit, in the order of the standard."""
+
+CHECKS: tuple[Check, ...] = tuple(check for part in PARTS for check in part.checks)
+"""All checks."""
+
+
+class Verdict(StrEnum):
+    """What came out of a check."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One check with what it saw.
+
+    Attributes:
+        check: which.
+        verdict: whether all was as expected.
+        seen: what it looked at, in order; after a failure that ends it nothing more.
+    """
+
+    check: Check
+    verdict: Verdict
+    seen: tuple[Seen, ...]
+
+    @property
+    def failures(self) -> tuple[Seen, ...]:
+        """What was not as expected."""
+        return tuple(seen for seen in self.seen if not seen.agrees)
+
+
+@dataclass(frozen=True, slots=True)
+class Examination:
+    """What came out of all checks.
+
+    Attributes:
+        address: of the server.
+        findings: of the checks that were run, in order.
+    """
+
+    address: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether no check failed."""
+        return all(finding.verdict is Verdict.PASSED for finding in self.findings)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many checks passed and failed."""
+        found = Counter(finding.verdict for finding in self.findings)
+        return {str(verdict): found[verdict] for verdict in Verdict}
+
+    @property
+    def failed_ids(self) -> tuple[str, ...]:
+        """The checks that failed."""
+        return tuple(f.check.id for f in self.findings if f.verdict is Verdict.FAILED)
+
+
+def chosen(ids: Iterable[str]) -> tuple[Check, ...]:
+    """The checks with these ids, or whose clause or table they name ("5.4", "T9"); all where none are stated.
+
+    Raises:
+        OptionError: there is none of that name.
+    """
+    wanted = tuple(ids)
+    for name in wanted:
+        if not any(_is_of(check, name) for check in CHECKS):
+            parts = ", ".join(dict.fromkeys(check.id.split("-")[0] for check in CHECKS))
+            raise OptionError(f"check {name!r}; there are those of {parts}, each with -1, -2, …")
+    return tuple(check for check in CHECKS if not wanted or any(_is_of(check, name) for name in wanted))
+
+
+def _is_of(check: Check, name: str) -> bool:
+    return name in (check.id, check.id.split("-")[0])
+
+
+def examine(
+    transport: Transport,
+    *,
+    address: str = "",
+    only: Iterable[str] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> Examination:
+    """Run checks against a server, each in sessions of its own that are ended after it.
+
+    Args:
+        transport: carries the calls.
+        address: of the server, for the report.
+        only: ids of checks, or of clauses and tables; all where none are stated.
+        progress: reported how many checks are done, and of how many.
+
+    Raises:
+        OptionError: there is no such check.
+    """
+    checks = chosen(only)
+    bench = Bench(transport, f"conformance-{secrets.token_hex(4)}")
+    findings = []
+    for number, check in enumerate(checks):
+        findings.append(_run(check, bench))
+        if progress is not None:
+            progress(number + 1, len(checks))
+    return Examination(address, tuple(findings))
+
+
+def _run(check: Check, bench: Bench) -> Finding:
+    seen: list[Seen] = []
+    try:
+        for each in check.look(bench):
+            seen.append(each)  # noqa: PERF402 - what was seen before an error counts
+    except (CallFailedError, NoResultError) as error:
+        seen.append(Seen(_after(seen), "an answer", str(error), agrees=False))
+    except Exception as error:  # noqa: BLE001 - whatever a server answers, the other checks go on
+        found = f"an answer that cannot be read: {type(error).__name__}: {error}"
+        seen.append(Seen(_after(seen), "an answer", found, agrees=False))
+    finally:
+        bench.end_sessions()
+    passed = bool(seen) and all(each.agrees for each in seen)
+    return Finding(check, Verdict.PASSED if passed else Verdict.FAILED, tuple(seen))
+
+
+def _after(seen: Sequence[Seen]) -> str:
+    return f"what comes after: {seen[-1].sent}" if seen else "what the check begins with"
+
+
+def write_report(examination: Examination, path: Path, *, overwrite: bool = False) -> None:
+    """Write a report in the form that the file's suffix says.
+
+    Raises:
+        OptionError: the suffix is none of .json, .md and .html.
+        OutputError: the file exists already, or cannot be written.
+    """
+    text = form_of(path)(examination)
+    with replacing(path, overwrite=overwrite) as draft:
+        draft.write_text(text, "utf-8")
+
+
+def form_of(path: Path) -> Callable[[Examination], str]:
+    """How a report is written into a file of that name.
+
+    Raises:
+        OptionError: its suffix is none of .json, .md and .html.
+    """
+    form = _FORMS.get(path.suffix.lower())
+    if form is None:
+        raise OptionError(f"report {path}; expected a name that ends with one of {', '.join(_FORMS)}")
+    return form
+
+
+def as_builtins(examination: Examination) -> dict[str, Any]:
+    """Give an examination as plain values."""
+    return {
+        "address": examination.address,
+        "passed": examination.passed,
+        "counts": examination.counts,
+        "checks": [_plain(finding) for finding in examination.findings],
+    }
+
+
+def _plain(finding: Finding) -> dict[str, Any]:
+    check = finding.check
+    return {
+        "id": check.id,
+        "verdict": str(finding.verdict),
+        "basis": str(check.basis),
+        "location": check.location,
+        "title": check.title,
+        "english": check.quote.english,
+        "chinese": check.quote.chinese,
+        "seen": [asdict(seen) for seen in finding.seen],
+    }
+
+
+def _as_json(examination: Examination) -> str:
+    """Give an examination as JSON."""
+    return json.dumps(as_builtins(examination), indent=2, ensure_ascii=False) + "\n"
+
+
+def _as_markdown(examination: Examination) -> str:
+    """Give an examination as Markdown: a table of all checks, and what was found by those that failed."""
+    return "\n".join(_markdown_lines(examination)) + "\n"
+
+
+def _markdown_lines(examination: Examination) -> Iterator[str]:
+    yield f"# DB34/T 4101-2022: conformance of {examination.address or 'a server'}"
+    yield ""
+    yield _summary(examination)
+    yield ""
+    yield "| check | verdict | basis | location | what has to be so |"
+    yield "| --- | --- | --- | --- | --- |"
+    for finding in examination.findings:
+        check = finding.check
+        cells = (check.id, str(finding.verdict), str(check.basis), check.location, check.title)
+        yield _table_row(cells)
+    for finding in examination.findings:
+        if finding.failures:
+            yield from _failed_in_markdown(finding)
+
+
+def _failed_in_markdown(finding: Finding) -> Iterator[str]:
+    check = finding.check
+    yield ""
+    yield f"## {check.id}: {check.title}"
+    yield f"> {check.quote.english}"
+    yield ">"
+    yield f"> {check.quote.chinese}"
+    yield ""
+    yield "| sent | expected | found |"
+    yield "| --- | --- | --- |"
+    for seen in finding.failures:
+        cells = (seen.sent, seen.expected, seen.found)
+        yield _table_row(cells)
+
+
+def _table_row(cells: Iterable[str]) -> str:
+    """A row of a table, whatever a server wrote into its cells."""
+    reported = (" ".join(escape(cell, quote=False).replace("|", "&#124;").split()) for cell in cells)
+    return f"| {' | '.join(reported)} |"
+
+
+def _as_html(examination: Examination) -> str:
+    """Give an examination as one page without anything from elsewhere: each check opens to what it saw."""
+    rows = "\n".join(_html_of(finding) for finding in examination.findings)
+    title = f"DB34/T 4101-2022: conformance of {escape(examination.address or 'a server')}"
+    return (
+        f'<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<title>{title}</title>\n<style>{_STYLE}</style>\n'
+        f"<h1>{title}</h1>\n<p>{escape(_summary(examination))}</p>\n{rows}\n</html>\n"
+    )
+
+
+_STYLE = (
+    "body{font:15px/1.45 sans-serif;max-width:75em;margin:2em auto;padding:0 1em}"
+    "summary{padding:.2em 0}.failed summary{color:#a00;font-weight:bold}.passed summary{color:#060}"
+    "table{border-collapse:collapse;margin:.5em 0 1em 1.5em}td,th{border:1px solid #ccc;padding:.2em .5em;"
+    "text-align:left;vertical-align:top}.no td{background:#fee}blockquote{margin:.3em 0 .3em 1.5em;color:#444}"
+)
+
+
+def _html_of(finding: Finding) -> str:
+    check = finding.check
+    rows = "".join(
+        f"<tr{'' if seen.agrees else ' class=no'}>"
+        + "".join(f"<td>{escape(cell)}</td>" for cell in (seen.sent, seen.expected, seen.found))
+        + "</tr>"
+        for seen in finding.seen
+    )
+    opened = " open" if finding.failures else ""
+    return (
+        f'<details class="{finding.verdict}"{opened}><summary>{check.id} {finding.verdict}: {escape(check.title)}'
+        f"</summary><blockquote>{escape(check.location)} ({check.basis})<br>{escape(check.quote.english)}"
+        f'<br><span lang="zh">{escape(check.quote.chinese)}</span></blockquote>'
+        f"<table><tr><th>sent<th>expected<th>found</tr>{rows}</table></details>"
+    )
+
+
+def _summary(examination: Examination) -> str:
+    reported = ", ".join(f"{count} {verdict}" for verdict, count in examination.counts.items())
+    return f"{len(examination.findings)} checks: {reported}"
+
+
+_FORMS: Mapping[str, Callable[[Examination], str]] = {
+    ".json": _as_json,
+    ".md": _as_markdown,
+    ".html": _as_html,
+}
+"""By the suffix of the file."""

@@ -1,0 +1,665 @@
+"""Configuration data of DB34/T 4101-2022: the predefined properties of table 2 and its extensions.
+
+Properties that users add, and the property `sensors` with the extrinsics of lidars.
+"""
+
+import re
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.db34t.calibration import DeclaredAxes, SensorKind, parse_calibrations, read_by_sensor
+from sceneloom.db34t.types import DONE, BasicType, Cause, Outcome, ValueForm, ValueType, refused, shown
+from sceneloom.detections.detectors import DEFAULT, detector_names
+from sceneloom.errors import ArrayError, CalibrationError, DataError, OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
+from sceneloom.scene.cameras import GLOBAL, LONGEST_ROLL_S, Shutter
+from sceneloom.scene.poses import Poses
+
+_NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
+
+_NORM_TOLERANCE = 0.01
+
+_MOST = 1e9
+"""Beyond this a number is none of a mounting [m]."""
+
+_PARTS = {"position": 3, "quaternion_xyzw": 4}
+
+
+def _parse_mounting(found: Any, owner: str, location: str) -> RigidTransform:
+    """Read `{"position": [x, y, z], "quaternion_xyzw": [x, y, z, w]}`: the lidar's location [m] and switch on the body.
+
+    The rotation is none where it is left out.
+
+    Raises:
+        DataError: it is no such object.
+    """
+    if not isinstance(found, dict) or not {"position"} <= set(found) <= set(_PARTS):
+        raise DataError(
+            owner, location, f"{found!r}; expected an object with position and perhaps quaternion_xyzw"
+        )
+    values = {"quaternion_xyzw": _NO_ROTATION, **found}
+    for name, count in _PARTS.items():
+        numbers = values[name]
+        if (
+            not isinstance(numbers, list | tuple)
+            or len(numbers) != count
+            or not all(map(_is_number, numbers))
+        ):
+            raise DataError(owner, f"{location}.{name}", f"{numbers!r}; expected {count} finite numbers")
+    norm = float(np.linalg.norm(values["quaternion_xyzw"]))
+    if abs(norm - 1.0) > _NORM_TOLERANCE:
+        problem = f"norm {norm:.4f}; expected a unit quaternion"
+        raise DataError(owner, f"{location}.quaternion_xyzw", problem)
+    try:
+        return RigidTransform.from_quaternion(
+            np.array(values["position"], np.float64), np.array(values["quaternion_xyzw"], np.float64)
+        )
+    except (ArrayError, CalibrationError) as error:
+        raise DataError(owner, location, str(error)) from error
+
+
+def trajectory_of_mounted(path: Poses, body_from_lidar: RigidTransform | None) -> Poses:
+    """Give the trajectory of a lidar (`world_from_lidar`) on a body that moves along a path (`world_from_body`)."""
+    if body_from_lidar is None:
+        return path
+    return Poses(
+        path.timestamps_ns,
+        path.positions + rotate_vectors(path.quaternions_xyzw, body_from_lidar.translation),
+        multiply_quaternions(path.quaternions_xyzw, body_from_lidar.quaternion_xyzw),
+        static=path.static,
+    )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MOST
+
+
+_LOCATION, _MOUNTING = "sensors", "body_from_lidar"
+
+_ROLL, _ROLLS_OVER_COLUMNS = "shutter_roll_s", "shutter_left_to_right"
+
+_OF_KIND = {SensorKind.LIDAR: (_MOUNTING,), SensorKind.CAMERA: (_ROLL, _ROLLS_OVER_COLUMNS)}
+"""What is stated for sensors of one kind alone."""
+
+
+class RawForm(StrEnum):
+    """What the bytes of a raw record (table 4) are."""
+
+    RECORDS = "records"
+    """Lidar: 23-byte records, as of the recording format: x y z float32, intensity uint8, ring uint16, time float64."""
+    JPEG = "jpeg"
+    """Camera: a JPEG file."""
+    PNG = "png"
+    """Camera: a PNG file."""
+    RGB8 = "rgb8"
+    """Camera: height x width x 3 bytes; the size is that of the camera's calibration."""
+
+
+_RAW_FORMS = {
+    SensorKind.LIDAR: (RawForm.RECORDS,),
+    SensorKind.CAMERA: (RawForm.JPEG, RawForm.PNG, RawForm.RGB8),
+}
+"""What raw data a sensor of each kind can send."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredSensor:
+    """A sensor as the property `sensors` declares it.
+
+    Attributes:
+        sensor_id: 0 to 255.
+        kind: camera or lidar.
+        raw: what its raw data hold, or None where it sends none.
+        body_from_lidar: of a lidar, how it is mounted on the body whose trajectory is reported; None: the trajectory is
+            its own.
+        shutter: of a camera, when the lines of its images are taken.
+    """
+
+    sensor_id: int
+    kind: SensorKind
+    raw: RawForm | None = None
+    body_from_lidar: RigidTransform | None = None
+    shutter: Shutter = GLOBAL
+
+
+def parse_sensors(text: str) -> Mapping[int, DeclaredSensor]:
+    """Read the property; an empty text declares nothing.
+
+    Raises:
+        DataError: it is no JSON object of sensors.
+    """
+    found = read_by_sensor(text, _LOCATION, '{"0": {"kind": "lidar"}}')
+    return {sensor_id: _declared(sensor_id, entry) for sensor_id, entry in found.items()}
+
+
+def _declared(sensor_id: int, entry: Any) -> DeclaredSensor:
+    name = str(sensor_id)
+    if not isinstance(entry, dict) or "kind" not in entry:
+        raise DataError(_LOCATION, name, f"{entry!r}; expected an object with kind")
+    if entry["kind"] not in list(SensorKind):
+        raise DataError(_LOCATION, f"{name}.kind", f"{entry['kind']!r}; expected {' or '.join(SensorKind)}")
+    kind = SensorKind(entry["kind"])
+    for word in entry:
+        _check_word(word, kind, f"{name}.{word}")
+    raw = entry.get("raw")
+    if raw is not None and raw not in _RAW_FORMS[kind]:
+        raise DataError(_LOCATION, f"{name}.raw", f"{raw!r}; expected one of {', '.join(_RAW_FORMS[kind])}")
+    mounting = (
+        _parse_mounting(entry[_MOUNTING], _LOCATION, f"{name}.{_MOUNTING}") if _MOUNTING in entry else None
+    )
+    return DeclaredSensor(
+        sensor_id, kind, None if raw is None else RawForm(raw), mounting, _shutter(entry, name)
+    )
+
+
+def _check_word(word: str, kind: SensorKind, location: str) -> None:
+    """Refuse what is stated for no sensor of this kind."""
+    if word in ("kind", "raw", *_OF_KIND[kind]):
+        return
+    others = {other.value for other, words in _OF_KIND.items() if word in words}
+    if others:
+        raise DataError(_LOCATION, location, f"of a {kind}; expected of {' and '.join(others)}s")
+    expected = ", ".join(("raw", *_OF_KIND[kind]))
+    raise DataError(_LOCATION, location, f"no word of a {kind}; expected kind and perhaps {expected}")
+
+
+def _shutter(entry: Mapping[str, Any], name: str) -> Shutter:
+    """What a camera's entry says of its shutter; all at once where it says nothing."""
+    seconds, over_columns = entry.get(_ROLL, 0.0), entry.get(_ROLLS_OVER_COLUMNS, False)
+    if (
+        isinstance(seconds, bool)
+        or not isinstance(seconds, int | float)
+        or not 0 <= seconds <= LONGEST_ROLL_S
+    ):
+        problem = f"{seconds!r}; expected seconds, 0 to {LONGEST_ROLL_S:g}"
+        raise DataError(_LOCATION, f"{name}.{_ROLL}", problem)
+    if not isinstance(over_columns, bool):
+        raise DataError(
+            _LOCATION, f"{name}.{_ROLLS_OVER_COLUMNS}", f"{over_columns!r}; expected true or false"
+        )
+    return Shutter(float(seconds), over_columns)
+
+
+_Check = Callable[[Any], object]
+"""Raises DataError or CalibrationError for a value of the right type that the property cannot take."""
+
+
+@dataclass(frozen=True, slots=True)
+class PredefinedProperty:
+    """A property that is there from the start.
+
+    Attributes:
+        name: of the property.
+        description: what it sets, for people.
+        type: as in table 1, or a tuple of such.
+        default: its value at the start.
+        unit: of the value, or "".
+        check: what else the value has to fulfil, or None.
+        source: the row of table 2, or "extension".
+    """
+
+    name: str
+    description: str
+    type: str
+    default: Any
+    unit: str = ""
+    check: _Check | None = None
+    source: str = "extension"
+
+
+def _at_least(lowest: int) -> _Check:
+    def check(value: int) -> None:
+        if value < lowest:
+            raise DataError("", "", f"{value}; expected {lowest} or more")
+
+    return check
+
+
+def _not_negative(value: float) -> None:
+    if value < 0:
+        raise DataError("", "", f"{value:g}; expected 0 or more")
+
+
+def _one_of(*names: str) -> _Check:
+    def check(value: str) -> None:
+        if value not in names:
+            raise DataError("", "", f"{value!r}; expected one of {', '.join(names)}")
+
+    return check
+
+
+def _triple(value: tuple[int, ...]) -> None:
+    DeclaredAxes.of_triple(value, left_handed=False)
+
+
+def _words(value: str) -> None:
+    if value:
+        DeclaredAxes.of_words(value)
+
+
+def _filled(value: str) -> None:
+    if not value.strip():
+        raise DataError("", "", "an empty name; expected the name of an algorithm")
+
+
+def _detectors(value: str) -> None:
+    _one_of(*detector_names())(value)
+
+
+PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
+    {
+        row.name: row
+        for row in (
+            PredefinedProperty(
+                "fusion_type",
+                "which fusion a get without a type returns and a set of fusion_algorithm concerns: "
+                "0 sensor data, 1 detections; both run whenever their inputs come",
+                "bool",
+                0,
+                source="table 2, row 1",
+            ),
+            PredefinedProperty(
+                "chirality",
+                "0: the declared frames are right-handed, 1: left-handed",
+                "bool",
+                0,
+                source="table 2, row 2",
+            ),
+            PredefinedProperty(
+                "camera_coordinate",
+                "axes of the camera frame that point forward, right and up: 0, 1, 2 for x, y, z, negative for the "
+                "opposite direction; the direction of axis 0 follows from chirality",
+                "(int8, int8, int8)",
+                (2, 0, -1),
+                check=_triple,
+                source="table 2, row 3",
+            ),
+            PredefinedProperty(
+                "lidar_coordinate",
+                "the same of the lidar frame",
+                "(int8, int8, int8)",
+                (0, -1, 2),
+                check=_triple,
+                source="table 2, row 4",
+            ),
+            PredefinedProperty(
+                "camera_frequency",
+                "images a second",
+                "uint32",
+                10,
+                unit="Hz",
+                check=_at_least(1),
+                source="table 2, row 5",
+            ),
+            PredefinedProperty(
+                "lidar_frequency",
+                "sweeps a second",
+                "uint32",
+                10,
+                unit="Hz",
+                check=_at_least(1),
+                source="table 2, row 6",
+            ),
+            PredefinedProperty(
+                "fusion_algorithm",
+                "name of the algorithm of the fusion that fusion_type says; each type keeps its own",
+                "string",
+                "projection",
+                check=_filled,
+                source="table 2, row 7",
+            ),
+            PredefinedProperty(
+                "camera_axes",
+                "axes of the camera frame that point forward, right and up, in plain words as +z,+x,-y; "
+                "counts before camera_coordinate and chirality unless empty",
+                "string",
+                "",
+                check=_words,
+            ),
+            PredefinedProperty("lidar_axes", "the same of the lidar frame", "string", "", check=_words),
+            PredefinedProperty(
+                "sensors",
+                'what each sensor_id is and what its raw data (table 4) hold, as JSON: {"0": {"kind": "lidar", '
+                '"raw": "records"}, "1": {"kind": "camera", "raw": "jpeg"}}; of a lidar also body_from_lidar, its '
+                "mounting on the body whose trajectory SendMotion reports; of a camera shutter_roll_s and "
+                "shutter_left_to_right, its rolling shutter; empty: reported by what is sent",
+                "string",
+                "",
+                check=parse_sensors,
+            ),
+            PredefinedProperty(
+                "calibration",
+                "all calibrations, as a JSON list of the records of table 3, each with its camera_id and lidar_id; "
+                "setting it replaces them all",
+                "string",
+                "",
+                check=parse_calibrations,
+            ),
+            PredefinedProperty(
+                "reference_frame",
+                "frame of the points in results of table 9: 0 camera, 1 lidar",
+                "bool",
+                1,
+            ),
+            PredefinedProperty(
+                "depth_kind",
+                "what image_depth holds: z along the optical axis, or range along the ray",
+                "string",
+                "z",
+                check=_one_of("z", "range"),
+            ),
+            PredefinedProperty(
+                "motion_compensation",
+                "1: the vehicle's motion is taken into account where it is known, 0: never",
+                "bool",
+                1,
+            ),
+            PredefinedProperty(
+                "pairing_tolerance_ms",
+                "how far an image may be from a sweep; 0: half a period of lidar_frequency and half a period of "
+                "camera_frequency",
+                "double",
+                0.0,
+                unit="ms",
+                check=_not_negative,
+            ),
+            PredefinedProperty(
+                "pairing_timeout_ms",
+                "how late an image may come and still be waited for, on the clock of the data, and how long a box "
+                "that came alone waits for others of its frame",
+                "uint32",
+                100,
+                unit="ms",
+            ),
+            PredefinedProperty(
+                "queue_length",
+                "records of one kind and one sensor that may wait to be fused, and for their partners",
+                "uint32",
+                32,
+                check=_at_least(1),
+            ),
+            PredefinedProperty(
+                "queue_policy",
+                "what happens to a record that finds its queue full: drop-oldest makes room, refuse answers 0",
+                "string",
+                "drop-oldest",
+                check=_one_of("drop-oldest", "refuse"),
+            ),
+            PredefinedProperty(
+                "result_queue_length",
+                "results that may wait to be fetched, of each fusion type; the oldest are dropped and counted",
+                "uint32",
+                32,
+                check=_at_least(1),
+            ),
+            PredefinedProperty(
+                "detectors",
+                "how sure and how exact the detectors are taken to be, by the name of a set that comes with the "
+                "package; of the algorithm projection of detections",
+                "string",
+                DEFAULT,
+                check=_detectors,
+            ),
+        )
+    }
+)
+"""By name, those of table 2 first, in its order.
+
+Source: DB34/T 4101-2022, table 2; defaults are its examples, but for the algorithm, which names one that is built in.
+"""
+
+_FAULTS = (DataError, CalibrationError)
+"""What a check raises."""
+
+_ENUM_PAIR = re.compile(r"(\w+)\s*=\s*(-?\d+)")
+
+_LONGEST_NAME = 256
+
+_LONGEST_DESCRIPTION = 65_536
+
+MOST_PROPERTIES = 1_000
+"""Properties that one system may have: a caller that adds for ever is stopped."""
+
+_LARGEST_VALUES = 1 << 25
+"""How large the values of all properties may be together: their characters, and 8 for each number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Property:
+    """One property with its value.
+
+    Attributes:
+        name: of the property.
+        description: what it sets, for people; of an `enum` also its `name=number` pairs.
+        type: what its values have to be.
+        value: as `ValueType.check` gives it; None where it was added and not set yet.
+        unit: of the value, or "".
+        predefined: whether it is there from the start.
+    """
+
+    name: str
+    description: str
+    type: ValueType
+    value: Any = None
+    unit: str = ""
+    predefined: bool = False
+
+    @property
+    def enumeration(self) -> Mapping[str, int]:
+        """The names of an `enum` and their numbers, from the description."""
+        return {name: int(number) for name, number in _ENUM_PAIR.findall(self.description)}
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The properties as they were at one moment; kept with every result.
+
+    Attributes:
+        revision: counts the changes; equal numbers mean equal properties.
+        properties: by name, those of table 2 first, in their order.
+        algorithms: `fusion_algorithm` of sensor data and of detections.
+    """
+
+    revision: int
+    properties: Mapping[str, Property]
+    algorithms: tuple[str, str]
+
+    def __getitem__(self, name: str) -> Any:
+        return self.properties[name].value
+
+
+def _predefined() -> dict[str, Property]:
+    return {
+        row.name: Property(
+            row.name, row.description, ValueType.parse(row.type), row.default, row.unit, predefined=True
+        )
+        for row in PREDEFINED.values()
+    }
+
+
+@dataclass(slots=True)
+class PropertyStore:
+    """Holds the properties; each call is whole before the next one is, whoever calls.
+
+    Attributes:
+        check_algorithm: reported a fusion type and a name before it is set; raises OptionError for one that is not
+            there.
+
+    Source: DB34/T 4101-2022, clauses 5.2 to 5.5.
+    """
+
+    check_algorithm: Callable[[int, str], object] | None = None
+    _properties: dict[str, Property] = field(default_factory=_predefined)
+    _algorithms: list[str] = field(default_factory=lambda: [PREDEFINED["fusion_algorithm"].default] * 2)
+    _revision: int = 0
+    _size: int = 0
+    _snapshot: Snapshot | None = None
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def add(self, name: str, description: str, type: str) -> Outcome:
+        """Add a property without a value.
+
+        Args:
+            name: up to 256 characters, none of them blank or a control character.
+            description: for people; of an `enum` it lists its `name=number` pairs.
+            type: of table 1, or a tuple or an array of such.
+
+        Returns:
+            0 where the name is taken or not usable, or the type is none.
+
+        Source: DB34/T 4101-2022, clause 5.3.
+        """
+        try:
+            _check_words(name, description)
+            kind = ValueType.parse(type)
+        except DataError as error:
+            return refused(Cause.ILL_TYPED, error)
+        added = Property(name, description, kind)
+        if BasicType.ENUM in kind.elements and not added.enumeration:
+            return refused(
+                Cause.ILL_TYPED, "an enum without values; expected name=number pairs in its description"
+            )
+        with self._lock:
+            if name in self._properties:
+                return refused(Cause.KNOWN_NAME, f"property {name!r} is there already")
+            if len(self._properties) >= MOST_PROPERTIES:
+                return refused(
+                    Cause.TOO_MANY, f"there are {MOST_PROPERTIES} properties, as many as there may be"
+                )
+            self._keep(added)
+        return DONE
+
+    def set(self, name: str, value: Any) -> Outcome:
+        """Set a property; what is refused leaves it as it was.
+
+        Source: DB34/T 4101-2022, clause 5.4.
+        """
+        with self._lock:
+            known = self._properties.get(name)
+            if known is None:
+                return refused(Cause.UNKNOWN_NAME, f"property {shown(name)} is not there; {self._known()}")
+            try:
+                checked = _checked(known, value)
+            except DataError as error:
+                return refused(Cause.ILL_TYPED, error)
+            try:
+                self._check_further(name, checked)
+            except OptionError as error:
+                return refused(Cause.UNKNOWN_ALGORITHM, error)
+            except _FAULTS as error:
+                return refused(Cause.OUT_OF_RANGE, f"{name}: {error}")
+            size = self._size - _size_of(known.value) + _size_of(checked)
+            if size > _LARGEST_VALUES:
+                problem = (
+                    f"all values have {size} characters and numbers then; expected at most {_LARGEST_VALUES}"
+                )
+                return refused(Cause.TOO_MANY, f"{name}: {problem}")
+            self._size = size
+            if name == "fusion_algorithm":
+                self._algorithms[self._properties["fusion_type"].value] = checked
+            self._keep(replace(known, value=checked))
+            self._show_algorithm()
+        return DONE
+
+    def get(self, name: str) -> Property:
+        """Give a property.
+
+        Raises:
+            OptionError: there is none of that name.
+
+        Source: DB34/T 4101-2022, clause 5.5.
+        """
+        with self._lock:
+            if name not in self._properties:
+                raise OptionError(f"property {shown(name)} is not there; {self._known()}")
+            return self._properties[name]
+
+    def snapshot(self) -> Snapshot:
+        """Give all properties as they are now."""
+        with self._lock:
+            if self._snapshot is None:
+                kept = MappingProxyType(dict(self._properties))
+                self._snapshot = Snapshot(self._revision, kept, (self._algorithms[0], self._algorithms[1]))
+            return self._snapshot
+
+    def _keep(self, changed: Property) -> None:
+        self._properties[changed.name] = changed
+        self._revision += 1
+        self._snapshot = None
+
+    def _show_algorithm(self) -> None:
+        """Let `fusion_algorithm` state the algorithm of the fusion that `fusion_type` names."""
+        shown_now = self._properties["fusion_algorithm"]
+        current = self._algorithms[self._properties["fusion_type"].value]
+        if shown_now.value != current:
+            self._properties["fusion_algorithm"] = replace(shown_now, value=current)
+
+    def _check_further(self, name: str, value: Any) -> None:
+        row = PREDEFINED.get(name)
+        if row is not None and row.check is not None:
+            row.check(value)
+        if name == "fusion_algorithm" and self.check_algorithm is not None:
+            self.check_algorithm(self._properties["fusion_type"].value, value)
+
+    def _known(self) -> str:
+        names = list(self._properties)
+        return f"there are {', '.join(names[:40])}{'' if len(names) <= 40 else ', …'}"
+
+
+def _check_words(name: str, description: str) -> None:
+    """Check name and description of a property that is added.
+
+    Raises:
+        DataError: one of them cannot be.
+    """
+    if not _is_name(name):
+        problem = f"{shown(name)}; expected 1 to {_LONGEST_NAME} visible characters"
+        raise DataError("property", "name", problem)
+    if not isinstance(description, str):
+        raise DataError(f"property {name}", "description", f"{shown(description)}; expected a text")
+    if len(description) > _LONGEST_DESCRIPTION:
+        problem = f"{len(description)} characters; expected at most {_LONGEST_DESCRIPTION}"
+        raise DataError(f"property {name}", "description", problem)
+
+
+def _size_of(value: Any) -> int:
+    if isinstance(value, tuple):
+        return sum(map(_size_of, value))
+    return len(value) if isinstance(value, str) else 8
+
+
+def _is_name(name: str) -> bool:
+    return isinstance(name, str) and 0 < len(name) <= _LONGEST_NAME and name.isprintable() and " " not in name
+
+
+def _checked(known: Property, value: Any) -> Any:
+    checked = known.type.check(value, owner=known.name)
+    if BasicType.ENUM not in known.type.elements:
+        return checked
+    if known.type.form is ValueForm.SCALAR:
+        return _enumerated(known, checked)
+    return tuple(
+        _enumerated(known, item) if kind is BasicType.ENUM else item
+        for kind, item in zip(_kinds(known.type, len(checked)), checked, strict=True)
+    )
+
+
+def _kinds(kind: ValueType, count: int) -> tuple[BasicType, ...]:
+    return kind.elements if kind.form is ValueForm.TUPLE else kind.elements * count
+
+
+def _enumerated(known: Property, value: str | int) -> int:
+    pairs = known.enumeration
+    if isinstance(value, str) and value in pairs:
+        return pairs[value]
+    if value in pairs.values():
+        return int(value)
+    expected = ", ".join(f"{name}={number}" for name, number in pairs.items())
+    raise DataError(known.name, "", f"{shown(value)}; expected one of {expected}")

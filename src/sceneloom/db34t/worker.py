@@ -1,0 +1,608 @@
+"""The worker of a session: one fusion system per lidar, fed in the order in which records arrived.
+
+Results are numbered and queued.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol, cast
+
+import numpy as np
+
+from sceneloom.arrays import Float32Array, Float64Array, read_only
+from sceneloom.colouring.results import FusedFrame
+from sceneloom.db34t.boxes import Boxes2d, Boxes3d
+from sceneloom.db34t.calibration import SensorKind
+from sceneloom.db34t.properties import trajectory_of_mounted
+from sceneloom.db34t.queues import Announcer, Dropped, Flushed, Moved, Result, ResultQueue, Task, TaskQueue
+from sceneloom.db34t.received_records import (
+    CLOCK_JUMP_NS,
+    Accepted,
+    Counters,
+    Ledger,
+    Received,
+    Setting,
+    Stream,
+    Ticket,
+    WholeRecord,
+)
+from sceneloom.db34t.records import FusedDetections, ImageData, RawData, ResultRecord, size_of
+from sceneloom.db34t.results import FoundObjects, fused_detections_record, sensor_fusion_record
+from sceneloom.db34t.scene_objects import boxes_2d_of, boxes_3d_of, image_of_raw
+from sceneloom.errors import DataError
+from sceneloom.fusion.algorithms import BUILT_IN, FusionType
+from sceneloom.fusion.box_fusion import FusedDetectionFrame, SeenBoxes
+from sceneloom.fusion.pairing import STILL, Leave
+from sceneloom.fusion.system import FusionSystem
+from sceneloom.geometry.interpolation import OUT_OF_REACH
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.cameras import GLOBAL, CameraImage
+from sceneloom.scene.clouds import LidarFrame
+from sceneloom.scene.poses import Poses, PoseSource
+
+
+def _is_identity(matrix: Float64Array) -> bool:
+    """Whether a signed permutation leaves all as it is."""
+    return bool(matrix[0, 0] == matrix[1, 1] == matrix[2, 2] == 1.0)
+
+
+def _rotated(vectors: Float32Array, matrix: Float64Array) -> Float32Array:
+    """Take (N, 3) vectors into other axes by a signed permutation, exactly; the same array where nothing rotates."""
+    if _is_identity(matrix):
+        return vectors
+    columns = np.abs(matrix).argmax(axis=1)
+    signs = matrix[range(3), columns].astype(np.float32)
+    return read_only(np.ascontiguousarray(vectors[:, columns] * signs))
+
+
+def _standard_frame(frame: LidarFrame, standard_from_declared: Float64Array) -> LidarFrame:
+    """Take a sweep out of its declared frame."""
+    positions = _rotated(frame.points.positions, standard_from_declared)
+    if positions is frame.points.positions:
+        return frame
+    return replace(frame, points=replace(frame.points, positions=positions))
+
+
+def _standard_boxes(boxes: Boxes3d, standard_from_declared: Float64Array) -> Boxes3d:
+    """Take boxes out of their declared frame."""
+    if _is_identity(standard_from_declared):
+        return boxes
+    vectors = boxes.velocity_vectors
+    return replace(
+        boxes,
+        centers=_rotated(boxes.centers, standard_from_declared),
+        directions=_rotated(boxes.directions, standard_from_declared),
+        velocity_vectors=None if vectors is None else _rotated(vectors, standard_from_declared),
+    )
+
+
+_REACH_NS = 200_000_000
+"""How far beyond the last pose the ego trajectory is continued: poses come later than what they are for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RigResult:
+    """One result, and the configuration in force when its sweep came.
+
+    Attributes:
+        record: of table 9 or 10.
+        setting: the configuration.
+        found: of records of table 10, what they report, in the words of the fusion system.
+    """
+
+    record: ResultRecord
+    setting: Setting
+    found: FoundObjects | None = None
+
+
+class _Sent(NamedTuple):
+    """What a result has to state of what was sent: rides along with it through the fusion system."""
+
+    record: Any
+    seq: int
+    setting: Setting
+    ticket: Ticket
+    source: WholeRecord
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        return MappingProxyType({"sent": self})
+
+    @property
+    def image(self) -> ImageData:
+        """The image as it was sent; it was checked when it came."""
+        source = self.source
+        if not isinstance(source, RawData):
+            return cast("ImageData", source)
+        encoding = str(self.setting.sensors[source.sensor_id].raw)
+        return image_of_raw(source, self.setting.camera(source.sensor_id), encoding)
+
+
+@dataclass(slots=True)
+class Rig:
+    """What a session's worker feeds: not for several threads at once.
+
+    Each lidar has a fusion system of its own, whose ego frame is the lidar's: calibrations are of pairs, and those of
+    two lidars need not agree on where a camera is. An image goes to all that its camera is calibrated with.
+
+    Attributes:
+        counters: where what goes wrong is counted.
+        ledger: reported what became of each record.
+    """
+
+    counters: Counters
+    ledger: Ledger
+    _setting: Setting | None = None
+    _systems: dict[int, FusionSystem] = field(default_factory=dict)
+    _cameras: set[tuple[int, int]] = field(default_factory=set)
+    _path: Poses | None = None
+    _origin: Float64Array = field(default_factory=lambda: np.zeros(3))
+    _trajectories: dict[int, Poses] = field(default_factory=dict)
+    _newest_ns: dict[Stream, int] = field(default_factory=dict)
+    _left: list[tuple[Ticket, Leave]] = field(default_factory=list)
+
+    def feed(self, accepted: Accepted, ticket: Ticket) -> Iterator[_RigResult]:
+        """Take what a sensor sent, and give what could be fused with it."""
+        sensor_id, received, setting = accepted.sensor_id, accepted.received, accepted.setting
+        yield from self._adopt(setting)
+        yield from self._follow_clock(accepted.stream, accepted.timestamp_ns)
+        of_lidar = isinstance(received, LidarFrame | Boxes3d)
+        kind = SensorKind.LIDAR if of_lidar else SensorKind.CAMERA
+        pairs = setting.pairs_of(kind, sensor_id)
+        lidar_ids = (sensor_id,) if of_lidar and pairs else tuple(sorted(lidar_id for _, lidar_id in pairs))
+        self.ledger.share(ticket, len(lidar_ids))
+        sent = _Sent(received, accepted.record.seq, setting, ticket, accepted.record)
+        for lidar_id in lidar_ids:
+            system = self._systems[lidar_id]
+            try:
+                self._send(system, lidar_id, sensor_id, sent)
+            except Exception as error:  # noqa: BLE001 - one record must not end the session
+                self._failed(sent.extras, error)
+                self.ledger.settle(ticket, "failed")
+            yield from self._fetch(lidar_id, system)
+
+    def flush(self) -> Iterator[_RigResult]:
+        """Fuse all that waits with what has come."""
+        for lidar_id, system in self._systems.items():
+            system.flush()
+            yield from self._fetch(lidar_id, system)
+
+    def end(self) -> Iterator[_RigResult]:
+        """Fuse all that waits, and keep nothing."""
+        for lidar_id, system in self._systems.items():
+            system.end()
+            yield from self._fetch(lidar_id, system)
+
+    @property
+    def waits(self) -> bool:
+        """Whether a sweep or its boxes wait for an image."""
+        return any(system.waits for system in self._systems.values())
+
+    def move(self, path: Poses, *, origin: Float64Array) -> None:
+        """Let the vehicle move along a trajectory from now on, whose positions count from `origin`, (3,) [m]."""
+        self._path, self._origin = path, origin
+        for lidar_id in self._systems:
+            self._move(lidar_id)
+
+    def _move(self, lidar_id: int) -> None:
+        """Let a lidar ride on the body whose trajectory is reported, by the mounting in force."""
+        if self._path is None or self._setting is None:
+            return
+        declared = self._setting.sensors.get(lidar_id)
+        trajectory = trajectory_of_mounted(self._path, None if declared is None else declared.body_from_lidar)
+        self._trajectories[lidar_id] = trajectory
+        self._systems[lidar_id].move(trajectory, reach_ns=_REACH_NS)
+
+    def _follow_clock(self, stream: Stream, time_ns: int) -> Iterator[_RigResult]:
+        """Where a sensor's clock was set back, fuse all that waits, and begin anew."""
+        newest_ns = self._newest_ns.get(stream, time_ns)
+        self._newest_ns[stream] = max(newest_ns, time_ns)
+        if time_ns >= newest_ns - CLOCK_JUMP_NS:
+            return
+        self._newest_ns = {stream: time_ns}
+        for lidar_id, system in self._systems.items():
+            system.restart(time_ns)
+            yield from self._fetch(lidar_id, system)
+
+    def _send(self, system: FusionSystem, lidar_id: int, sensor_id: int, sent: _Sent) -> None:
+        axes = sent.setting.standard_from_lidar
+        received: Received = sent.record
+        extras = sent.extras
+        if isinstance(received, LidarFrame):
+            system.send(f"lidar{sensor_id}", replace(_standard_frame(received, axes), extras=extras))
+        elif isinstance(received, Boxes3d):
+            boxes = boxes_3d_of(_standard_boxes(received, axes), sensor_id=f"lidar{sensor_id}")
+            system.send(f"lidar{sensor_id}", boxes, extras=extras)
+        else:
+            pair = sent.setting.pairs[sensor_id, lidar_id]
+            mount = pair.lidar_from_camera
+            if isinstance(received, CameraImage):
+                image = replace(received, camera=pair.camera, mount=mount, extras=extras)
+                system.send(f"camera{sensor_id}", image)
+            else:
+                seen = boxes_2d_of(received, sensor_id=f"camera{sensor_id}")
+                system.send(f"camera{sensor_id}", SeenBoxes(seen, pair.camera, mount, extras))
+
+    def _fetch(self, lidar_id: int, system: FusionSystem) -> Iterator[_RigResult]:
+        """Give what a system has fused, and settle what it does not keep any more."""
+        for fused in iter(system.get, None):
+            yield from self._sensor_data(lidar_id, fused)
+        for found in iter(system.get_detections, None):
+            yield from self._detections(lidar_id, found)
+        left, self._left = self._left, []
+        for ticket, leave in left:
+            self.ledger.settle(ticket, leave.value)
+
+    def _sensor_data(self, lidar_id: int, fused: FusedFrame) -> Iterator[_RigResult]:
+        sweep: _Sent = fused.extras["sent"]
+        compensated = self._path is not None and not fused.stationary
+        world_from_lidar = self._world_from_lidar(lidar_id, fused.reference_ns) if compensated else _HERE
+        if self._path is not None and fused.stationary and sweep.setting.configuration.motion_compensation:
+            self.counters.add("motion.beyond-reach")
+        for view in fused.views:
+            image: _Sent = fused.image_extras[view.camera_id]["sent"]
+            try:
+                record = sensor_fusion_record(
+                    fused,
+                    view,
+                    world_from_lidar,
+                    sweep.setting,
+                    sent=sweep.record,
+                    image=image.image,
+                    camera_id=_number(view.camera_id),
+                    lidar_id=lidar_id,
+                    image_seq=image.seq,
+                    points_seq=sweep.seq,
+                    motion_compensated=compensated,
+                )
+            except Exception as error:  # noqa: BLE001 - an algorithm may be anyone's, and give anything
+                self._failed(fused.extras, error)
+                continue
+            sweep.ticket.fused = image.ticket.fused = True
+            yield _RigResult(record, sweep.setting)
+
+    def _detections(self, lidar_id: int, found: FusedDetectionFrame) -> Iterator[_RigResult]:
+        boxes_3d: _Sent = found.sweep_extras["sent"]
+        boxes_2d: _Sent = found.image_extras["sent"]
+        camera_id = _number(found.camera_id)
+        compensated = self._path is not None and not found.stationary
+        if self._path is not None and found.stationary and boxes_3d.setting.configuration.motion_compensation:
+            self.counters.add("motion.beyond-reach")
+        try:
+            record = fused_detections_record(
+                found,
+                boxes_3d.record,
+                boxes_2d.record,
+                boxes_3d.setting,
+                camera=boxes_2d.setting.pairs[camera_id, lidar_id].camera,
+                lidar_id=lidar_id,
+                camera_id=camera_id,
+                motion_compensated=compensated,
+            )
+        except Exception as error:  # noqa: BLE001 - an algorithm may be anyone's, and give anything
+            self._failed(found.sweep_extras, error)
+            return
+        boxes_3d.ticket.fused = boxes_2d.ticket.fused = True
+        for kind, sent, used in (
+            ("boxes_3d", boxes_3d, record.box_3d_ids),
+            ("boxes_2d", boxes_2d, record.box_2d_ids),
+        ):
+            # several objects may be made of one box, and a box may have the id of another
+            self.counters.add(f"left-out.{kind}", max(len(sent.record) - len(used) + used.count(None), 0))
+        world_from_lidar = self._world_from_lidar(lidar_id, found.timestamp_ns) if compensated else _HERE
+        origin = self._origin if compensated else _HERE.translation
+        yield _RigResult(
+            record, boxes_3d.setting, FoundObjects(found, world_from_lidar, origin, boxes_3d.setting)
+        )
+
+    def _adopt(self, setting: Setting) -> Iterator[_RigResult]:
+        """Go by another configuration from this record on; gives what waited only for cameras that are gone."""
+        if setting is self._setting:
+            return
+        self._setting = setting
+        for camera_id, lidar_id in setting.pairs:
+            if lidar_id not in self._systems:
+                self._systems[lidar_id] = self._system(lidar_id, setting)
+            if (camera_id, lidar_id) not in self._cameras:
+                self._systems[lidar_id].add_camera(f"camera{camera_id}", _AT_LIDAR, index=camera_id % 255)
+                self._cameras.add((camera_id, lidar_id))
+            declared = setting.sensors.get(camera_id)
+            shutter = GLOBAL if declared is None else declared.shutter
+            self._systems[lidar_id].roll(f"camera{camera_id}", shutter)
+        for lidar_id, system in self._systems.items():
+            system.configure(setting.configuration, period_ns=setting.sweep_period_ns)
+            self._move(lidar_id)
+            system.expect([f"camera{camera}" for camera, lidar in setting.pairs if lidar == lidar_id])
+            yield from self._fetch(lidar_id, system)
+
+    def _system(self, lidar_id: int, setting: Setting) -> FusionSystem:
+        system = FusionSystem(
+            setting.configuration,
+            on_unreadable=self._unreadable,
+            on_failed=self._failed,
+            on_left=self._leave,
+        )
+        system.add_lidar(f"lidar{lidar_id}", _AT_LIDAR, period_ns=setting.sweep_period_ns, location=_AT_LIDAR)
+        return system
+
+    def _unreadable(self, error: DataError) -> None:
+        del error
+        self.counters.add("errors.unreadable-image")
+
+    def _failed(self, extras: Mapping[str, Any], error: Exception) -> None:
+        self.counters.add(f"errors.{type(error).__name__}")
+        sent: _Sent = extras["sent"]
+        sent.ticket.support = sent.ticket.support or "failed"
+
+    def _leave(self, extras: Mapping[str, Any], leave: Leave) -> None:
+        sent: _Sent = extras["sent"]
+        self._left.append((sent.ticket, leave))
+
+    def _world_from_lidar(self, lidar_id: int, time_ns: int) -> RigidTransform:
+        if lidar_id not in self._trajectories:
+            return _HERE
+        pose = PoseSource(self._trajectories[lidar_id], _HERE, _REACH_NS).at(np.array([time_ns], np.int64))
+        if (
+            pose.coverage[0] == OUT_OF_REACH
+        ):  # which only a sweep without points can be, if it was compensated
+            return _HERE
+        return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
+
+
+def _number(camera_id: object) -> int:
+    return int(str(camera_id).removeprefix("camera"))
+
+
+_HERE = RigidTransform.identity()
+
+_AT_LIDAR = PoseSource(STILL, _HERE)
+
+
+class ResultsQueue:
+    """The results of both fusion types: given by one thread at a time, fetched by several."""
+
+    def __init__(
+        self,
+        counters: Counters,
+        announcer: Announcer,
+        *,
+        on_result: Callable[[], None] | None,
+        most_bytes: int,
+    ) -> None:
+        """Hold nothing yet.
+
+        Args:
+            counters: where results are counted.
+            announcer: reported each result.
+            on_result: called as soon as a result can be fetched.
+            most_bytes: how large the results of one type that wait may be together.
+        """
+        self._counters = counters
+        self._announcer = announcer
+        self._on_result = on_result
+        self._most_bytes = most_bytes
+        self._given = dict.fromkeys(FusionType, 0)
+        self._queues: dict[FusionType, ResultQueue[Result]] = {kind: ResultQueue() for kind in FusionType}
+
+    def __len__(self) -> int:
+        """How many results wait to be fetched."""
+        return sum(len(queue) for queue in self._queues.values())
+
+    def give(self, found: _RigResult) -> None:
+        """Let a result be fetched."""
+        kind, record, properties = _type_of(found.record), found.record, found.setting.properties
+        result = Result(self._given[kind], record, properties, found.found)
+        self._given[kind] += 1
+        self._counters.add(_COUNTED[kind])
+        self._announcer.notify(result)
+        dropped = self._queues[kind].put(
+            result,
+            size=size_of(record),
+            most=properties["result_queue_length"],
+            most_bytes=self._most_bytes,
+        )
+        self._counters.add("dropped.results", dropped)
+        if self._on_result is not None:
+            self._on_result()
+
+    def get(self, kind: FusionType, timeout_s: float) -> Result | None:
+        """Fetch the oldest result, waiting for one; None where none came in time."""
+        return self._queues[kind].get(timeout_s)
+
+    def put_back(self, result: Result) -> None:
+        """Take back a result that could not be delivered; it is the next one again."""
+        self._queues[_type_of(result.record)].put_back(
+            result, size=size_of(result.record), before=lambda other: result.number < other.number
+        )
+        if self._on_result is not None:
+            self._on_result()
+
+    def close(self) -> None:
+        """Let all who wait for results go."""
+        for queue in self._queues.values():
+            queue.close()
+
+
+_COUNTED = {kind: f"results.{kind.name.lower()}" for kind in FusionType}
+
+
+def _type_of(record: ResultRecord) -> FusionType:
+    return FusionType.DETECTIONS if isinstance(record, FusedDetections) else FusionType.SENSOR_DATA
+
+
+_LONGEST_IDLE_S = 3600.0
+
+_FEW_BOXES = 100
+"""Lists of so many boxes are fused in less time than it takes to hand them to another thread and back."""
+
+_MANY_LATER = 1000
+"""After a longer list, a sweep or an image so many lists go to the thread, for they may be fused together."""
+
+
+class Overdue(Protocol):
+    """What else there is to do by the clock."""
+
+    def __call__(self, now_s: float) -> float | None:
+        """Do what is due now, and state when the next is, both by the monotonic clock [s]; None for never."""
+        ...
+
+
+class Worker:
+    """Does tasks one at a time, and gives the results.
+
+    They are done by a thread of its own, or with `inline` by those that hand them in. Small lists of boxes are always
+    fused by who hands them in, if the thread has nothing to do.
+    """
+
+    def __init__(
+        self,
+        counters: Counters,
+        ledger: Ledger,
+        announcer: Announcer,
+        give: Callable[[_RigResult], None],
+        *,
+        inline: bool,
+        overdue: Overdue,
+    ) -> None:
+        """Begin.
+
+        Args:
+            counters: where failures are counted.
+            ledger: reported what became of each record.
+            announcer: reported each task before it is done, and what was dropped.
+            give: reported each result.
+            inline: whether there is no thread.
+            overdue: what the thread does while no task comes.
+        """
+        self._counters = counters
+        self._ledger = ledger
+        self._announcer = announcer
+        self._give = give
+        self._overdue = overdue
+        self._rig = Rig(counters, ledger)
+        self._tasks = TaskQueue()
+        self._fusing = threading.Lock()
+        self._latest_s = time.monotonic()
+        self._idle_s = _LONGEST_IDLE_S
+        self._wakes_s = 0.0
+        self._later = 0
+        self._thread = None if inline else threading.Thread(target=self._work, name="fusion", daemon=True)
+        if self._thread is not None:
+            self._thread.start()
+
+    @property
+    def inline(self) -> bool:
+        """Whether there is no thread."""
+        return self._thread is None
+
+    @property
+    def waiting_moves(self) -> int:
+        """How many chunks of the vehicle's trajectory wait."""
+        return self._tasks.moves
+
+    def wake(self) -> None:
+        """Let the thread look at what is overdue."""
+        self._tasks.wake()
+
+    def do(self, task: Task, *, most: int = 0) -> None:
+        """Do a task, or let the thread do it; for one caller at a time.
+
+        Args:
+            most: how many records of one stream may wait; the oldest ones make room.
+        """
+        if self._thread is None:
+            self._perform(task)
+        elif not self._done_at_once(task):
+            for accepted in self._tasks.put(task, most=most):
+                self._announcer.notify(Dropped(accepted))
+                self._ledger.settle(accepted.ticket, "dropped.queue-full")
+
+    def close(self) -> None:
+        """Do what is there, fuse what waits, and take nothing more; the thread goes on until that is done."""
+        self._tasks.close()
+        if self._thread is None:
+            self._perform(Flushed(final=True))
+
+    def join(self) -> None:
+        """Wait until the thread has ended."""
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join()
+
+    def _done_at_once(self, task: Task) -> bool:
+        """Fuse a small list of boxes here, if nothing is before it."""
+        if not isinstance(task, Accepted):
+            return False
+        if not _is_small(task):
+            self._later = _MANY_LATER
+            return False
+        if self._later > 0:
+            self._later -= 1
+            return False
+        if self._announcer.observed or not self._fusing.acquire(blocking=False):
+            return False
+        try:
+            if not self._tasks.idle:
+                return False
+            self._perform(task)
+            if self._rig.waits and self._wakes_s > self._latest_s + self._idle_s:
+                self._tasks.wake()
+        finally:
+            self._fusing.release()
+        return True
+
+    def _work(self) -> None:
+        while True:
+            task = self._tasks.get(self._patience_s())
+            ended = task is None and self._tasks.closed and len(self._tasks) == 0
+            if task is not None or ended:
+                with self._fusing:
+                    self._perform(task or Flushed(final=True))
+                    self._tasks.busy = False
+            if ended:
+                return
+
+    def _patience_s(self) -> float:
+        """Do what is overdue, and give for how long nothing will be [s]."""
+        again_s = self._overdue(time.monotonic())
+        with self._fusing:
+            now_s = time.monotonic()
+            if self._rig.waits and self._tasks.idle:
+                flush_s = self._latest_s + self._idle_s
+                if now_s >= flush_s:
+                    self._perform(Flushed())
+                elif again_s is None or flush_s < again_s:
+                    again_s = flush_s
+            self._wakes_s = now_s + _LONGEST_IDLE_S if again_s is None else again_s
+            return max(self._wakes_s - now_s, 0.0)
+
+    def _perform(self, task: Task) -> None:
+        self._announcer.notify(task)
+        try:
+            for result in self._results(task):
+                self._give(result)
+        except Exception as error:  # noqa: BLE001 - one record must not end the session
+            self._counters.add(f"errors.{type(error).__name__}")
+        finally:
+            if isinstance(task, Flushed):
+                task.done.set()
+        self._latest_s = time.monotonic()
+
+    def _results(self, task: Task) -> Iterator[_RigResult]:
+        if isinstance(task, Accepted):
+            self._idle_s = task.setting.idle_s
+            return self._rig.feed(task, task.ticket)
+        if isinstance(task, Moved):
+            self._rig.move(task.path, origin=task.sent.positions[-1])
+            return iter(())
+        return self._rig.end() if task.final else self._rig.flush()
+
+
+def _is_small(accepted: Accepted) -> bool:
+    """Whether its fusion takes no time to speak of: few boxes, and no algorithm of somebody else's."""
+    record = accepted.record
+    if not isinstance(record, Boxes3d | Boxes2d) or len(record) > _FEW_BOXES:
+        return False
+    return accepted.setting.properties.algorithms[FusionType.DETECTIONS] in BUILT_IN[FusionType.DETECTIONS]

@@ -1,1 +1,0 @@
-"""Differences between two scenes, field by field, with tolerances."""

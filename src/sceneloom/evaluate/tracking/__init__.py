@@ -1,1 +1,0 @@
-"""How good a tracker is: HOTA, CLEAR and identities, by KITTI's rules or for boxes in space."""

@@ -1,0 +1,654 @@
+"""What KITTI's writers share: which sensors of a scene are written and where they sit.
+
+The timeline of synchronised frames, and the files of sweeps and images.
+"""
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import degrees
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Float32Array, Int64Array, UInt32Array, finite_rows
+from sceneloom.editing.cameras import undistort_scene
+from sceneloom.editing.move_points import chosen_points, points_change
+from sceneloom.errors import CalibrationError, DataError, PoseError
+from sceneloom.formats.base.images import ImageFile
+from sceneloom.formats.base.losses import Loss, Support
+from sceneloom.formats.base.poses import stationary_ego
+from sceneloom.formats.kitti.calibration import Mounted
+from sceneloom.formats.kitti.sensors import LIDAR_ID, camera_id
+from sceneloom.formats.recording.write_calibration import each_mounted, mounting
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import angle_between
+from sceneloom.scene.annotations import Box2DAnnotation, CuboidAnnotation
+from sceneloom.scene.annotations_at import annotations_frame
+from sceneloom.scene.cameras import CameraImage, CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.contents import KINDS
+from sceneloom.scene.ego import EgoMotion, check_one_ego
+from sceneloom.scene.motion import GnssSensor, OdometrySensor
+from sceneloom.scene.poses import Poses, PoseSource
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Coordinates, PointsFrame
+
+
+def kept_of(scene: Scene) -> Mapping[str, Any]:
+    """What a scene that was read from KITTI's folders keeps of them; empty of others."""
+    kept: Any = scene.metadata.get("kitti")
+    return kept if isinstance(kept, Mapping) else {}
+
+
+def kept_calibration(scene: Scene) -> Mapping[str, Any] | None:
+    """The entries of the only calibration of a scene that was read from a sequence, or None."""
+    kept = kept_of(scene)
+    entries = kept.get("calibration")
+    is_one = kept.get("benchmark") in ("tracking", "odometry") and isinstance(entries, Mapping)
+    return entries if is_one else None
+
+
+PARALLEL_WITHIN = 1e-6
+"""How far a camera may be rotated against the first one and be of the same rectified frame [rad]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """What is written.
+
+    Attributes:
+        scene: all of it; camera models that the target cannot hold are pinholes already.
+        lidar: the one that is written, or None.
+        cameras: by KITTI's number.
+        ego_path: `world_from_ego`, or None where it is not known.
+        ego_from_lidar: identity where there is no lidar.
+        ego_from_camera: by number.
+        reference: number of the camera in whose frame labels are; None without cameras.
+        losses: what is known to be lost before anything is written.
+    """
+
+    scene: Scene
+    lidar: LidarSensor | None
+    cameras: Mapping[int, CameraSensor]
+    ego_path: Poses | None
+    ego_from_lidar: RigidTransform
+    ego_from_camera: Mapping[int, RigidTransform]
+    reference: int | None
+    losses: list[Loss] = field(default_factory=list)
+
+
+def choose(
+    scene: Scene, slots: Sequence[int], *, rectified: bool, models: frozenset[str], rigid: bool = True
+) -> Choice:
+    """Choose the first lidar, and cameras for the numbers that the target has.
+
+    Args:
+        scene: to be written.
+        slots: the numbers of cameras, the preferred one first.
+        rectified: whether all cameras must look the same way.
+        rigid: whether one mounting of each sensor holds for all frames; what it does not state is then a loss.
+        models: camera models that the target holds; images of others are resampled to a pinhole's.
+
+    Raises:
+        CalibrationError: a camera model cannot be computed with.
+    """
+    losses: list[Loss] = []
+    path = ego_trajectory(scene)
+    check_one_ego(scene, path)
+    scene = scene if rigid else each_mounted(scene, path)
+    lidar, ego_from_lidar = _lidar(scene, path, losses)
+    named = _numbered(scene, slots, losses)
+    mounts: dict[int, RigidTransform] = {}
+    for number, camera in list(named.items()):
+        mount, lost = mounting(camera, path, each=not rigid)
+        losses += lost if rigid else []
+        if mount is None:
+            _drop(camera, "left out: neither its mounting nor its poses against the ego are known", losses)
+            del named[number]
+        else:
+            mounts[number] = mount
+    reference = next((number for number in slots if number in named), None)
+    if rectified and reference is not None:
+        _keep_parallel(named, mounts, reference, losses)
+    scene, named = _with_pinholes(scene, named, models, losses)
+    return Choice(scene, lidar, named, path, ego_from_lidar, mounts, reference, losses)
+
+
+def ego_trajectory(scene: Scene) -> Poses | None:
+    """The ego trajectory: the first trajectory with orientations, else by odometry, else by a sensor's own poses."""
+    for trajectory in scene.trajectories.values():
+        if trajectory.quaternions_xyzw is not None:
+            return trajectory.poses
+    for sensor in scene.sensors:
+        if isinstance(sensor, OdometrySensor):
+            return sensor.poses
+    posed_sensors: list[LidarSensor | CameraSensor] = [*scene.lidars, *scene.cameras]
+    for posed in posed_sensors:
+        if posed.poses is None or posed.coordinates is not Coordinates.WORLD:
+            continue
+        if posed.mount is None:
+            return posed.poses
+        egos = PoseSource(posed.poses, posed.mount.inverse()).at(posed.poses.timestamps_ns)
+        return replace(posed.poses, positions=egos.positions, quaternions_xyzw=egos.quaternions_xyzw)
+    return None
+
+
+def _lidar(scene: Scene, path: Poses | None, losses: list[Loss]) -> tuple[LidarSensor | None, RigidTransform]:
+    if not scene.lidars:
+        return None, RigidTransform.identity()
+    first, *others = scene.lidars
+    for other in others:
+        _drop(other, "left out: the folder has one lidar", losses)
+    if first.id != LIDAR_ID:
+        losses.append(_renamed("sensors.lidar.id", first.id, LIDAR_ID))
+    mount, lost = mounting(first, path)
+    losses += lost
+    return first, RigidTransform.identity() if mount is None else mount
+
+
+def _numbered(scene: Scene, slots: Sequence[int], losses: list[Loss]) -> dict[int, CameraSensor]:
+    """Give cameras their numbers: of a scene that was read from KITTI's those of their ids, then the free ones."""
+    named = {
+        number: camera
+        for camera in scene.cameras
+        for number in slots
+        if camera.id == camera_id(number) and kept_of(scene)
+    }
+    free = [number for number in slots if number not in named]
+    for camera in scene.cameras:
+        if camera in named.values():
+            continue
+        if not free:
+            _drop(camera, f"left out: the folder has {len(slots)} cameras", losses)
+            continue
+        number = free.pop(0)
+        named[number] = camera
+        if camera.id != camera_id(number):
+            losses.append(_renamed("sensors.camera.id", camera.id, camera_id(number)))
+    return named
+
+
+def _keep_parallel(
+    cameras: dict[int, CameraSensor], mounts: dict[int, RigidTransform], reference: int, losses: list[Loss]
+) -> None:
+    """Leave out cameras that are rotated against the reference: rectified ones look the same way."""
+    for number, camera in list(cameras.items()):
+        rotation = float(angle_between(mounts[number].quaternion_xyzw, mounts[reference].quaternion_xyzw))
+        if rotation > PARALLEL_WITHIN:
+            what = (
+                f"left out: rotated by {degrees(rotation):.3g}° against camera {cameras[reference].id!r}, and the "
+                "cameras of rectified folders look the same way"
+            )
+            _drop(camera, what, losses)
+            del cameras[number], mounts[number]
+
+
+def _with_pinholes(
+    scene: Scene, cameras: dict[int, CameraSensor], models: frozenset[str], losses: list[Loss]
+) -> tuple[Scene, dict[int, CameraSensor]]:
+    """Resample the images of camera models that the target does not hold."""
+    bent = {number: camera for number, camera in cameras.items() if not _holds_camera_model(camera, models)}
+    if not bent:
+        return scene, cameras
+    changed = undistort_scene(scene, cameras=[camera.id for camera in bent.values()])
+    new = {_type_and_id(sensor.id): sensor for sensor in changed.cameras}
+    for camera in bent.values():
+        what = f"a {camera.camera.model} camera model replaced by a pinhole, and its images resampled for it"
+        losses += [
+            Loss(field=name, what=f"{camera.id!r}: {what}", support=Support.APPROXIMATED)
+            for name in ("sensors.camera.camera", "sensors.camera.images.rgb")
+        ]
+    return changed, {number: new[_type_and_id(camera.id)] for number, camera in cameras.items()}
+
+
+def _holds_camera_model(camera: CameraSensor, models: frozenset[str]) -> bool:
+    """Whether a target that holds these models holds a camera model: OpenCV's five coefficients are all it has."""
+    camera_model = camera.camera
+    if camera_model.model not in models:
+        return False
+    further = np.array(camera_model.coefficients[5:])
+    return camera_model.model == "pinhole" or not further.any()
+
+
+def _type_and_id(identifier: object) -> tuple[type, object]:
+    """An id with its type, to be looked up."""
+    return type(identifier), identifier
+
+
+def dropped_parts(scene: Scene, kept: frozenset[type]) -> list[Loss]:
+    """Losses of sensors and annotations of the kinds that the target has no field for.
+
+    Args:
+        kept: the classes that have one.
+    """
+    losses = [
+        Loss(field=KINDS[type(part)], what="left out: the folder has no field for it")
+        for part in (*scene.sensors, *scene.annotations)
+        if type(part) not in kept
+    ]
+    boxes = CuboidAnnotation in kept and any(isinstance(one, CuboidAnnotation) for one in scene.annotations)
+    if boxes and annotations_frame(scene) is Coordinates.WORLD and ego_trajectory(scene) is None:
+        losses.append(stationary_ego())
+    if len(scene.trajectories) > 1:
+        count = len(scene.trajectories) - 1
+        what = "left out: the folder holds the trajectory that is the default one"
+        losses.append(Loss(field="trajectories", what=what, count=count))
+    if scene.attributes:
+        losses.append(
+            Loss(
+                field="attributes",
+                what="left out: the folder has no field for it",
+                count=len(scene.attributes),
+            )
+        )
+    return losses
+
+
+def _renamed(name: str, identifier: object, new: str) -> Loss:
+    return Loss(field=name, what=f"{identifier!r} is called {new!r} there", support=Support.CONVERTED)
+
+
+def _drop(sensor: CameraSensor | LidarSensor, what: str, losses: list[Loss]) -> None:
+    losses.append(Loss(field=KINDS[type(sensor)], what=f"{sensor.id!r} {what}"))
+
+
+NONE = -1
+
+_OWN_FRAME = 0.75
+"""An image that is this share of a period from every sweep is of a frame without one: a sweep is missing there."""
+
+
+def check_files(choice: Choice, *, labels: bool) -> None:
+    """Refuse a scene of which a folder without OXTS lines would have no files.
+
+    Args:
+        choice: what is written.
+        labels: whether boxes of a camera without images are files, too.
+
+    Raises:
+        DataError: there are neither sweeps nor images, nor such boxes.
+    """
+    has_sweeps = choice.lidar is not None and len(choice.lidar.frames) > 0
+    has_images = any(len(camera.images) for camera in choice.cameras.values())
+    if not (has_sweeps or has_images or (labels and choice.reference is not None)):
+        problem = "holds neither sweeps nor images, of which the files of such a folder are"
+        raise DataError(choice.scene.source, "", problem)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Timeline:
+    """The frames, in order.
+
+    Attributes:
+        timestamps_ns: (F,) int64 [ns].
+        sweeps: (F,) int64, number of the sweep, -1 for none.
+        images: by number of the camera, (F,) int64, number of the image, -1 for none.
+        losses: images that belong to no frame, and times that are not those of their frames.
+    """
+
+    timestamps_ns: Int64Array
+    sweeps: Int64Array
+    images: Mapping[int, Int64Array]
+    losses: tuple[Loss, ...]
+
+    def __len__(self) -> int:
+        return len(self.timestamps_ns)
+
+    def starts_ns(self, lidar: LidarSensor | None) -> Int64Array:
+        """When the sweep of each frame began, (F,) int64 [ns]; the frame's own time where it has none."""
+        found = self.timestamps_ns.copy()
+        if lidar is not None:
+            swept = self.sweeps != NONE
+            found[swept] = lidar.frames.timestamps_ns[self.sweeps[swept]]
+        return found
+
+
+def timeline_of(choice: Choice, *, one_time: bool = True) -> Timeline:
+    """Put sweeps and images into frames: a frame for each sweep, with the images nearest to its moment.
+
+    Args:
+        choice: the sensors.
+        one_time: whether a frame has one time for all of its sensors, whose losses are reported.
+
+    Raises:
+        DataError: nothing reports any frame.
+    """
+    lidar = choice.lidar
+    starts = np.zeros(0, np.int64) if lidar is None else lidar.frames.timestamps_ns
+    offset = 0 if lidar is None or not len(lidar.frames) else _moment_offset(lidar)
+    moments = starts + offset
+    cameras = {number: camera.images.timestamps_ns for number, camera in choice.cameras.items()}
+    period = _period(moments if len(moments) > 1 else max(cameras.values(), key=len, default=moments))
+    frames = _with_lonely_images(moments, cameras, period)
+    if not len(frames):
+        frames = _reported_times(choice)
+    if not len(frames):
+        raise DataError(choice.scene.source, "", "holds nothing that a folder of KITTI's could hold")
+    sweeps = np.full(len(frames), NONE, np.int64)
+    sweeps[np.searchsorted(frames, moments)] = np.arange(len(moments))
+    images, losses = {}, list[Loss]()
+    for number, timestamps in cameras.items():
+        images[number] = _nearest(frames, timestamps, period)
+        unused = len(timestamps) - int((images[number] != NONE).sum())
+        if unused:
+            what = "left out: nearest to no frame, and a frame has one image of a camera"
+            losses.append(Loss(field="sensors.camera.images", what=what, count=unused))
+    if one_time:
+        losses += _time_losses("sensors.lidar.frames.timestamp_ns", frames, sweeps, starts)
+        for number, timestamps in cameras.items():
+            losses += _time_losses("sensors.camera.images.timestamp_ns", frames, images[number], timestamps)
+    return Timeline(frames, sweeps, images, tuple(losses))
+
+
+def _reported_times(choice: Choice) -> Int64Array:
+    """When anything is reported, where there are neither sweeps nor images: fixes and boxes, else the trajectory."""
+    scene = choice.scene
+    timestamps = [sensor.timestamps_ns for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
+    boxes = (a for a in scene.annotations if isinstance(a, CuboidAnnotation | Box2DAnnotation))
+    timestamps += [box.path.timestamps_ns for box in boxes]
+    if not timestamps and choice.ego_path is not None and not choice.ego_path.static:
+        timestamps = [choice.ego_path.timestamps_ns]
+    return np.unique(np.concatenate(timestamps)) if timestamps else np.zeros(0, np.int64)
+
+
+def nearest_frames(frames_ns: Int64Array, timestamps_ns: Int64Array) -> Int64Array:
+    """The frame nearest to each time, (M,) int64, -1 where none is within half a period.
+
+    Args:
+        frames_ns: times of the frames, (F,) int64 [ns], rising.
+        timestamps_ns: (M,) int64 [ns].
+    """
+    if not len(frames_ns):
+        return np.full(len(timestamps_ns), NONE, np.int64)
+    right = np.clip(np.searchsorted(frames_ns, timestamps_ns), 0, len(frames_ns) - 1)
+    left = np.maximum(right - 1, 0)
+    nearest = np.where(
+        np.abs(timestamps_ns - frames_ns[left]) <= np.abs(frames_ns[right] - timestamps_ns), left, right
+    )
+    near = np.abs(frames_ns[nearest] - timestamps_ns) <= _period(frames_ns) // 2
+    found: Int64Array = np.where(near, nearest, NONE)
+    return found
+
+
+def _moment_offset(lidar: LidarSensor) -> int:
+    """How long after its start a sweep's moment is [ns], as the first sweep reports it."""
+    first = lidar.frames[0]
+    forward_ns = first.extras.get("forward_ns")
+    return (forward_ns if isinstance(forward_ns, int) else first.reference_ns) - first.timestamp_ns
+
+
+def _period(timestamps_ns: Int64Array) -> int:
+    return int(np.median(np.diff(timestamps_ns))) if len(timestamps_ns) > 1 else 100_000_000
+
+
+def _with_lonely_images(
+    moments_ns: Int64Array, cameras: Mapping[int, Int64Array], period_ns: int
+) -> Int64Array:
+    """The moments of sweeps, and those of images that are far from all of them."""
+    frames = moments_ns
+    for timestamps in cameras.values():
+        if not len(frames):
+            frames = np.unique(timestamps)
+            continue
+        near = np.clip(np.searchsorted(frames, timestamps), 1, max(len(frames) - 1, 1))
+        after = frames[np.minimum(near, len(frames) - 1)]
+        away = np.minimum(np.abs(timestamps - frames[near - 1]), np.abs(timestamps - after))
+        frames = np.unique(np.concatenate([frames, timestamps[away > _OWN_FRAME * period_ns]]))
+    return frames
+
+
+def _nearest(frames_ns: Int64Array, timestamps_ns: Int64Array, period_ns: int) -> Int64Array:
+    """For each frame the number of its nearest image, each image for its own nearest frame only."""
+    found = np.full(len(frames_ns), NONE, np.int64)
+    if not len(timestamps_ns) or not len(frames_ns):
+        return found
+    right = np.clip(np.searchsorted(frames_ns, timestamps_ns), 0, len(frames_ns) - 1)
+    left = np.maximum(right - 1, 0)
+    owner = np.where(timestamps_ns - frames_ns[left] <= frames_ns[right] - timestamps_ns, left, right)
+    owner = np.where(timestamps_ns >= frames_ns[-1], len(frames_ns) - 1, owner)
+    away = np.abs(timestamps_ns - frames_ns[owner])
+    for k in np.argsort(-away, kind="stable").tolist():
+        if away[k] <= period_ns:
+            found[owner[k]] = k
+    return found
+
+
+def _time_losses(
+    name: str, frames_ns: Int64Array, chosen: Int64Array, timestamps_ns: Int64Array
+) -> list[Loss]:
+    there = chosen != NONE
+    errors = np.abs(frames_ns[there] - timestamps_ns[chosen[there]])
+    count = int((errors > 0).sum())
+    if not count:
+        return []
+    what = "the frame's time in its location: a frame has one time for all sensors [s]"
+    worst = float(errors.max()) / 1e9
+    return [Loss(field=name, what=what, count=count, support=Support.APPROXIMATED, largest_error=worst)]
+
+
+_IDENTICAL = 1e-12
+
+
+def mounted_of(choice: Choice, *, with_imu: bool) -> Mounted:
+    """How the sensors lie: one calibration for all frames.
+
+    Args:
+        choice: the sensors.
+        with_imu: whether the file reports where the ego is.
+    """
+    inverse = choice.ego_from_lidar.inverse()
+    return Mounted(
+        {number: camera.camera for number, camera in choice.cameras.items()},
+        {number: mount.inverse() @ choice.ego_from_lidar for number, mount in choice.ego_from_camera.items()},
+        inverse if with_imu else None,
+        choice.reference,
+        choice.lidar is not None,
+    )
+
+
+def is_lidar(choice: Choice) -> bool:
+    """Whether the ego is the lidar."""
+    matrix = choice.ego_from_lidar.matrix
+    return bool(np.abs(matrix - np.eye(4)).max() <= _IDENTICAL)
+
+
+def egos_at(choice: Choice, timestamps_ns: Int64Array) -> list[RigidTransform]:
+    """`world_from_ego` at each time; beyond the trajectory its end poses hold, and without one the ego stands."""
+    if choice.ego_path is None:
+        return [RigidTransform.identity()] * len(timestamps_ns)
+    held = choice.ego_path.held(timestamps_ns)
+    return [
+        RigidTransform.from_quaternion(location, rotation)
+        for location, rotation in zip(held.positions, held.quaternions_xyzw, strict=True)
+    ]
+
+
+_COMPRESSION = 1
+"""PNG's quickest: images of drives hardly shrink further, and it takes a third of the time."""
+
+
+def write_image(image: CameraImage, path: Path) -> None:
+    """Write an image as PNG; one that is such a file is copied, and a grey one written as grey.
+
+    Raises:
+        DataError: it cannot be decoded.
+    """
+    source = image.decode
+    if isinstance(source, ImageFile) and source.path.suffix.lower() == ".png":
+        shutil.copyfile(source.path, path)
+        return
+    from PIL import Image
+
+    rgb = image.rgb
+    is_grey = bool((rgb[..., 0] == rgb[..., 1]).all() and (rgb[..., 1] == rgb[..., 2]).all())
+    Image.fromarray(np.ascontiguousarray(rgb[..., 0]) if is_grey else rgb).save(
+        path, "PNG", compress_level=_COMPRESSION
+    )
+
+
+def check_camera_model(camera: CameraSensor, image: CameraImage) -> None:
+    """Refuse an image of another size than its camera's: a folder with one calibration has one camera model for all.
+
+    Raises:
+        CalibrationError: it has another size.
+    """
+    own, other = camera.camera, image.camera
+    if (own.width, own.height) != (other.width, other.height):
+        raise CalibrationError(
+            f"camera {camera.id!r}: its image at {image.timestamp_ns} ns is {other.width}x{other.height}, others "
+            f"are {own.width}x{own.height}; expected one size for all: frames of KITTI's object benchmark "
+            "have a camera model each (`--to kitti-object`)"
+        )
+
+
+def image_losses(camera: CameraSensor) -> list[Loss]:
+    """What is known to be lost of a camera's images."""
+    if camera.video is not None:
+        what = f"{camera.id!r}: {camera.video.codec} decoded; each image is a PNG of the decoded pixels"
+        return [Loss(field="sensors.camera.video", what=what, support=Support.CONVERTED)]
+    return []
+
+
+@dataclass(slots=True)
+class SweepFiles:
+    """Writes the sweeps of the lidar, each when it is asked for.
+
+    Attributes:
+        choice: what is written.
+        losses: what was lost so far.
+    """
+
+    choice: Choice
+    losses: list[Loss] = field(default_factory=list)
+
+    def placed(self, frame: LidarFrame) -> LidarFrame:
+        """The sweep without the points that have no location, which files of bare numbers cannot state."""
+        there = finite_rows(frame.points.positions)
+        if there.all():
+            return frame
+        self._lose("positions", "points whose location is not finite are left out", int((~there).sum()))
+        return replace(frame, points=chosen_points(frame.points, np.flatnonzero(there)))
+
+    def write(self, frame: LidarFrame, path: Path) -> Float32Array:
+        """Write a sweep in the lidar's own frame; gives its positions there, (N, 3) float32 [m].
+
+        Raises:
+            PoseError: the points are elsewhere, and it is not known where the lidar was.
+        """
+        lidar = self.choice.lidar
+        points = np.zeros((len(frame.points), 4), "<f4")
+        positions = frame.points.positions if lidar is None else self._in_sensor_frame(lidar, frame)
+        points[:, :3] = positions
+        intensities = frame.points.intensities
+        if intensities is None:
+            what = "0 written: the source has none"
+            self._lose("intensities", what, len(points), Support.APPROXIMATED)
+        else:
+            points[:, 3] = intensities.astype(np.float32) / 255
+        for name in ("colors", "rings", "camera_index"):
+            if getattr(frame.points, name) is not None:
+                self._lose(name, "left out: a point has x, y, z and reflectance", len(points))
+        if frame.points.extras:
+            self._lose("extras", "left out: a point has x, y, z and reflectance", len(points))
+        path.write_bytes(points.tobytes())
+        return positions
+
+    def _in_sensor_frame(self, lidar: LidarSensor, frame: LidarFrame) -> Float32Array:
+        if lidar.points_frame is PointsFrame.SENSOR:
+            return frame.points.positions
+        path = self.choice.ego_path
+        ego = None if path is None else EgoMotion("ego", path)
+        timestamps = lidar.frames.timestamps_ns
+        reach = int(np.median(np.diff(timestamps))) if len(timestamps) > 1 else 0
+        change = points_change(self.choice.scene, lidar, ego, PointsFrame.SENSOR, reach_ns=reach)
+        if change is None:
+            return frame.points.positions
+        times = frame.points.timestamps_ns
+        if times is None:
+            times = np.full(len(frame.points), frame.timestamp_ns, np.int64)
+        moved = (
+            change.locations(times, frame.points.positions[:, None])[:, 0]
+            if len(times)
+            else frame.points.positions
+        )
+        if not np.isfinite(moved).all():
+            raise PoseError(
+                f"lidar {lidar.id!r}: sweep at {frame.timestamp_ns} ns: no pose for some of its points, which have to "
+                "be brought into the lidar's own frame"
+            )
+        what = f"brought from the {lidar.points_frame} frame into the lidar's own, in float32"
+        self._lose("positions", what, len(times), Support.CONVERTED)
+        return moved.astype(np.float32)
+
+    def _lose(self, name: str, what: str, count: int, support: Support = Support.DROPPED) -> None:
+        self.losses.append(
+            Loss(field=f"sensors.lidar.frames.points.{name}", what=what, count=count, support=support)
+        )
+
+
+def write_point_labels(values: UInt32Array, path: Path) -> None:
+    """Write SemanticKITTI's labels of a sweep, (N,) uint32."""
+    path.write_bytes(values.astype("<u4").tobytes())
+
+
+_Name = Callable[[int], str]
+
+
+def write_frames(
+    choice: Choice,
+    timeline: Timeline,
+    name: _Name,
+    sweeps: Path,
+    images: Mapping[int, Path],
+    reported: Callable[[int, LidarFrame], None] | None = None,
+    *,
+    own_camera_models: bool = False,
+) -> list[Loss]:
+    """Write the files of all frames; each sweep and image is read, written and let go.
+
+    Args:
+        choice: what is written.
+        timeline: the frames.
+        name: of a frame's files, without suffix.
+        sweeps: the folder of sweeps; it is made if there are any.
+        images: the folders of images, by number of the camera.
+        reported: is given each sweep and its frame's number.
+        own_camera_models: whether images may have camera models of their own.
+
+    Returns:
+        What was lost.
+
+    Raises:
+        CalibrationError: an image has another size than its camera's others.
+    """
+    writer = SweepFiles(choice)
+    losses = [loss for camera in choice.cameras.values() for loss in image_losses(camera)]
+    if choice.lidar is not None and len(choice.lidar.frames):
+        sweeps.mkdir(parents=True)
+    for number, camera in choice.cameras.items():
+        if len(camera.images):
+            images[number].mkdir(parents=True)
+    for k in range(len(timeline)):
+        sweep = int(timeline.sweeps[k])
+        if choice.lidar is not None and sweep != NONE:
+            frame = choice.lidar.frames[sweep]
+            writer.write(writer.placed(frame), sweeps / f"{name(k)}.bin")
+            if reported is not None:
+                reported(k, frame)
+        for number, camera in choice.cameras.items():
+            row = int(timeline.images[number][k])
+            if row != NONE:
+                image = camera.images[row]
+                if not own_camera_models:
+                    check_camera_model(camera, image)
+                write_image(image, images[number] / f"{name(k)}.png")
+    return [*losses, *writer.losses]
+
+
+def point_time_loss(frame: LidarFrame) -> list[Loss]:
+    """The loss of a sweep's point times, where the target has none."""
+    count = len(frame.points) if frame.points.timestamps_ns is not None else 0
+    what = "left out: points have no times there"
+    return [Loss(field="sensors.lidar.frames.points.timestamps_ns", what=what, count=count)] if count else []

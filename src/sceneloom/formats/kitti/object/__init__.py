@@ -1,1 +1,0 @@
-"""KITTI's object benchmark: frames, each with a calibration of its own."""

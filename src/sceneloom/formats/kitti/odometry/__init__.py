@@ -1,1 +1,0 @@
-"""KITTI's odometry benchmark: sequences with poses, and SemanticKITTI's labels of points."""

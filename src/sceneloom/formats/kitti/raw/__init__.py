@@ -1,1 +1,0 @@
-"""KITTI's raw data: drives with images, sweeps, OXTS lines and tracklets."""

@@ -1,0 +1,797 @@
+"""Read a drive of KITTI's raw data: calibration, timestamps, sweeps, images, OXTS and tracklets."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from types import MappingProxyType
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import CalibrationError, DataError, OptionError
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.files import read_bytes
+from sceneloom.formats.base.images import images_image_size
+from sceneloom.formats.base.spec import named_folder
+from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
+from sceneloom.formats.kitti.calibration import projection_of, rotation_of
+from sceneloom.formats.kitti.oxts import oxts_sensors, read_fields, rising
+from sceneloom.formats.kitti.sensors import (
+    LIDAR_ID,
+    RotationTimes,
+    camera_sensor,
+    kitti_metadata,
+    lidar_sensor,
+    stationary,
+)
+from sceneloom.formats.kitti.spec import (
+    CALIBRATION_FILES,
+    DRIVE_NAME,
+    IMAGES,
+    RAW_CAMERAS,
+    SWEEPS,
+    TEXTS,
+    is_raw_drive,
+    raw_drives_below,
+)
+from sceneloom.formats.kitti.text import (
+    LARGEST,
+    Line,
+    NumberedFiles,
+    as_table,
+    frames_within,
+    note_unread,
+    numbered_files,
+    read_lines,
+)
+from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.scene.annotations import Annotation, AttributePath, CuboidAnnotation, CuboidPath
+from sceneloom.scene.motion import ImuSensor
+from sceneloom.scene.poses import Poses, PoseSource, Trajectory
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.warnings import WarningKind
+
+CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO = CALIBRATION_FILES
+
+_COUNTS = {"S": 2, "K": 9, "D": 5, "R": 9, "T": 3, "S_rect": 2, "R_rect": 9, "P_rect": 12}
+"""How many numbers each entry of a camera has. Source: the readme of the raw data's development kit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawFile:
+    """One file of named numbers.
+
+    Attributes:
+        path: the file.
+        lines: by name.
+    """
+
+    path: Path
+    lines: Mapping[str, Line]
+
+    @classmethod
+    def read(cls, path: Path) -> "RawFile":
+        """Read the file.
+
+        Raises:
+            DataError: it is missing, or a name stands in it twice.
+        """
+        if not path.is_file():
+            problem = "is missing; the calibration of a day stands beside its drives"
+            raise DataError(path, "", problem)
+        lines: dict[str, Line] = {}
+        for line in read_lines(path):
+            if line.words:
+                name = line.words[0].rstrip(":")
+                if name in lines:
+                    raise line.fault(f"{name} stands in line {lines[name].number} already; expected it once")
+                lines[name] = line
+        return cls(path, MappingProxyType(lines))
+
+    def numbers(self, name: str, count: int) -> Float64Array:
+        """The numbers of an entry, (count,) float64.
+
+        Raises:
+            DataError: it is missing, or has another number of them.
+        """
+        if name not in self.lines:
+            raise DataError(self.path, "", f"no {name}; it has {', '.join(self.lines) or 'nothing'}")
+        line = self.lines[name]
+        line.check_count((count + 1,), f"a name and {count} numbers")
+        return np.array(line.floats(1, [f"{name}[{k}]" for k in range(count)]))
+
+    def rigid(self, rotation: str, translation: str) -> RigidTransform:
+        """A rotation and a translation that stand in two entries.
+
+        Raises:
+            DataError: they are missing, or no rigid transform.
+        """
+        matrix = self.numbers(rotation, 9).reshape(3, 3)
+        try:
+            return RigidTransform(rotation_of(self.lines[rotation], matrix), self.numbers(translation, 3))
+        except CalibrationError as error:
+            raise self.lines[rotation].fault(str(error)) from error
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """What stands behind each name."""
+        return {name: " ".join(line.words[1:]) for name, line in self.lines.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RawCalibration:
+    """How the sensors of a drive lie.
+
+    Attributes:
+        rectified: whether the camera models are those of rectified images.
+        camera_models: by number of the camera.
+        camera_from_lidar: by number of the camera.
+        lidar_from_imu: None where the day has no such file.
+        texts: what stands in the files, by file and name.
+    """
+
+    rectified: bool
+    camera_models: Mapping[int, Camera]
+    camera_from_lidar: Mapping[int, RigidTransform]
+    lidar_from_imu: RigidTransform | None
+    texts: Mapping[str, Mapping[str, str]]
+
+
+def read_raw_calibration(folder: Path, cameras: tuple[int, ...], *, rectified: bool) -> _RawCalibration:
+    """Read the calibration of a day.
+
+    Args:
+        folder: of the files.
+        cameras: numbers of those that are needed; without any, the cameras' files may be missing.
+        rectified: whether images are rectified, or as the cameras took them.
+
+    Raises:
+        DataError: a file or an entry is missing or wrong.
+    """
+    texts: dict[str, Mapping[str, str]] = {}
+    camera_models: dict[int, Camera] = {}
+    mounts: dict[int, RigidTransform] = {}
+    if cameras:
+        between, lidar = RawFile.read(folder / CAM_TO_CAM), RawFile.read(folder / VELO_TO_CAM)
+        texts |= {CAM_TO_CAM: between.texts, VELO_TO_CAM: lidar.texts}
+        first_from_lidar = lidar.rigid("R", "T")
+        read = _rectified_camera if rectified else _recorded_camera
+        for number in cameras:
+            camera_models[number], camera_from_first = read(between, number)
+            mounts[number] = camera_from_first @ first_from_lidar
+    lidar_from_imu = None
+    if (folder / IMU_TO_VELO).is_file():
+        unit = RawFile.read(folder / IMU_TO_VELO)
+        texts[IMU_TO_VELO] = unit.texts
+        lidar_from_imu = unit.rigid("R", "T")
+    return _RawCalibration(rectified, camera_models, mounts, lidar_from_imu, MappingProxyType(texts))
+
+
+def _image_sizes(folder: Path, number: int) -> dict[bool, tuple[int, int]]:
+    """Width and height of a camera's images [px], by whether they are rectified."""
+    file = RawFile.read(folder / CAM_TO_CAM)
+    return {
+        rectified: _size(file, f"{name}_{number:02d}") for rectified, name in ((True, "S_rect"), (False, "S"))
+    }
+
+
+def _size(file: RawFile, name: str) -> tuple[int, int]:
+    width, height = file.numbers(name, _COUNTS["S"]).tolist()
+    if not (width == int(width) > 0 and height == int(height) > 0):
+        raise file.lines[name].fault(f"{width:g} {height:g}; expected whole numbers of pixels above 0")
+    return int(width), int(height)
+
+
+def _rectified_camera(file: RawFile, number: int) -> tuple[Camera, RigidTransform]:
+    """The camera model of a rectified camera, and what takes the frame of camera 0, as recorded, into its own.
+
+    A projection K [I t] sees the rectified frame from t = K⁻¹ p₄, its fourth column being p₄.
+    """
+    name = f"P_rect_{number:02d}"
+    file.numbers(name, _COUNTS["P_rect"])
+    p = projection_of(file.lines[name])
+    rotation = file.numbers("R_rect_00", _COUNTS["R_rect"]).reshape(3, 3)
+    delta_rotation = RigidTransform(rotation_of(file.lines["R_rect_00"], rotation), np.zeros(3))
+    shift = np.linalg.solve(p[:, :3], p[:, 3]).astype(np.float64)
+    size = _size(file, f"S_rect_{number:02d}")
+    camera_model = Camera("pinhole", *size, float(p[0, 0]), float(p[1, 1]), float(p[0, 2]), float(p[1, 2]))
+    return camera_model, RigidTransform(np.eye(3), shift) @ delta_rotation
+
+
+def _recorded_camera(file: RawFile, number: int) -> tuple[Camera, RigidTransform]:
+    """The camera model of a camera as it recorded (OpenCV's k1 k2 p1 p2 k3).
+
+    And what takes camera 0's frame into its own.
+    """
+    name = f"K_{number:02d}"
+    k = file.numbers(name, _COUNTS["K"]).reshape(3, 3)
+    line = file.lines[name]
+    if not (k[0, 0] > 0 and k[1, 1] > 0 and k[2].tolist() == [0, 0, 1] and k[0, 1] == k[1, 0] == 0):
+        raise line.fault(
+            f"{k.tolist()}; expected rows (f, 0, c), (0, f, c), (0, 0, 1) with focal lengths above 0"
+        )
+    distortion = tuple(file.numbers(f"D_{number:02d}", _COUNTS["D"]).tolist())
+    numbers = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
+    size = _size(file, f"S_{number:02d}")
+    model = ("brown_conrady", distortion) if any(distortion) else ("pinhole", ())
+    camera_model = Camera(model[0], *size, *numbers, _full(model[1]))
+    return camera_model, file.rigid(f"R_{number:02d}", f"T_{number:02d}")
+
+
+def _full(distortion: tuple[float, ...]) -> tuple[float, ...]:
+    """The coefficients in the order of `brown_conrady`, which begins as OpenCV's; further ones are 0."""
+    from sceneloom.cameras.camera import MODELS
+
+    if not distortion:
+        return ()
+    count = len(MODELS["brown_conrady"].coefficient_names)
+    return (*distortion, *(0.0,) * (count - len(distortion)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TimestampFile:
+    """The times of one stream.
+
+    Attributes:
+        path: the file.
+        values_ns: (N,) int64 [ns], by number of the frame.
+        reported: (N,) bool, false where the line is blank: the frame is not there.
+    """
+
+    path: Path
+    values_ns: Int64Array
+    reported: BoolArray
+
+    @classmethod
+    def read(cls, path: Path) -> "_TimestampFile":
+        """Read a file of times.
+
+        Raises:
+            DataError: it is missing or empty, or a line is no time.
+        """
+        if not path.is_file():
+            raise DataError(path, "", "is missing; expected the time of each frame, a line each")
+        lines = read_lines(path)
+        if not lines:
+            raise DataError(path, "", "is empty; expected the time of each frame, a line each")
+        values = np.zeros(len(lines), np.int64)
+        for k, line in enumerate(lines):
+            try:
+                values[k] = parse_timestamp(" ".join(line.words), None) if line.words else 0
+            except TimestampError as error:
+                raise line.fault(str(error)) from None
+        return cls(path, values, np.array([bool(line.words) for line in lines], np.bool_))
+
+
+def _timestamped(files: NumberedFiles, timestamps: _TimestampFile, ledger: Ledger) -> NumberedFiles:
+    """The files that have a time; frames without a file between others are left out with a warning.
+
+    Raises:
+        DataError: files are missing at the end, or one has no time.
+    """
+    count = len(timestamps.values_ns)
+    files = frames_within(files, count, timestamps.path, ledger)
+    untold = [number for number in files.numbers.tolist() if not timestamps.reported[number]]
+    if untold:
+        fault = DataError(
+            timestamps.path, f"line {untold[0] + 1}", "is blank; expected the time of a file that is there"
+        )
+        ledger.fault("files-without-time", fault, count=len(untold))
+        files = files.only([bool(timestamps.reported[number]) for number in files.numbers.tolist()])
+    missing = np.setdiff1d(np.flatnonzero(timestamps.reported), files.numbers)
+    if len(missing) and (not len(files) or missing[-1] > files.numbers[-1]):
+        problem = (
+            f"{len(files)} files for {count} times of {timestamps.path.name}, the last of them is missing (number "
+            f"{int(missing[-1])}); expected as many"
+        )
+        ledger.fault("counts-disagree", DataError(files.folder, "", problem), count=len(missing))
+    elif len(missing):
+        message = f"frames without a file, number {int(missing[0])} the first of them"
+        ledger.note(WarningKind.SKIPPED, "frames-missing", str(files.folder), message, count=len(missing))
+    return files
+
+
+def _in_order(numbers: Int64Array, timestamps: _TimestampFile, ledger: Ledger) -> Int64Array:
+    """Give the rows of numbers in the order of their times; of two of one time the first stays."""
+    times = timestamps.values_ns[numbers]
+    _, rows = np.unique(times, return_index=True)
+    back = int((np.diff(times) < 0).sum())
+    if back:
+        message = "times run backwards in the order of the numbers; sorted by time"
+        ledger.note(WarningKind.REPAIRED, "files-sorted", str(timestamps.path), message, count=back)
+    if len(rows) < len(numbers):
+        message, lost = "frames with the time of another one", len(numbers) - len(rows)
+        ledger.note(WarningKind.SKIPPED, "repeated-times", str(timestamps.path), message, count=lost)
+    return rows.astype(np.int64)
+
+
+def format_timestamp(timestamp_ns: int) -> str:
+    """Write a time as KITTI does, all nine digits of the second: `2011-09-26 13:02:25.594360375`."""
+    seconds, nanoseconds = divmod(timestamp_ns, 10**9)
+    moment = datetime.fromtimestamp(seconds, UTC)
+    return f"{moment:%Y-%m-%d %H:%M:%S}.{nanoseconds:09d}"
+
+
+FILE = "tracklet_labels.xml"
+
+POSE_FIELDS = ("tx", "ty", "tz", "rx", "ry", "rz", "state", "occlusion", "occlusion_kf", "truncation")
+
+FURTHER_FIELDS = ("amt_occlusion", "amt_occlusion_kf", "amt_border_l", "amt_border_r", "amt_border_kf")
+"""What stands in each pose: location of the bottom's middle and angles in the lidar's frame, and how it is seen; in
+further fields, what several annotators stated of it, which old files lack. Source: the development kit's
+tracklets.h."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracklet:
+    """One object.
+
+    Attributes:
+        label: its class.
+        size_hwl: height, width, length [m].
+        first_frame: number of its first frame.
+        poses: (N, 15) float64, `POSE_FIELDS` and `FURTHER_FIELDS`, one row a frame; -1 where nothing is reported.
+    """
+
+    label: str
+    size_hwl: tuple[float, float, float]
+    first_frame: int
+    poses: Float64Array
+
+
+def _read_tracklets(path: Path) -> list[Tracklet]:
+    """Read a file of tracklets.
+
+    Raises:
+        DataError: it is no such file, or a number of it is none.
+    """
+    content = read_bytes(path)
+    if re.search(rb"<!ENTITY", content):
+        raise DataError(path, "", "declares entities; expected plain XML")
+    try:
+        root = ET.fromstring(content)  # noqa: S314 - entities, by which XML does harm, were refused
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise DataError(path, "", f"is no XML: {error}") from error
+    listed = root.find("tracklets")
+    if listed is None:
+        raise DataError(path, root.tag, "holds no `tracklets`; expected boost_serialization/tracklets")
+    return [_tracklet(path, f"tracklets/item[{k}]", item) for k, item in enumerate(listed.findall("item"))]
+
+
+def _tracklet(path: Path, location: str, item: ET.Element) -> Tracklet:
+    label = (item.findtext("objectType") or "").strip()
+    if not label:
+        raise DataError(path, location, "no objectType; expected a class, as Car")
+    height, width, length = (_number(path, location, item, name) for name in "hwl")
+    if min(height, width, length) <= 0:
+        raise DataError(path, location, f"h {height:g}, w {width:g}, l {length:g}; expected sizes above 0")
+    first = _number(path, location, item, "first_frame")
+    if first != int(first) or first < 0:
+        raise DataError(path, f"{location}/first_frame", f"{first:g}; expected a whole number of 0 or more")
+    poses = item.find("poses")
+    rows = [] if poses is None else poses.findall("item")
+    if not rows:
+        raise DataError(path, f"{location}/poses", "holds none; expected one for each frame")
+    return Tracklet(label, (height, width, length), int(first), _poses(path, f"{location}/poses", rows))
+
+
+def _poses(path: Path, location: str, rows: Sequence[ET.Element]) -> Float64Array:
+    values = np.full((len(rows), len(POSE_FIELDS) + len(FURTHER_FIELDS)), -1.0)
+    for k, row in enumerate(rows):
+        for column, name in enumerate(POSE_FIELDS):
+            values[k, column] = _number(path, f"{location}/item[{k}]", row, name)
+        for column, name in enumerate(FURTHER_FIELDS, len(POSE_FIELDS)):
+            if row.find(name) is not None:
+                values[k, column] = _number(path, f"{location}/item[{k}]", row, name)
+    return values
+
+
+def _number(path: Path, location: str, item: ET.Element, name: str) -> float:
+    text = item.findtext(name)
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = float("nan")
+    if not abs(value) <= LARGEST:
+        shown = "nothing" if text is None else repr(text[:40])
+        raise DataError(path, f"{location}/{name}", f"{shown}; expected a number within ±{LARGEST:g}")
+    return value
+
+
+def format_tracklets(tracklets: Sequence[Tracklet]) -> str:
+    """The text of a file of tracklets, as boost's archives have it."""
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>',
+        "<!DOCTYPE boost_serialization>",
+        '<boost_serialization signature="serialization::archive" version="9">',
+        '<tracklets class_id="0" tracking_level="0" version="0">',
+        f"\t<count>{len(tracklets)}</count>",
+        "\t<item_version>1</item_version>",
+    ]
+    for k, tracklet in enumerate(tracklets):
+        lines += _tracklet_lines(tracklet, is_first=k == 0)
+    return "\n".join([*lines, "</tracklets>", "</boost_serialization>", ""])
+
+
+def _tracklet_lines(tracklet: Tracklet, *, is_first: bool) -> list[str]:
+    from xml.sax.saxutils import escape
+
+    head, pose_head, list_head = "", "", ""
+    if is_first:
+        head, list_head = (f' class_id="{n}" tracking_level="0" version="{v}"' for n, v in ((1, 1), (2, 0)))
+        pose_head = ' class_id="3" tracking_level="0" version="1"'
+    height, width, length = tracklet.size_hwl
+    lines = [
+        f"\t<item{head}>",
+        f"\t\t<objectType>{escape(tracklet.label)}</objectType>",
+        f"\t\t<h>{height!r}</h>",
+        f"\t\t<w>{width!r}</w>",
+        f"\t\t<l>{length!r}</l>",
+        f"\t\t<first_frame>{tracklet.first_frame}</first_frame>",
+        f"\t\t<poses{list_head}>",
+        f"\t\t\t<count>{len(tracklet.poses)}</count>",
+        "\t\t\t<item_version>2</item_version>",
+    ]
+    for k, row in enumerate(tracklet.poses.tolist()):
+        lines.append(f"\t\t\t<item{pose_head if k == 0 else ''}>")
+        fields = zip((*POSE_FIELDS, *FURTHER_FIELDS), row, strict=True)
+        lines += [f"\t\t\t\t<{name}>{_text(name, value)}</{name}>" for name, value in fields]
+        lines.append("\t\t\t</item>")
+    return [*lines, "\t\t</poses>", "\t\t<finished>1</finished>", "\t</item>"]
+
+
+def _text(name: str, value: float) -> str:
+    """A number of a pose: states are whole."""
+    return repr(value) if name in POSE_FIELDS[:6] or value != int(value) else str(int(value))
+
+
+ORDER = "zyx"
+"""Of a pose's three angles, Rz(rz) Ry(ry) Rx(rx); KITTI's own files have none but rz."""
+
+STATES = (*POSE_FIELDS[6:], *FURTHER_FIELDS)
+"""What poses state beside locations: attributes of the boxes."""
+
+
+def _tracklet_annotations(
+    tracklets: Sequence[Tracklet],
+    path: Path,
+    times_ns: Mapping[int, int],
+    trajectory: Poses | None,
+    ego_from_lidar: RigidTransform,
+    ledger: Ledger,
+) -> tuple[Annotation, ...]:
+    """Give a cuboid for each tracklet, its location in the file as id.
+
+    Args:
+        tracklets: those of the file.
+        path: the file, for messages.
+        times_ns: of the frames, by number [ns].
+        trajectory: `world_from_ego`.
+        ego_from_lidar: the mounting.
+        ledger: reported frames that are not there, and of such beyond the trajectory.
+
+    Raises:
+        DataError: a tracklet has a frame beyond the last one.
+    """
+    source = None if trajectory is None else PoseSource(trajectory, ego_from_lidar)
+    last = max(times_ns, default=-1)
+    found: list[Annotation] = []
+    for k, tracklet in enumerate(tracklets):
+        numbers = range(tracklet.first_frame, tracklet.first_frame + len(tracklet.poses))
+        if numbers[-1] > last:
+            fault = DataError(
+                path, f"tracklets/item[{k}]", f"frame {numbers[-1]}; the drive's last is {last}"
+            )
+            ledger.fault("frames-beyond", fault)
+        rows = [row for row, number in enumerate(numbers) if number in times_ns]
+        timestamps = np.array([times_ns[numbers[row]] for row in rows], np.int64)
+        if source is None or not rows:
+            continue
+        lidar = source.at(timestamps)
+        values = _rows(
+            tracklet, tracklet.poses[rows], _matrix_from_known(lidar.quaternions_xyzw), lidar.positions
+        )
+        known = np.isfinite(values).all(axis=1)
+        if not known.all():
+            message = "boxes in frames beyond the ego trajectory"
+            ledger.note(
+                WarningKind.SKIPPED, "boxes-beyond-trajectory", str(path), message, count=int((~known).sum())
+            )
+        if known.any():
+            poses = tracklet.poses[rows][known]
+            box = CuboidAnnotation(k, CuboidPath(timestamps[known], values[known]), label=tracklet.label)
+            reported = _reported(poses, timestamps[known])
+            found.append(replace(box, attributes=reported))
+    return tuple(found)
+
+
+def _reported(poses: Float64Array, timestamps_ns: Int64Array) -> tuple[AttributePath, ...]:
+    """What poses state beside locations; -1 says nothing."""
+    columns = {name: poses[:, 6 + column] for column, name in enumerate(STATES)}
+    return tuple(
+        AttributePath(name, tuple(_plain(values)), timestamps_ns, LIDAR_ID)
+        for name, values in columns.items()
+        if (values != -1).any()
+    )
+
+
+def _matrix_from_known(quaternions_xyzw: Float64Array) -> Float64Array:
+    """(N, 3, 3) rotations of (N, 4) quaternions; NaN where these are."""
+    known = np.isfinite(quaternions_xyzw[:, 0])
+    matrices = np.full((len(quaternions_xyzw), 3, 3), np.nan)
+    if known.any():
+        matrices[known] = matrix_from_quaternion(quaternions_xyzw[known])
+    return matrices
+
+
+def _plain(values: Float64Array) -> list[int | float]:
+    return [int(value) if value == int(value) else value for value in values.tolist()]
+
+
+def _rows(
+    tracklet: Tracklet, poses: Float64Array, world_from_lidar: Float64Array, origins_world: Float64Array
+) -> Float64Array:
+    """Rows of a cuboid, (N, 9) float64; NaN where the lidar's location is not known."""
+    height, width, length = tracklet.size_hwl
+    lidar_from_box = rotation_from_cuboid_angles(poses[:, 3:6], unit=AngleUnit.RADIANS, order=ORDER)
+    centers_lidar = poses[:, :3] + lidar_from_box @ np.array([0.0, 0.0, height / 2])
+    centers = np.einsum("nij,nj->ni", world_from_lidar, centers_lidar) + origins_world
+    angles = cuboid_angles_from_rotation(world_from_lidar @ lidar_from_box)
+    sizes = np.tile([length, width, height], (len(poses), 1))
+    return np.concatenate([sizes, centers, angles], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class RawDrive:
+    """A drive's folder.
+
+    Attributes:
+        folder: of its sensors.
+        calibration: the folder of its calibration files.
+        kind: "sync" (rectified images, one of each sensor in each frame), "extract" (as recorded), or None where the
+            folder's name does not state it.
+    """
+
+    folder: Path
+    calibration: Path
+    kind: str | None
+
+
+def _find_drive(path: Path, wanted: str | None = None) -> RawDrive:
+    """Find the only drive of a folder, or the wanted one: the drive's own folder, that of its day, or the one above.
+
+    Raises:
+        DataError: there is none.
+        OptionError: there are several and none was chosen, or the chosen one is not there.
+    """
+    found = [named_folder(path)] if is_raw_drive(path) else raw_drives_below(path)
+    if wanted is not None:
+        chosen = [drive for drive in found if wanted in _names(drive)]
+        if len(chosen) != 1:
+            names = ", ".join(drive.name for drive in found) or "none"
+            raise OptionError(f"drive {wanted!r}: {path} has {len(chosen)} of that name; it has {names}")
+        found = chosen
+    if not found:
+        raise DataError(path, "", "holds no drive; expected folders as 2011_09_26_drive_0001_sync")
+    if len(found) > 1:
+        names = ", ".join(drive.name for drive in found)
+        raise OptionError(f"{path} has several drives: {names}; choose one with `--sequence NAME`")
+    return _drive(found[0])
+
+
+def _names(drive: Path) -> set[str]:
+    match = DRIVE_NAME.fullmatch(drive.name)
+    if match is None:
+        return {drive.name}
+    number = match["number"]
+    return {drive.name, number, f"{number}_{match['kind']}", f"{match['date']}_drive_{number}"}
+
+
+def _drive(folder: Path) -> RawDrive:
+    match = DRIVE_NAME.fullmatch(folder.resolve().name)
+    locations = (folder, folder / "calib", folder.resolve().parent)
+    calibration = next(
+        (
+            location
+            for location in locations
+            if any((location / name).is_file() for name in CALIBRATION_FILES)
+        ),
+        locations[-1],
+    )
+    return RawDrive(folder, calibration, None if match is None else match["kind"])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stream:
+    """Files of one sensor in the order of their times."""
+
+    files: NumberedFiles
+    timestamps_ns: Int64Array
+    timestamps: _TimestampFile
+
+
+def open_raw(path: Path, *, sequence: str | None = None, lenient: bool = False) -> Scene:
+    """Open a drive: its own folder, that of its day, or one of days.
+
+    Args:
+        path: the folder.
+        sequence: the drive, as `0001`, `0001_sync` or its folder's name, where there are several.
+        lenient: leave out files without a time and times without a file, and count them.
+
+    Raises:
+        DataError: something is missing or wrong.
+        OptionError: there are several drives and none was chosen.
+    """
+    drive = _find_drive(path, sequence)
+    ledger = Ledger(lenient=lenient)
+    with ledger.telling():
+        return _open(drive, ledger)
+
+
+def _open(drive: RawDrive, ledger: Ledger) -> Scene:
+    note_unread(drive.folder, (*RAW_CAMERAS, "velodyne_points", "oxts", FILE, *CALIBRATION_FILES), ledger)
+    cameras = {
+        number: stream
+        for number, name in enumerate(RAW_CAMERAS)
+        if (stream := _stream(drive.folder / name, IMAGES, ledger)) is not None
+    }
+    sweeps = _stream(drive.folder / "velodyne_points", (*SWEEPS, *TEXTS), ledger)
+    lines = _stream(drive.folder / "oxts", TEXTS, ledger)
+    if not cameras and sweeps is None and lines is None:
+        raise DataError(
+            drive.folder, "", "holds no files; expected those of image_02, velodyne_points or oxts"
+        )
+    rectified = _is_rectified(drive, cameras, ledger)
+    needed = tuple(cameras) if cameras or sweeps is None or lines is None else ()
+    calibration = read_raw_calibration(drive.calibration, needed, rectified=rectified)
+    own, trajectory = _oxts(drive, lines, calibration, ledger, others=bool(cameras) or sweeps is not None)
+    tracklets = drive.folder / FILE
+    reference = sweeps or cameras.get(2) or next(iter(cameras.values()), None)
+    if trajectory is None and tracklets.is_file() and reference is not None:
+        trajectory = stationary(
+            reference.timestamps_ns, tracklets, "the trajectory of the OXTS unit is not known", ledger
+        )
+    poses = None if trajectory is None else trajectory.poses
+    ego_from_lidar = RigidTransform.identity()
+    if calibration.lidar_from_imu is not None:
+        ego_from_lidar = calibration.lidar_from_imu.inverse()
+    sensors: list[Sensor] = []
+    if sweeps is not None:
+        timestamps, rotations = _rotations(drive.folder / "velodyne_points", sweeps, ledger)
+        sensors.append(
+            lidar_sensor(sweeps.files, timestamps, ego_from_lidar, poses, ledger, rotations=rotations)
+        )
+    for number, stream in cameras.items():
+        mount = ego_from_lidar @ calibration.camera_from_lidar[number].inverse()
+        camera_model = calibration.camera_models[number]
+        sensors.append(camera_sensor(number, stream.files, stream.timestamps_ns, camera_model, mount, poses))
+    annotations: tuple[Annotation, ...] = ()
+    if tracklets.is_file() and reference is not None:
+        frames = dict(zip(reference.files.numbers.tolist(), reference.timestamps_ns.tolist(), strict=True))
+        found = _read_tracklets(tracklets)
+        annotations = _tracklet_annotations(found, tracklets, frames, poses, ego_from_lidar, ledger)
+    reported = {
+        "drive": drive.folder.resolve().name,
+        "rectified": rectified,
+        "calibration": _reading_plain(calibration),
+    }
+    return Scene(
+        (*sensors, *own),
+        annotations=annotations,
+        trajectories=MappingProxyType({} if trajectory is None else {trajectory.name: trajectory}),
+        metadata=kitti_metadata("raw", **reported),
+        source=str(drive.folder),
+        format="kitti-raw",
+        warnings=ledger.warnings,
+    )
+
+
+def _reading_plain(calibration: _RawCalibration) -> dict[str, dict[str, str]]:
+    return {name: dict(texts) for name, texts in calibration.texts.items()}
+
+
+def _stream(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> _Stream | None:
+    """The files of a sensor's folder with their times; None where there are none."""
+    if not folder.is_dir():
+        return None
+    files = numbered_files(folder / "data", suffixes, ledger)
+    if not len(files):
+        if (folder / "timestamps.txt").is_file():
+            problem = f"holds no {' or '.join(suffixes)}; expected a file for each line of timestamps.txt"
+            ledger.fault("counts-disagree", DataError(folder / "data", "", problem))
+        return None
+    timestamps = _TimestampFile.read(folder / "timestamps.txt")
+    files = _timestamped(files, timestamps, ledger)
+    if not len(files):
+        return None
+    rows = _in_order(files.numbers, timestamps, ledger)
+    files = NumberedFiles(files.folder, files.numbers[rows], tuple(files.paths[k] for k in rows.tolist()))
+    return _Stream(files, timestamps.values_ns[files.numbers], timestamps)
+
+
+def _is_rectified(drive: RawDrive, cameras: Mapping[int, _Stream], ledger: Ledger) -> bool:
+    """Whether images are rectified: the folder's name says it, else the images' size."""
+    if drive.kind is not None or not cameras:
+        return drive.kind != "extract"
+    number, stream = next(iter(cameras.items()))
+    sizes = _image_sizes(drive.calibration, number)
+    size = images_image_size(stream.files.paths[0])
+    found = sizes[True] == size or sizes[False] != size
+    kind = "rectified" if found else "as recorded"
+    message = f"the folder's name says neither sync nor extract: by their size, images are taken as {kind}"
+    ledger.note(WarningKind.ASSUMED, "rectified", str(drive.folder), message)
+    return found
+
+
+def _rotations(folder: Path, sweeps: _Stream, ledger: Ledger) -> tuple[Int64Array, RotationTimes | None]:
+    """When sweeps began, and their rotations: by the files of starts and ends, where there are both."""
+    locations = [folder / f"timestamps_{name}.txt" for name in ("start", "end")]
+    if not all(location.is_file() for location in locations):
+        message = (
+            "no timestamps_start.txt and timestamps_end.txt: the time at which the lidar looks ahead is taken as the "
+            "sweep's start"
+        )
+        ledger.note(WarningKind.ASSUMED, "sweep-start", str(folder), message)
+        return sweeps.timestamps_ns, None
+    found = []
+    for location in locations:
+        timestamps = _TimestampFile.read(location)
+        if len(timestamps.values_ns) < len(sweeps.timestamps.values_ns):
+            counts = (
+                f"{len(timestamps.values_ns)} times for {len(sweeps.timestamps.values_ns)} of timestamps.txt"
+            )
+            raise DataError(location, "", f"{counts}; expected as many")
+        found.append(timestamps.values_ns[sweeps.files.numbers])
+    starts, ends = found
+    wrong = np.flatnonzero((starts > sweeps.timestamps_ns) | (ends < sweeps.timestamps_ns) | (starts >= ends))
+    if len(wrong):
+        number = int(sweeps.files.numbers[wrong[0]])
+        problem = "start, forward and end of the sweep are not in this order; expected rising times"
+        ledger.fault(
+            "rotations-out-of-order", DataError(locations[0], f"line {number + 1}", problem), count=len(wrong)
+        )
+        return sweeps.timestamps_ns, None
+    message = (
+        "times of points are derived from their directions: the scanner rotates counter-clockwise from "
+        "timestamps_start, "
+        "looks ahead at timestamps, and ends at timestamps_end"
+    )
+    ledger.note(WarningKind.ASSUMED, "point-times", str(folder), message)
+    order = np.diff(starts) <= 0
+    if order.any():
+        number = int(sweeps.files.numbers[int(np.argmax(order)) + 1])
+        raise DataError(
+            locations[0], f"line {number + 1}", "is not later than the frame's before; expected rising times"
+        )
+    return starts, RotationTimes(starts, sweeps.timestamps_ns, ends)
+
+
+def _oxts(
+    drive: RawDrive, lines: _Stream | None, calibration: _RawCalibration, ledger: Ledger, *, others: bool
+) -> tuple[tuple[Sensor, ...], Trajectory | None]:
+    """The sensors and the trajectory of the OXTS unit; without its mounting, only the receiver."""
+    if lines is None:
+        return (), None
+    values = as_table([_one_line(path) for path in lines.files.paths], 30)
+    location = str(drive.folder / "oxts")
+    values, timestamps = rising(values, lines.timestamps_ns, location, ledger)
+    sensors, trajectory = oxts_sensors(values, timestamps, location, ledger)
+    if calibration.lidar_from_imu is not None or not others:
+        return sensors, trajectory
+    message = "no calib_imu_to_velo.txt: the trajectory and the IMU of the OXTS unit cannot be used"
+    ledger.note(WarningKind.SKIPPED, "no-imu-mounting", str(drive.calibration), message)
+    return tuple(sensor for sensor in sensors if not isinstance(sensor, ImuSensor)), None
+
+
+def _one_line(path: Path) -> list[float]:
+    values: Float64Array = read_fields(path)
+    if len(values) != 1:
+        raise DataError(path, "", f"{len(values)} lines; expected one")
+    row: list[float] = values[0].tolist()
+    return row

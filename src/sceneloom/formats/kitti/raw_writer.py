@@ -1,0 +1,612 @@
+"""Write a drive of KITTI's raw data, synchronised (`sync`) or each sensor by itself (`extract`)."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import OptionError, SceneloomError
+from sceneloom.formats.base.losses import Loss, LossReport, Support
+from sceneloom.formats.base.output import FolderKind, replacing
+from sceneloom.formats.kitti.calibration import CAMERAS, Mounted, files_lidar_from_lidar
+from sceneloom.formats.kitti.frames_writer import (
+    NONE,
+    PARALLEL_WITHIN,
+    Choice,
+    SweepFiles,
+    Timeline,
+    check_camera_model,
+    choose,
+    dropped_parts,
+    ego_trajectory,
+    egos_at,
+    image_losses,
+    is_lidar,
+    kept_of,
+    mounted_of,
+    nearest_frames,
+    timeline_of,
+    write_image,
+)
+from sceneloom.formats.kitti.oxts import IMU_ID, oxts_lines
+from sceneloom.formats.kitti.raw_reader import (
+    CAM_TO_CAM,
+    FURTHER_FIELDS,
+    IMU_TO_VELO,
+    ORDER,
+    POSE_FIELDS,
+    STATES,
+    VELO_TO_CAM,
+    Tracklet,
+    format_timestamp,
+    format_tracklets,
+    read_raw_calibration,
+)
+from sceneloom.formats.kitti.raw_reader import FILE as TRACKLETS
+from sceneloom.formats.kitti.sensors import times_in_rotation
+from sceneloom.formats.kitti.spec import RAW_CAMERAS
+from sceneloom.formats.recording.write_calibration import mounting
+from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import angle_between, matrix_from_quaternion
+from sceneloom.scene.annotations import CuboidAnnotation
+from sceneloom.scene.annotations_at import CuboidAngles, activated, active_at, attribute_at, cuboid_poses
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Identifier
+
+_SPARE = Camera("pinhole", 1242, 375, 721.5377, 721.5377, 609.5593, 172.854)
+
+
+def _write_raw_calibration(
+    folder: Path, mounted: Mounted, kept: Mapping[str, Any] | None, *, rectified: bool
+) -> None:
+    """Write the files: as the scene was read with them where they still hold, else such that state the same.
+
+    Args:
+        folder: of the day.
+        mounted: how the sensors lie.
+        kept: what stood in the files that the scene was read with.
+        rectified: whether images are rectified.
+    """
+    if kept and all(isinstance(texts, Mapping) for texts in kept.values()):
+        for name, texts in kept.items():
+            if name in (CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO):
+                lines = "".join(f"{key}: {text}\n" for key, text in texts.items())
+                (folder / name).write_text(lines, "utf-8", newline="\n")
+        if _says(folder, mounted, rectified=rectified):
+            return
+        for name in (CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO):
+            (folder / name).unlink(missing_ok=True)
+    for name, entries in _built(mounted, rectified=rectified).items():
+        lines = "".join(f"{key}: {text}\n" for key, text in entries.items())
+        (folder / name).write_text(lines, "utf-8", newline="\n")
+
+
+def _says(folder: Path, mounted: Mounted, *, rectified: bool) -> bool:
+    """Whether the files of a folder state what the scene says."""
+    try:
+        read = read_raw_calibration(folder, tuple(mounted.camera_models), rectified=rectified)
+    except SceneloomError:
+        return False
+    if any(
+        read.camera_models[number] != camera_model for number, camera_model in mounted.camera_models.items()
+    ):
+        return False
+    return files_lidar_from_lidar(read.camera_from_lidar, read.lidar_from_imu, mounted) is not None
+
+
+def _built(mounted: Mounted, *, rectified: bool) -> dict[str, dict[str, str]]:
+    """Entries of the files: the reference camera stands for camera 0, unless there is one."""
+    base = mounted.camera_from_lidar.get(0, mounted.rectified_from_lidar)
+    reference = mounted.camera_models.get(mounted.reference or 0, _SPARE)
+    between: dict[str, str] = {"calib_time": "01-Jan-1970 00:00:00", "corner_dist": "0.0"}
+    for number in range(CAMERAS):
+        camera_model = mounted.camera_models.get(number, reference)
+        placed = RigidTransform.identity()
+        if number in mounted.camera_from_lidar and mounted.camera_from_lidar[number] is not base:
+            placed = mounted.camera_from_lidar[number] @ base.inverse()
+        between |= _camera_entries(number, camera_model, placed, rectified=rectified)
+    files = {CAM_TO_CAM: between, VELO_TO_CAM: {**_rigid(base), "delta_f": "0 0", "delta_c": "0 0"}}
+    if mounted.lidar_from_imu is not None:
+        files[IMU_TO_VELO] = _rigid(mounted.lidar_from_imu)
+    return files
+
+
+def _camera_entries(
+    number: int, camera_model: Camera, camera_from_first: RigidTransform, *, rectified: bool
+) -> dict[str, str]:
+    """The entries of a camera, before and after rectification.
+
+    Of rectified images both are the same. Of others, rectification is the rotation back to the first camera's axes,
+    with the camera model's own matrix.
+    """
+    rotation = np.eye(3) if rectified else camera_from_first.rotation.T
+    shift = rotation @ camera_from_first.translation
+    projection = np.column_stack([camera_model.matrix, camera_model.matrix @ shift])
+    distortion = [*camera_model.coefficients[:5], *(0.0,) * (5 - len(camera_model.coefficients[:5]))]
+    entries: dict[str, Any] = {
+        "S": (float(camera_model.width), float(camera_model.height)),
+        "K": camera_model.matrix,
+        "D": distortion,
+        "R": camera_from_first.rotation,
+        "T": camera_from_first.translation,
+        "S_rect": (float(camera_model.width), float(camera_model.height)),
+        "R_rect": rotation,
+        "P_rect": projection,
+    }
+    return {f"{name}_{number:02d}": _numbers(values) for name, values in entries.items()}
+
+
+def _rigid(transform: RigidTransform) -> dict[str, str]:
+    return {"R": _numbers(transform.rotation), "T": _numbers(transform.translation)}
+
+
+def _numbers(values: Any) -> str:
+    flat: Float64Array = np.asarray(values, np.float64).reshape(-1)
+    return " ".join(map(repr, flat.tolist()))
+
+
+_WELL_REPORTED = 0.05
+"""Times that directions report worse than this share of a rotation are not those of such a scanner.
+
+And are not reported.
+"""
+
+_NAMES = ("timestamps_start.txt", "timestamps.txt", "timestamps_end.txt")
+
+
+@dataclass(slots=True)
+class _RotationWriter:
+    """Writes sweeps and remembers their times.
+
+    Attributes:
+        choice: what is written.
+        folder: `velodyne_points`.
+    """
+
+    choice: Choice
+    folder: Path
+    _files: SweepFiles = field(init=False)
+    _rotations: list[tuple[int, int, int] | None] = field(default_factory=list)
+    _starts: list[int] = field(default_factory=list)
+    _rotated: bool = True
+    _worst_ns: int = 0
+    _timed_points: int = 0
+
+    def __post_init__(self) -> None:
+        self._files = SweepFiles(self.choice)
+        (self.folder / "data").mkdir(parents=True)
+
+    def write(self, frame: LidarFrame, number: int) -> None:
+        """Write a sweep; frames without one have blank lines."""
+        self._rotations += [None] * (number - len(self._rotations))
+        frame = self._files.placed(frame)
+        positions = self._files.write(frame, self.folder / "data" / f"{number:010d}.bin")
+        self._rotations.append(self._rotation(frame, positions))
+        self._starts.append(frame.timestamp_ns)
+
+    def _rotation(self, frame: LidarFrame, positions: Float32Array) -> tuple[int, int, int]:
+        """When a sweep began, looked ahead and ended [ns]; of points without times all are its own time."""
+        times = frame.points.timestamps_ns
+        start = frame.timestamp_ns
+        forward, end = frame.extras.get("forward_ns"), frame.extras.get("end_ns")
+        if times is None or not len(times) or times.min() == times.max():
+            if isinstance(forward, int) and isinstance(end, int):
+                return start, forward, end
+            self._rotated = False
+            return start, start, start
+        if not (isinstance(forward, int) and isinstance(end, int) and start <= forward <= end):
+            start = min(start, int(times.min()))
+            forward, end = frame.reference_ns, max(int(times.max()), frame.reference_ns)
+        error = int(np.abs(times_in_rotation(positions, start, forward, end) - times).max())
+        self._rotated = self._rotated and error <= _WELL_REPORTED * max(end - start, 1)
+        self._worst_ns = max(self._worst_ns, error)
+        self._timed_points += len(times)
+        return start, forward, end
+
+    def moments_ns(self, frames_ns: Int64Array) -> Int64Array:
+        """Times of frames as `timestamps.txt` reports them, (F,) int64 [ns]; of those without a sweep as given."""
+        reported = frames_ns.copy()
+        for number, rotation in enumerate(self._rotations):
+            if rotation is not None:
+                reported[number] = rotation[1]
+        return reported
+
+    def close(self) -> list[Loss]:
+        """Write the times; starts and ends only where they report those of points. Gives what was lost."""
+        for column, name in enumerate(_NAMES):
+            if self._rotated or name == "timestamps.txt":
+                lines = [
+                    "" if rotation is None else format_timestamp(rotation[column])
+                    for rotation in self._rotations
+                ]
+                (self.folder / name).write_text("".join(f"{line}\n" for line in lines), "utf-8", newline="\n")
+        return [*self._files.losses, *self._time_losses()]
+
+    def _time_losses(self) -> list[Loss]:
+        losses = []
+        name = "sensors.lidar.frames.points.timestamps_ns"
+        if self._timed_points and not self._rotated:
+            what = "left out: a drive reports times of points by one counter-clockwise rotate from behind, and these differ"
+            losses.append(Loss(field=name, what=what, count=self._timed_points))
+        elif self._worst_ns:
+            what = "reported by the directions of points in one rotation, counter-clockwise from behind [s]"
+            worst = self._worst_ns / 1e9
+            losses.append(
+                Loss(
+                    field=name,
+                    what=what,
+                    count=self._timed_points,
+                    support=Support.APPROXIMATED,
+                    largest_error=worst,
+                )
+            )
+        column = 0 if self._rotated else 1
+        reported = [rotation[column] for rotation in self._rotations if rotation is not None]
+        away = [abs(a - b) for a, b in zip(reported, self._starts, strict=True)]
+        if any(away):
+            what = "the moment of the sweep in location of its start [s]"
+            losses.append(
+                Loss(
+                    field="sensors.lidar.frames.timestamp_ns",
+                    what=what,
+                    count=sum(map(bool, away)),
+                    support=Support.APPROXIMATED,
+                    largest_error=max(away) / 1e9,
+                )
+            )
+        return losses
+
+
+_LABELLED = 2.0
+"""The state of a pose that somebody labelled. Source: the development kit's tracklets.h."""
+
+
+def _tracklets_of(
+    scene: Scene,
+    timestamps_ns: Int64Array,
+    starts_ns: Int64Array,
+    lidar_id: Identifier | None,
+    world_from_lidar_at: Callable[[Int64Array], Sequence[RigidTransform]],
+) -> tuple[list[Tracklet], list[Loss]]:
+    """Give the boxes of a scene by frame.
+
+    Args:
+        scene: whose cuboids are taken.
+        timestamps_ns: of the frames, (F,) int64 [ns].
+        starts_ns: when their sweeps began, (F,) int64 [ns].
+        lidar_id: by whose activations boxes are there, and by whose own computed cuboids.
+        world_from_lidar_at: gives where the lidar was at some times.
+
+    Returns:
+        tracklets: one for each run of frames that a box is in.
+        losses: what they do not hold.
+    """
+    angles = CuboidAngles.of(scene)
+    found: list[Tracklet] = []
+    losses: list[Loss] = []
+    boxes = [a for a in scene.annotations if isinstance(a, CuboidAnnotation)]
+    for annotation in boxes:
+        frames, times = _frames(annotation, timestamps_ns)
+        active = active_at(annotation, lidar_id, timestamps_ns[frames], since_ns=starts_ns[frames])
+        if not active.all():
+            what = "left out in frames in which it is not active for the lidar"
+            lost = int((~active).sum())
+            losses.append(Loss(field="annotations.cuboid.path.values", what=what, count=lost))
+            frames, times = frames[active], times[active]
+        cuts = np.flatnonzero(np.diff(frames) > 1) + 1
+        runs = list(zip(np.split(frames, cuts), np.split(times, cuts), strict=True)) if len(frames) else []
+        if not runs:
+            losses.append(Loss(field="annotations.cuboid", what="left out: in no frame"))
+        if len(runs) > 1:
+            what = "cut where it is in no frame: a tracklet is in all frames between its first and last"
+            losses.append(Loss(field="annotations.cuboid.id", what=what, support=Support.APPROXIMATED))
+        if str(annotation.id) != str(len(found)) and runs:
+            what = "tracklets have no ids; read back, they are counted"
+            losses.append(Loss(field="annotations.cuboid.id", what=what, support=Support.DROPPED))
+        losses += _losses_of(annotation)
+        for run, run_times in runs:
+            tracklet, error = _tracklet(
+                annotation, run, run_times, world_from_lidar_at(run_times), angles, lidar_id
+            )
+            found.append(tracklet)
+            if error > 0:
+                what = "a tracklet has one size: that of its middle frame [m]"
+                losses.append(
+                    Loss(
+                        field="annotations.cuboid.path.values",
+                        what=what,
+                        support=Support.APPROXIMATED,
+                        largest_error=error,
+                    )
+                )
+    return found, losses
+
+
+def _frames(annotation: CuboidAnnotation, timestamps_ns: Int64Array) -> tuple[Int64Array, Int64Array]:
+    """The frames that a box is in, and the times at which it is reported in them.
+
+    Where its timestamps are one for each of its frames they count, and frames between them are gaps, if not too many;
+    else it is in all frames from its first timestamp to its last, a stationary one in all there are.
+    """
+    timestamps = annotation.path.timestamps_ns
+    if annotation.stationary and len(timestamps):
+        return np.arange(len(timestamps_ns)), timestamps_ns
+    own = nearest_frames(timestamps_ns, timestamps)
+    if not len(timestamps):
+        return own, timestamps
+    inside = np.flatnonzero((timestamps_ns >= timestamps[0]) & (timestamps_ns <= timestamps[-1]))
+    reported = {projection.timestamps_ns.tobytes() for projection in annotation.projections}
+    is_own = bool((own != NONE).all()) and len(np.unique(own)) == len(own)
+    if is_own and (2 * len(own) > len(inside) or timestamps.tobytes() in reported):
+        return own, timestamps
+    return inside, timestamps_ns[inside]
+
+
+def _tracklet(
+    annotation: CuboidAnnotation,
+    frames: Int64Array,
+    times: Int64Array,
+    world_from_lidar: Sequence[RigidTransform],
+    angles: CuboidAngles,
+    lidar_id: Identifier | None,
+) -> tuple[Tracklet, float]:
+    """A run of frames as a tracklet, and how far sizes are from the one that it has [m]."""
+    poses = activated(
+        annotation, lidar_id, times, cuboid_poses(annotation, times, angles=angles), angles=angles
+    )
+    length, width, height = poses.sizes_lwh[len(frames) // 2].tolist()
+    error = float(np.abs(poses.sizes_lwh - np.array([length, width, height])).max())
+    rows = np.full((len(frames), len(POSE_FIELDS) + len(FURTHER_FIELDS)), -1.0)
+    for k, placed in enumerate(world_from_lidar):
+        lidar_from_world = placed.inverse()
+        rotation = lidar_from_world.rotation @ matrix_from_quaternion(poses.quaternions_xyzw[k])
+        center = lidar_from_world.apply(poses.centers_world[k])
+        rows[k, :3] = center - rotation @ np.array([0.0, 0.0, height / 2])
+        rows[k, 3:6] = cuboid_angles_from_rotation(rotation, unit=AngleUnit.RADIANS, order=ORDER)
+    rows[:, 6:] = _states(annotation, times)
+    return Tracklet(annotation.label or "Misc", (height, width, length), int(frames[0]), rows), error
+
+
+def _states(annotation: CuboidAnnotation, times_ns: Int64Array) -> Float64Array:
+    """What a box says in the words of tracklets; -1 where it does not."""
+    states = np.full((len(times_ns), len(STATES)), -1.0)
+    states[:, 0] = _LABELLED
+    reported = {attribute.name: attribute for attribute in annotation.attributes}
+    for column, name in enumerate(STATES):
+        if name in reported:
+            values = attribute_at(reported[name], times_ns)
+            numbers = [value if isinstance(value, int | float) else -1.0 for value in values]
+            states[:, column] = np.nan_to_num(np.array(numbers, np.float64), nan=-1.0)
+    return states
+
+
+def _losses_of(annotation: CuboidAnnotation) -> list[Loss]:
+    """What a box has beside what tracklets hold."""
+    counts = {
+        "attributes": sum(attribute.name not in STATES for attribute in annotation.attributes),
+        "activations": len(annotation.activations),
+        "projections": len(annotation.projections),
+        "parent_id": int(annotation.parent_id is not None),
+        "stationary": int(annotation.stationary is not None),
+        "extras": len(annotation.extras),
+    }
+    return [
+        Loss(field=f"annotations.cuboid.{name}", what="left out: a tracklet has no field for it", count=count)
+        for name, count in counts.items()
+        if count
+    ]
+
+
+_SLOTS = (2, 3, 0, 1)
+"""Numbers of cameras, those of the coloured ones first."""
+
+_HELD = frozenset({LidarSensor, CameraSensor, ImuSensor, GnssSensor, OdometrySensor, CuboidAnnotation})
+"""Kinds of sensors and annotations that a drive has a location for."""
+
+_MODELS = {"sync": frozenset({"pinhole"}), "extract": frozenset({"pinhole", "brown_conrady"})}
+
+_DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)")
+
+_DRIVE_PATH = r"\d{4}_\d\d_\d\d/(?P<one>.+)"
+
+_KIND = FolderKind(
+    "folder of KITTI's raw data",
+    (
+        r"\d{4}_\d\d_\d\d/calib_\w+\.txt",
+        rf"{_DRIVE_PATH}/(velodyne_points|oxts|image_\d\d)/timestamps\w*\.txt",
+        rf"{_DRIVE_PATH}/(velodyne_points|oxts|image_\d\d)/data/\d{{10}}\.(bin|txt|png|jpe?g)",
+        rf"{_DRIVE_PATH}/{re.escape(TRACKLETS)}",
+    ),
+    r"\d{4}_\d\d_\d\d/calib_\w+\.txt",
+)
+
+
+def write_raw(
+    scene: Scene, path: Path, *, overwrite: bool = False, kind: str | None = None, sequence: str | None = None
+) -> LossReport:
+    """Write a scene as a drive in the folder of its day.
+
+    Args:
+        scene: to be written.
+        path: the folder above the day's.
+        overwrite: replace a folder of such drives as a whole.
+        kind: "sync", one frame of all sensors with rectified images, or "extract", each sensor by itself with the
+            camera models' distortion; None for "sync" where all images are of camera models without distortion that
+            look the same way, one for each sweep.
+        sequence: number of the drive, four digits; None for that which the scene was read from, else "0001".
+
+    Returns:
+        What the folder could not hold.
+
+    Raises:
+        OptionError: the kind or the number is none.
+        OutputError: the path exists, or cannot be written.
+        DataError: what the scene is read from is damaged.
+    """
+    if kind not in (None, *_MODELS):
+        raise OptionError(f"kind {kind!r}; expected one of {', '.join(_MODELS)}")
+    kind = kind or _kind_of(scene)
+    choice = choose(scene, _SLOTS, rectified=kind == "sync", models=_MODELS[kind])
+    losses = [*dropped_parts(scene, _HELD), *choice.losses]
+    day, drive = _names(scene, choice, kind, sequence)
+    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
+        folder = draft / day / drive
+        folder.mkdir(parents=True)
+        with_imu = choice.ego_path is not None or not is_lidar(choice)
+        mounted = mounted_of(choice, with_imu=with_imu)
+        kept = kept_of(scene)
+        reported = kept.get("calibration") if kept.get("benchmark") == "raw" else None
+        _write_raw_calibration(draft / day, mounted, reported, rectified=kind == "sync")
+        timeline = timeline_of(choice, one_time=False)
+        if kind == "sync":
+            losses += timeline.losses
+            times, reported = _write_sync(choice, timeline, folder)
+        else:
+            times, reported = _write_extract(choice, timeline.timestamps_ns, folder)
+        losses += reported
+        losses += _write_oxts(scene, choice, _oxts_times(choice, times, kind), folder / "oxts")
+        losses += _write_tracklets(choice, times, timeline, folder)
+    return LossReport.of(losses)
+
+
+def _kind_of(scene: Scene) -> str:
+    """The kind that holds most: `extract` for images that are distorted, rotated, or not one for each sweep."""
+    kept = kept_of(scene)
+    if kept.get("benchmark") == "raw":
+        return "sync" if kept.get("rectified", True) else "extract"
+    path = ego_trajectory(scene)
+    mounts = [
+        mount for camera in scene.cameras if (mount := mounting(camera, path, each=True)[0]) is not None
+    ]
+    if any(camera.camera.model == "brown_conrady" for camera in scene.cameras):
+        return "extract"
+    if any(
+        float(angle_between(mount.quaternion_xyzw, mounts[0].quaternion_xyzw)) > PARALLEL_WITHIN
+        for mount in mounts
+    ):
+        return "extract"
+    counts = {len(camera.images) for camera in scene.cameras if len(camera.images)}
+    counts |= {len(lidar.frames) for lidar in scene.lidars[:1]}
+    return "sync" if len(counts) <= 1 else "extract"
+
+
+def _names(scene: Scene, choice: Choice, kind: str, sequence: str | None) -> tuple[str, str]:
+    """Names of the day's folder and of the drive's."""
+    kept = _DRIVE.fullmatch(str(kept_of(scene).get("drive", "")))
+    number = sequence or (kept[2] if kept else "0001")
+    if not (number.isascii() and number.isdigit() and len(number) <= 4):
+        raise OptionError(f"sequence {number!r}; expected up to four digits, as 0001")
+    timestamps = [] if choice.lidar is None else [choice.lidar.frames.timestamps_ns]
+    timestamps += [camera.images.timestamps_ns for camera in choice.cameras.values()]
+    first = min((int(times[0]) for times in timestamps if len(times)), default=0)
+    day = kept[1] if kept else format_timestamp(first)[:10].replace("-", "_")
+    return day, f"{day}_drive_{int(number):04d}_{kind}"
+
+
+def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> tuple[Int64Array, list[Loss]]:
+    """Write sweeps and images; gives the times of frames as they are reported, and what was lost."""
+    losses = [loss for camera in choice.cameras.values() for loss in image_losses(camera)]
+    lidar = choice.lidar
+    rotations = (
+        _RotationWriter(choice, folder / "velodyne_points")
+        if lidar is not None and len(lidar.frames)
+        else None
+    )
+    timestamps: dict[int, list[str]] = {number: [] for number, c in choice.cameras.items() if len(c.images)}
+    for number in timestamps:
+        (folder / RAW_CAMERAS[number] / "data").mkdir(parents=True)
+    for k in range(len(timeline)):
+        sweep = int(timeline.sweeps[k])
+        if rotations is not None and lidar is not None and sweep != NONE:
+            rotations.write(lidar.frames[sweep], k)
+        for number, lines in timestamps.items():
+            row = int(timeline.images[number][k])
+            if row == NONE:
+                lines.append("")
+                continue
+            image = choice.cameras[number].images[row]
+            check_camera_model(choice.cameras[number], image)
+            write_image(image, folder / RAW_CAMERAS[number] / "data" / f"{k:010d}.png")
+            lines.append(format_timestamp(image.timestamp_ns))
+    for number, lines in timestamps.items():
+        _write_lines(folder / RAW_CAMERAS[number] / "timestamps.txt", lines)
+    if rotations is None:
+        return timeline.timestamps_ns, losses
+    return rotations.moments_ns(timeline.timestamps_ns), losses + rotations.close()
+
+
+def _write_extract(choice: Choice, times: Int64Array, folder: Path) -> tuple[Int64Array, list[Loss]]:
+    """Write sweeps and images; gives the times of sweeps as they are reported, else `times`, and what was lost."""
+    losses = [loss for camera in choice.cameras.values() for loss in image_losses(camera)]
+    if choice.lidar is not None and len(choice.lidar.frames):
+        rotations = _RotationWriter(choice, folder / "velodyne_points")
+        for k, frame in enumerate(choice.lidar.frames):
+            rotations.write(frame, k)
+        times = rotations.moments_ns(choice.lidar.frames.timestamps_ns)
+        losses += rotations.close()
+    for number, camera in choice.cameras.items():
+        if not len(camera.images):
+            continue
+        location = folder / RAW_CAMERAS[number]
+        (location / "data").mkdir(parents=True)
+        for k, image in enumerate(camera.images):
+            check_camera_model(camera, image)
+            write_image(image, location / "data" / f"{k:010d}.png")
+        timestamps = [format_timestamp(time) for time in camera.images.timestamps_ns.tolist()]
+        _write_lines(location / "timestamps.txt", timestamps)
+    return times, losses
+
+
+def _write_lines(path: Path, lines: list[str]) -> None:
+    path.write_text("".join(f"{line}\n" for line in lines), "utf-8", newline="\n")
+
+
+def _oxts_times(choice: Choice, times: Int64Array, kind: str) -> Int64Array:
+    """When lines of the OXTS unit are: those that were read, else one for each frame, or for each value of the IMU."""
+    path = choice.ego_path
+    units = [sensor for sensor in choice.scene.sensors if isinstance(sensor, ImuSensor)]
+    imu = next((sensor for sensor in units if sensor.streams), None)
+    if imu is not None and imu.id == IMU_ID and kept_of(choice.scene).get("benchmark") == "raw":
+        return next(iter(imu.streams.values())).timestamps_ns
+    if kind == "sync" or path is None or path.static:
+        return times
+    timestamps = path.timestamps_ns
+    if imu is not None and "accelerometer" in imu.streams:
+        timestamps = imu.streams["accelerometer"].timestamps_ns
+    inside: Int64Array = np.unique(timestamps[(timestamps >= path.start_ns) & (timestamps <= path.stop_ns)])
+    return inside if len(inside) else path.timestamps_ns
+
+
+def _write_oxts(scene: Scene, choice: Choice, times: Int64Array, folder: Path) -> list[Loss]:
+    if choice.ego_path is None or not len(times):
+        return []
+    lines = oxts_lines(scene, choice.ego_path, times)
+    (folder / "data").mkdir(parents=True)
+    for k, line in enumerate(lines.texts()):
+        (folder / "data" / f"{k:010d}.txt").write_text(f"{line}\n", "utf-8", newline="\n")
+    _write_lines(folder / "timestamps.txt", [format_timestamp(time) for time in times.tolist()])
+    return list(lines.losses)
+
+
+def _write_tracklets(choice: Choice, times: Int64Array, timeline: Timeline, folder: Path) -> list[Loss]:
+    """Write the boxes in their frames; those of an `extract` are the sweeps."""
+    if not any(isinstance(annotation, CuboidAnnotation) for annotation in choice.scene.annotations):
+        return []
+    tracklets, losses = _tracklets_of(
+        choice.scene,
+        times,
+        np.minimum(timeline.starts_ns(choice.lidar), times),
+        None if choice.lidar is None else choice.lidar.id,
+        lambda timestamps: [ego @ choice.ego_from_lidar for ego in egos_at(choice, timestamps)],
+    )
+    (folder / TRACKLETS).write_text(format_tracklets(tracklets), "utf-8", newline="\n")
+    return losses

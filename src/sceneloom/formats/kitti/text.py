@@ -1,0 +1,277 @@
+"""KITTI's text files, parsed line by line, the folders of files that are named by frame number.
+
+And the choice of one of several sequences.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.files import file_faults, read_bytes
+from sceneloom.formats.kitti.spec import is_number
+from sceneloom.warnings import WarningKind
+
+LARGEST = 1e9
+"""Larger numbers are none of a drive: what is computed with them has no digits left."""
+
+LATEST = 999_999
+"""The largest number of a frame or a track: names of KITTI's files have six digits, and there is one entry a frame."""
+
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+
+_SHOWN = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of a file, taken apart.
+
+    Attributes:
+        path: the file.
+        number: of the line, from 1.
+        words: its words.
+    """
+
+    path: Path
+    number: int
+    words: tuple[str, ...]
+
+    def fault(self, problem: str) -> DataError:
+        """What is wrong with it, reported with its location."""
+        return DataError(self.path, f"line {self.number}", problem)
+
+    def check_count(self, counts: Sequence[int], meaning: str) -> None:
+        """Refuse a line with more or fewer words.
+
+        Args:
+            counts: how many there may be.
+            meaning: what they are, for the message.
+
+        Raises:
+            DataError: it has another number of words.
+        """
+        if len(self.words) not in counts:
+            expected = " or ".join(map(str, counts))
+            raise self.fault(f"{len(self.words)} values; expected {expected}: {meaning}")
+
+    def float_at(self, column: int, name: str) -> float:
+        """A finite number.
+
+        Raises:
+            DataError: it is none, or is too large.
+        """
+        text = self.words[column]
+        value = float(text) if _NUMBER.fullmatch(text) else float("nan")
+        if not abs(value) <= LARGEST:
+            raise self.fault(f"{name} {text[:_SHOWN]!r}; expected a number within ±{LARGEST:g}")
+        return value
+
+    def floats(self, first: int, names: Sequence[str]) -> list[float]:
+        """As many finite numbers as there are names, from a column on.
+
+        Raises:
+            DataError: one is none, or is too large.
+        """
+        return [self.float_at(first + k, name) for k, name in enumerate(names)]
+
+    def whole_at(self, column: int, name: str, *, low: int = 0) -> int:
+        """A whole number of up to six digits, with or without a fraction of zeros.
+
+        Raises:
+            DataError: it is none, less than `low`, or larger.
+        """
+        value = self.float_at(column, name)
+        if value != int(value) or not low <= value <= LATEST:
+            shown = self.words[column][:_SHOWN]
+            raise self.fault(f"{name} {shown!r}; expected a whole number from {low} to {LATEST}")
+        return int(value)
+
+
+def read_lines(path: Path, *, separator: str | None = None) -> list[Line]:
+    """Read the lines of a file; blank ones at its end do not count.
+
+    Args:
+        separator: between values; None for blanks.
+
+    Raises:
+        DataError: it cannot be read, or is no text.
+    """
+    try:
+        text = read_bytes(path).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(path, f"byte {error.start}", "is no UTF-8 text") from error
+    rows = text.replace("\r\n", "\n").rstrip().split("\n")
+    if rows == [""]:
+        return []
+    return [
+        Line(path, number, tuple(word.strip() for word in row.split(separator)) if row.strip() else ())
+        for number, row in enumerate(rows, 1)
+    ]
+
+
+def sound_rows(
+    lines: Sequence[Line], parse: "Parser", ledger: Ledger, code: str
+) -> Iterator[tuple[Line, list[float]]]:
+    """Take each line apart into numbers; a faulty one raises, or is left out in a lenient reading.
+
+    Args:
+        parse: gives the numbers of a line.
+        ledger: reported faults.
+        code: of the warning about them.
+
+    Raises:
+        DataError: a line is faulty, and the reading is not lenient.
+    """
+    for line in lines:
+        try:
+            row = parse(line)
+        except DataError as error:
+            ledger.fault(code, error)
+            continue
+        yield line, row
+
+
+class Parser:
+    """Takes lines of one layout apart: how many values they have, and what each is called."""
+
+    def __init__(self, names: Sequence[str], *, whole: Sequence[str] = ()) -> None:
+        """Remember the layout.
+
+        Args:
+            names: of the values, in their order.
+            whole: which of them are whole numbers of 0 or more.
+        """
+        self._names = tuple(names)
+        self._whole = {names.index(name): name for name in whole}
+        self._meaning = ",".join(names)
+
+    def __call__(self, line: Line) -> list[float]:
+        """The numbers of a line.
+
+        Raises:
+            DataError: there are more or fewer, or one is none.
+        """
+        line.check_count((len(self._names),), self._meaning)
+        row = line.floats(0, self._names)
+        for column, name in self._whole.items():
+            line.whole_at(column, name)
+        return row
+
+
+def as_table(rows: Sequence[Sequence[float]], columns: int) -> Float64Array:
+    """Rows as (N, columns) float64, also where there are none."""
+    return np.array(rows, np.float64).reshape(len(rows), columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NumberedFiles:
+    """The files of one folder, by their numbers.
+
+    Attributes:
+        folder: where they are.
+        numbers: (N,) int64, rising.
+        paths: N files.
+    """
+
+    folder: Path
+    numbers: Int64Array
+    paths: tuple[Path, ...]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the files are called, seen from the folder above."""
+        return tuple(f"{self.folder.name}/{path.name}" for path in self.paths)
+
+    def only(self, kept: Sequence[bool]) -> "NumberedFiles":
+        """Those for which `kept` is true."""
+        rows = [k for k, there in enumerate(kept) if there]
+        return NumberedFiles(self.folder, self.numbers[rows], tuple(self.paths[k] for k in rows))
+
+
+def numbered_files(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> NumberedFiles:
+    """Find the files of a folder, which may be missing; such with other names are left out and counted.
+
+    Raises:
+        DataError: two files have one number, or the folder cannot be read.
+    """
+    found: dict[int, Path] = {}
+    if not folder.is_dir():
+        return NumberedFiles(folder, np.zeros(0, np.int64), ())
+    with file_faults(folder):
+        candidates = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
+    for path in candidates:
+        if not is_number(path.stem):
+            message = "files that are not named by a number"
+            ledger.note(WarningKind.SKIPPED, "names-without-number", str(path), message)
+            continue
+        number = int(path.stem)
+        if number > LATEST:
+            raise DataError(path, "", f"number {number}; expected 0 to {LATEST}")
+        if number in found:
+            raise DataError(path, "", f"has the number of {found[number].name}; expected one file for each")
+        found[number] = path
+    numbers = sorted(found)
+    return NumberedFiles(folder, np.array(numbers, np.int64), tuple(found[k] for k in numbers))
+
+
+def frames_within(files: NumberedFiles, count: int, reported_by: Path, ledger: Ledger) -> NumberedFiles:
+    """The files whose numbers are below the count of times; others are faults, and left out in a lenient reading.
+
+    Raises:
+        DataError: a file has no time.
+    """
+    beyond = int((files.numbers >= count).sum())
+    if not beyond:
+        return files
+    problem = (
+        f"{len(files)} files up to number {int(files.numbers[-1])} for {count} times of {reported_by.name}; "
+        "expected a time for each"
+    )
+    ledger.fault("files-without-time", DataError(files.folder, "", problem), count=beyond)
+    return files.only([number < count for number in files.numbers.tolist()])
+
+
+def note_unread(folder: Path, known: Iterable[str], ledger: Ledger) -> None:
+    """Report of what lies in a folder beside what is read of it; hidden and explaining files are no matter."""
+    names = set(known)
+    with file_faults(folder):
+        others = sorted(path.name for path in folder.iterdir() if path.name not in names)
+    others = [name for name in others if not name.startswith((".", "README", "readme"))]
+    if others:
+        shown = ", ".join(others[:_NUMBERED_SHOWN]) + (", …" if len(others) > _NUMBERED_SHOWN else "")
+        message = f"nothing is read of {shown}"
+        ledger.note(WarningKind.SKIPPED, "not-read", str(folder), message, count=len(others))
+
+
+_NUMBERED_SHOWN = 5
+
+
+def sequences_called(sequences: Iterable[str], wanted: str) -> list[str]:
+    """Those of some sequences that a name means; its leading zeros need not be stated."""
+    return [name for name in sequences if wanted and wanted.lstrip("0") == name.lstrip("0")]
+
+
+def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) -> str:
+    """The only sequence, or the wanted one; leading zeros need not be stated.
+
+    Raises:
+        OptionError: there are several and none was chosen, or the chosen one is not there.
+    """
+    names = ", ".join(sequences) or "none"
+    if wanted is not None:
+        chosen = sequences_called(sequences, wanted)
+        if len(chosen) != 1:
+            raise OptionError(f"sequence {wanted!r}: {path} has {names}")
+        return chosen[0]
+    if len(sequences) != 1:
+        raise OptionError(f"{path} has several sequences: {names}; choose one with `--sequence NAME`")
+    return sequences[0]

@@ -1,1 +1,0 @@
-"""KITTI's tracking benchmark: sequences with labelled tracks."""

@@ -1,0 +1,695 @@
+"""The cameras of a log: raw and compressed images, depth, videos of one image a message, and camera models."""
+
+import io
+import json
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from threading import Lock
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array
+from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.errors import CalibrationError, DataError, UnknownFormatError
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.files import FileView
+from sceneloom.formats.base.images import EncodedImage, image_size
+from sceneloom.formats.messages.records import (
+    CameraModelRecord,
+    CompressedImageRecord,
+    ImageRecord,
+    Kind,
+    Topic,
+    TopicLog,
+)
+from sceneloom.formats.messages.survey import Survey, in_order, nearest
+from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, VideoContent
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.warnings import WarningKind
+
+if TYPE_CHECKING:
+    from sceneloom.formats.video.reader import VideoReader
+
+MILLIMETRE = 0.001
+"""Metres per step of depths in whole numbers. Source: REP 118, "Depth Images"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Encoding:
+    """How pixels stand in the bytes.
+
+    Attributes:
+        dtype: of each value.
+        values: of each pixel.
+        order: which of them are red, green and blue; () for depths.
+        bayer: colours of the two first pixels of the two first rows, "" for none.
+    """
+
+    dtype: str
+    values: int = 1
+    order: tuple[int, ...] = (0, 0, 0)
+    bayer: str = ""
+
+
+def _bayer() -> dict[str, Encoding]:
+    return {
+        f"bayer_{pattern}{suffix}": Encoding(dtype, bayer=pattern)
+        for pattern in ("rggb", "bggr", "gbrg", "grbg")
+        for suffix, dtype in (("8", "u1"), ("16", "u2"))
+    }
+
+
+_ENCODINGS: Mapping[str, Encoding] = MappingProxyType(
+    {
+        "rgb8": Encoding("u1", 3, (0, 1, 2)),
+        "bgr8": Encoding("u1", 3, (2, 1, 0)),
+        "rgba8": Encoding("u1", 4, (0, 1, 2)),
+        "bgra8": Encoding("u1", 4, (2, 1, 0)),
+        "rgb16": Encoding("u2", 3, (0, 1, 2)),
+        "bgr16": Encoding("u2", 3, (2, 1, 0)),
+        "mono8": Encoding("u1"),
+        "mono16": Encoding("u2"),
+        "8UC1": Encoding("u1"),
+        "8UC3": Encoding("u1", 3, (2, 1, 0)),
+        "8UC4": Encoding("u1", 4, (2, 1, 0)),
+        "16UC1": Encoding("u2", order=()),
+        "32FC1": Encoding("f4", order=()),
+        **_bayer(),
+    }
+)
+"""Source: sensor_msgs/image_encodings.hpp of ROS; the schema RawImage of Foxglove takes the same names."""
+
+
+def _encoding_of(record: ImageRecord, owner: str, location: str) -> Encoding:
+    """Find the encoding of a message.
+
+    Raises:
+        UnknownFormatError: it is unknown.
+    """
+    encoding = _ENCODINGS.get(record.encoding)
+    if encoding is None:
+        known = ", ".join(_ENCODINGS)
+        raise UnknownFormatError(owner, location, f"encoding {record.encoding!r}; expected one of {known}")
+    return encoding
+
+
+def _values_of(record: ImageRecord, owner: str, location: str) -> AnyArray:
+    """Give the values of all pixels, (height, width, K) of the encoding's dtype, in native byte order.
+
+    Raises:
+        DataError: the encoding is unknown, or the bytes do not fit the size.
+    """
+    encoding = _encoding_of(record, owner, location)
+    dtype = np.dtype(encoding.dtype).newbyteorder(">" if record.big_endian else "<")
+    row = record.width * encoding.values * dtype.itemsize
+    step = record.step or row
+    if record.width <= 0 or record.height <= 0 or step < row or len(record.data) < record.height * step:
+        problem = (
+            f"{len(record.data)} bytes in rows of {step} for {record.width}x{record.height} pixels of "
+            f"{record.encoding}; expected rows of {row} or more, and all of them"
+        )
+        raise DataError(owner, location, problem)
+    content = np.frombuffer(record.data, np.uint8, record.height * step).reshape(record.height, step)
+    values = np.ascontiguousarray(content[:, :row]).view(dtype)
+    native = values.astype(dtype.newbyteorder("="), copy=False)
+    return native.reshape(record.height, record.width, encoding.values)
+
+
+def image_of(record: ImageRecord, owner: str, location: str) -> UInt8Array:
+    """Give an image, (height, width, 3) uint8 red green blue; of 16 bits the upper eight.
+
+    Raises:
+        DataError: as for `_values_of`, or the pixels are depths.
+    """
+    encoding = _encoding_of(record, owner, location)
+    if not encoding.order:
+        raise DataError(owner, location, f"encoding {record.encoding!r} is of depths; expected an image")
+    values = _values_of(record, owner, location)
+    if values.dtype == np.uint16:
+        values = (values >> 8).astype(np.uint8)
+    if encoding.bayer:
+        return _colours(values[:, :, 0], encoding.bayer)
+    return np.ascontiguousarray(values[:, :, list(encoding.order)])
+
+
+def _depth_of(record: ImageRecord, owner: str, location: str) -> Float32Array:
+    """Give depths, (height, width) float32 [m], 0 for none.
+
+    Raises:
+        DataError: as for `_values_of`.
+    """
+    values = _values_of(record, owner, location)[:, :, 0]
+    if values.dtype == np.uint16:
+        return (values * np.float64(MILLIMETRE)).astype(np.float32)
+    return cast("Float32Array", np.where(np.isfinite(values) & (values > 0), values, np.float32(0)))
+
+
+def _colours(mosaic: UInt8Array, pattern: str) -> UInt8Array:
+    """Give each pixel the colours that it lacks as means of the nearest pixels that have them."""
+    height, width = mosaic.shape
+    image = np.empty((height, width, 3), np.uint8)
+    for channel, letter in enumerate("rgb"):
+        mask = np.zeros((height, width), np.uint16)
+        for location, colour in enumerate(pattern):
+            if colour == letter:
+                mask[location // 2 :: 2, location % 2 :: 2] = 1
+        image[:, :, channel] = _filled(mosaic.astype(np.uint16), mask)
+    return image
+
+
+def _filled(values: AnyArray, mask: AnyArray) -> AnyArray:
+    """Keep the values where the mask is 1, and give the others the mean of those around, side before corner."""
+    sums, counts = _around(values * mask), _around(mask)
+    means = (sums + counts // 2) // np.maximum(counts, 1)
+    return np.where(mask, values, means).astype(np.uint8)
+
+
+def _around(values: AnyArray) -> AnyArray:
+    """Sums over three by three pixels, weighted 1 2 1 both ways, as bilinear interpolation does."""
+    padded = np.pad(values, 1)
+    rows: AnyArray = padded[:-2] + 2 * padded[1:-1] + padded[2:]
+    return cast("AnyArray", rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:])
+
+
+_UNKNOWN = "unknown"
+"""Model of cameras without a calibration: images can be looked at, and nothing can be projected."""
+
+_OUR_PREFIX = "sceneloom:"
+"""Begins the names of models that only we know, in calibrations of ours."""
+
+_READ: Mapping[str, tuple[str, int]] = MappingProxyType(
+    {
+        "": ("brown_conrady", 5),
+        "none": ("brown_conrady", 5),
+        "pinhole": ("brown_conrady", 5),
+        "plumb_bob": ("brown_conrady", 5),
+        "rational_polynomial": ("brown_conrady", 14),
+        "equidistant": ("fisheye", 4),
+        "fisheye": ("fisheye", 4),
+        "kannala_brandt": ("fisheye", 4),
+    }
+)
+"""Our model of each name, and how many coefficients it may have."""
+
+_TOLERANCE = 1e-9
+
+
+def _no_camera_model(width: int, height: int) -> Camera:
+    """The camera model of a camera without a calibration."""
+    return Camera(_UNKNOWN, width, height, 1.0, 1.0, (width - 1) / 2, (height - 1) / 2)
+
+
+def read_camera_model(record: CameraModelRecord, owner: str, location: str, ledger: Ledger) -> Camera | None:
+    """Read a calibration; None for one that says that the camera is not calibrated.
+
+    Raises:
+        UnknownFormatError: the model is unknown.
+        DataError: its numbers are none.
+    """
+    k = record.k
+    if len(k) != 9:
+        raise DataError(owner, location, f"K of {len(k)} numbers; expected 9")
+    if k[0] == 0.0:
+        return None
+    model, coefficients = _model(record, owner, location)
+    if abs(k[1]) > _TOLERANCE * abs(k[0]):
+        message = f"skew {k[1]:g} of K is not used"
+        ledger.note(WarningKind.SKIPPED, "camera-model-skew", f"{owner}: {location}", message)
+    try:
+        return Camera(model, record.width, record.height, k[0], k[4], k[2], k[5], coefficients)
+    except CalibrationError as error:
+        raise DataError(owner, location, str(error)) from None
+
+
+def _model(record: CameraModelRecord, owner: str, location: str) -> tuple[str, tuple[float, ...]]:
+    named = record.model.strip()
+    own = named.removeprefix(_OUR_PREFIX)
+    if named.startswith(_OUR_PREFIX) and own in MODELS:
+        return own, record.coefficients
+    if named.lower() not in _READ:
+        known = ", ".join(filter(None, _READ))
+        problem = f"{record.model!r}; expected one of {known}"
+        raise UnknownFormatError(owner, f"{location}.distortion_model", problem)
+    model, most = _READ[named.lower()]
+    numbers = record.coefficients
+    while len(numbers) > most and numbers[-1] == 0.0:
+        numbers = numbers[:-1]
+    if len(numbers) > most:
+        problem = f"{len(numbers)} coefficients of {named or 'a camera model without model'}; expected at most {most}"
+        raise DataError(owner, f"{location}.D", problem)
+    if model == "fisheye":
+        return model, (*numbers, *(0.0,) * (most - len(numbers)))
+    if not any(numbers):
+        return "pinhole", ()
+    if len(numbers) > 8:
+        # s1-s4 and the tilt come after k6; in our model after lx and ly, which OpenCV does not have
+        numbers = (*numbers[:8], 0.0, 0.0, *numbers[8:])
+    return model, numbers
+
+
+def camera_model_record(camera: Camera, timestamp_ns: int, frame_id: str, fisheye: str) -> CameraModelRecord:
+    """Put a camera model into the words of calibrations.
+
+    Args:
+        camera: the camera model; a model that the words do not know is named as only we understand.
+        timestamp_ns: since when [ns].
+        frame_id: of the camera.
+        fisheye: what the format calls an OpenCV fisheye camera model.
+    """
+    model, numbers = _written_model(camera, fisheye)
+    k = tuple(float(value) for value in camera.matrix.reshape(-1))
+    if camera.model == _UNKNOWN:
+        k = (0.0,) * 9
+    p = (*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0)
+    return CameraModelRecord(timestamp_ns, frame_id, camera.width, camera.height, model, numbers, k, p)
+
+
+def _written_model(camera: Camera, fisheye: str) -> tuple[str, tuple[float, ...]]:
+    numbers = camera.coefficients
+    padded = (*numbers, *(0.0,) * 16)
+    if camera.model in {"pinhole", _UNKNOWN}:
+        return "plumb_bob", (0.0,) * 5
+    if camera.model == "fisheye":
+        return fisheye, padded[:4]
+    if camera.model == "brown_conrady" and not any(padded[8:]):
+        return ("rational_polynomial", padded[:8]) if len(numbers) > 5 else ("plumb_bob", padded[:5])
+    return f"{_OUR_PREFIX}{camera.model}", numbers
+
+
+def is_foreign(camera: Camera) -> bool:
+    """Whether other programs do not know the camera model."""
+    return _written_model(camera, "")[0].startswith(_OUR_PREFIX)
+
+
+def _fitted(camera: Camera, size: tuple[int, int], location: str, ledger: Ledger) -> Camera:
+    """Fit a camera model to the size of the images, with a warning where it is for another one."""
+    if (camera.width, camera.height) == size:
+        return camera
+    message = (
+        f"the calibration is for {camera.width}x{camera.height}, the images are {size[0]}x{size[1]}; "
+        "the camera model was scaled"
+    )
+    ledger.note(WarningKind.REPAIRED, "camera-model-scaled", location, message)
+    return replace(_no_camera_model(*size)) if camera.model == _UNKNOWN else camera.resized(*size)
+
+
+def camera_model_text(camera: Camera) -> str:
+    """A camera model as JSON, for notes of ours."""
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
+    return json.dumps([camera.model, camera.width, camera.height, numbers, list(camera.coefficients)])
+
+
+def camera_model_from_text(text: str) -> Camera:
+    """The camera model of `camera_model_text`."""
+    model, width, height, numbers, coefficients = json.loads(text)
+    fx, fy, cx, cy = numbers
+    return Camera(model, width, height, fx, fy, cx, cy, tuple(coefficients))
+
+
+_CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
+"""Codecs that are read from messages, by the words of messages, and as FFmpeg calls them."""
+
+
+class _MessageVideo:
+    """The video of a topic: put into an mp4 file of no name when its first image is asked for.
+
+    Attributes:
+        log: that the messages are in.
+        topic: that they are of.
+        rows: (N,) int64, number of each message in its topic, in the order in which they are decoded.
+        timestamps_ns: (N,) int64 [ns], of the messages in the same order.
+        codec: as FFmpeg calls it.
+    """
+
+    def __init__(
+        self, log: TopicLog, topic: Topic, rows: Int64Array, timestamps_ns: Int64Array, codec: str
+    ) -> None:
+        """Read nothing yet."""
+        self.log, self.topic, self.rows, self.timestamps_ns, self.codec = (
+            log,
+            topic,
+            rows,
+            timestamps_ns,
+            codec,
+        )
+        self._begin()
+
+    def _begin(self) -> None:
+        self._file: BinaryIO | None = None
+        self._reader: VideoReader | None = None
+        self._lock = Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("log", "topic", "rows", "timestamps_ns", "codec")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._begin()
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"{self.log.name}: {self.topic.name}"
+
+    def packets(self) -> Iterator[memoryview]:
+        """The bytes of each message, in the order in which they are decoded."""
+        for row in self.rows.tolist():
+            record = self.log.read(self.topic, row)[0]
+            if not isinstance(record, CompressedImageRecord) or _CODECS.get(record.form) != self.codec:
+                form = getattr(record, "form", "no image")
+                problem = f"{form!r}; expected {self.codec} as the first message"
+                raise DataError(self.log.name, f"{self.topic.name}[{row}]", problem)
+            yield record.data
+
+    def open(self) -> BinaryIO:
+        """Open the video as a file of its own."""
+        with self._lock:
+            if self._file is None:
+                self._file = self._made()
+            return cast("BinaryIO", io.BufferedReader(FileView(self._file)))
+
+    def size(self) -> tuple[int, int]:
+        """Width and height of its images [px]."""
+        reader = self._opened()
+        return reader.width, reader.height
+
+    def rgb(self, k: int) -> UInt8Array:
+        """Decode the image that is shown as number `k`."""
+        return self._opened().rgb(k)
+
+    def content(self) -> VideoContent:
+        """The video for those who copy it."""
+        return VideoContent(self.open, self.codec)
+
+    def close(self) -> None:
+        """Release the file."""
+        with self._lock:
+            reader, file, self._reader, self._file = self._reader, self._file, None, None
+        if reader is not None:
+            reader.close()
+        if file is not None:
+            file.close()
+
+    def _opened(self) -> "VideoReader":
+        from sceneloom.formats.video.reader import VideoReader
+
+        reader = self._reader
+        if reader is None:
+            reader = self._reader = VideoReader(self.open, name=self.name)
+            if reader.count != len(self.rows):
+                problem = f"{reader.count} images in {len(self.rows)} messages; expected one in each"
+                raise DataError(self.log.name, self.topic.name, problem)
+        return reader
+
+    def _made(self) -> BinaryIO:
+        """Put the packets into a file, with the times that the messages state."""
+        from sceneloom.formats.video.remux import annex_b_to_mp4
+
+        with tempfile.TemporaryFile() as raw:
+            for packet in self.packets():
+                raw.write(packet)
+            target = cast("BinaryIO", tempfile.TemporaryFile())  # noqa: SIM115 - it stays open with the video
+            try:
+                annex_b_to_mp4(cast("BinaryIO", raw), target, self.timestamps_ns, self.name)
+            except BaseException:
+                target.close()
+                raise
+        return target
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _VideoImages:
+    """Makes the images of a camera from a video of messages.
+
+    Attributes:
+        video: of the topic.
+        timestamps_ns: (N,) int64 [ns], in the order of showing.
+        camera_model_at: gives the camera model at a time.
+    """
+
+    video: _MessageVideo
+    timestamps_ns: Int64Array
+    camera_model_at: Callable[[int], Camera]
+
+    def __call__(self, k: int) -> CameraImage:
+        """Make image `k` without decoding it."""
+        timestamp_ns = int(self.timestamps_ns[k])
+        return CameraImage(timestamp_ns, self.camera_model_at(timestamp_ns), partial(self.video.rgb, k))
+
+
+_MARKS = {b"\xff\xd8\xff": "jpeg", b"\x89PN": "png"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraModels:
+    """The camera models of a camera over time.
+
+    Attributes:
+        since_ns: (N,) int64 [ns], ascending.
+        cameras: from each time on; the first before, too.
+    """
+
+    since_ns: Int64Array
+    cameras: tuple[Camera, ...]
+
+    def at(self, timestamp_ns: int) -> Camera:
+        """The camera model at a time."""
+        row = int(np.searchsorted(self.since_ns, timestamp_ns, side="right")) - 1
+        return self.cameras[max(row, 0)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageReader:
+    """Makes the images of a topic.
+
+    Attributes:
+        log: that the messages are in.
+        topic: that they are of.
+        rows: (N,) int64, number of each message in its topic.
+        timestamps_ns: (N,) int64 [ns].
+        camera_models: of the camera.
+    """
+
+    log: TopicLog
+    topic: Topic
+    rows: Int64Array
+    timestamps_ns: Int64Array
+    camera_models: CameraModels
+
+    def __call__(self, k: int) -> CameraImage:
+        """Make image `k` without reading it."""
+        timestamp_ns = int(self.timestamps_ns[k])
+        camera_model, encoded = self.camera_models.at(timestamp_ns), None
+        if self.topic.kind is Kind.COMPRESSED_IMAGE:
+            encoded = partial(self.file, k)
+        return CameraImage(timestamp_ns, camera_model, partial(self.rgb, k), encoded=encoded)
+
+    def location(self, k: int) -> str:
+        """Where the message of image `k` stands, for messages."""
+        return f"{self.topic.name}[{int(self.rows[k])}]"
+
+    def record(self, k: int) -> Any:
+        """Read the message of image `k`."""
+        return self.log.read(self.topic, int(self.rows[k]))[0]
+
+    def file(self, k: int) -> bytes:
+        """The file of image `k`."""
+        return bytes(self.record(k).data)
+
+    def rgb(self, k: int) -> UInt8Array:
+        """Decode image `k`.
+
+        Raises:
+            DataError: it is damaged, or of another size than its camera model.
+        """
+        record, camera_model = self.record(k), self.camera_models.at(int(self.timestamps_ns[k]))
+        if isinstance(record, ImageRecord):
+            image = image_of(record, self.log.name, self.location(k))
+            if image.shape[:2] != (camera_model.height, camera_model.width):
+                problem = f"an image of {record.width}x{record.height}; expected {camera_model.width}x{camera_model.height}"
+                raise DataError(self.log.name, self.location(k), problem)
+            return image
+        form = _image_form(record, self.log.name, self.location(k))
+        file = EncodedImage(
+            bytes(record.data), form, camera_model.width, camera_model.height, self.log.name, self.location(k)
+        )
+        return file()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthReader:
+    """Makes the images of a camera that measures depth; fields as in `ImageReader`."""
+
+    images: ImageReader
+    scale: float | None
+
+    def __call__(self, k: int) -> DepthFrame:
+        """Make image `k` without reading it."""
+        timestamp_ns = int(self.images.timestamps_ns[k])
+        return DepthFrame(
+            timestamp_ns, self.images.camera_models.at(timestamp_ns), partial(self.depth, k), self.scale
+        )
+
+    def depth(self, k: int) -> Float32Array:
+        """Decode image `k`."""
+        return _depth_of(self.images.record(k), self.images.log.name, self.images.location(k))
+
+
+def _image_form(record: CompressedImageRecord, owner: str, location: str) -> str:
+    """The form of an image's file, by how it begins.
+
+    Raises:
+        UnknownFormatError: it is neither JPEG nor PNG.
+    """
+    form = _MARKS.get(bytes(record.data[:3]))
+    if form is None:
+        problem = f"an image of format {record.form!r} that begins as no JPEG or PNG file does; expected one of these"
+        raise UnknownFormatError(owner, location, problem)
+    return form
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraDraft:
+    """A camera before it is placed.
+
+    Attributes:
+        topic: of its images.
+        frame_id: of the camera.
+        camera_model: of the camera.
+        frames: its images or depth images.
+        is_depth: whether it measures depth.
+        video: the encoded video, where there is one.
+    """
+
+    topic: Topic
+    frame_id: str
+    camera_model: Camera
+    frames: Any
+    is_depth: bool
+    video: _MessageVideo | None = None
+
+    def sensor(self, sensor_id: str | int, **fields: Any) -> CameraSensor | DepthCameraSensor:
+        """The sensor, with further fields."""
+        if self.is_depth:
+            return DepthCameraSensor(sensor_id, self.camera_model, self.frames, **fields)
+        content: VideoContent | None = None if self.video is None else self.video.content()
+        return CameraSensor(sensor_id, self.camera_model, self.frames, video=content, **fields)
+
+
+def draft_camera(survey: Survey, topic: Topic, camera_model_topic: Topic | None) -> CameraDraft:
+    """Find out what a topic of images shows; its first message is read.
+
+    Raises:
+        DataError: the first message is damaged, or the camera model is.
+        UnknownFormatError: the images are of a form that is not read.
+    """
+    timestamps = survey.times_ns[topic.number]
+    location = f"{survey.log.name}: {topic.name}"
+    if topic.kind is Kind.VIDEO:
+        return _draft_video(survey, topic, camera_model_topic, timestamps, location)
+    rows = in_order(timestamps, location, survey.ledger)
+    first: Any = survey.log.read(topic, int(rows[0]))[0]
+    owner, where = survey.log.name, f"{topic.name}[{int(rows[0])}]"
+    if isinstance(first, ImageRecord):
+        is_depth, size = not _encoding_of(first, owner, where).order, (first.width, first.height)
+    else:
+        form = _image_form(first, owner, where)
+        is_depth, size = False, image_size(bytes(first.data), form, owner=owner, location=where)
+    camera_models = _camera_models(survey, camera_model_topic, size, location)
+    reader = ImageReader(survey.log, topic, rows, timestamps[rows], camera_models)
+    make: Callable[[int], Any] = reader
+    if is_depth:
+        make = DepthReader(reader, MILLIMETRE if first.encoding == "16UC1" else None)
+    frames = LazyFrames(timestamps[rows], make)
+    return CameraDraft(topic, first.frame_id, camera_models.cameras[0], frames, is_depth)
+
+
+def _draft_video(
+    survey: Survey, topic: Topic, camera_model_topic: Topic | None, timestamps: Int64Array, location: str
+) -> CameraDraft:
+    from sceneloom.formats.video.remux import starts_video
+
+    skipped, first = 0, None
+    for skipped in range(len(timestamps)):
+        record: Any = survey.log.read(topic, skipped)[0]
+        if record.form not in _CODECS:
+            problem = f"format {record.form!r}; expected one of {', '.join(_CODECS)}"
+            raise UnknownFormatError(survey.log.name, f"{topic.name}[{skipped}].format", problem)
+        if starts_video(record.data, _CODECS[record.form]):
+            first = record
+            break
+    if first is None:
+        problem = f"none of {len(timestamps)} messages holds the parameters of a video, without which none is decoded"
+        raise DataError(survey.log.name, topic.name, problem)
+    if skipped:
+        message = "images before the first that can be decoded without others"
+        survey.ledger.note(WarningKind.SKIPPED, "video-begins-late", location, message, count=skipped)
+    rows = np.arange(skipped, len(timestamps), dtype=np.int64)
+    video = _MessageVideo(survey.log, topic, rows, timestamps[rows], _CODECS[first.form])
+    size = _video_size(bytes(first.data), location)
+    camera_models = _camera_models(survey, camera_model_topic, size, location)
+    shown = np.sort(timestamps[rows], kind="stable")
+    frames = LazyFrames(shown, _VideoImages(video, shown, camera_models.at))
+    return CameraDraft(topic, first.frame_id, camera_models.cameras[0], frames, is_depth=False, video=video)
+
+
+def _video_size(packet: bytes, name: str) -> tuple[int, int]:
+    """Width and height of the image in the first packet of a video [px]."""
+    from sceneloom.formats.video.index import OpenVideo
+
+    opened = OpenVideo(packet, name)
+    try:
+        decoder = opened.stream.codec_context
+        return decoder.width, decoder.height
+    finally:
+        opened.close()
+
+
+def _camera_models(survey: Survey, topic: Topic | None, size: tuple[int, int], location: str) -> CameraModels:
+    """The camera models of a topic, fitted to the size of the images."""
+    found: dict[int, Camera] = {}
+    records = [] if topic is None else survey.of(topic, CameraModelRecord)
+    for k, record in enumerate(records):
+        if k > 0 and _same(records[k - 1], record):
+            continue
+        where = "" if topic is None else f"{topic.name}[{k}]"
+        try:
+            camera_model = read_camera_model(record, survey.log.name, where, survey.ledger)
+        except UnknownFormatError as error:
+            survey.ledger.note(
+                WarningKind.SKIPPED, "camera-model-unknown", f"{error.file}: {error.location}", error.problem
+            )
+            continue
+        if camera_model is not None:
+            found[record.timestamp_ns] = _fitted(camera_model, size, location, survey.ledger)
+    if not found:
+        message = (
+            "no calibration: the images can be looked at, and nothing can be projected into them"
+            if topic is None
+            else f"{topic.name} reports no camera model that is known; nothing can be projected into the images"
+        )
+        survey.ledger.note(WarningKind.SKIPPED, "camera-model-missing", location, message)
+        return CameraModels(np.zeros(1, np.int64), (_no_camera_model(*size),))
+    since = sorted(found)
+    return CameraModels(np.array(since, np.int64), tuple(found[time_ns] for time_ns in since))
+
+
+def _same(a: CameraModelRecord, b: CameraModelRecord) -> bool:
+    return (a.width, a.height, a.model, a.coefficients, a.k) == (
+        b.width,
+        b.height,
+        b.model,
+        b.coefficients,
+        b.k,
+    )
+
+
+def camera_model_topic_of(topic: Topic, camera_model_topics: Sequence[Topic]) -> Topic | None:
+    """The topic of camera models that stands beside a topic of images."""
+    by_name: Mapping[str, Topic] = MappingProxyType({other.name: other for other in camera_model_topics})
+    name = nearest(topic.name, by_name)
+    return None if name is None else by_name[name]

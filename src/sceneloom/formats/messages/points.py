@@ -1,0 +1,754 @@
+"""Messages of points as sweeps of a lidar or cycles of a radar, and back: packed fields, times of points."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Int64Array, read_only
+from sceneloom.errors import DataError
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.messages.frames import Locations
+from sceneloom.formats.messages.records import CloudRecord, Losses, PackedField, Stated, Topic, TopicLog
+from sceneloom.formats.messages.survey import Survey, in_order
+from sceneloom.formats.points.cloud import MOST_POINTS, Cloud, find_roles, unique_names
+from sceneloom.formats.points.mapping import (
+    UNITS_NS,
+    IntensityScale,
+    PointMapping,
+    PointTimes,
+    SweepClock,
+    detect_scale,
+    points_of,
+)
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.clouds import (
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    PointsSensor,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+    grey_where_unseen,
+    white_where_unseen,
+)
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.warnings import WarningKind
+
+_PADDING = "_"
+
+
+def _unpack(record: CloudRecord, owner: str, location: str) -> Cloud:
+    """Take the points of a message apart into columns.
+
+    Args:
+        record: the message.
+        owner: what messages call the log.
+        location: which message it is.
+
+    Raises:
+        DataError: a field reaches beyond the point, or there are fewer bytes than points.
+    """
+    rows = _checked_rows(record, owner, location)
+    names = unique_names([field.name for field in record.fields])
+    columns = {
+        name: _column(rows, field)
+        for name, field in zip(names, record.fields, strict=True)
+        if not name.startswith(_PADDING)
+    }
+    return Cloud(Path(owner), len(rows), columns)
+
+
+def _checked_rows(record: CloudRecord, owner: str, location: str) -> AnyArray:
+    """(N, stride) uint8, the bytes of each point.
+
+    Raises:
+        DataError: a field reaches beyond the point, or there are fewer bytes than points.
+    """
+    stride = record.stride
+    if stride <= 0 and (len(record.data) or record.count):
+        raise DataError(owner, location, f"{stride} bytes from point to point; expected a positive number")
+    for field in record.fields:
+        end = field.offset + field.dtype.itemsize * field.count
+        if field.offset < 0 or end > stride:
+            problem = (
+                f"field {field.name!r} takes bytes {field.offset} to {end} of each point, which has {stride}; "
+                "expected fields inside the point"
+            )
+            raise DataError(owner, location, problem)
+    return _rows(record, owner, location)
+
+
+def _rows(record: CloudRecord, owner: str, location: str) -> AnyArray:
+    """(N, stride) uint8, the bytes of each point; a view."""
+    stride = max(record.stride, 1)
+    content = np.frombuffer(record.data, np.uint8)
+    count = len(content) // stride if record.count is None else record.count
+    if not 0 <= count <= MOST_POINTS:
+        raise DataError(owner, location, f"{count} points; expected 0 to {MOST_POINTS}")
+    if record.row_bytes is not None and record.row_bytes[0] != record.row_bytes[1] * stride:
+        return _uneven_rows(content, record.row_bytes, stride, count, owner, location)
+    if len(content) < count * stride:
+        problem = f"{len(content)} bytes for {count} points of {stride}; expected {count * stride}"
+        raise DataError(owner, location, problem)
+    return content[: count * stride].reshape(count, stride)
+
+
+def _uneven_rows(
+    content: AnyArray, row_bytes: tuple[int, int], stride: int, count: int, owner: str, location: str
+) -> AnyArray:
+    """Points in rows that are longer than their points."""
+    length, width = row_bytes
+    height = count // width if width else 0
+    if length < width * stride or len(content) < height * length:
+        problem = (
+            f"{height} rows of {length} bytes for {width} points of {stride}, {len(content)} bytes in all; "
+            f"expected rows of {width * stride} or more, and all of them"
+        )
+        raise DataError(owner, location, problem)
+    rows = content[: height * length].reshape(height, length)[:, : width * stride]
+    return np.ascontiguousarray(rows).reshape(count, stride)
+
+
+def _column(rows: AnyArray, field: PackedField) -> AnyArray:
+    shape = (len(rows),) if field.count == 1 else (len(rows), field.count)
+    strides = (rows.strides[0], field.dtype.itemsize)[: len(shape)]
+    if len(rows) == 0:
+        return np.zeros(shape, field.dtype.newbyteorder("="))
+    # numbers picked out of the points one by one: copying the bytes of each takes ten times as long
+    column = np.ndarray(shape, field.dtype, rows, field.offset, strides)
+    native: AnyArray = column.astype(field.dtype.newbyteorder("="), order="C")
+    return native
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedPoints:
+    """Points on their trajectory into a message: the bytes, and what is where in them."""
+
+    fields: tuple[PackedField, ...]
+    stride: int
+    count: int
+    data: memoryview
+
+
+def pack(columns: Mapping[tuple[str, ...], AnyArray], count: int) -> PackedPoints:
+    """Lay columns side by side, little-endian, without gaps, in their order.
+
+    Args:
+        columns: each (count,), or several that lie side by side already, (count, k), by their k names.
+        count: how many points there are.
+    """
+    stride = sum(len(names) * column.itemsize for names, column in columns.items())
+    table = np.empty((count, stride), np.uint8)
+    fields: list[PackedField] = []
+    offset = 0
+    for names, column in columns.items():
+        dtype = column.dtype.newbyteorder("<")
+        fields += [PackedField(name, offset + k * dtype.itemsize, dtype) for k, name in enumerate(names)]
+        items = _whole_items(column.astype(dtype, copy=False))
+        if count:  # no view may begin within an empty table
+            np.ndarray((count,), items.dtype, table, offset, (stride,))[:] = items
+        offset += items.itemsize
+    return PackedPoints(tuple(fields), stride, count, table.reshape(-1).data)
+
+
+def _whole_items(column: AnyArray) -> AnyArray:
+    """What stands in a row, (N,): numbers, or several of them as bytes, which are copied in a third of the time."""
+    if column.ndim == 1:
+        return column
+    rows = np.ascontiguousarray(column)
+    return rows.view(f"V{rows.shape[1] * rows.itemsize}").reshape(-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _KeptPoints:
+    """The points of a message of ours, which can be copied into another as they are.
+
+    Attributes:
+        reader: of the message.
+        row: number of the sweep.
+        record: the message.
+        count: how many points it has.
+    """
+
+    reader: "_CloudReader"
+    row: int
+    record: CloudRecord
+    count: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def unpacked(self) -> LidarPoints:
+        """Take them apart.
+
+        Raises:
+            DataError: a time is impossible.
+        """
+        return self.reader.unpacked(self.row, self.record)[0]
+
+
+def _can_be_kept(record: CloudRecord) -> bool:
+    """Whether a message is as we write them: nothing in it has to be brought to another scale or location."""
+    intensity = next((field for field in record.fields if field.name == "intensity"), None)
+    return (
+        (record.frame_from_points is None or np.array_equal(record.frame_from_points.matrix, np.eye(4)))
+        and record.row_bytes is None
+        and (intensity is None or intensity.dtype.str[1:] in ("u1", "f4"))
+    )
+
+
+def kept_record(points: LidarPoints, timestamp_ns: int) -> CloudRecord | None:
+    """The message that points of a sweep of that time stand in, where it can be copied as it is."""
+    packed = points.packed_records()
+    if not isinstance(packed, _KeptPoints) or packed.record.timestamp_ns != timestamp_ns:
+        return None
+    return packed.record
+
+
+_LONGEST_SWEEP_NS = 1_500_000_000
+"""No lidar rotates more slowly."""
+
+_SHORTEST_SWEEP_NS = 1_000_000
+"""Times over less than this are not those of a sweep, but one time with noise."""
+
+_USUAL_SWEEP_NS = 100_000_000
+
+_ORDERS = {
+    "f": ("seconds", "milliseconds", "microseconds", "nanoseconds"),
+    "i": ("nanoseconds", "microseconds", "milliseconds", "seconds"),
+    "u": ("nanoseconds", "microseconds", "milliseconds", "seconds"),
+}
+"""Units by kind of number, the likeliest first."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundTimes:
+    """What the times of points mean, and where the first and last of a sweep lie from its timestamp [ns]."""
+
+    meaning: PointTimes
+    first_ns: int
+    last_ns: int
+
+
+def _find_point_times(
+    name: str, values: AnyArray, timestamp_ns: int, sweep_ns: int | None
+) -> FoundTimes | None:
+    """Find the unit and the zero of a column of times.
+
+    They have to lie within one and a half seconds of the timestamp, over a millisecond or more. Of several readings,
+    the one whose sweep lasts most nearly as long as it takes from timestamp to timestamp counts.
+
+    Args:
+        name: of the column.
+        values: (N,) of the points with a return.
+        timestamp_ns: of the message [ns].
+        sweep_ns: from message to message [ns], where that is known.
+
+    Returns:
+        None where no unit fits.
+    """
+    if values.ndim != 1 or values.dtype.kind not in _ORDERS or len(values) < 2:
+        return None
+    exact = values.dtype.kind != "f"
+    low, high = values.min(), values.max()
+    if not exact and not (np.isfinite(low) and np.isfinite(high)):
+        return None
+    found: list[tuple[float, int, FoundTimes]] = []
+    for order, unit in enumerate(_ORDERS[values.dtype.kind]):
+        for rank, (reference, zero_ns) in enumerate((("timestamp", 0), ("clock", timestamp_ns))):
+            first, last = (
+                _nanoseconds(value, UNITS_NS[unit], exact=exact) - zero_ns for value in (low, high)
+            )
+            if max(abs(first), abs(last)) > _LONGEST_SWEEP_NS or last - first < _SHORTEST_SWEEP_NS:
+                continue
+            badness = abs(np.log((last - first) / (sweep_ns or _USUAL_SWEEP_NS)))
+            found.append(
+                (
+                    round(float(badness), 1),
+                    order * 2 + rank,
+                    FoundTimes(PointTimes(unit, reference, name), first, last),
+                )
+            )
+    return min(found, key=lambda row: row[:2])[2] if found else None
+
+
+def _nanoseconds(value: AnyArray, unit_ns: int, *, exact: bool) -> int:
+    return int(value) * unit_ns if exact else round(float(value) * unit_ns)
+
+
+_SPEED_COLUMNS = ("velocity", "doppler", "radial_speed", "range_rate", "v_doppler_mps", "speed_radial")
+"""Names of the speed along the line of sight."""
+
+_DIRECTION_COLUMNS = ("direction_x", "direction_y", "direction_z")
+"""Names of the direction that a speed is measured along, in messages of ours."""
+
+_OLD_TIME_COLUMN = "offset_ns"
+"""Name of the times of points in messages that we wrote before `t`."""
+
+_TIME_COLUMNS: Mapping[tuple[str, str], str] = MappingProxyType(
+    {("t", "u4"): "nanoseconds", ("time", "f8"): "seconds"}
+)
+"""Names and dtypes of the times of points from their sweep's timestamp, in messages of ours, and their units.
+
+Source: `t` as the drivers of Ouster write it, `time` as those of Velodyne do, but with 64 bits; programs that read
+clouds of others (KISS-ICP, LIO-SAM) know both by their names.
+"""
+
+_OURS = PointMapping(scale=IntensityScale(255.0))
+
+_LOOKED_AT = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CloudReader:
+    """Reads messages of points.
+
+    Attributes:
+        log: that they are in.
+        topic: that they are of.
+        rows: (N,) int64, number of each message in its topic.
+        timestamps_ns: (N,) int64 [ns], as the messages state, in order.
+        starts_ns: (N,) int64 [ns], start of each sweep.
+        mapping: what the columns mean.
+        whole: whether points at the origin are points: in messages of ours they are.
+    """
+
+    log: TopicLog
+    topic: Topic
+    rows: Int64Array
+    timestamps_ns: Int64Array
+    starts_ns: Int64Array
+    mapping: PointMapping = field(default_factory=PointMapping)
+    whole: bool = False
+
+    def record(self, k: int) -> CloudRecord:
+        """Read message `k`."""
+        record = self.log.read(self.topic, int(self.rows[k]))[0]
+        if not isinstance(record, CloudRecord):
+            raise DataError(self.log.name, self.location(k), "no points; expected a cloud")
+        return record
+
+    def location(self, k: int) -> str:
+        """Where message `k` stands, for messages."""
+        return f"{self.topic.name}[{int(self.rows[k])}]"
+
+    def cloud(self, k: int) -> Cloud:
+        """Read the columns of message `k`."""
+        return _unpack(self.record(k), self.log.name, self.location(k))
+
+    def points(self, k: int) -> tuple[LidarPoints, dict[str, Any]]:
+        """Read the points of message `k`, and what was left out of them."""
+        record = self.record(k)
+        if self.whole and _can_be_kept(record):
+            rows = _checked_rows(record, self.log.name, self.location(k))
+            return LidarPoints.of_packed(_KeptPoints(self, k, record, len(rows))), {}
+        return self.unpacked(k, record)
+
+    def unpacked(self, k: int, record: CloudRecord) -> tuple[LidarPoints, dict[str, Any]]:
+        """Take the points of message `k` apart, and count what was left out of them."""
+        cloud = _unpack(record, self.log.name, self.location(k))
+        clock = SweepClock(int(self.timestamps_ns[k]), int(self.starts_ns[k]), 0)
+        mapping = _ours(cloud) if self.whole else self.mapping
+        if mapping.times is not None and mapping.times.field not in cloud.columns:
+            mapping = replace(mapping, times=None)
+        try:
+            read = points_of(cloud, mapping, clock, keep_all=self.whole)
+        except DataError as error:
+            location = ": ".join(filter(None, (self.location(k), error.location)))
+            raise DataError(self.log.name, location, error.problem) from None
+        counts = {"dropped_points": read.dropped, "clipped_intensities": read.clipped}
+        points = _placed(read.points, record.frame_from_points)
+        return self._with_cameras(points), {n: c for n, c in counts.items() if c}
+
+    def _with_cameras(self, points: LidarPoints) -> LidarPoints:
+        """Take what coloured the points out of the further columns of a message of ours."""
+        if not self.whole:
+            return points
+        further = dict(points.extras)
+        if points.colors is not None:
+            further.pop("alpha", None)  # which viewers ask for, and says nothing
+        index = points.extras.get("camera_index")
+        if index is not None and index.dtype == np.uint8:
+            colors = None if points.colors is None else white_where_unseen(points.colors, index)
+            points = replace(points, colors=colors, camera_index=further.pop("camera_index"))
+        return replace(points, extras=MappingProxyType(further))
+
+
+def _ours(cloud: Cloud) -> PointMapping:
+    """What the columns of a message of ours mean."""
+    if _OLD_TIME_COLUMN in cloud.columns:
+        return replace(_OURS, times=PointTimes("nanoseconds", "timestamp", _OLD_TIME_COLUMN))
+    for (name, dtype), unit in _TIME_COLUMNS.items():
+        if name in cloud.columns and cloud.columns[name].dtype.str[1:] == dtype:
+            return replace(_OURS, times=PointTimes(unit, "timestamp", name))
+    return _OURS
+
+
+def _placed(points: LidarPoints, frame_from_points: RigidTransform | None) -> LidarPoints:
+    if frame_from_points is None or np.array_equal(frame_from_points.matrix, np.eye(4)):
+        return points
+    return replace(points, positions=read_only(frame_from_points.apply(points.positions), np.float32))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LidarReader:
+    """Makes the sweeps of a lidar."""
+
+    clouds: _CloudReader
+
+    def __call__(self, k: int) -> LidarFrame:
+        """Read sweep `k`.
+
+        Raises:
+            DataError: its message is wrong.
+        """
+        points, extras = self.clouds.points(k)
+        return LidarFrame(int(self.clouds.starts_ns[k]), points, MappingProxyType(extras))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RadarReader:
+    """Makes the cycles of a radar, whose speeds go along the line of sight unless a message says otherwise."""
+
+    clouds: _CloudReader
+
+    def __call__(self, k: int) -> RadarFrame:
+        """Read cycle `k`.
+
+        Raises:
+            DataError: its message is wrong.
+        """
+        points, extras = self.clouds.points(k)
+        columns = dict(points.extras)
+        further = {
+            "intensity": points.intensities,
+            "ring": points.rings,
+            "camera_index": points.camera_index,
+        }
+        columns |= {name: values for name, values in further.items() if values is not None}
+        speed = _speed_column(columns)
+        lengths = None if speed is None else columns.pop(speed)
+        directions = _directions(columns, points.positions) if lengths is not None else None
+        radar = RadarPoints(
+            points.positions,
+            directions,
+            None if lengths is None else read_only(lengths, np.float32),
+            points.timestamps_ns,
+            MappingProxyType(columns),
+        )
+        return RadarFrame(int(self.clouds.starts_ns[k]), radar, MappingProxyType(extras))
+
+
+def _speed_column(columns: Mapping[str, AnyArray]) -> str | None:
+    """The column of speeds along the line of sight, or None."""
+    lower = {name.lower(): name for name in columns}
+    return next((lower[name] for name in _SPEED_COLUMNS if name in lower), None)
+
+
+def _directions(columns: dict[str, AnyArray], positions: AnyArray) -> AnyArray:
+    if all(name in columns for name in _DIRECTION_COLUMNS):
+        reported = [columns.pop(name) for name in _DIRECTION_COLUMNS]
+        return read_only(np.stack(reported, axis=1), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        distances = np.linalg.norm(positions, axis=1, keepdims=True)
+    ahead = np.divide(positions, distances, out=np.zeros_like(positions), where=distances > 0)
+    return read_only(ahead, np.float32)
+
+
+def _understood(reader: _CloudReader, ledger: Ledger) -> _CloudReader:
+    """Settle what brightness and times of a lidar mean, looking at its first messages.
+
+    Raises:
+        DataError: the first message is wrong.
+    """
+    if reader.whole:
+        return replace(reader, mapping=_OURS)
+    if len(reader.rows) == 0:
+        return reader
+    where = f"{reader.log.name}: {reader.topic.name}"
+    k, cloud = _telling(reader)
+    roles = find_roles(cloud.columns, {})
+    mapping = reader.mapping
+    if "intensity" in roles:
+        mapping = replace(
+            mapping, scale=_scale(cloud.columns[roles["intensity"]], roles["intensity"], where, ledger)
+        )
+    reader = replace(reader, mapping=mapping)
+    return _with_times(reader, cloud, k, roles["time"], where, ledger) if "time" in roles else reader
+
+
+def _telling(reader: _CloudReader) -> tuple[int, Cloud]:
+    """The first of the first messages that has any points in it, else the first."""
+    first = reader.cloud(0)
+    for k in range(min(len(reader.rows), _LOOKED_AT)):
+        cloud = first if k == 0 else reader.cloud(k)
+        if cloud.count > 1:
+            return k, cloud
+    return 0, first
+
+
+def _scale(values: AnyArray, name: str, where: str, ledger: Ledger) -> Any:
+    scale = detect_scale(values) if values.dtype.kind in "iuf" and values.ndim == 1 else None
+    if scale is None:
+        top = f" goes up to {values.max():g} and" if values.dtype.kind in "iuf" and len(values) else ""
+        message = f"{name}{top} is of no usual scale; it is kept as it is, and is no brightness"
+        ledger.note(WarningKind.SKIPPED, "intensity-not-used", where, message)
+    elif values.dtype != np.uint8:
+        message = f"{name} goes up to {values.max(initial=0):g}, so {scale.maximum:g} becomes 255"
+        ledger.note(WarningKind.ASSUMED, "intensity-scale", where, message)
+    return scale
+
+
+def _with_times(
+    reader: _CloudReader, cloud: Cloud, k: int, name: str, where: str, ledger: Ledger
+) -> _CloudReader:
+    sweep_ns = int(np.median(np.diff(reader.timestamps_ns))) if len(reader.timestamps_ns) > 1 else None
+    values = cloud.columns[name]
+    found = _find_point_times(name, values, int(reader.timestamps_ns[k]), sweep_ns or None)
+    if found is None:
+        message = (
+            f"field {name!r} is no time of points in any unit, relative or absolute; it is kept as it is"
+        )
+        ledger.note(WarningKind.SKIPPED, "point-times-not-used", where, message)
+        return reader
+    meaning = found.meaning
+    base = "the message's timestamp" if meaning.relative_to == "timestamp" else "the clock's zero"
+    message = f"field {name!r} is taken for times of points: {meaning.unit} from {base}"
+    ledger.note(WarningKind.ASSUMED, "point-times-assumed", where, message)
+    reader = replace(reader, mapping=replace(reader.mapping, times=meaning))
+    if not found.first_ns < -_EARLY_NS:
+        return reader
+    message = f"sweeps begin {-found.first_ns / 1e9:.6f} s before the timestamps of their messages, and are timestamped so"
+    ledger.note(WarningKind.ASSUMED, "timestamps-after-start", where, message)
+    return replace(reader, starts_ns=read_only(reader.timestamps_ns + found.first_ns))
+
+
+_EARLY_NS = 1_000_000
+"""Points may be this much earlier than the timestamp of their sweep: drivers round."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudDraft:
+    """A topic of points before it is placed.
+
+    Attributes:
+        reader: of its messages.
+        frame_id: of its points.
+        is_radar: whether its points have speeds along the line of sight.
+    """
+
+    reader: _CloudReader
+    frame_id: str
+    is_radar: bool
+
+    def placed(self, sensor_id: str | int, locations: Locations) -> LidarSensor | RadarSensor:
+        """The sensor as the frames location it."""
+        mount = locations.mount(self.frame_id)
+        frame = locations.points_frame(self.frame_id)
+        poses = locations.poses(self.frame_id, mount, self.reader.starts_ns)
+        return self.sensor(sensor_id, mount=mount, poses=poses, points_frame=frame)
+
+    def sensor(
+        self, sensor_id: str | int, *, radar: bool | None = None, **fields: Any
+    ) -> LidarSensor | RadarSensor:
+        """The sensor, with further fields."""
+        times = self.reader.starts_ns
+        if self.is_radar if radar is None else radar:
+            fields.pop("model", None)
+            return RadarSensor(sensor_id, LazyFrames(times, _RadarReader(self.reader)), **fields)
+        return LidarSensor(sensor_id, LazyFrames(times, _LidarReader(self.reader)), **fields)
+
+    def points(self, sensor_id: str | int, **fields: Any) -> PointsSensor:
+        """The map that the only message holds."""
+        points = self.reader.points(0)[0]
+        return PointsSensor(sensor_id, points.positions, points.colors, **fields)
+
+
+def draft_cloud(survey: Survey, topic: Topic) -> CloudDraft:
+    """Find out what a topic of points holds; its first messages are read.
+
+    Raises:
+        DataError: the first message is damaged.
+    """
+    timestamps = survey.times_ns[topic.number]
+    location = f"{survey.log.name}: {topic.name}"
+    rows = in_order(timestamps, location, survey.ledger)
+    first = survey.log.read(topic, int(rows[0]))[0]
+    if not isinstance(first, CloudRecord):
+        raise DataError(survey.log.name, f"{topic.name}[{int(rows[0])}]", "no points; expected a cloud")
+    ours = survey.notes.ours and any(note.get("topic") == topic.name for note in survey.notes.sensors)
+    reader = _CloudReader(survey.log, topic, rows, timestamps[rows], timestamps[rows], whole=ours)
+    names = {field.name: np.zeros(0) for field in first.fields}
+    return CloudDraft(_understood(reader, survey.ledger), first.frame_id, _is_radar(topic.name, names))
+
+
+def _is_radar(name: str, columns: dict[str, AnyArray]) -> bool:
+    """Whether points are a radar's: they have speeds, and the topic or our own fields report it."""
+    reported = "radar" in name.lower() or all(column in columns for column in _DIRECTION_COLUMNS)
+    return reported and _speed_column(columns) is not None
+
+
+_Columns = dict[tuple[str, ...], AnyArray]
+"""Columns on their trajectory into a message, (N,), or (N, k) by their k names."""
+
+_HELD = frozenset(["u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"])
+
+_MOST_NS = 2**32 - 1
+
+
+@dataclass(slots=True)
+class CloudWriter:
+    """Makes the records of a sensor of points; counts what has no location in them.
+
+    Attributes:
+        topic: of the messages.
+        frame_id: of the points.
+        field: what the model calls the sensor's frames, for losses.
+        losses: takes what is lost.
+        intensity: dtype of intensities.
+    """
+
+    topic: str
+    frame_id: str
+    field: str
+    losses: Losses
+    intensity: str = "u1"
+
+    def lidar(self, sensor: LidarSensor, k: int) -> Iterator[Stated]:
+        """Make the record of sweep `k`."""
+        frame = sensor.frames[k]
+        points = frame.points
+        kept = kept_record(points, frame.timestamp_ns)
+        if kept is not None and self._is_as_written(kept):
+            self._note_frame(frame.extras)
+            yield self.topic, replace(kept, frame_id=self.frame_id)
+            return
+        columns = _positions(points.positions)
+        if points.intensities is not None:
+            columns["intensity",] = points.intensities.astype(self.intensity, copy=False)
+        if points.rings is not None:
+            columns["ring",] = points.rings
+        if points.timestamps_ns is not None:
+            columns |= _offsets(points.timestamps_ns, frame.timestamp_ns)
+        if points.colors is not None:
+            columns |= _colours(grey_where_unseen(points.colors, points.camera_index))
+        if points.camera_index is not None:
+            columns["camera_index",] = points.camera_index
+        self._add_extras(columns, points.extras)
+        self._note_frame(frame.extras)
+        yield self.topic, self._record(columns, len(points), frame.timestamp_ns)
+
+    def radar(self, sensor: RadarSensor, k: int) -> Iterator[Stated]:
+        """Make the record of cycle `k`."""
+        frame = sensor.frames[k]
+        points = frame.points
+        columns = _positions(points.positions)
+        if points.directions is not None:
+            columns[_DIRECTION_COLUMNS] = points.directions
+        if points.lengths is not None:
+            columns[_SPEED_COLUMNS[0],] = points.lengths
+        if points.timestamps_ns is not None:
+            columns |= _offsets(points.timestamps_ns, frame.timestamp_ns)
+        self._add_extras(columns, points.extras)
+        self._note_frame(frame.extras)
+        yield self.topic, self._record(columns, len(points), frame.timestamp_ns)
+
+    def map(self, sensor: PointsSensor, timestamp_ns: int) -> Iterator[Stated]:
+        """Make the only record of a map."""
+        columns = _positions(sensor.positions)
+        if sensor.colors is not None:
+            columns |= _colours(sensor.colors)
+        yield self.topic, self._record(columns, len(sensor.positions), timestamp_ns)
+
+    def _is_as_written(self, record: CloudRecord) -> bool:
+        """Whether a message of ours has the types that this one would have."""
+        dtypes = {field.name: field.dtype.str[1:] for field in record.fields}
+        return dtypes.get("intensity", self.intensity) == self.intensity and _OLD_TIME_COLUMN not in dtypes
+
+    def _record(self, columns: _Columns, count: int, timestamp_ns: int) -> CloudRecord:
+        packed = pack(columns, count)
+        return CloudRecord(
+            timestamp_ns, self.frame_id, packed.fields, packed.stride, packed.data, packed.count
+        )
+
+    def _add_extras(self, columns: _Columns, extras: Mapping[str, AnyArray]) -> None:
+        taken = {name for names in columns for name in names}
+        for name, column in extras.items():
+            location = f"{self.field}.points.extras.{name}"
+            stated = (name.lower(), column.dtype.str[1:])
+            if (
+                column.ndim != 1
+                or name in taken
+                or name.lower() in _TAKEN
+                or stated in _TIME_COLUMNS
+                or name.startswith("_")
+            ):
+                self.losses.dropped(
+                    location, "not one number for each point, or of a name that means something else"
+                )
+            elif column.dtype.str[1:] in _HELD:
+                columns[name,] = column
+            elif column.dtype.kind in "iufb":
+                self._add_converted(columns, name, column, location)
+            else:
+                self.losses.dropped(location, f"values of type {column.dtype}")
+
+    def _add_converted(self, columns: _Columns, name: str, column: AnyArray, location: str) -> None:
+        numbers = column.astype(np.uint8 if column.dtype.kind == "b" else np.float64)
+        error = float(np.abs(column.astype(np.longdouble) - numbers.astype(np.longdouble)).max(initial=0))
+        what = f"values of type {column.dtype} written as {numbers.dtype}"
+        (self.losses.approximated if error else self.losses.converted)(location, what, error=error)
+        columns[name,] = numbers
+
+    def _note_frame(self, extras: Mapping[str, object]) -> None:
+        self.losses.dropped(f"{self.field}.extras", "further fields of a sweep", count=bool(extras))
+
+
+_TAKEN = frozenset(
+    {
+        "x",
+        "y",
+        "z",
+        "positions",
+        "intensity",
+        "ring",
+        "red",
+        "green",
+        "blue",
+        "rgb",
+        "colors",
+        _OLD_TIME_COLUMN,
+    }
+)
+
+
+def _positions(positions: AnyArray) -> _Columns:
+    return {("x", "y", "z"): positions}
+
+
+def _colours(colors: AnyArray) -> _Columns:
+    """Colours as viewers know them, which ask for an alpha value beside the three."""
+    return {("red", "green", "blue"): colors, ("alpha",): np.full(len(colors), 255, np.uint8)}
+
+
+def _offsets(timestamps_ns: AnyArray, timestamp_ns: int) -> _Columns:
+    """Times of points from their sweep's timestamp, in the names and units that other programs look for.
+
+    `t` in whole nanoseconds; `time` in seconds where some are earlier than the timestamp or later than 32 bits report,
+    exact to the nanosecond over 52 days.
+    """
+    span_ns = (
+        (int(timestamps_ns.min()), int(timestamps_ns.max()))
+        if len(timestamps_ns)
+        else (timestamp_ns, timestamp_ns)
+    )
+    if span_ns[0] < timestamp_ns or span_ns[1] > timestamp_ns + _MOST_NS:
+        return {("time",): (timestamps_ns - timestamp_ns).astype(np.float64) / 1e9}
+    offsets = np.empty(len(timestamps_ns), np.uint32)
+    np.subtract(timestamps_ns, timestamp_ns, out=offsets, casting="unsafe")
+    return {("t",): offsets}

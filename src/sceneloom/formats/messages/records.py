@@ -1,0 +1,390 @@
+"""What messages say, whatever their format: records, topics that are read, streams that are written.
+
+And what a format of messages can hold.
+"""
+
+import heapq
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, Protocol
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.formats.base.losses import Loss, Support
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.types import NO_FIELDS
+
+
+class Kind(StrEnum):
+    """What the messages of a topic state."""
+
+    TRANSFORM = "transform"
+    CLOUD = "cloud"
+    IMAGE = "image"
+    COMPRESSED_IMAGE = "image"
+    VIDEO = "video"
+    CAMERA_MODEL = "camera_model"
+    POSE = "pose"
+    FIX = "fix"
+    SAMPLE = "sample"
+    BOXES_3D = "boxes_3d"
+    BOXES_2D = "boxes_2d"
+    NOTES = "notes"
+
+
+LARGE = frozenset({Kind.CLOUD, Kind.IMAGE, Kind.COMPRESSED_IMAGE, Kind.VIDEO})
+"""Kinds whose messages are read one by one, when they are asked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TransformRecord:
+    """Where a frame was in its parent frame; `fixed` where it stays there."""
+
+    timestamp_ns: int
+    parent: str
+    child: str
+    position: Float64Array
+    quaternion_xyzw: Float64Array
+    fixed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PackedField:
+    """One value of each point: its name, its location among the bytes of a point, its dtype, how many."""
+
+    name: str
+    offset: int
+    dtype: np.dtype[Any]
+    count: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudRecord:
+    """Points, packed one after another.
+
+    Attributes:
+        timestamp_ns: of the message [ns].
+        frame_id: of the points.
+        fields: of each point.
+        stride: bytes from point to point.
+        count: number of points; None for as many as there are bytes for.
+        data: the bytes.
+        frame_from_points: where the points' origin is in the frame; None for its origin.
+        row_bytes: bytes from row to row and points in a row, of clouds in rows; None where rows follow each other.
+    """
+
+    timestamp_ns: int
+    frame_id: str
+    fields: tuple[PackedField, ...]
+    stride: int
+    data: memoryview
+    count: int | None = None
+    frame_from_points: RigidTransform | None = None
+    row_bytes: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageRecord:
+    """Pixels in rows of `step` bytes."""
+
+    timestamp_ns: int
+    frame_id: str
+    encoding: str
+    width: int
+    height: int
+    step: int
+    data: memoryview
+    big_endian: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CompressedImageRecord:
+    """A whole image file, or the packets of one image of a video; `form` is "jpeg", "png", "h264", …."""
+
+    timestamp_ns: int
+    frame_id: str
+    form: str
+    data: memoryview
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraModelRecord:
+    """A camera model in the words of camera calibrations: `model` with `coefficients`, and (9,) K row by row."""
+
+    timestamp_ns: int
+    frame_id: str
+    width: int
+    height: int
+    model: str
+    coefficients: tuple[float, ...]
+    k: tuple[float, ...]
+    p: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseRecord:
+    """Where a body was in a frame.
+
+    Attributes:
+        timestamp_ns: when [ns].
+        frame_id: in which frame.
+        position: (3,) float64 [m].
+        quaternion_xyzw: (4,) float64, or None where it is not stated.
+        body: the frame of the body; "" where it is not stated.
+        covariance: (6, 6) float64 of position [m], then rotate [rad]; None where it is not stated.
+    """
+
+    timestamp_ns: int
+    frame_id: str
+    position: Float64Array
+    quaternion_xyzw: Float64Array | None
+    body: str = ""
+    covariance: Float64Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FixRecord:
+    """Where a satellite receiver was: latitude, longitude [deg], altitude [m]; variances (east, north, up) [m²]."""
+
+    timestamp_ns: int
+    frame_id: str
+    lla: tuple[float, float, float]
+    variances: tuple[float, float, float] | None = None
+    received: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleRecord:
+    """What an IMU measured at a time, by the names of its streams."""
+
+    timestamp_ns: int
+    frame_id: str
+    values: Mapping[str, tuple[float, ...]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box3D:
+    """A box in space.
+
+    Attributes:
+        id: of the object; "" where it has none.
+        frame_id: of centre and rotate.
+        center: (3,) float64 [m].
+        quaternion_xyzw: (4,) float64.
+        size_lwh: (3,) float64 [m].
+        label: class of the object, or None.
+        reported: what else is stated, by name.
+    """
+
+    id: str
+    frame_id: str
+    center: Float64Array
+    quaternion_xyzw: Float64Array
+    size_lwh: Float64Array
+    label: str | None = None
+    reported: Mapping[str, str] = field(default_factory=lambda: NO_FIELDS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Boxes3DRecord:
+    """Boxes in space at a time, the ids of those that are gone, and how many plots are no boxes."""
+
+    timestamp_ns: int
+    boxes: tuple[Box3D, ...]
+    gone: tuple[str, ...] = ()
+    no_boxes: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box2D:
+    """A box in an image: left, top, width, height [px] from the image's corner; the rest as in `Box3D`."""
+
+    id: str
+    box_ltwh: tuple[float, float, float, float]
+    label: str | None = None
+    reported: Mapping[str, str] = field(default_factory=lambda: NO_FIELDS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Boxes2DRecord:
+    """Boxes in the image of a time, and how many plots are no boxes."""
+
+    timestamp_ns: int
+    frame_id: str
+    boxes: tuple[Box2D, ...]
+    no_boxes: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NotesRecord:
+    """What a scene holds that no message has a location for, as JSON."""
+
+    timestamp_ns: int
+    text: str
+
+
+AnyRecord = (
+    TransformRecord
+    | CloudRecord
+    | ImageRecord
+    | CompressedImageRecord
+    | CameraModelRecord
+    | PoseRecord
+    | FixRecord
+    | SampleRecord
+    | Boxes3DRecord
+    | Boxes2DRecord
+    | NotesRecord
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A stream of messages.
+
+    Attributes:
+        number: of the stream in its log.
+        name: of the topic.
+        schema: name of the messages' type.
+        kind: what they state; None where we do not know such messages.
+        count: how many there are.
+        why: what keeps us from reading them, where `kind` is None.
+    """
+
+    number: int
+    name: str
+    schema: str
+    kind: Kind | None
+    count: int
+    why: str = "of a type that is not read"
+
+
+class TopicLog(Protocol):
+    """Messages that are read by their topic and number, in the order of the file; it can be pickled."""
+
+    @property
+    def name(self) -> str:
+        """What messages call the log."""
+        ...
+
+    @property
+    def topics(self) -> Sequence[Topic]:
+        """All streams."""
+        ...
+
+    @property
+    def notes(self) -> str | None:
+        """What our own writer left as JSON, or None."""
+        ...
+
+    def receive_times(self, topic: Topic) -> Int64Array:
+        """When each message was recorded, (N,) int64 [ns]."""
+        ...
+
+    def timestamps(self, topic: Topic) -> tuple[Int64Array, bool]:
+        """The time that each message says itself, (N,) int64 [ns], and whether all of them were looked at."""
+        ...
+
+    def read(self, topic: Topic, k: int) -> Sequence[AnyRecord]:
+        """What message `k` says."""
+        ...
+
+    def close(self) -> None:
+        """Release the files."""
+        ...
+
+
+Stated = tuple[str, AnyRecord]
+"""A topic, and what is stated on it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """Records whose times are known before they are made.
+
+    Attributes:
+        times_ns: (N,) int64 [ns], ascending.
+        make: makes what is stated at row `k`; called once for each row, in their order.
+    """
+
+    times_ns: Int64Array
+    make: Callable[[int], Iterable[Stated]]
+
+
+def merged(streams: Sequence[Stream]) -> Iterator[tuple[int, str, AnyRecord]]:
+    """Give time, topic and record of all streams in the order of time; one is made at a time."""
+    rows = [_rows(number, stream.times_ns) for number, stream in enumerate(streams)]
+    for time_ns, number, k in heapq.merge(*rows):
+        for topic, record in streams[number].make(k):
+            yield time_ns, topic, record
+
+
+def _rows(number: int, times_ns: Int64Array) -> Iterator[tuple[int, int, int]]:
+    return ((int(time_ns), number, k) for k, time_ns in enumerate(times_ns))
+
+
+class RecordWriter(Protocol):
+    """What writes records as the messages of a format."""
+
+    def add(self, time_ns: int, topic: str, record: AnyRecord) -> None:
+        """Write a record as a message of a topic at a time."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """The habits of a format.
+
+    Attributes:
+        name: of the format, for losses.
+        world, ego: names of these frames.
+        part: makes a part of a topic's name of an id.
+        fisheye: the name of OpenCV's fisheye camera model.
+        camera_model_topic: last part of topics of camera models.
+        sample_topics: last part of the topic of each stream of an IMU; "" for all that have none of their own.
+        videos: whether there are messages for videos.
+        covariances: whether poses have covariances.
+        each_camera_model: whether each image comes with a message of its camera model, as synchronisers of pairs
+            expect.
+        intensity: dtype of intensities.
+    """
+
+    name: str
+    world: str
+    ego: str
+    part: Callable[[str | int], str]
+    fisheye: str
+    camera_model_topic: str
+    sample_topics: Mapping[str, str]
+    videos: bool
+    covariances: bool
+    each_camera_model: bool = False
+    intensity: str = "u1"
+
+
+class Losses:
+    """Collects what a target cannot hold."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self.all: list[Loss] = []
+
+    def dropped(self, field: str, what: str, *, count: int = 1) -> None:
+        """Something is not in the target."""
+        self._add(Loss(field=field, what=what, count=count))
+
+    def converted(self, field: str, what: str, *, count: int = 1, error: float | None = None) -> None:
+        """Something is stated in another way."""
+        self._add(Loss(field=field, what=what, count=count, support=Support.CONVERTED, largest_error=error))
+
+    def approximated(self, field: str, what: str, *, count: int = 1, error: float | None = None) -> None:
+        """Something is replaced by something near."""
+        self._add(
+            Loss(field=field, what=what, count=count, support=Support.APPROXIMATED, largest_error=error)
+        )
+
+    def _add(self, loss: Loss) -> None:
+        if loss.count > 0:
+            self.all.append(loss)

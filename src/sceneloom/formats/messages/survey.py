@@ -1,0 +1,484 @@
+"""A first pass over all topics: names of sensors, timestamps, small messages, and the notes of our own writer."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, TypeVar, cast
+from urllib.parse import quote, unquote
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Int64Array
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.messages.records import LARGE, AnyRecord, Kind, Topic, TopicLog, TransformRecord
+from sceneloom.scene.annotations import AttributePath
+from sceneloom.scene.types import NO_FIELDS
+from sceneloom.warnings import WarningKind
+
+_TAILS = frozenset(
+    {
+        "points", "points_raw", "point_cloud", "pointcloud", "pointcloud2", "cloud", "points2", "image", "image_raw",
+        "image_rect", "image_color", "image_rect_color", "image_mono", "image_rect_raw", "raw", "compressed",
+        "compressed_image", "compressed_video", "video", "data", "data_raw", "fix", "imu", "h264", "navsatfix",
+        "location", "odometry", "pose", "mag", "temperature", "compressedDepth",
+    }
+)  # fmt: skip
+"""Last parts of topics that state what messages are, and not of which sensor."""
+
+_CAMERA_MODEL_TAILS = frozenset({"camera_info", "calibration", "camera_calibration", "info", "intrinsics"})
+
+_SAYING = (
+    _TAILS
+    | _CAMERA_MODEL_TAILS
+    | {"annotations", "detections", "detections_2d", "boxes", "bounding_boxes", "objects"}
+)
+
+
+def _parts_of(topic: str) -> list[str]:
+    """The parts of a topic's name."""
+    return [part for part in topic.split("/") if part]
+
+
+def _base_of(topic: str) -> str:
+    """A topic's name without slash at the beginning and what messages are at the end; never empty."""
+    parts = _parts_of(topic)
+    while len(parts) > 1 and parts[-1] in _TAILS:
+        parts.pop()
+    return "/".join(parts) or topic or "topic"
+
+
+def sensor_names(topics: Sequence[str]) -> list[str]:
+    """Name the sensors of topics: short where that is unique, else the whole topic, with a number if need be."""
+    bases = [_base_of(topic) for topic in topics]
+    counts, taken = Counter(bases), Counter[str]()
+    names = []
+    for topic, base in zip(topics, bases, strict=True):
+        name = base if counts[base] == 1 else "/".join(_parts_of(topic)) or base
+        taken[name] += 1
+        names.append(name if taken[name] == 1 else f"{name}~{taken[name]}")
+    return names
+
+
+def _nearness(topic: str, other: str) -> int:
+    """How many parts two topics share from the beginning."""
+    count = 0
+    for a, b in zip(_parts_of(topic), _parts_of(other), strict=False):
+        if a != b:
+            break
+        count += 1
+    return count
+
+
+def nearest(topic: str, others: Iterable[str]) -> str | None:
+    """The topic that belongs to the same sensor as another one: /front/camera_info to /front/image_raw.
+
+    Without the last parts, which state what messages are, one of the two names has to begin with the other.
+    """
+    base = _bare(topic)
+    found = []
+    for other in others:
+        bare = _bare(other)
+        shared = _nearness("/".join(base), "/".join(bare))
+        if shared >= max(1, min(len(base), len(bare))):
+            found.append((shared, -len(bare), other))
+    return max(found)[2] if found else None
+
+
+def _bare(topic: str) -> list[str]:
+    parts = _parts_of(topic)
+    while len(parts) > 1 and parts[-1] in _SAYING:
+        parts.pop()
+    return parts
+
+
+def topic_part(identifier: str | int) -> str:
+    """An id as one part of a topic's name; `_id_of_part` is its inverse for texts."""
+    return quote(str(identifier), safe="") or "%"
+
+
+def _id_of_part(part: str) -> str:
+    """The id of `topic_part`."""
+    return "" if part == "%" else unquote(part)
+
+
+def ros_part(identifier: str | int) -> str:
+    """An id as one part of a ROS topic's name, of letters, digits and underscores; several ids may become one."""
+    part = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in str(identifier)) or "_"
+    return f"_{part}" if part[0].isdigit() else part
+
+
+def unique_parts(parts: Iterable[str]) -> list[str]:
+    """The same parts, numbered where one is there twice."""
+    taken: Counter[str] = Counter()
+    found = []
+    for part in parts:
+        taken[part] += 1
+        found.append(part if taken[part] == 1 else f"{part}_{taken[part]}")
+    return found
+
+
+VERSION = 1
+
+_ATTRIBUTE_PARTS = ("sensor_id", "static", "point_index")
+
+
+@dataclass(frozen=True, slots=True)
+class Notes:
+    """What our writer left beside the messages; empty for files of others.
+
+    Attributes:
+        sensors, trajectories, annotations: one mapping for each.
+        root: everything else by name.
+    """
+
+    sensors: tuple[Mapping[str, Any], ...] = ()
+    trajectories: tuple[Mapping[str, Any], ...] = ()
+    annotations: tuple[Mapping[str, Any], ...] = ()
+    root: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+    @property
+    def ours(self) -> bool:
+        """Whether there are any."""
+        return bool(self.root)
+
+
+def _read_notes(text: str | None, name: str) -> Notes:
+    """Read what our writer left.
+
+    Raises:
+        DataError: it is no such JSON.
+    """
+    if text is None:
+        return Notes()
+    try:
+        root = msgspec.json.decode(text, type=dict[str, Any])
+        lists = {
+            key: msgspec.convert(root.get(key, ()), tuple[dict[str, Any], ...])
+            for key in ("sensors", "trajectories", "annotations")
+        }
+    except (msgspec.MsgspecError, RecursionError) as error:
+        raise DataError(name, "sceneloom.scene", f"notes that cannot be read: {error}") from error
+    return Notes(**lists, root=MappingProxyType(root))
+
+
+def _as_json(value: Any) -> Any:
+    """Give a value as JSON says it.
+
+    Raises:
+        ValueError: JSON cannot state it.
+    """
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float) and math.isfinite(value):
+        return float(value)
+    if isinstance(value, np.integer | np.floating | np.bool_):
+        return _as_json(value.item())
+    if isinstance(value, Mapping) and all(isinstance(name, str) for name in value):
+        return {str(name): _as_json(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_json(item) for item in value]
+    raise ValueError(f"a {type(value).__name__}")
+
+
+def sayable(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """The values that JSON can state, and the names of the others."""
+    kept, lost = {}, []
+    for name, value in values.items():
+        try:
+            kept[name] = _as_json(value)
+        except ValueError:
+            lost.append(name)
+    return kept, lost
+
+
+def attribute_notes(attributes: Iterable[AttributePath]) -> tuple[list[dict[str, Any]], int]:
+    """Attributes as JSON, and how many cannot be."""
+    kept, lost = [], 0
+    for attribute in attributes:
+        reported: dict[str, Any] = {"name": attribute.name}
+        try:
+            reported["values"] = _as_json(list(attribute.values))
+            if attribute.extras:
+                reported["extras"] = _as_json(attribute.extras)
+        except ValueError:
+            lost += 1
+            continue
+        if attribute.timestamps_ns is not None:
+            reported["timestamps_ns"] = attribute.timestamps_ns.tolist()
+        reported |= {
+            name: value for name in _ATTRIBUTE_PARTS if (value := getattr(attribute, name)) is not None
+        }
+        kept.append(reported)
+    return kept, lost
+
+
+def attributes_from(notes: Iterable[Mapping[str, Any]], shift_ns: int = 0) -> tuple[AttributePath, ...]:
+    """The attributes of notes."""
+    return tuple(_attribute(note, shift_ns) for note in notes)
+
+
+def _attribute(note: Mapping[str, Any], shift_ns: int) -> AttributePath:
+    timestamps = note.get("timestamps_ns")
+    return AttributePath(
+        note["name"],
+        tuple(tuple(value) if isinstance(value, list) else value for value in note["values"]),
+        None if timestamps is None else np.asarray(timestamps, np.int64) + shift_ns,
+        extras=MappingProxyType(note["extras"]) if "extras" in note else NO_FIELDS,
+        **{name: note[name] for name in _ATTRIBUTE_PARTS if name in note},
+    )
+
+
+_TIMESTAMPS = ("header", "receive")
+"""Which times can be asked for."""
+
+_FAR_NS = 60_000_000_000
+"""No network delays messages by more than this: another clock timestamped them."""
+
+_ZERO_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TopicTimes:
+    """The times of one topic's messages.
+
+    Attributes:
+        topic: the topic.
+        timestamps_ns: (N,) int64 [ns], as the messages state.
+        received_ns: (N,) int64 [ns], when they were recorded.
+        fixed: whether the messages state what always holds, at whatever time.
+    """
+
+    topic: Topic
+    timestamps_ns: Int64Array
+    received_ns: Int64Array
+    fixed: bool = False
+
+    @property
+    def unset(self) -> BoolArray:
+        """(N,) bool, which messages are timestamped 0 and were received at another time."""
+        unset: BoolArray = (self.timestamps_ns == 0) & (np.abs(self.received_ns) > _ZERO_NS)
+        return unset
+
+    @property
+    def delay_ns(self) -> int | None:
+        """How long after its timestamp a message was received, in the middle; None where no message has a timestamp."""
+        timestamped = ~self.unset
+        if self.fixed or not timestamped.any():
+            return None
+        return int(np.median(self.received_ns[timestamped] - self.timestamps_ns[timestamped]))
+
+
+def _settle_times(
+    all_times: Sequence[_TopicTimes], name: str, ledger: Ledger, *, wanted: str | None
+) -> dict[int, Int64Array]:
+    """Decide which time of each message counts.
+
+    Args:
+        all_times: of all topics.
+        name: what messages call the log.
+        ledger: takes what was decided.
+        wanted: "header" or "receive" for all messages; None: the head's, unless topics are on different clocks.
+
+    Returns:
+        (N,) int64 [ns] by the number of the topic.
+
+    Raises:
+        DataError: the heads of some topics are on another clock than those of others.
+        OptionError: `wanted` is none of the two.
+    """
+    if wanted not in (None, *_TIMESTAMPS):
+        raise OptionError(f"timestamps {wanted!r}; expected one of {', '.join(_TIMESTAMPS)}")
+    strangers = _strangers(all_times, name, ledger) if wanted is None else frozenset()
+    found = {}
+    for times in all_times:
+        if wanted == "receive" or times.topic.number in strangers:
+            found[times.topic.number] = times.received_ns
+            continue
+        unset = times.unset
+        if unset.any() and not times.fixed:
+            message = "messages timestamped 0; the time at which they were received counts"
+            location = f"{name}: {times.topic.name}"
+            ledger.note(WarningKind.REPAIRED, "timestamps-zero", location, message, count=int(unset.sum()))
+        found[times.topic.number] = np.where(unset, times.received_ns, times.timestamps_ns)
+    return found
+
+
+def _strangers(all_times: Sequence[_TopicTimes], name: str, ledger: Ledger) -> frozenset[int]:
+    """The topics whose timestamps are of another clock than those of the others."""
+    delays = {
+        times.topic.number: (times.topic.name, delay)
+        for times in all_times
+        if (delay := times.delay_ns) is not None
+    }
+    if not delays:
+        return frozenset()
+    near = {number for number, (_, delay) in delays.items() if abs(delay) <= _FAR_NS}
+    if not near:
+        usual = int(np.median([delay for _, delay in delays.values()]))
+        near = {number for number, (_, delay) in delays.items() if abs(delay - usual) <= _FAR_NS}
+        message = f"messages were received {usual / 1e9:.3f} s after their timestamps; the timestamps count"
+        ledger.note(WarningKind.ASSUMED, "received-much-later", name, message, count=len(near))
+    far = {number: row for number, row in delays.items() if number not in near}
+    if far:
+        reported = "; ".join(f"{topic} {delay / 1e9:+.3f} s" for topic, delay in sorted(far.values()))
+        usual = int(np.median([delays[number][1] for number in near]))
+        problem = (
+            f"mixed time bases: messages were received {usual / 1e9:+.3f} s after their timestamps, but of {reported}; "
+            'expected one clock: state timestamps="receive" to go by when they were received, timestamps="header" by '
+            "the "
+            "timestamps as they are, or `--lenient` to go by when those few were received"
+        )
+        ledger.fault("mixed-time-bases", DataError(name, "", problem), count=len(far))
+    return frozenset(far)
+
+
+def in_order(timestamps_ns: Int64Array, location: str, ledger: Ledger) -> Int64Array:
+    """Give the rows in the order of their times, the first of several with one time."""
+    if (np.diff(timestamps_ns) < 0).any():
+        count = int((np.diff(timestamps_ns) < 0).sum())
+        message = "messages out of order; sorted by their times"
+        ledger.note(WarningKind.REPAIRED, "messages-sorted", location, message, count=count)
+    _, rows = np.unique(timestamps_ns, return_index=True)
+    if len(rows) < len(timestamps_ns):
+        message = "messages with the time of another one; the first counts"
+        ledger.note(
+            WarningKind.SKIPPED,
+            "repeated-timestamps",
+            location,
+            message,
+            count=len(timestamps_ns) - len(rows),
+        )
+    return rows.astype(np.int64)
+
+
+_R = TypeVar("_R")
+
+
+@dataclass(slots=True)
+class Survey:
+    """What is in a log.
+
+    Attributes:
+        log: the messages.
+        ledger: takes warnings and faults.
+        notes: what our writer left.
+        times_ns: of the messages of each topic of large ones, by its number.
+        records: of each topic of small ones, by its number, with the times that count.
+    """
+
+    log: TopicLog
+    ledger: Ledger
+    notes: Notes
+    times_ns: dict[int, Int64Array] = field(default_factory=dict)
+    records: dict[int, list[AnyRecord]] = field(default_factory=dict)
+
+    def topics(self, *kinds: Kind) -> list[Topic]:
+        """The topics of some kinds that have messages."""
+        return [topic for topic in self.log.topics if topic.kind in kinds and topic.count]
+
+    def all_of(self, kind: Kind, record_type: type[_R]) -> Iterator[_R]:
+        """The records of all topics of a kind."""
+        for topic in self.topics(kind):
+            yield from self.of(topic, record_type)
+
+    def of(self, topic: Topic, record_type: type[_R]) -> list[_R]:
+        """The records of a topic of small messages."""
+        return [record for record in self.records.get(topic.number, ()) if isinstance(record, record_type)]
+
+
+def survey(log: TopicLog, ledger: Ledger, *, timestamps: str | None) -> Survey:
+    """Look at all topics.
+
+    Args:
+        log: the messages.
+        ledger: takes warnings and faults.
+        timestamps: which times count, "header" or "receive"; None: see `_settle_times`.
+
+    Raises:
+        DataError: a small message is wrong, or topics are on different clocks.
+    """
+    found = Survey(log, ledger, _read_notes(log.notes, log.name))
+    _note_unknown(log, ledger)
+    times: list[_TopicTimes] = []
+    rows: dict[int, list[tuple[int, list[AnyRecord]]]] = {}
+    for topic in log.topics:
+        if topic.kind is None or not topic.count or topic.kind is Kind.NOTES:
+            continue
+        received = log.receive_times(topic)
+        if topic.kind in LARGE:
+            reported, looked = log.timestamps(topic)
+            if not looked and not found.notes.ours:
+                message = "some messages state the time at which they were received, so the others are taken to do so"
+                ledger.note(
+                    WarningKind.ASSUMED, "timestamps-from-index", f"{log.name}: {topic.name}", message
+                )
+            times.append(_TopicTimes(topic, reported, received))
+        else:
+            rows[topic.number] = _read(log, topic, ledger)
+            first = np.array([records[0].timestamp_ns for _, records in rows[topic.number]], np.int64)
+            kept = received[[k for k, _ in rows[topic.number]]] if len(first) else np.zeros(0, np.int64)
+            fixed = topic.kind is Kind.CAMERA_MODEL or _are_fixed(
+                [r for _, row in rows[topic.number] for r in row]
+            )
+            times.append(_TopicTimes(topic, first, kept, fixed))
+    settled = _settle_times(
+        [row for row in times if len(row.timestamps_ns)], log.name, ledger, wanted=timestamps
+    )
+    # our own writer moves scenes that begin before 0 where a format knows no such times
+    moved_ns = int(found.notes.root.get("time_shift_ns", 0))
+    for row in times:
+        number = row.topic.number
+        settled[number] = settled.get(number, row.timestamps_ns) - moved_ns
+        if number in rows:
+            counted = settled[number] - row.timestamps_ns
+            found.records[number] = [
+                _moved(record, int(shift))
+                for (_, records), shift in zip(rows[number], counted.tolist(), strict=True)
+                for record in records
+            ]
+        else:
+            found.times_ns[number] = settled[number]
+    return found
+
+
+def _are_fixed(records: list[AnyRecord]) -> bool:
+    return bool(records) and all(isinstance(record, TransformRecord) and record.fixed for record in records)
+
+
+def _moved(record: AnyRecord, shift_ns: int) -> AnyRecord:
+    if shift_ns == 0:
+        return record
+    return cast("AnyRecord", replace(cast("Any", record), timestamp_ns=record.timestamp_ns + shift_ns))
+
+
+def _read(log: TopicLog, topic: Topic, ledger: Ledger) -> list[tuple[int, list[AnyRecord]]]:
+    """Read all messages of a topic; those that state nothing are left out."""
+    found = []
+    for k in range(topic.count):
+        try:
+            records = list(log.read(topic, k))
+        except DataError as error:
+            ledger.fault("messages-at-fault", error)
+            continue
+        if records:
+            found.append((k, records))
+    return found
+
+
+def _note_unknown(log: TopicLog, ledger: Ledger) -> None:
+    """Report which messages are not read, by their type."""
+    groups: dict[tuple[str, str], list[Topic]] = {}
+    for topic in log.topics:
+        if topic.kind is None and topic.count:
+            groups.setdefault((topic.schema, topic.why), []).append(topic)
+    for (schema, why), topics in groups.items():
+        names = ", ".join(sorted({topic.name for topic in topics}))
+        message = f"messages {schema or 'without a type'} on {names}: {why}"
+        count = sum(topic.count for topic in topics)
+        ledger.note(WarningKind.SKIPPED, "unknown-messages", log.name, message, count=count)

@@ -1,0 +1,339 @@
+"""A file of points as named columns: layouts of files without a header, the role of each column, rows of text.
+
+And the columns that are written.
+"""
+
+import re
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array
+from sceneloom.errors import DataError, OptionError
+
+MOST_POINTS = 1 << 28
+"""Files that claim more points are refused: a damaged head can claim any number."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """The points of one file, column by column.
+
+    Attributes:
+        file: where they come from, for messages.
+        count: number of points N.
+        columns: (N,) or (N, K) arrays by the file's own names, of the file's own dtypes in native byte order.
+        head: what else the file says, by the words of its kind.
+    """
+
+    file: Path
+    count: int
+    columns: Mapping[str, AnyArray]
+    head: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def columns_of(records: AnyArray) -> dict[str, AnyArray]:
+    """Take a structured array apart into columns of native byte order; fields named `_` are padding."""
+    names = records.dtype.names or ()
+    return {
+        name: np.ascontiguousarray(column, column.dtype.newbyteorder("="))
+        for name in names
+        if not name.startswith("_") and (column := records[name]).dtype.names is None
+    }
+
+
+def unique_names(names: list[str]) -> list[str]:
+    """Give repeated names a number, since a structured array has no two fields of one name; `_` stays padding."""
+    seen: dict[str, int] = {}
+    unique = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        unique.append(name if seen[name] == 1 else f"{name}~{seen[name]}")
+    return unique
+
+
+def check_count(path: Path, location: str, count: int) -> None:
+    """Refuse a number of points that no sweep has.
+
+    Raises:
+        DataError: it is negative or larger than `MOST_POINTS`.
+    """
+    if not 0 <= count <= MOST_POINTS:
+        raise DataError(path, location, f"{count} points; expected 0 to {MOST_POINTS}")
+
+
+def check_end(path: Path, left: bytes, location: int, reported: str) -> None:
+    """Refuse bytes behind the last point that a head declares: they may be points that it does not count.
+
+    Args:
+        path: for messages.
+        left: what stands behind the last point; zeros and blanks fill files up, and are no points.
+        location: where they begin [byte].
+        reported: the points that the head declares.
+
+    Raises:
+        DataError: there is anything else.
+    """
+    if left.strip(b"\0\t\r\n "):
+        problem = (
+            f"{len(left)} bytes behind the last of {reported}; expected none: is the count of the head wrong?"
+        )
+        raise DataError(path, f"byte {location}", problem)
+
+
+TYPES = (
+    "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64",
+)  # fmt: skip
+"""The types that a column can have."""
+
+_FIELD = re.compile(r"(?P<name>[^:\s]+)(?::(?P<type>\w+))?")
+
+
+@dataclass(frozen=True, slots=True)
+class FieldLayout:
+    """Columns in the order of the file.
+
+    Attributes:
+        names: differ from each other; those that begin with `_` are padding.
+        types: one of `TYPES` each.
+    """
+
+    names: tuple[str, ...]
+    types: tuple[str, ...]
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """One point, packed, little-endian."""
+        return np.dtype(
+            [(n, np.dtype(t).newbyteorder("<")) for n, t in zip(self.names, self.types, strict=True)]
+        )
+
+    def __str__(self) -> str:
+        return " ".join(f"{n}:{t}" for n, t in zip(self.names, self.types, strict=True))
+
+
+def parse_layout(fields: Sequence[str], *, default: str = "float32") -> FieldLayout:
+    """Parse columns that are written as `x` or `ring:uint16`; `_` names one that is left out.
+
+    Args:
+        default: the type of columns that name none.
+
+    Raises:
+        OptionError: a column is no such text, its type is unknown, or there is none.
+    """
+    names, types = [], []
+    for field in fields:
+        match = _FIELD.fullmatch(field)
+        kind = (match["type"] or default) if match else ""
+        if match is None or kind not in TYPES:
+            raise OptionError(
+                f"{field!r}; expected a name, or name:type with one of the types {', '.join(TYPES)}"
+            )
+        names.append(match["name"])
+        types.append(kind)
+    if not names:
+        raise OptionError("no fields; expected at least x, y, z")
+    repeated = {name for name in names if names.count(name) > 1 and not name.startswith("_")}
+    if repeated:
+        raise OptionError(f"{', '.join(sorted(repeated))} twice; expected each field once")
+    return FieldLayout(tuple(unique_names(names)), tuple(types))
+
+
+KITTI = parse_layout(["x", "y", "z", "intensity"])
+"""Four float32. Source: the development kit of KITTI's raw data, "Velodyne 3D laser scan data"."""
+
+NUSCENES = parse_layout(["x", "y", "z", "intensity", "ring"])
+"""Five float32. Source: the development kit of nuScenes, class LidarPointCloud: x, y, z, intensity, ring index."""
+
+ALIASES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "x": ("x",),
+        "y": ("y",),
+        "z": ("z",),
+        "intensity": (
+            "intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "scalar_intensity",
+        ),
+        "ring": ("ring", "rings", "laser_id", "laser_number", "channel", "line", "beam", "ring_id"),
+        "time": (
+            "time", "t", "timestamp", "timestamps", "timestamps_ns", "offset_time", "time_offset", "offset_ns",
+            "time_stamp", "point_time",
+        ),
+        "red": ("red", "r"),
+        "green": ("green", "g"),
+        "blue": ("blue", "b"),
+    }
+)  # fmt: skip
+"""The roles that a single column can have, and the names by which each is known, the likeliest first."""
+
+ROW_ALIASES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "positions": ("points", "positions", "xyz", "pos", "pts"),
+        "colors": ("colors", "colours", "rgb", "color"),
+    }
+)
+"""The roles that rows of three numbers can have."""
+
+_PACKED_COLORS = ("rgb", "rgba")
+"""Single columns that hold a colour in four bytes: blue, green, red, and one that is not used.
+
+Source: "PointXYZRGB" of the Point Cloud Library.
+"""
+
+
+def find_roles(columns: Mapping[str, AnyArray], named: Mapping[str, str]) -> dict[str, str]:
+    """Find the column of each role.
+
+    Args:
+        columns: of the file, by its own names.
+        named: column by role, where somebody stated it; it may be one that the file does not have.
+
+    Returns:
+        Column by role, for the roles that the file has; `packed` stands for a packed colour.
+    """
+    single = {name.lower(): name for name in reversed([*columns]) if columns[name].ndim == 1}
+    rows = {
+        name.lower(): name
+        for name in reversed([*columns])
+        if columns[name].ndim == 2 and columns[name].shape[1] == 3
+    }
+    roles = {}
+    tables = ((ALIASES, single), (ROW_ALIASES, rows), ({"packed": _PACKED_COLORS}, single))
+    for aliases, known in tables:
+        for role, names in aliases.items():
+            found = next((known[name] for name in names if name in known), None)
+            if found is not None:
+                roles[role] = found
+    return {**roles, **named}
+
+
+def parse_rows(path: Path, lines: Sequence[str], dtype: np.dtype[np.void], first_line: int) -> AnyArray:
+    """Parse one row of numbers per line; integers are read as integers, so that no digit is lost.
+
+    Args:
+        path: for messages.
+        lines: none of them empty.
+        dtype: a structured dtype, one entry per number of a row.
+        first_line: number of the first line in the file, for messages.
+
+    Returns:
+        (len(lines),) array of the dtype.
+
+    Raises:
+        DataError: a line holds something else.
+    """
+    if not lines:
+        return np.empty(0, dtype)
+    try:
+        with warnings.catch_warnings():
+            # an integer that is written as "1.0" is read with a warning
+            warnings.simplefilter("ignore")
+            rows = np.loadtxt(lines, dtype, comments=None, ndmin=1)
+    except (ValueError, OverflowError) as error:
+        row, problem = _first_fault(lines, dtype, str(error))
+        raise DataError(path, f"line {first_line + row}", problem) from None
+    return np.atleast_1d(rows)
+
+
+def _first_fault(lines: Sequence[str], dtype: np.dtype[np.void], error: str) -> tuple[int, str]:
+    """Find the first line that does not parse on its own."""
+    width = sum(int(np.prod(dtype[name].shape)) for name in dtype.names or ())
+    for row, line in enumerate(lines):
+        found = len(line.split())
+        if found != width:
+            return row, f"{found} values; expected {width}: {' '.join(dtype.names or ())}"
+    for row, line in enumerate(lines):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                np.loadtxt([line], dtype, comments=None, ndmin=1)
+        except (ValueError, OverflowError) as fault:
+            return row, str(fault).split(" at row")[0]
+    return 0, error
+
+
+NO_LABEL = 65535
+"""In `labels`: nothing is stated for the point."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrittenPoints:
+    """Some points of a cloud; all chunks of one file have the same columns.
+
+    Attributes:
+        positions_world: (N, 3) float64 [m].
+        colors: (N, 3) uint8, red, green, blue, or None.
+        intensities: (N,) uint8, or None.
+        timestamps_ns: (N,) int64 [ns], or None.
+        labels: (N,) uint16, number of a class, `NO_LABEL` for none; or None.
+        extras: further columns, (N,) each, by name.
+    """
+
+    positions_world: Float64Array
+    colors: UInt8Array | None = None
+    intensities: UInt8Array | None = None
+    timestamps_ns: Int64Array | None = None
+    labels: UInt16Array | None = None
+    extras: Mapping[str, AnyArray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        count = check_array("positions_world", self.positions_world, (None, 3), np.float64)
+        check_array("colors", self.colors, (count, 3), np.uint8, optional=True)
+        check_array("intensities", self.intensities, (count,), np.uint8, optional=True)
+        check_array("timestamps_ns", self.timestamps_ns, (count,), np.int64, optional=True)
+        check_array("labels", self.labels, (count,), np.uint16, optional=True)
+
+    def __len__(self) -> int:
+        return len(self.positions_world)
+
+
+class CloudWriter(Protocol):
+    """An open file of points."""
+
+    def add(self, points: WrittenPoints, /) -> None:
+        """Write some more points."""
+        ...
+
+    def close(self) -> None:
+        """Complete the file; its head says how many points there are."""
+        ...
+
+
+Column = tuple[str, str, Callable[[WrittenPoints], AnyArray | None]]
+"""Name, dtype and values of a column; None where the points do not have it."""
+
+
+def seconds(points: WrittenPoints) -> Float64Array | None:
+    """Times of points [s]; a float64 holds those of today's epoch to a quarter of a microsecond."""
+    return None if points.timestamps_ns is None else points.timestamps_ns.astype(np.float64) * 1e-9
+
+
+def _color(channel: int) -> Callable[[WrittenPoints], AnyArray | None]:
+    return lambda points: None if points.colors is None else points.colors[:, channel]
+
+
+COLORS: tuple[Column, ...] = (
+    ("red", "u1", _color(0)),
+    ("green", "u1", _color(1)),
+    ("blue", "u1", _color(2)),
+)
+
+MEASURED: tuple[Column, ...] = (
+    ("intensity", "u1", lambda points: points.intensities),
+    ("time", "f8", seconds),
+    ("label", "u2", lambda points: points.labels),
+)
+
+
+def records_of(points: WrittenPoints, columns: tuple[Column, ...]) -> AnyArray:
+    """Lay the columns that points have side by side, packed, little-endian; those of `extras` come last."""
+    found = [(name, kind, values) for name, kind, take in columns if (values := take(points)) is not None]
+    found += [(name, column.dtype.str[1:], column) for name, column in points.extras.items()]
+    records = np.empty(len(points), [(name, f"<{kind}") for name, kind, _ in found])
+    for name, _, values in found:
+        records[name] = values
+    return records

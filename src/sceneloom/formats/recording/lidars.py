@@ -1,0 +1,278 @@
+"""The lidars of a recording: binaries of packed 23-byte records, one file a sweep, with extrinsics and poses."""
+
+import mmap
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
+from sceneloom.errors import DataError
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.files import open_file, why_no_file
+from sceneloom.formats.recording.calibration import Calibration, LidarCalibration
+from sceneloom.formats.recording.columns import FARTHEST_TIME, LidarColumns, by_time
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.poses import Poses, poses_along
+from sceneloom.warnings import WarningKind
+
+XYZIRT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "u1"), ("ring", "<u2"), ("timestamp", "<f8")]
+)
+"""One return: position [m], intensity, laser, time [s, the recording's clock]; 23 bytes, packed.
+
+Source: "Model: RoboSense M1 XYZIRT" of the recording format's description.
+"""
+
+_CERTAIN = 0x42
+"""Times whose highest byte is below this are in order: from 0 to 2^33 s, by the sign and the exponent in it."""
+
+
+def _find_file(folder: Path, name: str, file: object, location: str) -> Path:
+    """Find the file that a `dataFile` names.
+
+    Args:
+        folder: the recording.
+        name: the `dataFile`, in which `problem_of_name` found nothing wrong.
+        file: what messages call the file that names it.
+        location: the line that names it, for messages.
+
+    Raises:
+        DataError: there is no such file, or a link leads it out of the folder.
+    """
+    try:
+        path = (folder / name).resolve()
+        inside, there = path.is_relative_to(folder.resolve()), path.is_file()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise DataError(file, location, f"lidar.dataFile: {name!r} cannot be read: {error}") from error
+    if not inside:
+        raise DataError(
+            file, location, f"lidar.dataFile: {name!r} leads out of the recording's folder by a link"
+        )
+    if not there:
+        raise DataError(file, location, f"lidar.dataFile: {name!r}: {why_no_file(path)}")
+    return path
+
+
+def _check_size(path: Path) -> int:
+    """Count the records of a file by its size.
+
+    Raises:
+        DataError: the size is no multiple of the record's 23 bytes.
+    """
+    size = path.stat().st_size
+    count, remainder = divmod(size, XYZIRT.itemsize)
+    if remainder:
+        raise DataError(
+            path,
+            f"byte {count * XYZIRT.itemsize}",
+            f"{size} bytes are {count} records of {XYZIRT.itemsize} bytes and a remainder of {remainder}; "
+            "expected whole records",
+        )
+    return count
+
+
+def read_points(path: Path) -> LidarPoints:
+    """Read one sweep; points whose position is not a number stay in it.
+
+    The file is mapped and the time of every record checked; the records are taken apart in one pass when the first
+    of their fields is asked for, and the file is let go. Until then it must stay as long as it is.
+
+    Returns:
+        The points in the lidar's frame, read-only; `extras["file_seconds"]` holds the times as the file has them,
+        float64 [s].
+
+    Raises:
+        DataError: the file cannot be read, is no whole number of records, or holds a time that is no time.
+    """
+    try:
+        count = _check_size(path)
+        records = _mapped(path, count)
+    except (OSError, ValueError) as error:
+        raise DataError(path, "", f"cannot be read: {error}") from error
+    _check_times(records, path)
+    return LidarPoints.of_packed(_Records(records))
+
+
+def _mapped(path: Path, count: int) -> AnyArray:
+    # an empty file cannot be mapped
+    if count == 0:
+        return np.empty(0, XYZIRT)
+    size = count * XYZIRT.itemsize
+    with open_file(path, buffering=0) as file:
+        if sys.platform == "linux":
+            # all pages at once: one by one takes twice as long
+            flags = mmap.MAP_SHARED | mmap.MAP_POPULATE
+            content = mmap.mmap(file.fileno(), size, flags=flags, prot=mmap.PROT_READ)
+        else:
+            content = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+    return np.frombuffer(content, XYZIRT)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Records:
+    """The records of a sweep, as a file has them."""
+
+    records: AnyArray
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def unpacked(self) -> LidarPoints:
+        """Take them apart."""
+        # the compiler is loaded only where points are used
+        from sceneloom.kernels.packed import unpack
+
+        count = len(self.records)
+        positions, intensities, rings = (
+            np.empty((count, 3), "f4"),
+            np.empty(count, "u1"),
+            np.empty(count, "u2"),
+        )
+        seconds, timestamps_ns = np.empty(count, np.float64), np.empty(count, np.int64)
+        unpack(read_only(self.records), positions, intensities, rings, seconds, timestamps_ns)
+        return LidarPoints(
+            positions=read_only(positions),
+            intensities=read_only(intensities),
+            timestamps_ns=read_only(timestamps_ns),
+            rings=read_only(rings),
+            extras=MappingProxyType({"file_seconds": read_only(seconds)}),
+        )
+
+
+def _check_times(records: AnyArray, path: Path) -> None:
+    highest_bytes = records.view(np.uint8).reshape(-1, XYZIRT.itemsize)[:, -1]
+    if len(records) == 0 or highest_bytes.max() < _CERTAIN:
+        return
+    seconds = np.array(records["timestamp"])
+    if max(-float(seconds.min()), float(seconds.max())) <= FARTHEST_TIME:
+        return
+    wrong = int(np.flatnonzero(~(np.abs(seconds) <= FARTHEST_TIME))[0])
+    raise DataError(
+        path,
+        f"record {wrong} (byte {wrong * XYZIRT.itemsize})",
+        f"timestamp {seconds[wrong]}; expected seconds on the recording's clock, within ±{FARTHEST_TIME:g}",
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SweepTable:
+    """The sweeps of one lidar in time order.
+
+    Attributes:
+        folder: the recording.
+        data_path: `data.jsonl`.
+        timestamps_ns: (N,) int64 [ns].
+        seconds: (N,) float64 [s], as the file has them.
+        files: `dataFile` of each.
+        lines: (N,) int64, number of each line.
+    """
+
+    folder: Path
+    data_path: Path
+    timestamps_ns: Int64Array
+    seconds: Float64Array
+    files: list[str]
+    lines: Int64Array
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def file(self, k: int) -> Path:
+        """Find the file of sweep `k`.
+
+        Raises:
+            DataError: there is none, or a link leads it out of the folder.
+        """
+        return _find_file(self.folder, self.files[k], self.data_path, f"line {self.lines[k]}")
+
+    def frame(self, k: int) -> LidarFrame:
+        """Read sweep `k`.
+
+        Raises:
+            DataError: its file is missing or wrong.
+        """
+        extras = {"file_seconds": float(self.seconds[k]), "dataFile": self.files[k]}
+        return LidarFrame(int(self.timestamps_ns[k]), read_points(self.file(k)), MappingProxyType(extras))
+
+    def select(self, rows: Int64Array) -> "SweepTable":
+        """Keep some of the sweeps."""
+        files = [self.files[row] for row in rows]
+        return SweepTable(
+            self.folder, self.data_path, self.timestamps_ns[rows], self.seconds[rows], files, self.lines[rows]
+        )
+
+
+def build_lidars(
+    folder: Path,
+    data_path: Path,
+    columns: dict[int, LidarColumns],
+    calibration: Calibration,
+    ego_path: Poses | None,
+    ledger: Ledger,
+) -> list[LidarSensor]:
+    """Build every lidar that a line names; a lenient reading looks for all their files at once.
+
+    Args:
+        columns: the lidars' lines by `lidarInd`.
+        ego_path: `world_from_ego` of the default trajectory, or None.
+    """
+    sensors = []
+    for index in sorted(columns):
+        table = _usable(_table(folder, data_path, columns[index]), ledger)
+        name = f"lidar{index}" if len(columns) > 1 else "lidar"
+        entry = calibration.lidars.get(index)
+        mount = _mount(entry, name, calibration.path, ledger)
+        sensors.append(
+            LidarSensor(
+                id=name,
+                frames=LazyFrames(table.timestamps_ns, table.frame),
+                poses=poses_along(ego_path, {0: mount}, np.zeros(len(table), np.int64), table.timestamps_ns),
+                mount=mount,
+                model=columns[index].model,
+                extras=MappingProxyType(_extras(index, entry)),
+            )
+        )
+    return sensors
+
+
+def _table(folder: Path, data_path: Path, columns: LidarColumns) -> SweepTable:
+    sweeps = by_time(columns.sweeps)
+    files = [columns.files[row] for row in sweeps.order]
+    lines = np.asarray(columns.lines, np.int64)[sweeps.order]
+    return SweepTable(folder, data_path, sweeps.timestamps_ns, sweeps.seconds, files, lines)
+
+
+def _usable(table: SweepTable, ledger: Ledger) -> SweepTable:
+    """Leave out sweeps whose file is missing or not whole; a strict reading finds out when it reads them."""
+    if not ledger.lenient:
+        return table
+    rows = []
+    for k in range(len(table)):
+        try:
+            _check_size(table.file(k))
+            rows.append(k)
+        except DataError as error:
+            ledger.fault("unusable-lidar-files", error)
+    return table.select(np.asarray(rows, np.int64))
+
+
+def _mount(entry: LidarCalibration | None, name: str, path: Path, ledger: Ledger) -> RigidTransform:
+    if entry is not None and entry.lidar_from_imu is not None:
+        return entry.lidar_from_imu.inverse()
+    location = str(path) if entry is None else entry.location
+    message = f"no imuToLidar for {name!r}; it is taken to be where the IMU is, with the same axes"
+    ledger.note(WarningKind.ASSUMED, "lidar-mount-identity", location, message)
+    return RigidTransform.identity()
+
+
+def _extras(index: int, entry: LidarCalibration | None) -> dict[str, Any]:
+    extras: dict[str, Any] = {"lidarInd": index}
+    if entry is not None:
+        extras["calibration"] = entry.entry
+    return extras

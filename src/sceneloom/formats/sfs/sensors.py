@@ -1,0 +1,642 @@
+"""Sensors of a file: lidars, radars, points, cameras, odometry, IMU and GNSS, and the trajectories."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from sceneloom.arrays import AnyArray, Int64Array, read_only
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import ArrayError, CalibrationError, DataError
+from sceneloom.formats.sfs.clock import TimeRangeError
+from sceneloom.formats.sfs.container import format_keys
+from sceneloom.formats.sfs.images import (
+    ImageContent,
+    ImageNotes,
+    camera_model_of,
+    camera_of,
+    exposure_ns,
+    image_content,
+    no_content,
+    numbers_of,
+    video_content,
+)
+from sceneloom.formats.sfs.metadata import Source, in_opencvs_sense, root_fault
+from sceneloom.formats.sfs.records import (
+    Faults,
+    FieldError,
+    Location,
+    further_of_poses,
+    mount_of,
+    repaired_path_of,
+    times_of,
+)
+from sceneloom.formats.sfs.schema import (
+    COEFFICIENT_COUNTS,
+    RECORDS,
+    SENSOR_ALIASES,
+    SENSOR_RECORDS,
+    sensor_record,
+)
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.cameras import CameraImage, CameraSensor
+from sceneloom.scene.clouds import (
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    PointsSensor,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+)
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor, VectorSamples
+from sceneloom.scene.poses import Poses, Trajectory
+from sceneloom.scene.scene import Sensor
+from sceneloom.scene.types import Coordinates, PointsFrame
+from sceneloom.warnings import WarningKind
+
+_Record = dict[str, Any]
+
+_LIDAR_ARRAYS = {
+    "positions": "positions",
+    "colors": "colors",
+    "intensities": "intensities",
+    "ring": "rings",
+    "camera_index": "camera_index",
+}
+
+_RADAR_ARRAYS = {"positions": "positions", "directions": "directions", "lengths": "lengths"}
+
+_OURS = {"ring": np.dtype(np.uint16), "camera_index": np.dtype(np.uint8)}
+
+_OTHER_WIDTH = {4: "uint64", 8: "uint32"}
+
+_TYPICAL_PERIOD_NS = 100_000_000
+
+
+def _read_lidar(source: Source, values: _Record, location: Location, faults: Faults) -> LidarSensor | None:
+    """Make a lidar of its record."""
+    frames = values.pop("frames")
+    relative = _check_frames(source, frames, location, faults)
+    moving = _read_moving(source, values, location, faults, frame_count=len(frames))
+    if faults.unmended:
+        return None
+    note = source.note(values["id"])
+    read = _frame_reader(source, frames, location, relative=relative, make=_lidar_frame)
+    return LidarSensor(
+        values.pop("id"),
+        LazyFrames(_timestamps(frames), read),
+        points_frame=_points_frame(source, note, moving["coordinates"], location),
+        model=note.get("model"),
+        **moving,
+        extras=_rest_of(values),
+    )
+
+
+def _read_radar(source: Source, values: _Record, location: Location, faults: Faults) -> RadarSensor | None:
+    """Make a radar of its record."""
+    frames = values.pop("frames")
+    note = source.note(values["id"])
+    _restore_lengths(frames, note, faults)
+    relative = _check_frames(source, frames, location, faults)
+    moving = _read_moving(source, values, location, faults, frame_count=len(frames))
+    if faults.unmended:
+        return None
+    read = _frame_reader(source, frames, location, relative=relative, make=_radar_frame)
+    return RadarSensor(
+        values.pop("id"),
+        LazyFrames(_timestamps(frames), read),
+        points_frame=_points_frame(source, note, moving["coordinates"], location),
+        **moving,
+        extras=_rest_of(values),
+    )
+
+
+def _read_points(source: Source, values: _Record, location: Location, faults: Faults) -> PointsSensor | None:
+    """Make a points sensor of its record."""
+    del source, location
+    points = values.pop("points")
+    _check_counts(points, ("points",), faults)
+    if faults:
+        return None
+    extras = _rest_of(values)
+    further = {name: array for name, array in points.items() if name not in {"positions", "colors"}}
+    if further:
+        extras["points"] = further
+    return PointsSensor(
+        values["id"],
+        _aligned(points["positions"]),
+        None if points.get("colors") is None else _aligned(points["colors"]),
+        parent_id=values.get("parent_id"),
+        extras=extras,
+    )
+
+
+def _rest_of(values: _Record) -> _Record:
+    """The fields that no attribute of the model takes."""
+    taken = {"id", "type", "parent_id", "poses", "coordinates", "points", "frames"}
+    further = {name: value for name, value in values.items() if name not in taken}
+    return {**further, **further_of_poses(values)}
+
+
+def _read_moving(
+    source: Source, values: _Record, location: Location, faults: Faults, *, frame_count: int
+) -> _Record:
+    """Read what every sensor with poses has: `poses`, `mount`, `coordinates`, `parent_id`."""
+    note = source.note(values["id"])
+    coordinates = values.get("coordinates") or Coordinates.WORLD.value
+    if coordinates not in set(Coordinates):
+        faults.add(("coordinates",), f"{coordinates!r}; expected one of {', '.join(Coordinates)}")
+        return {}
+    poses = _poses(source, values, location, faults)
+    mount = _mount(note, faults)
+    if note.get("poses_from_mount"):
+        poses, coordinates = None, note.get("coordinates", Coordinates.WORLD.value)
+    elif poses is not None and len(poses.timestamps_ns) == 1:
+        stationary = note.get("poses_static", coordinates == Coordinates.EGO or frame_count != 1)
+        poses = Poses(poses.timestamps_ns, poses.positions, poses.quaternions_xyzw, static=bool(stationary))
+        if stationary and "poses_static" not in note:
+            message = "a single pose; taken to hold at all times"
+            source.warning(WarningKind.ASSUMED, "single-pose", (*location, "poses"), message)
+    return {
+        "poses": poses,
+        "mount": mount,
+        "coordinates": Coordinates(coordinates),
+        "parent_id": values.get("parent_id"),
+    }
+
+
+def _poses(source: Source, values: _Record, location: Location, faults: Faults) -> Poses | None:
+    record = values.get("poses")
+    found = Faults()
+    path = None if record is None else repaired_path_of(record, found)
+    faults.extend(found)
+    if path is None and not found:
+        message = "no poses; expected where the sensor was"
+        source.warning(WarningKind.SKIPPED, "no-poses", (*location, "poses"), message)
+    return path
+
+
+def _mount(note: Mapping[str, Any], faults: Faults) -> RigidTransform | None:
+    try:
+        return None if note.get("mount") is None else mount_of(note["mount"])
+    except FieldError as error:
+        faults.add(("mount",), f"our note: {error}")
+        return None
+
+
+def _points_frame(
+    source: Source, note: Mapping[str, Any], coordinates: Coordinates, location: Location
+) -> PointsFrame:
+    """Report in which frame the points are: as the caller says, else as recorded, else as `coordinates` says."""
+    if source.options.points_frame is not None:
+        return PointsFrame(source.options.points_frame)
+    recorded = note.get("points_frame")
+    if recorded in set(PointsFrame):
+        return PointsFrame(recorded)
+    message = f"the frame of the points is not stated; taken to be the {coordinates.value} frame"
+    source.warning(WarningKind.ASSUMED, "points-frame", location, message)
+    return PointsFrame(coordinates.value)
+
+
+def _timestamps(frames: list[_Record]) -> Int64Array:
+    return np.array([frame["timestamp"] for frame in frames], np.int64)
+
+
+def _frame_reader(
+    source: Source, frames: list[_Record], location: Location, *, relative: bool, make: Callable[..., Any]
+) -> Callable[[int], Any]:
+    container, clock = source.container, source.clock
+
+    def read(index: int) -> Any:
+        where = format_keys((*location, "frames", index))
+        container.check_open(where)
+        frame = container.fetch(frames[index])
+        try:
+            times_ns = _point_times(frame, clock.absolute_array, clock.tick_ns, relative=relative)
+        except TimeRangeError as error:
+            raise DataError(container.file, f"{where}.points.timestamps", str(error)) from None
+        extras = {name: value for name, value in frame.items() if name not in {"timestamp", "points"}}
+        return make(frame["timestamp"], frame["points"], times_ns, extras)
+
+    return source.parts.keep(format_keys((*location, "frames")), read)
+
+
+def _point_times(
+    frame: _Record, absolute: Callable[[AnyArray], Int64Array], tick_ns: int, *, relative: bool
+) -> Int64Array | None:
+    timestamps = frame["points"].get("timestamps")
+    if timestamps is None:
+        return None
+    if relative:
+        return read_only(timestamps.astype(np.int64) * tick_ns + frame["timestamp"])
+    return read_only(absolute(timestamps))
+
+
+def _lidar_frame(
+    timestamp_ns: int, points: _Record, times_ns: Int64Array | None, extras: _Record
+) -> LidarFrame:
+    arrays, further = _known_arrays(points, _LIDAR_ARRAYS)
+    return LidarFrame(timestamp_ns, LidarPoints(**arrays, timestamps_ns=times_ns, extras=further), extras)
+
+
+def _radar_frame(
+    timestamp_ns: int, points: _Record, times_ns: Int64Array | None, extras: _Record
+) -> RadarFrame:
+    arrays, further = _known_arrays(points, _RADAR_ARRAYS)
+    return RadarFrame(timestamp_ns, RadarPoints(**arrays, timestamps_ns=times_ns, extras=further), extras)
+
+
+def _known_arrays(points: _Record, names: Mapping[str, str]) -> tuple[_Record, _Record]:
+    """Part the arrays that the model knows from those that it only carries along."""
+    known, further = {}, {}
+    for name, value in points.items():
+        if name in names and value is not None and _is_ours_or_known(name, value, points):
+            known[names[name]] = _aligned(value)
+        elif name != "timestamps" and not (name in names and value is None):
+            further[name] = value
+    return known, further
+
+
+def _is_ours_or_known(name: str, value: Any, points: _Record) -> bool:
+    """Whether an array is what its name says; `ring` and `camera_index` may be a stranger's."""
+    if name not in _OURS:
+        return True
+    return (
+        isinstance(value, np.ndarray)
+        and value.dtype == _OURS[name]
+        and value.shape == points["positions"].shape[:1]
+    )
+
+
+def _aligned(array: AnyArray) -> AnyArray:
+    """Copy an array whose items lie at odd addresses: compiled functions cannot take it."""
+    return array if array.flags.aligned else read_only(array.copy())
+
+
+def _check_frames(source: Source, frames: list[_Record], location: Location, faults: Faults) -> bool:
+    """Check that the arrays of each frame are of one length.
+
+    Report whether point times count from the frame's start.
+    """
+    if faults.unmended:
+        return False
+    for index, frame in enumerate(frames):
+        _check_counts(frame["points"], ("frames", index, "points"), faults)
+    relative = not faults and _times_are_relative(source, frames)
+    if relative:
+        message = (
+            "point times lie before their frame and within one period; read as counted from the frame's start"
+        )
+        source.warning(WarningKind.ASSUMED, "relative-point-times", (*location, "frames"), message)
+    return relative
+
+
+def _note_further_faults(values: _Record, faults: Faults) -> None:
+    """Look through a sensor that is at fault for what else is wrong in its frames and poses."""
+    frames = values.get("frames")
+    for index, frame in enumerate(frames if isinstance(frames, list) else []):
+        points = frame.get("points") if isinstance(frame, dict) else None
+        if isinstance(points, dict) and isinstance(points.get("positions"), np.ndarray):
+            _check_counts(points, ("frames", index, "points"), faults)
+    poses = values.get("poses")
+    if isinstance(poses, dict) and not any(poses.get(name) is None for name in ("timestamps", "values")):
+        repaired_path_of(poses, faults)
+
+
+def _check_counts(points: _Record, location: Location, faults: Faults) -> None:
+    count = len(points["positions"])
+    for name in ("colors", "intensities", "timestamps", "directions", "lengths"):
+        array = points.get(name)
+        if isinstance(array, np.ndarray) and len(array) != count:
+            problem = f"{len(array)} values for {count} points; expected as many"
+            if name == "timestamps" and len(array) in {2 * count, count / 2}:
+                problem += f": the bytes fit {_OTHER_WIDTH.get(array.dtype.itemsize, 'another width')}, not "
+                problem += (
+                    f"{array.dtype.name}; see `time_unit` of the scene, which decides where no dtype says it"
+                )
+            faults.add((*location, name), problem)
+
+
+def _times_are_relative(source: Source, frames: list[_Record]) -> bool:
+    """Judge by the last frame that has point times: all of them below its start and within one period."""
+    timestamps_ns = sorted(frame["timestamp"] for frame in frames)
+    gaps_ns = sorted(after - before for before, after in pairwise(timestamps_ns))
+    period_ns = gaps_ns[len(gaps_ns) // 2] if gaps_ns else _TYPICAL_PERIOD_NS
+    tick_ns, offset_ns = source.clock.tick_ns, source.clock.offset_ns
+    for frame in reversed(frames):
+        times = frame["points"].get("timestamps")
+        if isinstance(times, np.ndarray) and times.size:
+            latest_ns = int(source.container.fetch(times).max()) * tick_ns
+            return latest_ns < frame["timestamp"] - offset_ns and latest_ns <= period_ns
+    return False
+
+
+def _restore_lengths(frames: list[_Record], note: Mapping[str, Any], faults: Faults) -> None:
+    """Put back the lengths that the profile `scale` keeps under our metadata."""
+    lengths = note.get("lengths")
+    if lengths is None:
+        return
+    if len(lengths) != len(frames):
+        faults.add(("frames",), f"our note holds lengths of {len(lengths)} frames; expected {len(frames)}")
+        return
+    for frame, values in zip(frames, lengths, strict=True):
+        if isinstance(values, np.ndarray) and values.dtype == np.float32 and values.ndim == 1:
+            frame.setdefault("points", {}).setdefault("lengths", values)
+
+
+def _read_odometry(
+    source: Source, values: _Record, location: Location, faults: Faults
+) -> OdometrySensor | None:
+    """Make an odometry sensor of its record."""
+    del location
+    path = repaired_path_of(values["poses"], faults)
+    if path is None and faults.unmended:
+        return None
+    if path is None:
+        faults.add(("poses",), "empty; expected at least one pose")
+        return None
+    if source.note(values["id"]).get("poses_static"):
+        path = Poses(
+            path.timestamps_ns, path.positions, path.quaternions_xyzw, static=len(path.timestamps_ns) == 1
+        )
+    return OdometrySensor(values["id"], path, parent_id=values.get("parent_id"), extras=_rest_of(values))
+
+
+def _read_imu(source: Source, values: _Record, location: Location, faults: Faults) -> ImuSensor | None:
+    """Make an IMU of the record in our metadata."""
+    del source, location
+    streams = {}
+    for name, samples in values.pop("streams").items():
+        try:
+            streams[name] = VectorSamples(
+                samples["timestamps_ns"], samples["values"], samples.get("file_seconds")
+            )
+        except ArrayError as error:
+            faults.add(("streams", name), str(error))
+    if faults:
+        return None
+    return ImuSensor(values["id"], streams, parent_id=values.get("parent_id"), extras=_rest_of(values))
+
+
+_GNSS_ARRAYS = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
+
+
+def _read_gnss(source: Source, values: _Record, location: Location, faults: Faults) -> GnssSensor | None:
+    """Make a satellite receiver of the record in our metadata."""
+    del source, location
+    arrays = {name: values.pop(name) for name in _GNSS_ARRAYS if values.get(name) is not None}
+    rows = values.pop("mount", None)
+    try:
+        mount = None if rows is None else mount_of(rows)
+    except FieldError as error:
+        faults.add(("mount",), str(error))
+        return None
+    parent_id, extras = values.get("parent_id"), _rest_of(values)
+    try:
+        return GnssSensor(values["id"], **arrays, mount=mount, parent_id=parent_id, extras=extras)
+    except ArrayError as error:
+        faults.add((), str(error))
+        return None
+
+
+def _read_plain_sensor(
+    source: Source, values: _Record, location: Location, faults: Faults
+) -> PlainSensor | None:
+    """Keep a sensor of a type that we do not know."""
+    del source, location, faults
+    identifier, type_name = values.pop("id"), values.pop("type")
+    return PlainSensor(identifier, type_name, values)
+
+
+def read_trajectories(
+    records: Any, sensors: tuple[Sensor, ...], location: Location, faults: Faults
+) -> Mapping[str, Trajectory]:
+    """Collect the trajectories of the ego: those of our metadata in their order, then one per odometry sensor."""
+    odometry = {str(sensor.id): sensor for sensor in sensors if isinstance(sensor, OdometrySensor)}
+    trajectories: dict[str, Trajectory] = {}
+    for index, record in enumerate(records if isinstance(records, list) else []):
+        sensor = odometry.get(str(record.get("sensor_id")))
+        try:
+            trajectories[record["name"]] = _trajectory(record, sensor)
+        except (ArrayError, KeyError) as error:
+            faults.add((*location, index), f"no trajectory: {error}")
+    for name, sensor in odometry.items():
+        trajectories.setdefault(name, _of_odometry(name, sensor))
+    return trajectories
+
+
+def _trajectory(record: _Record, sensor: OdometrySensor | None) -> Trajectory:
+    rows = record.get("covariances")
+    covariances = None if rows is None else rows.reshape(-1, 6, 6)
+    if record.get("timestamps_ns") is None and sensor is not None:
+        return replace(_of_odometry(record["name"], sensor), covariances=covariances)
+    return Trajectory(
+        record["name"],
+        record["timestamps_ns"],
+        record["positions"],
+        record.get("quaternions_xyzw"),
+        record.get("file_seconds"),
+        covariances,
+    )
+
+
+def _of_odometry(name: str, sensor: OdometrySensor) -> Trajectory:
+    """The ego trajectory that an odometry sensor reports."""
+    return Trajectory(name, sensor.poses.timestamps_ns, sensor.poses.positions, sensor.poses.quaternions_xyzw)
+
+
+def _read_camera(source: Source, values: _Record, location: Location, faults: Faults) -> CameraSensor | None:
+    """Make a camera of its record."""
+    note = source.note(values["id"])
+    intrinsics = values.pop("intrinsics")
+    inner = Faults()
+    try:
+        camera_model = read_camera_model(source, intrinsics, note, (*location, "intrinsics"))
+    except (FieldError, CalibrationError) as error:
+        faults.add(("intrinsics",), str(error))
+        return None
+    content = _content(source, values, camera_model, location)
+    moving = _read_moving(source, values, location, inner, frame_count=len(content.starts_ns))
+    try:
+        own = ImageNotes.of(note.get("images") or {}, camera_model, len(content.starts_ns))
+    except (FieldError, CalibrationError) as error:
+        inner.add(("images",), f"our note: {error}")
+    faults.extend(inner)
+    if inner.unmended:
+        return None
+    extras = {**_rest_of(values), **further_of_intrinsics(intrinsics), **content.further}
+    images = _images(source, content, own, exposure_ns(extras, 0), location)
+    return CameraSensor(
+        values["id"],
+        camera_model,
+        images,
+        video=content.video,
+        fps=_fps(content, note),
+        **moving,
+        extras=extras,
+    )
+
+
+def _images(
+    source: Source, content: ImageContent, own: ImageNotes, usual: int, location: Location
+) -> LazyFrames[CameraImage]:
+    """Join images, their own camera models and mountings, and the times of their middles."""
+    own_fields = content.own_fields or tuple(own.extras(k) for k in range(len(content.starts_ns)))
+    exposures = np.array([exposure_ns(extra, usual) for extra in own_fields], np.int64)
+    middles_ns = content.starts_ns + exposures // 2
+
+    def read(index: int) -> CameraImage:
+        image = content.read(index, own.camera(index))
+        extras = {**image.extras, **own.extras(index)}
+        return replace(image, timestamp_ns=int(middles_ns[index]), mount=own.mount(index), extras=extras)
+
+    return LazyFrames(middles_ns, source.parts.keep(format_keys((*location, "images")), read))
+
+
+def _fps(content: ImageContent, note: Mapping[str, Any]) -> float | None:
+    """The rate that the video says, or our note of a camera with single images."""
+    noted = note.get("fps")
+    return float(noted) if content.fps is None and isinstance(noted, int | float) else content.fps
+
+
+def _content(source: Source, values: _Record, camera_model: Camera, location: Location) -> ImageContent:
+    """Choose between `video` and `images`; what is not chosen stays among the further fields."""
+    video, images = values.get("video"), values.get("images")
+    if video is not None:
+        values.pop("video")
+        if images is None:
+            values.pop("images", None)
+        else:
+            message = "both video and images; the video is taken, the images are carried along"
+            source.warning(WarningKind.ASSUMED, "video-and-images", location, message)
+        timestamps_ns = times_of(video["timestamps"])
+        return video_content(source, video, timestamps_ns, (*location, "video"))
+    values.pop("video", None)
+    values.pop("images", None)
+    if images is not None:
+        return image_content(source, images, (*location, "images"))
+    source.warning(
+        WarningKind.SKIPPED,
+        "no-images",
+        location,
+        f"neither video nor images; {camera_model.model} camera model only",
+    )
+    return no_content()
+
+
+def read_camera_model(
+    source: Source, intrinsics: _Record, note: Mapping[str, Any], location: Location
+) -> Camera:
+    """Make a camera model of an `intrinsics` record.
+
+    Or of our note where the record stands in for the camera model noted there.
+
+    A record that was changed since it was written counts, not the note. Files of before the fit have no camera model as
+    written in the note: there the focal lengths and the centre report.
+
+    Raises:
+        FieldError: the distortion is not what its model has.
+        CalibrationError: the numbers are those of no camera model.
+    """
+    distortion = intrinsics.get("distortion") or {}
+    model = distortion.get("model") or "pinhole"
+    written = camera_model_of(
+        intrinsics, model, _coefficients(source, model, distortion.get("params"), location)
+    )
+    if note.get("camera") is None:
+        return in_opencvs_sense(written, source)
+    exact = camera_of(note["camera"])
+    if note.get("written_camera") is not None:
+        same = camera_of(note["written_camera"]) == written
+    else:
+        same = (exact.fx, exact.fy, exact.cx, exact.cy) == (written.fx, written.fy, written.cx, written.cy)
+    return exact if same else in_opencvs_sense(written, source)
+
+
+def _coefficients(source: Source, model: str, params: Any, location: Location) -> tuple[float, ...]:
+    coefficients = numbers_of([] if params is None else params)
+    if model == "pinhole":
+        if any(coefficients):
+            raise FieldError(f"distortion.params: {list(coefficients)} without a model")
+        return ()
+    expected = COEFFICIENT_COUNTS.get(model)
+    if expected is None:
+        message = (
+            f"distortion model {model!r} is none of the format's; it is kept, but cannot be computed with"
+        )
+        source.warning(WarningKind.SKIPPED, "unknown-distortion", (*location, "distortion"), message)
+    elif len(coefficients) > expected:
+        raise FieldError(f"distortion.params: {len(coefficients)} numbers; {model} has {expected}")
+    elif len(coefficients) < expected:
+        message = f"{len(coefficients)} of the {expected} numbers of {model}; the others are taken as 0"
+        source.warning(WarningKind.REPAIRED, "short-distortion", (*location, "distortion"), message)
+    return coefficients
+
+
+def further_of_intrinsics(intrinsics: _Record) -> _Record:
+    """Unknown fields of `intrinsics` and `distortion`, which the model has no object for."""
+    known = {"fx", "fy", "cx", "cy", "width", "height", "distortion"}
+    unknown = {name: value for name, value in intrinsics.items() if name not in known}
+    distortion = intrinsics.get("distortion") or {}
+    of_distortion = {name: value for name, value in distortion.items() if name not in {"model", "params"}}
+    if of_distortion:
+        unknown["distortion"] = of_distortion
+    return {"intrinsics": unknown} if unknown else {}
+
+
+_SENSOR_READERS: Mapping[str, Callable[[Source, dict[str, Any], Location, Faults], Sensor | None]] = (
+    MappingProxyType(
+        {
+            "lidar": _read_lidar,
+            "radar": _read_radar,
+            "points": _read_points,
+            "camera": _read_camera,
+            "odometry": _read_odometry,
+            "imu": _read_imu,
+            "gnss": _read_gnss,
+        }
+    )
+)
+
+
+def read_sensors(source: Source, raw: Any, location: Location) -> tuple[Sensor, ...]:
+    """Read a list of sensors; those at fault are left out."""
+    if raw is None:
+        return ()
+    if not isinstance(raw, list):
+        root_fault(source, location, "expected a list of sensors")
+        return ()
+    sensors = []
+    for index, item in enumerate(raw):
+        faults = Faults()
+        sensor = _sensor(source, item, (*location, index), faults)
+        if source.settle(faults, (*location, index)) and sensor is not None:
+            sensors.append(sensor)
+    return tuple(sensors)
+
+
+def _sensor(source: Source, raw: Any, location: Location, faults: Faults) -> Sensor | None:
+    type_name = raw.get("type") if isinstance(raw, dict) else None
+    if not isinstance(type_name, str):
+        faults.add(("type",), f"{type_name!r}; expected one of {', '.join(SENSOR_RECORDS)}")
+        return None
+    known = SENSOR_ALIASES.get(type_name, type_name)
+    if known != type_name:
+        source.warning(
+            WarningKind.ASSUMED, "sensor-alias", location, f"type {type_name!r}; read as {known!r}"
+        )
+    is_known = known in _SENSOR_READERS
+    values = source.reader(forgiving=not is_known).read(raw, sensor_record(type_name), faults)
+    if not is_known and not isinstance(values.get("id"), str | int):
+        faults.add(("id",), f"{values.get('id')!r}; expected text or an integer")
+    if faults:
+        if is_known:
+            fields = RECORDS[sensor_record(type_name)]
+            _note_further_faults({name: v for name, v in values.items() if name in fields}, faults)
+        return None
+    return _SENSOR_READERS.get(known, _read_plain_sensor)(source, values, location, faults)

@@ -1,0 +1,420 @@
+"""Trajectories as lines and tables of text: TUM, KITTI, EuRoC, named columns, and GNSS fixes."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array, read_only
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.losses import Loss
+from sceneloom.formats.base.poses import PoseRows
+from sceneloom.formats.base.text_tables import (
+    FARTHEST_NS,
+    TIME_COLUMNS,
+    Table,
+    pick_columns,
+    read_table,
+    seconds_text,
+)
+from sceneloom.formats.rig.manifest import line_timestamps
+from sceneloom.formats.rig.reader import GNSS_COLUMNS
+from sceneloom.formats.rig.transforms import POSE_COLUMNS
+from sceneloom.formats.trajectories.trajectory_file import (
+    FIXES,
+    LOCATIONS,
+    MATRICES,
+    Reading,
+    TrajectoryFile,
+    TrajectoryForm,
+    first_names,
+    first_values,
+    further_losses,
+    numbers_text,
+    ordered,
+    oriented,
+)
+from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from sceneloom.geometry.rotations import GREATEST_ERROR, matrix_from_quaternion, quaternion_from_matrix
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.poses import Trajectory
+from sceneloom.warnings import WarningKind
+
+_HEADER = "# timestamp tx ty tz qx qy qz qw\n"
+
+
+def _recognises(text: str) -> bool:
+    values = first_values(text, None)
+    return values is not None and len(values) == 8
+
+
+def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
+    table = read_table(path, named=False)
+    if len(table.rows[0]) != 8:
+        problem = f"{len(table.rows[0])} values; expected 8: timestamp tx ty tz qx qy qz qw"
+        raise DataError(path, f"line {table.lines[0]}", problem)
+    values = table.numbers(range(1, 8))
+    rows = PoseRows(table.timestamps(0, reading.unit), values[:, :3], values[:, 3:], table.lines)
+    return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], FORM.name)
+
+
+def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
+    trajectory, quaternions = oriented(content, target, FORM.name)
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(_HEADER)
+        rows = zip(
+            trajectory.timestamps_ns.tolist(),
+            trajectory.positions.tolist(),
+            quaternions.tolist(),
+            strict=True,
+        )
+        for time_ns, position, quaternion in rows:
+            file.write(f"{seconds_text(time_ns)} {numbers_text((*position, *quaternion), ' ')}\n")
+    return further_losses(content)
+
+
+FORM = TrajectoryForm(
+    "tum", (".tum", ".txt"), "lines of 8 numbers: timestamp tx ty tz qx qy qz qw", _recognises, _read, _write
+)
+
+
+def _times_beside(path: Path) -> Path:
+    """Where the times of a file of poses are written: `trajectory.kitti` has its in `trajectory.times.txt`."""
+    return path.with_name(f"{path.stem}.times.txt")
+
+
+def _kitti_recognises(text: str) -> bool:
+    values = first_values(text, None)
+    return values is not None and len(values) == 12
+
+
+def _kitti_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
+    table = read_table(path, named=False)
+    if len(table.rows[0]) != 12:
+        problem = f"{len(table.rows[0])} values; expected 12: three rows of [R t]"
+        raise DataError(path, f"line {table.lines[0]}", problem)
+    timestamps = _timestamps(path, len(table.rows), reading, ledger)
+    matrices = table.numbers(range(12)).reshape(-1, 3, 4)
+    quaternions = _quaternions(table, matrices[:, :, :3])
+    rows = PoseRows(timestamps, matrices[:, :, 3].copy(), quaternions, table.lines)
+    return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], KITTI_FORM.name)
+
+
+def _quaternions(table: Table, matrices: Float64Array) -> Float64Array:
+    """The rotations nearest to (N, 3, 3) matrices, which are rounded, as (N, 4) quaternions.
+
+    Source: as `nearest_rotation`, all at once.
+    """
+    # elements beyond 2 would overflow in the products of the test
+    small = np.abs(matrices).max(axis=(1, 2)) <= 2
+    clipped = np.where(small[:, None, None], matrices, 0.0)
+    errors = np.abs(clipped @ clipped.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    wrong = np.flatnonzero(~((errors <= GREATEST_ERROR) & (np.linalg.det(clipped) > 0)))
+    if len(wrong):
+        row = int(wrong[0])
+        problem = f"{matrices[row].tolist()}; expected an orthonormal right-handed rotation within {GREATEST_ERROR:g}"
+        raise DataError(table.path, f"line {table.lines[row]}", problem)
+    # of all rotations U Vᵀ is nearest, and right-handed like the matrix
+    u, _, vt = np.linalg.svd(clipped)
+    return quaternion_from_matrix(u @ vt)
+
+
+def _timestamps(path: Path, count: int, reading: Reading, ledger: Ledger) -> Int64Array:
+    """The times of the poses: of a file that was named, by a rate, or of a file of times beside the poses."""
+    if reading.times is not None and reading.rate_hz is not None:
+        raise OptionError("times and a rate; expected one of both")
+    if reading.rate_hz is not None:
+        return _evenly(count, reading.rate_hz)
+    found = reading.times or _found_beside(path)
+    if found is None:
+        problem = (
+            "a file of this form has no times; name a text file with one time per line (`--from-times FILE`, of "
+            "`sceneloom eval trajectory` `--est-times`, `--ref-times`), or the poses per second (`--from-rate HZ`, "
+            f"`--est-rate`, `--ref-rate`), or put {_times_beside(path).name} or times.txt beside it"
+        )
+        raise DataError(path, "", problem)
+    if reading.times is None:
+        ledger.note(WarningKind.ASSUMED, "times-beside", str(path), f"its times were taken from {found.name}")
+    timestamps = line_timestamps(found, reading.unit)
+    if len(timestamps) != count:
+        raise DataError(
+            found, "", f"{len(timestamps)} times for the {count} poses of {path.name}; expected as many"
+        )
+    return timestamps
+
+
+def _found_beside(path: Path) -> Path | None:
+    locations = (_times_beside(path), path.with_name(f"{path.stem}_times.txt"), path.with_name("times.txt"))
+    return next((location for location in locations if location.is_file() and location != path), None)
+
+
+def _evenly(count: int, rate_hz: float) -> Int64Array:
+    """Times of numbered poses, rounded once each, so that no error adds up."""
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise OptionError(f"rate {rate_hz:g} Hz; expected poses per second above 0")
+    period_ns = Decimal(10**9) / Decimal(repr(float(rate_hz)))
+    if period_ns * count > FARTHEST_NS:
+        raise OptionError(f"rate {rate_hz:g} Hz; {count} poses would end beyond the year 2261")
+    return np.array([int((k * period_ns).to_integral_value()) for k in range(count)], np.int64)
+
+
+def _kitti_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
+    trajectory, quaternions = oriented(content, target, KITTI_FORM.name)
+    matrices = np.concatenate([matrix_from_quaternion(quaternions), trajectory.positions[:, :, None]], axis=2)
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(f"{numbers_text(matrix, ' ')}\n" for matrix in matrices.reshape(-1, 12).tolist())
+    with _times_beside(path).open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(f"{seconds_text(time_ns)}\n" for time_ns in trajectory.timestamps_ns.tolist())
+    return further_losses(content)
+
+
+KITTI_FORM = TrajectoryForm(
+    "kitti",
+    (".kitti",),
+    "lines of 12 numbers: three rows of [R t]",
+    _kitti_recognises,
+    _kitti_read,
+    _kitti_write,
+    _times_beside,
+    MATRICES,
+)
+
+_FURTHER: Mapping[str, str] = {
+    "velocities": "v_RS_R_{} [m s^-1]",
+    "gyroscope_biases": "b_w_RS_S_{} [rad s^-1]",
+    "accelerometer_biases": "b_a_RS_S_{} [m s^-2]",
+}
+"""What may follow the pose, three numbers each, in this order, and the names of the columns."""
+
+_POSE = (
+    "#timestamp",
+    *(f"p_RS_R_{axis} [m]" for axis in "xyz"),
+    *(f"q_RS_{axis} []" for axis in "wxyz"),
+)
+
+_WIDTHS = tuple(8 + 3 * count for count in range(len(_FURTHER) + 1))
+
+_POSITIONS_ONLY = 4
+"""Numbers a line of the position tracker's files, which have the same header without orientations."""
+
+_EARLIEST_NS = 1e12
+"""Less than this many nanoseconds, a quarter of an hour, is taken for seconds of another form when recognising."""
+
+
+def _euroc_recognises(text: str) -> bool:
+    if "p_RS_R_x" in text.split("\n", 1)[0]:
+        return True
+    values = first_values(text, ",")
+    return (
+        values is not None and len(values) in _WIDTHS and values[0].is_integer() and values[0] > _EARLIEST_NS
+    )
+
+
+def _euroc_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
+    table = read_table(path, named=False)
+    width = len(table.rows[0])
+    if width not in (_POSITIONS_ONLY, *_WIDTHS):
+        known = ", ".join(map(str, (_POSITIONS_ONLY, *_WIDTHS)))
+        problem = (
+            f"{width} values; expected {known}: timestamp, position, quaternion w x y z, velocity, biases"
+        )
+        raise DataError(path, f"line {table.lines[0]}", problem)
+    values = table.numbers(range(1, width))
+    timestamps = table.timestamps(0, reading.unit or "nanoseconds")
+    quaternions = None if width == _POSITIONS_ONLY else values[:, [4, 5, 6, 3]]
+    rows = PoseRows(timestamps, values[:, :3], quaternions, table.lines)
+    trajectory, kept = ordered(path, reading.name or path.stem, rows, ledger)
+    columns = {
+        name: read_only(values[kept, 7 + 3 * k : 10 + 3 * k])
+        for k, name in enumerate(_FURTHER)
+        if 10 + 3 * k <= width - 1
+    }
+    return TrajectoryFile(trajectory, EUROC_FORM.name, columns=columns)
+
+
+def _euroc_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
+    trajectory, quaternions = oriented(content, target, EUROC_FORM.name)
+    further = []
+    for name in _FURTHER:
+        if name not in content.columns:
+            break
+        further.append(name)
+    names = [*_POSE, *(_FURTHER[name].format(axis) for name in further for axis in "xyz")]
+    parts = [trajectory.positions, quaternions[:, [3, 0, 1, 2]], *(content.columns[name] for name in further)]
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(", ".join(names) + "\n")
+        values = np.concatenate(parts, axis=1).tolist()
+        for time_ns, row in zip(trajectory.timestamps_ns.tolist(), values, strict=True):
+            file.write(f"{time_ns},{numbers_text(row, ',')}\n")
+    return further_losses(content, kept=further)
+
+
+EUROC_FORM = TrajectoryForm(
+    "euroc",
+    (".csv",),
+    "CSV that begins with #timestamp, p_RS_R_x …: nanoseconds, position, quaternion w x y z",
+    _euroc_recognises,
+    _euroc_read,
+    _euroc_write,
+)
+
+_LOCATION, _ROTATION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
+
+
+def _named_columns_recognises(text: str) -> bool:
+    names = set(first_names(text) or ())
+    wanted = [POSE_COLUMNS[role] for role in _LOCATION]
+    return bool(names & set(TIME_COLUMNS)) and all(names & set(known) for known in wanted)
+
+
+def _named_columns_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
+    table = read_table(path)
+    columns = pick_columns(table, POSE_COLUMNS, {}, "", path)
+    rotation = [role for role in _ROTATION if role in columns]
+    missing = [role for role in ("time", *_LOCATION, *(_ROTATION if rotation else ())) if role not in columns]
+    if missing:
+        problem = f"no column for {', '.join(missing)} among {', '.join(table.names)}"
+        raise DataError(path, "line 1", problem)
+    values = table.numbers([columns[role] for role in (*_LOCATION, *rotation)])
+    timestamps = table.timestamps(columns["time"], reading.unit)
+    rows = PoseRows(timestamps, values[:, :3], values[:, 3:] if rotation else None, table.lines)
+    return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], _NAMED_COLUMNS_FORM.name)
+
+
+def _named_columns_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
+    del target
+    trajectory = content.trajectory
+    rotated = trajectory.quaternions_xyzw is not None
+    parts = (
+        [trajectory.positions]
+        if trajectory.quaternions_xyzw is None
+        else [trajectory.positions, trajectory.quaternions_xyzw]
+    )
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(",".join(("timestamp_ns", *_LOCATION, *(_ROTATION if rotated else ()))) + "\n")
+        values = np.concatenate(parts, axis=1).tolist()
+        for time_ns, row in zip(trajectory.timestamps_ns.tolist(), values, strict=True):
+            file.write(f"{time_ns},{numbers_text(row, ',')}\n")
+    return further_losses(content)
+
+
+_NAMED_COLUMNS_FORM = TrajectoryForm(
+    "csv",
+    (),
+    "CSV with columns of names such as timestamp_ns, x, y, z, qx, qy, qz, qw",
+    _named_columns_recognises,
+    _named_columns_read,
+    _named_columns_write,
+)
+
+_GNSS_LOCATION = ("latitude", "longitude", "altitude")
+
+
+def _gnss_recognises(text: str) -> bool:
+    names = set(first_names(text) or ())
+    wanted = [GNSS_COLUMNS[role] for role in ("latitude", "longitude")]
+    return bool(names & set(TIME_COLUMNS)) and all(names & set(known) for known in wanted)
+
+
+def _gnss_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
+    table = read_table(path)
+    columns = pick_columns(table, GNSS_COLUMNS, {}, "", path)
+    missing = [role for role in ("time", "latitude", "longitude") if role not in columns]
+    if missing:
+        raise DataError(path, "line 1", f"no column for {', '.join(missing)} among {', '.join(table.names)}")
+    if not table.rows:
+        raise DataError(path, "", "holds no fixes; expected at least one")
+    positions_lla = table.numbers([columns[role] for role in _GNSS_LOCATION if role in columns])
+    if "altitude" not in columns:
+        ledger.note(WarningKind.ASSUMED, "altitude-zero", str(path), "no column of altitudes; taken as 0 m")
+        positions_lla = np.concatenate([positions_lla, np.zeros((len(positions_lla), 1))], axis=1)
+    _check_locations(table, positions_lla)
+    rows = PoseRows(table.timestamps(columns["time"], reading.unit), positions_lla, None, table.lines)
+    trajectory, kept = ordered(path, reading.name or path.stem, rows, ledger)
+    fixes = GnssSensor(
+        trajectory.name,
+        trajectory.timestamps_ns,
+        trajectory.positions,
+        _accuracies(table, columns.get("accuracy"), kept),
+        _accuracies(table, columns.get("vertical_accuracy"), kept),
+    )
+    return replace(of_fixes(fixes, origin_lla=reading.origin_lla), form=GNSS_FORM.name)
+
+
+def of_fixes(
+    fixes: GnssSensor, *, origin_lla: Float64Array | None = None, name: str | None = None
+) -> TrajectoryFile:
+    """The trajectory of a satellite receiver: metres east, north and up of an origin, else of its first fix."""
+    origin = fixes.positions_lla[0] if origin_lla is None else origin_lla
+    positions = read_only(enu_from_geodetic(fixes.positions_lla, origin))
+    trajectory = Trajectory(name or str(fixes.id), fixes.timestamps_ns, positions)
+    return TrajectoryFile(trajectory, fixes=fixes, origin_lla=read_only(origin))
+
+
+def _check_locations(table: Table, positions_lla: Float64Array) -> None:
+    outside = (np.abs(positions_lla[:, 0]) > 90) | (np.abs(positions_lla[:, 1]) > 180)
+    if outside.any():
+        k = int(np.flatnonzero(outside)[0])
+        reported = f"latitude {positions_lla[k, 0]}, longitude {positions_lla[k, 1]}"
+        problem = f"{reported}; expected degrees within ±90 and ±180"
+        raise DataError(table.path, f"line {table.lines[k]}", problem)
+
+
+def _accuracies(table: Table, column: int | None, kept: Int64Array) -> Float64Array:
+    """A column in which a value may be absent, (N,) float64 [m]."""
+    values = np.full(len(kept), np.nan)
+    for k, row in enumerate(kept if column is not None else ()):
+        text = table.rows[row][column or 0]
+        try:
+            values[k] = float(text) if text else np.nan
+        except ValueError:
+            values[k] = np.inf
+        if np.isinf(values[k]):
+            problem = f"{table.names[column or 0]}: {text[:40]!r}; expected metres, or nothing"
+            raise DataError(table.path, f"line {table.lines[row]}", problem)
+    return read_only(values)
+
+
+def _gnss_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
+    fixes, losses = content.fixes, further_losses(replace(content, fixes=None))
+    if fixes is None:
+        fixes = _fixes_of_trajectory(content, target)
+        if content.trajectory.quaternions_xyzw is not None:
+            field = f"trajectories[{content.trajectory.name}].quaternions_xyzw"
+            losses.append(Loss(field=field, what="left out", count=len(fixes.timestamps_ns)))
+    values = np.column_stack([fixes.positions_lla, fixes.accuracies, fixes.vertical_accuracies])
+    optional = [k for k in (3, 4) if np.isfinite(values[:, k]).any()]
+    names = ("latitude", "longitude", "altitude", "accuracy", "vertical_accuracy")
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(",".join(("time", *(names[k] for k in (0, 1, 2, *optional)))) + "\n")
+        for time_ns, row in zip(fixes.timestamps_ns.tolist(), values.tolist(), strict=True):
+            cells = ["" if np.isnan(row[k]) else repr(row[k]) for k in (0, 1, 2, *optional)]
+            file.write(f"{seconds_text(time_ns)},{','.join(cells)}\n")
+    return losses
+
+
+def _fixes_of_trajectory(content: TrajectoryFile, target: Path) -> GnssSensor:
+    if content.origin_lla is None:
+        raise OptionError(
+            f"{target}: where on earth the trajectory {content.trajectory.name!r} has its origin is not known; state "
+            "latitude, longitude and altitude of it (`--origin`)"
+        )
+    trajectory = content.trajectory
+    unknown = np.full(len(trajectory.timestamps_ns), np.nan)
+    locations = geodetic_from_enu(trajectory.positions, content.origin_lla)
+    return GnssSensor(trajectory.name, trajectory.timestamps_ns, locations, unknown, unknown)
+
+
+GNSS_FORM = TrajectoryForm(
+    "gnss",
+    (),
+    "CSV with columns of names such as time, latitude, longitude, altitude",
+    _gnss_recognises,
+    _gnss_read,
+    _gnss_write,
+    supports=LOCATIONS,
+    fix_supports=FIXES,
+)

@@ -1,0 +1,351 @@
+"""Images: RGB from YUV with halved chroma, bilinear resampling, corner detection and tracking."""
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from numba import boolean, float32, int16, int64, types, uint8, void
+
+from sceneloom.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
+from sceneloom.kernels.cache import kernel
+
+_FRACTION_BITS = 5
+"""Of a level. With one more, the sum of brightness and colour would leave 16 bits."""
+
+_ROUNDED = 1 << (_FRACTION_BITS - 1)
+
+_PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "always"}
+
+_READ_2D = types.Array(uint8, 2, "C", readonly=True)
+
+
+# compiled by itself: in place, the product becomes one of 64 bits
+@kernel(int16(int16, int16), nogil=True, error_model="numpy")
+def _high(a: Any, b: Any) -> Any:
+    """The upper half of the product of two 16-bit numbers, rounded down: one instruction for many pixels."""
+    return np.int16(np.int32(np.int32(a) * np.int32(b)) >> 16)
+
+
+@numba.njit(**_PART)
+def _centred(level):  # type: ignore[no-untyped-def]
+    """A level without its middle, filling 16 bits."""
+    return np.int16(np.int16(np.int16(level) - 128) << 8)
+
+
+@numba.njit(**_PART)
+def _scale(colour, factor, scaled):  # type: ignore[no-untyped-def]
+    for k in range(len(scaled)):
+        scaled[k] = _high(_centred(colour[k]), factor)
+
+
+@numba.njit(**_PART)
+def _scale_both(blue, blue_factor, red, red_factor, scaled):  # type: ignore[no-untyped-def]
+    for k in range(len(scaled)):
+        of_blue, of_red = _high(_centred(blue[k]), blue_factor), _high(_centred(red[k]), red_factor)
+        scaled[k] = np.int16(of_blue + of_red + np.int16(1))
+
+
+@numba.njit(**_PART)
+def _spread(scaled, spread, half_columns):  # type: ignore[no-untyped-def]
+    """Give each pixel of a row its colour: linear between samples on even columns, or midway between two columns."""
+    last = len(scaled) - 1
+    if half_columns == 1:
+        spread[0], spread[2 * last + 1] = scaled[0], scaled[last]
+        for k in range(last):
+            a, b = scaled[k], scaled[k + 1]
+            step = np.int16(b - a)
+            spread[2 * k + 1] = np.int16(a + np.int16(np.int16(step + 2) >> 2))
+            spread[2 * k + 2] = np.int16(b - np.int16(np.int16(step + 2) >> 2))
+    else:
+        for k in range(last):
+            a, b = scaled[k], scaled[k + 1]
+            spread[2 * k] = a
+            spread[2 * k + 1] = np.int16(np.int16(a + b + 1) >> 1)
+        spread[2 * last] = spread[2 * last + 1] = scaled[last]
+
+
+@numba.njit(**_PART)
+def _level(bright, near, far):  # type: ignore[no-untyped-def]
+    """A pixel's level, from its brightness and the colours of the rows of samples next to it."""
+    colour = np.int16(near + np.int16(np.int16(far - near + 2) >> 2))
+    level = np.int16(np.int16(bright + colour) >> _FRACTION_BITS)
+    return np.uint8(min(max(level, np.int16(0)), np.int16(255)))
+
+
+@numba.njit(**_PART)
+def _spread_colours(blue, red, factors, half_columns, scaled, spread):  # type: ignore[no-untyped-def]
+    """Give each column what one row of samples adds to red, green and blue."""
+    _scale(red, np.int16(factors[2]), scaled)
+    _spread(scaled, spread[0], half_columns)
+    _scale_both(blue, np.int16(factors[3]), red, np.int16(factors[4]), scaled)
+    _spread(scaled, spread[1], half_columns)
+    _scale(blue, np.int16(factors[5]), scaled)
+    _spread(scaled, spread[2], half_columns)
+
+
+@numba.njit(**_PART)
+def _paint(luma, near, far, factors, line):  # type: ignore[no-untyped-def]
+    """Fill a row of pixels, which lies a quarter of the trajectory from one row of samples to the next one."""
+    gain, offset = np.int16(factors[0]), np.int16(factors[1])
+    reds, greens, blues = near[0], near[1], near[2]
+    far_reds, far_greens, far_blues = far[0], far[1], far[2]
+    for x in range(len(line) // 3):
+        bright = np.int16(_high(_centred(luma[x]), gain) + offset)
+        line[3 * x] = _level(bright, reds[x], far_reds[x])
+        line[3 * x + 1] = _level(bright, greens[x], far_greens[x])
+        line[3 * x + 2] = _level(bright, blues[x], far_blues[x])
+
+
+@kernel(
+    void(_READ_2D, _READ_2D, _READ_2D, int64[::1], int64, uint8[:, ::1]),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def rgb_from_halved_chroma(
+    luma: UInt8Array,
+    blue: UInt8Array,
+    red: UInt8Array,
+    factors: Int64Array,
+    half_columns: int,
+    rgb: UInt8Array,
+) -> None:
+    """Rotate brightness and halved colours into red, green and blue; colours are linearly interpolated.
+
+    A sample of colour lies midway between two rows, and on the even column or midway between two columns.
+
+    Args:
+        luma: (height, at least width), whose first columns are the image's.
+        blue, red: (height / 2, at least width / 2), differences of blue and red from brightness.
+        factors: (6,) below 32768, the formula's factors as `conversion_factors` gives them.
+        half_columns: how far right of the even column a sample of colour lies, in halves of a pixel: 0 or 1.
+        rgb: (height, 3 width), filled; both sizes even.
+    """
+    height, width = rgb.shape[0], rgb.shape[1] // 3
+    half = width // 2
+    scaled = np.empty(half, np.int16)
+    spread = np.empty((2, 3, width), np.int16)
+    for k in range(height // 2 + 1):
+        latest = min(k, height // 2 - 1)
+        if k == latest:
+            _spread_colours(blue[k], red[k], factors, half_columns, scaled, spread[k % 2])
+        before, after = spread[max(k - 1, 0) % 2], spread[latest % 2]
+        if k > 0:
+            _paint(luma[2 * k - 1], before, after, factors, rgb[2 * k - 1])
+        if k == latest:
+            _paint(luma[2 * k], after, before, factors, rgb[2 * k])
+
+
+def conversion_factors(red_share: float, blue_share: float, *, full: bool) -> Int64Array:
+    """Put the formula's factors into fixed point.
+
+    Args:
+        red_share, blue_share: of red and blue in brightness.
+        full: whether brightness has the levels 0 to 255, not 16 to 235.
+
+    Returns:
+        (6,): gain and offset of brightness; red of the red difference; green of the blue and of the red difference;
+        blue of the blue difference.
+
+    Source: ITU-R BT.601-7 and BT.709-6, clause 3; ITU-T H.264, E.2.1, `video_full_range_flag`.
+    """
+    darkest, luma_gain, chroma_gain = (0, 1.0, 1.0) if full else (16, 255 / 219, 255 / 224)
+    green_share = 1 - red_share - blue_share
+    red, blue = 2 * (1 - red_share) * chroma_gain, 2 * (1 - blue_share) * chroma_gain
+    unit = 1 << _FRACTION_BITS
+    differences = np.array([red, -blue_share / green_share * blue, -red_share / green_share * red, blue])
+    # the two products of a sum are rounded down: half a unit each
+    offset = round((128 - darkest) * luma_gain * unit) + _ROUNDED + 1
+    # levels come eight bits up, and a product gives its upper 16 of 32 bits
+    gain = luma_gain * unit * (1 << 16 - 8)
+    scaled = np.rint(differences * unit * (1 << 16 - 8))
+    return np.array([round(gain), offset, *scaled], np.int64)
+
+
+_IN_F32_3D = types.Array(float32, 3, "C", readonly=True)
+
+_IN_U8_3D = types.Array(uint8, 3, "C", readonly=True)
+
+
+@kernel(
+    void(_IN_U8_3D, _IN_F32_3D, uint8[:, :, ::1], boolean[:, ::1]),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def resample_bilinear(rgb: UInt8Array, locations: Float32Array, out: UInt8Array, filled: BoolArray) -> None:
+    """Fill an image with what another one shows at given locations; what has no location there is left as it is.
+
+    An image reaches half a pixel beyond the centres of its border pixels; there the border's colour holds.
+
+    Args:
+        rgb: (H, W, C), the image.
+        locations: (h, w, 2) [px], column and row in `rgb` of each new pixel; NaN for none.
+        out: (h, w, C), written where `rgb` has something.
+        filled: (h, w), written everywhere: whether it has.
+    """
+    height, width, channels = rgb.shape
+    flat = rgb.reshape(rgb.size)
+    one = np.float32(1.0)
+    right, bottom = np.float32(width - 1), np.float32(height - 1)
+    line = np.int64(width * channels)
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            u, v = locations[i, j, 0], locations[i, j, 1]
+            inside = (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)
+            filled[i, j] = inside
+            if not inside:
+                continue
+            u, v = min(max(u, np.float32(0.0)), right), min(max(v, np.float32(0.0)), bottom)
+            column, row = np.int64(u), np.int64(v)
+            to_right, to_below = u - np.float32(column), v - np.float32(row)
+            first = np.uint64(row * line + column * channels)
+            step = np.uint64(channels if column < width - 1 else 0)
+            below = first + np.uint64(line if row < height - 1 else 0)
+            for c in range(channels):
+                k = np.uint64(c)
+                above_value = (one - to_right) * np.float32(flat[first + k]) + to_right * np.float32(
+                    flat[first + step + k]
+                )
+                below_value = (one - to_right) * np.float32(flat[below + k]) + to_right * np.float32(
+                    flat[below + step + k]
+                )
+                value = (one - to_below) * above_value + to_below * below_value
+                out[i, j, c] = np.uint8(value + np.float32(0.5))
+
+
+_IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
+
+
+@kernel(void(_IN_F32_2D, int64, float32[:, ::1]), cache=True, nogil=True, error_model="numpy")
+def corner_strengths(grey: Float32Array, half: int, strengths: Float32Array) -> None:
+    """Report how well a window around each pixel can be distinguished from its neighbours, in both directions.
+
+    Args:
+        grey: (H, W).
+        half: the window reaches so many pixels to each side.
+        strengths: (H, W), written: the smaller eigenvalue of the mean product of gradients; 0 near the border.
+
+    Source: Shi and Tomasi 1994, "Good Features to Track", section 4.
+    """
+    height, width = grey.shape
+    strengths[:, :] = np.float32(0.0)
+    sums = np.zeros((3, width), np.float32)
+    products = np.zeros((3, height, width), np.float32)
+    for i in range(1, height - 1):
+        for j in range(1, width - 1):
+            du = np.float32(0.5) * (grey[i, j + 1] - grey[i, j - 1])
+            dv = np.float32(0.5) * (grey[i + 1, j] - grey[i - 1, j])
+            products[0, i, j], products[1, i, j], products[2, i, j] = du * du, du * dv, dv * dv
+    share = np.float32(1.0 / (2 * half + 1) ** 2)
+    for i in range(half + 1, height - half - 1):
+        sums[:, :] = np.float32(0.0)
+        for k in range(i - half, i + half + 1):
+            for j in range(width):
+                sums[0, j] += products[0, k, j]
+                sums[1, j] += products[1, k, j]
+                sums[2, j] += products[2, k, j]
+        for j in range(half + 1, width - half - 1):
+            uu, uv, vv = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            for k in range(j - half, j + half + 1):
+                uu += sums[0, k]
+                uv += sums[1, k]
+                vv += sums[2, k]
+            middle, apart = np.float32(0.5) * (uu + vv), np.float32(0.5) * (uu - vv)
+            least = middle - np.sqrt(apart * apart + uv * uv)
+            strengths[i, j] = max(least * share, np.float32(0.0))
+
+
+@numba.njit(inline="always")
+def _between(grey: Float32Array, u: float, v: float) -> float:
+    """The brightness at a location between four pixels."""
+    j, i = math.floor(u), math.floor(v)
+    a, b = u - j, v - i
+    upper = (1.0 - a) * grey[i, j] + a * grey[i, j + 1]
+    lower = (1.0 - a) * grey[i + 1, j] + a * grey[i + 1, j + 1]
+    return float((1.0 - b) * upper + b * lower)
+
+
+@numba.njit(inline="always")
+def _holds(grey: Float32Array, u: float, v: float, half: int) -> bool:
+    """Whether a window around a location, and one pixel more, lies inside the image."""
+    height, width = grey.shape
+    reach = half + 1.0
+    return bool((u >= reach) & (v >= reach) & (u < width - reach - 1) & (v < height - reach - 1))
+
+
+@kernel(
+    void(_IN_F32_2D, _IN_F32_2D, _IN_F32_2D, int64, int64, float32[:, ::1], boolean[::1]),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def follow_corners(
+    first: Float32Array,
+    second: Float32Array,
+    pixels: Float32Array,
+    half: int,
+    rounds: int,
+    followed: Float32Array,
+    found: BoolArray,
+) -> None:
+    """Find what windows of one image show in another one.
+
+    What the windows differ in by brightness as a whole does not count.
+
+    Args:
+        first, second: (H, W) both.
+        pixels: (N, 2) [px], column and row in the first image.
+        half: windows reach so many pixels to each side.
+        rounds: at most so many steps.
+        followed: (N, 2) [px], in the second image: where to begin; written.
+        found: (N,), written: whether the window was found.
+
+    Source: Lucas and Kanade 1981, with the gradient of the first image, Baker and Matthews 2004, section 3.2.
+    """
+    side = 2 * half + 1
+    count = side * side
+    shown, slope_u, slope_v = np.empty(count), np.empty(count), np.empty(count)
+    for n in range(pixels.shape[0]):
+        u, v = float(pixels[n, 0]), float(pixels[n, 1])
+        x, y = float(followed[n, 0]), float(followed[n, 1])
+        found[n] = False
+        if not _holds(first, u, v, half):
+            continue
+        mean, mean_u, mean_v = 0.0, 0.0, 0.0
+        for k in range(count):
+            a, b = u + k % side - half, v + k // side - half
+            shown[k] = _between(first, a, b)
+            slope_u[k] = 0.5 * (_between(first, a + 1, b) - _between(first, a - 1, b))
+            slope_v[k] = 0.5 * (_between(first, a, b + 1) - _between(first, a, b - 1))
+            mean += shown[k]
+            mean_u += slope_u[k]
+            mean_v += slope_v[k]
+        uu, uv, vv = 1e-9, 0.0, 1e-9
+        for k in range(count):
+            shown[k] -= mean / count
+            slope_u[k] -= mean_u / count
+            slope_v[k] -= mean_v / count
+            uu += slope_u[k] * slope_u[k]
+            uv += slope_u[k] * slope_v[k]
+            vv += slope_v[k] * slope_v[k]
+        area = uu * vv - uv * uv
+        if area <= 1e-9 * (uu + vv) ** 2:
+            continue
+        for _ in range(rounds):
+            if not _holds(second, x, y, half):
+                break
+            # the slopes have no mean, so that of the difference drops out of both sums
+            along_u, along_v = 0.0, 0.0
+            for k in range(count):
+                left = shown[k] - _between(second, x + k % side - half, y + k // side - half)
+                along_u += slope_u[k] * left
+                along_v += slope_v[k] * left
+            step_u = (vv * along_u - uv * along_v) / area
+            step_v = (uu * along_v - uv * along_u) / area
+            x, y = x + step_u, y + step_v
+            if step_u * step_u + step_v * step_v < 1e-5:
+                found[n] = _holds(second, x, y, half)
+                break
+        followed[n, 0], followed[n, 1] = np.float32(x), np.float32(y)

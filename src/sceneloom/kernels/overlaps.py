@@ -1,0 +1,397 @@
+"""Overlaps (IoU) of boxes: in an image, from above and in space, between two lists or frame by frame.
+
+Lists are sorted by frame; `starts` (F + 1,) reports where the boxes of each frame begin. What is stated for pairs
+stands in one flat array: frame after frame, and in each the first list's boxes as rows and the second's as columns.
+
+Boxes, `starts` and flat pairs are laid out as in `frame_overlaps`.
+"""
+
+import numpy as np
+from numba import njit
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.kernels.cache import kernel
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _common(a, i, b, j):  # type: ignore[no-untyped-def]
+    """The area that two boxes share [px²]."""
+    wide = min(a[i, 2], b[j, 2]) - max(a[i, 0], b[j, 0])
+    high = min(a[i, 3], b[j, 3]) - max(a[i, 1], b[j, 1])
+    return wide * high if wide > 0.0 and high > 0.0 else 0.0
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _area(a, i):  # type: ignore[no-untyped-def]
+    return (a[i, 2] - a[i, 0]) * (a[i, 3] - a[i, 1])
+
+
+@kernel(
+    "float64[:,::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], Array(int64, 1, 'C', readonly=True), "
+    "float64[::1], float64[::1], float64, float64, float64, float64)",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def pair_gains(
+    first: Float64Array,
+    second: Float64Array,
+    first_classes: Int64Array,
+    second_classes: Int64Array,
+    families: Int64Array,
+    first_shares: Float64Array,
+    second_shares: Float64Array,
+    least_iou: float,
+    same_family: float,
+    one_unknown: float,
+    surer: float,
+) -> Float64Array:
+    """Report what it is worth to take a box of one list and one of another for the same object.
+
+    Args:
+        first, second: (N, 4) and (M, 4) [px], left, top, right, bottom; finite.
+        first_classes, second_classes: (N,) and (M,), numbers of classes; those beyond the families have the last.
+        families: (K,), of classes; -1 for none.
+        first_shares, second_shares: (N,) and (M,), 0 to 1, how sure each box is.
+        least_iou: boxes that overlap less are worth nothing, nor are those without an area in common.
+        same_family: factor for boxes of different classes of one family.
+        one_unknown: factor for boxes one of which has no family.
+        surer: two boxes that are quite sure are worth this share more.
+
+    Returns:
+        (N, M) float64: (1 + GIoU) / 2 times those factors, 0 for boxes of classes that are never the same.
+    """
+    gains, last = np.zeros((len(first), len(second))), len(families) - 1
+    for i in range(len(first)):
+        family = families[min(first_classes[i], last)]
+        for j in range(len(second)):
+            if first[i, 2] <= second[j, 0] or second[j, 2] <= first[i, 0]:
+                continue
+            common = _common(first, i, second, j)
+            if common <= 0.0:
+                continue
+            both = _area(first, i) + _area(second, j) - common
+            if common < least_iou * both:
+                continue
+            other = families[min(second_classes[j], last)]
+            if first_classes[i] == second_classes[j]:
+                weight = 1.0
+            elif family < 0 or other < 0:
+                weight = one_unknown
+            elif family == other:
+                weight = same_family
+            else:
+                continue
+            hull = (max(first[i, 2], second[j, 2]) - min(first[i, 0], second[j, 0])) * (
+                max(first[i, 3], second[j, 3]) - min(first[i, 1], second[j, 1])
+            )
+            worth = (1.0 + common / both - (hull - both) / hull) / 2.0
+            gains[i, j] = worth * weight * (1.0 + surer * (first_shares[i] + second_shares[j]) / 2.0)
+    return gains
+
+
+@kernel(
+    "void(float64[:,::1], float64[::1], float64[::1], float64[::1], float64[::1], float64, float64)",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def hide_covered(
+    boxes: Float64Array,
+    shares: Float64Array,
+    distances: Float64Array,
+    gaps: Float64Array,
+    likely: Float64Array,
+    near: float,
+    margin: float,
+) -> None:
+    """Take from the share of each box that is seen what another one is likely to cover: of the nearer ones the most.
+
+    Args:
+        boxes: (N, 4) [px], left, top, right, bottom; those the wrong way round, or around the eye, become 0.
+        shares: (N,), changed; 0 for boxes without area.
+        distances: (N,) [m], how far each is.
+        gaps: (N,) [m], how far from the eye each begins.
+        likely: (N,), how likely it is that each exists.
+        near: what begins nearer than this is around the eye [m].
+        margin: boxes that are less nearer than this are in one location, and cover nothing [m].
+    """
+    for i in range(len(boxes)):
+        if gaps[i] <= near or boxes[i, 2] <= boxes[i, 0] or boxes[i, 3] <= boxes[i, 1]:
+            boxes[i], shares[i] = 0.0, 0.0
+    shown = np.flatnonzero((boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1]))
+    order = shown[np.argsort(distances[shown])]
+    lefts, rights = boxes[order, 0], boxes[order, 2]
+    nearer = 0
+    for k in range(len(order)):
+        i, most = order[k], 0.0
+        while distances[order[nearer]] < distances[i] - margin:
+            nearer += 1
+        for n in range(nearer):
+            if lefts[n] < boxes[i, 2] and rights[n] > boxes[i, 0]:
+                j = order[n]
+                most = max(most, likely[j] * _common(boxes, i, boxes, j) / _area(boxes, i))
+        shares[i] *= 1.0 - most
+
+
+_NOTHING = float(np.finfo(np.float64).eps)
+"""Areas up to this are none, as in the evaluations that results are compared with."""
+
+
+@kernel("int64[::1](int64[::1], int64[::1])", nogil=True, cache=True)
+def pair_starts(first_starts: Int64Array, second_starts: Int64Array) -> Int64Array:
+    """Report where the pairs of each frame begin, (F + 1,) int64."""
+    starts = np.zeros(len(first_starts), np.int64)
+    for f in range(len(first_starts) - 1):
+        rows = first_starts[f + 1] - first_starts[f]
+        starts[f + 1] = starts[f] + rows * (second_starts[f + 1] - second_starts[f])
+    return starts
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _areas(first, i, second, j):  # type: ignore[no-untyped-def]
+    """The areas of two boxes, and what they share [px²]."""
+    own = (first[i, 2] - first[i, 0]) * (first[i, 3] - first[i, 1])
+    other = (second[j, 2] - second[j, 0]) * (second[j, 3] - second[j, 1])
+    wide = min(first[i, 2], second[j, 2]) - max(first[i, 0], second[j, 0])
+    high = min(first[i, 3], second[j, 3]) - max(first[i, 1], second[j, 1])
+    return own, other, wide * high if wide > 0.0 and high > 0.0 else 0.0
+
+
+@kernel(
+    "float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1])",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def image_overlaps(
+    first: Float64Array,
+    second: Float64Array,
+    first_starts: Int64Array,
+    second_starts: Int64Array,
+    starts: Int64Array,
+) -> Float64Array:
+    """Give the intersection over the union of boxes of an image.
+
+    Args:
+        first, second: (N, 4) and (M, 4) [px], left, top, right, bottom.
+        first_starts, second_starts, starts: (F + 1,), of the boxes and of the pairs.
+
+    Returns:
+        (P,) float64, 0 to 1; 0 where a box has no area.
+    """
+    overlaps = np.zeros(starts[-1])
+    for f in range(len(starts) - 1):
+        k = starts[f]
+        for i in range(first_starts[f], first_starts[f + 1]):
+            for j in range(second_starts[f], second_starts[f + 1]):
+                own, other, common = _areas(first, i, second, j)
+                if own > _NOTHING and other > _NOTHING:
+                    overlaps[k] = common / (own + other - common)
+                k += 1
+    return overlaps
+
+
+@kernel(
+    "float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1])",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def image_shares(
+    regions: Float64Array,
+    boxes: Float64Array,
+    region_starts: Int64Array,
+    box_starts: Int64Array,
+    starts: Int64Array,
+) -> Float64Array:
+    """Give the share of each box of an image that lies in each region.
+
+    Args:
+        regions, boxes: (N, 4) and (M, 4) [px], left, top, right, bottom.
+        region_starts, box_starts, starts: (F + 1,), of regions, boxes and pairs.
+
+    Returns:
+        (P,) float64, 0 to 1; 0 where a box has no area.
+    """
+    shares = np.zeros(starts[-1])
+    for f in range(len(starts) - 1):
+        k = starts[f]
+        for i in range(region_starts[f], region_starts[f + 1]):
+            for j in range(box_starts[f], box_starts[f + 1]):
+                _, area, common = _areas(regions, i, boxes, j)
+                if area > _NOTHING:
+                    shares[k] = common / area
+                k += 1
+    return shares
+
+
+@kernel(
+    "float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1], float64)",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def nearnesses(
+    first: Float64Array,
+    second: Float64Array,
+    first_starts: Int64Array,
+    second_starts: Int64Array,
+    starts: Int64Array,
+    reach: float,
+) -> Float64Array:
+    """Report how near locations are: 1 for the same location, falling with the distance to 0 at `reach` [m].
+
+    Args:
+        first, second: (N, D) and (M, D) [m].
+        first_starts, second_starts, starts: (F + 1,), of the locations and of the pairs.
+        reach: where it is 0 [m].
+
+    Returns:
+        (P,) float64, 0 to 1.
+    """
+    near = np.zeros(starts[-1])
+    for f in range(len(starts) - 1):
+        k = starts[f]
+        for i in range(first_starts[f], first_starts[f + 1]):
+            for j in range(second_starts[f], second_starts[f + 1]):
+                square = 0.0
+                for d in range(first.shape[1]):
+                    square += (first[i, d] - second[j, d]) ** 2
+                near[k] = max(0.0, 1.0 - np.sqrt(square) / reach)
+                k += 1
+    return near
+
+
+_MOST_CORNERS = 8
+"""Of what two rectangles share."""
+
+_LOCATIONS = "float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1]"
+
+
+@kernel("int64(float64[:,::1], int64, float64[:,::1], int64, float64, float64)", nogil=True, cache=True)
+def _cut(outline: Float64Array, count: int, kept: Float64Array, axis: int, side: float, limit: float) -> int:
+    """Keep what of a convex outline has side · coordinate <= limit; give the number of its corners."""
+    left = 0
+    for k in range(count):
+        after = k + 1 if k + 1 < count else 0
+        here = limit - side * outline[k, axis]
+        there = limit - side * outline[after, axis]
+        if here >= 0.0:
+            kept[left, 0], kept[left, 1] = outline[k, 0], outline[k, 1]
+            left += 1
+        if (here > 0.0 and there < 0.0) or (here < 0.0 and there > 0.0):
+            share = here / (here - there)
+            for d in range(2):
+                kept[left, d] = outline[k, d] + share * (outline[after, d] - outline[k, d])
+            left += 1
+    return left
+
+
+@kernel(
+    "float64(float64[:,::1], int64, float64[:,::1], int64, float64[:,::1], float64[:,::1])",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def _shared_ground(
+    first: Float64Array,
+    i: int,
+    second: Float64Array,
+    j: int,
+    outline: Float64Array,
+    kept: Float64Array,
+) -> float:
+    """The area that two boxes share as seen from above [m²].
+
+    Args:
+        outline, kept: (16, 2), scratch.
+
+    Source: Sutherland and Hodgman 1974 for the cuts, the shoelace formula for the area.
+    """
+    east, north = second[j, 0] - first[i, 0], second[j, 1] - first[i, 1]
+    reach = np.sqrt(first[i, 3] ** 2 + first[i, 4] ** 2) + np.sqrt(second[j, 3] ** 2 + second[j, 4] ** 2)
+    if 4.0 * (east * east + north * north) > reach * reach:
+        return 0.0
+    cosine, sine = np.cos(first[i, 6]), np.sin(first[i, 6])
+    along, across = cosine * east + sine * north, cosine * north - sine * east
+    rotation_of_vector = second[j, 6] - first[i, 6]
+    rotated_x, rotated_y = np.cos(rotation_of_vector) / 2.0, np.sin(rotation_of_vector) / 2.0
+    for k in range(4):
+        forward = second[j, 3] if (k + 1) % 4 < 2 else -second[j, 3]
+        leftward = second[j, 4] if k < 2 else -second[j, 4]
+        outline[k, 0] = along + rotated_x * forward - rotated_y * leftward
+        outline[k, 1] = across + rotated_y * forward + rotated_x * leftward
+    count = _cut(outline, 4, kept, 0, 1.0, first[i, 3] / 2.0)
+    count = _cut(kept, count, outline, 0, -1.0, first[i, 3] / 2.0)
+    count = _cut(outline, count, kept, 1, 1.0, first[i, 4] / 2.0)
+    count = _cut(kept, count, outline, 1, -1.0, first[i, 4] / 2.0)
+    area = 0.0
+    for k in range(count):
+        after = k + 1 if k + 1 < count else 0
+        area += outline[k, 0] * outline[after, 1] - outline[after, 0] * outline[k, 1]
+    return max(area / 2.0, 0.0)
+
+
+@kernel(f"float64[::1]({_LOCATIONS})", nogil=True, cache=True, error_model="numpy")
+def overlaps_from_above(
+    first: Float64Array,
+    second: Float64Array,
+    first_starts: Int64Array,
+    second_starts: Int64Array,
+    starts: Int64Array,
+) -> Float64Array:
+    """Give the intersection over the union of the ground that boxes stand on.
+
+    Args:
+        first, second: (N, 7) and (M, 7), middle, length, width, height [m] and heading about z [rad]; finite.
+        first_starts, second_starts, starts: (F + 1,), of the boxes and of the pairs.
+
+    Returns:
+        (P,) float64, 0 to 1; 0 where a length or width is not above 0.
+    """
+    overlaps = np.zeros(starts[-1])
+    outline, kept = np.empty((2 * _MOST_CORNERS, 2)), np.empty((2 * _MOST_CORNERS, 2))
+    for f in range(len(starts) - 1):
+        k = starts[f]
+        for i in range(first_starts[f], first_starts[f + 1]):
+            for j in range(second_starts[f], second_starts[f + 1]):
+                if min(first[i, 3], first[i, 4], second[j, 3], second[j, 4]) > 0.0:
+                    common = _shared_ground(first, i, second, j, outline, kept)
+                    both = first[i, 3] * first[i, 4] + second[j, 3] * second[j, 4]
+                    overlaps[k] = min(common / (both - common), 1.0)
+                k += 1
+    return overlaps
+
+
+@kernel(f"float64[::1]({_LOCATIONS})", nogil=True, cache=True, error_model="numpy")
+def overlaps_in_space(
+    first: Float64Array,
+    second: Float64Array,
+    first_starts: Int64Array,
+    second_starts: Int64Array,
+    starts: Int64Array,
+) -> Float64Array:
+    """Give the intersection over the union of the room that boxes take.
+
+    Args:
+        first, second, first_starts, second_starts, starts: as above.
+
+    Returns:
+        (P,) float64, 0 to 1; 0 where a size is not above 0.
+    """
+    overlaps = np.zeros(starts[-1])
+    outline, kept = np.empty((2 * _MOST_CORNERS, 2)), np.empty((2 * _MOST_CORNERS, 2))
+    for f in range(len(starts) - 1):
+        k = starts[f]
+        for i in range(first_starts[f], first_starts[f + 1]):
+            own = first[i, 3] * first[i, 4] * first[i, 5]
+            for j in range(second_starts[f], second_starts[f + 1]):
+                top = min(first[i, 2] + first[i, 5] / 2.0, second[j, 2] + second[j, 5] / 2.0)
+                high = top - max(first[i, 2] - first[i, 5] / 2.0, second[j, 2] - second[j, 5] / 2.0)
+                if high > 0.0 and min(first[i, 3], first[i, 4], second[j, 3], second[j, 4]) > 0.0:
+                    common = high * _shared_ground(first, i, second, j, outline, kept)
+                    both = own + second[j, 3] * second[j, 4] * second[j, 5]
+                    overlaps[k] = min(common / (both - common), 1.0)
+                k += 1
+    return overlaps

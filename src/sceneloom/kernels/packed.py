@@ -1,0 +1,540 @@
+"""Packed bytes: LZF of PCD files, 23-byte lidar records, and lists of protobuf records in both directions.
+
+Unusual is all that a writer need not write: fields that are not known or come twice, lists in chunks, numbers of more
+than 32 bits, and records that do not agree with the list about its number and time.
+
+Source: protobuf.dev, "Encoding".
+
+Source: protobuf.dev, "Encoding"; numbers that are 0 and empty texts are left out, vectors are packed.
+"""
+
+import numba
+import numpy as np
+from numba import float32, float64, int64, njit, types, uint8, uint16, void
+
+from sceneloom.arrays import (
+    AnyArray,
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    Int64Array,
+    UInt8Array,
+    UInt16Array,
+    UInt32Array,
+)
+from sceneloom.kernels.cache import kernel
+
+LARGEST_RATIO = 264 / 3
+"""A back reference of three bytes stands for at most 264: no stream can unfold to more than this times its length."""
+
+_LITERALS = 32
+
+_LONG = 7
+
+_SHORTEST = 2
+
+_IN_U8 = types.Array(uint8, 1, "C", readonly=True)
+
+
+@kernel(int64(_IN_U8, uint8[::1]), cache=True, nogil=True)
+def unfold(packed: UInt8Array, unpacked: UInt8Array) -> int:
+    """Unfold an LZF stream into an array that has the length of what was packed.
+
+    A control byte below 32 is followed by that many plus one literal bytes. Otherwise its upper three bits are a
+    length (7: plus the next byte), its lower five and the next byte a distance: length + 2 bytes are repeated from
+    distance + 1 bytes back, one by one, so that they may overlap.
+
+    Returns:
+        How many bytes were unfolded; -1 where the stream breaks off, reaches before its begin, or is too long.
+
+    Source: the description in lzf_d.c of Marc Lehmann's liblzf; PCL's pcd_io uses the same stream.
+    """
+    source, target = 0, 0
+    while source < packed.size:
+        control = int(packed[source])
+        source += 1
+        if control < _LITERALS:
+            length = control + 1
+            if source + length > packed.size or target + length > unpacked.size:
+                return -1
+            for k in range(length):
+                unpacked[target + k] = packed[source + k]
+            source += length
+        else:
+            length = control >> 5
+            if length == _LONG:
+                if source >= packed.size:
+                    return -1
+                length += int(packed[source])
+                source += 1
+            if source >= packed.size:
+                return -1
+            back = target - ((control & 31) << 8) - int(packed[source]) - 1
+            source += 1
+            length += _SHORTEST
+            if back < 0 or target + length > unpacked.size:
+                return -1
+            for k in range(length):
+                unpacked[target + k] = unpacked[back + k]
+        target += length
+    return target
+
+
+_FARTHEST_BACK = 1 << 13
+
+_LONGEST_COPY = 264
+
+_TABLE_BITS = 14
+
+
+def longest_fold(size: int) -> int:
+    """How many bytes the stream of so many bytes has at most: all literals, a control byte for each 32."""
+    return size + (size + _LITERALS - 1) // _LITERALS + 8
+
+
+@kernel(int64(_IN_U8, uint8[::1]), cache=True, nogil=True)
+def fold(plain: UInt8Array, packed: UInt8Array) -> int:
+    """Fold bytes into an LZF stream, which `unfold` describes: the last location of each three bytes is looked back to.
+
+    Args:
+        plain: what is packed.
+        packed: of at least `longest_fold(plain.size)` bytes.
+
+    Returns:
+        How many bytes the stream has.
+    """
+    locations = np.full(1 << _TABLE_BITS, -1, np.int64)
+    source, target, literals = 0, 1, 0
+    while source < plain.size:
+        length, back = 0, 0
+        if source + 2 < plain.size:
+            three = (int(plain[source]) << 16) | (int(plain[source + 1]) << 8) | int(plain[source + 2])
+            row = ((three * 2654435761) >> 8) & ((1 << _TABLE_BITS) - 1)
+            before = locations[row]
+            locations[row] = source
+            back = source - before - 1
+            if before >= 0 and back < _FARTHEST_BACK:
+                longest = min(_LONGEST_COPY, plain.size - source)
+                while length < longest and plain[before + length] == plain[source + length]:
+                    length += 1
+        if length < 3:
+            packed[target] = plain[source]
+            source, target, literals = source + 1, target + 1, literals + 1
+            if literals == _LITERALS:
+                packed[target - literals - 1] = literals - 1
+                target, literals = target + 1, 0
+            continue
+        if literals:
+            packed[target - literals - 1] = literals - 1
+        else:
+            target -= 1
+        short = length - _SHORTEST
+        packed[target] = (min(short, _LONG) << 5) | (back >> 8)
+        target += 1
+        if short >= _LONG:
+            packed[target] = short - _LONG
+            target += 1
+        packed[target] = back & 255
+        # room for the control byte of the next literals
+        source, target, literals = source + length, target + 2, 0
+    if literals:
+        packed[target - literals - 1] = literals - 1
+        return target
+    return target - 1
+
+
+_RECORD = numba.from_dtype(
+    np.dtype(
+        [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "u1"), ("ring", "<u2"), ("timestamp", "<f8")]
+    )
+)
+
+_RECORDS = types.Array(_RECORD, 1, "C", readonly=True)
+
+
+@kernel(
+    void(_RECORDS, float32[:, ::1], uint8[::1], uint16[::1], float64[::1], int64[::1]),
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+)
+def unpack(
+    records: AnyArray,
+    positions: Float32Array,
+    intensities: UInt8Array,
+    rings: UInt16Array,
+    seconds: Float64Array,
+    timestamps_ns: Int64Array,
+) -> None:
+    """Take N records apart in one pass, which memory bounds.
+
+    Args:
+        records: (N,) packed, their times within what int64 nanoseconds hold.
+        positions: (N, 3) [m], filled.
+        intensities: (N,), filled.
+        rings: (N,), filled.
+        seconds: (N,) [s], filled with the times as they are.
+        timestamps_ns: (N,) [ns], filled with round(t · 1e9), halves to even.
+    """
+    for k in range(len(records)):
+        record = records[k]
+        positions[k, 0], positions[k, 1], positions[k, 2] = record["x"], record["y"], record["z"]
+        intensities[k] = record["intensity"]
+        rings[k] = record["ring"]
+        seconds[k] = record["timestamp"]
+        timestamps_ns[k] = np.int64(np.rint(record["timestamp"] * 1e9))
+
+
+FLOAT, FLOATS, UNSIGNED, SIGNED, TEXT, TIME, SEQ = range(1, 8)
+"""What a field of a record holds; 0 for a field that is not known. SEQ is the number of the list."""
+
+KNOWN = 128
+"""Numbers of fields are below this."""
+
+_VARINT, _LENGTH, _FIXED_32 = 0, 2, 5
+
+_LARGEST = 2**32 - 1
+
+_BYTES = "Array(uint8, 1, 'C', readonly=True)"
+
+_FORM, _START, _SIZE, _INNER = range(4)
+
+
+@njit(nogil=True, error_model="numpy")
+def _number(content, position, stop):  # type: ignore[no-untyped-def]
+    """A number of up to 32 bits and where it ends; -1 for both where there is none."""
+    number = np.int64(0)
+    for k in range(5):
+        if position >= stop:
+            break
+        byte = content[position]
+        position += 1
+        number |= np.int64(byte & 0x7F) << (7 * k)
+        if byte < 0x80:
+            return (number, position) if number <= _LARGEST else (-1, -1)
+    return -1, -1
+
+
+@njit(nogil=True, error_model="numpy")
+def _length(content, position, stop):  # type: ignore[no-untyped-def]
+    """Where the content of a field begins and ends that reports its length; -1 for both where it ends beyond `stop`."""
+    length, begin = _number(content, position, stop)
+    return (begin, begin + length) if 0 <= length <= stop - begin else (-1, -1)
+
+
+@njit(nogil=True, error_model="numpy")
+def _time(content, position, stop):  # type: ignore[no-untyped-def]
+    """Seconds and nanoseconds of a timestamp; -1 for both where there is something unusual."""
+    stated = np.zeros(2, np.int64)
+    reported = 0
+    while position < stop:
+        tag, position = _number(content, position, stop)
+        field = tag >> 3
+        if tag & 7 != _VARINT or field < 1 or field > 2 or reported & field:
+            return -1, -1
+        stated[field - 1], position = _number(content, position, stop)
+        if position < 0:
+            return -1, -1
+        reported |= field
+    return stated[0], stated[1]
+
+
+@njit(nogil=True, error_model="numpy")
+def _word(content, position):  # type: ignore[no-untyped-def]
+    """Four bytes, lowest first."""
+    return (
+        np.uint32(content[position])
+        | np.uint32(content[position + 1]) << 8
+        | np.uint32(content[position + 2]) << 16
+        | np.uint32(content[position + 3]) << 24
+    )
+
+
+@njit(nogil=True, error_model="numpy")
+def _floats(content, position, stop, at, size, words):  # type: ignore[no-untyped-def]
+    """Read as many numbers as a field holds; where it ends, -1 where it holds another count."""
+    begin, end = _length(content, position, stop)
+    if begin < 0 or end - begin != 4 * size:
+        return -1
+    for k in range(size):
+        words[at + k] = _word(content, begin + 4 * k)
+    return end
+
+
+@njit(nogil=True, error_model="numpy")
+def _whole(content, position, stop, form, at, words):  # type: ignore[no-untyped-def]
+    """Read a whole number, and give where it ends; signed ones zigzag about 0."""
+    number, position = _number(content, position, stop)
+    if position >= 0:
+        words[at] = np.uint32(((number >> 1) ^ -(number & 1)) & _LARGEST if form == SIGNED else number)
+    return position
+
+
+@njit(nogil=True, error_model="numpy")
+def _record(content, position, stop, n, common, fields, latest, words, texts, counts):  # type: ignore[no-untyped-def]
+    """Read one record; whether it is as usual, and says of itself what the list says of all."""
+    count, seq, s, ns = len(texts), 0, 0, 0
+    while position < stop:
+        tag, position = _number(content, position, stop)
+        field, wire = tag >> 3, tag & 7
+        if tag < 0 or field >= KNOWN or latest[field] == n:
+            return False
+        form, size = fields[field, _FORM], fields[field, _SIZE]
+        at = fields[field, _START] * count + n * size + fields[field, _INNER]
+        latest[field] = n
+        counts[field] += 1
+        if form == FLOAT and wire == _FIXED_32 and position + 4 <= stop:
+            words[at], position = _word(content, position), position + 4
+        elif form == FLOATS and wire == _LENGTH:
+            position = _floats(content, position, stop, at, size, words)
+        elif form in (UNSIGNED, SIGNED) and wire == _VARINT:
+            position = _whole(content, position, stop, form, at, words)
+        elif form == SEQ and wire == _VARINT:
+            seq, position = _number(content, position, stop)
+        elif form == TEXT and wire == _LENGTH:
+            texts[n, 0], texts[n, 1] = _length(content, position, stop)
+            position = texts[n, 1]
+        elif form == TIME and wire == _LENGTH:
+            begin, position = _length(content, position, stop)
+            if begin >= 0:
+                s, ns = _time(content, begin, position)
+        else:
+            return False
+        if position < 0:
+            return False
+    return seq == common[0] and s == common[1] and ns == common[2]
+
+
+@njit(nogil=True, error_model="numpy")
+def _head(content, start, stop, heads):  # type: ignore[no-untyped-def]
+    """Read what a list says of itself: sensor, number, seconds, nanoseconds, and how many records it has.
+
+    The last is -1 where there is something unusual, such as no time.
+    """
+    sensor, seq, s, ns, count, reported, position = 0, 0, -1, -1, 0, 0, start
+    while position < stop:
+        tag, position = _number(content, position, stop)
+        field, wire = tag >> 3, tag & 7
+        if field == heads[3] and wire == _LENGTH:
+            position = _length(content, position, stop)[1]
+            count += 1
+        elif field == heads[0] and wire == _VARINT and not reported & 1:
+            sensor, position = _number(content, position, stop)
+            reported |= 1
+        elif field == heads[1] and wire == _VARINT and not reported & 2:
+            seq, position = _number(content, position, stop)
+            reported |= 2
+        elif field == heads[2] and wire == _LENGTH and not reported & 4:
+            begin, position = _length(content, position, stop)
+            reported |= 4
+            if position >= 0:
+                s, ns = _time(content, begin, position)
+        else:
+            position = -1
+        if position < 0:
+            return sensor, seq, s, ns, -1
+    return sensor, seq, s, ns, (count if s >= 0 else -1)
+
+
+@kernel(
+    f"Tuple((UniTuple(int64, 5), uint32[::1], int64[:,::1], int64[::1]))({_BYTES}, int64, int64, UniTuple(int64, 4), "
+    "Array(int64, 2, 'C', readonly=True), int64)",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def read_list(
+    content: UInt8Array,
+    start: int,
+    stop: int,
+    heads: tuple[int, int, int, int],
+    fields: Int64Array,
+    width: int,
+) -> tuple[tuple[int, int, int, int, int], UInt32Array, Int64Array, Int64Array]:
+    """Read a list of records.
+
+    Args:
+        content: bytes in which the message of the list stands.
+        start, stop: where it begins and ends.
+        heads: the numbers of its fields: sensor, number, time and the records.
+        fields: (KNOWN, 4), for each field of a record what it holds, in which of its words its column begins, how
+            many words a row of that column has, and which of these is the first of the field.
+        width: words of a record.
+
+    Returns:
+        head: sensor, number, seconds, nanoseconds, and how many records there are; the last is -1 where there is
+            something unusual, and then the rest means nothing.
+        words: (N * width,) uint32, the columns one after the other: the bits of float32 numbers, int32 or uint32; 0 for
+            what is not there.
+        texts: (N, 2) int64, where the text of each record begins and ends in the content.
+        counts: (KNOWN,) int64, how many records have each field.
+    """
+    head = _head(content, start, stop, heads)
+    count = max(head[4], 0)
+    words, texts = np.zeros(count * width, np.uint32), np.zeros((count, 2), np.int64)
+    counts, latest = np.zeros(KNOWN, np.int64), np.full(KNOWN, -1)
+    if head[4] < 0:
+        return head, words, texts, counts
+    common, position, n = (head[1], head[2], head[3]), start, 0
+    while n < count:
+        tag, position = _number(content, position, stop)
+        if tag & 7 == _VARINT:
+            position = _number(content, position, stop)[1]
+            continue
+        begin, position = _length(content, position, stop)
+        if tag >> 3 == heads[3]:
+            if not _record(content, begin, position, n, common, fields, latest, words, texts, counts):
+                return (head[0], head[1], head[2], head[3], -1), words, texts, counts
+            n += 1
+    return head, words, texts, counts
+
+
+OPTIONAL = 8
+"""What a field of a record holds, beside those of `wire_reading`: a signed number that some records have."""
+
+_NUMBER, _WIRE_WRITING_FORM, _WIRE_WRITING_START, _WIRE_WRITING_SIZE, _WIRE_WRITING_INNER = range(5)
+
+_HEAD = 12
+"""The most bytes that stand before the content of a field."""
+
+_TIME_BYTES = 12
+
+
+@njit(nogil=True, error_model="numpy")
+def _put(out, at, number):  # type: ignore[no-untyped-def]
+    """Write a number, seven bits a byte, lowest first; where it ends."""
+    while number > 0x7F:
+        out[at] = np.uint8(number & 0x7F | 0x80)
+        number >>= 7
+        at += 1
+    out[at] = np.uint8(number)
+    return at + 1
+
+
+@njit(nogil=True, error_model="numpy")
+def _put_words(out, at, words, first, size):  # type: ignore[no-untyped-def]
+    """Write words of four bytes, lowest first; where they end."""
+    for k in range(first, first + size):
+        word = words[k]
+        for byte in range(4):
+            out[at] = np.uint8(word >> np.uint32(8 * byte) & np.uint32(0xFF))
+            at += 1
+    return at
+
+
+@njit(nogil=True, error_model="numpy")
+def _put_time(out, at, number, s, ns):  # type: ignore[no-untyped-def]
+    """Write a timestamp as the content of a field; where it ends."""
+    at = _put(out, at, number << 3 | _LENGTH)
+    begin = at + 1
+    end = begin
+    if s:
+        end = _put(out, _put(out, end, 1 << 3 | _VARINT), s)
+    if ns:
+        end = _put(out, _put(out, end, 2 << 3 | _VARINT), ns)
+    out[at] = np.uint8(end - begin)
+    return end
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _zigzag(word):  # type: ignore[no-untyped-def]
+    """An int32 as it is written: small where it is near 0."""
+    number = np.int64(np.int32(word))
+    return (number << 1) ^ (number >> 63)
+
+
+@njit(nogil=True, error_model="numpy")
+def _put_whole(out, at, number, value):  # type: ignore[no-untyped-def]
+    """Write a whole number as a field; where it ends."""
+    return _put(out, _put(out, at, number << 3 | _VARINT), value)
+
+
+@njit(nogil=True, error_model="numpy")
+def _put_text(out, at, number, letters, first, last):  # type: ignore[no-untyped-def]
+    """Write some of the letters as a field, none for none; where it ends."""
+    if last == first:
+        return at
+    at = _put(out, _put(out, at, number << 3 | _LENGTH), last - first)
+    for k in range(first, last):
+        out[at] = letters[k]
+        at += 1
+    return at
+
+
+@njit(nogil=True, error_model="numpy")
+def _put_record(out, at, n, count, fields, words, texts, letters, given, common):  # type: ignore[no-untyped-def]
+    """Write the fields of one record; where they end."""
+    for f in range(len(fields)):
+        number, form, size, inner = (
+            fields[f, _NUMBER],
+            fields[f, _WIRE_WRITING_FORM],
+            fields[f, _WIRE_WRITING_SIZE],
+            fields[f, _WIRE_WRITING_INNER],
+        )
+        first = fields[f, _WIRE_WRITING_START] * count + n * size
+        if form == FLOAT and words[first + inner]:
+            at = _put_words(out, _put(out, at, number << 3 | _FIXED_32), words, first + inner, 1)
+        elif form == FLOATS:
+            at = _put(out, _put(out, at, number << 3 | _LENGTH), 4 * size)
+            at = _put_words(out, at, words, first, size)
+        elif form == UNSIGNED and words[first + inner]:
+            at = _put_whole(out, at, number, np.int64(words[first + inner]))
+        elif form == SIGNED and words[first + inner]:
+            at = _put_whole(out, at, number, _zigzag(words[first + inner]))
+        elif form == OPTIONAL and given[inner, n]:
+            at = _put_whole(out, at, number, _zigzag(words[first]))
+        elif form == SEQ and common[0]:
+            at = _put_whole(out, at, number, common[0])
+        elif form == TIME:
+            at = _put_time(out, at, number, common[1], common[2])
+        elif form == TEXT:
+            at = _put_text(out, at, number, letters, texts[n, 0], texts[n, 1])
+    return at
+
+
+@kernel(
+    "uint8[::1](int64, int64, Array(int64, 2, 'C', readonly=True), uint32[::1], int64[:,::1], "
+    "Array(uint8, 1, 'C', readonly=True), boolean[:,::1], UniTuple(int64, 3))",
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def write_list(
+    group: int,
+    count: int,
+    fields: Int64Array,
+    words: UInt32Array,
+    texts: Int64Array,
+    letters: UInt8Array,
+    given: BoolArray,
+    common: tuple[int, int, int],
+) -> UInt8Array:
+    """Write records as a repeated field of a message.
+
+    Args:
+        group: the number of that field.
+        count: how many records.
+        fields: (F, 5), for each field of a record its number, what it holds, in which of the words of a record the
+            column that it belongs to begins, how many words a row of that column has, and which of these is the first
+            of the field; of an OPTIONAL one the last is its row of `given`. They rise.
+        words: (count * width,), the columns one after the other: the bits of float32 numbers, int32 or uint32.
+        texts: (count, 2), where the text of each record begins and ends among the letters.
+        letters: (L,), of all texts.
+        given: (O, count), which records have an OPTIONAL field.
+        common: number, seconds and nanoseconds of the list, which its records state again.
+
+    Returns:
+        (B,) uint8.
+    """
+    long = len(letters)
+    for n in range(count):
+        long += texts[n, 1] - texts[n, 0] + _HEAD + len(fields) * (_HEAD + _TIME_BYTES)
+    out, at = np.empty(long + 4 * len(words), np.uint8), 0
+    for n in range(count):
+        begin = at + _HEAD
+        end = _put_record(out, begin, n, count, fields, words, texts, letters, given, common)
+        at = _put(out, _put(out, at, group << 3 | _LENGTH), end - begin)
+        for k in range(begin, end):
+            out[at] = out[k]
+            at += 1
+    return out[:at].copy()

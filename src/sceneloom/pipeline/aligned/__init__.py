@@ -1,1 +1,0 @@
-"""The scene that a fusion writes, and what it says of how it came about."""

@@ -1,0 +1,685 @@
+"""The calibrate jobs: check the camera-lidar calibration of a drive from images, points and detections; refine it.
+
+And write the result.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Float64Array
+from sceneloom.calibrate.checkerboard import Board, board_views, start_from_target
+from sceneloom.calibrate.extrinsics import MountingEstimate, step_between
+from sceneloom.calibrate.frames import MOST, CalibrationFrame, calibration_frames, chosen_camera, chosen_lidar
+from sceneloom.calibrate.health import (
+    MOTION,
+    CalibrationHealth,
+    Item,
+    check_frames,
+    health_of_boxes,
+    judge_motion,
+    with_boxes,
+    with_coarse,
+)
+from sceneloom.calibrate.lidar_to_ego import lidar_to_ego
+from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
+from sceneloom.calibrate.refinement import DEFAULT, Refinement, RefinementVerdict, refine
+from sceneloom.cameras.camera import Camera
+from sceneloom.db34t.calibration import DeclaredAxes, calibration_data
+from sceneloom.db34t.json import format_json
+from sceneloom.detections.residuals import BoxResiduals, BoxRotation
+from sceneloom.errors import CalibrationError, DataError, OptionError
+from sceneloom.formats.base.files import read_bytes
+from sceneloom.formats.base.output import check_output, replacing
+from sceneloom.formats.base.registry import format_for_output
+from sceneloom.formats.kitti.tracking_reader import KittiTracking
+from sceneloom.geometry.interpolation import OUT_OF_REACH
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import (
+    conjugate_quaternion,
+    matrix_from_quaternion,
+    multiply_quaternions,
+    rotation_vector_from_quaternion,
+)
+from sceneloom.images.calibration import save_change_images
+from sceneloom.motion.clock.camera_rotation import camera_rotating
+from sceneloom.motion.ego_trajectory import find_ego_motion
+from sceneloom.pipeline.detected_drive import DetectedDrive, kitti_drive, moments
+from sceneloom.pipeline.detection_lists import DetectionFiles, scene_drive
+from sceneloom.scene.annotations import CameraCalibration
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.ego import needs_ego, sensor_source
+from sceneloom.scene.poses import Poses
+from sceneloom.scene.scene import Scene, scene_period_ns
+from sceneloom.scene.time_range import cut_scene
+from sceneloom.scene.types import Identifier, Progress
+
+_MOST_ROTATIONS = 100
+"""Images whose rotating is followed, at most."""
+
+_MOST_IMAGES = 200
+"""Boxes of more images report hardly more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CheckedCalibration:
+    """What a check gave.
+
+    Attributes:
+        health: the verdicts.
+        frames: what was looked at.
+    """
+
+    health: CalibrationHealth
+    frames: Sequence[CalibrationFrame]
+
+
+def check_drive(
+    scene: Scene,
+    camera_id: Identifier | None = None,
+    lidar_id: Identifier | None = None,
+    *,
+    most: int = MOST,
+    start: float | None = None,
+    stop: float | None = None,
+    boxes_3d: Sequence[Path] = (),
+    boxes_2d: Sequence[Path] = (),
+    motion: bool = False,
+    lenient: bool = False,
+) -> CheckedCalibration:
+    """Check a calibration by images and points, and by lists of boxes where there are any.
+
+    Args:
+        camera_id, lidar_id: None for the scene's first ones.
+        most: images to look at, at most; boxes of more images count.
+        start, stop: seconds after the first timestamp between which images count.
+        boxes_3d, boxes_2d: lists of boxes, as for `fuse_detections`.
+        motion: compare how both rotate, too; it looks at all images, up to 100 in the middle of the part.
+        lenient: leave out boxes that are faulty.
+
+    Raises:
+        OptionError: there is no such camera or lidar, or boxes of images or sweeps alone.
+        PoseError: it is not known how the camera lies to the lidar.
+        DataError: an image, a sweep or a list cannot be read.
+    """
+    if bool(boxes_3d) != bool(boxes_2d):
+        raise OptionError(
+            f"{scene.source}: boxes of {'sweeps' if boxes_3d else 'images'} alone; a calibration is judged by boxes "
+            "of both, --boxes3d and --boxes2d"
+        )
+    scene = scene.corrected()
+    part = cut_scene(scene, start=start, stop=stop)
+    frames = calibration_frames(part, camera_id, lidar_id, most)
+    camera, lidar = frames[0].camera_id, frames[0].lidar_id
+    drive = None
+    if boxes_3d:
+        named = () if camera_id is None else (camera,)
+        files = DetectionFiles(boxes_3d=boxes_3d, boxes_2d=boxes_2d, lidar=lidar, cameras=named)
+        drive = _within(scene_drive(scene, files, lenient=lenient), part, camera)
+    health = check_frames(frames, source=scene.source)
+    if drive is not None:
+        health = with_boxes(health, _rotation_of_boxes(drive, camera))
+    if motion:
+        health = with_coarse(health, _judged_motion(part, camera, lidar))
+    health = msgspec.structs.replace(health, corrections=scene.correction_warnings)
+    return CheckedCalibration(health, frames)
+
+
+def _judged_motion(part: Scene, camera_id: Identifier, lidar_id: Identifier) -> Item:
+    """Compare how a camera rotates from image to image with how the lidar does by the ego trajectory."""
+    camera, lidar = chosen_camera(part, camera_id), chosen_lidar(part, lidar_id)
+    count = len(camera.images)
+    first = max((count - _MOST_ROTATIONS) // 2, 0)
+    rotating = camera_rotating(replace(camera, images=camera.images[first : first + _MOST_ROTATIONS]))
+    times = rotating.timestamps_ns
+    if len(times) < 2:
+        return Item.unknown(MOTION, "there are no two images")
+    ego = find_ego_motion(part) if needs_ego(part) else None
+    reach_ns = scene_period_ns(part)
+    trajectories = [
+        sensor_source(part, sensor, ego, reach_ns=reach_ns).at(times) for sensor in (camera, lidar)
+    ]
+    steps = _steps(rotating.quaternions_xyzw)
+    steps[np.diff(rotating.chunks) != 0] = np.nan
+    given = _steps(trajectories[1].quaternions_xyzw)
+    there = (trajectories[0].coverage != OUT_OF_REACH) & (trajectories[1].coverage != OUT_OF_REACH)
+    given[~(there[1:] & there[:-1])] = np.nan
+    row = int(np.argmax(there))
+    stated = multiply_quaternions(
+        conjugate_quaternion(trajectories[0].quaternions_xyzw[row]), trajectories[1].quaternions_xyzw[row]
+    )
+    return judge_motion(steps, given, matrix_from_quaternion(stated))
+
+
+def _steps(quaternions_xyzw: Float64Array) -> Float64Array:
+    """Rotation vectors, (N - 1, 3), from each of (N, 4) orientations to the next, in the body's axes."""
+    return rotation_vector_from_quaternion(
+        multiply_quaternions(conjugate_quaternion(quaternions_xyzw[:-1]), quaternions_xyzw[1:])
+    )
+
+
+def check_sequences(tracking: KittiTracking, sequences: Sequence[str] = ()) -> list[CalibrationHealth]:
+    """Check the calibration of sequences laid out like KITTI's tracking benchmark, by boxes alone.
+
+    Args:
+        sequences: which ones; none for all.
+
+    Raises:
+        DataError: a file is faulty, or a sequence is not there.
+    """
+    found = []
+    for name in tracking.chosen(sequences):
+        drive = kitti_drive(tracking.sequence(name))
+        for camera_id, camera in drive.cameras.items():
+            rotation = _rotation_of_boxes(drive, camera_id)
+            found.append(
+                health_of_boxes(
+                    rotation,
+                    source=name,
+                    camera_id=camera_id,
+                    lidar_id=drive.lidar_id,
+                    frames=len(camera.boxes),
+                )
+            )
+    return found
+
+
+def _rotation_of_boxes(drive: DetectedDrive, camera_id: Identifier) -> BoxRotation | None:
+    """The rotation about which boxes of a camera's images and of sweeps agree; None where hardly any may be alike."""
+    if camera_id not in drive.cameras:
+        return None
+    pairs = [moment.pairs[camera_id] for moment in moments(drive) if camera_id in moment.pairs]
+    residuals = BoxResiduals()
+    for pair in pairs[:: -(-len(pairs) // _MOST_IMAGES) or 1]:
+        residuals.add(pair)
+    return residuals.rotation()
+
+
+def _within(drive: DetectedDrive, part: Scene, camera_id: Identifier) -> DetectedDrive:
+    """The drive with the boxes of those images alone that are in a part of the scene."""
+    camera = next(camera for camera in part.cameras if camera.id == camera_id)
+    times = camera.images.timestamps_ns
+    cameras = {
+        known: replace(
+            found, boxes=tuple(b for b in found.boxes if times.min() <= b.timestamp_ns <= times.max())
+        )
+        for known, found in drive.cameras.items()
+        if known == camera_id
+    }
+    return replace(drive, cameras=cameras)
+
+
+_CALIBRATION_FILE = "calibration.json"
+
+_CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
+"""Forward, right and up in a camera's and in a lidar's frame, as the declared axes state it."""
+
+
+class CalibrationForm(StrEnum):
+    """What a calibration is written as."""
+
+    SFS = "sfs"
+    TABLE_3 = "table-3"
+    RECORDING = "recording"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Repair:
+    """What is new of the calibration of one camera and one lidar.
+
+    Attributes:
+        camera_id, lidar_id: the sensors; None where the other one alone was mounted anew.
+        stated, repaired: `camera_from_lidar` before and after; of a lidar alone `ego_from_lidar`.
+        camera: the camera model as it is now, or None where there is no camera.
+        time_offset: seconds to be added to the camera's timestamps.
+    """
+
+    camera_id: Identifier | None
+    lidar_id: Identifier
+    stated: RigidTransform
+    repaired: RigidTransform
+    camera: Camera | None = None
+    time_offset: float = 0.0
+
+
+def form_for(target: Path, form: str | None) -> CalibrationForm:
+    """Choose the form by its name, else by the ending of the target.
+
+    Raises:
+        OptionError: neither says it.
+    """
+    if form is not None:
+        return CalibrationForm(form)
+    if target.suffix == ".sfs":
+        return CalibrationForm.SFS
+    if target.name == _CALIBRATION_FILE or target.name.endswith("." + _CALIBRATION_FILE):
+        return CalibrationForm.RECORDING
+    if target.suffix == ".json":
+        return CalibrationForm.TABLE_3
+    raise OptionError(
+        f"{target}: expected NAME.sfs (annotation), calibration.json (recording), NAME.json (table 3) or a form"
+    )
+
+
+def write_calibration(
+    scene: Scene, repair: Repair, target: Path, *, form: str | None = None, overwrite: bool = False
+) -> CalibrationForm:
+    """Write a repaired calibration.
+
+    Args:
+        form: "sfs", "table-3" or "recording"; None to report it by the ending.
+
+    Raises:
+        OptionError: the form does not fit the target or the repair.
+        DataError: the drive has no calibration.json to be changed, or the scene cannot be written.
+        CalibrationError: the record cannot hold the camera model.
+        OutputError: the target exists, or cannot be written.
+    """
+    chosen = form_for(target, form)
+    if chosen is CalibrationForm.SFS:
+        format_for_output(target).write(_with_repair(scene, repair), target, overwrite=overwrite)
+        return chosen
+    text = _TEXTS[chosen](scene, repair)
+    with replacing(target, overwrite=overwrite) as draft:
+        draft.write_text(text + "\n", "utf-8")
+    return chosen
+
+
+def _with_repair(scene: Scene, repair: Repair) -> Scene:
+    """The scene with a `camera_calibration` annotation that says what is to be changed.
+
+    Source: "Camera Calibration Annotation" of the SFS description: world_from_camera' = world_from_camera D.
+    """
+    if repair.camera_id is None:
+        return _remounted(scene, repair)
+    sensor = scene.sensor(repair.camera_id)
+    if not isinstance(sensor, CameraSensor):
+        raise OptionError(
+            f"{scene.source}: sensor {repair.camera_id!r} is a {sensor.type}; expected a camera"
+        )
+    difference = repair.stated @ repair.repaired.inverse()
+    first_ns = sensor.images.timestamps_ns[:1]
+    annotation = CameraCalibration(
+        id=_free_id(scene, f"calibration-{repair.camera_id}"),
+        sensor_id=repair.camera_id,
+        poses=Poses(
+            np.asarray(first_ns, np.int64),
+            difference.translation.reshape(1, 3).copy(),
+            difference.quaternion_xyzw.reshape(1, 4),
+        ),
+        intrinsics=repair.camera if repair.camera != sensor.camera else None,
+        time_offset_ns=round(repair.time_offset * 1e9) or None,
+    )
+    return replace(scene, annotations=(*scene.annotations, annotation))
+
+
+def _remounted(scene: Scene, repair: Repair) -> Scene:
+    """No annotation reports how a lidar is mounted: the scene itself is changed."""
+    sensors = tuple(
+        replace(sensor, mount=repair.repaired)
+        if isinstance(sensor, LidarSensor) and sensor.id == repair.lidar_id
+        else sensor
+        for sensor in scene.sensors
+    )
+    return replace(scene, sensors=sensors)
+
+
+def _free_id(scene: Scene, wanted: str) -> str:
+    taken = {annotation.id for annotation in scene.annotations}
+    names = [wanted, *(f"{wanted}-{number}" for number in range(2, len(taken) + 3))]
+    return next(name for name in names if name not in taken)
+
+
+def _table_3(scene: Scene, repair: Repair) -> str:
+    del scene
+    if repair.camera is None:
+        raise OptionError(
+            "table 3 holds the calibration of a camera and a lidar; there is no camera in this one"
+        )
+    axes = DeclaredAxes.of_words(_CAMERA_AXES), DeclaredAxes.of_words(_LIDAR_AXES)
+    record = calibration_data(repair.camera, repair.repaired, *axes)
+    return format_json(record)
+
+
+def _recording(scene: Scene, repair: Repair) -> str:
+    content = _calibration_of(scene)
+    if repair.camera_id is None:
+        entry = _entry(content, "lidars", "lidarInd", scene.lidars, repair.lidar_id)
+        entry["imuToLidar"] = repair.repaired.inverse().matrix.tolist()
+        entry.pop("imuToLidarMatrix", None)
+    else:
+        _change_camera(_entry(content, "cameras", "cameraInd", scene.cameras, repair.camera_id), repair)
+    return json.dumps(content, indent=2)
+
+
+def _change_camera(entry: dict[str, Any], repair: Repair) -> None:
+    word = "imuToCamera" if "imuToCamera" in entry else "imuToCameraMatrix"
+    if word not in entry:
+        raise CalibrationError("the camera's entry has no imuToCamera; expected one that can be changed")
+    camera_from_imu, _ = RigidTransform.nearest(np.asarray(entry[word], np.float64))
+    entry[word] = (repair.repaired @ repair.stated.inverse() @ camera_from_imu).matrix.tolist()
+    if repair.camera is not None and "focalLengthX" in entry:
+        entry["focalLengthX"], entry["focalLengthY"] = repair.camera.fx, repair.camera.fy
+    if repair.time_offset:
+        entry["imuToCameraShiftSeconds"] = (
+            float(entry.get("imuToCameraShiftSeconds") or 0.0) + repair.time_offset
+        )
+
+
+def _calibration_of(scene: Scene) -> dict[str, Any]:
+    """The calibration.json of the drive.
+
+    Raises:
+        DataError: there is none.
+    """
+    file = Path(scene.source) / _CALIBRATION_FILE
+    try:
+        content = json.loads(read_bytes(file))
+    except (DataError, ValueError, RecursionError) as error:
+        raise DataError(
+            scene.source,
+            _CALIBRATION_FILE,
+            f"cannot be read ({error}); a new one is the drive's own changed: write a .sfs or table 3 instead",
+        ) from error
+    if not isinstance(content, dict):
+        raise DataError(scene.source, _CALIBRATION_FILE, f"a {type(content).__name__}; expected an object")
+    return content
+
+
+def _entry(
+    content: Mapping[str, Any], part: str, number_key: str, sensors: tuple[Any, ...], wanted: Identifier
+) -> dict[str, Any]:
+    """The entry of a sensor: by its number where entries have one, else by its location.
+
+    Raises:
+        DataError: there is none.
+    """
+    location = [sensor.id for sensor in sensors].index(wanted)
+    number = int("".join(sign for sign in str(wanted) if sign.isdigit()) or location)
+    entries = [entry for entry in content.get(part) or () if isinstance(entry, dict)]
+    for index, entry in enumerate(entries):
+        if entry.get(number_key, index) == number:
+            return entry
+    raise DataError(_CALIBRATION_FILE, part, f"{len(entries)} entries; expected one of sensor {wanted!r}")
+
+
+_TEXTS: Mapping[CalibrationForm, Callable[[Scene, Repair], str]] = MappingProxyType(
+    {CalibrationForm.TABLE_3: _table_3, CalibrationForm.RECORDING: _recording}
+)
+
+
+class RepairReport(msgspec.Struct, frozen=True, kw_only=True):
+    """What a repair came to.
+
+    Attributes:
+        source: the drive.
+        method: "refine", "hand-eye", "lidar-to-lidar" or "target".
+        verdict: "refined", "kept" or "cannot determine".
+        reason: why.
+        sensors: between which sensors, from the frame that is led into to the other.
+        transform: (4, 4) of what holds now, row by row.
+        change: what was found, whatever the verdict: rotates [deg], shifts [m], "focal" (factor), "later" [s].
+        sigmas: standard deviations of these, in the same units.
+        unobserved: what the drive does not report.
+        notes: further things that were found out.
+        frames: how many frames or motions took part.
+        time_offset: seconds to be added to the camera's timestamps.
+        output: what was written, or None.
+        form: as what.
+    """
+
+    source: str
+    method: str
+    verdict: str
+    reason: str
+    sensors: tuple[str, str]
+    transform: tuple[tuple[float, ...], ...]
+    change: dict[str, float]
+    sigmas: dict[str, float]
+    unobserved: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    frames: int = 0
+    time_offset: float = 0.0
+    output: str | None = None
+    form: str | None = None
+
+
+def refine_drive(
+    scene: Scene,
+    target: Path | None = None,
+    *,
+    camera: Identifier | None = None,
+    lidar: Identifier | None = None,
+    parameters: Sequence[str] = DEFAULT,
+    most: int = MOST,
+    form: str | None = None,
+    images: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> RepairReport:
+    """Refine the calibration of a camera against a lidar by the drive itself.
+
+    Nothing is written unless the calibration was refined; images are drawn in any case.
+
+    Args:
+        images: folder for images of points and edges under the stated and the best calibration.
+
+    Raises:
+        OptionError: a sensor, a parameter or the form is unknown.
+        PoseError, DataError: as `calibration_frames` and `write_calibration` state.
+        OutputError: the target exists, or cannot be written.
+    """
+    _check_target(target, form, overwrite=overwrite)
+    scene = scene.corrected()
+    frames = calibration_frames(scene, camera, lidar, most)
+    found = refine(frames, parameters=parameters, progress=progress)
+    if images is not None:
+        save_change_images(frames, found.change, images, overwrite=overwrite)
+    first = frames[0]
+    repair = Repair(
+        first.camera_id,
+        first.lidar_id,
+        first.camera_from_lidar,
+        found.camera_from_lidar,
+        found.camera,
+        found.time_offset,
+    )
+    report = _refinement_report(scene, repair, found)
+    return _written(scene, repair, report, target, form, overwrite=overwrite)
+
+
+def mount_lidar(
+    scene: Scene,
+    target: Path | None = None,
+    *,
+    lidar: Identifier | None = None,
+    trajectory: str | None = None,
+    form: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> RepairReport:
+    """Find how a lidar is mounted on the ego by hand-eye alignment of its odometry and a trajectory.
+
+    Raises:
+        OptionError, PoseError, DataError: as `lidar_to_ego` and `write_calibration` state.
+        OutputError: the target exists, or cannot be written.
+    """
+    _check_target(target, form, overwrite=overwrite)
+    scene = scene.corrected()
+    result = lidar_to_ego(scene, lidar, trajectory=trajectory, progress=progress)
+    mounting = result.found.mounting
+    stated = result.stated or RigidTransform.identity()
+    clock = "" if result.clock.offset_ns is None else f", {result.clock.offset_ns / 1e6:.1f} ms late"
+    notes = [
+        f"compared with trajectory {result.trajectory!r}; {100 * result.found.inliers:.0f} % of the motions fit",
+        f"clock of the lidar: {result.clock.verdict}{clock}",
+    ]
+    report = _mounting_report(
+        scene, "hand-eye", ("ego", str(result.lidar_id)), stated, mounting, result.found.motions, notes
+    )
+    repair = Repair(None, result.lidar_id, stated, mounting.a_from_b)
+    return _written(scene, repair, report, target, form, overwrite=overwrite)
+
+
+def align_lidars(
+    scene: Scene,
+    target: Path | None = None,
+    *,
+    lidar: Identifier | None = None,
+    onto: Identifier | None = None,
+    most: int = MOST,
+    form: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> RepairReport:
+    """Find how a lidar lies to another one by their clouds; its own mounting is what changes.
+
+    Args:
+        lidar: the one that is mounted anew; None for the second one.
+        onto: the one that stays; None for the first one.
+
+    Raises:
+        OptionError, PoseError, DataError: as `lidar_to_lidar` and `write_calibration` state.
+        OutputError: the target exists, or cannot be written.
+    """
+    _check_target(target, form, overwrite=overwrite)
+    scene = scene.corrected()
+    result = lidar_to_lidar(scene, onto, lidar, most=most, progress=progress)
+    ids = str(result.first_id), str(result.second_id)
+    stated = result.stated or RigidTransform.identity()
+    notes = [
+        f"{100 * result.overlap:.0f} % of the points of {ids[1]} lie on what {ids[0]} sees",
+        f"{result.agreeing} of {result.frames} frames agree; begun at the {result.started} mounting",
+    ]
+    report = _mounting_report(scene, "lidar-to-lidar", ids, stated, result.mounting, result.frames, notes)
+    first = scene.sensor(result.first_id)
+    of_first = first.mount if isinstance(first, LidarSensor) else None
+    mount = result.mounting.a_from_b if of_first is None else of_first @ result.mounting.a_from_b
+    return _written(
+        scene, Repair(None, result.second_id, stated, mount), report, target, form, overwrite=overwrite
+    )
+
+
+def calibrate_by_target(
+    scene: Scene,
+    target: Path | None = None,
+    *,
+    board: str,
+    camera: Identifier | None = None,
+    lidar: Identifier | None = None,
+    most: int = MOST,
+    form: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> RepairReport:
+    """Find how a camera lies to a lidar by a checkerboard that both see; no guess is needed.
+
+    Args:
+        board: as `Board.parse` reads it.
+
+    Raises:
+        OptionError, PoseError, DataError: as `board_views`, `start_from_target` and `write_calibration` state.
+        OutputError: the target exists, or cannot be written.
+    """
+    _check_target(target, form, overwrite=overwrite)
+    scene = scene.corrected()
+    wanted = Board.parse(board)
+    views = list(board_views(scene, wanted, camera, lidar, most=most, progress=progress))
+    mounting = start_from_target(views, wanted)
+    seeing, scanning = chosen_camera(scene, camera), chosen_lidar(scene, lidar)
+    stated = (
+        RigidTransform.identity()
+        if seeing.mount is None or scanning.mount is None
+        else seeing.mount.inverse() @ scanning.mount
+    )
+    ids = str(seeing.id), str(scanning.id)
+    report = _mounting_report(scene, "target", ids, stated, mounting, len(views))
+    repair = Repair(seeing.id, scanning.id, stated, mounting.a_from_b, seeing.camera)
+    return _written(scene, repair, report, target, form, overwrite=overwrite)
+
+
+def _mounting_report(
+    scene: Scene,
+    method: str,
+    sensors: tuple[str, str],
+    stated: RigidTransform,
+    mounting: MountingEstimate,
+    frames: int,
+    notes: Sequence[str] = (),
+) -> RepairReport:
+    """Report what was found of a mounting."""
+    names = ("rotation_x", "rotation_y", "rotation_z", "shift_x", "shift_y", "shift_z")
+    return RepairReport(
+        source=scene.source,
+        method=method,
+        verdict=str(RefinementVerdict.REFINED),
+        reason="found from the motions and sweeps of the drive",
+        sensors=sensors,
+        transform=_rows(mounting.a_from_b),
+        change=_in_degrees(dict(zip(names, step_between(stated, mounting.a_from_b).tolist(), strict=True))),
+        sigmas=_in_degrees(dict(zip(names, mounting.sigmas.tolist(), strict=True))),
+        unobserved=mounting.unobserved,
+        notes=tuple(notes),
+        frames=frames,
+    )
+
+
+def _refinement_report(scene: Scene, repair: Repair, found: Refinement) -> RepairReport:
+    return RepairReport(
+        source=scene.source,
+        method="refine",
+        verdict=str(found.verdict),
+        reason=found.reason,
+        sensors=(str(repair.camera_id), str(repair.lidar_id)),
+        transform=_rows(repair.repaired),
+        change=_in_degrees(found.found_change),
+        sigmas=_in_degrees(found.sigmas),
+        unobserved=found.held,
+        notes=(f"{found.frames} frames of {found.views} views, sharpness {found.sharpness:.1f}",),
+        frames=found.frames,
+        time_offset=found.time_offset,
+    )
+
+
+def _rows(transform: RigidTransform) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in transform.matrix.tolist())
+
+
+_ROTATIONS = frozenset({"pitch", "yaw", "roll", "rotation_x", "rotation_y", "rotation_z"})
+
+
+def _in_degrees(numbers: dict[str, float]) -> dict[str, float]:
+    return {
+        name: value * 57.29577951308232 if name in _ROTATIONS else value for name, value in numbers.items()
+    }
+
+
+def _check_target(target: Path | None, form: str | None, *, overwrite: bool) -> None:
+    if target is not None:
+        form_for(target, form)
+        check_output(target, overwrite=overwrite)
+
+
+def _written(
+    scene: Scene,
+    repair: Repair,
+    report: RepairReport,
+    target: Path | None,
+    form: str | None,
+    *,
+    overwrite: bool,
+) -> RepairReport:
+    reported = tuple(warning.message for warning in scene.correction_warnings)
+    report = msgspec.structs.replace(report, notes=(*report.notes, *reported))
+    if target is None or report.verdict != RefinementVerdict.REFINED:
+        return report
+    chosen = write_calibration(scene, repair, target, form=form, overwrite=overwrite)
+    return msgspec.structs.replace(report, output=str(target), form=str(chosen))

@@ -1,1 +1,0 @@
-"""A drive as coloured clouds: one map, sweeps by themselves, labels carried between images and points."""

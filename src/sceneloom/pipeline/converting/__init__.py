@@ -1,1 +1,0 @@
-"""From one format to another, through the scene."""

@@ -1,1 +1,0 @@
-"""Deskewing as a step of its own."""

@@ -1,1 +1,0 @@
-"""Detection fusion of a drive: lists of boxes in, objects out."""

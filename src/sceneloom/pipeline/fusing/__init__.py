@@ -1,1 +1,0 @@
-"""The main job: one scene in, one fused scene out."""

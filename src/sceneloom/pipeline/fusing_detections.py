@@ -1,0 +1,719 @@
+"""Detection fusion of whole drives: boxes through the fusion system into JSON lines of table 10 or KITTI results.
+
+And such files read again for tracking.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from heapq import merge
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Int64Array, read_only
+from sceneloom.cameras.camera import Camera
+from sceneloom.db34t.json import format_json, parse_json
+from sceneloom.db34t.records import FusedDetections
+from sceneloom.db34t.results import declared_columns
+from sceneloom.db34t.types import Timestamp
+from sceneloom.detections.detectors import DEFAULT
+from sceneloom.detections.projection import fuse_by_projection
+from sceneloom.detections.results import NO_BOX, DetectionAlgorithm, DetectionPair, FusedBoxes
+from sceneloom.detections.settings import ProjectionSettings
+from sceneloom.errors import DataError, OptionError, SceneloomError
+from sceneloom.formats.base.files import file_faults, open_file
+from sceneloom.formats.base.output import filling, replacing_together
+from sceneloom.formats.base.text_tables import read_lines
+from sceneloom.formats.kitti.labels import (
+    CENTRE_TO_CORNER,
+    NO_TRACK,
+    KittiLabels,
+    observation_angles,
+    rectified_boxes,
+    write_labels,
+)
+from sceneloom.formats.kitti.oxts import PERIOD_NS
+from sceneloom.formats.kitti.tracking_reader import KittiTracking
+from sceneloom.fusion.algorithms import FusionType, algorithm, chosen_algorithm
+from sceneloom.fusion.box_fusion import FusedDetectionFrame, SeenBoxes
+from sceneloom.fusion.configuration import FusionConfiguration
+from sceneloom.fusion.system import FusionSystem
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pipeline.detected_drive import (
+    DetectedCamera,
+    DetectedDrive,
+    SweepPoints,
+    calibration_warnings,
+    kitti_drive,
+    poses_at,
+    projection_settings,
+)
+from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.scene.poses import Poses, PoseSource
+from sceneloom.scene.scene import usual_period_ns
+from sceneloom.scene.types import Identifier, Progress
+from sceneloom.tracking.observation import Observation, View
+from sceneloom.warnings import DataWarning
+
+_Classes = frozenset[str] | None
+"""Those that a detector looks for; None for all that there are."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoveringFusion:
+    """Fusion by projection for detectors that do not look for the same classes.
+
+    Attributes:
+        classes_2d, classes_3d: that the detectors of images and of sweeps look for.
+        settings: what is taken for granted about detectors otherwise.
+    """
+
+    classes_2d: _Classes
+    classes_3d: _Classes
+    settings: ProjectionSettings
+
+    def __call__(self, pair: DetectionPair) -> FusedBoxes:
+        """Fuse the boxes that both could find, and take those that only one could find as they are."""
+        in_space = _looked_for(pair.boxes_3d, self.classes_2d)
+        in_image = _looked_for(pair.boxes_2d, self.classes_3d)
+        parts = [_part(pair, in_space, in_image, self.settings)]
+        none = np.zeros(len(pair.boxes_3d), np.bool_), np.zeros(len(pair.boxes_2d), np.bool_)
+        if not in_space.all():
+            parts.append(_part(pair, ~in_space, none[1], replace(self.settings, recall_2d=0.0)))
+        if not in_image.all():
+            parts.append(_part(pair, none[0], ~in_image, replace(self.settings, recall_3d=0.0)))
+        return _together(parts)
+
+
+def _looked_for(boxes: Boxes3D | Boxes2D, classes: _Classes) -> BoolArray:
+    return np.array([classes is None or label in classes for label in boxes.labels], np.bool_)
+
+
+def _part(
+    pair: DetectionPair, in_space: BoolArray, in_image: BoolArray, settings: ProjectionSettings
+) -> FusedBoxes:
+    """Fuse some of the boxes; rows are reported all."""
+    if in_space.all() and in_image.all():
+        return fuse_by_projection(pair, settings=settings)
+    rows_3d, rows_2d = np.flatnonzero(in_space), np.flatnonzero(in_image)
+    some = replace(pair, boxes_3d=pair.boxes_3d.select(rows_3d), boxes_2d=pair.boxes_2d.select(rows_2d))
+    fused = fuse_by_projection(some, settings=settings)
+    return replace(fused, rows_3d=_of_all(fused.rows_3d, rows_3d), rows_2d=_of_all(fused.rows_2d, rows_2d))
+
+
+def _of_all(rows: Int64Array, chosen: Int64Array) -> Int64Array:
+    return np.array([NO_BOX if row == NO_BOX else chosen[row] for row in rows.tolist()], np.int64)
+
+
+def _together(parts: Sequence[FusedBoxes]) -> FusedBoxes:
+    """Put the objects of one pair together, numbered anew; columns that only some have are left out."""
+    if len(parts) == 1:
+        return parts[0]
+    filled = [part for part in parts if len(part)] or parts[:1]
+    columns: dict[str, Any] = {}
+    for f in fields(FusedBoxes):
+        values = [getattr(part, f.name) for part in filled]
+        if all(isinstance(value, np.ndarray) for value in values):
+            columns[f.name] = np.concatenate(values)
+        elif any(isinstance(value, np.ndarray) for value in values):
+            columns[f.name] = None
+    labels = tuple(label for part in filled for label in part.labels)
+    return replace(filled[0], **{**columns, "labels": labels, "ids": np.arange(len(labels))})
+
+
+def _fusion_for(
+    classes_2d: _Classes, classes_3d: _Classes, found: frozenset[str], settings: ProjectionSettings
+) -> Callable[[DetectionPair], FusedBoxes] | None:
+    """Give the fusion for detectors of some classes; None where both look for all that was found."""
+    if all(classes is None or found <= classes for classes in (classes_2d, classes_3d)):
+        return None
+    return CoveringFusion(classes_2d, classes_3d, settings)
+
+
+def iter_fused_detections(
+    drive: DetectedDrive,
+    *,
+    configuration: FusionConfiguration | None = None,
+    settings: ProjectionSettings | None = None,
+) -> Iterator[FusedDetectionFrame]:
+    """Play what detectors found through the fusion system, as if it happened now.
+
+    Args:
+        drive: what they found.
+        configuration: settings of the fusion system.
+        settings: what fusion by projection takes for granted; None for the detectors that the configuration names, else
+            for what is known of the drive's.
+
+    Yields:
+        The objects of each sweep and each image that belongs to it, in the order of the sweeps.
+
+    Raises:
+        OptionError: no algorithm has the name that the configuration says.
+        CalibrationError: a camera model is unknown.
+    """
+    chosen = configuration or FusionConfiguration()
+    named = chosen_algorithm(FusionType.DETECTIONS, chosen.detection_algorithm)
+    detect: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, named)
+    if chosen.detection_algorithm == "projection":
+        if settings is None and chosen.detectors != DEFAULT:
+            settings = ProjectionSettings(detectors=chosen.detectors)
+        wanted, found = projection_settings(drive, settings), frozenset(drive.labels)
+        detect = _fusion_for(drive.classes_2d, drive.classes, found, wanted) or partial(
+            fuse_by_projection, settings=wanted
+        )
+    system = FusionSystem(
+        chosen, detect=detect if drive.points is None else _WithPoints(drive.points, detect)
+    )
+    system.add_lidar(drive.lidar_id, drive.source, period_ns=drive.period_ns, location=drive.source)
+    for index, (camera_id, camera) in enumerate(drive.cameras.items()):
+        system.add_camera(camera_id, camera.source, index=index)
+    for _, _, _, sensor_id, measurement in merge(*_streams(drive), key=lambda entry: entry[:3]):
+        system.send(sensor_id, measurement)
+        yield from iter(system.get_detections, None)
+    system.flush()
+    yield from iter(system.get_detections, None)
+
+
+@dataclass(frozen=True, slots=True)
+class _WithPoints:
+    """Reads the points of a sweep, by which what images alone show is placed, when its boxes are fused."""
+
+    points: SweepPoints
+    detect: DetectionAlgorithm
+
+    def __call__(self, pair: DetectionPair) -> FusedBoxes:
+        if not len(pair.boxes_2d):
+            return self.detect(pair)
+        return self.detect(replace(pair, points_lidar=self.points.at(pair.boxes_3d.timestamp_ns)))
+
+
+_Sent = tuple[int, int, int, Identifier, Boxes3D | SeenBoxes]
+
+
+def _streams(drive: DetectedDrive) -> list[list[_Sent]]:
+    """What each sensor's detector sends: time, order among sensors, number, sensor, boxes; images before sweeps."""
+    streams: list[list[_Sent]] = [
+        [
+            (
+                boxes.timestamp_ns,
+                order,
+                k,
+                camera_id,
+                SeenBoxes(boxes, camera.camera_model, extras={"seq": k}),
+            )
+            for k, boxes in enumerate(camera.boxes)
+        ]
+        for order, (camera_id, camera) in enumerate(drive.cameras.items())
+    ]
+    streams.append(
+        [(boxes.timestamp_ns, len(streams), k, drive.lidar_id, boxes) for k, boxes in enumerate(drive.boxes)]
+    )
+    return streams
+
+
+def _detections_record(
+    frame: FusedDetectionFrame, camera_model: Camera, *, camera_number: int, lidar_number: int = 0
+) -> FusedDetections:
+    """Give the record of table 10 of the objects of a sweep and an image, axes as the scene has them.
+
+    Args:
+        camera_model: of the image, to whose size boxes are cut.
+        camera_number, lidar_number: of the sensors in records.
+
+    Raises:
+        DataError: a time cannot stand in the record.
+    """
+    fused = frame.fused
+    columns, _ = declared_columns(fused, _AS_IN_THE_SCENE, camera_model)
+    return FusedDetections(
+        timestamp=Timestamp.of(frame.timestamp_ns),
+        image_seq=int(frame.image_extras["seq"]),
+        points_seq=frame.index,
+        camera_id=camera_number,
+        lidar_id=lidar_number,
+        id=fused.ids.astype(np.int32),
+        class_names=fused.labels,
+        box_3d_ids=_numbers(fused.rows_3d.tolist()),
+        box_2d_ids=_numbers(fused.rows_2d.tolist()),
+        motion_compensated=int(not frame.stationary),
+        image_timestamp=Timestamp.of(frame.image_timestamp_ns),
+        **columns,
+    )
+
+
+_AS_IN_THE_SCENE = read_only(np.eye(3))
+
+
+def _numbers(rows: list[int]) -> tuple[int | None, ...]:
+    return tuple(None if row == NO_BOX else row for row in rows)
+
+
+def _fused_boxes_of(record: FusedDetections) -> FusedBoxes:
+    """Give the objects of a record of table 10, whose numbers have 32 bits and whose corners are whole pixels."""
+    directions = record.directions.astype(np.float64)
+    vectors = record.velocity_vectors
+    return FusedBoxes(
+        timestamp_ns=record.timestamp.nanoseconds,
+        centers=record.centers.astype(np.float64),
+        center_covariances=record.center_covs.astype(np.float64),
+        sizes_lwh=record.sizes_lwh.astype(np.float64),
+        size_covariances=record.size_covs.astype(np.float64),
+        yaws=np.arctan2(directions[:, 1], directions[:, 0]),
+        velocities=None if vectors is None else vectors.astype(np.float64),
+        scores=record.confidence.astype(np.float64),
+        labels=record.class_names,
+        corners_xyxy=record.corners_xyxy.astype(np.float64),
+        ids=record.id.astype(np.int64),
+        rows_3d=_rows(record.box_3d_ids),
+        rows_2d=_rows(record.box_2d_ids),
+    )
+
+
+def _rows(ids: tuple[int | None, ...]) -> Int64Array:
+    return np.array([NO_BOX if row is None else row for row in ids], np.int64)
+
+
+class _FusedDriveReport(msgspec.Struct, frozen=True, kw_only=True):
+    """One drive or sequence.
+
+    Attributes:
+        name: of it.
+        file: where its objects are.
+        pairs: sweeps that were fused with an image.
+        unpaired: sweeps to which no image belongs, and which have no result.
+        objects: in all pairs.
+        both, sweeps_only, images_only: of these, seen by both detectors, or by one of them.
+        by_class: how many objects of each class.
+        warnings: what was assumed or is missing.
+    """
+
+    name: str
+    file: str
+    pairs: int
+    unpaired: int
+    objects: int
+    both: int
+    sweeps_only: int
+    images_only: int
+    by_class: Mapping[str, int]
+    warnings: tuple[DataWarning, ...] = ()
+
+
+class DetectionFusionReport(msgspec.Struct, frozen=True, kw_only=True):
+    """All drives or sequences of one call.
+
+    Attributes:
+        source: what was read.
+        output: the file, or the folder of files.
+        drives: one by one.
+        seconds: the whole call.
+        warnings: of all of them.
+    """
+
+    source: str
+    output: str
+    drives: tuple[_FusedDriveReport, ...]
+    seconds: float
+    warnings: tuple[DataWarning, ...] = ()
+
+
+@dataclass(slots=True)
+class _DetectionStatistics:
+    """Counts objects.
+
+    Attributes:
+        pairs: sweeps that were fused with an image.
+        fused_sweeps: of which there is any result.
+        both, sweeps_only, images_only: objects, by who saw them.
+        by_class: objects of each class.
+    """
+
+    pairs: int = 0
+    fused_sweeps: int = 0
+    both: int = 0
+    sweeps_only: int = 0
+    images_only: int = 0
+    by_class: Counter[str] = field(default_factory=Counter)
+    _sweep: int = -1
+
+    @classmethod
+    def of(cls, frames: Iterable[FusedDetectionFrame]) -> "_DetectionStatistics":
+        """Count the objects of all pairs."""
+        statistics = cls()
+        for frame in frames:
+            statistics.add(frame)
+        return statistics
+
+    def add(self, frame: FusedDetectionFrame) -> None:
+        """Count the objects of a pair."""
+        fused = frame.fused
+        self.pairs += 1
+        self.fused_sweeps += frame.index != self._sweep
+        self._sweep = frame.index
+        in_space, in_image = fused.rows_3d != NO_BOX, fused.rows_2d != NO_BOX
+        self.both += int((in_space & in_image).sum())
+        self.sweeps_only += int((in_space & ~in_image).sum())
+        self.images_only += int((~in_space & in_image).sum())
+        self.by_class.update(fused.labels)
+
+
+def _kitti_objects(
+    frames: Sequence[FusedDetectionFrame], rectified_from_lidar: RigidTransform
+) -> KittiLabels:
+    """Give the rows of a sequence's objects; what the image does not show has none.
+
+    Args:
+        frames: of one lidar and one camera; the number of the sweep is that of the frame.
+        rectified_from_lidar: into the frame of the boxes in space.
+    """
+    numbers, rows, types = [np.zeros(0, np.int64)], [np.zeros((0, 12))], list[str]()
+    for frame in frames:
+        fused, camera_model = frame.fused, frame.camera
+        corners = np.clip(
+            fused.corners_xyxy, 0.0, np.tile([float(camera_model.width), float(camera_model.height)], 2)
+        )
+        shown = np.flatnonzero((corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))
+        limits = np.tile([camera_model.width - 1.0, camera_model.height - 1.0], 2)
+        pixels = np.clip(corners[shown] - CENTRE_TO_CORNER, 0.0, limits)
+        placed = rectified_boxes(
+            fused.centers[shown], fused.sizes_lwh[shown], fused.yaws[shown], rectified_from_lidar
+        )
+        rows.append(np.column_stack([pixels, *placed, fused.scores[shown]]))
+        numbers.append(np.full(len(shown), frame.index))
+        types += [fused.labels[k] for k in shown.tolist()]
+    values, count = np.concatenate(rows), len(types)
+    return KittiLabels(
+        frames=np.concatenate(numbers),
+        track_ids=np.full(count, NO_TRACK),
+        types=tuple(types),
+        truncations=np.full(count, -1.0),
+        occlusions=np.full(count, -1),
+        alphas=observation_angles(values[:, 7:10], values[:, 10]),
+        corners_xyxy=values[:, :4].copy(),
+        sizes_hwl=values[:, 4:7].copy(),
+        bottoms=values[:, 7:10].copy(),
+        rotations_y=values[:, 10].copy(),
+        scores=values[:, 11].copy(),
+    )
+
+
+_SIDE_SUFFIX = ".frames.jsonl"
+"""How the file is called that says of each line of results where lidar and camera were."""
+
+
+def fuse_folder_detections(
+    tracking: KittiTracking,
+    output: str | Path,
+    *,
+    sequences: Iterable[str] = (),
+    configuration: FusionConfiguration | None = None,
+    settings: ProjectionSettings | None = None,
+    form: str = "jsonl",
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> DetectionFusionReport:
+    """Fuse the detections of a folder laid out like KITTI's tracking benchmark; two files for each sequence.
+
+    Args:
+        tracking: the folder.
+        output: the folder to write.
+        sequences: which ones; none for all.
+        configuration: settings of the fusion system.
+        settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
+        form: "jsonl", or "kitti" for one file of KITTI's text, `NNNN.txt`, without tracks.
+        overwrite: whether files that exist may be replaced.
+        progress: reported after each pair.
+
+    Raises:
+        DataError: a file is faulty, or a sequence is not there.
+        OutputError: the folder has something in it, or cannot be written.
+        OptionError: a value is not one that can be followed.
+    """
+    begun = time.perf_counter()
+    if form not in {"jsonl", "kitti"}:
+        raise OptionError(f"format {form!r}; expected 'jsonl' or 'kitti'")
+    output, names = Path(output), tracking.chosen(sequences)
+    reports = []
+    with filling(output, overwrite=overwrite) as folder:
+        for k, name in enumerate(names):
+            sequence = tracking.sequence(name)
+            drive = kitti_drive(sequence)
+            if form == "kitti":
+                file = folder / f"{name}.txt"
+                fused = list(iter_fused_detections(drive, configuration=configuration, settings=settings))
+                write_labels(_kitti_objects(fused, sequence.rectified_from_lidar), file)
+                reports.append(_drive_report(drive, output / file.name, _DetectionStatistics.of(fused)))
+            else:
+                draft = folder / f"{name}.jsonl"
+                report = _fuse_into(
+                    drive, draft, _side_file(draft), output / draft.name, configuration, settings
+                )
+                reports.append(report)
+            if progress is not None:
+                progress(k + 1, len(names))
+    return _report(str(tracking.path), output, reports, tracking.warnings, begun)
+
+
+def fuse_drive_detections(
+    drive: DetectedDrive,
+    output: str | Path,
+    *,
+    configuration: FusionConfiguration | None = None,
+    settings: ProjectionSettings | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> DetectionFusionReport:
+    """Fuse the detections of a drive into lines of JSON, and write beside them where lidar and camera were.
+
+    Args:
+        drive: what detectors found.
+        output: the file of lines; the other one has its name with `.frames.jsonl`.
+        configuration: settings of the fusion system.
+        settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
+        overwrite: whether files that exist may be replaced.
+        progress: reported after each pair.
+
+    Raises:
+        OutputError: a file exists, or cannot be written.
+        OptionError: a value is not one that can be followed.
+        DataError: a time cannot stand in a record.
+    """
+    begun = time.perf_counter()
+    output = Path(output)
+    with replacing_together((output, _side_file(output)), overwrite=overwrite) as (draft, side):
+        report = _fuse_into(drive, draft, side, output, configuration, settings, progress)
+    return _report(drive.name, output, [report], (), begun)
+
+
+def _side_file(path: Path) -> Path:
+    """The file beside one of results that says where the sensors were."""
+    return path.with_name(f"{path.stem}{_SIDE_SUFFIX}")
+
+
+def _fuse_into(
+    drive: DetectedDrive,
+    draft: Path,
+    side: Path,
+    output: Path,
+    configuration: FusionConfiguration | None,
+    settings: ProjectionSettings | None,
+    progress: Progress | None = None,
+) -> _FusedDriveReport:
+    statistics = _DetectionStatistics()
+    numbers = {camera_id: k for k, camera_id in enumerate(drive.cameras, start=1)}
+    with draft.open("w", encoding="utf-8", newline="\n") as lines, side.open("wb") as sides:
+        for frame in iter_fused_detections(drive, configuration=configuration, settings=settings):
+            statistics.add(frame)
+            if progress is not None:
+                progress(frame.index + 1, len(drive.boxes))
+            camera_model = drive.cameras[frame.camera_id].camera_model
+            record = _detections_record(frame, camera_model, camera_number=numbers[frame.camera_id])
+            lines.write(f"{format_json(record)}\n")
+            sides.write(msgspec.json.encode(_side(drive, frame, camera_model)) + b"\n")
+    return _drive_report(drive, output, statistics)
+
+
+def _drive_report(drive: DetectedDrive, output: Path, statistics: _DetectionStatistics) -> _FusedDriveReport:
+    return _FusedDriveReport(
+        name=drive.name,
+        file=str(output),
+        pairs=statistics.pairs,
+        unpaired=len(drive.boxes) - statistics.fused_sweeps,
+        objects=statistics.both + statistics.sweeps_only + statistics.images_only,
+        both=statistics.both,
+        sweeps_only=statistics.sweeps_only,
+        images_only=statistics.images_only,
+        by_class=dict(statistics.by_class),
+        warnings=(*drive.warnings, *calibration_warnings(drive)),
+    )
+
+
+def _side(drive: DetectedDrive, frame: FusedDetectionFrame, camera_model: Camera) -> dict[str, Any]:
+    """Where lidar and camera were, which camera model it was, as one line."""
+    camera = drive.cameras[frame.camera_id]
+    (world_from_lidar,) = poses_at(drive.source, np.array([frame.timestamp_ns], np.int64))
+    (world_from_camera,) = poses_at(camera.source, np.array([frame.image_timestamp_ns], np.int64))
+    return {
+        "timestamp_ns": frame.timestamp_ns,
+        "image_timestamp_ns": frame.image_timestamp_ns,
+        "lidar": frame.lidar_id,
+        "camera": frame.camera_id,
+        "world_from_lidar": _seven(world_from_lidar),
+        "world_from_camera": _seven(world_from_camera),
+        "camera_model": {
+            "model": camera_model.model,
+            "size_wh": [camera_model.width, camera_model.height],
+            "fx_fy_cx_cy": [camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy],
+            "coefficients": list(camera_model.coefficients),
+        },
+    }
+
+
+def _seven(pose: RigidTransform) -> list[float]:
+    """x, y, z, then the quaternion x, y, z, w."""
+    return [*pose.translation.tolist(), *pose.quaternion_xyzw.tolist()]
+
+
+def _report(
+    source: str, output: Path, reports: list[_FusedDriveReport], warnings: Iterable[DataWarning], begun: float
+) -> DetectionFusionReport:
+    return DetectionFusionReport(
+        source=source,
+        output=str(output),
+        drives=tuple(reports),
+        seconds=time.perf_counter() - begun,
+        warnings=tuple(
+            dict.fromkeys([*warnings, *(warning for report in reports for warning in report.warnings)])
+        ),
+    )
+
+
+def fused_files(path: Path) -> tuple[Path, ...]:
+    """The files of results that a path has: itself, or those in a folder; () for none.
+
+    A file is known by its first line, so that one whose other file is missing is reported so.
+    """
+    found = sorted(path.glob("*.jsonl")) if path.is_dir() else [path] if path.is_file() else []
+    return tuple(file for file in found if _begins_with_detections(file))
+
+
+def _begins_with_detections(path: Path) -> bool:
+    with file_faults(path), open_file(path) as file:
+        return file.read(64).lstrip().startswith(b'{"detections"')
+
+
+def read_fused(path: Path) -> tuple[DetectedDrive, tuple[Observation, ...]]:
+    """Read what `fuse_drive_detections` wrote, for a tracker to go on with.
+
+    Numbers have 32 bits there and corners are whole pixels, so that tracks differ a little from those of a drive that
+    is fused and tracked at once.
+
+    Returns:
+        drive: without boxes; where its lidar and cameras were.
+        observations: of each sweep.
+
+    Raises:
+        DataError: a file is missing or faulty, or they do not belong together.
+    """
+    side = _side_file(path)
+    if not side.is_file():
+        raise DataError(side, "", f"is missing; it says where the sensors of {path.name} were")
+    records = [_record(path, number, line) for number, line in read_lines(path)]
+    sides = [_placed(side, number, line) for number, line in read_lines(side)]
+    if len(records) != len(sides):
+        raise DataError(side, "", f"{len(sides)} lines; expected {len(records)}, as {path.name} has")
+    by_time: dict[int, list[tuple[FusedDetections, _Placed]]] = {}
+    for k, (record, placed) in enumerate(zip(records, sides, strict=True), start=1):
+        if record.timestamp.nanoseconds != placed.timestamp_ns:
+            problem = f"timestamp_ns {placed.timestamp_ns}; expected {record.timestamp.nanoseconds} as in {path.name}"
+            raise DataError(side, f"line {k}", problem)
+        by_time.setdefault(placed.timestamp_ns, []).append((record, placed))
+    observations = tuple(_observation(by_time[t]) for t in sorted(by_time))
+    return _drive(path, sides, sorted(by_time)), observations
+
+
+class _CameraModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    model: str
+    size_wh: tuple[int, int]
+    fx_fy_cx_cy: tuple[float, float, float, float]
+    coefficients: tuple[float, ...] = ()
+
+
+_Time = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
+
+_Seven = tuple[float, float, float, float, float, float, float]
+
+
+class _Placed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where lidar and camera were, as `_side` reports it."""
+
+    timestamp_ns: _Time
+    image_timestamp_ns: _Time
+    lidar: Identifier
+    camera: Identifier
+    world_from_lidar: _Seven
+    world_from_camera: _Seven
+    camera_model: _CameraModel
+
+    @property
+    def view(self) -> View:
+        """The camera as a tracker knows it."""
+        camera_model = Camera(
+            self.camera_model.model,
+            *self.camera_model.size_wh,
+            *self.camera_model.fx_fy_cx_cy,
+            self.camera_model.coefficients,
+        )
+        return View(camera_model, _pose(self.world_from_camera).inverse() @ _pose(self.world_from_lidar))
+
+
+def _record(path: Path, number: int, line: str) -> FusedDetections:
+    try:
+        record = parse_json(line)
+        if not isinstance(record, FusedDetections):
+            problem = f"a {type(record).__name__}; expected the detections of table 10"
+            raise DataError("record", "", problem)  # noqa: TRY301 - its location is added below, as to all of them
+    except DataError as error:
+        raise DataError(
+            path, ": ".join(filter(None, (f"line {number}", error.location))), error.problem
+        ) from error
+    return record
+
+
+def _placed(path: Path, number: int, line: str) -> _Placed:
+    try:
+        placed = msgspec.json.decode(line, type=_Placed)
+        placed.view  # noqa: B018 - a camera model or a pose that is none raises here, where the line is known
+    except (msgspec.DecodeError, SceneloomError, UnicodeError, RecursionError) as error:
+        raise DataError(path, f"line {number}", f"{error}; expected where lidar and camera were") from error
+    return placed
+
+
+def _pose(seven: _Seven) -> RigidTransform:
+    return RigidTransform.from_quaternion(np.array(seven[:3]), np.array(seven[3:]))
+
+
+def _observation(same: list[tuple[FusedDetections, _Placed]]) -> Observation:
+    return Observation(
+        same[0][1].timestamp_ns,
+        _pose(same[0][1].world_from_lidar),
+        {placed.camera: _fused_boxes_of(record) for record, placed in same},
+        {placed.camera: placed.view for _, placed in same},
+    )
+
+
+def _drive(path: Path, sides: list[_Placed], times: list[int]) -> DetectedDrive:
+    """The sensors as the lines report them, each on a way of its own."""
+    lidar_id = sides[0].lidar if sides else "lidar"
+    lidar = _trajectory({placed.timestamp_ns: placed.world_from_lidar for placed in sides})
+    cameras = {}
+    for camera_id in dict.fromkeys(placed.camera for placed in sides):
+        own = [placed for placed in sides if placed.camera == camera_id]
+        trajectory = _trajectory({placed.image_timestamp_ns: placed.world_from_camera for placed in own})
+        cameras[camera_id] = DetectedCamera(own[0].view.camera, trajectory, ())
+    return DetectedDrive(
+        name=path.stem,
+        lidar_id=lidar_id,
+        source=lidar,
+        boxes=tuple(Boxes3D.empty(t, sensor_id=lidar_id) for t in times),
+        cameras=cameras,
+        period_ns=usual_period_ns(_times(times)) if len(times) > 1 else PERIOD_NS,
+    )
+
+
+def _times(times: Iterable[int]) -> Int64Array:
+    return np.array(list(times), np.int64)
+
+
+def _trajectory(poses: Mapping[int, _Seven]) -> PoseSource:
+    if not poses:
+        return PoseSource(Poses.identity(), RigidTransform.identity())
+    times = sorted(poses)
+    values = np.array([poses[t] for t in times], np.float64)
+    path = Poses(_times(times), values[:, :3].copy(), values[:, 3:].copy())
+    return PoseSource(path, RigidTransform.identity(), PERIOD_NS, own=True)

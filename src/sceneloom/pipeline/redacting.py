@@ -1,0 +1,309 @@
+"""The redact job: hide regions of images for good, in videos and image files."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import msgspec
+
+from sceneloom.arrays import Int64Array
+from sceneloom.editing.redact import HiddenRegions, Hiding, ImageBox, find_hidings, hide_in_images, regions_of
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.base.files import open_file
+from sceneloom.formats.base.images import PNG_START, encode_png, without_metadata
+from sceneloom.formats.base.losses import Loss, LossReport, Support
+from sceneloom.formats.base.registry import check_scene_output
+from sceneloom.formats.video.writer import VideoWriter
+from sceneloom.pipeline.editing import EditReport, edit_files
+from sceneloom.scene.cameras import CameraImage, CameraSensor, VideoContent
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.types import Identifier, Key, Progress, key_of
+
+_PixelsByImage = Mapping[int, Int64Array]
+"""What is hidden in each image: (K, 4) left, top, right, bottom [px]."""
+
+
+def _with_hidden_files(scene: Scene, hidden: Scene, pixels: Mapping[Key, _PixelsByImage]) -> Scene:
+    """Give a scene with hidden locations the files of its images again.
+
+    Args:
+        scene: before anything was hidden.
+        hidden: afterwards.
+        pixels: what was hidden, by camera.
+    """
+    before = {key_of(camera.id): camera for camera in scene.cameras}
+    sensors: list[Any] = [
+        replace(
+            sensor,
+            images=LazyFrames(
+                sensor.images.timestamps_ns,
+                _WithFiles(before[key_of(sensor.id)].images, sensor.images, pixels[key_of(sensor.id)]),
+            ),
+        )
+        if isinstance(sensor, CameraSensor)
+        else sensor
+        for sensor in hidden.sensors
+    ]
+    return replace(hidden, sensors=tuple(sensors))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _WithFiles:
+    """Reads images; what `LazyFrames` asks for."""
+
+    before: LazyFrames[CameraImage]
+    after: LazyFrames[CameraImage]
+    pixels: _PixelsByImage
+
+    def __call__(self, k: int) -> CameraImage:
+        old, image = self.before[k], self.after[k]
+        if old.encoded is None:
+            return image
+        if k not in self.pixels:
+            return replace(image, encoded=_Bare(old))
+        # a JPEG is made by the writer, which says so; PNG files stay what they are
+        is_png = old.encoded().startswith(PNG_START)
+        return replace(image, encoded=_AsPng(image)) if is_png else image
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _AsPng:
+    image: CameraImage
+
+    def __call__(self) -> bytes:
+        return encode_png(self.image.rgb)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bare:
+    """Gives an image's file without what it says besides the image."""
+
+    image: CameraImage
+
+    def __call__(self) -> bytes:
+        content = b"" if self.image.encoded is None else self.image.encoded()
+        try:
+            return without_metadata(content)[0]
+        except DataError:
+            # a file that cannot be taken apart is made anew from its pixels
+            return encode_png(self.image.rgb)
+
+
+_DEFAULT_FPS = 25.0
+
+
+class CameraBlur(msgspec.Struct, frozen=True, kw_only=True):
+    """What was hidden in the images of one camera.
+
+    Attributes:
+        camera: its id.
+        boxes: how many were given for it; of annotations, how many keyframes.
+        hidden: how many locations were hidden, with those between given boxes.
+        images: in how many images.
+        of_images: how many it has.
+        without_image: boxes that name an image which is not there.
+        outside: boxes that lie outside of their image or have no size.
+        cut: boxes that reach beyond an edge of their image; what is inside was hidden.
+        encoded: images of its video, all of which are encoded again; None where it has no video.
+    """
+
+    camera: Identifier
+    boxes: int
+    hidden: int
+    images: int
+    of_images: int
+    without_image: int
+    outside: int
+    cut: int
+    encoded: int | None = None
+
+
+class BlurReport(msgspec.Struct, frozen=True, kw_only=True):
+    """What was done.
+
+    Attributes:
+        edit: reading, writing, warnings and losses.
+        fill: what took the position of what was there.
+        margin: by what share of its size each box grew on each side.
+        cameras: one after the other.
+    """
+
+    edit: EditReport
+    fill: str
+    margin: float
+    cameras: tuple[CameraBlur, ...]
+
+
+def blur_files(
+    source: str | Path,
+    output: str | Path,
+    *,
+    boxes: Sequence[ImageBox] = (),
+    labels: Iterable[str] = (),
+    fill: str = "blur",
+    margin: float = 0.1,
+    hold: float = 0.0,
+    drop_colours: bool = False,
+    reading: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    **writing: Any,
+) -> BlurReport:
+    """Hide boxes in the images of a drive, and write it.
+
+    Videos are encoded again, FFV1 as FFV1 and others as H.264, which the loss report lists; the images keep their
+    times, and nothing else of the videos goes over. Of images in files of their own only touched ones are encoded
+    anew; all lose what their files state besides the image.
+
+    Args:
+        source: a file or folder of any format.
+        output: a file or a folder, by its suffix in any format that can be written.
+        boxes: what to hide, out of `formats.image_boxes.read_image_boxes` or from a detector.
+        labels: those of the drive's own boxes and outlines in images that are to be hidden.
+        fill, margin: see `editing.hiding.hide_in_images`.
+        hold: what a track or an annotation is hidden longer before its first and after its last image [s].
+        drop_colours: whether points lose the colours that cameras gave them.
+        reading: reading options.
+        progress: reported after each sweep and radar cycle that is written.
+        overwrite: whether an output that exists may be replaced.
+        writing: further options of the output's format.
+
+    Raises:
+        OptionError: a camera or label is not there, there is nothing to hide, or a value cannot be followed.
+        OutputError: the output exists, or cannot be written.
+        SceneloomError: the source is wrong.
+    """
+    chosen = tuple(labels)
+    if not boxes and not chosen:
+        raise OptionError(
+            "nothing to hide; expected boxes in a CSV or JSON file (`--boxes FILE`) "
+            "or labels of annotations (`--label NAME`)"
+        )
+    check_scene_output(Path(output), overwrite=overwrite)
+    reported: list[CameraBlur] = []
+    losses: list[Loss] = []
+    with TemporaryDirectory(dir=Path(output).parent, prefix=".sceneloom-blur-") as folder:
+        settings = _Settings(tuple(boxes), chosen, fill, margin, hold, drop_colours)
+
+        def change(scenes: Sequence[Scene], _: Any) -> Scene:
+            changed, done = settings.hidden(scenes[0], Path(folder), losses)
+            reported.extend(done)
+            return changed
+
+        report = edit_files(
+            "blur",
+            [source],
+            output,
+            change,
+            reading=reading,
+            progress=progress,
+            overwrite=overwrite,
+            **writing,
+        )
+    report = msgspec.structs.replace(report, losses=LossReport.of([*report.losses, *losses]))
+    return BlurReport(edit=report, fill=fill, margin=margin, cameras=tuple(reported))
+
+
+@dataclass(frozen=True, slots=True)
+class _Settings:
+    """What to hide, and how."""
+
+    boxes: tuple[ImageBox, ...]
+    labels: tuple[str, ...]
+    fill: str
+    margin: float
+    hold: float
+    drop_colours: bool
+
+    def hidden(self, scene: Scene, folder: Path, losses: list[Loss]) -> tuple[Scene, list[CameraBlur]]:
+        """Hide in a scene; its videos are written into a folder, and what they lose is added to `losses`."""
+        hidings = find_hidings(scene, boxes=self.boxes, labels=self.labels, hold=self.hold)
+        regions = regions_of(scene, hidings, margin=self.margin)
+        pixels = {key: found.pixels for key, found in regions.items()}
+        bare = hide_in_images(
+            scene, hidings, fill=self.fill, margin=self.margin, drop_colours=self.drop_colours
+        )
+        changed, encoded = _with_videos(scene, _with_hidden_files(scene, bare, pixels), folder, losses)
+        counts = {key_of(camera.id): len(camera.images) for camera in scene.cameras}
+        return changed, [
+            _camera_blur(hiding, regions[key], counts[key], counts[key] if key in encoded else None)
+            for hiding in hidings
+            for key in [key_of(hiding.camera_id)]
+        ]
+
+
+def _with_videos(
+    scene: Scene, hidden: Scene, folder: Path, losses: list[Loss]
+) -> tuple[Scene, frozenset[Key]]:
+    """Encode the images of videos again; of odd sizes, which H.264 cannot hold, they stay single images.
+
+    Args:
+        scene: before anything was hidden, with its videos.
+        hidden: afterwards, without them.
+        folder: where the videos have to stay until the scene is written.
+        losses: what the videos lose is added to it.
+
+    Returns:
+        the scene with its videos, and the cameras that have one.
+
+    Raises:
+        DataError: a video is damaged.
+        OutputError: the folder cannot be written.
+    """
+    codecs = {key_of(camera.id): camera.video.codec for camera in scene.cameras if camera.video is not None}
+    sensors: list[Sensor] = []
+    encoded = set[Key]()
+    for sensor in hidden.sensors:
+        key = key_of(sensor.id)
+        if not isinstance(sensor, CameraSensor) or key not in codecs or not len(sensor.images):
+            sensors.append(sensor)
+            continue
+        codec = "ffv1" if codecs[key] == "ffv1" else "h264"
+        size = sensor.images[0].camera
+        if codec == "h264" and (size.width % 2 or size.height % 2):
+            what = "its odd size is not that of an H.264 video: the images go one by one"
+            losses.append(Loss(field=f"sensors[{sensor.id}].video", what=what, support=Support.CONVERTED))
+            sensors.append(sensor)
+            continue
+        target = folder / f"video{len(encoded)}{'.mkv' if codec == 'ffv1' else '.mp4'}"
+        _encode(sensor, target, codec)
+        if codec == "h264":
+            what = "the video is encoded again, as H.264 of quality 18"
+            count = len(sensor.images)
+            losses.append(
+                Loss(
+                    field=f"sensors[{sensor.id}].video", what=what, count=count, support=Support.APPROXIMATED
+                )
+            )
+        sensors.append(replace(sensor, video=VideoContent(partial(open_file, target), codec)))
+        encoded.add(key)
+    return replace(hidden, sensors=tuple(sensors)), frozenset(encoded)
+
+
+def _encode(camera: CameraSensor, target: Path, codec: str) -> None:
+    times_ns = camera.images.timestamps_ns
+    seconds = (times_ns - times_ns[0]) * 1e-9
+    fps = (len(seconds) - 1) / seconds[-1] if seconds[-1] > 0 else _DEFAULT_FPS
+    size = camera.images[0].camera
+    count = len(seconds)
+    with VideoWriter(target, size.width, size.height, fps, codec=codec, images=count) as writer:
+        for image, time in zip(camera.images, seconds.tolist(), strict=True):
+            writer.add(image.rgb, time)
+
+
+def _camera_blur(hiding: Hiding, regions: HiddenRegions, images: int, encoded: int | None) -> CameraBlur:
+    return CameraBlur(
+        camera=hiding.camera_id,
+        boxes=hiding.given,
+        hidden=sum(map(len, regions.pixels.values())),
+        images=len(regions.pixels),
+        of_images=images,
+        without_image=hiding.unmatched,
+        outside=regions.outside,
+        cut=regions.cut,
+        encoded=encoded,
+    )

@@ -1,1 +1,0 @@
-"""Repairing the calibration of a drive, and writing what came of it."""

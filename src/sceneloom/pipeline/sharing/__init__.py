@@ -1,1 +1,0 @@
-"""Drives made ready for others' eyes: locations in images hidden, positions and times made relative."""

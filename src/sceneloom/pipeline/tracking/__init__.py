@@ -1,1 +1,0 @@
-"""Tracking of a drive: detections in, objects followed through time out."""

@@ -1,0 +1,341 @@
+"""Annotation statistics: objects by class, sizes, ranges, tracks, points inside, occlusion; and their visualisation."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.colouring.cuboid_points import count_points
+from sceneloom.colouring.cuboid_projection import visibility
+from sceneloom.errors import OptionError, SceneloomError
+from sceneloom.report.content import Figures
+from sceneloom.report.coverage import chosen_frames, spread_rows
+from sceneloom.scene.annotations import CuboidAnnotation
+from sceneloom.scene.annotations_at import BoxTable
+from sceneloom.scene.samples import Sample
+from sceneloom.scene.scene import Scene, time_span
+from sceneloom.visualization.annotations import draw_annotations_above, draw_annotations_in_image
+
+_MOMENTS = 12
+"""Moments at which boxes are looked at, at most."""
+
+_RANGE_EDGES = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0)
+
+_POINT_EDGES = (0, 1, 5, 20, 100, 500, 2000)
+"""Borders of the numbers of points in a box."""
+
+OTHER = "(no class)"
+
+_MOST_TIMES = 120
+
+
+class Spread(msgspec.Struct, frozen=True, kw_only=True):
+    """Some values: how many, the middle one, and what 90 % of them lie between."""
+
+    count: int
+    median: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Sequence[float] | Float64Array | Int64Array) -> "Spread | None":
+        """Sum up values that are finite; None where there are none."""
+        known = np.asarray(values, np.float64)
+        known = known[np.isfinite(known)]
+        if len(known) == 0:
+            return None
+        low, median, high = np.percentile(known, (5.0, 50.0, 95.0)).tolist()
+        return cls(count=len(known), median=median, low=low, high=high)
+
+
+class ClassNumbers(msgspec.Struct, frozen=True, kw_only=True):
+    """The boxes of one class.
+
+    Attributes:
+        label: the class.
+        objects: annotations.
+        key_frames: boxes that are stated.
+        stationary: objects that are stated to are stationary.
+        length, width, height: of the objects, the middle one of each [m].
+        seconds: how long objects are there [s]; of those that are not there all the time.
+        ranges: distance from the sensor at the moments looked at [m].
+        points: points of the lidars in a box at these moments.
+        empty_share: of the boxes at these moments, those without any point.
+        hidden: which share of a box nearer boxes hide in images, over those in images.
+        in_images_share: of the boxes at these moments, those in at least one image; None without cameras.
+    """
+
+    label: str
+    objects: int
+    key_frames: int
+    stationary: int
+    length: Spread | None
+    width: Spread | None
+    height: Spread | None
+    seconds: Spread | None
+    ranges: Spread | None = None
+    points: Spread | None = None
+    empty_share: float | None = None
+    hidden: Spread | None = None
+    in_images_share: float | None = None
+
+
+class Labels(msgspec.Struct, frozen=True, kw_only=True):
+    """All annotations of a drive.
+
+    Attributes:
+        types: how many of each type.
+        classes: of cuboids, the most frequent first.
+        moments: at how many moments boxes were looked at, `of` how many.
+        over_time: (seconds after the first timestamp, boxes that are there).
+        range_edges, range_counts: boxes by distance at these moments; the last count is of those beyond.
+        point_edges, point_counts: boxes by points inside; the last count is of those with more.
+        attributes: names of attributes of annotations, with how many have them.
+        skipped: what could not be reported, and why.
+    """
+
+    types: dict[str, int]
+    classes: tuple[ClassNumbers, ...] = ()
+    moments: int = 0
+    of: int = 0
+    over_time: tuple[tuple[float, int], ...] = ()
+    range_edges: tuple[float, ...] = _RANGE_EDGES
+    range_counts: tuple[int, ...] = ()
+    point_edges: tuple[int, ...] = _POINT_EDGES
+    point_counts: tuple[int, ...] = ()
+    attributes: dict[str, int] = msgspec.field(default_factory=dict)
+    skipped: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class _Looks:
+    """What was seen of the boxes at some moments, one entry per box and moment, by row of the table."""
+
+    rows: list[int] = field(default_factory=list)
+    ranges: list[float] = field(default_factory=list)
+    seen: list[bool] = field(default_factory=list)
+    hidden_rows: list[int] = field(default_factory=list)
+    hidden: list[float] = field(default_factory=list)
+    point_rows: list[int] = field(default_factory=list)
+    points: list[int] = field(default_factory=list)
+    moments: int = 0
+    of: int = 0
+    with_cameras: bool = False
+    skipped: list[str] = field(default_factory=list)
+
+
+def labels_of(scene: Scene, *, start_ns: int, moments: int = _MOMENTS) -> Labels | None:
+    """Look at the annotations of a scene; None where it has none.
+
+    Args:
+        start_ns: the scene's first timestamp [ns].
+        moments: so many are looked at more closely, at most.
+    """
+    if not scene.annotations:
+        return None
+    types: dict[str, int] = {}
+    attributes: dict[str, int] = {}
+    for annotation in scene.annotations:
+        types[str(annotation.type)] = types.get(str(annotation.type), 0) + 1
+        for name in {attribute.name for attribute in getattr(annotation, "attributes", ())}:
+            attributes[name] = attributes.get(name, 0) + 1
+    reported = Labels(types=types, attributes=attributes)
+    table = BoxTable(scene)
+    if not table.annotations:
+        return reported
+    looks = _look(scene, table, moments)
+    _count(scene, looks, moments)
+    return msgspec.structs.replace(
+        reported,
+        classes=_classes(table, looks),
+        moments=looks.moments,
+        of=looks.of,
+        over_time=_over_time(scene, table, start_ns),
+        range_counts=_binned(looks.ranges, _RANGE_EDGES),
+        point_counts=_binned(looks.points, _POINT_EDGES),
+        skipped=tuple(looks.skipped),
+    )
+
+
+def _look(scene: Scene, table: BoxTable, moments: int) -> _Looks:
+    """See the boxes from the sensors at some moments: how far they are, which are in images, what hides them."""
+    looks = _Looks()
+    try:
+        samples = scene.samples(reference="lidar" if _has_sweeps(scene) else "camera")
+    except OptionError:
+        return looks
+    looks.of, looks.with_cameras = len(samples), any(len(camera.images) for camera in scene.cameras)
+    for row in spread_rows(len(samples), moments).tolist():
+        try:
+            _add(looks, table, samples[row])
+        except SceneloomError as error:
+            looks.skipped.append(str(error))
+            if isinstance(error, OptionError):
+                break
+    return looks
+
+
+def _has_sweeps(scene: Scene) -> bool:
+    return any(len(lidar.frames) for lidar in scene.lidars[:1])
+
+
+def _add(looks: _Looks, table: BoxTable, sample: Sample) -> None:
+    there, boxes = table.find(sample.timestamp_ns, sensor_id=sample.reference_id)
+    looks.moments += 1
+    if len(there) == 0:
+        return
+    location = sample.poses.world_from_sensor.get(sample.reference_id)
+    ranges = np.full(len(there), np.nan)
+    if location is not None:
+        ranges = np.linalg.norm(boxes.centers_world - location.translation, axis=1)
+    seen = np.zeros(len(there), np.bool_)
+    for camera_id, world_from_camera in sample.world_from_camera.items():
+        if world_from_camera is None or sample.images.get(camera_id) is None:
+            continue
+        rows, shown = table.find(sample.times_ns[camera_id], sensor_id=camera_id)
+        found = visibility(sample.cameras[camera_id], world_from_camera, shown, min_pixels=4.0)
+        seen[np.isin(there, rows[found.rows])] = True
+        looks.hidden_rows += rows[found.rows].tolist()
+        looks.hidden += found.occlusions.tolist()
+    looks.rows += there.tolist()
+    looks.ranges += ranges.tolist()
+    looks.seen += seen.tolist()
+
+
+def _count(scene: Scene, looks: _Looks, moments: int) -> None:
+    """Count the points in boxes at some sweeps."""
+    if not _has_sweeps(scene):
+        return
+    some = {
+        lidar.id: replace(lidar, frames=chosen_frames(lidar.frames, spread_rows(len(lidar.frames), moments)))
+        for lidar in scene.lidars
+    }
+    part = replace(scene, sensors=tuple(some.get(sensor.id, sensor) for sensor in scene.sensors))
+    try:
+        counts = count_points(part, moment="points")
+    except SceneloomError as error:
+        looks.skipped.append(f"points in boxes: {error}")
+        return
+    for lidar in counts.lidars:
+        frames, rows = np.nonzero(lidar.there)
+        looks.point_rows += rows.tolist()
+        looks.points += lidar.counts[frames, rows].tolist()
+
+
+def _classes(table: BoxTable, looks: _Looks) -> tuple[ClassNumbers, ...]:
+    by_label: dict[str, list[int]] = {}
+    for row, annotation in enumerate(table.annotations):
+        by_label.setdefault(str(annotation.label or OTHER), []).append(row)
+    columns = _Columns.of(looks)
+    classes = [_class(label, rows, table.annotations, columns, looks) for label, rows in by_label.items()]
+    return tuple(sorted(classes, key=lambda numbers: (-numbers.objects, numbers.label)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """The looks as arrays."""
+
+    rows: Int64Array
+    ranges: Float64Array
+    seen: Int64Array
+    hidden_rows: Int64Array
+    hidden: Float64Array
+    point_rows: Int64Array
+    points: Int64Array
+
+    @classmethod
+    def of(cls, looks: _Looks) -> "_Columns":
+        whole = (looks.rows, looks.seen, looks.hidden_rows, looks.point_rows, looks.points)
+        rows, seen, hidden_rows, point_rows, points = (np.array(values, np.int64) for values in whole)
+        return cls(
+            rows, np.array(looks.ranges, np.float64), seen, hidden_rows, np.array(looks.hidden, np.float64),
+            point_rows, points,
+        )  # fmt: skip
+
+
+def _class(
+    label: str, rows: list[int], annotations: Sequence[CuboidAnnotation], columns: _Columns, looks: _Looks
+) -> ClassNumbers:
+    mine = [annotations[row] for row in rows]
+    sizes = np.array([np.median(annotation.path.values[:, :3], axis=0) for annotation in mine])
+    length, width, height = (Spread.of(sizes[:, axis]) for axis in range(3))
+    moving = [a.path.timestamps_ns for a in mine if len(a.path.timestamps_ns) > 1]
+    points = columns.points[np.isin(columns.point_rows, rows)]
+    at = np.isin(columns.rows, rows)
+    return ClassNumbers(
+        label=label,
+        objects=len(mine),
+        key_frames=sum(len(a.path.timestamps_ns) for a in mine),
+        stationary=sum(a.stationary is True for a in mine),
+        length=length,
+        width=width,
+        height=height,
+        seconds=Spread.of([(int(times[-1]) - int(times[0])) / 1e9 for times in moving]),
+        ranges=Spread.of(columns.ranges[at]),
+        points=Spread.of(points),
+        empty_share=float((points == 0).mean()) if len(points) else None,
+        hidden=Spread.of(columns.hidden[np.isin(columns.hidden_rows, rows)]),
+        in_images_share=float(columns.seen[at].mean()) if looks.with_cameras and at.any() else None,
+    )
+
+
+def _over_time(scene: Scene, table: BoxTable, start_ns: int) -> tuple[tuple[float, int], ...]:
+    """How many boxes are there over the drive."""
+    span = time_span(scene)
+    if span is None or span[0] == span[1]:
+        return ()
+    steps = range(_MOST_TIMES)
+    times = np.array([span[0] + (span[1] - span[0]) * k // (_MOST_TIMES - 1) for k in steps], np.int64)
+    counts = np.zeros(len(times), np.int64)
+    for annotation in table.annotations:
+        timestamps = annotation.path.timestamps_ns
+        always = annotation.stationary is True
+        counts += always | ((times >= timestamps[0]) & (times <= timestamps[-1]))
+    return tuple(
+        (round((t - start_ns) / 1e9, 4), n) for t, n in zip(times.tolist(), counts.tolist(), strict=True)
+    )
+
+
+def _binned(values: Sequence[float], edges: Sequence[float]) -> tuple[int, ...]:
+    """How many values lie from each border to the next, and from the last one on; those that are none do not count."""
+    known = np.asarray(values, np.float64)
+    known = known[np.isfinite(known)]
+    if len(known) == 0:
+        return ()
+    rows = np.searchsorted(edges, known, side="right") - 1
+    return tuple(np.bincount(np.maximum(rows, 0), minlength=len(edges)).tolist())
+
+
+_ANNOTATIONS = "annotations"
+"""The section that the images stand in."""
+
+_MOST_CAMERAS = 4
+"""Cameras whose images are shown with annotations."""
+
+
+def draw_labels(scene: Scene, figures: Figures) -> None:
+    """Draw the annotations at the middle of a drive from above and in images; nothing without frames.
+
+    Raises:
+        DataError: a sweep or image cannot be read.
+    """
+    if not scene.annotations:
+        return
+    try:
+        samples = scene.samples(
+            reference="lidar" if any(len(x.frames) for x in scene.lidars[:1]) else "camera"
+        )
+        sample = samples[len(samples) // 2] if len(samples) else None
+    except OptionError:
+        return
+    if sample is None:
+        return
+    text = "The sweep in the middle of the drive as a map, with everything of the annotations that has a location"
+    figures.add(_ANNOTATIONS, "Annotations from above", text, draw_annotations_above(scene, sample))
+    shown = [camera_id for camera_id, image in sample.images.items() if image is not None]
+    for camera_id in shown[:_MOST_CAMERAS]:
+        text = f"The image of camera {camera_id} at the middle of the drive, with the outlines of the annotations"
+        image = draw_annotations_in_image(scene, sample, camera_id)
+        figures.add(_ANNOTATIONS, f"Annotations in {camera_id}", text, image)

@@ -1,0 +1,512 @@
+"""What the sensors see of the surroundings: points by range, ring, azimuth and elevation, fields of view.
+
+Over sampled frames.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.projection import unproject
+from sceneloom.errors import CalibrationError, DataError, SceneloomError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarPoints, LidarSensor, RadarSensor
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.sampling import choose_ego, frame_of_points, locations_of, poses_at
+from sceneloom.scene.scene import Scene, Sensor, sweep_period_ns
+from sceneloom.scene.types import Identifier
+
+_Frame = TypeVar("_Frame")
+
+
+def spread_rows(count: int, most: int) -> Int64Array:
+    """At most so many row numbers out of `count`, evenly spread, the first and the last among them."""
+    if count < 1:
+        return np.zeros(0, np.int64)
+    rows: Int64Array = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(np.int64))
+    return rows
+
+
+def chosen_frames(frames: LazyFrames[_Frame], rows: Int64Array) -> LazyFrames[_Frame]:
+    """Some of the frames, by their numbers."""
+    if len(rows) == len(frames):
+        return frames
+    return LazyFrames(frames.timestamps_ns[rows], partial(_frame_of, frames, tuple(rows.tolist())))
+
+
+def _frame_of(frames: LazyFrames[_Frame], rows: tuple[int, ...], k: int) -> _Frame:
+    return frames[rows[k]]
+
+
+def with_some_sweeps(scene: Scene, most: int) -> Scene:
+    """The scene with at most so many sweeps of each lidar, and of cameras the images within two sweeps of these."""
+    kept = {lidar.id: spread_rows(len(lidar.frames), most) for lidar in scene.lidars}
+    spans = [
+        (lidar.frames.timestamps_ns[kept[lidar.id]], 2 * sweep_period_ns(lidar)) for lidar in scene.lidars
+    ]
+
+    def thinned(sensor: Sensor) -> Sensor:
+        if isinstance(sensor, LidarSensor):
+            return replace(sensor, frames=chosen_frames(sensor.frames, kept[sensor.id]))
+        if isinstance(sensor, CameraSensor):
+            rows = _rows_around(sensor.images.timestamps_ns, spans)
+            return replace(sensor, images=chosen_frames(sensor.images, rows), video=None)
+        return sensor
+
+    return replace(scene, sensors=tuple(map(thinned, scene.sensors)))
+
+
+def _rows_around(times_ns: Int64Array, spans: list[tuple[Int64Array, int]]) -> Int64Array:
+    """Which of the times (N,) lie within reach of one of the sweeps; each span is (timestamps, reach)."""
+    near = np.zeros(len(times_ns), np.bool_)
+    for sweeps_ns, reach_ns in spans:
+        for sweep_ns in sweeps_ns.tolist():
+            near |= np.abs(times_ns - sweep_ns) <= reach_ns
+    return np.flatnonzero(near)
+
+
+RANGE_EDGES = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0, 200.0)
+"""Borders of the ranges that points are counted by [m]; farther ones are counted by themselves."""
+
+_MOST_RINGS = 256
+
+_SECTORS = 72
+"""Parts of the horizon that are looked at, 5 degrees each."""
+
+_FINE = 360
+
+_STEP, _STEPS = 0.5, 600
+
+_FAR_SHARE = 0.95
+
+
+class CloudCoverage(msgspec.Struct, frozen=True, kw_only=True):
+    """What one lidar or radar measures, on the average of the sweeps that were looked at.
+
+    Attributes:
+        sensor, type: the sensor.
+        sweeps: how many were looked at, and `of` how many.
+        points_mean, points_least, points_most: points of a sweep.
+        range_edges: borders of ranges [m].
+        range_counts: mean points of a sweep between each two borders, and beyond the last one.
+        range_median, range_95, range_max: of all points [m].
+        rings: mean points of a sweep by number of the laser; empty where points do not name it.
+        lowest_deg, highest_deg: elevation that 98 % of the points lie between [deg], seen level from the sensor.
+        sectors: mean points of a sweep in each sector, counter-clockwise from straight ahead.
+        reaches: how far 95 % of the points of each sector lie [m]; 0 where there are none.
+        horizon_share: of the sectors, those with points.
+        non_finite_share: of the points, those that are not finite or at the sensor itself.
+        with_times, with_intensities, with_colours: whether points have them.
+    """
+
+    sensor: Identifier
+    type: str
+    sweeps: int
+    of: int
+    points_mean: float
+    points_least: int
+    points_most: int
+    range_edges: tuple[float, ...] = RANGE_EDGES
+    range_counts: tuple[float, ...] = ()
+    range_median: float = 0.0
+    range_95: float = 0.0
+    range_max: float = 0.0
+    rings: tuple[float, ...] = ()
+    lowest_deg: float = 0.0
+    highest_deg: float = 0.0
+    sectors: tuple[float, ...] = ()
+    reaches: tuple[float, ...] = ()
+    horizon_share: float = 0.0
+    non_finite_share: float = 0.0
+    with_times: bool = False
+    with_intensities: bool = False
+    with_colours: bool = False
+
+
+@dataclass(slots=True)
+class CloudStatistics:
+    """Counts points of one sensor while its sweeps pass, in bounded memory."""
+
+    counts: list[int] = field(default_factory=list)
+    nowhere: int = 0
+    farthest: float = 0.0
+    with_times: bool = False
+    with_intensities: bool = False
+    with_colours: bool = False
+    _ranges: Float64Array = field(default_factory=lambda: np.zeros(len(RANGE_EDGES)))
+    _rings: Float64Array = field(default_factory=lambda: np.zeros(_MOST_RINGS))
+    _by_direction: Float64Array = field(default_factory=lambda: np.zeros((_FINE, _STEPS)))
+    _elevations: Float64Array = field(default_factory=lambda: np.zeros(1800))
+
+    def add(self, points_level: FloatArray, points: LidarPoints | None = None) -> None:
+        """Count one sweep.
+
+        Args:
+            points_level: (N, 3) [m] from the sensor, z up, x ahead.
+            points: what else is known of them.
+        """
+        points_level = points_level.astype(np.float64)  # squares of float32 end at 2e19 m
+        ranges = np.linalg.norm(points_level, axis=1)
+        known = np.isfinite(ranges) & (ranges > 1e-6)
+        self.counts.append(len(ranges))
+        self.nowhere += int(len(ranges) - known.sum())
+        self._add_known(points_level[known], ranges[known])
+        if points is None:
+            return
+        self.with_times |= points.timestamps_ns is not None
+        self.with_intensities |= points.intensities is not None
+        self.with_colours |= points.colors is not None
+        if points.rings is not None:
+            self._rings += np.bincount(np.minimum(points.rings, _MOST_RINGS - 1), minlength=_MOST_RINGS)
+
+    def _add_known(self, points_level: Float64Array, ranges: Float64Array) -> None:
+        if len(ranges) == 0:
+            return
+        self.farthest = max(self.farthest, float(ranges.max()))
+        rows = np.searchsorted(RANGE_EDGES, ranges, side="right") - 1
+        self._ranges += np.bincount(rows, minlength=len(RANGE_EDGES))
+        degrees = np.degrees(np.arctan2(points_level[:, 1], points_level[:, 0]))
+        directions = np.floor(degrees).astype(np.int64) % _FINE
+        steps = np.minimum(ranges / _STEP, _STEPS - 1).astype(np.int64)
+        flat = np.bincount(directions * _STEPS + steps, minlength=_FINE * _STEPS)
+        self._by_direction += flat.reshape(_FINE, _STEPS)
+        heights = np.degrees(np.arcsin(np.clip(points_level[:, 2] / ranges, -1.0, 1.0)))
+        self._elevations += np.bincount(
+            np.clip(((heights + 90.0) * 10.0).astype(np.int64), 0, 1799), minlength=1800
+        )
+
+    def coverage(self, sensor: Identifier, kind: str, *, of: int) -> CloudCoverage:
+        """Give the averages; `of` so many sweeps in all."""
+        sweeps = len(self.counts)
+        reported = CloudCoverage(
+            sensor=sensor,
+            type=kind,
+            sweeps=sweeps,
+            of=of,
+            points_mean=float(np.mean(self.counts)) if sweeps else 0.0,
+            points_least=min(self.counts, default=0),
+            points_most=max(self.counts, default=0),
+            non_finite_share=self.nowhere / max(sum(self.counts), 1),
+            with_times=self.with_times,
+            with_intensities=self.with_intensities,
+            with_colours=self.with_colours,
+        )
+        if sweeps == 0 or not self._ranges.any():
+            return reported
+        by_range = self._by_direction.sum(axis=0)
+        sectors = self._by_direction.reshape(_SECTORS, _FINE // _SECTORS, _STEPS).sum(axis=1)
+        low, high = (_quantile(self._elevations, share) / 10.0 - 90.0 for share in (0.01, 0.99))
+        last_ring = np.flatnonzero(self._rings)
+        return msgspec.structs.replace(
+            reported,
+            range_counts=tuple((self._ranges / sweeps).round(2).tolist()),
+            range_median=_STEP * _quantile(by_range, 0.5),
+            range_95=_STEP * _quantile(by_range, _FAR_SHARE),
+            range_max=self.farthest,
+            rings=tuple((self._rings[: last_ring[-1] + 1] / sweeps).round(2).tolist())
+            if len(last_ring)
+            else (),
+            lowest_deg=low,
+            highest_deg=high,
+            sectors=tuple((sectors.sum(axis=1) / sweeps).round(2).tolist()),
+            reaches=tuple(_STEP * _quantile(sector, _FAR_SHARE) for sector in sectors),
+            horizon_share=float((sectors.sum(axis=1) > 0).mean()),
+        )
+
+
+def _quantile(counts: Float64Array, share: float) -> float:
+    """Where a share of what was counted lies below, in bins, straight within a bin; 0 where nothing was."""
+    total = counts.sum()
+    if total == 0:
+        return 0.0
+    sums = np.cumsum(counts)
+    k = int(np.searchsorted(sums, share * total))
+    before = sums[k - 1] if k else 0.0
+    return float(k + (share * total - before) / max(counts[k], 1e-12))
+
+
+_SWEEPS = 12
+"""Sweeps of each lidar and radar that are looked at, at most."""
+
+_RAYS = 65
+
+_MOVES = 0.5
+"""Between two looks the ego has to move so far for its motion to state where ahead is [m]."""
+
+_AROUND_NS = 1_000_000_000
+"""Where ahead is, is reported by the motion so long before and after the middle of the drive, at most [ns]."""
+
+_Surveying = LidarSensor | RadarSensor
+
+
+class CameraView(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a camera looks.
+
+    Attributes:
+        sensor: the camera.
+        width, height: of its images [px].
+        model: of its camera model.
+        across_deg, upright_deg: angles of view along the middle row and column [deg].
+        left_deg, right_deg: ends of the middle row, counter-clockwise from straight ahead [deg], `left_deg` the larger
+            one; None where the mounting is not known.
+        heading_deg, pitch_deg: where the middle of the image looks: counter-clockwise from ahead, up [deg].
+    """
+
+    sensor: Identifier
+    width: int
+    height: int
+    model: str
+    across_deg: float | None = None
+    upright_deg: float | None = None
+    left_deg: float | None = None
+    right_deg: float | None = None
+    heading_deg: float | None = None
+    pitch_deg: float | None = None
+
+
+class Coverage(msgspec.Struct, frozen=True, kw_only=True):
+    """What the sensors see together.
+
+    Attributes:
+        clouds: of lidars and radars.
+        cameras: where they look.
+        ahead_by: how it is known where ahead is: "motion", "camera" or "axes".
+        lidar_share, camera_share, both_share: of the horizon, what lidars, cameras, and both see.
+        skipped: frames that could not be read or placed, and why.
+    """
+
+    clouds: tuple[CloudCoverage, ...] = ()
+    cameras: tuple[CameraView, ...] = ()
+    ahead_by: str = "axes"
+    lidar_share: float = 0.0
+    camera_share: float = 0.0
+    both_share: float = 0.0
+    skipped: tuple[str, ...] = ()
+
+
+def coverage_of(scene: Scene, *, sweeps: int = _SWEEPS, ego: EgoMotion | None = None) -> Coverage:
+    """Look at some sweeps of each lidar and radar, and at all camera models."""
+    survey = _Survey.of(scene, ego)
+    surveying = [s for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor)]
+    clouds = tuple(survey.cloud(sensor, sweeps) for sensor in surveying)
+    cameras = tuple(survey.view(camera) for camera in scene.cameras)
+    lidar = _seen_by_lidars(clouds)
+    camera = _seen_by_cameras(cameras)
+    return Coverage(
+        clouds=clouds,
+        cameras=cameras,
+        ahead_by=survey.ahead_by,
+        lidar_share=float(lidar.mean()),
+        camera_share=float(camera.mean()),
+        both_share=float((lidar & camera).mean()),
+        skipped=tuple(survey.skipped),
+    )
+
+
+@dataclass(slots=True)
+class _Survey:
+    """Knows how each sensor lies in a level frame whose x axis leads ahead."""
+
+    scene: Scene
+    ego: EgoMotion | None
+    level_from_sensor: Mapping[Identifier, Float64Array]
+    ahead_by: str
+    skipped: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, scene: Scene, ego: EgoMotion | None) -> "_Survey":
+        chosen = ego
+        if chosen is None:
+            try:
+                chosen = choose_ego(scene, None)
+            except SceneloomError:
+                chosen = None
+        rotations, ahead_by = _rotations_to_level(scene, chosen)
+        return cls(scene, chosen, rotations, ahead_by)
+
+    def cloud(self, sensor: _Surveying, most: int) -> CloudCoverage:
+        statistics = CloudStatistics()
+        rotation = self.level_from_sensor.get(sensor.id, np.eye(3))
+        rows = spread_rows(len(sensor.frames), most)
+        for row in rows.tolist():
+            try:
+                frame = sensor.frames[row]
+            except DataError as error:
+                self.skipped.append(str(error))
+                continue
+            sensor_from_points = self._sensor_from_points(sensor, frame.timestamp_ns)
+            if sensor_from_points is None:
+                self.skipped.append(f"{sensor.id}: it is not known where its points are seen from")
+                break
+            positions = sensor_from_points.apply(frame.points.positions)
+            statistics.add(positions @ rotation.T, frame.points if isinstance(sensor, LidarSensor) else None)
+        return statistics.coverage(sensor.id, str(sensor.type), of=len(sensor.frames))
+
+    def _sensor_from_points(self, sensor: _Surveying, time_ns: int) -> RigidTransform | None:
+        if sensor.points_frame == "sensor":
+            return RigidTransform.identity()
+        if sensor.points_frame == "ego" and sensor.mount is not None:
+            return sensor.mount.inverse()
+        points = frame_of_points(self.scene, sensor, self.ego)
+        own = locations_of(self.scene, [sensor], self.ego)[sensor.id]
+        of_points, of_sensor = (
+            pose.world_from_sensor for pose in poses_at([(points, time_ns), (own, time_ns)])
+        )
+        if of_points is None or of_sensor is None:
+            return None
+        return of_sensor.inverse() @ of_points
+
+    def view(self, sensor: CameraSensor) -> CameraView:
+        camera = sensor.camera
+        known = CameraView(sensor=sensor.id, width=camera.width, height=camera.height, model=camera.model)
+        try:
+            across, upright = _rays(camera, 0), _rays(camera, 1)
+        except CalibrationError:
+            return known
+        known = msgspec.structs.replace(known, across_deg=_bend(across), upright_deg=_bend(upright))
+        rotation = self.level_from_sensor.get(sensor.id)
+        if rotation is None or len(across) < 2:
+            return known
+        level = across @ rotation.T
+        angles = np.degrees(np.unwrap(np.arctan2(level[:, 1], level[:, 0])))
+        ahead = rotation @ _middle(camera)
+        return msgspec.structs.replace(
+            known,
+            left_deg=float(angles.max()),
+            right_deg=float(angles.min()),
+            heading_deg=float(np.degrees(np.arctan2(ahead[1], ahead[0]))),
+            pitch_deg=float(np.degrees(np.arcsin(np.clip(ahead[2], -1.0, 1.0)))),
+        )
+
+
+def _rays(camera: Camera, axis: int) -> Float64Array:
+    """Unit rays of the pixels along the middle row (axis 0) or column (1), from edge to edge; (M, 3)."""
+    size = (camera.width, camera.height)
+    pixels = np.empty((_RAYS, 2))
+    pixels[:, axis] = np.linspace(-0.5, size[axis] - 0.5, _RAYS)
+    pixels[:, 1 - axis] = (size[1 - axis] - 1) / 2
+    rays = unproject(camera, pixels)
+    return rays[np.isfinite(rays).all(axis=1)]
+
+
+def _middle(camera: Camera) -> Float64Array:
+    ray = unproject(camera, np.array([[(camera.width - 1) / 2, (camera.height - 1) / 2]]))[0]
+    return ray if np.isfinite(ray).all() else np.array([0.0, 0.0, 1.0])
+
+
+def _bend(rays: Float64Array) -> float | None:
+    """The angle from the first ray to the last along all between them [deg]."""
+    if len(rays) < 2:
+        return None
+    cosines = np.clip((rays[1:] * rays[:-1]).sum(axis=1), -1.0, 1.0)
+    return float(np.degrees(np.arccos(cosines)).sum())
+
+
+def _rotations_to_level(scene: Scene, ego: EgoMotion | None) -> tuple[dict[Identifier, Float64Array], str]:
+    """(3, 3) rotations from each sensor's frame into a level one that looks ahead, and how ahead is known."""
+    sensors = [s for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)]
+    locations = locations_of(scene, sensors, ego)
+    times = _times(scene, ego)
+    poses = {
+        sensor.id: [pose.world_from_sensor for pose in poses_at([(locations[sensor.id], t) for t in times])]
+        for sensor in sensors
+    }
+    world = {key: [p for p in found if p is not None] for key, found in poses.items()}
+    if any(world.values()):
+        middle = {key: found[len(found) // 2].rotation for key, found in world.items() if found}
+        ahead, known_by = _ahead_in_world(scene, world, middle)
+        # each sensor is levelled where it stood: all looked at the same moment lie alike to one another
+        level_from_world = _looking(ahead, np.array([0.0, 0.0, 1.0]))
+        rotated = {key: level_from_world @ rotation for key, rotation in middle.items()}
+        return _joined(rotated, {s.id: locations[s.id].mount for s in sensors}), known_by
+    mounts = {s.id: locations[s.id].mount for s in sensors}
+    known = {key: mount.rotation for key, mount in mounts.items() if mount is not None}
+    ahead, known_by = np.array([1.0, 0.0, 0.0]), "axes"
+    first = next((camera for camera in scene.cameras if camera.id in known), None)
+    if first is not None and abs((known[first.id] @ [0.0, 0.0, 1.0])[2]) < 0.9:
+        ahead, known_by = known[first.id] @ np.array([0.0, 0.0, 1.0]), "camera"
+    level_from_ego = _looking(ahead, np.array([0.0, 0.0, 1.0]))
+    return {key: level_from_ego @ rotation for key, rotation in known.items()}, known_by
+
+
+def _joined(
+    rotated: dict[Identifier, Float64Array], mounts: Mapping[Identifier, RigidTransform | None]
+) -> dict[Identifier, Float64Array]:
+    """Add sensors that have a mounting, but no pose at the moments looked at, through one that has both."""
+    both = next((key for key in rotated if mounts.get(key) is not None), None)
+    if both is None:
+        return rotated
+    mount = mounts[both]
+    if mount is None:
+        return rotated
+    level_from_ego = rotated[both] @ mount.rotation.T
+    for key, other in mounts.items():
+        if key not in rotated and other is not None:
+            rotated[key] = level_from_ego @ other.rotation
+    return rotated
+
+
+def _times(scene: Scene, ego: EgoMotion | None) -> list[int]:
+    """The middle of the time in which poses are known, and a moment before and after it [ns]."""
+    timestamps: Sequence[int] = ()
+    if ego is not None and not ego.path.static:
+        timestamps = ego.path.timestamps_ns.tolist()
+    else:
+        for sensor in scene.sensors:
+            path = getattr(sensor, "poses", None)
+            if path is not None and not path.static and len(path.timestamps_ns) > len(timestamps):
+                timestamps = path.timestamps_ns.tolist()
+    if not len(timestamps):
+        return [0]
+    half_ns = min(_AROUND_NS, round(0.45 * (timestamps[-1] - timestamps[0])))
+    middle_ns = (timestamps[0] + timestamps[-1]) // 2
+    return [middle_ns - half_ns, middle_ns, middle_ns + half_ns]
+
+
+def _ahead_in_world(
+    scene: Scene, world: Mapping[Identifier, list[RigidTransform]], middle: Mapping[Identifier, Float64Array]
+) -> tuple[Float64Array, str]:
+    for found in world.values():
+        if len(found) >= 2:
+            step = found[-1].translation - found[0].translation
+            if np.hypot(step[0], step[1]) >= _MOVES:
+                return step, "motion"
+    for camera in scene.cameras:
+        if camera.id in middle:
+            ray = middle[camera.id] @ np.array([0.0, 0.0, 1.0])
+            if abs(ray[2]) < 0.9:
+                return ray, "camera"
+    return next(iter(middle.values()))[:, 0], "axes"
+
+
+def _looking(ahead: Float64Array, up: Float64Array) -> Float64Array:
+    """The (3, 3) rotation into a frame whose z axis is `up`, and whose x axis is `ahead` made level."""
+    level = ahead - (ahead @ up) * up
+    length = float(np.linalg.norm(level))
+    x = level / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
+    return np.stack([x, np.cross(up, x), up])
+
+
+def _seen_by_lidars(clouds: Sequence[CloudCoverage]) -> BoolArray:
+    seen: BoolArray = np.zeros(360, np.bool_)
+    for cloud in clouds:
+        if cloud.type == "lidar" and cloud.sectors:
+            seen |= np.repeat(np.array(cloud.sectors) > 0, 360 // len(cloud.sectors))
+    return seen
+
+
+def _seen_by_cameras(cameras: Sequence[CameraView]) -> BoolArray:
+    seen: BoolArray = np.zeros(360, np.bool_)
+    middles = np.arange(360) + 0.5
+    for camera in cameras:
+        if camera.left_deg is not None and camera.right_deg is not None:
+            seen |= (middles - camera.right_deg) % 360 <= camera.left_deg - camera.right_deg
+    return seen

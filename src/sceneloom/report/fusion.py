@@ -1,0 +1,235 @@
+"""What fusing some sweeps gives, and a quick check of the camera-lidar calibration."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import msgspec
+import numpy as np
+
+from sceneloom.calibrate.health import Item, Verdict, check_calibration
+from sceneloom.colouring.results import FusedFrame, FusedView
+from sceneloom.errors import SceneloomError
+from sceneloom.fusion.configuration import FusionConfiguration
+from sceneloom.pipeline.alignment import Aligned, align
+from sceneloom.pipeline.fusing import CameraReport, CameraStatistics, FusionStatistics
+from sceneloom.pipeline.play import Skips, build_system, play
+from sceneloom.report.content import Figures
+from sceneloom.report.coverage import with_some_sweeps
+from sceneloom.scene.poses import Poses
+from sceneloom.scene.scene import Scene, scene_period_ns
+from sceneloom.scene.types import Identifier
+from sceneloom.visualization.fused_frames import DriveCloud, iter_images
+
+_FRAMES = 6
+"""Images of each camera that are looked at; `sceneloom calibrate --check` takes more."""
+
+_MOST_CAMERAS = 6
+"""Cameras that are checked: each takes seconds."""
+
+
+class CalibrationCheck(msgspec.Struct, frozen=True, kw_only=True):
+    """What a quick check of one camera against the first lidar gave.
+
+    Attributes:
+        camera, lidar: whose calibration.
+        verdict: "good", "drifting", "wrong" or "cannot determine".
+        reason: why, where that is known in one line.
+        items: by part: rotation, translation, …
+        frames: images that were looked at.
+        distinctness, stated_distinctness: how far the best calibration, and the stated one, stand above chance, in
+            chance's own deviations.
+    """
+
+    camera: Identifier
+    lidar: Identifier
+    verdict: str
+    reason: str = ""
+    items: tuple[Item, ...] = ()
+    frames: int = 0
+    distinctness: float = 0.0
+    stated_distinctness: float = 0.0
+
+
+def check_cameras(scene: Scene, *, frames: int = _FRAMES) -> tuple[CalibrationCheck, ...]:
+    """Check the first cameras of a scene against its first lidar; nothing where it has no lidar."""
+    lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
+    cameras = [camera for camera in scene.cameras if len(camera.images)]
+    if not lidars or not cameras:
+        return ()
+    return tuple(_check(scene, camera.id, lidars[0].id, frames) for camera in cameras[:_MOST_CAMERAS])
+
+
+def _check(scene: Scene, camera_id: Identifier, lidar_id: Identifier, frames: int) -> CalibrationCheck:
+    known = CalibrationCheck(camera=camera_id, lidar=lidar_id, verdict=Verdict.UNDETERMINED.value)
+    try:
+        health = check_calibration(scene, camera_id, lidar_id, most=frames)
+    except SceneloomError as error:
+        return msgspec.structs.replace(known, reason=str(error))
+    return msgspec.structs.replace(
+        known,
+        verdict=health.verdict.value,
+        reason=_reason(health.items, health.verdict),
+        items=health.items,
+        frames=health.frames,
+        distinctness=health.distinctness,
+        stated_distinctness=health.stated_distinctness,
+    )
+
+
+def _reason(items: Sequence[Item], verdict: Verdict) -> str:
+    return next((item.reason for item in items if item.verdict is verdict and item.reason), "")
+
+
+_SWEEPS = 8
+"""Sweeps of each lidar that are fused, at most."""
+
+_MOST_VIEWS = 12
+"""Cameras of a sweep that are drawn, at most."""
+
+
+class Fusion(msgspec.Struct, frozen=True, kw_only=True):
+    """What fusing gave.
+
+    Attributes:
+        trajectory: name of the ego trajectory; None where every sensor has poses of its own.
+        sweeps: how many were fused, `of` how many the drive has.
+        points: of these sweeps.
+        coloured_percent: of them that got a colour.
+        cameras: a report for each.
+        extrapolated: sweeps that needed poses beyond the trajectory's ends.
+        unfused: why others were not fused, with counts.
+        skipped: sweeps and images that could not be read, one line each.
+        time_differences_ms: by camera, how much later than its sweep's middle its image is: the median [ms].
+    """
+
+    trajectory: str | None
+    sweeps: int
+    of: int
+    points: int
+    coloured_percent: float
+    cameras: tuple[CameraReport, ...]
+    extrapolated: int = 0
+    unfused: dict[str, int] = msgspec.field(default_factory=dict)
+    skipped: tuple[str, ...] = ()
+    time_differences_ms: dict[str, float] = msgspec.field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _Gathered:
+    """What is kept of the fused sweeps."""
+
+    statistics: FusionStatistics
+    cloud: DriveCloud
+    shown: dict[Identifier, FusedFrame] = field(default_factory=dict)
+    differences_ns: dict[str, list[int]] = field(default_factory=dict)
+
+    def add(self, frame: FusedFrame, *, middle: int) -> None:
+        self.statistics.add(frame)
+        self.cloud.add(frame)
+        for view in frame.views:
+            away = view.timestamp_ns - frame.reference_ns
+            self.differences_ns.setdefault(str(view.camera_id), []).append(away)
+        known = self.shown.get(frame.lidar_id)
+        if frame.unfused is None and (known is None or frame.index <= middle):
+            self.shown[frame.lidar_id] = frame
+
+
+def fuse_some(scene: Scene, figures: Figures, *, sweeps: int = _SWEEPS, lenient: bool = True) -> Fusion:
+    """Fuse some sweeps spread over the drive, and draw what came out.
+
+    Args:
+        scene: with a ego trajectory, or sensors that are placed in the world.
+        figures: gets the images.
+        sweeps: of each lidar, at most.
+        lenient: pass over what cannot be read.
+
+    Raises:
+        PoseError: the sensors' motion is not known.
+        CalibrationError: a camera model cannot be computed with.
+        DataError: a sweep or image cannot be read, and that is not passed over.
+    """
+    aligned = align(scene)
+    few = with_some_sweeps(aligned.scene, sweeps)
+    total = sum(len(lidar.frames) for lidar in aligned.scene.lidars)
+    skips = Skips() if lenient else None
+    gathered = _Gathered(
+        FusionStatistics({camera.id: CameraStatistics(len(camera.images)) for camera in scene.cameras}),
+        DriveCloud(frozenset(range(sweeps))),
+    )
+    most = max((len(lidar.frames) for lidar in few.lidars), default=0)
+    for frame in _played(aligned, few, skips):
+        gathered.add(frame, middle=min(sweeps, most) // 2)
+    path = None if aligned.ego is None else aligned.ego.path
+    _draw(gathered, figures, path)
+    statistics = gathered.statistics
+    return Fusion(
+        trajectory=None if aligned.ego is None else aligned.ego.name,
+        sweeps=statistics.fused,
+        of=total,
+        points=statistics.points,
+        coloured_percent=statistics.coloured_percent,
+        cameras=tuple(camera.report(camera_id) for camera_id, camera in statistics.cameras.items()),
+        extrapolated=statistics.extrapolated,
+        unfused=statistics.unfused,
+        skipped=() if skips is None else tuple(skips.reasons),
+        time_differences_ms={
+            key: float(np.median(values)) / 1e6 for key, values in gathered.differences_ns.items()
+        },
+    )
+
+
+def _played(aligned: Aligned, few: Scene, skips: Skips | None) -> Iterator[FusedFrame]:
+    """Fuse the few sweeps by the pace of the whole drive."""
+    system = build_system(
+        aligned.scene, aligned.ego, FusionConfiguration(pairing_tolerance_ns=scene_period_ns(aligned.scene))
+    )
+    if skips is not None:
+        system.on_unreadable = skips.add
+    yield from play(few, system, skips=skips)
+
+
+def _draw(gathered: _Gathered, figures: Figures, path: Poses | None) -> None:
+    """Draw one sweep of each lidar with all its images, and all that were fused as one cloud."""
+    moving = None if path is None or path.static else path
+    together = gathered.cloud.draw(moving)
+    for frame in gathered.shown.values():
+        shown = replace(frame, views=frame.views[:_MOST_VIEWS])
+        plots = iter_images(shown, frame.index, ego_poses=moving, show_hidden=True)
+        for number, (_, draw) in enumerate(plots):
+            view, kind = _view_and_kind(shown, number)
+            if view is not None or not together or len(gathered.shown) > 1:
+                section = "calibration" if kind == "overlay" else "fusion"
+                figures.add(section, *_reported(kind, frame, view), draw())
+    for name, image in together.items():
+        where = "from above" if name == "above" else "from behind the ego"
+        text = f"The cloud of {gathered.statistics.fused} sweeps in the colours of the images, seen {where}"
+        figures.add("fusion", f"The drive {where}", text, image)
+
+
+def _view_and_kind(frame: FusedFrame, number: int) -> tuple[FusedView | None, str]:
+    """What image `number` of a frame shows: two of each view come first, then two of the cloud."""
+    beyond = number - 2 * len(frame.views)
+    if beyond < 0:
+        return frame.views[number // 2], ("overlay", "depth")[number % 2]
+    return None, ("above", "perspective")[beyond]
+
+
+def _reported(kind: str, frame: FusedFrame, view: FusedView | None) -> tuple[str, str]:
+    """Title and text of an image."""
+    name = "" if view is None else str(view.camera_id)
+    camera = f"camera {name}"
+    points = f"{0 if view is None else int(view.visible.sum()):,} points of lidar {frame.lidar_id}"
+    cloud = f"One sweep of lidar {frame.lidar_id} in the colours of the images"
+    titles = {
+        "overlay": f"{name}: points over the image",
+        "depth": f"{name}: depth image",
+        "above": f"Lidar {frame.lidar_id} from above",
+        "perspective": f"Lidar {frame.lidar_id} in perspective",
+    }
+    texts = {
+        "overlay": f"The image of {camera}, its colours subdued, with {points} over it as discs, coloured by depth",
+        "depth": f"The depths that {points} give in the image of {camera}, near to far by colour, dark without any",
+        "above": f"{cloud}, as a map with a grid in metres",
+        "perspective": f"{cloud}, seen from behind and above the ego",
+    }
+    return titles[kind], texts[kind]

@@ -1,1 +1,0 @@
-"""What a report reports, in numbers: collected from the scene, kept apart from how it is drawn."""

@@ -1,0 +1,229 @@
+"""When each stream delivers: rates, jitter, gaps, missing frames, overlaps."""
+
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.motion import ImuSensor
+from sceneloom.scene.scene import Scene, Sensor, frame_times
+from sceneloom.scene.summary import GAP_FACTOR, Gap, gaps_of
+from sceneloom.scene.types import Identifier
+
+_MOST_GAPS = 20
+"""Gaps of a stream that are reported one by one: the longest."""
+
+_MOST_BINS = 40
+
+_WIDEST_BIN = 3.0
+"""Intervals beyond so many usual ones fall into the last bin."""
+
+
+class IntervalBins(msgspec.Struct, frozen=True, kw_only=True):
+    """How many intervals are how long.
+
+    Attributes:
+        edges_ms: (B + 1) borders [ms]; longer intervals count in the last bin.
+        counts: (B).
+    """
+
+    edges_ms: tuple[float, ...]
+    counts: tuple[int, ...]
+
+
+class Phase(msgspec.Struct, frozen=True, kw_only=True):
+    """How a stream's timestamps lie to the nearest ones of the stream that the others are paired with [ms].
+
+    Attributes:
+        reference: id of that stream's sensor.
+        median_ms: later is positive.
+        spread_ms: half of the width that holds 95 % of the differences.
+        farthest_ms: the largest of all, without sign.
+    """
+
+    reference: Identifier
+    median_ms: float
+    spread_ms: float
+    farthest_ms: float
+
+
+class StreamTiming(msgspec.Struct, frozen=True, kw_only=True):
+    """One stream of timestamps: a sensor, or one stream of an inertial unit.
+
+    Attributes:
+        sensor, type: the sensor.
+        stream: name of the stream within the sensor, empty where there is one only.
+        count: timestamps.
+        start, stop: first and last one, seconds after the scene's first; None without any.
+        rate_hz: one over the usual interval.
+        period_ms: the usual interval: the median [ms].
+        jitter_ms: standard deviation of the intervals that are no gaps [ms].
+        longest_ms: the longest interval [ms].
+        gap_count: intervals longer than 1.5 usual ones.
+        gaps: the longest of them, in order of time.
+        missing: how many timestamps seem to be missing in the gaps, by the usual interval.
+        missing_share: of those that should be there.
+        repeated, backwards: intervals of nothing, and below nothing.
+        bins: how long the intervals are; None for fewer than two.
+        phase: against the reference stream; None for that itself, and without one.
+    """
+
+    sensor: Identifier
+    type: str
+    stream: str = ""
+    count: int
+    start: float | None = None
+    stop: float | None = None
+    rate_hz: float | None = None
+    period_ms: float | None = None
+    jitter_ms: float | None = None
+    longest_ms: float | None = None
+    gap_count: int = 0
+    gaps: tuple[Gap, ...] = ()
+    missing: int = 0
+    missing_share: float = 0.0
+    repeated: int = 0
+    backwards: int = 0
+    bins: IntervalBins | None = None
+    phase: Phase | None = None
+
+    @property
+    def name(self) -> str:
+        """What the stream is called."""
+        return f"{self.sensor} {self.stream}" if self.stream else str(self.sensor)
+
+
+class Timing(msgspec.Struct, frozen=True, kw_only=True):
+    """The streams of a drive against each other.
+
+    Attributes:
+        streams: all of them.
+        overlap: when all streams with more than one timestamp give something, seconds after the scene's first
+            timestamp; None where there is no such time.
+        overlap_share: of the time from the first timestamp to the last.
+    """
+
+    streams: tuple[StreamTiming, ...]
+    overlap: Gap | None = None
+    overlap_share: float = 0.0
+
+
+def timing_of(scene: Scene, *, start_ns: int) -> Timing:
+    """Look at the timestamps of all streams; no frame is read.
+
+    Args:
+        start_ns: the scene's first timestamp [ns].
+    """
+    reference = _reference(scene)
+    reference_ns = None if reference is None else frame_times(reference)
+    found = []
+    for sensor in scene.sensors:
+        for stream, times_ns in _streams(sensor):
+            timing = stream_timing(sensor.id, str(sensor.type), times_ns, start_ns=start_ns, stream=stream)
+            if reference is not None and sensor is not reference and reference_ns is not None:
+                phase = _phase(reference.id, times_ns, reference_ns)
+                timing = msgspec.structs.replace(timing, phase=phase)
+            found.append(timing)
+    overlap, share = _overlap(found)
+    return Timing(streams=tuple(found), overlap=overlap, overlap_share=share)
+
+
+def stream_timing(
+    sensor: Identifier, kind: str, times_ns: Int64Array, *, start_ns: int, stream: str = ""
+) -> StreamTiming:
+    """Look at the timestamps (N,) [ns] of one stream, in the order in which they stand."""
+    if len(times_ns) == 0:
+        return StreamTiming(sensor=sensor, type=kind, stream=stream, count=0)
+    known = StreamTiming(
+        sensor=sensor,
+        type=kind,
+        stream=stream,
+        count=len(times_ns),
+        start=(int(times_ns.min()) - start_ns) / 1e9,
+        stop=(int(times_ns.max()) - start_ns) / 1e9,
+    )
+    steps = np.diff(times_ns)
+    rising = steps[steps > 0]
+    if len(rising) == 0:
+        return msgspec.structs.replace(
+            known, repeated=int((steps == 0).sum()), backwards=int((steps < 0).sum())
+        )
+    usual = float(np.median(rising))
+    even = rising[rising <= GAP_FACTOR * usual]
+    missing = int((np.rint(rising[rising > GAP_FACTOR * usual] / usual) - 1).sum())
+    gaps = gaps_of(np.unique(times_ns), start_ns)
+    longest = sorted(gaps, key=lambda gap: gap.start - gap.stop)[:_MOST_GAPS]
+    return msgspec.structs.replace(
+        known,
+        rate_hz=1e9 / usual,
+        period_ms=usual / 1e6,
+        jitter_ms=float(even.std()) / 1e6,
+        longest_ms=float(rising.max()) / 1e6,
+        gap_count=len(gaps),
+        gaps=tuple(sorted(longest, key=lambda gap: gap.start)),
+        missing=missing,
+        missing_share=missing / (len(times_ns) + missing),
+        repeated=int((steps == 0).sum()),
+        backwards=int((steps < 0).sum()),
+        bins=_bins(rising, usual),
+    )
+
+
+def _streams(sensor: Sensor) -> Iterator[tuple[str, Int64Array]]:
+    """The streams of a sensor by name; of sensors without time none."""
+    if isinstance(sensor, ImuSensor):
+        yield from ((name, samples.timestamps_ns) for name, samples in sensor.streams.items())
+    elif len(times := frame_times(sensor)) or not _is_timeless(sensor):
+        yield "", times
+
+
+def _is_timeless(sensor: Sensor) -> bool:
+    return str(sensor.type) in {"points", "odometry"}
+
+
+def _reference(scene: Scene) -> LidarSensor | CameraSensor | None:
+    """The stream that others are paired with: the first lidar that has sweeps, else the first camera."""
+    lidar = next((lidar for lidar in scene.lidars if len(lidar.frames)), None)
+    return lidar or next((camera for camera in scene.cameras if len(camera.images)), None)
+
+
+def _phase(reference: Identifier, times_ns: Int64Array, reference_ns: Int64Array) -> Phase | None:
+    if len(times_ns) == 0 or len(reference_ns) == 0:
+        return None
+    known = np.sort(reference_ns)
+    after = np.clip(np.searchsorted(known, times_ns), 1, max(len(known) - 1, 1))
+    pair = np.stack([known[np.minimum(after - 1, len(known) - 1)], known[np.minimum(after, len(known) - 1)]])
+    away = times_ns - pair
+    nearest = away[np.argmin(np.abs(away), axis=0), np.arange(len(times_ns))] / 1e6
+    low, median, high = np.percentile(nearest, (2.5, 50.0, 97.5)).tolist()
+    return Phase(
+        reference=reference,
+        median_ms=median,
+        spread_ms=(high - low) / 2,
+        farthest_ms=float(np.abs(nearest).max()),
+    )
+
+
+def _bins(steps: Int64Array, usual: float) -> IntervalBins:
+    """Bins around the intervals that there are; single long ones fall into the last."""
+    values = np.minimum(steps / 1e6, _WIDEST_BIN * usual / 1e6)
+    low, high = float(values.min()), float(values.max())
+    least = 0.02 * usual / 1e6
+    if high - low < least:
+        low, high = (low + high - least) / 2, (low + high + least) / 2
+    counts, edges = np.histogram(values, bins=min(_MOST_BINS, max(5, len(values) // 3)), range=(low, high))
+    return IntervalBins(edges_ms=tuple(edges.tolist()), counts=tuple(counts.tolist()))
+
+
+def _overlap(streams: list[StreamTiming]) -> tuple[Gap | None, float]:
+    spans = [(s.start, s.stop) for s in streams if s.count > 1 and s.start is not None and s.stop is not None]
+    if not spans:
+        return None, 0.0
+    first, last = max(start for start, _ in spans), min(stop for _, stop in spans)
+    whole = max(stop for _, stop in spans) - min(start for start, _ in spans)
+    if last < first or whole <= 0:
+        return None, 0.0
+    return Gap(start=first, stop=last), (last - first) / whole

@@ -34,10 +34,10 @@ from benchmarks.service_peers import (
     stub,
 )
 from benchmarks.service_soak import soak
+from sceneloom.db34t import CalibrationData
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode, from_send_request, to_protobuf
-from sceneloom.fusion.messages import CalibrationData
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 
 WIDTH, HEIGHT, POINTS, BOXES = 1920, 1080, 250_000, 20
 SLICES = 3

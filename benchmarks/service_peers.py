@@ -18,7 +18,7 @@ import grpc
 import numpy as np
 
 from benchmarks.street import LIDAR_WORLD, make_street
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 OPTIONS = [("grpc.max_send_message_length", -1), ("grpc.max_receive_message_length", -1)]

@@ -15,7 +15,7 @@ from pathlib import Path
 import grpc
 
 from benchmarks.service_peers import SERVICE, Clouds, Images, connect, ours, stub
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 
 WIDTH, HEIGHT, POINTS = 320, 240, 10_000
 PERIOD_NS = 100_000_000

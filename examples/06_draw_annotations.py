@@ -13,8 +13,8 @@ from pathlib import Path
 from PIL import Image
 
 import sceneloom
-from sceneloom.images import contact_sheet
 from sceneloom.simulate import annotate, demo_drive
+from sceneloom.visualization import contact_sheet
 from sceneloom.visualization.annotation_sheets import save_annotation_images
 
 if __name__ == "__main__":

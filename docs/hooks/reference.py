@@ -22,7 +22,7 @@ _OFFERED = (
     "sceneloom.tracking",
     "sceneloom.calibrate",
     "sceneloom.fusion",
-    "sceneloom.images",
+    "sceneloom.visualization",
     "sceneloom.pipeline",
     "sceneloom.simulate",
     "sceneloom.evaluate",

@@ -114,28 +114,33 @@ def drive(**options):
     for k in range(5):
         timestamp = EPOCH_NS + k * PERIOD_NS
         log.add(
-            "/tf", "FrameTransform", timestamp, timestamp=time(timestamp), parent_frame_id="map", child_frame_id="base_link",
+            "/tf", "FrameTransform", timestamp, timestamp=time(timestamp), parent_frame_id="map",
+            child_frame_id="base_link",
             translation={"x": SPEED * k * 0.1}, rotation={"w": 1.0},
         )  # fmt: skip
         log.add("/top/points", "PointCloud", timestamp, **cloud_fields(timestamp, POINTS))
         jpeg = simplejpeg.encode_jpeg(RGB, 95, "RGB", "444")
-        log.add("/front/image/compressed", "CompressedImage", timestamp, timestamp=time(timestamp), frame_id="front_optical",
+        log.add("/front/image/compressed", "CompressedImage", timestamp, timestamp=time(timestamp),
+        frame_id="front_optical",
                 format="jpeg", data=jpeg)  # fmt: skip
-        log.add("/front/camera_info", "CameraCalibration", timestamp, timestamp=time(timestamp), frame_id="front_optical",
+        log.add("/front/camera_info", "CameraCalibration", timestamp, timestamp=time(timestamp),
+        frame_id="front_optical",
                 width=12, height=8, distortion_model="plumb_bob", K=K, D=[0.1, -0.05, 0.001, 0.002, 0.01])  # fmt: skip
         log.add("/side/image", "RawImage", timestamp, timestamp=time(timestamp), frame_id="side", width=12, height=8,
                 encoding="bgr8", step=36, data=np.ascontiguousarray(RGB[:, :, ::-1]).tobytes())  # fmt: skip
         depth = (np.arange(96).reshape(8, 12) * 100).astype("<u2")
         log.add("/depth/image", "RawImage", timestamp, timestamp=time(timestamp), frame_id="front_optical", width=12,
                 height=8, encoding="16UC1", step=24, data=depth.tobytes())  # fmt: skip
-        log.add("/gnss/fix", "LocationFix", timestamp, timestamp=time(timestamp), frame_id="base_link", latitude=48.0 + k,
+        log.add("/gnss/fix", "LocationFix", timestamp, timestamp=time(timestamp), frame_id="base_link",
+        latitude=48.0 + k,
                 longitude=11.0, altitude=500.0, position_covariance_type=2,
                 position_covariance=[4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0])  # fmt: skip
         # an object that stands at (50, 3, 1) in the world, reported in the frame of the car, rotated by 0.3
         log.add("/objects", "SceneUpdate", timestamp, entities=[{
             "timestamp": time(timestamp), "frame_id": "base_link", "id": "car 7",
             "metadata": [{"key": "category", "value": "car"}, {"key": "score", "value": "0.75"}],
-            "cubes": [{"pose": {"position": {"x": 50 - SPEED * k * 0.1, "y": 3, "z": 1}, "orientation": rotation_left(0.3)},
+            "cubes": [{"pose": {"position": {"x": 50 - SPEED * k * 0.1, "y": 3, "z": 1},
+            "orientation": rotation_left(0.3)},
                        "size": {"x": 4, "y": 2, "z": 1.5}}],
         }])  # fmt: skip
         corners = [(10.0, 20.0), (15.0, 20.0), (15.0, 28.0), (10.0, 28.0)]

@@ -277,7 +277,8 @@ def _relined(content: bytes, chance: np.random.Generator) -> bytes:
     return b"\n".join(lines)
 
 
-_TRAJECTORIES = (_flipped, _set, _cut, _doubled, _removed, _inserted, _numbered, _numbered, _replaced, _replaced, _replaced,
+_TRAJECTORIES = (_flipped, _set, _cut, _doubled, _removed, _inserted, _numbered, _numbered, _replaced,
+    _replaced, _replaced,
          _relined)  # fmt: skip
 
 

@@ -24,7 +24,7 @@ import pytest
 from google.protobuf.message_factory import GetMessageClass
 from PIL import Image
 
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 WIDTH, HEIGHT = 64, 48

@@ -13,7 +13,7 @@ from tests.malformed.mutants import sound_scene
 import sceneloom
 from sceneloom.cli import main
 from sceneloom.db34t.interface import FusionInterface
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.service.methods import METHODS
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]

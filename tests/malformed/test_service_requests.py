@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
-from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.methods import METHODS
 from sceneloom.service.sessions import CallError
 

@@ -10,11 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from sceneloom.db34t import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.properties import PREDEFINED
 from sceneloom.errors import OptionError
 from sceneloom.fusion.algorithms import algorithm
-from sceneloom.fusion.messages import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.scene.poses import Poses
 
 MS = 1_000_000

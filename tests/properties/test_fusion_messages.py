@@ -7,20 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sceneloom.db34t.json import format_json, from_json, parse_json, to_json
-from sceneloom.db34t.protobuf import (
-    decode,
-    decode_send_request,
-    encode,
-    encode_in,
-    from_protobuf,
-    from_send_request,
-    parse_message,
-    to_protobuf,
-    to_send_request,
-)
-from sceneloom.errors import DataError
-from sceneloom.fusion.messages import (
+from sceneloom.db34t import (
     ENCODINGS,
     RECORD_KINDS,
     Boxes2d,
@@ -34,7 +21,20 @@ from sceneloom.fusion.messages import (
     Timestamp,
     kind_of,
 )
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.json import format_json, from_json, parse_json, to_json
+from sceneloom.db34t.protobuf import (
+    decode,
+    decode_send_request,
+    encode,
+    encode_in,
+    from_protobuf,
+    from_send_request,
+    parse_message,
+    to_protobuf,
+    to_send_request,
+)
+from sceneloom.db34t.wire import fusion_pb2
+from sceneloom.errors import DataError
 
 SENDABLE = ("raw", "image", "points", "boxes_3d", "boxes_2d", "box_3d", "box_2d")
 

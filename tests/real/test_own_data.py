@@ -148,14 +148,14 @@ times = {{ pattern = "{{index}}", rate_hz = 10 }}
 """
     for name in ("front_camera", "front_left_camera", "back_camera"):
         location = json.loads((data / "cameras" / name / "extrinsics.json").read_text())
-        camera_model = json.loads((data / "cameras" / name / "intrinsics.json").read_text())
+        model = json.loads((data / "cameras" / name / "intrinsics.json").read_text())
         text += f"""[[sensors]]
 id = "{name}"
 type = "camera"
 files = "cameras/{name}/*.jpg"
 times = {{ pattern = "{{index}}", rate_hz = 10 }}
 extrinsic = {{ to = "base", translation = {location["position"]}, quaternion_wxyz = {location["heading"]} }}
-camera_model = {{ fx = {camera_model["fx"]}, fy = {camera_model["fy"]}, cx = {camera_model["cx"]}, cy = {camera_model["cy"]} }}
+camera_model = {{ fx = {model["fx"]}, fy = {model["fy"]}, cx = {model["cx"]}, cy = {model["cy"]} }}
 """
     (tmp_path / "rig.toml").write_text(text)
     lines = ["timestamp,x,y,z,qw,qx,qy,qz"]
@@ -186,7 +186,7 @@ def test_a_look_into_real_folders_finds_their_sensors(data_dir, folder, lidars, 
 def test_a_recording_described_by_hand_is_the_recording(data_dir, tmp_path):
     data = data_dir / "recordings" / "kitti_drive"
     numbers = json.loads((data / "calibration.json").read_text())
-    camera_model, lidar = numbers["cameras"][0], numbers["lidars"][0]
+    model, lidar = numbers["cameras"][0], numbers["lidars"][0]
     (tmp_path / "rig.toml").write_text(f"""
 ego = "imu"
 root = "{data}"
@@ -202,8 +202,8 @@ id = "camera0"
 type = "camera"
 video = "data.mkv"
 times = {{ rate_hz = 10, start_s = 0.05 }}
-extrinsic = {{ from = "imu", matrix = {camera_model["imuToCamera"]} }}
-camera_model = {{ fx = {camera_model["focalLengthX"]}, cx = {camera_model["principalPointX"]}, cy = {camera_model["principalPointY"]} }}
+extrinsic = {{ from = "imu", matrix = {model["imuToCamera"]} }}
+camera_model = {{ fx = {model["focalLengthX"]}, cx = {model["principalPointX"]}, cy = {model["principalPointY"]} }}
 """)
     own, known = sceneloom.open(tmp_path), sceneloom.open(data)
     assert "point-times-assumed" in [warning.code for warning in own.warnings], "seconds of the clock"

@@ -164,7 +164,10 @@ def _timestamps_are_dates(subject: Subject) -> Iterator[Hit]:
 def _starts_late(subject: Subject) -> Iterator[Hit]:
     span = _file_span(subject.scene)
     if span is not None and LATEST_START_NS < span[0] < _EARLIEST_EPOCH_NS:
-        problem = f"timestamps begin {seconds(span[0])} after the clock's zero; expected at most {seconds(LATEST_START_NS)}"
+        problem = (
+            f"timestamps begin {seconds(span[0])} after the clock's zero; expected at most "
+            f"{seconds(LATEST_START_NS)}"
+        )
         yield Hit("time_offset", problem)
 
 

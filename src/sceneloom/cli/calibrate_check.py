@@ -53,8 +53,8 @@ def check_health(
     from sceneloom.formats.base.output import check_output
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.formats.kitti.tracking_reader import is_tracking_folder
-    from sceneloom.images.calibration import save_calibration_images
     from sceneloom.pipeline.calibrating import check_drive
+    from sceneloom.visualization.calibration import save_calibration_images
 
     if not (boxes["boxes3d"] or boxes["boxes2d"]) and is_tracking_folder(Path(path)):
         useless = {

@@ -1,1 +1,103 @@
-"""db34t."""
+"""The records of DB34/T 4101-2022, tables 1 and 3 to 10, and the forms in which they travel."""
+
+from typing import TYPE_CHECKING
+
+from sceneloom.lazy import names_on_first_use
+
+if TYPE_CHECKING:
+    from sceneloom.db34t.boxes import Box2d, Box3d, Boxes2d, Boxes3d
+    from sceneloom.db34t.records import (
+        DEPTH_KINDS,
+        ENCODINGS,
+        POINT_FRAMES,
+        RECORD_KINDS,
+        CalibrationData,
+        DetectionRecord,
+        Encoding,
+        FusedDetection,
+        FusedDetections,
+        ImageData,
+        ListLayout,
+        PointCloudData,
+        RawData,
+        Record,
+        RecordKind,
+        ResultRecord,
+        SensorFusionData,
+        SensorRecord,
+        SentRecord,
+        kind_of,
+    )
+    from sceneloom.db34t.tables import TABLES, Row, Table
+    from sceneloom.db34t.types import BasicType, Timestamp, ValueForm, ValueType
+else:
+    __getattr__, __dir__ = names_on_first_use(
+        __name__,
+        {
+            "DEPTH_KINDS": "sceneloom.db34t.records:DEPTH_KINDS",
+            "ENCODINGS": "sceneloom.db34t.records:ENCODINGS",
+            "POINT_FRAMES": "sceneloom.db34t.records:POINT_FRAMES",
+            "RECORD_KINDS": "sceneloom.db34t.records:RECORD_KINDS",
+            "TABLES": "sceneloom.db34t.tables:TABLES",
+            "BasicType": "sceneloom.db34t.types:BasicType",
+            "Box2d": "sceneloom.db34t.boxes:Box2d",
+            "Box3d": "sceneloom.db34t.boxes:Box3d",
+            "Boxes2d": "sceneloom.db34t.boxes:Boxes2d",
+            "Boxes3d": "sceneloom.db34t.boxes:Boxes3d",
+            "CalibrationData": "sceneloom.db34t.records:CalibrationData",
+            "DetectionRecord": "sceneloom.db34t.records:DetectionRecord",
+            "Encoding": "sceneloom.db34t.records:Encoding",
+            "FusedDetection": "sceneloom.db34t.records:FusedDetection",
+            "FusedDetections": "sceneloom.db34t.records:FusedDetections",
+            "ImageData": "sceneloom.db34t.records:ImageData",
+            "ListLayout": "sceneloom.db34t.records:ListLayout",
+            "PointCloudData": "sceneloom.db34t.records:PointCloudData",
+            "RawData": "sceneloom.db34t.records:RawData",
+            "Record": "sceneloom.db34t.records:Record",
+            "RecordKind": "sceneloom.db34t.records:RecordKind",
+            "ResultRecord": "sceneloom.db34t.records:ResultRecord",
+            "Row": "sceneloom.db34t.tables:Row",
+            "SensorFusionData": "sceneloom.db34t.records:SensorFusionData",
+            "SensorRecord": "sceneloom.db34t.records:SensorRecord",
+            "SentRecord": "sceneloom.db34t.records:SentRecord",
+            "Table": "sceneloom.db34t.tables:Table",
+            "Timestamp": "sceneloom.db34t.types:Timestamp",
+            "ValueForm": "sceneloom.db34t.types:ValueForm",
+            "ValueType": "sceneloom.db34t.types:ValueType",
+            "kind_of": "sceneloom.db34t.records:kind_of",
+        },
+    )
+
+__all__ = [
+    "DEPTH_KINDS",
+    "ENCODINGS",
+    "POINT_FRAMES",
+    "RECORD_KINDS",
+    "TABLES",
+    "BasicType",
+    "Box2d",
+    "Box3d",
+    "Boxes2d",
+    "Boxes3d",
+    "CalibrationData",
+    "DetectionRecord",
+    "Encoding",
+    "FusedDetection",
+    "FusedDetections",
+    "ImageData",
+    "ListLayout",
+    "PointCloudData",
+    "RawData",
+    "Record",
+    "RecordKind",
+    "ResultRecord",
+    "Row",
+    "SensorFusionData",
+    "SensorRecord",
+    "SentRecord",
+    "Table",
+    "Timestamp",
+    "ValueForm",
+    "ValueType",
+    "kind_of",
+]

@@ -26,9 +26,9 @@ from sceneloom.db34t.types import (
     bytes_view,
     shown,
 )
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError, MissingExtraError, how_to_install
 from sceneloom.formats.base.protobuf import LENGTH_TYPE, WireField, enclosed, field_head, wire_fields
-from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.kernels import packed
 
 
@@ -326,7 +326,7 @@ def _form(field: Any, layout: ListLayout) -> int:
 try:
     from google.protobuf.message import DecodeError, Message
 
-    from sceneloom.fusion.messages.wire import fusion_pb2
+    from sceneloom.db34t.wire import fusion_pb2
 except ImportError as missing:
     raise MissingExtraError(f"{missing}; install the extra: {how_to_install('serve')}") from missing
 

@@ -15,9 +15,9 @@ from google.protobuf.message import DecodeError, Message
 from grpc_health.v1 import health_pb2
 from grpc_reflection.v1alpha import reflection_pb2
 
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats.base.files import read_settings
-from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.server import read_token
 
 

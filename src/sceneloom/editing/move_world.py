@@ -403,7 +403,7 @@ class _WorldMover:
         return self.change.path(sensor.poses, times_ns=self._times(sensor))
 
     def _times(self, sensor: Posed | OdometrySensor) -> Int64Array | None:
-        """The times that the poses of something that is stationary get where the change is not the same at all times."""
+        """Timestamps for the poses of something stationary where the change varies over time."""
         if sensor.poses is None or not sensor.poses.static or self.change.is_constant:
             return None
         times_ns = np.unique(frame_times(sensor))

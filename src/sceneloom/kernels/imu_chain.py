@@ -522,7 +522,8 @@ def add_inertial(
     **_COMPILED,
 )  # fmt: skip
 def add_relative_poses(
-    rotations: Float64Array, positions: Float64Array, locations: Int64Array, delta_rotations: Float64Array, trajectories: Float64Array,
+    rotations: Float64Array, positions: Float64Array, locations: Int64Array, delta_rotations: Float64Array,
+    trajectories: Float64Array,
     information: Float64Array, blocks: Float64Array, couplings: Float64Array, right: Float64Array,
     residuals: Float64Array,
 ) -> float:  # fmt: skip

@@ -48,7 +48,6 @@ from sceneloom.geometry.rotations import (
     multiply_quaternions,
     rotation_vector_from_quaternion,
 )
-from sceneloom.images.calibration import save_change_images
 from sceneloom.motion.clock.camera_rotation import camera_rotating
 from sceneloom.motion.ego_trajectory import find_ego_motion
 from sceneloom.pipeline.detected_drive import DetectedDrive, kitti_drive, moments
@@ -61,6 +60,7 @@ from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.time_range import cut_scene
 from sceneloom.scene.types import Identifier, Progress
+from sceneloom.visualization.calibration import save_change_images
 
 _MOST_ROTATIONS = 100
 """Images whose rotating is followed, at most."""

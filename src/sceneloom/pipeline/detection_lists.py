@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -550,8 +550,6 @@ _FORMS: tuple[_ListForm, ...] = (_FORM, _NUSCENES_FORM, _LISTS, _RESULTS)
 """All forms; at most one of them recognises a file."""
 
 _HEAD = 65536
-
-_Boxes = TypeVar("_Boxes", Boxes3D, Boxes2D)
 
 
 def form_of(path: Path) -> _ListForm | None:

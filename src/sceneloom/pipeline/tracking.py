@@ -30,7 +30,6 @@ from sceneloom.formats.kitti.labels import (
 )
 from sceneloom.formats.kitti.tracking_reader import KittiSequence, KittiTracking, sequence_scene
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.images.objects import draw_objects_above, draw_objects_in_image
 from sceneloom.pipeline.detected_drive import (
     DetectedDrive,
     SweepPoints,
@@ -57,6 +56,7 @@ from sceneloom.tracking.settings import ImageBox
 from sceneloom.visualization.canvas import PilImage, counting_left_out
 from sceneloom.visualization.clouds import EgoPosition
 from sceneloom.visualization.fused_frames import save_image
+from sceneloom.visualization.objects import draw_objects_above, draw_objects_in_image
 from sceneloom.warnings import DataWarning
 
 _NEAR = 0.1

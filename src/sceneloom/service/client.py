@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import grpc
 from google.protobuf.message import Message
@@ -22,8 +22,8 @@ from sceneloom.db34t.transport import (
     service_error,
 )
 from sceneloom.db34t.types import Cause, Outcome, refused
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.scene.poses import Poses
 from sceneloom.service.messages import (
     Sent,
@@ -46,8 +46,6 @@ _SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 _LONGEST_WAIT_MS = 2**32 - 1
 
 _LOOPBACK = ("localhost", "127.", "[::1]", "unix:")
-
-_Got = TypeVar("_Got")
 
 
 class FusionClient:

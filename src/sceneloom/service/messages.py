@@ -16,9 +16,9 @@ from sceneloom.db34t.protobuf import (
 from sceneloom.db34t.queues import Result
 from sceneloom.db34t.records import kind_of
 from sceneloom.db34t.types import DONE, Cause, Outcome, Timestamp, ValueType, shown
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
 from sceneloom.formats.base.protobuf import enclosed
-from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.scene.poses import Poses
 
 _INT64 = range(-(2**63), 2**63)

@@ -27,11 +27,11 @@ from sceneloom.db34t.queues import Result
 from sceneloom.db34t.records import FusedDetections, kind_of
 from sceneloom.db34t.results import FoundObjects, tracked_detections_record
 from sceneloom.db34t.types import DONE, Cause, Outcome, refused
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats.base.protobuf import LENGTH_TYPE, wire_fields
 from sceneloom.fusion.algorithms import FusionType
-from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.types import Identifier

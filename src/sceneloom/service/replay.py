@@ -21,9 +21,9 @@ from sceneloom.db34t.queues import Event, Flushed, Moved, Result
 from sceneloom.db34t.received_records import Setting, accepted_alone
 from sceneloom.db34t.records import kind_of
 from sceneloom.db34t.types import Cause
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import open_file
-from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.messages import path_of, property_of, snapshot_of, value_from_protobuf
 from sceneloom.service.sending import Pace, Receiver, SendReport, Statistics, must
 

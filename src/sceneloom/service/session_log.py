@@ -34,6 +34,7 @@ from sceneloom.db34t.records import (
     size_of,
 )
 from sceneloom.db34t.types import bytes_view
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import OutputError, SceneloomError
 from sceneloom.formats.base.output import check_output
 from sceneloom.formats.messages.cameras import camera_model_record, is_foreign
@@ -53,7 +54,6 @@ from sceneloom.formats.messages.records import (
     ImageRecord,
     TransformRecord,
 )
-from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.service.messages import motion_request, properties_message, value_to_protobuf
 from sceneloom.version import __version__

@@ -12,7 +12,6 @@ from sceneloom.detections.settings import radius_squared
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.base.files import file_faults, open_file
 from sceneloom.geometry.rotations import quaternion_from_matrix
-from sceneloom.images.objects import objects_of_fused
 from sceneloom.pipeline.fusing_detections import fused_files, read_fused
 from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.scene import Scene
@@ -21,6 +20,7 @@ from sceneloom.view.images import image_path
 from sceneloom.view.points import WORLD, colour_of_name, one_packed
 from sceneloom.view.shapes import EDGES
 from sceneloom.view.stream import Feed, Stream, sdk
+from sceneloom.visualization.objects import objects_of_fused
 
 
 def read_detections(path: Path) -> tuple[TrackedObjects, ...]:

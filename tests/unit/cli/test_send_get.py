@@ -12,7 +12,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cli.main import main
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.colouring.cuboid_projection import project_cuboids
-from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
+from sceneloom.db34t import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.service.client import FusionClient
 from sceneloom.service.replay import compare
 from sceneloom.service.running import running_server

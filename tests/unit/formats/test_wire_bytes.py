@@ -3,8 +3,8 @@
 import pytest
 from google.protobuf.internal.encoder import _VarintBytes
 
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.formats.base.protobuf import enclosed, field_head, varint, wire_fields
-from sceneloom.fusion.messages.wire import fusion_pb2
 
 
 @pytest.mark.parametrize("number", [0, 1, 127, 128, 300, 16383, 16384, 2**31, 2**35 + 5])

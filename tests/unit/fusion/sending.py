@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sceneloom.fusion.messages import (
+from sceneloom.db34t import (
     Box2d,
     Box3d,
     Boxes2d,

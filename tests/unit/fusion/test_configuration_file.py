@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from sceneloom.db34t import ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.interface import FusionInterface, read_configuration_file
 from sceneloom.errors import DataError
-from sceneloom.fusion.messages import ImageData, PointCloudData, Timestamp
 
 WHOLE = """
 [properties]

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sceneloom.db34t import Boxes2d, Boxes3d, PointCloudData
 from sceneloom.db34t.calibration import MOST_PAIRS, CalibrationEntry, format_calibrations
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.queues import QueueLimits
 from sceneloom.db34t.types import Cause
-from sceneloom.fusion.messages import Boxes2d, Boxes3d, PointCloudData
 
 from .sending import (
     FORWARD,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sceneloom.db34t import CalibrationData
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode
-from sceneloom.fusion.messages import CalibrationData
 from sceneloom.scene.poses import Poses
 
 from .sending import HEIGHT, START_NS, WIDTH, boxes_2d, boxes_3d, cloud, image

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sceneloom.db34t import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.types import Cause
 from sceneloom.errors import OptionError
-from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
 
 WIDTH, HEIGHT = 64, 48
 FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)

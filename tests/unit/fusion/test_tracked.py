@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from tests.unit.fusion.sending import START_NS, box_3d, calibration, timestamp
 
+from sceneloom.db34t import Boxes2d, Boxes3d
 from sceneloom.db34t.interface import FusionInterface
-from sceneloom.fusion.messages import Boxes2d, Boxes3d
 from sceneloom.scene import Poses
 from sceneloom.service.methods import TrackedResults
 

@@ -4,8 +4,8 @@ import threading
 
 import numpy as np
 
+from sceneloom.db34t import Boxes2d, Boxes3d
 from sceneloom.db34t.interface import FusionInterface
-from sceneloom.fusion.messages import Boxes2d, Boxes3d
 
 from .sending import calibration, cloud, image, timestamp
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import ArrayError, OptionError
-from sceneloom.images import EgoPosition, draw_cloud_above
+from sceneloom.visualization import EgoPosition, draw_cloud_above
 from sceneloom.visualization.clouds import layout_map
 
 SIZE = (900, 640)

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import OptionError
-from sceneloom.images import EgoPosition, draw_cloud_perspective
+from sceneloom.visualization import EgoPosition, draw_cloud_perspective
 from sceneloom.visualization.clouds import Viewpoint, background, viewpoint_behind
 
 SIZE = (900, 640)

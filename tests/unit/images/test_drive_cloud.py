@@ -6,8 +6,8 @@ import numpy as np
 from PIL import Image
 
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.images import DriveCloud
 from sceneloom.scene import LidarPoints, Poses
+from sceneloom.visualization import DriveCloud
 from sceneloom.visualization.fused_frames import CUBE
 
 RED, BLUE = (250, 10, 10), (10, 10, 250)

@@ -6,8 +6,8 @@ from PIL import Image
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import OptionError, OutputError
-from sceneloom.images import EgoPosition, contact_sheet, draw_cloud_above, iter_images, save_images
 from sceneloom.scene import LidarPoints, Poses
+from sceneloom.visualization import EgoPosition, contact_sheet, draw_cloud_above, iter_images, save_images
 
 
 def _frame(views, *, lidar_id="lidar"):

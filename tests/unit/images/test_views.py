@@ -4,7 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sceneloom.images import DepthScale, draw_depth_image, draw_overlay
+from sceneloom.visualization import DepthScale, draw_depth_image, draw_overlay
 from sceneloom.visualization.canvas import STRIP, Canvas
 from sceneloom.visualization.colour_scales import colour_map, placed_ticks
 from sceneloom.visualization.fused_frames import NO_DEPTH, view_scale

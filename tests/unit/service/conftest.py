@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from google.protobuf.message_factory import GetMessageClass
 
+from sceneloom.db34t import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.protobuf import fill_message, to_send_request
-from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.service.running import running_server
 from sceneloom.service.server import ServerSettings
 

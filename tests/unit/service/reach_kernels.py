@@ -11,8 +11,8 @@ from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
 from sceneloom.cameras.camera import MODELS
+from sceneloom.db34t import Box2d, Box3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.interface import FusionInterface
-from sceneloom.fusion.messages import Box2d, Box3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.scene.poses import Poses
 from sceneloom.service.methods import TrackedResults
 from sceneloom.service.running import running_server, warm_up

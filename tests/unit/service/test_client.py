@@ -9,6 +9,7 @@ import grpc
 import numpy as np
 import pytest
 
+from sceneloom.db34t import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode
 from sceneloom.db34t.transport import (
@@ -20,7 +21,6 @@ from sceneloom.db34t.transport import (
 )
 from sceneloom.db34t.types import Cause, Outcome
 from sceneloom.errors import OptionError
-from sceneloom.fusion.messages import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.scene.poses import Poses
 from sceneloom.service.client import FusionClient
 from sceneloom.service.server import FusionServer, Security, ServerSettings

@@ -46,7 +46,7 @@ def test_a_token_is_not_sent_over_an_open_connection_to_another_machine(tmp_path
 
 
 def test_a_call_that_ends_with_an_error_is_reported_with_its_code(serve):
-    from sceneloom.fusion.messages.wire import fusion_pb2
+    from sceneloom.db34t.wire import fusion_pb2
 
     with GrpcTransport.connected(serve().address, Doors()) as transport:
         with pytest.raises(CallFailedError) as failed:

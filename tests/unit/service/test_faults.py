@@ -15,8 +15,8 @@ import pytest
 
 from sceneloom.db34t.protobuf import to_send_request
 from sceneloom.db34t.queues import Refused
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
-from sceneloom.fusion.messages.wire import fusion_pb2
 from sceneloom.service.replay import compare, is_complete, read_log
 from sceneloom.service.session_log import unfinished_path
 from sceneloom.service.startup import ServiceLimits
@@ -90,7 +90,7 @@ def test_what_a_subscriber_had_not_got_when_it_left_goes_to_others_in_order(call
 
 DYING = """
 import sys, grpc
-from sceneloom.fusion.messages.wire import fusion_pb2 as pb
+from sceneloom.db34t.wire import fusion_pb2 as pb
 channel = grpc.insecure_channel(sys.argv[1])
 service = "/sceneloom.db34t4101.v1.DataFusion/"
 if sys.argv[2] == "Subscribe":

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sceneloom.db34t.protobuf import to_send_request
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.service.methods import CALLS, METHODS, SERVICE
 
 

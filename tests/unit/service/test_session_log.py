@@ -15,13 +15,13 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from scipy.spatial.transform import Rotation
 
+from sceneloom.db34t import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.calibration import CalibrationEntry, format_calibrations
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode
 from sceneloom.db34t.queues import Flushed, Result
 from sceneloom.db34t.worker import Rig
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.fusion.messages import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.scene.poses import Poses
 from sceneloom.service.replay import compare, is_complete, read_log, replay
 from sceneloom.service.session_log import BlackBox, LogWriter, shown_records, unfinished_path

@@ -13,10 +13,10 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.base.images import write_depth_png
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.images.objects import objects_of_fused
 from sceneloom.pipeline.tracking import track_lines
 from sceneloom.scene import Support, TrackedObjects
 from sceneloom.view.objects import ellipsoid
+from sceneloom.visualization.objects import objects_of_fused
 
 COVARIANCE = np.array([[0.5, 0.2, 0.0], [0.2, 0.3, 0.05], [0.0, 0.05, 0.1]])
 

@@ -51,8 +51,8 @@ def test_everything_that_the_drive_holds_has_its_entity(injected_saved):
         f"{SENSORS}/radar_front/velocities", f"{SENSORS}/left/calibrated", f"{SENSORS}/left/image/boxes/light",
         f"{SENSORS}/left/image/projections/car", f"{SENSORS}/left/image/points",
         f"{SENSORS}/left/image/polygon_2d/sign", "/injected/world/ego", "/injected/world/trajectories/vio",
-        "/injected/world/trajectories/gnss_ins", "/injected/world/clouds/map", r"/injected/world/corrected\ "
-                                                                               r"ways/adjust-1",
+        "/injected/world/trajectories/gnss_ins", "/injected/world/clouds/map",
+        r"/injected/world/corrected\ trajectories/adjust-1",
         "/injected/world/annotations/cuboids/car", "/injected/world/annotations/links/drives",
         "/injected/world/annotations/points/points", "/injected/world/annotations/polyline/lane",
         "/injected/imu/imu_box/accelerometer", "/injected/imu/imu_box/imuTemperature", "/injected/gnss/antenna/height",

@@ -253,7 +253,10 @@ def _focal_lengths(subject: Subject) -> Iterator[Hit]:
             )
             yield Hit(f"{camera_model.location}.focalLengthX", f"{reported}{_unit(larger)}")
         elif larger > MOST_UNEQUAL * smaller:
-            reported = f"{camera_model.fx:g}, focalLengthY {camera_model.fy:g}; expected nearly equal ones, as of square pixels"
+            reported = (
+                f"{camera_model.fx:g}, focalLengthY {camera_model.fy:g}; expected nearly equal ones, as of "
+                f"square pixels"
+            )
             yield Hit(f"{camera_model.location}.focalLengthX", reported)
 
 
@@ -508,7 +511,10 @@ def _baselines(subject: Subject) -> Iterator[Hit]:
                 )
         elif length > WIDEST_BASELINE:
             hint = ": probably millimetres" if length > FARTHEST else ""
-            reported = f"{names} look the same way from {length:.2f} m apart; expected {WIDEST_BASELINE:g} m at most{hint}"
+            reported = (
+                f"{names} look the same way from {length:.2f} m apart; expected {WIDEST_BASELINE:g} m at "
+                f"most{hint}"
+            )
             yield Hit(location, reported)
 
 

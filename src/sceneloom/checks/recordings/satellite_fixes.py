@@ -459,7 +459,10 @@ def _upside_down(subject: Subject) -> Iterator[Hit]:
             continue
         correlation = float((ups * heights).mean() / (ups.std() * heights.std()))
         if correlation < _ROTATED_HEIGHTS:
-            reported = f"z falls where the fixes climb (correlation {correlation:.2f}): probably z of the world points down"
+            reported = (
+                f"z falls where the fixes climb (correlation {correlation:.2f}): probably z of the world "
+                f"points down"
+            )
             yield Hit(f"trajectories[{case.trajectory.name}]", reported)
 
 

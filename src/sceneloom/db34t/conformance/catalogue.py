@@ -14,7 +14,7 @@ from google.protobuf.message import Message
 from sceneloom.db34t.conformance import scene as conformance_scene
 from sceneloom.db34t.tables import TABLES
 from sceneloom.db34t.transport import SERVICE, CallFailedError, Transport
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 
 
 class _Quote(NamedTuple):

@@ -29,7 +29,7 @@ from sceneloom.db34t.conformance.fusion_checks import columns_of, depths, filled
 from sceneloom.db34t.conformance.property_checks import PROPERTIES_CHECKS as PROPERTIES
 from sceneloom.db34t.conformance.record_checks import send_pairs
 from sceneloom.db34t.transport import SERVICE, CallFailedError
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 
 _CHECKS = Catalogue("Extensions")
 

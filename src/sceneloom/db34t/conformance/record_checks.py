@@ -28,7 +28,7 @@ from sceneloom.db34t.conformance.catalogue import (
 from sceneloom.db34t.conformance.fusion_checks import columns_of
 from sceneloom.db34t.tables import TABLES
 from sceneloom.db34t.transport import CallFailedError
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 
 _CHECKS = Catalogue("What is sent (clauses 6.2 to 6.6, tables 4 to 8)")
 
@@ -37,7 +37,10 @@ _FLOATS = (float("nan"), float("inf"))
 _TIMESTAMPS = (None, fusion_pb2.Timestamp(s=1, ns=10**9), fusion_pb2.Timestamp(s=1, ns=2**32 - 1))
 """No timestamp, and such whose nanoseconds make a second or more."""
 
-_RAW_SENSORS = f'{{"{conformance_scene.CAMERA_ID}": {{"kind": "camera", "raw": "rgb8"}}, "{conformance_scene.LIDAR_ID}": {{"kind": "lidar"}}}}'
+_RAW_SENSORS = (
+    f'{{"{conformance_scene.CAMERA_ID}": {{"kind": "camera", "raw": "rgb8"}}, '
+    f'"{conformance_scene.LIDAR_ID}": {{"kind": "lidar"}}}}'
+)
 """The property `sensors` for raw data that are pixels."""
 
 _PIXELS = conformance_scene.drawn_image().tobytes()

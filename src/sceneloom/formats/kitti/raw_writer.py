@@ -235,7 +235,10 @@ class _RotationWriter:
         losses = []
         name = "sensors.lidar.frames.points.timestamps_ns"
         if self._timed_points and not self._rotated:
-            what = "left out: a drive reports times of points by one counter-clockwise rotate from behind, and these differ"
+            what = (
+                "left out: a drive reports times of points by one counter-clockwise rotate from behind, "
+                "and these differ"
+            )
             losses.append(Loss(field=name, what=what, count=self._timed_points))
         elif self._worst_ns:
             what = "reported by the directions of points in one rotation, counter-clockwise from behind [s]"

@@ -510,7 +510,10 @@ class ImageReader:
         if isinstance(record, ImageRecord):
             image = image_of(record, self.log.name, self.location(k))
             if image.shape[:2] != (camera_model.height, camera_model.width):
-                problem = f"an image of {record.width}x{record.height}; expected {camera_model.width}x{camera_model.height}"
+                problem = (
+                    f"an image of {record.width}x{record.height}; expected "
+                    f"{camera_model.width}x{camera_model.height}"
+                )
                 raise DataError(self.log.name, self.location(k), problem)
             return image
         form = _image_form(record, self.log.name, self.location(k))

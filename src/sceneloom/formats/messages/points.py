@@ -523,7 +523,10 @@ def _with_times(
     reader = replace(reader, mapping=replace(reader.mapping, times=meaning))
     if not found.first_ns < -_EARLY_NS:
         return reader
-    message = f"sweeps begin {-found.first_ns / 1e9:.6f} s before the timestamps of their messages, and are timestamped so"
+    message = (
+        f"sweeps begin {-found.first_ns / 1e9:.6f} s before the timestamps of their messages, and "
+        f"are timestamped so"
+    )
     ledger.note(WarningKind.ASSUMED, "timestamps-after-start", where, message)
     return replace(reader, starts_ns=read_only(reader.timestamps_ns + found.first_ns))
 

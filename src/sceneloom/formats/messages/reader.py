@@ -190,7 +190,10 @@ def _imu_sensor(
     if rotation is not None and np.array_equal(rotation, np.eye(3)):
         rotation = None
     if rotation is not None:
-        message = "measurements were converted to the axes of the ego; that the unit sits elsewhere is not accounted for"
+        message = (
+            "measurements were converted to the axes of the ego; that the unit sits elsewhere is not "
+            "accounted for"
+        )
         survey.ledger.note(WarningKind.ASSUMED, "imu-rotated", location, message)
     streams: Mapping[str, VectorSamples] = MappingProxyType(
         {name: _stream(name, rows, rotation, survey, location) for name, rows in by_stream.items()}

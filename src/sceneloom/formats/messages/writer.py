@@ -410,7 +410,8 @@ class _SensorStreams:
             self.losses.converted(f"{location}.camera", what)
         frames = "images" if isinstance(sensor, CameraSensor) else "frames"
         return _ShotWriter(
-            note["topic"], note["camera_model_topic"], note["frame"], f"{location}.{frames}", self.losses, self.dialect.fisheye,
+            note["topic"], note["camera_model_topic"], note["frame"], f"{location}.{frames}", self.losses,
+            self.dialect.fisheye,
             self.images, each_camera_model=self.dialect.each_camera_model,
         )  # fmt: skip
 

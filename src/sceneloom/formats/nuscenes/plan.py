@@ -229,7 +229,10 @@ def _with_pinholes(scene: Scene, losses: list[Loss]) -> Scene:
     if not bent:
         return scene
     for camera in bent:
-        what = f"{camera.id!r}: a {camera.camera.model} camera model replaced by a pinhole, and its images resampled for it"
+        what = (
+            f"{camera.id!r}: a {camera.camera.model} camera model replaced by a pinhole, and its images "
+            f"resampled for it"
+        )
         losses += [
             Loss(field=f"sensors.camera.{name}", what=what, support=Support.APPROXIMATED)
             for name in ("camera", "images.rgb", "images.encoded")

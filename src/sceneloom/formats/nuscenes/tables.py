@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Self
 
 import msgspec
 import numpy as np
@@ -201,8 +201,6 @@ _LONGEST_ROW = 1 << 16
 _ROW_END = re.compile(rb"\}\s*,")
 
 _FIELD = re.compile(r"\$\[(?P<row>\d+)\](?:\.(?P<field>\S+?))?`?$")
-
-_Row = TypeVar("_Row")
 
 
 def iter_rows(folder: Path, table: str) -> Iterator[Any]:

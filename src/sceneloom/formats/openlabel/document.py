@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -181,8 +181,6 @@ def read_document(path: Path) -> Part:
         raise DataError(path, "", "has no object `openlabel`; expected a file of ASAM OpenLABEL")
     return Part(path, "openlabel", value["openlabel"])
 
-
-_Kind = TypeVar("_Kind", bound=Annotation)
 
 _ID, _NUMBER = (str, int), (int, float)
 

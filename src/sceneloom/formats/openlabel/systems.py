@@ -91,7 +91,10 @@ def _count(
     rate = rate_hz or _DEFAULT_RATE_HZ
     for number in missing:
         known[number] = times.at(number) if times.by_number else round(number * 1e9 / rate)
-    reported = f"frames have no timestamp; taken at {rate:g} Hz by number, `--input-option rate_hz=HZ` says another rate"
+    reported = (
+        f"frames have no timestamp; taken at {rate:g} Hz by number, `--input-option rate_hz=HZ` "
+        f"says another rate"
+    )
     ledger.note(
         WarningKind.ASSUMED,
         "frame-times-assumed",

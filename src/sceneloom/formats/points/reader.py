@@ -371,7 +371,10 @@ def _lidar(
         extras=MappingProxyType({} if maximum is None else {"intensity_max": maximum}),
     )
     if origin is not None:
-        reported = f"points lie {np.linalg.norm(origin):.0f} m from 0: the sensor is put there, the points count from it"
+        reported = (
+            f"points lie {np.linalg.norm(origin):.0f} m from 0: the sensor is put there, the points "
+            f"count from it"
+        )
         ledger.note(WarningKind.ASSUMED, "cloud-origin", str(folder.files[0]), reported)
         at_origin = Poses(
             np.zeros(1, np.int64), read_only(origin[None]), np.array([[0.0, 0.0, 0.0, 1.0]]), static=True
@@ -507,7 +510,10 @@ def _with_mapping(
     first = frames.cloud(0)
     times = _times_of(first, int(frames.timestamps_ns[0]))
     if times is not None and times.field != "offset_ns":
-        reported = f"column {times.field!r} is taken for times of points: {times.unit} relative to the {times.relative_to}"
+        reported = (
+            f"column {times.field!r} is taken for times of points: {times.unit} relative to the "
+            f"{times.relative_to}"
+        )
         ledger.note(WarningKind.ASSUMED, "point-times-assumed", str(folder.location), reported)
     settled = replace(frames, mapping=PointMapping(scale=scale, times=times))
     return settled, None if scale is None else scale.maximum
@@ -535,7 +541,10 @@ def _note_first(folder: CloudFolder, frames: _CloudFrames, ledger: Ledger) -> No
             )
     apart = frame.extras.get("head", {}).get("other_bounds")
     if apart:
-        reported = f"the bounds in the header are not those of the points ({apart} off); the points are read as they are"
+        reported = (
+            f"the bounds in the header are not those of the points ({apart} off); the points are read "
+            f"as they are"
+        )
         ledger.note(WarningKind.ASSUMED, "other-bounds", str(frames.files[0]), reported)
     others = frame.extras.get("head", {}).get("elements_left_out")
     if others:

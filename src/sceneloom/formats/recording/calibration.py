@@ -1,6 +1,4 @@
-"""`calibration.json` and the calibration of single frames: intrinsics, extrinsics, and the entries of the whole
-device.
-"""
+"""`calibration.json` and the calibration of single frames: intrinsics, extrinsics, entries of the device."""
 
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -37,7 +37,9 @@ from sceneloom.formats.remote.stores import (
 from sceneloom.formats.remote.uploads import MARKER
 
 if TYPE_CHECKING:
-    from pathlib import Path as _pathlib__Path
+    _AnyPath = Path
+else:
+    _AnyPath = type(Path())
 
 _LEFT_FREE = 1 << 30
 """What stays free on the disk [bytes]."""
@@ -376,7 +378,7 @@ _open: dict[tuple[int, str], _Mirror] = {}
 """What processes fetch from: by their number, since a forked one must begin anew, and the tops of trees."""
 
 
-class MirroredPath(_pathlib__Path):
+class MirroredPath(_AnyPath):
     """A path below a folder that stands for one behind a URL.
 
     Whatever asks for the position of a file on disk, as `open` does, has it fetched first. Its size and time are known

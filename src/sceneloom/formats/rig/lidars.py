@@ -194,7 +194,10 @@ def _with_tried_times(drive: Drive, where: str, reader: SweepReader, times: Poin
     except DataError as error:
         if not error.location.startswith(f"{times.field}["):
             raise
-        message = f"column {times.field!r} looks like times of points, but {error.problem}; state `point_times` to use it"
+        message = (
+            f"column {times.field!r} looks like times of points, but {error.problem}; state "
+            f"`point_times` to use it"
+        )
         drive.ledger.note(WarningKind.SKIPPED, "point-times-not-used", where, message)
         return replace(reader, mapping=replace(reader.mapping, times=None))
     message = f"column {times.field!r} is taken for times of points: {times.unit} relative to the {times.relative_to}"

@@ -8,7 +8,6 @@ import mmap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import prod
-from mmap import mmap
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, BinaryIO, NoReturn, Self, cast
@@ -79,7 +78,7 @@ class ItemFault:
         return f"{ITEMS}[{self.number}]" + (f" ({self.path})" if self.path else "")
 
 
-def put_items(header: dict[str, Any], items: list[Any], content: mmap, start: int) -> list[ItemFault]:
+def put_items(header: dict[str, Any], items: list[Any], content: mmap.mmap, start: int) -> list[ItemFault]:
     """Put the arrays of a file into their locations of its header; None stands in the locations of those at fault.
 
     Args:
@@ -157,7 +156,7 @@ class _TakenError(_ItemError):
     """The item is well, but its location is not free."""
 
 
-def _location_item(header: dict[str, Any], item: Any, content: mmap, start: int) -> tuple[int, int]:
+def _location_item(header: dict[str, Any], item: Any, content: mmap.mmap, start: int) -> tuple[int, int]:
     if not isinstance(item, dict):
         raise _ItemError(f"a {type(item).__name__}; expected an object with keys, length and offset")
     offset, length = item.get("offset"), item.get("length")
@@ -171,7 +170,7 @@ def _location_item(header: dict[str, Any], item: Any, content: mmap, start: int)
     return offset, length
 
 
-def _array(item: dict[str, Any], content: mmap, start: int, length: int) -> AnyArray:
+def _array(item: dict[str, Any], content: mmap.mmap, start: int, length: int) -> AnyArray:
     name = item.get("dtype")
     dtype = np.dtype(np.uint8) if name is None else DTYPES.get(name) if isinstance(name, str) else None
     if dtype is None:

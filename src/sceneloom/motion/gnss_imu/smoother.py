@@ -498,7 +498,8 @@ def _run(scene: Scene, drive: _Measurements, result: _Smoothed) -> GnssImuRun:
     )
     used = fit.weights > 0.5
     run = GnssImuRun(
-        trajectory, fixes.origin_lla, estimated_trajectory.velocities, estimated_trajectory.biases, fit.chain.knots_ns, result.own, fixes, used,
+        trajectory, fixes.origin_lla, estimated_trajectory.velocities, estimated_trajectory.biases,
+        fit.chain.knots_ns, result.own, fixes, used,
         fit.chain.fixes.sigmas, fixes.warnings,
     )  # fmt: skip
     return replace(run, warnings=(*fixes.warnings, *_notes(scene, run, drive, offset)))

@@ -429,7 +429,7 @@ def _led_back(earlier: PoseEstimate, first: MotionState, settings: OdometryConfi
 
 
 def _of_unknown_motion(estimate: PoseEstimate, settings: OdometryConfiguration) -> PoseEstimate:
-    """Report how little is known of where the ego was at the end of a sweep that no other one could be compared with."""
+    """Covariance of the ego pose at the end of a sweep that could not be compared with any other."""
     later = estimate.state.predicted(
         max(estimate.last_ns, estimate.state.timestamp_ns), settings.acceleration, settings.yaw_acceleration
     )

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
+from sceneloom.db34t import CalibrationData
 from sceneloom.db34t.calibration import (
     DeclaredAxes,
     MatrixLayout,
@@ -19,7 +20,6 @@ from sceneloom.db34t.calibration import (
     possible_layouts,
 )
 from sceneloom.errors import CalibrationError
-from sceneloom.fusion.messages import CalibrationData
 from sceneloom.geometry.rigid import RigidTransform
 
 EXAMPLE = {

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from sceneloom.db34t import Box3d, ImageData, PointCloudData, RawData, Timestamp
 from sceneloom.db34t.json import format_json, from_json, parse_json, to_json
 from sceneloom.errors import DataError
-from sceneloom.fusion.messages import Box3d, ImageData, PointCloudData, RawData, Timestamp
 
 TIME = "1595682678.715705367"
 BOX = {

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from sceneloom.db34t import Boxes3d, FusedDetections, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.protobuf import (
     decode,
     decode_send_request,
@@ -17,9 +18,8 @@ from sceneloom.db34t.protobuf import (
     to_protobuf,
 )
 from sceneloom.db34t.types import bytes_of
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.messages import Boxes3d, FusedDetections, ImageData, PointCloudData, Timestamp
-from sceneloom.fusion.messages.wire import fusion_pb2
 
 TIME = Timestamp(1595682678, 715705367)
 TIMESTAMP = fusion_pb2.Timestamp(s=1595682678, ns=715705367)

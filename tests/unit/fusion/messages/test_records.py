@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sceneloom.errors import DataError, OptionError
-from sceneloom.fusion.messages import (
+from sceneloom.db34t import (
     Box2d,
     Box3d,
     Boxes2d,
@@ -21,6 +20,7 @@ from sceneloom.fusion.messages import (
     Timestamp,
     kind_of,
 )
+from sceneloom.errors import DataError, OptionError
 
 TIME = Timestamp(1595682678, 715705367)
 COV = (0.2, 0.01, 0.01, 0.01, 0.2, 0.01, 0.01, 0.01, 0.2)

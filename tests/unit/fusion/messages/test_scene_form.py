@@ -8,6 +8,7 @@ from PIL import Image
 
 from sceneloom.cameras import Camera
 from sceneloom.colouring import FusedFrame, view_points
+from sceneloom.db34t import Box2d, Boxes3d, ImageData, PointCloudData, RawData, Timestamp
 from sceneloom.db34t.scene_objects import (
     boxes_2d_of,
     boxes_2d_record,
@@ -26,7 +27,6 @@ from sceneloom.db34t.scene_objects import (
 )
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.recording.lidars import XYZIRT
-from sceneloom.fusion.messages import Box2d, Boxes3d, ImageData, PointCloudData, RawData, Timestamp
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes2D, Boxes3D, CameraImage, LidarFrame, LidarPoints, PointsFrame, ScoreForm
 

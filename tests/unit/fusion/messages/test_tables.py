@@ -2,8 +2,8 @@
 
 import pytest
 
-from sceneloom.fusion.messages import RECORD_KINDS, TABLES
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t import RECORD_KINDS, TABLES
+from sceneloom.db34t.wire import fusion_pb2
 
 NAMES = {
     3: "image_size distortion_coeffs intrinsic_matrix reference_frame extrinsic_matrix",

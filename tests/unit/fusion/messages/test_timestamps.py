@@ -2,8 +2,8 @@
 
 import pytest
 
+from sceneloom.db34t import Timestamp
 from sceneloom.errors import DataError
-from sceneloom.fusion.messages import Timestamp
 
 EXAMPLE = Timestamp(1595682678, 715705367)
 

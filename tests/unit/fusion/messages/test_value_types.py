@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from sceneloom.db34t import BasicType, ValueForm, ValueType
 from sceneloom.errors import DataError
-from sceneloom.fusion.messages import BasicType, ValueForm, ValueType
 
 
 def test_table_1_has_these_types():

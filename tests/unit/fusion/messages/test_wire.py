@@ -4,7 +4,7 @@ from pathlib import Path
 
 from grpc_tools import protoc
 
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 
 PROTO_FOLDER = Path(__file__).parents[4] / "proto"
 PROTO = "sceneloom/db34t4101/v1/fusion.proto"

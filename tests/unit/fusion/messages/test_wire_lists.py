@@ -16,8 +16,8 @@ from sceneloom.db34t.protobuf import (
 )
 from sceneloom.db34t.records import RECORD_KINDS, FusedDetections
 from sceneloom.db34t.types import Timestamp
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
-from sceneloom.fusion.messages.wire import fusion_pb2
 
 NAMES = ("car", "Pedestrian", "行人", "x" * 300, "é")
 TIMES = (Timestamp(0, 0), Timestamp(1595682678, 715705367), Timestamp(2**32 - 1, 0))

@@ -8,7 +8,7 @@ import numpy as np
 from google.protobuf.descriptor_pb2 import FileDescriptorProto
 
 from sceneloom.db34t.transport import SERVICE, CallFailedError
-from sceneloom.fusion.messages.wire import fusion_pb2
+from sceneloom.db34t.wire import fusion_pb2
 
 
 @dataclass

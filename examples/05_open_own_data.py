@@ -29,7 +29,7 @@ id = "front"
 type = "camera"
 files = "front/*.png"
 times = {{ pattern = "{{ns}}" }}
-camera_model = {{ fx = {camera model.fx}, fy = {camera model.fy}, cx = {camera model.cx}, cy = {camera model.cy} }}
+camera_model = {{ fx = {model.fx}, fy = {model.fy}, cx = {model.cx}, cy = {model.cy} }}
 extrinsic = {{ to = "base", matrix = {camera} }}
 """
 
@@ -49,9 +49,7 @@ def make_folder(folder: Path) -> None:
     rows = np.column_stack([trajectory.timestamps_ns, trajectory.positions, trajectory.quaternions_xyzw])
     np.savetxt(folder / "poses.txt", rows, fmt="%d" + 7 * " %.9f")
     mounts = [sensor.mount.matrix.tolist() for sensor in (lidar, camera)]
-    (folder / "rig.toml").write_text(
-        RIG.format(lidar=mounts[0], camera=mounts[1], camera_model=camera.camera)
-    )
+    (folder / "rig.toml").write_text(RIG.format(lidar=mounts[0], camera=mounts[1], model=camera.camera))
 
 
 if __name__ == "__main__":

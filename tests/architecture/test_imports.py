@@ -14,33 +14,33 @@ ROWS = (
     ("service", "view", "report", "catalog"),
     ("batch",),
     ("pipeline", "simulate", "evaluate"),
-    ("images",),
+    ("visualization",),
+    ("db34t",),
     ("fusion",),
     ("tracking", "calibrate"),
-    ("depth",),
-    ("detections", "colouring"),
+    ("detections",),
     ("checks",),
     ("formats",),
     ("editing",),
-    ("motion",),
-    ("scene", "visibility"),
+    ("motion", "colouring"),
+    ("scene",),
     ("cameras",),
     ("geometry", "kernels"),
-    ("errors", "arrays", "lazy", "redaction", "stages", "version"),
+    ("errors", "arrays", "lazy", "stages", "version", "warnings"),
 )
-"""The house from the roof to the ground. Rooms of one row do not import one another, but for `NEIGHBOURS`."""
+"""The layers from top to bottom. Packages of one layer do not import one another, but for `NEIGHBOURS`."""
 
-NEIGHBOURS = {("arrays", "errors"), ("errors", "redaction"), ("visibility", "scene")}
-"""Pairs (importer, imported) inside one row."""
+NEIGHBOURS = {("arrays", "errors"), ("lazy", "errors"), ("warnings", "errors"), ("warnings", "arrays")}
+"""Pairs (importer, imported) inside one layer."""
 
 ROW_OF = {room: number for number, row in enumerate(ROWS) for room in row}
 
 WRAPPERS = {
-    "numba": {"kernels", "cameras"},
+    "numba": {"kernels", "cameras", "simulate"},
     "av": {"formats", "simulate"},
     "simplejpeg": {"formats"},
-    "PIL": {"formats", "images", "simulate"},
-    "small_gicp": {"motion"},
+    "PIL": {"formats", "visualization", "simulate"},
+    "small_gicp": {"motion", "calibrate"},
     "laspy": {"formats"},
     "lazrs": {"formats"},
     "pyarrow": {"formats", "catalog"},
@@ -48,13 +48,13 @@ WRAPPERS = {
     "fsspec": {"formats"},
     "scipy": {"cameras", "checks", "motion", "tracking", "calibrate", "detections", "evaluate"},
     "matplotlib": {"report", "evaluate"},
-    "jinja2": {"report"},
+    "jinja2": {"report", "batch"},
     "dask": {"batch"},
     "distributed": {"batch"},
-    "google": {"formats", "fusion", "service"},
-    "grpc": {"service"},
-    "grpc_health": {"service"},
-    "grpc_reflection": {"service"},
+    "google": {"formats", "db34t", "service"},
+    "grpc": {"service", "db34t"},
+    "grpc_health": {"service", "db34t"},
+    "grpc_reflection": {"service", "db34t"},
     "mcap": {"formats", "service"},
     "lz4": {"formats"},
     "rosbags": {"formats"},

@@ -50,7 +50,7 @@ def test_every_command_has_a_page_with_all_of_its_options(hook):
 def test_every_package_with_public_names_that_is_listed_has_a_page(hook):
     pages = hook("reference").reference_pages()
     assert pages["reference/sceneloom.scene.md"] == "# sceneloom.scene\n\n::: sceneloom.scene\n"
-    assert "[`sceneloom.pipeline.sharing`](sceneloom.pipeline.sharing.md)" in pages["reference/index.md"]
+    assert "[`sceneloom.colouring`](sceneloom.colouring.md)" in pages["reference/index.md"]
 
 
 @pytest.mark.parametrize(

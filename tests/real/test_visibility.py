@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.cuboid_points import count_points
-from sceneloom.colouring.cuboid_projection import Observations, visibility
+from sceneloom.colouring.cuboid_projection import Observations, observe_cuboids
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     Boxes,
@@ -135,7 +135,7 @@ def seen_labels(
     rows = np.array(labels)
     height, width, length, x, y, z, rotation = rows[:, 7:14].T
     centers = np.column_stack([x, y - height / 2, z]) + shift
-    seen = visibility(
+    seen = observe_cuboids(
         camera_model,
         RigidTransform.identity(),
         boxes_in_camera(np.column_stack([centers, length, height, width, rotation])),
@@ -187,7 +187,7 @@ def test_boxes_in_the_images_of_nuscenes_are_those_that_its_tools_projected(data
         (fx, _, cx), (_, fy, cy), _ = sample["images"][name]["cam2img"]
         camera_model = Camera("pinhole", 1600, 900, fx, fy, cx, cy)
         boxes = boxes_in_camera(np.array([label["bbox_3d"] for label in labels]))
-        seen = visibility(camera_model, RigidTransform.identity(), boxes)
+        seen = observe_cuboids(camera_model, RigidTransform.identity(), boxes)
         expected = np.array([label["bbox"] for label in labels])[seen.rows]
         assert len(seen.rows) >= len(labels) - 1
         away.append(np.abs(seen.boxes_xyxy - 0.5 - expected).max(axis=1))

@@ -1,4 +1,4 @@
-"""Sensor-data fusion: which points an image shows, their colours, and the image's depths."""
+"""Sensor-data fusion: visibility, colours of points, depth images, cuboids in images and points in cuboids."""
 
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,17 @@ if TYPE_CHECKING:
         colour_points,
         estimate_normals,
     )
+    from sceneloom.colouring.cuboid_points import (
+        FrameCounts,
+        Moment,
+        PointCounts,
+        count_points,
+        with_activations,
+        with_counts,
+        with_labeled_points,
+    )
+    from sceneloom.colouring.cuboid_projection import Observations, observe_cuboids, project_cuboids
+    from sceneloom.colouring.depth_completion import METHODS, DenseDepth, complete_depth
     from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
     from sceneloom.colouring.results import FusedFrame, FusedView, LidarTrajectory, PointVisibility
     from sceneloom.colouring.rolling_shutter import ShutterDirection
@@ -30,6 +41,19 @@ else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
+            "FrameCounts": "sceneloom.colouring.cuboid_points:FrameCounts",
+            "Moment": "sceneloom.colouring.cuboid_points:Moment",
+            "PointCounts": "sceneloom.colouring.cuboid_points:PointCounts",
+            "count_points": "sceneloom.colouring.cuboid_points:count_points",
+            "with_activations": "sceneloom.colouring.cuboid_points:with_activations",
+            "with_counts": "sceneloom.colouring.cuboid_points:with_counts",
+            "with_labeled_points": "sceneloom.colouring.cuboid_points:with_labeled_points",
+            "Observations": "sceneloom.colouring.cuboid_projection:Observations",
+            "observe_cuboids": "sceneloom.colouring.cuboid_projection:observe_cuboids",
+            "project_cuboids": "sceneloom.colouring.cuboid_projection:project_cuboids",
+            "METHODS": "sceneloom.colouring.depth_completion:METHODS",
+            "DenseDepth": "sceneloom.colouring.depth_completion:DenseDepth",
+            "complete_depth": "sceneloom.colouring.depth_completion:complete_depth",
             "ALGORITHMS": "sceneloom.colouring.algorithms:ALGORITHMS",
             "NO_CAMERA": "sceneloom.colouring.blending:NO_CAMERA",
             "BlendSettings": "sceneloom.colouring.blending:BlendSettings",
@@ -57,16 +81,22 @@ else:
 
 __all__ = [
     "ALGORITHMS",
+    "METHODS",
     "NO_CAMERA",
     "BlendSettings",
     "BlendedPoints",
     "ColouredPoints",
+    "DenseDepth",
     "ExposureGains",
     "ExposureLinks",
+    "FrameCounts",
     "FusedFrame",
     "FusedView",
     "FusionAlgorithm",
     "LidarTrajectory",
+    "Moment",
+    "Observations",
+    "PointCounts",
     "PointSources",
     "PointVisibility",
     "ShutterDirection",
@@ -74,8 +104,15 @@ __all__ = [
     "VisibilitySettings",
     "blend_colours",
     "colour_points",
+    "complete_depth",
+    "count_points",
     "estimate_normals",
     "find_visible",
     "fuse_by_projection",
+    "observe_cuboids",
+    "project_cuboids",
     "view_points",
+    "with_activations",
+    "with_counts",
+    "with_labeled_points",
 ]

@@ -124,7 +124,7 @@ class Observations:
 
 
 @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
-def visibility(
+def observe_cuboids(
     camera: Camera,
     world_from_camera: RigidTransform,
     boxes: Boxes,
@@ -548,7 +548,7 @@ class _Look:
             if not np.isfinite(pose.positions).all():
                 yield k, None, rows
                 continue
-            observations = visibility(
+            observations = observe_cuboids(
                 image.camera,
                 RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
                 boxes,

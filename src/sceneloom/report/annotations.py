@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.colouring.cuboid_points import count_points
-from sceneloom.colouring.cuboid_projection import visibility
+from sceneloom.colouring.cuboid_projection import observe_cuboids
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.report.content import Figures
 from sceneloom.report.coverage import chosen_frames, spread_rows
@@ -195,7 +195,7 @@ def _add(looks: _Looks, table: BoxTable, sample: Sample) -> None:
         if world_from_camera is None or sample.images.get(camera_id) is None:
             continue
         rows, shown = table.find(sample.times_ns[camera_id], sensor_id=camera_id)
-        found = visibility(sample.cameras[camera_id], world_from_camera, shown, min_pixels=4.0)
+        found = observe_cuboids(sample.cameras[camera_id], world_from_camera, shown, min_pixels=4.0)
         seen[np.isin(there, rows[found.rows])] = True
         looks.hidden_rows += rows[found.rows].tolist()
         looks.hidden += found.occlusions.tolist()

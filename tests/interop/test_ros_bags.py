@@ -113,7 +113,7 @@ class Bag:
     def transform(self, topic, timestamp_ns, parent, child, location, rotation=(0, 0, 0, 1)):
         moved = self.make("geometry_msgs/msg/Transform", self.vector(*location), self.rotation(*rotation))
         timestamped = self.make(
-            "geometry_msgs/msg/TransformTimestamped", self.header(timestamp_ns, parent), child, moved
+            "geometry_msgs/msg/TransformStamped", self.header(timestamp_ns, parent), child, moved
         )
         name = "tf2_msgs/msg/TFMessage"
         self.add(topic, name, self.make(name, [timestamped]), timestamp_ns)

@@ -19,7 +19,7 @@ from sceneloom.formats.base.text_tables import Table, read_table
 from sceneloom.formats.euroc_mav.spec import DESCRIPTION, TABLE, mav_folder
 from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.points.mapping import PointMapping, SweepClock, points_of
-from sceneloom.formats.trajectories.text_formats import EUROC_FORM
+from sceneloom.formats.trajectories.text_formats import EUROC
 from sceneloom.formats.trajectories.trajectory_file import Reading
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
@@ -322,7 +322,7 @@ def _trajectories(folder: Path, ledger: Ledger) -> dict[str, Trajectory]:
         table = folder / name / TABLE
         if not table.is_file():
             continue
-        content = EUROC_FORM.read(table, Reading(name=called), ledger)
+        content = EUROC.read(table, Reading(name=called), ledger)
         if content.columns:
             reported = f"velocities and biases beside the poses are not read: {', '.join(content.columns)}"
             ledger.note(WarningKind.SKIPPED, "states-not-read", str(table), reported)

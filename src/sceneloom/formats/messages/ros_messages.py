@@ -33,7 +33,7 @@ from sceneloom.formats.messages.ros_bags import Connection
 
 DEFINITIONS: Mapping[str, str] = MappingProxyType(
     {
-        "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformTimestamped[] transforms\n",
+        "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
         "vision_msgs/msg/Point2D": "float64 x\nfloat64 y\n",
         "vision_msgs/msg/Pose2D": "vision_msgs/Point2D position\nfloat64 theta\n",
         "vision_msgs/msg/BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y\n",
@@ -346,16 +346,16 @@ READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
     {
         "tf2_msgs/msg/TFMessage": (Kind.TRANSFORM, _transforms),
         "tf/msg/tfMessage": (Kind.TRANSFORM, _transforms),
-        "geometry_msgs/msg/TransformTimestamped": (Kind.TRANSFORM, _transforms),
+        "geometry_msgs/msg/TransformStamped": (Kind.TRANSFORM, _transforms),
         "sensor_msgs/msg/PointCloud2": (Kind.CLOUD, _cloud),
         "sensor_msgs/msg/Image": (Kind.IMAGE, _image),
         "sensor_msgs/msg/CompressedImage": (Kind.COMPRESSED_IMAGE, _compressed_image),
         "foxglove_msgs/msg/CompressedVideo": (Kind.VIDEO, _video),
         "sensor_msgs/msg/CameraInfo": (Kind.CAMERA_MODEL, _camera_model),
         "nav_msgs/msg/Odometry": (Kind.POSE, _pose),
-        "geometry_msgs/msg/PoseTimestamped": (Kind.POSE, _pose),
-        "geometry_msgs/msg/PoseWithCovarianceTimestamped": (Kind.POSE, _pose),
-        "geometry_msgs/msg/PointTimestamped": (Kind.POSE, _point),
+        "geometry_msgs/msg/PoseStamped": (Kind.POSE, _pose),
+        "geometry_msgs/msg/PoseWithCovarianceStamped": (Kind.POSE, _pose),
+        "geometry_msgs/msg/PointStamped": (Kind.POSE, _point),
         "sensor_msgs/msg/NavSatFix": (Kind.FIX, _fix),
         "sensor_msgs/msg/Imu": (Kind.SAMPLE, _imu),
         "sensor_msgs/msg/MagneticField": (Kind.SAMPLE, _magnetic),
@@ -460,7 +460,7 @@ class Messages:
             "geometry_msgs/msg/Transform", self.vector(record.position), self.rotation(record.quaternion_xyzw)
         )
         head = self.header(record.timestamp_ns, record.parent)
-        timestamped = self.make("geometry_msgs/msg/TransformTimestamped", head, record.child, moved)
+        timestamped = self.make("geometry_msgs/msg/TransformStamped", head, record.child, moved)
         return "tf2_msgs/msg/TFMessage", self.make("tf2_msgs/msg/TFMessage", [timestamped])
 
     def cloud(self, record: CloudRecord) -> _Message:
@@ -534,8 +534,8 @@ class Messages:
         head = self.header(record.timestamp_ns, record.frame_id)
         if record.quaternion_xyzw is None:
             point = self.make("geometry_msgs/msg/Point", *map(float, record.position))
-            return "geometry_msgs/msg/PointTimestamped", self.make(
-                "geometry_msgs/msg/PointTimestamped", head, point
+            return "geometry_msgs/msg/PointStamped", self.make(
+                "geometry_msgs/msg/PointStamped", head, point
             )
         pose = self.spread_pose(self.pose(record.position, record.quaternion_xyzw), record.covariance)
         still = self.make("geometry_msgs/msg/Twist", self.vector((0, 0, 0)), self.vector((0, 0, 0)))

@@ -410,10 +410,10 @@ def _placed(
 
 
 def _trajectory(path: Path, ledger: Ledger) -> Trajectory:
-    from sceneloom.formats.trajectories.text_formats import FORM
+    from sceneloom.formats.trajectories.text_formats import TUM
     from sceneloom.formats.trajectories.trajectory_file import Reading
 
-    return FORM.read(path, Reading(name=_EGO_TRAJECTORY), ledger).trajectory
+    return TUM.read(path, Reading(name=_EGO_TRAJECTORY), ledger).trajectory
 
 
 def _sound(frames: _CloudFrames, ledger: Ledger) -> _CloudFrames:

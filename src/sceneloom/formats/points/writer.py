@@ -325,9 +325,9 @@ def _path(scene: Scene, lidar: LidarSensor) -> Poses | None:
 
 
 def _write_tum(path: Path, poses: Poses) -> None:
-    from sceneloom.formats.trajectories.text_formats import FORM
+    from sceneloom.formats.trajectories.text_formats import TUM
     from sceneloom.formats.trajectories.trajectory_file import TrajectoryFile
     from sceneloom.scene.poses import Trajectory
 
     trajectory = Trajectory("poses", poses.timestamps_ns, poses.positions, poses.quaternions_xyzw)
-    list(FORM.write(TrajectoryFile(trajectory), path, path))
+    list(TUM.write(TrajectoryFile(trajectory), path, path))

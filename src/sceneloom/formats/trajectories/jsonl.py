@@ -85,7 +85,7 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
         values[:, 3:] if rotated else None,
         poses.lines,
     )
-    return TrajectoryFile(ordered(path, name, rows, ledger)[0], FORM.name)
+    return TrajectoryFile(ordered(path, name, rows, ledger)[0], JSONL.name)
 
 
 def _take_line(found: dict[str, _Poses], text: bytes, number: int, unit: str | None) -> None:
@@ -159,7 +159,7 @@ def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
     return further_losses(content)
 
 
-FORM = TrajectoryForm(
+JSONL = TrajectoryForm(
     "jsonl",
     (".jsonl",),
     'lines of JSON such as {"groundTruth": {"position": …, "orientation": …}, "time": …}',

@@ -168,8 +168,15 @@ def _rotated(content: TrajectoryFile, here_from_there: Float64Array) -> Trajecto
 
 TRAJECTORY_FORMS: Mapping[str, TrajectoryForm] = MappingProxyType(
     {
-        module.FORM.name: module.FORM
-        for module in (text_formats, text_formats, text_formats, text_formats, text_formats, jsonl)
+        form.name: form
+        for form in (
+            text_formats.TUM,
+            text_formats.KITTI,
+            text_formats.EUROC,
+            text_formats.GNSS,
+            text_formats.NAMED_COLUMNS,
+            jsonl.JSONL,
+        )
     }
 )
 """The forms of files by name; of two that recognise a file the first counts."""
@@ -225,7 +232,7 @@ def read_trajectory_file(
         origin_lla=None if origin_lla is None else _origin(origin_lla),
     )
     chosen = _form_named(form) if form is not None else find_form(where)
-    if form is None and chosen is jsonl.FORM and _is_scene_name(reading.name):
+    if form is None and chosen is jsonl.JSONL and _is_scene_name(reading.name):
         chosen = None
     if times is not None and (chosen is None or chosen.name != "kitti"):
         raise OptionError(
@@ -252,18 +259,18 @@ def _check_used(path: str | Path, form: TrajectoryForm | None, reading: Reading)
         OptionError: naming the option, and what it is for.
     """
     what = "scenes" if form is None else f"the form {form.name!r}"
-    if reading.rate_hz is not None and form is not text_formats.KITTI_FORM:
+    if reading.rate_hz is not None and form is not text_formats.KITTI:
         raise OptionError(
             f"{path}: {what} has its own times; the rate {reading.rate_hz:g} Hz would not be used, and is for KITTI's "
             "poses: leave it out"
         )
     if reading.unit is not None and (
-        form is None or (form is text_formats.KITTI_FORM and reading.rate_hz is not None)
+        form is None or (form is text_formats.KITTI and reading.rate_hz is not None)
     ):
         raise OptionError(
             f"{path}: no times in a text are read here; the unit {reading.unit!r} would not be used: leave it out"
         )
-    if reading.origin_lla is not None and form not in (None, text_formats.GNSS_FORM):
+    if reading.origin_lla is not None and form not in (None, text_formats.GNSS):
         raise OptionError(
             f"{path}: {what} has positions in metres; the origin would not be used, and is for satellite fixes: "
             "leave it out"
@@ -310,7 +317,7 @@ def write_trajectory(
         trajectory: what to write; a `TrajectoryFile` brings what else its file stated.
         path: the file to write; its suffix chooses the form unless `form` does.
         form: a name out of `TRAJECTORY_FORMS`.
-        origin_lla: latitude [deg], longitude [deg] and altitude [m] of the world's origin, for the form `text_formats`.
+        origin_lla: latitude [deg], longitude [deg] and altitude [m] of the world's origin, for the form `gnss`.
         optical: whether to rotate the axes from x forward, y left, z up to those of cameras.
         overwrite: whether a file that exists may be replaced.
 

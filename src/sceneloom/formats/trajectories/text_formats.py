@@ -58,11 +58,11 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
         raise DataError(path, f"line {table.lines[0]}", problem)
     values = table.numbers(range(1, 8))
     rows = PoseRows(table.timestamps(0, reading.unit), values[:, :3], values[:, 3:], table.lines)
-    return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], FORM.name)
+    return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], TUM.name)
 
 
 def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
-    trajectory, quaternions = oriented(content, target, FORM.name)
+    trajectory, quaternions = oriented(content, target, TUM.name)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(_HEADER)
         rows = zip(
@@ -76,7 +76,7 @@ def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
     return further_losses(content)
 
 
-FORM = TrajectoryForm(
+TUM = TrajectoryForm(
     "tum", (".tum", ".txt"), "lines of 8 numbers: timestamp tx ty tz qx qy qz qw", _recognises, _read, _write
 )
 
@@ -100,7 +100,7 @@ def _kitti_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     matrices = table.numbers(range(12)).reshape(-1, 3, 4)
     quaternions = _quaternions(table, matrices[:, :, :3])
     rows = PoseRows(timestamps, matrices[:, :, 3].copy(), quaternions, table.lines)
-    return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], KITTI_FORM.name)
+    return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], KITTI.name)
 
 
 def _quaternions(table: Table, matrices: Float64Array) -> Float64Array:
@@ -162,7 +162,7 @@ def _evenly(count: int, rate_hz: float) -> Int64Array:
 
 
 def _kitti_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
-    trajectory, quaternions = oriented(content, target, KITTI_FORM.name)
+    trajectory, quaternions = oriented(content, target, KITTI.name)
     matrices = np.concatenate([matrix_from_quaternion(quaternions), trajectory.positions[:, :, None]], axis=2)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{numbers_text(matrix, ' ')}\n" for matrix in matrices.reshape(-1, 12).tolist())
@@ -171,7 +171,7 @@ def _kitti_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[
     return further_losses(content)
 
 
-KITTI_FORM = TrajectoryForm(
+KITTI = TrajectoryForm(
     "kitti",
     (".kitti",),
     "lines of 12 numbers: three rows of [R t]",
@@ -232,11 +232,11 @@ def _euroc_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
         for k, name in enumerate(_FURTHER)
         if 10 + 3 * k <= width - 1
     }
-    return TrajectoryFile(trajectory, EUROC_FORM.name, columns=columns)
+    return TrajectoryFile(trajectory, EUROC.name, columns=columns)
 
 
 def _euroc_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
-    trajectory, quaternions = oriented(content, target, EUROC_FORM.name)
+    trajectory, quaternions = oriented(content, target, EUROC.name)
     further = []
     for name in _FURTHER:
         if name not in content.columns:
@@ -252,7 +252,7 @@ def _euroc_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[
     return further_losses(content, kept=further)
 
 
-EUROC_FORM = TrajectoryForm(
+EUROC = TrajectoryForm(
     "euroc",
     (".csv",),
     "CSV that begins with #timestamp, p_RS_R_x …: nanoseconds, position, quaternion w x y z",
@@ -281,7 +281,7 @@ def _named_columns_read(path: Path, reading: Reading, ledger: Ledger) -> Traject
     values = table.numbers([columns[role] for role in (*_LOCATION, *rotation)])
     timestamps = table.timestamps(columns["time"], reading.unit)
     rows = PoseRows(timestamps, values[:, :3], values[:, 3:] if rotation else None, table.lines)
-    return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], _NAMED_COLUMNS_FORM.name)
+    return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], NAMED_COLUMNS.name)
 
 
 def _named_columns_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
@@ -301,7 +301,7 @@ def _named_columns_write(content: TrajectoryFile, path: Path, target: Path) -> I
     return further_losses(content)
 
 
-_NAMED_COLUMNS_FORM = TrajectoryForm(
+NAMED_COLUMNS = TrajectoryForm(
     "csv",
     (),
     "CSV with columns of names such as timestamp_ns, x, y, z, qx, qy, qz, qw",
@@ -341,7 +341,7 @@ def _gnss_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
         _accuracies(table, columns.get("accuracy"), kept),
         _accuracies(table, columns.get("vertical_accuracy"), kept),
     )
-    return replace(of_fixes(fixes, origin_lla=reading.origin_lla), form=GNSS_FORM.name)
+    return replace(of_fixes(fixes, origin_lla=reading.origin_lla), form=GNSS.name)
 
 
 def of_fixes(
@@ -408,7 +408,7 @@ def _fixes_of_trajectory(content: TrajectoryFile, target: Path) -> GnssSensor:
     return GnssSensor(trajectory.name, trajectory.timestamps_ns, locations, unknown, unknown)
 
 
-GNSS_FORM = TrajectoryForm(
+GNSS = TrajectoryForm(
     "gnss",
     (),
     "CSV with columns of names such as time, latitude, longitude, altitude",

@@ -36,7 +36,7 @@ def test_ranges_come_whole_after_faults_that_pass(served, waits, faults):
 
 def test_a_slow_answer_is_asked_for_again(served, waits, monkeypatch):
     served.files["drive.bin"] = CONTENT
-    monkeypatch.setattr(stores, "PATIENCE", Patience(answer=0.3))
+    monkeypatch.setattr(stores, "_PATIENCE", Patience(answer=0.3))
     file = opened(served)
     served.faults[:] = ["slow"]
     assert file.fetch(5, 5000) == CONTENT[5:5000]

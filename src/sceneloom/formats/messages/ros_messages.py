@@ -534,9 +534,7 @@ class Messages:
         head = self.header(record.timestamp_ns, record.frame_id)
         if record.quaternion_xyzw is None:
             point = self.make("geometry_msgs/msg/Point", *map(float, record.position))
-            return "geometry_msgs/msg/PointStamped", self.make(
-                "geometry_msgs/msg/PointStamped", head, point
-            )
+            return "geometry_msgs/msg/PointStamped", self.make("geometry_msgs/msg/PointStamped", head, point)
         pose = self.spread_pose(self.pose(record.position, record.quaternion_xyzw), record.covariance)
         still = self.make("geometry_msgs/msg/Twist", self.vector((0, 0, 0)), self.vector((0, 0, 0)))
         twist = self.make("geometry_msgs/msg/TwistWithCovariance", still, np.zeros(36))

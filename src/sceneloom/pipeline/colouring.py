@@ -413,7 +413,7 @@ def _report(
         written=0 if sinks.map is None else sinks.map.written,
         exposure=None if gains is None else _ExposureReport.of(gains, cameras),
         labels=_label_report(job, colouring, sinks),
-        cameras=tuple(camera.report(camera_id) for camera_id, camera in statistics.cameras.items()),
+        cameras=statistics.camera_reports,
         files=sinks.files,
         seconds=seconds,
         warnings=job.warnings(),

@@ -89,13 +89,7 @@ class _DeskewStatistics:
     seen: set[tuple[type, Identifier, int]] = field(default_factory=set)
 
     def add(
-        self,
-        sensor_id: Identifier,
-        k: int,
-        frame: DeskewedFrame,
-        *,
-        progress: Progress | None,
-        total: int,
+        self, sensor_id: Identifier, k: int, frame: DeskewedFrame, *, progress: Progress | None, total: int
     ) -> None:
         """Count sweep `k` of a sensor, and report how many of all are done."""
         key = (type(sensor_id), sensor_id, k)

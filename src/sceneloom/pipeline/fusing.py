@@ -232,6 +232,11 @@ class FusionStatistics:
         ]
 
     @property
+    def camera_reports(self) -> tuple[CameraReport, ...]:
+        """A report for each camera."""
+        return tuple(camera.report(camera_id) for camera_id, camera in self.cameras.items())
+
+    @property
     def coloured_percent(self) -> float:
         """Share of all points that got a colour."""
         return _percent(self.coloured, self.points)
@@ -780,7 +785,7 @@ def _report(
         skipped=() if skips is None else tuple(skips.reasons),
         points=statistics.points,
         coloured_percent=statistics.coloured_percent,
-        cameras=tuple(camera.report(camera_id) for camera_id, camera in statistics.cameras.items()),
+        cameras=statistics.camera_reports,
         files=sinks.files,
         depth_beyond_range=0 if sinks.depth is None else sinks.depth.beyond_range,
         seconds=seconds,

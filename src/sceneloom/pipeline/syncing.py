@@ -224,11 +224,7 @@ def _compared(
         )
         comparisons.append(
             ClockComparison(
-                stream=stream.name,
-                kind=stream.kind,
-                reference=against.name,
-                method=method,
-                estimate=estimate,
+                stream=stream.name, kind=stream.kind, reference=against.name, method=method, estimate=estimate
             )
         )
         return comparisons[-1]

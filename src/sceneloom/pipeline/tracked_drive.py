@@ -220,10 +220,7 @@ class TrackingSettings:
 
 
 def track(
-    drive: DetectedDrive,
-    *,
-    settings: TrackingSettings | None = None,
-    progress: Progress | None = None,
+    drive: DetectedDrive, *, settings: TrackingSettings | None = None, progress: Progress | None = None
 ) -> TrackedDrive:
     """Follow the objects of a drive.
 

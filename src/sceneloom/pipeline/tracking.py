@@ -209,12 +209,7 @@ _TRAIL = 20
 
 
 def save_tracking_images(
-    scene: Scene,
-    drive: DetectedDrive,
-    moments: Sequence[TrackedObjects],
-    folder: Path,
-    *,
-    count: int = 12,
+    scene: Scene, drive: DetectedDrive, moments: Sequence[TrackedObjects], folder: Path, *, count: int = 12
 ) -> list[Path]:
     """Draw some moments of a tracked drive into a folder, evenly spread over it.
 

@@ -21,9 +21,4 @@ else:
         },
     )
 
-__all__ = [
-    "DriveReport",
-    "ReportSettings",
-    "numbers_as_json",
-    "write_report",
-]
+__all__ = ["DriveReport", "ReportSettings", "numbers_as_json", "write_report"]

@@ -1,7 +1,10 @@
-"""Annotation statistics: objects by class, sizes, ranges, tracks, points inside, occlusion; and their visualisation."""
+"""Annotation statistics: objects by class, sizes, ranges, points inside, occlusion; images of them; and the section."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -10,7 +13,23 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.colouring.cuboid_points import count_points
 from sceneloom.colouring.cuboid_projection import observe_cuboids
 from sceneloom.errors import OptionError, SceneloomError
-from sceneloom.report.content import Figures
+from sceneloom.report.content import (
+    NOTHING,
+    Block,
+    Column,
+    Drawing,
+    Figures,
+    Section,
+    Table,
+    bars,
+    columns,
+    count,
+    line_plot,
+    pair_columns,
+    percent,
+    several,
+    text_column,
+)
 from sceneloom.report.coverage import chosen_frames, spread_rows
 from sceneloom.scene.annotations import CuboidAnnotation
 from sceneloom.scene.annotations_at import BoxTable
@@ -26,7 +45,7 @@ _RANGE_EDGES = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0)
 _POINT_EDGES = (0, 1, 5, 20, 100, 500, 2000)
 """Borders of the numbers of points in a box."""
 
-OTHER = "(no class)"
+NO_CLASS = "(no class)"
 
 _MOST_TIMES = 120
 
@@ -108,6 +127,145 @@ class Labels(msgspec.Struct, frozen=True, kw_only=True):
     attributes: dict[str, int] = msgspec.field(default_factory=dict)
     skipped: tuple[str, ...] = ()
 
+    @classmethod
+    def measured(cls, scene: Scene, *, start_ns: int, moments: int = _MOMENTS) -> "Labels | None":
+        """Look at the annotations of a scene; None where it has none.
+
+        Args:
+            start_ns: the scene's first timestamp [ns].
+            moments: so many are looked at more closely, at most.
+        """
+        if not scene.annotations:
+            return None
+        types = Counter(str(annotation.type) for annotation in scene.annotations)
+        attributes = Counter(
+            name
+            for annotation in scene.annotations
+            for name in dict.fromkeys(attribute.name for attribute in getattr(annotation, "attributes", ()))
+        )
+        found = cls(types=dict(types), attributes=dict(attributes))
+        table = BoxTable(scene)
+        if not table.annotations:
+            return found
+        looks = _look(scene, table, moments)
+        _count(scene, looks, moments)
+        return msgspec.structs.replace(
+            found,
+            classes=_classes(table, looks),
+            moments=looks.moments,
+            of=looks.of,
+            over_time=_over_time(scene, table, start_ns),
+            range_counts=_binned(looks.ranges, _RANGE_EDGES),
+            point_counts=_binned(looks.points, _POINT_EDGES),
+            skipped=tuple(looks.skipped),
+        )
+
+    def section(self, figures: Figures, missing: str | None) -> Section:
+        """How many objects of which class there are, how large, how far, how well seen."""
+        rest = self.classes[_MOST_CLASSES:]
+        types = [(name.replace("_", " "), count(number)) for name, number in self.types.items()]
+        attributes = [
+            (name, count(number)) for name, number in sorted(self.attributes.items())[:_MOST_ATTRIBUTES]
+        ]
+        tables = [
+            Table(
+                "Boxes in space by class: the median, and what 90 % lie between",
+                _CLASS_COLUMNS,
+                self.classes[:_MOST_CLASSES],
+                more=f"{len(rest)} further classes with {sum(c.objects for c in rest):,} objects."
+                if rest
+                else "",
+            ),
+            Table("Annotations by type", pair_columns("Type", "Annotations", numeric=True), types),
+            Table(
+                f"Attributes of annotations: {len(self.attributes)}",
+                pair_columns("Attribute", "Annotations", numeric=True),
+                attributes,
+                folded=True,
+            ),
+        ]
+        sampled = (
+            f"Ranges, points and what hides boxes are of {several(self.moments, 'moment')} out of {self.of:,}, spread "
+            "over the drive. Hidden: the share of a box's area in an image that nearer boxes cover, the median."
+        )
+        return Section(
+            key="annotations",
+            name="Annotations",
+            missing=missing,
+            facts=[(name.capitalize(), number) for name, number in types][:8],
+            blocks=[
+                Block(plots=self._plots()),
+                Block(photos=figures.of("annotations")),
+                Block(tables=tables),
+                Block(lines=[sampled] if self.moments else [], faint=True),
+                Block(list_title=f"Not reported: {len(self.skipped)}", listed=self.skipped),
+            ],
+        )
+
+    def _plots(self) -> list[Drawing]:
+        found = []
+        shown = self.classes[:_MOST_BARS]
+        if shown:
+            names, objects = [c.label for c in shown], [c.objects for c in shown]
+            labels = [f"{number:,}" for number in objects]
+            text = "; ".join(f"{name} {number}" for name, number in zip(names, labels, strict=True))
+            found.append(Drawing("Objects by class", text, bars(names, objects, labels=labels)))
+        if len(self.over_time) > 1:
+            text = f"At most {max(number for _, number in self.over_time):,} boxes at one time"
+            svg = line_plot([self.over_time], x_name="time [s]", y_name="boxes", with_zero=True)
+            found.append(Drawing("Boxes over time", text, svg))
+        if self.range_counts:
+            names = [*(f"{a:g}–{b:g}" for a, b in pairwise(self.range_edges)), f"{self.range_edges[-1]:g}+"]
+            svg = columns(names, self.range_counts, x_name="range [m]", y_name="boxes")
+            found.append(
+                Drawing("Boxes by range", f"Boxes at {several(self.moments, 'moment')} by distance", svg)
+            )
+        if self.point_counts:
+            names = [str(a) if b == a + 1 else f"{a}–{b - 1}" for a, b in pairwise(self.point_edges)]
+            names.append(f"{self.point_edges[-1]}+")
+            svg = columns(names, self.point_counts, x_name="points inside", y_name="boxes")
+            text = f"{self.point_counts[0]:,} of {sum(self.point_counts):,} boxes hold no point"
+            found.append(Drawing("Boxes by points inside", text, svg))
+        return found
+
+
+_MOST_CLASSES, _MOST_BARS, _MOST_ATTRIBUTES = 40, 14, 100
+
+
+def _spread(name: str, field: str, digits: int) -> Column:
+    """The median of some values, and what 90 % of them lie between."""
+
+    def cell(numbers: Any) -> str:
+        spread: Spread | None = getattr(numbers, field)
+        if spread is None:
+            return NOTHING
+        median = f"{spread.median:.{digits}f}"
+        if spread.count == 1 or spread.high - spread.low < 0.5 * 10**-digits:
+            return median
+        return f"{median} ({spread.low:.{digits}f}–{spread.high:.{digits}f})"
+
+    return Column(name, cell)
+
+
+_CLASS_COLUMNS = (
+    text_column("Class", lambda numbers: numbers.label),
+    Column("Objects", lambda numbers: count(numbers.objects)),
+    Column("Boxes stated", lambda numbers: count(numbers.key_frames)),
+    Column("Stationary", lambda numbers: count(numbers.stationary)),
+    _spread("Length [m]", "length", 1),
+    _spread("Width [m]", "width", 1),
+    _spread("Height [m]", "height", 1),
+    _spread("There for [s]", "seconds", 1),
+    _spread("Range [m]", "ranges", 0),
+    _spread("Points inside", "points", 0),
+    Column("Without a point", lambda numbers: percent(numbers.empty_share, 0)),
+    Column(
+        "Hidden in images",
+        lambda numbers: NOTHING if numbers.hidden is None else percent(numbers.hidden.median, 0),
+    ),
+    Column("In an image", lambda numbers: percent(numbers.in_images_share, 0)),
+)
+
 
 @dataclass(slots=True)
 class _Looks:
@@ -124,39 +282,6 @@ class _Looks:
     of: int = 0
     with_cameras: bool = False
     skipped: list[str] = field(default_factory=list)
-
-
-def labels_of(scene: Scene, *, start_ns: int, moments: int = _MOMENTS) -> Labels | None:
-    """Look at the annotations of a scene; None where it has none.
-
-    Args:
-        start_ns: the scene's first timestamp [ns].
-        moments: so many are looked at more closely, at most.
-    """
-    if not scene.annotations:
-        return None
-    types: dict[str, int] = {}
-    attributes: dict[str, int] = {}
-    for annotation in scene.annotations:
-        types[str(annotation.type)] = types.get(str(annotation.type), 0) + 1
-        for name in {attribute.name for attribute in getattr(annotation, "attributes", ())}:
-            attributes[name] = attributes.get(name, 0) + 1
-    reported = Labels(types=types, attributes=attributes)
-    table = BoxTable(scene)
-    if not table.annotations:
-        return reported
-    looks = _look(scene, table, moments)
-    _count(scene, looks, moments)
-    return msgspec.structs.replace(
-        reported,
-        classes=_classes(table, looks),
-        moments=looks.moments,
-        of=looks.of,
-        over_time=_over_time(scene, table, start_ns),
-        range_counts=_binned(looks.ranges, _RANGE_EDGES),
-        point_counts=_binned(looks.points, _POINT_EDGES),
-        skipped=tuple(looks.skipped),
-    )
 
 
 def _look(scene: Scene, table: BoxTable, moments: int) -> _Looks:
@@ -227,7 +352,7 @@ def _count(scene: Scene, looks: _Looks, moments: int) -> None:
 def _classes(table: BoxTable, looks: _Looks) -> tuple[ClassNumbers, ...]:
     by_label: dict[str, list[int]] = {}
     for row, annotation in enumerate(table.annotations):
-        by_label.setdefault(str(annotation.label or OTHER), []).append(row)
+        by_label.setdefault(str(annotation.label or NO_CLASS), []).append(row)
     columns = _Columns.of(looks)
     classes = [_class(label, rows, table.annotations, columns, looks) for label, rows in by_label.items()]
     return tuple(sorted(classes, key=lambda numbers: (-numbers.objects, numbers.label)))
@@ -308,9 +433,6 @@ def _binned(values: Sequence[float], edges: Sequence[float]) -> tuple[int, ...]:
     return tuple(np.bincount(np.maximum(rows, 0), minlength=len(edges)).tolist())
 
 
-_ANNOTATIONS = "annotations"
-"""The section that the images stand in."""
-
 _MOST_CAMERAS = 4
 """Cameras whose images are shown with annotations."""
 
@@ -333,9 +455,9 @@ def draw_labels(scene: Scene, figures: Figures) -> None:
     if sample is None:
         return
     text = "The sweep in the middle of the drive as a map, with everything of the annotations that has a location"
-    figures.add(_ANNOTATIONS, "Annotations from above", text, draw_annotations_above(scene, sample))
+    figures.add("annotations", "Annotations from above", text, draw_annotations_above(scene, sample))
     shown = [camera_id for camera_id, image in sample.images.items() if image is not None]
     for camera_id in shown[:_MOST_CAMERAS]:
         text = f"The image of camera {camera_id} at the middle of the drive, with the outlines of the annotations"
         image = draw_annotations_in_image(scene, sample, camera_id)
-        figures.add(_ANNOTATIONS, f"Annotations in {camera_id}", text, image)
+        figures.add("annotations", f"Annotations in {camera_id}", text, image)

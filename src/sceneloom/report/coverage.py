@@ -1,12 +1,13 @@
-"""What the sensors see of the surroundings: points by range, ring, azimuth and elevation, fields of view.
+"""What the sensors see, over sampled frames: points by range, ring, azimuth and elevation; fields of view; the section.
 
-Over sampled frames.
+`with_some_sweeps` and what it needs choose the frames that a report looks at.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TypeVar
+from itertools import pairwise
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -16,6 +17,25 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.pipeline.fusing import CameraReport
+from sceneloom.report.content import (
+    FARTHEST,
+    NOTHING,
+    Block,
+    Column,
+    Drawing,
+    Section,
+    Table,
+    bars,
+    colour_at,
+    columns,
+    count,
+    draw_svg,
+    fixed,
+    percent,
+    short,
+    text_column,
+)
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarPoints, LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion
@@ -136,7 +156,7 @@ class CloudStatistics:
     """Counts points of one sensor while its sweeps pass, in bounded memory."""
 
     counts: list[int] = field(default_factory=list)
-    nowhere: int = 0
+    non_finite: int = 0
     farthest: float = 0.0
     with_times: bool = False
     with_intensities: bool = False
@@ -157,7 +177,7 @@ class CloudStatistics:
         ranges = np.linalg.norm(points_level, axis=1)
         known = np.isfinite(ranges) & (ranges > 1e-6)
         self.counts.append(len(ranges))
-        self.nowhere += int(len(ranges) - known.sum())
+        self.non_finite += int(len(ranges) - known.sum())
         self._add_known(points_level[known], ranges[known])
         if points is None:
             return
@@ -194,7 +214,7 @@ class CloudStatistics:
             points_mean=float(np.mean(self.counts)) if sweeps else 0.0,
             points_least=min(self.counts, default=0),
             points_most=max(self.counts, default=0),
-            non_finite_share=self.nowhere / max(sum(self.counts), 1),
+            non_finite_share=self.non_finite / max(sum(self.counts), 1),
             with_times=self.with_times,
             with_intensities=self.with_intensities,
             with_colours=self.with_colours,
@@ -247,7 +267,7 @@ _AROUND_NS = 1_000_000_000
 _Surveying = LidarSensor | RadarSensor
 
 
-class CameraView(msgspec.Struct, frozen=True, kw_only=True):
+class CameraCoverage(msgspec.Struct, frozen=True, kw_only=True):
     """Where a camera looks.
 
     Attributes:
@@ -284,31 +304,185 @@ class Coverage(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     clouds: tuple[CloudCoverage, ...] = ()
-    cameras: tuple[CameraView, ...] = ()
+    cameras: tuple[CameraCoverage, ...] = ()
     ahead_by: str = "axes"
     lidar_share: float = 0.0
     camera_share: float = 0.0
     both_share: float = 0.0
     skipped: tuple[str, ...] = ()
 
+    @classmethod
+    def of(cls, scene: Scene, *, sweeps: int = _SWEEPS, ego: EgoMotion | None = None) -> "Coverage":
+        """Look at some sweeps of each lidar and radar, and at all camera models."""
+        survey = _Survey.of(scene, ego)
+        clouds = tuple(
+            survey.cloud(s, sweeps) for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor)
+        )
+        cameras = tuple(survey.view(camera) for camera in scene.cameras)
+        lidar, camera = _seen_by_lidars(clouds), _seen_by_cameras(cameras)
+        return cls(
+            clouds=clouds,
+            cameras=cameras,
+            ahead_by=survey.ahead_by,
+            lidar_share=float(lidar.mean()),
+            camera_share=float(camera.mean()),
+            both_share=float((lidar & camera).mean()),
+            skipped=tuple(survey.skipped),
+        )
 
-def coverage_of(scene: Scene, *, sweeps: int = _SWEEPS, ego: EgoMotion | None = None) -> Coverage:
-    """Look at some sweeps of each lidar and radar, and at all camera models."""
-    survey = _Survey.of(scene, ego)
-    surveying = [s for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor)]
-    clouds = tuple(survey.cloud(sensor, sweeps) for sensor in surveying)
-    cameras = tuple(survey.view(camera) for camera in scene.cameras)
-    lidar = _seen_by_lidars(clouds)
-    camera = _seen_by_cameras(cameras)
-    return Coverage(
-        clouds=clouds,
-        cameras=cameras,
-        ahead_by=survey.ahead_by,
-        lidar_share=float(lidar.mean()),
-        camera_share=float(camera.mean()),
-        both_share=float((lidar & camera).mean()),
-        skipped=tuple(survey.skipped),
-    )
+    def section(self, missing: str | None, fused: Sequence[CameraReport]) -> Section:
+        """Which part of the surroundings each sensor sees, and how densely; `fused` are the cameras of a fusion."""
+        paired = {camera.camera: camera for camera in fused if camera.paired}
+        clouds = [cloud for cloud in self.clouds if cloud.sweeps][:_MOST_CLOUDS]
+        plots = [*self._around(), *(plot for cloud in clouds for plot in _plots(cloud)), *_shares(paired)]
+        cameras = [(camera, paired.get(camera.sensor)) for camera in self.cameras]
+        found = bool(self.clouds or self.cameras)
+        facts = [
+            ("Horizon seen by lidars", percent(self.lidar_share, 0)),
+            ("By cameras", percent(self.camera_share, 0)),
+            ("By both", percent(self.both_share, 0)),
+        ]
+        return Section(
+            key="coverage",
+            name="Coverage",
+            missing=missing,
+            absent=None if found else "There is no lidar, radar or camera.",
+            facts=facts if found else [],
+            blocks=[
+                Block(plots=plots),
+                Block(
+                    tables=[
+                        Table("Lidars and radars", _CLOUD_COLUMNS, self.clouds),
+                        Table("Cameras", _CAMERA_COLUMNS, cameras),
+                    ]
+                ),
+                Block(list_title=f"Not looked at: {len(self.skipped)}", listed=self.skipped),
+            ],
+        )
+
+    def _around(self) -> list[Drawing]:
+        """Where cameras look and how far lidars and radars reach; nothing where neither is known."""
+        reaching = [cloud for cloud in self.clouds if any(cloud.reaches)]
+        looking = [camera for camera in self.cameras if camera.left_deg is not None]
+        if not reaching and not looking:
+            return []
+        looks = [
+            f"{camera.sensor} from {camera.left_deg:.0f}° to {camera.right_deg:.0f}°" for camera in looking
+        ]
+        seen = [
+            f"{c.sensor} sees {percent(c.horizon_share, 0)} of the horizon" for c in self.clouds if c.sweeps
+        ]
+        caption = (
+            f"Ahead, as known {_AHEAD[self.ahead_by]}, is up. Outlines: within them lie 95 % of the points of each "
+            "direction, from the sensor. Wedges: the middle rows of the images; their length means nothing."
+        )
+        svg = _draw_around(reaching, looking)
+        return [Drawing("Around the ego", "; ".join([*seen, *looks]), svg, caption, kind="tall")]
+
+
+_AHEAD = {"motion": "by the motion", "camera": "by the first camera", "axes": "by the axes of the sensors"}
+
+_MOST_CLOUDS = 6
+
+_CLOUD_COLUMNS = (
+    text_column("Sensor", lambda cloud: f"{cloud.sensor} ({cloud.type})"),
+    Column("Sweeps looked at", lambda cloud: f"{cloud.sweeps:,} of {cloud.of:,}"),
+    Column("Points of a sweep", lambda cloud: count(cloud.points_mean)),
+    Column("Least / most", lambda cloud: f"{cloud.points_least:,} / {cloud.points_most:,}"),
+    Column(
+        "Range: median / 95 % / farthest [m]",
+        lambda cloud: f"{cloud.range_median:.1f} / {cloud.range_95:.1f} / {cloud.range_max:.1f}",
+    ),
+    Column("Elevation [deg]", lambda cloud: f"{cloud.lowest_deg:.1f} to {cloud.highest_deg:.1f}"),
+    Column("Horizon", lambda cloud: percent(cloud.horizon_share, 0)),
+    Column(
+        "Rings", lambda cloud: count(sum(number > 0 for number in cloud.rings)) if cloud.rings else NOTHING
+    ),
+    Column("Non-finite", lambda cloud: percent(cloud.non_finite_share)),
+    text_column(
+        "Points have",
+        lambda cloud: (
+            ", ".join(n for n in ("times", "intensities", "colours") if getattr(cloud, f"with_{n}"))
+            or NOTHING
+        ),
+    ),
+)
+
+_CAMERA_COLUMNS = (
+    text_column("Camera", lambda row: row[0].sensor),
+    text_column("Camera model", lambda row: row[0].model.replace("_", " ")),
+    Column("Image [px]", lambda row: f"{row[0].width}×{row[0].height}"),
+    Column(
+        "Across / upright [deg]",
+        lambda row: (
+            NOTHING
+            if row[0].across_deg is None
+            else f"{row[0].across_deg:.0f} / {row[0].upright_deg or 0.0:.0f}"
+        ),
+    ),
+    Column("Looks to [deg]", lambda row: _direction(row[0].heading_deg)),
+    Column("Up [deg]", lambda row: fixed(row[0].pitch_deg, 1)),
+    Column(
+        "Points in the image", lambda row: NOTHING if row[1] is None else f"{row[1].in_image_percent:.1f} %"
+    ),
+    Column("Hidden of these", lambda row: NOTHING if row[1] is None else f"{row[1].hidden_percent:.1f} %"),
+)
+"""Of a camera, and of its part in the fusion if it has one."""
+
+
+def _direction(degrees: float | None) -> str:
+    """A direction in words: 0 ahead, left positive."""
+    words = ("ahead", "ahead left", "left", "back left", "back", "back right", "right", "ahead right")
+    return NOTHING if degrees is None else f"{degrees:+.0f} ({words[round(degrees / 45.0) % 8]})"
+
+
+def _draw_around(clouds: Sequence[CloudCoverage], cameras: Sequence[CameraCoverage]) -> bytes:
+    """Wedges of the cameras and outlines of the points, ahead up."""
+    far = min(max([max(cloud.reaches) for cloud in clouds], default=50.0), FARTHEST)
+
+    def draw(axes: Any) -> None:
+        axes.set_theta_zero_location("N")
+        for k, camera in enumerate(cameras, start=len(clouds)):
+            left, right = np.radians([camera.left_deg or 0.0, camera.right_deg or 0.0])
+            name = short(f"{camera.sensor}, {camera.across_deg or 0.0:.0f}° across")
+            axes.bar((left + right) / 2, far, width=left - right, color=colour_at(k), alpha=0.25, label=name)
+        for k, cloud in enumerate(clouds):
+            edges = np.linspace(0.0, 2 * np.pi, len(cloud.reaches) + 1)
+            angles, reaches = np.repeat(edges, 2)[1:-1], np.repeat(np.minimum(cloud.reaches, far), 2)
+            axes.plot(angles, reaches, color=colour_at(k), label=short(f"{cloud.sensor} ({cloud.type}) [m]"))
+        axes.set_xticks(np.radians([0, 90, 180, 270]), ["ahead", "left", "back", "right"])
+        axes.set_ylim(0, far)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, -0.3))
+
+    return draw_svg((5.0, 5.5), draw, projection="polar")
+
+
+def _plots(cloud: CloudCoverage) -> list[Drawing]:
+    found = []
+    if cloud.range_counts:
+        edges = [f"{edge:g}" for edge in cloud.range_edges]
+        names = [*(f"{a}–{b}" for a, b in pairwise(edges)), f"{edges[-1]}+"]
+        svg = columns(names, cloud.range_counts, x_name="range [m]", y_name="points of a sweep")
+        text = f"Half of the points lie within {cloud.range_median:.0f} m, 95 % within {cloud.range_95:.0f} m"
+        found.append(Drawing(f"Points of {cloud.sensor} by range", text, svg))
+    if len(cloud.rings) > 1:
+        first = next(k for k, number in enumerate(cloud.rings) if number)
+        names, rings = [str(k) for k in range(first, len(cloud.rings))], cloud.rings[first:]
+        svg = columns(names, rings, x_name="number of the ring", y_name="points of a sweep")
+        text = f"{len(rings)} rings with {min(rings):,.0f} to {max(rings):,.0f} points of a sweep"
+        found.append(Drawing(f"Points of {cloud.sensor} by ring", text, svg))
+    return found
+
+
+def _shares(paired: Mapping[Identifier, CameraReport]) -> list[Drawing]:
+    if not paired:
+        return []
+    shares = {str(key): camera.in_image_percent for key, camera in paired.items()}
+    labels = [f"{share:.1f} %" for share in shares.values()]
+    text = "; ".join(f"{name} {share}" for name, share in zip(shares, labels, strict=True))
+    values = list(shares.values())
+    svg = bars([*shares], values, labels=labels, most=max(100.0 if max(values) > 50 else 50.0, *values))
+    return [Drawing("Share of all points in each camera's images", text, svg)]
 
 
 @dataclass(slots=True)
@@ -364,9 +538,9 @@ class _Survey:
             return None
         return of_sensor.inverse() @ of_points
 
-    def view(self, sensor: CameraSensor) -> CameraView:
+    def view(self, sensor: CameraSensor) -> CameraCoverage:
         camera = sensor.camera
-        known = CameraView(sensor=sensor.id, width=camera.width, height=camera.height, model=camera.model)
+        known = CameraCoverage(sensor=sensor.id, width=camera.width, height=camera.height, model=camera.model)
         try:
             across, upright = _rays(camera, 0), _rays(camera, 1)
         except CalibrationError:
@@ -503,7 +677,7 @@ def _seen_by_lidars(clouds: Sequence[CloudCoverage]) -> BoolArray:
     return seen
 
 
-def _seen_by_cameras(cameras: Sequence[CameraView]) -> BoolArray:
+def _seen_by_cameras(cameras: Sequence[CameraCoverage]) -> BoolArray:
     seen: BoolArray = np.zeros(360, np.bool_)
     middles = np.arange(360) + 0.5
     for camera in cameras:

@@ -1,12 +1,12 @@
-"""All metrics of a report in one object that is written to JSON as it is: with provenance, losses per target format.
+"""A report in one object, which is written to JSON as it is: all metrics, provenance, losses per format, the verdict.
 
-And the verdict.
+`DriveReport.sections` gives the sections of the page; those about the parts stand beside their metrics.
 """
 
 import hashlib
 import platform
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from itertools import groupby
@@ -20,15 +20,31 @@ from sceneloom.formats.base.files import open_file
 from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.formats.listing import list_formats, list_supported_fields
 from sceneloom.report.annotations import Labels
+from sceneloom.report.content import (
+    NOTHING,
+    Block,
+    Column,
+    Figures,
+    Section,
+    Table,
+    count,
+    fixed,
+    joined,
+    pair_columns,
+    several,
+    text_column,
+    times,
+    warning_text,
+)
 from sceneloom.report.coverage import Coverage
-from sceneloom.report.fusion import CalibrationCheck, Fusion
+from sceneloom.report.fusion import CalibrationCheck, Fusion, calibration_section
 from sceneloom.report.timing import StreamTiming, Timing
 from sceneloom.report.trajectory import Metrics, Trajectories
 from sceneloom.scene.contents import contents_of
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.summary import SceneSummary
+from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.version import __version__
-from sceneloom.warnings import DataWarning, Severity
+from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
 
 MOST_HASHED = 1_000_000_000
 """Larger drives are hashed by names, sizes, first and last bytes of their files [bytes]."""
@@ -227,8 +243,8 @@ class Advice(msgspec.Struct, frozen=True, kw_only=True):
     section: str = ""
 
 
-class _Verdict(msgspec.Struct, frozen=True, kw_only=True):
-    """What is to be stated first.
+class Verdict(msgspec.Struct, frozen=True, kw_only=True):
+    """What is to be reported first.
 
     Attributes:
         state: "sound", "look" where a person should look at something, "faulty".
@@ -237,83 +253,63 @@ class _Verdict(msgspec.Struct, frozen=True, kw_only=True):
         advices: the most important first.
     """
 
-    state: str
-    sentence: str
-    contents: str
-    advices: tuple[Advice, ...]
+    state: str = "sound"
+    sentence: str = ""
+    contents: str = ""
+    advices: tuple[Advice, ...] = ()
+
+    @classmethod
+    def of(cls, report: "DriveReport") -> "Verdict":
+        """Weigh all that was found."""
+        order = list(Severity)
+        found = [advice for rule in _RULES for advice in rule(report)]
+        advices = sorted(found, key=lambda advice: order.index(advice.severity))
+        counts = Counter(advice.severity for advice in advices)
+        state = "faulty" if counts[Severity.ERROR] else "look" if counts[Severity.WARNING] else "sound"
+        return cls(
+            state=state,
+            sentence=_sentence(state, counts),
+            contents=_contents_text(report.summary, report.trajectories),
+            advices=tuple(advices),
+        )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
-    """What a verdict is made of."""
-
-    summary: SceneSummary
-    timing: Timing
-    trajectories: Trajectories
-    coverage: Coverage
-    calibration: Sequence[CalibrationCheck]
-    fusion: Fusion | None
-    labels: Labels | None
-    metrics: Metrics
-    validation: ValidationReport | None
-    left_out: dict[str, str]
-
-
-def verdict_of(evidence: Evidence) -> _Verdict:
-    """Weigh all that was found."""
-    found = [advice for rule in _RULES for advice in rule(evidence)]
-    order = list(Severity)
-    advices = sorted(found, key=lambda advice: order.index(advice.severity))
-    count = {severity: sum(a.severity is severity for a in advices) for severity in Severity}
-    state = "faulty" if count[Severity.ERROR] else "look" if count[Severity.WARNING] else "sound"
-    return _Verdict(
-        state=state,
-        sentence=_sentence(state, count),
-        contents=_contents_of(evidence.summary, evidence.trajectories),
-        advices=tuple(advices),
-    )
-
-
-def _sentence(state: str, count: dict[Severity, int]) -> str:
-    errors, warnings = count[Severity.ERROR], count[Severity.WARNING]
+def _sentence(state: str, counts: Mapping[Severity, int]) -> str:
+    errors, warnings = counts[Severity.ERROR], counts[Severity.WARNING]
     if state == "faulty":
-        also = f", and {_several(warnings, 'thing')} to look at" if warnings else ""
-        return f"Not in order: {_several(errors, 'finding')} that programs will stumble over{also}."
+        also = f", and {several(warnings, 'thing')} to look at" if warnings else ""
+        return f"{several(errors, 'error')} that will break downstream tools{also}."
     if state == "look":
-        return f"Usable, with {_several(warnings, 'thing')} that a person should look at."
+        return f"Usable, with {several(warnings, 'thing')} that a person should look at."
     return "In order: nothing was found that needs a person."
 
 
-def _contents_of(summary: SceneSummary, trajectories: Trajectories) -> str:
-    """Report what is in a drive."""
-    kinds: dict[str, list[int]] = {}
+def _contents_text(summary: SceneSummary, trajectories: Trajectories) -> str:
+    """What is in a drive, in sentences."""
+    counts: dict[str, list[int]] = {}
     for sensor in summary.sensors:
-        kinds.setdefault(sensor.type.replace("_", " "), []).append(sensor.count)
+        counts.setdefault(sensor.type.replace("_", " "), []).append(sensor.count)
     units = {"lidar": "sweeps", "camera": "images", "radar": "frames", "depth camera": "images"}
-    parts = [
-        f"{len(counts)} {_plural(kind, len(counts))} ({sum(counts):,} {units.get(kind, 'samples')})"
-        for kind, counts in kinds.items()
-    ]
-    sensors = ", ".join(parts) if parts else "no sensors"
-    reported = f"{summary.duration:.1f} s in the format {summary.format}: {sensors}."
+    sensors = ", ".join(
+        f"{len(of_kind)} {_plural(kind, len(of_kind))} ({sum(of_kind):,} {units.get(kind, 'samples')})"
+        for kind, of_kind in counts.items()
+    )
+    text = f"{summary.duration:.1f} s in the format {summary.format}: {sensors or 'no sensors'}."
     if trajectories.trajectories:
         trajectory = trajectories.trajectories[0]
         found = ", found from the drive for this report" if trajectory.found_now else ""
-        reported += f" The ego went {trajectory.metres:.1f} m by “{trajectory.name}”{found}."
+        text += f" The ego went {trajectory.metres:.1f} m by “{trajectory.name}”{found}."
     else:
-        reported += " The ego trajectory is not known."
+        text += " The ego trajectory is not known."
     if summary.annotations:
-        reported += (
-            " Annotations: "
-            + ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in summary.annotations.items())
-            + "."
-        )
-    return reported
+        kinds = (f"{number} {kind.replace('_', ' ')}" for kind, number in summary.annotations.items())
+        text += f" Annotations: {', '.join(kinds)}."
+    return text
 
 
-def _from_validation(evidence: Evidence) -> Iterator[Advice]:
+def _from_validation(report: "DriveReport") -> Iterator[Advice]:
     """One advice for each rule that found something."""
-    findings = () if evidence.validation is None else evidence.validation.findings
+    findings = () if report.validation is None else report.validation.findings
     for (severity, rule), group in groupby(findings, key=lambda f: (f.severity, f.rule)):
         listed = list(group)
         count = sum(finding.count for finding in listed)
@@ -321,14 +317,14 @@ def _from_validation(evidence: Evidence) -> Iterator[Advice]:
         yield Advice(
             severity=Severity(severity),
             title=": ".join(filter(None, (first.path, first.message))),
-            detail=f"Rule {rule}, {_several(count, 'time')}.",
+            detail=f"Rule {rule}, {several(count, 'time')}.",
             remedy=first.remedy,
             section="findings",
         )
 
 
-def _from_timing(evidence: Evidence) -> Iterator[Advice]:
-    for stream in evidence.timing.streams:
+def _from_timing(report: "DriveReport") -> Iterator[Advice]:
+    for stream in report.timing.streams:
         if stream.missing and stream.missing_share > _MISSING_SHARE and stream.count >= _LEAST_TIMESTAMPS:
             yield _gap_advice(stream)
         if stream.jitter_ms and stream.period_ms and stream.jitter_ms > _JITTER_SHARE * stream.period_ms:
@@ -340,12 +336,12 @@ def _from_timing(evidence: Evidence) -> Iterator[Advice]:
                 "reports more.",
                 section="timing",
             )
-    several = sum(stream.count > 1 for stream in evidence.timing.streams) > 1
-    if several and evidence.timing.overlap_share < _OVERLAP_SHARE:
+    together = sum(stream.count > 1 for stream in report.timing.streams) > 1
+    if together and report.timing.overlap_share < _OVERLAP_SHARE:
         yield Advice(
             severity=Severity.WARNING,
-            title="The streams hardly overlap" if evidence.timing.overlap else "The streams do not overlap",
-            detail=f"all of them together cover {evidence.timing.overlap_share:.0%} of the drive",
+            title="The streams hardly overlap" if report.timing.overlap else "The streams do not overlap",
+            detail=f"all of them together cover {report.timing.overlap_share:.0%} of the drive",
             remedy="Look whether a clock is off (`sceneloom sync`), then crop the drive (`sceneloom edit crop`).",
             section="timing",
         )
@@ -361,15 +357,15 @@ def _gap_advice(stream: StreamTiming) -> Advice:
     return Advice(
         severity=Severity.WARNING,
         title=f"{stream.name} lacks {stream.missing:,} of {stream.count + stream.missing:,}",
-        detail=f"{_several(stream.gap_count, 'gap')}{where}",
+        detail=f"{several(stream.gap_count, 'gap')}{where}",
         remedy="Look for dropped data on the recording computer; leave the gaps out with `sceneloom edit crop`.",
         section="timing",
     )
 
 
-def _from_calibration(evidence: Evidence) -> Iterator[Advice]:
+def _from_calibration(report: "DriveReport") -> Iterator[Advice]:
     severities = {"wrong": Severity.ERROR, "drifting": Severity.WARNING}
-    for check in evidence.calibration:
+    for check in report.calibration:
         if check.verdict in severities:
             yield Advice(
                 severity=severities[check.verdict],
@@ -380,8 +376,8 @@ def _from_calibration(evidence: Evidence) -> Iterator[Advice]:
             )
 
 
-def _from_fusion(evidence: Evidence) -> Iterator[Advice]:
-    fusion = evidence.fusion
+def _from_fusion(report: "DriveReport") -> Iterator[Advice]:
+    fusion = report.fusion
     if fusion is None:
         return
     if fusion.unfused:
@@ -398,7 +394,7 @@ def _from_fusion(evidence: Evidence) -> Iterator[Advice]:
             yield Advice(
                 severity=Severity.ERROR,
                 title=f"No point falls into the images of {camera.camera}",
-                detail="either it looks where the lidar does not, or its mounting is not what the drive says",
+                detail="either it looks where the lidar does not, or its extrinsics are wrong",
                 remedy="Compare its direction with section Coverage; `sceneloom calibrate DRIVE --conventions` helps.",
                 section="calibration",
             )
@@ -412,8 +408,8 @@ def _from_fusion(evidence: Evidence) -> Iterator[Advice]:
             )
 
 
-def _from_coverage(evidence: Evidence) -> Iterator[Advice]:
-    for cloud in evidence.coverage.clouds:
+def _from_coverage(report: "DriveReport") -> Iterator[Advice]:
+    for cloud in report.coverage.clouds:
         if cloud.sweeps and cloud.points_least == 0:
             yield Advice(
                 severity=Severity.WARNING,
@@ -428,15 +424,15 @@ def _from_coverage(evidence: Evidence) -> Iterator[Advice]:
         if silent:
             yield Advice(
                 severity=Severity.HINT,
-                title=f"{_several(len(silent), 'ring')} of {cloud.sensor} without points",
+                title=f"{several(len(silent), 'ring')} of {cloud.sensor} without points",
                 detail=f"numbers {_listed(silent)}",
                 remedy="Look whether these lasers look into the sky or at the car; if not, have the sensor checked.",
                 section="coverage",
             )
 
 
-def _from_labels(evidence: Evidence) -> Iterator[Advice]:
-    labels = evidence.labels
+def _from_labels(report: "DriveReport") -> Iterator[Advice]:
+    labels = report.labels
     if labels is None:
         return
     counted = sum(labels.point_counts)
@@ -452,19 +448,19 @@ def _from_labels(evidence: Evidence) -> Iterator[Advice]:
         )
 
 
-def _from_trajectories(evidence: Evidence) -> Iterator[Advice]:
-    for trajectory in evidence.trajectories.trajectories[:1]:
+def _from_trajectories(report: "DriveReport") -> Iterator[Advice]:
+    for trajectory in report.trajectories.trajectories[:1]:
         if trajectory.seconds > 1.0 and trajectory.stationary_share > 0.95:
             yield Advice(
                 severity=Severity.HINT,
                 title="The ego is stationary",
                 detail=f"{trajectory.stationary_share:.0%} of the time below 0.2 m/s",
-                remedy="Nothing is wrong with that; but clocks and mountings cannot be reported by motion.",
+                remedy="Nothing is wrong with that; but clocks and extrinsics cannot be estimated from motion.",
                 section="trajectory",
             )
 
 
-_RULES: tuple[Callable[[Evidence], Iterator[Advice]], ...] = (
+_RULES: tuple[Callable[["DriveReport"], Iterator[Advice]], ...] = (
     _from_validation,
     _from_calibration,
     _from_fusion,
@@ -473,11 +469,7 @@ _RULES: tuple[Callable[[Evidence], Iterator[Advice]], ...] = (
     _from_labels,
     _from_trajectories,
 )
-"""What looks for something worth telling first."""
-
-
-def _several(count: int, noun: str) -> str:
-    return f"{count:,} {_plural(noun, count)}"
+"""The rules that give advice."""
 
 
 def _plural(noun: str, count: int) -> str:
@@ -495,15 +487,15 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         name: what the drive is called.
-        verdict: what is to be stated of it first.
+        verdict: what is to be reported first.
         summary: what is in it.
         timing: its streams against each other.
         trajectories: where the ego went.
         coverage: what its sensors see.
-        calibration: whether cameras lie to the lidar as it says, a quick check.
+        calibration: a quick check of the camera-lidar calibration.
         fusion: what fusing some sweeps gave; None where that was not possible, or not to be.
-        labels: what is stated about it; None without annotations.
-        metrics: how far what was found is from the truth.
+        labels: statistics of its annotations; None without any.
+        metrics: comparisons with the truth.
         validation: what the rules of `validate` found; None where they were not run.
         conversions: what each format that can be written would make of it.
         losses: what was lost when the drive was written, where a loss report was given.
@@ -514,7 +506,7 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     name: str
-    verdict: _Verdict
+    verdict: Verdict = Verdict()
     summary: SceneSummary
     timing: Timing
     trajectories: Trajectories
@@ -530,3 +522,234 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
     provenance: _Provenance
     sampling: tuple[str, ...] = ()
     left_out: dict[str, str] = msgspec.field(default_factory=dict)
+
+    def sections(self, figures: Figures) -> Iterator[Section]:
+        """The sections of the page in their order."""
+        left_out = self.left_out.get
+        yield self._drive_section()
+        yield self.timing.section()
+        yield self.trajectories.section(left_out("trajectory"))
+        yield calibration_section(self.calibration, figures, left_out("calibration"))
+        yield self.coverage.section(left_out("coverage"), () if self.fusion is None else self.fusion.cameras)
+        if self.fusion is None:
+            none = "There is no lidar whose points could be fused."
+            yield Section(key="fusion", name="Fusion", missing=left_out("fusion"), absent=none)
+        else:
+            yield self.fusion.section(figures, left_out("fusion"))
+        if self.labels is None:
+            none = "There are no annotations."
+            yield Section(key="annotations", name="Annotations", missing=left_out("annotations"), absent=none)
+        else:
+            yield self.labels.section(figures, left_out("annotations"))
+        truth = self.metrics.section(left_out("truth"))
+        if truth is not None:
+            yield truth
+        yield self._findings_section()
+        yield self._warnings_section()
+        yield self._source_section()
+
+    def _drive_section(self) -> Section:
+        summary = self.summary
+        trajectory = next(iter(self.trajectories.trajectories), None)
+        sampled = [f"Looked at in part: {'; '.join(self.sampling)}."] if self.sampling else []
+        return Section(
+            key="drive",
+            name="What is in the drive",
+            missing=self.left_out.get("contents"),
+            facts=[
+                ("Length", fixed(summary.duration, 1, "s")),
+                ("Sensors", count(len(summary.sensors))),
+                ("Trajectory", NOTHING if trajectory is None else fixed(trajectory.metres, 1, "m")),
+                ("Annotations", count(sum(summary.annotations.values()))),
+                ("Format", summary.format),
+                ("Size", _megabytes(summary.size_bytes)),
+            ],
+            blocks=[
+                Block(
+                    lines=[] if summary.sensors else ["There is no sensor in it."],
+                    tables=[Table("Sensors of the drive", _SENSOR_COLUMNS, summary.sensors)],
+                ),
+                Block(lines=sampled, faint=True),
+            ],
+        )
+
+    def _findings_section(self) -> Section:
+        """The findings by rule, the worst first, each with its location and what to do."""
+        name, missing, found = "Findings of validate", self.left_out.get("findings"), self.validation
+        if found is None:
+            return Section(key="findings", name=name, missing=missing)
+        passed = "Passed" if found.passed else "Not passed"
+        read = "frames and images read" if found.frames_read else "no frames and images read"
+        profile = f"{passed}, by {len(found.rules)} rules of the profile {found.profile}, {read}."
+        groups = groupby(found.findings, key=lambda finding: (finding.severity, finding.rule))
+        return Section(
+            key="findings",
+            name=name,
+            missing=missing,
+            facts=[(f"{kind}s".capitalize(), f"{number:,}") for kind, number in found.counts.items()],
+            blocks=[Block(lines=[profile]), *(_rule_block(list(group)) for _, group in groups)],
+        )
+
+    def _warnings_section(self) -> Section:
+        """What was assumed, repaired, left out and lost."""
+        blocks = [
+            _kind_block(kind, [warning_text(warning) for warning in self.warnings if warning.kind is kind])
+            for kind in WarningKind
+            if any(warning.kind is kind for warning in self.warnings)
+        ]
+        if self.losses:
+            table = Table("What the drive lost when it was written", _LOSS_COLUMNS, self.losses)
+            blocks.append(Block(heading=f"Losses: {len(self.losses):,}", tables=[table]))
+        none = "Nothing was assumed, repaired, left out or lost."
+        return Section(
+            key="warnings",
+            name="Warnings and losses",
+            absent=None if self.warnings or self.losses else none,
+            blocks=[*blocks, *self._conversion_blocks()],
+        )
+
+    def _conversion_blocks(self) -> list[Block]:
+        """What other formats would make of the drive."""
+        if not self.conversions:
+            return []
+        total = sum(self.conversions[0].supports.values())
+        caption = f"What formats would make of the {total} kinds of fields that the drive holds"
+        more = "`sceneloom convert DRIVE OUT --loss F` reports of a conversion what became of every value."
+        return [
+            Block(
+                heading="In other formats",
+                tables=[Table(caption, _CONVERSION_COLUMNS, self.conversions, folded=True)],
+                list_title="What would be dropped",
+                listed=[
+                    f"{each.format}: {', '.join(each.dropped)}" for each in self.conversions if each.dropped
+                ],
+            ),
+            Block(lines=[more], faint=True),
+        ]
+
+    def _source_section(self) -> Section:
+        """Which data, versions and settings the report stands on."""
+        made = self.provenance
+        settings = ", ".join(f"{name} = {value}" for name, value in made.settings.items())
+        rows = {
+            "Source": self.summary.source,
+            "Format": self.summary.format,
+            "Made": made.made,
+            "sceneloom": made.sceneloom,
+            "Python": f"{made.python} on {made.system}",
+            "Packages": ", ".join(f"{name} {version}" for name, version in made.packages.items()),
+            "Settings": settings or "the usual ones",
+        }
+        if made.size_bytes is not None:
+            rows["Size"] = _megabytes(made.size_bytes)
+        if made.sha256 is not None:
+            rows[_HASHED.get(made.hashed or "", "SHA-256")] = made.sha256
+        what = pair_columns("What", "Value")
+        entries = f"What the drive reports itself: {len(made.reported)} entries of its metadata"
+        return Section(
+            key="source",
+            name="Provenance",
+            blocks=[
+                Block(
+                    tables=[
+                        Table("Where this report comes from", what, rows.items()),
+                        Table(entries, what, made.reported.items(), folded=True),
+                    ]
+                )
+            ],
+        )
+
+
+_HASHED = {
+    "file": "SHA-256 of the file, as `sha256sum` gives it",
+    "folder": "SHA-256 of the names and contents of all files, in order of the names",
+    "ends": "SHA-256 of the names, sizes, first and last megabytes of all files: it is too large to read it all",
+}
+
+_MOST_WARNINGS = 300
+
+
+def _megabytes(size_bytes: int | None) -> str:
+    """Bytes in a unit that reads well."""
+    if size_bytes is None:
+        return NOTHING
+    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if size_bytes >= scale:
+            return f"{size_bytes / scale:.1f} {unit}"
+    return f"{size_bytes} bytes"
+
+
+def _sensor_text(sensor: SensorSummary) -> str:
+    points, poses = sensor.first_frame_points, sensor.poses
+    details = (
+        sensor.camera_model,
+        sensor.video,
+        None if points is None else f"{points:,} points in the first frame",
+        sensor.coordinates,
+        None if poses is None else f"{poses:,} poses",
+        "mounted on the ego" if sensor.mounted else None,
+    )
+    return ", ".join(filter(None, details)) or NOTHING
+
+
+_SENSOR_COLUMNS = (
+    text_column("Sensor", lambda sensor: sensor.id),
+    text_column("Type", lambda sensor: sensor.type.replace("_", " ")),
+    Column("Frames or samples", lambda sensor: count(sensor.count)),
+    Column("Rate", lambda sensor: NOTHING if sensor.rate_hz is None else f"{sensor.rate_hz:.4g} Hz"),
+    Column("From", lambda sensor: fixed(sensor.start, 3, "s")),
+    Column("To", lambda sensor: fixed(sensor.stop, 3, "s")),
+    text_column("What it is", _sensor_text, wide=True),
+)
+
+
+def _support_text(loss: Loss) -> str:
+    return "kept aside" if loss.kept and loss.support is Support.DROPPED else str(loss.support)
+
+
+_LOSS_COLUMNS = (
+    text_column("Field", lambda loss: loss.field),
+    text_column("Support", _support_text),
+    text_column("What happened", lambda loss: loss.what, wide=True),
+    Column("Times", lambda loss: count(loss.count)),
+    Column(
+        "Largest error", lambda loss: NOTHING if loss.largest_error is None else f"{loss.largest_error:.4g}"
+    ),
+    text_column("Kept in", lambda loss: loss.kept or NOTHING),
+)
+
+
+def _conversion_column(support: Support) -> Column:
+    return Column(str(support).capitalize(), lambda each: count(each.supports.get(str(support), 0)))
+
+
+_CONVERSION_COLUMNS = (text_column("Format", lambda each: each.format), *map(_conversion_column, Support))
+
+
+def _finding_text(finding: Finding) -> str:
+    return joined(finding.path, finding.message) + times(finding.count)
+
+
+def _rule_block(found: list[Finding]) -> Block:
+    """What one rule found, of one severity."""
+    first = found[0]
+    fix = ["`sceneloom validate --fix` repairs it."] if first.fixable else []
+    return Block(
+        heading=f"{first.rule}: {several(sum(finding.count for finding in found), 'time')}",
+        badge=(str(first.severity), str(first.severity)),
+        lines=[f"What to do: {first.remedy}", *fix, f"Where: {_finding_text(first)}"],
+        list_title=f"All {len(found)} locations",
+        listed=[_finding_text(finding) for finding in found] if len(found) > 1 else [],
+    )
+
+
+def _kind_block(kind: WarningKind, lines: list[str]) -> Block:
+    """The warnings of one kind; many of them are folded."""
+    if len(lines) <= 3:
+        return Block(heading=f"{kind.capitalize()}: {len(lines):,}", lines=lines)
+    more = [f"and {len(lines) - _MOST_WARNINGS:,} more"] if len(lines) > _MOST_WARNINGS else []
+    return Block(
+        heading=f"{kind.capitalize()}: {len(lines):,}",
+        list_title=f"All {len(lines):,}",
+        listed=[*lines[:_MOST_WARNINGS], *more],
+    )

@@ -1,4 +1,4 @@
-"""What fusing some sweeps gives, and a quick check of the camera-lidar calibration."""
+"""A quick check of the camera-lidar calibration, the fusion of some sweeps, and the sections about both."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +13,17 @@ from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.pipeline.alignment import Aligned, align
 from sceneloom.pipeline.fusing import CameraReport, CameraStatistics, FusionStatistics
 from sceneloom.pipeline.play import Skips, build_system, play
-from sceneloom.report.content import Figures
+from sceneloom.report.content import (
+    NOTHING,
+    Block,
+    Column,
+    Figures,
+    Section,
+    Table,
+    count,
+    several,
+    text_column,
+)
 from sceneloom.report.coverage import with_some_sweeps
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, scene_period_ns
@@ -49,6 +59,34 @@ class CalibrationCheck(msgspec.Struct, frozen=True, kw_only=True):
     distinctness: float = 0.0
     stated_distinctness: float = 0.0
 
+    def block(self) -> Block:
+        """What is to be said of it."""
+        caption = f"Parts of the calibration of {self.camera}"
+        return Block(
+            heading=f"{self.camera} against {self.lidar}",
+            badge=(_BADGES.get(self.verdict, "hint"), self.verdict),
+            lines=[self.reason] if self.reason else [],
+            tables=[Table(caption, _ITEM_COLUMNS, self.items, folded=True)],
+        )
+
+
+_BADGES = {"good": "good", "wrong": "error", "drifting": "warning", "cannot determine": "hint"}
+
+
+def _change_text(item: Item) -> str:
+    if not item.values:
+        return NOTHING
+    changes = [f"{v:+.2f} ± {s:.2f}" for v, s in zip(item.values, item.sigmas, strict=True)]
+    return f"{', '.join(changes)} {item.unit}"
+
+
+_ITEM_COLUMNS = (
+    text_column("Part", lambda item: item.name.replace("_", " ")),
+    text_column("Verdict", lambda item: item.verdict.value),
+    Column("Would have to change by", _change_text),
+    text_column("Why", lambda item: item.reason or NOTHING, wide=True),
+)
+
 
 def check_cameras(scene: Scene, *, frames: int = _FRAMES) -> tuple[CalibrationCheck, ...]:
     """Check the first cameras of a scene against its first lidar; nothing where it has no lidar."""
@@ -57,6 +95,29 @@ def check_cameras(scene: Scene, *, frames: int = _FRAMES) -> tuple[CalibrationCh
     if not lidars or not cameras:
         return ()
     return tuple(_check(scene, camera.id, lidars[0].id, frames) for camera in cameras[:_MOST_CAMERAS])
+
+
+def calibration_section(checks: Sequence[CalibrationCheck], figures: Figures, missing: str | None) -> Section:
+    """Show overlays, and what a quick check says."""
+    photos = figures.of("calibration")
+    legend = (
+        "Discs: points of the lidar, coloured by depth; grey crosses: points behind something nearer. Where the "
+        "calibration is right, jumps in depth follow the edges of things in the image."
+    )
+    frames = max((check.frames for check in checks), default=0)
+    more = f"A quick check by {frames} images of each camera; `sceneloom calibrate DRIVE --check` takes more."
+    return Section(
+        key="calibration",
+        name="Calibration",
+        missing=missing,
+        absent=None if photos or checks else "There are no points in images to judge it by.",
+        blocks=[
+            Block(photos=photos),
+            Block(lines=[legend] if photos else [], faint=True),
+            *(check.block() for check in checks),
+            Block(lines=[more] if checks else [], faint=True),
+        ],
+    )
 
 
 def _check(scene: Scene, camera_id: Identifier, lidar_id: Identifier, frames: int) -> CalibrationCheck:
@@ -113,6 +174,83 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
     skipped: tuple[str, ...] = ()
     time_differences_ms: dict[str, float] = msgspec.field(default_factory=dict)
 
+    @classmethod
+    def sampled(
+        cls, scene: Scene, figures: Figures, *, sweeps: int = _SWEEPS, lenient: bool = True
+    ) -> "Fusion":
+        """Fuse some sweeps spread over the drive, and draw what came out.
+
+        Args:
+            scene: with an ego trajectory, or sensors that are placed in the world.
+            figures: gets the images.
+            sweeps: of each lidar, at most.
+            lenient: pass over what cannot be read.
+
+        Raises:
+            PoseError: the sensors' motion is not known.
+            CalibrationError: a camera model cannot be computed with.
+            DataError: a sweep or image cannot be read, and that is not passed over.
+        """
+        aligned = align(scene)
+        few = with_some_sweeps(aligned.scene, sweeps)
+        skips = Skips() if lenient else None
+        gathered = _Gathered(
+            FusionStatistics({camera.id: CameraStatistics(len(camera.images)) for camera in scene.cameras}),
+            DriveCloud(frozenset(range(sweeps))),
+        )
+        most = max((len(lidar.frames) for lidar in few.lidars), default=0)
+        for frame in _played(aligned, few, skips):
+            gathered.add(frame, middle=min(sweeps, most) // 2)
+        _draw(gathered, figures, None if aligned.ego is None else aligned.ego.path)
+        statistics, differences_ns = gathered.statistics, gathered.differences_ns
+        return cls(
+            trajectory=None if aligned.ego is None else aligned.ego.name,
+            sweeps=statistics.fused,
+            of=sum(len(lidar.frames) for lidar in aligned.scene.lidars),
+            points=statistics.points,
+            coloured_percent=statistics.coloured_percent,
+            cameras=statistics.camera_reports,
+            extrapolated=statistics.extrapolated,
+            unfused=statistics.unfused,
+            skipped=() if skips is None else tuple(skips.reasons),
+            time_differences_ms={key: float(np.median(all_)) / 1e6 for key, all_ in differences_ns.items()},
+        )
+
+    def section(self, figures: Figures, missing: str | None) -> Section:
+        """Show coloured clouds and depth images, with the counts behind them."""
+        rows = [(camera, self.time_differences_ms.get(str(camera.camera))) for camera in self.cameras]
+        unfused = [f"{several(number, 'sweep')}: {reason}" for reason, number in self.unfused.items()]
+        left = f"{several(figures.left_out, 'image')} more had no room on the page."
+        return Section(
+            key="fusion",
+            name="Fusion",
+            missing=missing,
+            facts=[
+                ("Sweeps fused", f"{self.sweeps:,} of {self.of:,}"),
+                ("Points coloured", f"{self.coloured_percent:.1f} %"),
+                ("Ego trajectory", self.trajectory or "sensors' own poses"),
+            ],
+            blocks=[
+                Block(photos=figures.of("fusion")),
+                Block(tables=[Table("Images and points of the fused sweeps", _CAMERA_COLUMNS, rows)]),
+                Block(lines=[left] if figures.left_out else [], faint=True),
+                Block(list_title="Sweeps that could not be fused", listed=unfused),
+                Block(list_title=f"Could not be read: {len(self.skipped)}", listed=self.skipped[:50]),
+            ],
+        )
+
+
+_CAMERA_COLUMNS = (
+    text_column("Camera", lambda row: row[0].camera),
+    Column("Sweeps with an image", lambda row: count(row[0].paired)),
+    Column("Without one in time", lambda row: count(row[0].unpaired)),
+    Column("Beyond the trajectory", lambda row: count(row[0].unposed)),
+    Column("Later than its sweep [ms]", lambda row: NOTHING if row[1] is None else f"{row[1]:+.1f}"),
+    Column("Points in the image", lambda row: f"{row[0].in_image_percent:.1f} %"),
+    Column("Hidden of these", lambda row: f"{row[0].hidden_percent:.1f} %"),
+    Column("Points coloured", lambda row: count(row[0].coloured)),
+)
+
 
 @dataclass(slots=True)
 class _Gathered:
@@ -132,50 +270,6 @@ class _Gathered:
         known = self.shown.get(frame.lidar_id)
         if frame.unfused is None and (known is None or frame.index <= middle):
             self.shown[frame.lidar_id] = frame
-
-
-def fuse_some(scene: Scene, figures: Figures, *, sweeps: int = _SWEEPS, lenient: bool = True) -> Fusion:
-    """Fuse some sweeps spread over the drive, and draw what came out.
-
-    Args:
-        scene: with a ego trajectory, or sensors that are placed in the world.
-        figures: gets the images.
-        sweeps: of each lidar, at most.
-        lenient: pass over what cannot be read.
-
-    Raises:
-        PoseError: the sensors' motion is not known.
-        CalibrationError: a camera model cannot be computed with.
-        DataError: a sweep or image cannot be read, and that is not passed over.
-    """
-    aligned = align(scene)
-    few = with_some_sweeps(aligned.scene, sweeps)
-    total = sum(len(lidar.frames) for lidar in aligned.scene.lidars)
-    skips = Skips() if lenient else None
-    gathered = _Gathered(
-        FusionStatistics({camera.id: CameraStatistics(len(camera.images)) for camera in scene.cameras}),
-        DriveCloud(frozenset(range(sweeps))),
-    )
-    most = max((len(lidar.frames) for lidar in few.lidars), default=0)
-    for frame in _played(aligned, few, skips):
-        gathered.add(frame, middle=min(sweeps, most) // 2)
-    path = None if aligned.ego is None else aligned.ego.path
-    _draw(gathered, figures, path)
-    statistics = gathered.statistics
-    return Fusion(
-        trajectory=None if aligned.ego is None else aligned.ego.name,
-        sweeps=statistics.fused,
-        of=total,
-        points=statistics.points,
-        coloured_percent=statistics.coloured_percent,
-        cameras=tuple(camera.report(camera_id) for camera_id, camera in statistics.cameras.items()),
-        extrapolated=statistics.extrapolated,
-        unfused=statistics.unfused,
-        skipped=() if skips is None else tuple(skips.reasons),
-        time_differences_ms={
-            key: float(np.median(values)) / 1e6 for key, values in gathered.differences_ns.items()
-        },
-    )
 
 
 def _played(aligned: Aligned, few: Scene, skips: Skips | None) -> Iterator[FusedFrame]:

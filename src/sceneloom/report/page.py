@@ -2,7 +2,7 @@
 
 import json
 from base64 import b64encode
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import datetime
 from functools import partial
@@ -27,35 +27,13 @@ from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.base.output import check_output, replacing
 from sceneloom.formats.base.registry import PART
 from sceneloom.motion.ego_trajectory import find_ego_motion, is_computed, with_trajectory_estimated
-from sceneloom.report.annotations import Labels, draw_labels, labels_of
-from sceneloom.report.content import Drawing, Figures, Photo, Section, plain
-from sceneloom.report.coverage import Coverage, coverage_of
-from sceneloom.report.drive_report import (
-    Advice,
-    DriveReport,
-    Evidence,
-    conversions_of,
-    provenance_of,
-    verdict_of,
-)
-from sceneloom.report.fusion import Fusion, check_cameras, fuse_some
-from sceneloom.report.result_sections import (
-    annotations_section,
-    calibration_section,
-    findings_section,
-    fusion_section,
-    truth_section,
-    warnings_section,
-)
-from sceneloom.report.sections import (
-    coverage_section,
-    drive_section,
-    source_section,
-    timing_section,
-    trajectory_section,
-)
-from sceneloom.report.timing import timing_of
-from sceneloom.report.trajectory import Metrics, Trajectories, metrics_of, trajectories_of
+from sceneloom.report.annotations import Labels, draw_labels
+from sceneloom.report.content import Drawing, Figures, Photo, plain
+from sceneloom.report.coverage import Coverage
+from sceneloom.report.drive_report import Advice, DriveReport, Verdict, conversions_of, provenance_of
+from sceneloom.report.fusion import CalibrationCheck, Fusion, check_cameras
+from sceneloom.report.timing import Timing
+from sceneloom.report.trajectory import Metrics, Trajectories
 from sceneloom.scene.ego import needs_ego
 from sceneloom.scene.scene import Scene, frame_times
 from sceneloom.scene.summary import SceneSummary, summarise
@@ -70,11 +48,11 @@ class ReportSettings:
     """How a report is made.
 
     Attributes:
-        trajectory: name of the ego trajectory; "lidar" or "gnss" to find it; None for the drive's first, else one that
-            is found where that takes no long time.
+        trajectory: name of the ego trajectory; "lidar" or "gnss" to estimate it; None for the drive's first, else one
+            that is estimated if that is quick.
         heading: "motion" to derive orientations where the trajectory has positions only.
-        truth: a trajectory, a scene with cuboids, or KITTI's text that the drive is held against.
-        compare: ways to be found and held against the drive's own: "lidar", "gnss".
+        truth: a trajectory, a scene with cuboids, or KITTI's text that the drive is compared with.
+        compare: trajectories to be estimated and compared with the drive's own: "lidar", "gnss".
         losses: a loss report as `sceneloom convert --loss` writes it.
         quick: read no more than a few frames: no validation of frames, no calibration check.
         images: how many the page may hold.
@@ -100,18 +78,14 @@ class ReportSettings:
     @property
     def stated(self) -> dict[str, Any]:
         """Those that are not the usual ones, by name."""
-        usual = _USUAL
-        return {
-            name: getattr(self, name)
-            for name in (each.name for each in fields(self))
-            if getattr(self, name) != getattr(usual, name)
-        }
+        names = (each.name for each in fields(self))
+        return {name: getattr(self, name) for name in names if getattr(self, name) != getattr(_USUAL, name)}
 
 
 _USUAL = ReportSettings()
 
 _MOST_SWEEPS_FOR_A_TRAJECTORY = 200
-"""The ego trajectory is found from the sweeps of longer drives only where that is asked for: it takes a while."""
+"""The ego trajectory of longer drives is estimated from their sweeps only on request: it takes a while."""
 
 _MOST_FRAMES_VALIDATED = 6000
 """Frames and images of drives with more are not read by the rules: `sceneloom validate` does that."""
@@ -153,7 +127,9 @@ def collect(
         DataError: nothing of the drive can be read, the loss report cannot, or the truth cannot be compared with it.
     """
     if settings.truth is not None and not Path(settings.truth).exists():
-        raise DataError(settings.truth, "", "no such file or folder; expected what the drive is held against")
+        raise DataError(
+            settings.truth, "", "no such file or folder; expected what the drive is compared with"
+        )
     losses = () if settings.losses is None else read_losses(settings.losses)
     if isinstance(source, Scene):
         return _Collector(source, None, settings, dict(reading or {}), progress, made).collect(losses)
@@ -182,7 +158,7 @@ def read_losses(path: Path) -> tuple[Loss, ...]:
 
 @dataclass(slots=True)
 class _Collector:
-    """Collects part by part; what cannot be reported is noted with the reason, and the rest goes on."""
+    """Collects part by part; what cannot be reported is noted with the reason."""
 
     scene: Scene
     where: Path | str | None
@@ -201,18 +177,21 @@ class _Collector:
         summary = self.part("contents", self._summary, None) or _no_summary(self.scene)
         start_ns = summary.start_ns or 0
         figures = Figures(self.settings.images)
-        coverage = self.part("coverage", lambda: coverage_of(self.scene), Coverage())
-        calibration = self.part("calibration", self._calibration, ())
+        coverage = self.part("coverage", lambda: Coverage.of(self.scene), Coverage())
+        unchecked: tuple[CalibrationCheck, ...] = ()
+        calibration = self.part("calibration", self._calibration, unchecked)
         with counting_left_out() as left:
             fusion = self.part("fusion", lambda: self._fusion(figures), None)
             labels = self.part("annotations", lambda: self._labels(start_ns, figures), None)
         self.sampling += left.lines
-        evidence = Evidence(
+        path = self.where if isinstance(self.where, Path) and self.where.exists() else None
+        report = DriveReport(
+            name=self.settings.title or Path(str(self.scene.source)).name or str(self.scene.source),
             summary=summary,
-            timing=timing_of(self.scene, start_ns=start_ns),
+            timing=Timing.of(self.scene, start_ns=start_ns),
             trajectories=self.part(
                 "trajectory",
-                lambda: trajectories_of(self.scene, start_ns=start_ns, found_now=found),
+                lambda: Trajectories.of(self.scene, start_ns=start_ns, found_now=found),
                 Trajectories(trajectories=()),
             ),
             coverage=coverage,
@@ -221,9 +200,16 @@ class _Collector:
             labels=labels,
             metrics=self.part("truth", self._metrics, Metrics(), required=self.settings.truth is not None),
             validation=validation,
+            conversions=self.part("conversions", lambda: conversions_of(self.scene), ()),
+            losses=losses,
+            warnings=self.scene.warnings,
+            provenance=provenance_of(
+                self.scene, path, {**self.settings.stated, **self.reading}, made=self.made
+            ),
+            sampling=tuple(self.sampling),
             left_out=self.left_out,
         )
-        return Collected(self._report(evidence, losses), figures)
+        return Collected(msgspec.structs.replace(report, verdict=Verdict.of(report)), figures)
 
     def part(
         self, name: str, work: Callable[[], _Part], otherwise: _Part, *, required: bool = False
@@ -241,31 +227,6 @@ class _Collector:
         if self.progress is not None:
             self.progress(min(self.done, _STEPS), _STEPS)
         return found
-
-    def _report(self, evidence: Evidence, losses: tuple[Loss, ...]) -> DriveReport:
-        path = self.where if isinstance(self.where, Path) and self.where.exists() else None
-        name = self.settings.title or Path(str(self.scene.source)).name or str(self.scene.source)
-        return DriveReport(
-            name=name,
-            verdict=verdict_of(evidence),
-            summary=evidence.summary,
-            timing=evidence.timing,
-            trajectories=evidence.trajectories,
-            coverage=evidence.coverage,
-            calibration=tuple(evidence.calibration),
-            fusion=evidence.fusion,
-            labels=evidence.labels,
-            metrics=evidence.metrics,
-            validation=evidence.validation,
-            conversions=self.part("conversions", lambda: conversions_of(self.scene), ()),
-            losses=losses,
-            warnings=self.scene.warnings,
-            provenance=provenance_of(
-                self.scene, path, {**self.settings.stated, **self.reading}, made=self.made
-            ),
-            sampling=tuple(self.sampling),
-            left_out=self.left_out,
-        )
 
     def _summary(self) -> SceneSummary:
         size = size_on_disk(self.where) if isinstance(self.where, Path) and self.where.exists() else None
@@ -308,7 +269,7 @@ class _Collector:
     def _takes_long(self) -> bool:
         return sum(len(lidar.frames) for lidar in self.scene.lidars) > _MOST_SWEEPS_FOR_A_TRAJECTORY
 
-    def _calibration(self) -> Any:
+    def _calibration(self) -> tuple[CalibrationCheck, ...]:
         if self.settings.quick:
             self.left_out["calibration"] = "not checked: a quick report was asked for"
             return ()
@@ -317,13 +278,13 @@ class _Collector:
     def _fusion(self, figures: Figures) -> Fusion | None:
         if not any(len(lidar.frames) for lidar in self.scene.lidars):
             return None
-        found = fuse_some(self.scene, figures)
+        found = Fusion.sampled(self.scene, figures)
         if found.sweeps < found.of:
             self.sampling.append(f"{found.sweeps} of {found.of:,} sweeps were fused for numbers and images")
         return found
 
     def _labels(self, start_ns: int, figures: Figures) -> Labels | None:
-        found = labels_of(self.scene, start_ns=start_ns)
+        found = Labels.measured(self.scene, start_ns=start_ns)
         if found is None:
             return None
         if found.moments < found.of:
@@ -338,9 +299,9 @@ class _Collector:
         is_part = not self.reading.keys().isdisjoint(PART)
         if is_part and self.settings.truth is not None:
             self.sampling.append(
-                "objects are held against a truth in whole drives only; this is a part of one"
+                "objects are compared with a truth in whole drives only; this is a part of one"
             )
-        return metrics_of(
+        return Metrics.of(
             self.scene,
             source=None if is_part else self.where,
             truth=self.settings.truth,
@@ -408,29 +369,12 @@ def render_page(report: DriveReport, figures: Figures) -> str:
     page: str = environment.get_template("report.html.j2").render(
         report=report,
         style=_resource("style.css"),
-        sections=list(_sections_of(report, figures)),
+        sections=list(report.sections(figures)),
         marks=_MARKS,
         advices=shown,
         more_advices=further,
     )
     return page
-
-
-def _sections_of(report: DriveReport, figures: Figures) -> Iterator[Section]:
-    """The sections of a page in their order."""
-    yield drive_section(report)
-    yield timing_section(report)
-    yield trajectory_section(report)
-    yield calibration_section(report, figures)
-    yield coverage_section(report)
-    yield fusion_section(report, figures)
-    yield annotations_section(report, figures)
-    truth = truth_section(report)
-    if truth is not None:
-        yield truth
-    yield findings_section(report)
-    yield warnings_section(report)
-    yield source_section(report)
 
 
 def _advices(report: DriveReport) -> tuple[list[Advice], list[Advice]]:
@@ -442,7 +386,7 @@ def _advices(report: DriveReport) -> tuple[list[Advice], list[Advice]]:
 
 
 def _resource(name: str) -> str:
-    return files("sceneloom.report.page").joinpath(name).read_text("utf-8")
+    return files("sceneloom.report").joinpath(name).read_text("utf-8")
 
 
 def _source_path(report: DriveReport) -> str:

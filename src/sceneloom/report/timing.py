@@ -1,11 +1,30 @@
-"""When each stream delivers: rates, jitter, gaps, missing frames, overlaps."""
+"""When each stream delivers: rates, jitter, gaps, missing frames, overlaps; and the section about it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from sceneloom.arrays import Int64Array
+from sceneloom.report.content import (
+    COLOURS,
+    NOTHING,
+    PLOT_INCHES,
+    WIDE_INCHES,
+    Block,
+    Column,
+    Drawing,
+    Section,
+    Table,
+    count,
+    draw_svg,
+    fixed,
+    percent,
+    several,
+    short,
+    text_column,
+)
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.motion import ImuSensor
@@ -15,6 +34,9 @@ from sceneloom.scene.types import Identifier
 
 _MOST_GAPS = 20
 """Gaps of a stream that are reported one by one: the longest."""
+
+_MOST_STREAMS, _MOST_PLOTS = 40, 12
+"""So many streams and histograms of intervals are drawn."""
 
 _MOST_BINS = 40
 
@@ -110,25 +132,148 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
     overlap: Gap | None = None
     overlap_share: float = 0.0
 
+    @classmethod
+    def of(cls, scene: Scene, *, start_ns: int) -> "Timing":
+        """Look at the timestamps of all streams; no frame is read.
 
-def timing_of(scene: Scene, *, start_ns: int) -> Timing:
-    """Look at the timestamps of all streams; no frame is read.
+        Args:
+            start_ns: the scene's first timestamp [ns].
+        """
+        reference = _reference(scene)
+        found = []
+        for sensor in scene.sensors:
+            for stream, times_ns in _streams(sensor):
+                timing = stream_timing(
+                    sensor.id, str(sensor.type), times_ns, start_ns=start_ns, stream=stream
+                )
+                if reference is not None and sensor is not reference:
+                    phase = _phase(reference.id, times_ns, frame_times(reference))
+                    timing = msgspec.structs.replace(timing, phase=phase)
+                found.append(timing)
+        overlap, share = _overlap(found)
+        return cls(streams=tuple(found), overlap=overlap, overlap_share=share)
 
-    Args:
-        start_ns: the scene's first timestamp [ns].
-    """
-    reference = _reference(scene)
-    reference_ns = None if reference is None else frame_times(reference)
-    found = []
-    for sensor in scene.sensors:
-        for stream, times_ns in _streams(sensor):
-            timing = stream_timing(sensor.id, str(sensor.type), times_ns, start_ns=start_ns, stream=stream)
-            if reference is not None and sensor is not reference and reference_ns is not None:
-                phase = _phase(reference.id, times_ns, reference_ns)
-                timing = msgspec.structs.replace(timing, phase=phase)
-            found.append(timing)
-    overlap, share = _overlap(found)
-    return Timing(streams=tuple(found), overlap=overlap, overlap_share=share)
+    def section(self) -> Section:
+        """How even the streams are, what is missing in them, and how they lie to one another."""
+        streams = [stream for stream in self.streams if stream.count]
+        intervals = [
+            _intervals(stream) for stream in streams if stream.bins is not None and stream.count >= 4
+        ][:_MOST_PLOTS]
+        return Section(
+            key="timing",
+            name="Timing and gaps",
+            absent=None if streams else "No stream has a timestamp.",
+            facts=[("All streams together", percent(self.overlap_share, 0))] if len(streams) > 1 else [],
+            blocks=[
+                Block(plots=self._overview()),
+                Block(tables=[Table("Rates, jitter and gaps of the streams", _STREAM_COLUMNS, streams)]),
+                Block(lines=[self._explanation()], faint=True),
+                Block(tables=[_gaps(streams)]),
+                Block(heading="Intervals" if intervals else "", plots=intervals),
+            ],
+        )
+
+    def _overview(self) -> list[Drawing]:
+        shown = [s for s in self.streams if s.start is not None and s.stop is not None][:_MOST_STREAMS]
+        if not shown:
+            return []
+        gaps = sum(stream.gap_count for stream in self.streams)
+        spans = "; ".join(f"{s.name} from {s.start:.2f} to {s.stop:.2f} s" for s in shown)
+        caption = (
+            "Bars: from the first timestamp to the last. Red: gaps. Green behind: when all give something."
+        )
+        return [
+            Drawing(
+                "Streams over time",
+                f"{several(gaps, 'gap')}. {spans}",
+                self._draw(shown),
+                caption,
+                kind="wide",
+            )
+        ]
+
+    def _draw(self, shown: Sequence[StreamTiming]) -> bytes:
+        """The time that each stream covers, with its gaps."""
+
+        def draw(axes: Any) -> None:
+            if self.overlap is not None and len(shown) > 1:
+                axes.axvspan(self.overlap.start, self.overlap.stop, color="#17663a", alpha=0.14, linewidth=0)
+            for k, stream in enumerate(shown):
+                start, stop = stream.start or 0.0, stream.stop or 0.0
+                axes.barh(k, max(stop - start, 1e-9), left=start, height=0.4, color=COLOURS[0])
+                axes.plot([start], [k], marker="|", color=COLOURS[0])
+                for gap in stream.gaps:
+                    axes.barh(k, gap.stop - gap.start, left=gap.start, height=0.6, color="#c4302b")
+            axes.set_yticks(range(len(shown)), [short(stream.name) for stream in shown])
+            axes.set_ylim(len(shown) - 0.4, -0.6)
+            axes.set_xlabel("seconds after the first timestamp")
+
+        return draw_svg((WIDE_INCHES, 0.8 + 0.3 * len(shown)), draw)
+
+    def _explanation(self) -> str:
+        references = dict.fromkeys(
+            stream.phase.reference for stream in self.streams if stream.phase is not None
+        )
+        text = (
+            "Jitter is the standard deviation of the intervals that are no gaps; a gap is longer than 1.5 usual "
+            "intervals; missing is how many would fill the gaps."
+        )
+        if not references:
+            return text
+        return (
+            f"{text} Beside the reference: how much later than the nearest timestamp of "
+            f"{', '.join(map(str, references))} timestamps are, the median and what holds 95 % of them; timestamps of "
+            "sweeps are their starts."
+        )
+
+
+_STREAM_COLUMNS = (
+    text_column("Stream", lambda stream: stream.name),
+    Column("Rate [Hz]", lambda stream: fixed(stream.rate_hz, 2)),
+    Column("Interval [ms]", lambda stream: fixed(stream.period_ms, 2)),
+    Column("Jitter [ms]", lambda stream: fixed(stream.jitter_ms, 3)),
+    Column("Longest [ms]", lambda stream: fixed(stream.longest_ms, 1)),
+    Column("Gaps", lambda stream: count(stream.gap_count)),
+    Column(
+        "Missing",
+        lambda stream: f"{stream.missing:,} ({percent(stream.missing_share)})" if stream.missing else "0",
+    ),
+    Column("Repeated or backwards", lambda stream: f"{stream.repeated:,} / {stream.backwards:,}"),
+    Column(
+        "Beside the reference [ms]",
+        lambda stream: (
+            NOTHING
+            if stream.phase is None
+            else f"{stream.phase.median_ms:+.2f} ± {stream.phase.spread_ms:.2f}"
+        ),
+    ),
+)
+
+_GAP_COLUMNS = (
+    text_column("Stream", lambda row: row[0]),
+    Column("From [s]", lambda row: fixed(row[1].start, 3)),
+    Column("To [s]", lambda row: fixed(row[1].stop, 3)),
+    Column("Length [s]", lambda row: fixed(row[1].stop - row[1].start, 3)),
+)
+
+
+def _gaps(streams: list[StreamTiming]) -> Table:
+    rows = [(stream.name, gap) for stream in streams for gap in stream.gaps]
+    unlisted = sum(max(stream.gap_count - len(stream.gaps), 0) for stream in streams)
+    more = f"{unlisted:,} shorter gaps are not listed." if unlisted else ""
+    return Table(f"Gaps: {len(rows)}", _GAP_COLUMNS, rows, folded=len(rows) > 5, more=more)
+
+
+def _intervals(stream: StreamTiming) -> Drawing:
+    bins, period_ms = stream.bins, stream.period_ms
+
+    def draw(axes: Any) -> None:
+        if bins is not None:
+            axes.stairs(bins.counts, bins.edges_ms, fill=True, color=COLOURS[0])
+        axes.set(xlabel="interval [ms]", ylabel="count")
+
+    text = f"Most intervals are about {period_ms:.2f} ms; the longest is {stream.longest_ms:.1f} ms"
+    return Drawing(f"Intervals of {stream.name}", text, draw_svg(PLOT_INCHES, draw))
 
 
 def stream_timing(

@@ -196,11 +196,7 @@ def _plan_line(stream: Stream, names: tuple[str | int, ...], enu: Float64Array, 
 
 
 def _plan_marks(
-    stream: Stream,
-    names: tuple[str | int, ...],
-    times_ns: np.ndarray,
-    enu: Float64Array,
-    colour: Colour,
+    stream: Stream, names: tuple[str | int, ...], times_ns: np.ndarray, enu: Float64Array, colour: Colour
 ) -> None:
     rows = _thinned(len(enu), _MOST_POSES)
     marks = sdk().Points2D.columns(

@@ -218,11 +218,7 @@ class LidarView:
         above = self._heights(positions, shown_from_points, shown_from_sensor)
         colours, held = self.painter.paint(frame.points, above), fits(positions)
         self.stream.leave_out("lidar points", np.count_nonzero(~held))
-        cloud = rr.Points3D(
-            positions[held],
-            colors=colours[held],
-            radii=_ui_points(_POINT_SIZE),
-        )
+        cloud = rr.Points3D(positions[held], colors=colours[held], radii=_ui_points(_POINT_SIZE))
         placed = () if in_sensor else (transform(shown_from_points),)
         self.stream.log(time_ns, self.path, *placed, cloud, kind="sweeps", size=16 * len(positions))
         return time_ns, positions

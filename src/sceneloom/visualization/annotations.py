@@ -145,10 +145,7 @@ def _value_text(value: Any) -> str:
 
 
 def _cuboid(
-    annotation: CuboidAnnotation,
-    timestamp_ns: int,
-    angles: CuboidAngles,
-    sensor_id: Identifier | None = None,
+    annotation: CuboidAnnotation, timestamp_ns: int, angles: CuboidAngles, sensor_id: Identifier | None = None
 ) -> Figure | None:
     poses = cuboid_poses(annotation, [timestamp_ns], angles=angles, sensor_id=sensor_id)
     if not poses.there[0]:

@@ -170,11 +170,7 @@ _COMPRESSION = 2
 
 
 def iter_images(
-    frame: FusedFrame,
-    index: int,
-    *,
-    ego_poses: Poses | None = None,
-    show_hidden: bool = False,
+    frame: FusedFrame, index: int, *, ego_poses: Poses | None = None, show_hidden: bool = False
 ) -> Iterator[tuple[str, Callable[[], PilImage]]]:
     """Name each image of a frame and state how to draw it.
 

@@ -21,10 +21,7 @@ def keep() -> Callable[[Scene], Scene]:
 @pytest.fixture(scope="session")
 def drive(keep: Callable[[Scene], Scene]) -> Scene:
     """Four sweeps of a coarse lidar and two small cameras."""
-    cameras = (
-        CameraSpec(SMALL, camera_mount()),
-        CameraSpec(SMALL, camera_mount(yaw_deg=70.0), 30_000_000),
-    )
+    cameras = (CameraSpec(SMALL, camera_mount()), CameraSpec(SMALL, camera_mount(yaw_deg=70.0), 30_000_000))
     return keep(simulate_street(3, frames=4, lidar=LidarSpec(beams=16, steps=240), cameras=cameras).scene)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.report.coverage import RANGE_EDGES, CloudStatistics, coverage_of
+from sceneloom.report.coverage import RANGE_EDGES, CloudStatistics, Coverage
 from sceneloom.scene import CameraSensor, LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Scene
 from sceneloom.simulate import camera_mount
 
@@ -63,7 +63,7 @@ def test_a_camera_sees_what_its_camera_model_and_mounting_state(yaw_deg):
     side = CameraSensor(
         "side", camera_model, LazyFrames.of([], []), mount=camera_mount(yaw_deg=yaw_deg, pitch_deg=3.0)
     )
-    _, found = coverage_of(Scene((ahead, side))).cameras
+    _, found = Coverage.of(Scene((ahead, side))).cameras
     half = math.degrees(math.atan(400.0 / 400.0))
     assert found.across_deg == pytest.approx(2 * half, abs=0.01)
     assert found.upright_deg == pytest.approx(2 * math.degrees(math.atan(0.5)), abs=0.01)
@@ -76,14 +76,14 @@ def test_shares_of_the_horizon_join_what_sensors_see():
     camera_model = Camera("pinhole", 800, 400, 400.0, 400.0, 399.5, 199.5)
     front = CameraSensor("front", camera_model, LazyFrames.of([], []), mount=camera_mount())
     half = lidar(on_circle(np.arange(0.5, 180.0), 10.0), mount=RigidTransform.identity())
-    found = coverage_of(Scene((front, half)))
+    found = Coverage.of(Scene((front, half)))
     assert found.lidar_share == pytest.approx(0.5)
     assert found.camera_share == pytest.approx(0.25, abs=0.01)
     assert found.both_share == pytest.approx(0.125, abs=0.01)
 
 
 def test_points_in_the_world_without_a_location_of_the_lidar_are_reported_not_counted():
-    found = coverage_of(Scene((lidar(on_circle(np.arange(9.0), 4.0), points_frame=PointsFrame.WORLD),)))
+    found = Coverage.of(Scene((lidar(on_circle(np.arange(9.0), 4.0), points_frame=PointsFrame.WORLD),)))
     assert found.clouds[0].sweeps == 0
     assert "not known" in found.skipped[0]
 
@@ -93,7 +93,7 @@ def test_a_rotated_lidar_is_levelled_by_its_mounting():
     rotated = RigidTransform(np.diag([-1.0, 1.0, -1.0]), np.array([1.0, 0.0, 2.0]))
     ahead_in_ego = on_circle(np.array([2.0, 3.0]), 10.0, height=1.0)
     sensor = lidar(rotated.inverse().rotate(ahead_in_ego).astype(np.float32), mount=rotated)
-    found = coverage_of(Scene((sensor,))).clouds[0]
+    found = Coverage.of(Scene((sensor,))).clouds[0]
     assert [k for k, count in enumerate(found.sectors) if count] == [0]
     assert found.lowest_deg == pytest.approx(math.degrees(math.atan2(1.0, 10.0)), abs=0.2)
 
@@ -106,6 +106,6 @@ def test_a_sweep_that_cannot_be_read_is_reported_and_passed_over(short):
 
     first = short.lidars[0]
     torn = replace(first, frames=LazyFrames(first.frames.timestamps_ns[:2], broken))
-    found = coverage_of(replace(short, sensors=(torn,)))
+    found = Coverage.of(replace(short, sensors=(torn,)))
     assert found.clouds[0].sweeps == 0
     assert len(found.skipped) == 2

@@ -17,7 +17,7 @@ def test_one_far_point_is_in_the_last_bin_of_a_sweep(far):
     points = np.array([[1, 0, 0], [0, 2, 0], [far, far, 0]], np.float32)
     statistics.add(points)
     found = statistics.coverage("lidar", "lidar", of=1)
-    assert statistics.nowhere == 0
+    assert statistics.non_finite == 0
     assert sum(found.range_counts) == 3
     assert found.range_counts[-1] == 1
     assert found.range_max == pytest.approx(np.hypot(far, far), rel=1e-6)

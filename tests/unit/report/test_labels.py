@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.report.annotations import OTHER, Spread, labels_of
+from sceneloom.report.annotations import NO_CLASS, Labels, Spread
 from sceneloom.scene import (
     AttributePath,
     CameraImage,
@@ -65,12 +65,12 @@ def scene():
 
 @pytest.fixture(scope="module")
 def labels(scene):
-    return labels_of(scene, start_ns=0)
+    return Labels.measured(scene, start_ns=0)
 
 
 def test_types_classes_and_attributes_are_counted(labels):
     assert labels.types == {"cuboid": 3, "event": 1}
-    assert [(c.label, c.objects) for c in labels.classes] == [("car", 2), (OTHER, 1)]
+    assert [(c.label, c.objects) for c in labels.classes] == [("car", 2), (NO_CLASS, 1)]
     assert labels.attributes == {"speed": 1}
 
 
@@ -108,11 +108,13 @@ def test_boxes_over_time_are_those_that_are_there(labels):
 
 
 def test_a_scene_without_annotations_has_no_labels():
-    assert labels_of(Scene(()), start_ns=0) is None
+    assert Labels.measured(Scene(()), start_ns=0) is None
 
 
 def test_annotations_without_sensors_are_counted_all_the_same():
-    found = labels_of(Scene((), annotations=(cuboid("a", (1, 1, 1), (0, 0, 0)),), metadata=OURS), start_ns=0)
+    found = Labels.measured(
+        Scene((), annotations=(cuboid("a", (1, 1, 1), (0, 0, 0)),), metadata=OURS), start_ns=0
+    )
     assert (found.classes[0].objects, found.moments) == (1, 0)
 
 
@@ -128,7 +130,7 @@ def test_boxes_count_from_the_first_timestamp_to_the_last_in_days_of_today():
         [LidarFrame(t, LidarPoints(np.ones((1, 3), np.float32))) for t in times], list(times)
     )
     boxes = (cuboid("near", (4.0, 2.0, 2.0), (10.0, 0.0, 0.0), times=times),)
-    found = labels_of(
+    found = Labels.measured(
         Scene((LidarSensor("lidar", frames, poses=path),), boxes, metadata=OURS), start_ns=times[0]
     )
     assert {count for _, count in found.over_time} == {1}

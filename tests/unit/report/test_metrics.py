@@ -7,7 +7,7 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import DataError
-from sceneloom.report.trajectory import metrics_of
+from sceneloom.report.trajectory import Metrics
 from sceneloom.scene import Scene, Trajectory
 
 
@@ -24,7 +24,7 @@ def trajectories(scene: Scene) -> Scene:
 
 
 def test_every_way_is_held_against_the_true_one(short):
-    (found,) = metrics_of(trajectories(short), source=None, truth=None).trajectories
+    (found,) = Metrics.of(trajectories(short), source=None, truth=None).trajectories
     assert (found.estimate, found.reference) == ("odd", "groundTruth")
     assert found.absolute.vertical.rms == pytest.approx(
         0.2, rel=0.01
@@ -35,7 +35,7 @@ def test_a_truth_beside_the_drive_gives_tracks_and_ways(short, tmp_path):
     few = replace(short, sensors=())
     sceneloom.write(few, tmp_path / "found.sfs")
     sceneloom.write(few, tmp_path / "true.sfs")
-    found = metrics_of(few, source=tmp_path / "found.sfs", truth=tmp_path / "true.sfs")
+    found = Metrics.of(few, source=tmp_path / "found.sfs", truth=tmp_path / "true.sfs")
     assert all(scores.combined.hota.hota == pytest.approx(1.0) for scores in found.tracks.classes.values())
 
 
@@ -43,4 +43,4 @@ def test_a_truth_beside_the_drive_gives_tracks_and_ways(short, tmp_path):
 def test_what_is_to_be_compared_and_cannot_be_is_an_error(short, trajectory, problem):
     scene = replace(short, trajectories={}) if trajectory == "lidar" else trajectories(short)
     with pytest.raises(DataError, match=rf"{problem}.*leave `--compare {trajectory}` out"):
-        metrics_of(scene, source=None, truth=None, compare=(trajectory,))
+        Metrics.of(scene, source=None, truth=None, compare=(trajectory,))

@@ -251,7 +251,7 @@ def test_colours_of_texts_have_contrast():
     """Source of the formula: WCAG 2.2, relative luminance and contrast ratio."""
     from importlib.resources import files
 
-    style = files("sceneloom.report.page").joinpath("style.css").read_text("utf-8")
+    style = files("sceneloom.report").joinpath("style.css").read_text("utf-8")
     blocks = {
         "light": style.split("@media", maxsplit=1)[0],
         "dark": style.split("prefers-color-scheme: dark")[1].split("* {", maxsplit=1)[0],

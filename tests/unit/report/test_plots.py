@@ -5,7 +5,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from sceneloom.report.content import bars, columns, draw_plan, histogram, line_plot, middle_text
+from sceneloom.report.content import bars, columns, line_plot
 from sceneloom.report.page import ReportSettings, collect
 from sceneloom.scene import GnssSensor, Scene, Trajectory
 
@@ -28,7 +28,7 @@ def test_names_stand_in_plots_as_text():
 
 
 def test_equal_plots_have_equal_bytes_and_state_nothing_of_when_they_were_made():
-    first, again = (histogram([0, 1, 2], [3, 4], x_name="interval [ms]", y_name="count") for _ in range(2))
+    first, again = (columns("ab", [3, 4], x_name="interval [ms]", y_name="count") for _ in range(2))
     assert first == again
     assert b"dc:date" not in first
     assert "interval [ms]" in texts(first)
@@ -45,10 +45,10 @@ def test_trajectories_that_go_far_off_have_a_map(far):
     trajectories = collect(
         Scene((), trajectories={"ego": trajectory}), ReportSettings(quick=True)
     ).report.trajectories
-    svg = draw_plan(trajectories)
+    svg = trajectories.draw_map()
     assert svg is not None
     assert "x [m]" in texts(svg)
-    assert middle_text(trajectories) == ""
+    assert trajectories.middle_text() == ""
 
 
 def test_fixes_alone_are_drawn_east_and_north():
@@ -56,7 +56,7 @@ def test_fixes_alone_are_drawn_east_and_north():
     none = np.full(10, np.nan)
     scene = Scene((GnssSensor("gnss", np.arange(10) * 10**9, lla, none, none),))
     trajectories = collect(scene, ReportSettings(quick=True)).report.trajectories
-    reported = texts(draw_plan(trajectories))
+    reported = texts(trajectories.draw_map())
     assert "north [m]" in reported
     assert "fixes of gnss" in reported
-    assert middle_text(trajectories) == "52.50045° N, 13.40000° E"
+    assert trajectories.middle_text() == "52.50045° N, 13.40000° E"

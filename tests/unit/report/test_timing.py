@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.report.timing import stream_timing, timing_of
+from sceneloom.report.timing import Timing, stream_timing
 from sceneloom.scene import GnssSensor, Scene
 from sceneloom.scene.scene import time_span
 
@@ -15,7 +15,7 @@ def timestamps(*milliseconds: float) -> np.ndarray:
 
 
 def of_camera(drive):
-    timing = timing_of(drive.scene, start_ns=time_span(drive.scene)[0])
+    timing = Timing.of(drive.scene, start_ns=time_span(drive.scene)[0])
     return next(stream for stream in timing.streams if stream.sensor == "camera0")
 
 
@@ -61,11 +61,11 @@ def receiver(name: str, times_ns: np.ndarray) -> GnssSensor:
 
 def test_the_overlap_is_what_all_streams_share():
     scene = Scene((receiver("a", timestamps(0, 1000, 4000)), receiver("b", timestamps(3000, 3500, 8000))))
-    found = timing_of(scene, start_ns=0)
+    found = Timing.of(scene, start_ns=0)
     assert (found.overlap.start, found.overlap.stop) == (3.0, 4.0)
     assert found.overlap_share == pytest.approx(1 / 8)
     apart = Scene((receiver("a", timestamps(0, 1000)), receiver("b", timestamps(3000, 3500))))
-    assert timing_of(apart, start_ns=0).overlap is None
+    assert Timing.of(apart, start_ns=0).overlap is None
 
 
 def test_images_are_reported_against_the_sweeps(drive):

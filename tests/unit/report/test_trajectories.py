@@ -7,7 +7,7 @@ import pymap3d
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.report.trajectory import MOST_CORNERS, trajectories_of
+from sceneloom.report.trajectory import MOST_CORNERS, Trajectories
 from sceneloom.scene import GnssSensor, Scene, Trajectory
 
 RADIUS, SPEED, SECONDS = 40.0, 8.0, 20.0
@@ -34,7 +34,7 @@ def fixes(trajectory: Trajectory, north_deg: float) -> GnssSensor:
 
 
 def test_length_speed_rotate_and_climb_are_those_of_the_formula():
-    (found,) = trajectories_of(Scene((), trajectories={"trajectory": circle()}), start_ns=0).trajectories
+    (found,) = Trajectories.of(Scene((), trajectories={"trajectory": circle()}), start_ns=0).trajectories
     # the trajectory rises by 0.1 m/s beside 8 m/s; chords of 0.05 s are 1e-6 shorter than arcs
     length = np.hypot(SPEED, 0.1) * SECONDS
     assert found.metres == pytest.approx(length, rel=1e-4)
@@ -49,12 +49,12 @@ def test_length_speed_rotate_and_climb_are_those_of_the_formula():
 
 def test_an_ego_that_stands_is_stated_to_stand():
     trajectory = replace(circle(), positions=np.tile([5.0, 6.0, 7.0], (401, 1)))
-    (found,) = trajectories_of(Scene((), trajectories={"trajectory": trajectory}), start_ns=0).trajectories
+    (found,) = Trajectories.of(Scene((), trajectories={"trajectory": trajectory}), start_ns=0).trajectories
     assert (found.stationary_share, found.metres, found.mean_speed) == (1.0, 0.0, 0.0)
 
 
 def test_a_long_way_is_known_by_few_corners():
-    (found,) = trajectories_of(
+    (found,) = Trajectories.of(
         Scene((), trajectories={"trajectory": circle(20_001)}), start_ns=0
     ).trajectories
     assert len(found.corners) <= MOST_CORNERS
@@ -65,7 +65,7 @@ def test_a_long_way_is_known_by_few_corners():
 def test_north_is_found_from_the_fixes(north_deg):
     trajectory = circle()
     scene = Scene((fixes(trajectory, north_deg),), trajectories={"trajectory": trajectory})
-    found = trajectories_of(scene, start_ns=0)
+    found = Trajectories.of(scene, start_ns=0)
     assert (found.north.direction_deg - north_deg + 180) % 360 - 180 == pytest.approx(0.0, abs=0.01)
     assert found.north.rms < 0.01
     assert found.fixes[0].first_lla == pytest.approx((52.5, 13.4, 40.0))
@@ -76,13 +76,13 @@ def test_fixes_of_an_ego_that_stands_do_not_report_north():
     trajectory = circle()
     still = replace(trajectory, positions=np.zeros_like(trajectory.positions))
     assert (
-        trajectories_of(Scene((fixes(still, 90.0),), trajectories={"trajectory": still}), start_ns=0).north
+        Trajectories.of(Scene((fixes(still, 90.0),), trajectories={"trajectory": still}), start_ns=0).north
         is None
     )
 
 
 def test_a_scene_without_anything_has_no_ways():
-    assert trajectories_of(Scene(()), start_ns=0).trajectories == ()
+    assert Trajectories.of(Scene(()), start_ns=0).trajectories == ()
 
 
 def test_fixes_without_reception_are_no_locations():
@@ -90,7 +90,7 @@ def test_fixes_without_reception_are_no_locations():
     known = fixes(trajectory, 90.0)
     lla = known.positions_lla.copy()
     lla[:100, :2] = 0.0
-    found = trajectories_of(Scene((replace(known, positions_lla=lla),)), start_ns=0)
+    found = Trajectories.of(Scene((replace(known, positions_lla=lla),)), start_ns=0)
     assert (found.fixes[0].usable, found.fixes[0].count) == (301, 401)
 
 
@@ -98,6 +98,6 @@ def test_north_is_taken_as_the_scene_states_it():
     trajectory = circle()
     stated = {"sceneloom": {"enu_origin": {"latitude": 52.5, "longitude": 13.4, "altitude": 40.0}}}
     scene = Scene((fixes(trajectory, 90.0),), trajectories={"trajectory": trajectory}, metadata=stated)
-    found = trajectories_of(scene, start_ns=0).north
+    found = Trajectories.of(scene, start_ns=0).north
     assert (found.direction_deg, found.rms) == (90.0, None)
     assert found.shift == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)

@@ -9,7 +9,7 @@ from sceneloom.checks import validate
 from sceneloom.pipeline.fusing import CameraReport
 from sceneloom.report.annotations import Labels
 from sceneloom.report.coverage import CloudCoverage, Coverage
-from sceneloom.report.drive_report import Evidence, verdict_of
+from sceneloom.report.drive_report import DriveReport, Verdict, provenance_of
 from sceneloom.report.fusion import CalibrationCheck, Fusion
 from sceneloom.report.timing import Timing, stream_timing
 from sceneloom.report.trajectory import Metrics, Trajectories
@@ -28,17 +28,20 @@ def evidence(**parts):
         "labels": None,
         "metrics": Metrics(),
         "validation": None,
-        "left_out": {},
+        "conversions": (),
+        "losses": (),
+        "warnings": (),
+        "provenance": provenance_of(Scene(()), None, {}),
     }
-    return Evidence(**{**known, **parts})
+    return DriveReport(name="drive", **{**known, **parts})
 
 
 def titles(**parts):
-    return [advice.title for advice in verdict_of(evidence(**parts)).advices]
+    return [advice.title for advice in Verdict.of(evidence(**parts)).advices]
 
 
 def test_nothing_wrong_is_in_order():
-    found = verdict_of(evidence())
+    found = Verdict.of(evidence())
     assert (found.state, found.advices) == ("sound", ())
     assert found.contents == "0.0 s in the format memory: no sensors. The ego trajectory is not known."
 
@@ -60,7 +63,7 @@ def findings(*severities):
     ],
 )
 def test_the_worst_finding_decides_and_comes_first(severities, state):
-    found = verdict_of(evidence(validation=findings(*severities)))
+    found = Verdict.of(evidence(validation=findings(*severities)))
     assert found.state == state
     order = list(Severity)
     assert [advice.severity for advice in found.advices] == sorted(severities, key=order.index)
@@ -75,7 +78,7 @@ def stream(count=30, lost=()):
 def test_a_stream_with_gaps_is_reported_with_the_longest():
     (title,) = titles(timing=Timing(streams=(stream(lost=(5, 10, 11)),), overlap_share=1.0))
     assert title == "camera0 lacks 3 of 30"
-    (advice,) = verdict_of(evidence(timing=Timing(streams=(stream(lost=(5, 10, 11)),)))).advices
+    (advice,) = Verdict.of(evidence(timing=Timing(streams=(stream(lost=(5, 10, 11)),)))).advices
     assert advice.detail == "2 gaps; the longest gap is 0.30 s at 0.90 s"
 
 
@@ -90,7 +93,7 @@ def test_an_even_stream_is_not_reported():
 def test_a_calibration_is_reported_where_it_is_off(verdict, state):
     assert verdict in {each.value for each in Health}
     check = CalibrationCheck(camera="camera0", lidar="lidar", verdict=verdict)
-    assert verdict_of(evidence(calibration=(check,))).state == state
+    assert Verdict.of(evidence(calibration=(check,))).state == state
 
 
 def fusion(**camera):

@@ -71,10 +71,7 @@ def test_one_sweep_alone_is_no_drive(tmp_path: Path) -> None:
 def test_of_points_in_one_cube_the_one_that_a_camera_saw_is_kept(tmp_path: Path) -> None:
     cloud = DriveCloud(frozenset({0, 1}))
     locations = wall(6.0) // CUBE * CUBE
-    grey, red = (
-        sweep(0, locations + 0.1 * CUBE, RED, seen=False),
-        sweep(0, locations + 0.2 * CUBE, RED),
-    )
+    grey, red = (sweep(0, locations + 0.1 * CUBE, RED, seen=False), sweep(0, locations + 0.2 * CUBE, RED))
     both = LidarPoints(
         np.concatenate([grey.points.positions, red.points.positions]),
         colors=np.concatenate([grey.points.colors, red.points.colors]),

@@ -46,7 +46,7 @@ ALLOWED = {
     ("sceneloom.colouring.world_map", "np.load"): "what was written before, in a folder of our own",
     ("sceneloom.colouring.world_map", "np.fromfile"): "what was written before, in a folder of our own",
     (
-        "sceneloom.pipeline.coloured_sweeps",
+        "sceneloom.pipeline.colouring",
         "np.memmap",
     ): "what was written before, in a folder of our own",
     ("sceneloom.kernels.cache", "read_bytes"): "an index of compiled kernels that was found in a folder",

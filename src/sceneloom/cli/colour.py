@@ -9,8 +9,7 @@ from sceneloom.cli import options
 from sceneloom.cli.printing import print_json, print_lines, print_table, print_warnings, progress_bar, several
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.coloured_sweeps import ColourOutputs
-    from sceneloom.pipeline.colouring import ColourReport
+    from sceneloom.pipeline.colouring import ColourOutputs, ColourReport
 
 
 @click.command()
@@ -80,7 +79,7 @@ def colour(
 ) -> None:
     """Colour the points of a drive from all its cameras: one map, or sweep by sweep; carry labels over."""
     from sceneloom.formats.base.registry import open_scene
-    from sceneloom.pipeline.coloured_sweeps import ColourOutputs, ColourSettings
+    from sceneloom.pipeline.colouring import ColourOutputs, ColourSettings
     from sceneloom.pipeline.colouring import colour as colour_scene
 
     if label_radius_px is not None and project_labels is None:

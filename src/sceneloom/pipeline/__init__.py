@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.coloured_sweeps import ColourOutputs, ColourSettings
-    from sceneloom.pipeline.colouring import ColourReport, colour
+    from sceneloom.pipeline.colouring import ColourOutputs, ColourReport, ColourSettings, colour
     from sceneloom.pipeline.converting import ConversionReport, convert
     from sceneloom.pipeline.depth_images import DepthReport, write_depth_images
     from sceneloom.pipeline.deskewing import DeskewReport, deskew, deskewed_scene
@@ -25,9 +24,9 @@ else:
         __name__,
         {
             "CameraReport": "sceneloom.pipeline.fusing:CameraReport",
-            "ColourOutputs": "sceneloom.pipeline.coloured_sweeps:ColourOutputs",
+            "ColourOutputs": "sceneloom.pipeline.colouring:ColourOutputs",
             "ColourReport": "sceneloom.pipeline.colouring:ColourReport",
-            "ColourSettings": "sceneloom.pipeline.coloured_sweeps:ColourSettings",
+            "ColourSettings": "sceneloom.pipeline.colouring:ColourSettings",
             "ConversionReport": "sceneloom.pipeline.converting:ConversionReport",
             "DepthReport": "sceneloom.pipeline.depth_images:DepthReport",
             "DeskewReport": "sceneloom.pipeline.deskewing:DeskewReport",

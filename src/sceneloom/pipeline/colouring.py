@@ -1,48 +1,157 @@
 """The colour job: the points of a drive coloured from all its cameras, as one map or sweep by sweep.
 
-Labels carried from images to points and back.
+Labels go from label images to points and back. In this order: settings, outputs and report; the colours of a sweep; the
+labels of an image; the files that are written; the job.
 """
 
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
+from typing import BinaryIO, Protocol
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import BoolArray
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt8Array, UInt16Array
+from sceneloom.colouring.blending import (
+    BlendSettings,
+    PointSources,
+    blend_colours,
+    estimate_normals,
+    view_weights,
+)
 from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
+from sceneloom.colouring.labels import LabelCanvas, paint_labels
 from sceneloom.colouring.moving_points import MovingBoxes, MovingPoints, lags_for
-from sceneloom.colouring.results import LidarTrajectory
+from sceneloom.colouring.results import FusedFrame, FusedView, LidarTrajectory
 from sceneloom.colouring.visibility import VisibilitySettings
-from sceneloom.errors import PoseError
-from sceneloom.formats.base.label_images import LabelFolder
+from sceneloom.colouring.world_map import WorldMap, empty_points
+from sceneloom.editing.move_points import chosen_points
+from sceneloom.editing.references import assumed
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.base.label_images import NAMES_FILE, LabelFolder, write_label_png
+from sceneloom.formats.base.output import check_output, filling
+from sceneloom.formats.points.cloud import NO_LABEL, CloudWriter, WrittenPoints
+from sceneloom.formats.points.files import WRITTEN_SUFFIXES, check_cloud_suffix, open_cloud_writer
+from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.system import FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.ego_trajectory import placeable_lidars
 from sceneloom.pipeline.alignment import Aligned, align
-from sceneloom.pipeline.coloured_sweeps import (
-    ColouredSweep,
-    ColourOutputs,
-    ColourSettings,
-    ColourSinks,
-    SweepColouring,
-    open_colour_sinks,
+from sceneloom.pipeline.fusing import CameraReport, FusionStatistics
+from sceneloom.pipeline.outputs import SceneSink, lidar_folders, names_of, spread
+from sceneloom.pipeline.play import (
+    Skips,
+    build_system,
+    check_any_placed,
+    check_has_lidar,
+    play,
+    reported_once,
+    telling,
 )
-from sceneloom.pipeline.fusing import CameraReport, CameraStatistics, FusionStatistics, reported_once
-from sceneloom.pipeline.play import Skips, build_system, check_has_lidar, play, telling
-from sceneloom.scene.clouds import LidarFrame
+from sceneloom.scene.annotations import LabeledPoints, LabeledPointsAnnotation
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor, PointsSensor, grey_where_unseen
 from sceneloom.scene.ego import lidar_position
-from sceneloom.scene.poses import PoseSource
+from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns
-from sceneloom.scene.types import Identifier, Progress
+from sceneloom.scene.types import Identifier, Key, Progress, key_of
 from sceneloom.visualization.canvas import counting_left_out
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.visualization.fused_frames import MOST_SWEEPS, DriveCloud
+from sceneloom.warnings import DataWarning
+
+_BLENDS = ("nearest", "best", "weighted")
+"""How the colours of several images become one: that of the pixel nearest to an image's middle, the interpolated one
+with the largest weight, or the weighted mean of all that agree with it."""
+
+_SCENE_SUFFIX = ".sfs"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColourSettings:
+    """How a drive is coloured.
+
+    Attributes:
+        blend: one of `_BLENDS`.
+        exposure: whether differences in exposure are compensated.
+        voxel: side of the cubes of which the map keeps one point each [m]; None: it keeps all points.
+        remove_moving: whether points on moving objects are left out.
+        labels: folder of label images that are painted onto the points.
+        only_coloured: whether points that no image shows are left out.
+        provenance: whether clouds name the camera, image, pixel and weight of each point.
+        label_radius_px: of the square that a point fills in projected label images beside its pixel.
+        threads: how many share the work on a sweep; the result does not depend on it.
+
+    Raises:
+        OptionError: a value is not one that can be followed.
+    """
+
+    blend: str = "weighted"
+    exposure: bool = True
+    voxel: float | None = None
+    remove_moving: bool = False
+    labels: Path | None = None
+    only_coloured: bool = False
+    provenance: bool = False
+    label_radius_px: int = 0
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        if self.blend not in _BLENDS:
+            raise OptionError(f"blend {self.blend!r}; expected one of {', '.join(_BLENDS)}")
+        if self.voxel is not None and not (isfinite(self.voxel) and 0.001 <= self.voxel <= 1000):
+            raise OptionError(f"voxel {self.voxel}; expected 0.001 to 1000 m")
+        if not 0 <= self.label_radius_px <= 100:
+            raise OptionError(f"label_radius_px {self.label_radius_px}; expected 0 to 100")
+        if not 1 <= self.threads <= 256:
+            raise OptionError(f"threads {self.threads}; expected 1 to 256")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColourOutputs:
+    """Where a colouring writes what; None: not at all.
+
+    Attributes:
+        map: the whole drive as one cloud: .las, .laz, .ply, .pcd or .sfs.
+        per_sweep: a folder of clouds, one for each sweep, or an .sfs file of the fused drive.
+        project_labels: folder of label images of the scene's labelled points.
+        images: folder of images for people.
+        overwrite: whether outputs that exist may be replaced.
+    """
+
+    map: Path | None = None
+    per_sweep: Path | None = None
+    project_labels: Path | None = None
+    images: Path | None = None
+    overwrite: bool = False
+
+    def check(self) -> None:
+        """Refuse outputs that cannot be, before much is done.
+
+        Raises:
+            OptionError: there is nothing to write, a suffix is unknown, or two outputs have one name.
+            OutputError: an output exists, or its folder is missing.
+        """
+        wanted = (self.map, self.per_sweep, self.project_labels, self.images)
+        locations = [location for location in wanted if location is not None]
+        if not locations:
+            raise OptionError(
+                "nothing to write: name a map (`-o map.laz`), a folder for sweeps (`--per-sweep DIR`), "
+                "for label images (`--project-labels DIR`) or for images (`--visualize DIR`)"
+            )
+        if len({location.absolute() for location in locations}) < len(locations):
+            raise OptionError(f"{locations[0]}: named twice; expected a name for each output")
+        if self.map is not None and self.map.suffix.lower() != _SCENE_SUFFIX:
+            try:
+                check_cloud_suffix(self.map)
+            except OptionError as error:
+                raise OptionError(f"{error}, or {_SCENE_SUFFIX} for a scene") from None
+        for location in locations:
+            check_output(location, overwrite=self.overwrite)
 
 
 class _ExposureReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,8 +174,8 @@ class _ExposureReport(msgspec.Struct, frozen=True, kw_only=True):
     factors: dict[str, tuple[float, float]]
 
     @classmethod
-    def of(cls, gains: ExposureGains, cameras: dict[int, Identifier]) -> "_ExposureReport":
-        """Report what was found, by the cameras' ids instead of their indices."""
+    def of(cls, gains: ExposureGains, cameras: Sequence[Identifier]) -> "_ExposureReport":
+        """Report what was found, by the cameras' ids instead of their numbers."""
         found = {camera: logs for camera, logs in gains.log_gains.items() if len(logs)}
         return cls(
             seam_before=gains.seam_before if isfinite(gains.seam_before) else None,
@@ -151,7 +260,708 @@ class ColourReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 _MOST_COMPARED = 300
-"""Sweeps by which exposures are reported at most, spread over the drive."""
+"""So many sweeps, spread over the drive, exposures are compared by at most."""
+
+
+_NO_IMAGE = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ColouredSweep:
+    """A fused sweep without its images, and its points as rows of a map.
+
+    Attributes:
+        frame: the sweep with its new colours; `views` are left out, which hold whole images.
+        points: (N,) of dtype `POINT`.
+    """
+
+    frame: FusedFrame
+    points: AnyArray
+
+
+@dataclass(slots=True)
+class _SweepColouring:
+    """Colours sweeps.
+
+    Attributes:
+        scene: what the images are of, as read: their numbers are those in its cameras.
+        blend: "nearest", "best" or "weighted".
+        gains: what compensates the exposures; None: they stay.
+        labels: label images; None for none.
+    """
+
+    scene: Scene
+    blend: str
+    gains: ExposureGains | None = None
+    labels: LabelFolder | None = None
+    _cameras: dict[Identifier, tuple[int, CameraSensor]] = field(default_factory=dict)
+    _numbers: dict[Identifier, Mapping[int, int]] = field(default_factory=dict)
+    _images: dict[Identifier, tuple[int, UInt16Array | None]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._cameras = {camera.id: (k, camera) for k, camera in enumerate(self.scene.cameras)}
+        for camera in self.scene.cameras:
+            timestamps = camera.images.timestamps_ns.tolist()
+            self._numbers[camera.id] = {time_ns: k for k, time_ns in reversed([*enumerate(timestamps)])}
+
+    def indices(self, views: Sequence[FusedView]) -> list[int]:
+        """The numbers of the cameras of views among the scene's."""
+        return [self._cameras[view.camera_id][0] for view in views]
+
+    def number(self, view: FusedView) -> int:
+        """The number of a view's image in its camera."""
+        return self._numbers[view.camera_id].get(view.timestamp_ns, _NO_IMAGE)
+
+    def colour(self, frame: FusedFrame) -> _ColouredSweep:
+        """Give a fused sweep its colours and labels.
+
+        Raises:
+            DataError: a label image cannot be read, or has another size than its image.
+        """
+        points_world = _points_of(frame)
+        times = frame.points.timestamps_ns
+        colors, sources = self._colours(frame, points_world, times)
+        points = empty_points(len(points_world))
+        points["position"] = points_world
+        points["color"], points["weight"] = colors, sources.weights
+        points["camera"], points["pixel"] = sources.camera_index, sources.pixels
+        for view in frame.views:
+            of_view = sources.camera_index == self._cameras[view.camera_id][0]
+            points["image"][of_view] = self.number(view)
+        if frame.points.intensities is not None:
+            points["intensity"] = frame.points.intensities
+        points["time_ns"] = frame.timestamp_ns if times is None else times
+        if self.labels is not None:
+            images = [self._label_image(view, self.labels) for view in frame.views]
+            points["label"] = paint_labels(points_world, frame.views, images, timestamps_ns=times)
+        coloured = replace(frame.points, colors=colors, camera_index=sources.camera_index)
+        return _ColouredSweep(replace(frame, points=coloured, views=()), points)
+
+    def _colours(
+        self, frame: FusedFrame, points_world: Float64Array, times: Int64Array | None
+    ) -> tuple[UInt8Array, PointSources]:
+        indices = self.indices(frame.views)
+        gains = {} if self.gains is None else self.gains.for_views(frame.views, indices)
+        if self.blend == "nearest":
+            return _nearest(frame, indices, gains, points_world, times)
+        normals = None
+        if frame.views:
+            eyes = [view.world_from_camera.translation for view in frame.views]
+            normals = estimate_normals(points_world, np.mean(eyes, axis=0))
+        settings = BlendSettings(mode=self.blend)
+        blended = blend_colours(
+            points_world,
+            frame.views,
+            indices,
+            settings=settings,
+            normals_world=normals,
+            timestamps_ns=times,
+            gains=gains,
+        )
+        return blended.colors, blended.sources
+
+    def _label_image(self, view: FusedView, labels: LabelFolder) -> UInt16Array | None:
+        """The label image of an image, read once where several sweeps are paired with it."""
+        number = self.number(view)
+        kept = self._images.get(view.camera_id)
+        if kept is None or kept[0] != number:
+            camera = self._cameras[view.camera_id][1]
+            kept = number, labels.image(camera, number, (view.camera.width, view.camera.height))
+            self._images[view.camera_id] = kept
+        return kept[1]
+
+
+def _points_of(frame: FusedFrame) -> Float64Array:
+    """Positions in the world, before they were rounded to float32 where an image was found."""
+    return frame.views[0].points_world if frame.views else frame.points.positions.astype(np.float64)
+
+
+def _nearest(
+    frame: FusedFrame,
+    indices: Sequence[int],
+    gains: Mapping[int, Float64Array],
+    points_world: Float64Array,
+    times: Int64Array | None,
+) -> tuple[UInt8Array, PointSources]:
+    """The colours that the fusion gave, with their provenance."""
+    sources = PointSources.none(len(frame.points))
+    if frame.points.colors is None or frame.points.camera_index is None:
+        return np.full((len(frame.points), 3), 255, np.uint8), sources
+    colors, chosen = frame.points.colors.copy(), frame.points.camera_index
+    sources.camera_index[:] = chosen
+    for view, index in zip(frame.views, indices, strict=True):
+        rows = np.flatnonzero(chosen[view.point_ids] == index)
+        ids = view.point_ids[rows]
+        sources.images_ns[ids], sources.pixels[ids] = view.timestamp_ns, view.pixels[rows]
+        sources.weights[ids] = view_weights(points_world, view, BlendSettings(), timestamps_ns=times)[rows]
+        if index in gains:
+            colors[ids] = np.rint(np.clip(colors[ids] * gains[index], 0, 255)).astype(np.uint8)
+    return colors, sources
+
+
+_CANVASES = 2
+"""Images of a camera that are drawn at once: sweeps of several lidars may meet them alternately."""
+
+
+def _numbered_labels(scene: Scene) -> dict[str, int]:
+    """The number of each label of labelled points: the label itself where all are numbers, else 1, 2, … by name.
+
+    Raises:
+        DataError: there are no labelled points, or too many different labels.
+    """
+    names = sorted({_name(each) for each in _labelled(scene)})
+    if not names:
+        raise DataError(
+            scene.source, "annotations", "no labelled points in it; expected labels of lidar frames"
+        )
+    if len(names) >= NO_LABEL:
+        raise DataError(scene.source, "annotations", f"{len(names)} labels; expected at most {NO_LABEL - 1}")
+    if all(name.isascii() and name.isdigit() and 0 < int(name) < NO_LABEL for name in names):
+        return {name: int(name) for name in names}
+    return {name: k for k, name in enumerate(names, 1)}
+
+
+def _labelled(scene: Scene) -> list[LabeledPointsAnnotation]:
+    return [each for each in scene.annotations if isinstance(each, LabeledPointsAnnotation)]
+
+
+def _name(annotation: LabeledPointsAnnotation) -> str:
+    return str(annotation.id) if annotation.label is None else annotation.label
+
+
+@dataclass(slots=True)
+class _LabelProjection:
+    """Draws labels: `<camera>/<image number>.png`, 0 where no labelled point is, and what the numbers mean.
+
+    Attributes:
+        scene: with labelled points, whose frames are counted as the results of the fusion are.
+        folder: an empty folder.
+        names: folder of each camera.
+        colouring: knows the numbers of images.
+        radius_px: of the square that a point fills beside its pixel.
+        written: images so far.
+    """
+
+    scene: Scene
+    folder: Path
+    names: Mapping[Identifier, str]
+    colouring: _SweepColouring
+    radius_px: int = 0
+    written: int = 0
+    numbers: dict[str, int] = field(default_factory=dict)
+    _entries: dict[tuple[Key, int], list[tuple[int, Sequence[int]]]] = field(default_factory=dict)
+    _open: dict[Identifier, dict[int, LabelCanvas]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.numbers = _numbered_labels(self.scene)
+        for annotation in _labelled(self.scene):
+            for entry in annotation.labeled_points:
+                if entry.sensor_frame is not None:
+                    key = (key_of(entry.sensor_id), entry.sensor_frame)
+                    reported = (self.numbers[_name(annotation)], entry.point_ids)
+                    self._entries.setdefault(key, []).append(reported)  # type: ignore[arg-type]
+
+    def add(self, frame: FusedFrame) -> None:
+        """Draw the labels of one sweep into its images.
+
+        Raises:
+            DataError: a label names a point that the sweep does not have.
+        """
+        labels = self._labels(frame)
+        for view in frame.views:
+            canvases = self._open.setdefault(view.camera_id, {})
+            number = self.colouring.number(view)
+            if number not in canvases:
+                if len(canvases) == _CANVASES:
+                    self._write(view.camera_id, next(iter(canvases)))
+                width, height = view.camera.width, view.camera.height
+                canvases[number] = LabelCanvas.blank(width, height, radius_px=self.radius_px)
+            canvases[number].draw(view, labels)
+
+    def _labels(self, frame: FusedFrame) -> UInt16Array:
+        labels = np.full(len(frame.points), NO_LABEL, np.uint16)
+        for number, ids in self._entries.get((key_of(frame.lidar_id), frame.index), ()):
+            if len(ids) and int(np.max(ids)) >= len(labels):
+                location = f"annotations[].labeled_points[{frame.lidar_id}, frame {frame.index}]"
+                problem = f"point {int(np.max(ids))}; expected numbers below {len(labels)}"
+                raise DataError(self.scene.source, location, problem)
+            labels[np.asarray(ids)] = number
+        return labels
+
+    def _write(self, camera_id: Identifier, number: int) -> None:
+        canvas = self._open[camera_id].pop(number)
+        folder = self.folder / self.names[camera_id]
+        folder.mkdir(parents=True, exist_ok=True)
+        write_label_png(canvas.labels, folder / f"{number:06d}.png", overwrite=True)
+        self.written += 1
+
+    def finish(self) -> None:
+        """Write the last images, and what the numbers mean."""
+        for camera_id, canvases in self._open.items():
+            for number in [*canvases]:
+                self._write(camera_id, number)
+        reported = {str(number): name for name, number in self.numbers.items()}
+        (self.folder / NAMES_FILE).write_bytes(msgspec.json.format(msgspec.json.encode(reported), indent=2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Columns:
+    """The columns of written clouds.
+
+    Attributes:
+        labels: whether they have labels.
+        provenance: whether they name camera, image, pixel and weight.
+        origin_world: (3,) float64 [m], what is added to positions.
+    """
+
+    labels: bool
+    provenance: bool
+    origin_world: Float64Array | float = 0.0
+
+    def written(self, points: AnyArray) -> WrittenPoints:
+        """Rows of a map (N,) of dtype `POINT` as the columns of a file."""
+        extras: dict[str, AnyArray] = {"camera": np.ascontiguousarray(points["camera"])}
+        if self.provenance:
+            extras["image"] = np.ascontiguousarray(points["image"])
+            extras["u"], extras["v"] = (np.ascontiguousarray(points["pixel"][:, k]) for k in range(2))
+            extras["weight"] = np.ascontiguousarray(points["weight"])
+        return WrittenPoints(
+            points["position"] + self.origin_world,
+            grey_where_unseen(np.rint(np.clip(points["color"], 0, 255)).astype(np.uint8), points["camera"]),
+            np.rint(np.clip(points["intensity"], 0, 255)).astype(np.uint8),
+            np.ascontiguousarray(points["time_ns"]),
+            np.ascontiguousarray(points["label"]) if self.labels else None,
+            extras,
+        )
+
+
+class _ColourSink(Protocol):
+    """Takes coloured sweeps, one after another."""
+
+    def add(self, sweep: _ColouredSweep, kept: BoolArray) -> None:
+        """Take one sweep; `kept` (N,) are the points that stay."""
+        ...
+
+
+@dataclass(slots=True)
+class _MapSink:
+    """Writes the drive as one cloud, each point, or one for each cube of space.
+
+    Attributes:
+        writer: the open file.
+        columns: of the file.
+        cubes: gathers the points; None: all of them are written at once.
+        complete: what completes the file, where nobody else does.
+        written: points in the file.
+    """
+
+    writer: CloudWriter
+    columns: _Columns
+    cubes: WorldMap | None = None
+    complete: Callable[[], None] | None = None
+    written: int = 0
+
+    def add(self, sweep: _ColouredSweep, kept: BoolArray) -> None:
+        """Take one sweep."""
+        points = sweep.points[kept]
+        if self.cubes is None:
+            self._write(points[np.isfinite(points["position"]).all(axis=1)])
+        else:
+            self.cubes.add(points)
+
+    def finish(self) -> None:
+        """Write what was gathered."""
+        for points in self.cubes.points() if self.cubes is not None else ():
+            self._write(points)
+        if self.complete is not None:
+            self.complete()
+
+    def _write(self, points: AnyArray) -> None:
+        self.writer.add(self.columns.written(points))
+        self.written += len(points)
+
+
+@dataclass(slots=True)
+class _SweepFiles:
+    """Writes a cloud for each sweep: `<frame number>.ply`, of several lidars below `<lidar>/`."""
+
+    folders: Mapping[Identifier, Path]
+    suffix: str
+    columns: _Columns
+    written: int = 0
+
+    def add(self, sweep: _ColouredSweep, kept: BoolArray) -> None:
+        """Write one sweep."""
+        folder = self.folders[sweep.frame.lidar_id]
+        folder.mkdir(parents=True, exist_ok=True)
+        with open_cloud_writer(folder / f"{sweep.frame.index:06d}{self.suffix}") as writer:
+            writer.add(self.columns.written(sweep.points[kept]))
+        self.written += 1
+
+
+@dataclass(slots=True)
+class _SweepScene:
+    """Writes the sweeps into a scene file whose other sensors stand in it already, with their labels.
+
+    Attributes:
+        sink: the open file.
+        names: what labels are called, as far as it is stated.
+        taken: ids of annotations that are in the file.
+    """
+
+    sink: SceneSink
+    names: Mapping[int, str]
+    taken: set[Identifier]
+    _labelled: dict[int, list[LabeledPoints]] = field(default_factory=dict)
+    _frames: dict[Identifier, int] = field(default_factory=dict)
+
+    def add(self, sweep: _ColouredSweep, kept: BoolArray) -> None:
+        """Write one sweep."""
+        frame = replace(sweep.frame, points=_kept_points(sweep.frame.points, kept))
+        self.sink.add(frame)
+        number = self._frames.get(frame.lidar_id, 0)
+        self._frames[frame.lidar_id] = number + 1
+        for label, rows in _rows_of_labels(sweep.points["label"][kept]):
+            entry = LabeledPoints(frame.lidar_id, rows, sensor_frame=number)
+            self._labelled.setdefault(label, []).append(entry)
+
+    def finish(self) -> None:
+        """Add the labels, and complete the file."""
+        for label in sorted(self._labelled):
+            self.sink.writer.add_annotation(
+                _label_annotation(label, tuple(self._labelled[label]), self.names, self.taken)
+            )
+        self.sink.finish()
+
+
+def _kept_points(points: LidarPoints, kept: BoolArray) -> LidarPoints:
+    """Those points of a sweep that are kept, with all their fields."""
+    return points if kept.all() else chosen_points(points, np.flatnonzero(kept))
+
+
+def _rows_of_labels(labels: AnyArray) -> Iterator[tuple[int, AnyArray]]:
+    """Each label of some points, (N,) uint16, and the rows (K,) uint32 that have it."""
+    for label in np.unique(labels).tolist():
+        if label != NO_LABEL:
+            yield label, np.flatnonzero(labels == label).astype(np.uint32)
+
+
+def _label_annotation(
+    label: int, entries: tuple[LabeledPoints, ...], names: Mapping[int, str], taken: set[Identifier]
+) -> LabeledPointsAnnotation:
+    """An annotation of the points of one label, with an id that is not taken."""
+    annotation_id = f"label-{label}"
+    while annotation_id in taken:
+        annotation_id += "-painted"
+    taken.add(annotation_id)
+    return LabeledPointsAnnotation(
+        annotation_id, entries, label=names.get(label, str(label)), is_instance=False
+    )
+
+
+@dataclass(slots=True)
+class _CloudImages:
+    """Draws the drive as one cloud."""
+
+    folder: Path
+    cloud: DriveCloud
+    ego_poses: Poses | None
+    written: int = 0
+
+    def add(self, sweep: _ColouredSweep, kept: BoolArray) -> None:
+        """Gather one sweep."""
+        self.cloud.add(replace(sweep.frame, points=_kept_points(sweep.frame.points, kept)))
+
+    def finish(self) -> None:
+        """Draw the drive."""
+        self.written += len(self.cloud.save(self.folder, self.ego_poses))
+
+
+_MAP_ID = "map"
+
+_KINDS = {"positions": ("f4", 3), "colors": ("u1", 3), "labels": ("u2", 1)}
+
+
+@dataclass(slots=True)
+class _MapScene:
+    """Writes points chunk by chunk to files, and at the end all of them as one sensor of a scene.
+
+    Attributes:
+        writer: the open scene file.
+        folder: an empty folder for the files in between.
+        names: what labels are called, as far as it is stated.
+    """
+
+    writer: SceneWriter
+    folder: Path
+    names: Mapping[int, str]
+    _files: dict[str, BinaryIO] = field(default_factory=dict)
+
+    def add(self, points: WrittenPoints) -> None:
+        """Take some more points."""
+        columns: dict[str, AnyArray | None] = {
+            "positions": points.positions_world.astype(np.float32),
+            "colors": points.colors,
+            "labels": points.labels,
+        }
+        for name, values in columns.items():
+            if values is not None:
+                if name not in self._files:
+                    self._files[name] = (self.folder / name).open("wb")
+                self._files[name].write(np.ascontiguousarray(values).tobytes())
+
+    def close(self) -> None:
+        """Write the sensor and the labels; the scene file is completed by who opened it."""
+        for file in self._files.values():
+            file.close()
+        positions = self._column("positions")
+        colors = self._column("colors") if "colors" in self._files else None
+        self.writer.add_sensor(PointsSensor(_MAP_ID, positions, colors))
+        if "labels" in self._files:
+            taken: set[Identifier] = set()
+            for label, rows in _rows_of_labels(self._column("labels")[:, 0]):
+                entries = (LabeledPoints(_MAP_ID, rows),)
+                self.writer.add_annotation(_label_annotation(label, entries, self.names, taken))
+        self.writer.finish()
+
+    def _column(self, name: str) -> AnyArray:
+        kind, width = _KINDS[name]
+        path = self.folder / name
+        if name not in self._files or not path.stat().st_size:
+            return np.zeros((0, width), kind)
+        column: AnyArray = np.memmap(path, kind, mode="r").reshape(-1, width)
+        return column
+
+
+@dataclass(slots=True)
+class _Sinks:
+    """The open outputs of a colouring."""
+
+    map: _MapSink | None = None
+    sweeps: _SweepFiles | None = None
+    scene: _SweepScene | None = None
+    images: _CloudImages | None = None
+    projection: _LabelProjection | None = None
+
+    @property
+    def all(self) -> list[_ColourSink]:
+        """Those that take every coloured sweep."""
+        return [sink for sink in (self.map, self.sweeps, self.scene, self.images) if sink is not None]
+
+    @property
+    def files(self) -> dict[str, int]:
+        """How many files of which kind were written."""
+        kinds = {"sweeps": self.sweeps, "label images": self.projection, "images": self.images}
+        return {kind: sink.written for kind, sink in kinds.items() if sink is not None}
+
+    def finish(self) -> None:
+        """Complete them."""
+        for sink in (self.map, self.scene, self.images, self.projection):
+            if sink is not None:
+                sink.finish()
+
+    @classmethod
+    def open(
+        cls,
+        aligned: Aligned,
+        wanted: ColourOutputs,
+        settings: ColourSettings,
+        colouring: _SweepColouring,
+        stack: ExitStack,
+    ) -> "_Sinks":
+        """Open every wanted output; an error later removes all of them again.
+
+        Raises:
+            OutputError: an output exists, or cannot be made.
+            DataError: labels are to be projected, and there are none.
+        """
+        sinks, scene, overwrite = cls(), aligned.scene, wanted.overwrite
+        names = {} if colouring.labels is None else colouring.labels.names
+        columns = _Columns(settings.labels is not None, settings.provenance, aligned.origin_world)
+
+        def folder(location: Path) -> Path:
+            return stack.enter_context(filling(location, overwrite=overwrite))
+
+        if wanted.map is not None:
+            sinks.map = _open_map(aligned, wanted.map, settings, columns, names, stack, overwrite=overwrite)
+        if wanted.per_sweep is not None and wanted.per_sweep.suffix.lower() == _SCENE_SUFFIX:
+            sink = SceneSink.open(aligned, wanted.per_sweep, stack, None, overwrite=overwrite)
+            sinks.scene = _SweepScene(sink, names, {annotation.id for annotation in scene.annotations})
+        elif wanted.per_sweep is not None:
+            suffix = "" if wanted.map is None else wanted.map.suffix.lower()
+            suffix = suffix if suffix in WRITTEN_SUFFIXES else ".ply"
+            sinks.sweeps = _SweepFiles(lidar_folders(folder(wanted.per_sweep), scene), suffix, columns)
+        if wanted.images is not None:
+            cloud = DriveCloud(spread(scene, MOST_SWEEPS))
+            path = None if aligned.ego is None else aligned.ego.path
+            sinks.images = _CloudImages(folder(wanted.images), cloud, path)
+        if wanted.project_labels is not None:
+            location, cameras = folder(wanted.project_labels), names_of(scene.cameras)
+            sinks.projection = _LabelProjection(scene, location, cameras, colouring, settings.label_radius_px)
+        return sinks
+
+
+def _open_map(
+    aligned: Aligned,
+    target: Path,
+    settings: ColourSettings,
+    columns: _Columns,
+    names: Mapping[int, str],
+    stack: ExitStack,
+    *,
+    overwrite: bool,
+) -> _MapSink:
+    # what does not fit into memory
+    rest = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sceneloom-map-")))
+    cubes = None
+    if settings.voxel is not None:
+        (rest / "tiles").mkdir()
+        cubes = WorldMap(settings.voxel, rest / "tiles", mean=settings.blend == "weighted")
+    if target.suffix.lower() != _SCENE_SUFFIX:
+        return _MapSink(stack.enter_context(open_cloud_writer(target, overwrite=overwrite)), columns, cubes)
+    (rest / "columns").mkdir()
+    writer = stack.enter_context(SceneWriter(target, overwrite=overwrite))
+    writer.set_metadata(aligned.provenance())
+    scene = _MapScene(writer, rest / "columns", names)
+    return _MapSink(scene, _Columns(columns.labels, provenance=False), cubes, complete=scene.close)
+
+
+@dataclass(slots=True)
+class _Job:
+    """One colouring under way."""
+
+    aligned: Aligned
+    source: Scene
+    settings: ColourSettings
+    skips: Skips | None
+    progress: Progress | None
+    statistics: FusionStatistics = field(init=False)
+    boxes: MovingBoxes = field(init=False)
+    removed_in_boxes: int = 0
+    removed_by_rays: int = 0
+    unjudged: int = 0
+    guessed: int = 0
+    coloured: int = 0
+    labelled: int = 0
+    classes: set[int] = field(default_factory=set)
+    _done: int = 0
+    _ahead: int = 0
+
+    def __post_init__(self) -> None:
+        self.statistics = FusionStatistics.of(self.aligned)
+        self.boxes = MovingBoxes.of(self.aligned.scene)
+
+    def compare_exposures(self) -> ExposureGains:
+        """Look at the drive a first time, at what several images show."""
+        every = max(1, -(-self.aligned.sweeps // _MOST_COMPARED))
+        scene = self.aligned.scene
+        sensors = (
+            replace(sensor, frames=sensor.frames[::every]) if isinstance(sensor, LidarSensor) else sensor
+            for sensor in scene.sensors
+        )
+        thinned = replace(scene, sensors=tuple(sensors))
+        self._ahead = sum(len(lidar.frames) for lidar in thinned.lidars)
+        index = {camera.id: k for k, camera in enumerate(scene.cameras)}
+        links = ExposureLinks()
+        for frame in play(thinned, self._system(), skips=self.skips):
+            if frame.views:
+                points_world = frame.views[0].points_world
+                links.add(points_world, frame.views, [index[view.camera_id] for view in frame.views])
+            self._step()
+        return links.solve()
+
+    def run(self, colouring: _SweepColouring, sinks: _Sinks) -> None:
+        """Colour every sweep and give it to the outputs."""
+        locations = self._locations() if self.settings.remove_moving else {}
+        finders: dict[Identifier, MovingPoints[_ColouredSweep]] = {}
+        lags = {lidar.id: lags_for(len(lidar.frames)) for lidar in self.aligned.scene.lidars}
+        for frame in play(self.aligned.scene, self._system(), skips=self.skips):
+            self.statistics.add(frame)
+            self._step()
+            if frame.unfused is not None:
+                continue
+            if sinks.projection is not None:
+                sinks.projection.add(frame)
+            sweep = colouring.colour(frame)
+            self._count(sweep)
+            if not self.settings.remove_moving:
+                self._give(sweep, np.ones(len(sweep.points), np.bool_), sinks)
+                continue
+            finder = finders.setdefault(frame.lidar_id, MovingPoints(lags[frame.lidar_id]))
+            self._give_judged(
+                finder.add(sweep, sweep.frame.points.positions, self._trajectory(sweep, locations)), sinks
+            )
+        for finder in finders.values():
+            self._give_judged(finder.flush(), sinks)
+        check_any_placed(self.source, self.statistics.unfused, self.statistics.frames)
+
+    def _give_judged(self, judged: Iterator[tuple[_ColouredSweep, BoolArray]], sinks: _Sinks) -> None:
+        for sweep, moving in judged:
+            times, positions = sweep.points["time_ns"], sweep.points["position"]
+            in_boxes = self.boxes.inside(np.ascontiguousarray(positions), np.ascontiguousarray(times))
+            self.removed_in_boxes += int(in_boxes.sum())
+            self.removed_by_rays += int((moving & ~in_boxes).sum())
+            self._give(sweep, ~(moving | in_boxes), sinks)
+
+    def _give(self, sweep: _ColouredSweep, kept: BoolArray, sinks: _Sinks) -> None:
+        if self.settings.only_coloured:
+            kept = kept & (sweep.points["weight"] > 0)
+        for sink in sinks.all:
+            sink.add(sweep, kept)
+
+    def _count(self, sweep: _ColouredSweep) -> None:
+        self.coloured += int((sweep.points["camera"] != 255).sum())
+        if self.settings.labels is not None:
+            stated = sweep.points["label"][sweep.points["label"] != 65535]
+            self.labelled += len(stated)
+            self.classes.update(np.unique(stated).tolist())
+
+    def _trajectory(
+        self, sweep: _ColouredSweep, locations: dict[Identifier, PoseSource | None]
+    ) -> LidarTrajectory | None:
+        location = locations[sweep.frame.lidar_id]
+        frame = LidarFrame(sweep.frame.timestamp_ns, sweep.frame.points)
+        trajectory = None if location is None else LidarTrajectory.of(frame, location)
+        self.unjudged += trajectory is None
+        return trajectory
+
+    def _locations(self) -> dict[Identifier, PoseSource | None]:
+        """From where the lidars measured; the middle of the cameras stands for an unknown position."""
+        scene, ego, reach_ns = self.aligned.scene, self.aligned.ego, scene_period_ns(self.aligned.scene)
+        mounts = [camera.mount.translation for camera in scene.cameras if camera.mount is not None]
+        locations = {lidar.id: lidar_position(scene, lidar, ego, reach_ns=reach_ns) for lidar in scene.lidars}
+        for lidar_id, location in locations.items():
+            if location is None and ego is not None and mounts:
+                middle = RigidTransform(np.eye(3), np.mean(mounts, axis=0))
+                locations[lidar_id] = PoseSource(ego.path, middle, reach_ns)
+                self.guessed += 1
+        return locations
+
+    def _system(self) -> FusionSystem:
+        configuration = FusionConfiguration(visibility=VisibilitySettings(threads=self.settings.threads))
+        return build_system(self.aligned.scene, self.aligned.ego, configuration, self.skips)
+
+    def _step(self) -> None:
+        self._done += 1
+        if self.progress is not None:
+            self.progress(self._done, self._ahead + self.aligned.sweeps)
+
+    def warnings(self) -> tuple[DataWarning, ...]:
+        """What had to be assumed, beyond what the scene and the sweeps report."""
+        unjudged = (
+            "it is not known from where these sweeps were measured; their moving points stay, except those in "
+            "annotated boxes"
+        )
+        guessed = (
+            "the position of a lidar whose points come in the ego's frame is not known; the middle of the cameras "
+            "stands for it in the search for moving points"
+        )
+        found = (
+            assumed("moving-points-unjudged", "sensors[]", unjudged, count=self.unjudged),
+            assumed("lidar-location-guessed", "sensors[]", guessed, count=self.guessed),
+        )
+        reported = reported_once(self.aligned.scene.warnings, self.statistics.warnings())
+        return (*reported, *(warning for warning in found if warning.count))
 
 
 def colour(
@@ -203,204 +1013,16 @@ def colour(
     with telling(job.skips), counting_left_out() as left, ExitStack() as stack:
         labels = None if chosen.labels is None else LabelFolder.of(chosen.labels, scene.cameras)
         gains = job.compare_exposures() if chosen.exposure and len(scene.cameras) else None
-        colouring = SweepColouring(scene, chosen.blend, gains, labels)
-        rest = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sceneloom-map-")))
-        sinks = open_colour_sinks(aligned, wanted, chosen, colouring, stack, rest)
+        colouring = _SweepColouring(scene, chosen.blend, gains, labels)
+        sinks = _Sinks.open(aligned, wanted, chosen, colouring, stack)
         job.run(colouring, sinks)
         sinks.finish()
-    report = _report(job, wanted, colouring, sinks, gains, seconds=time.perf_counter() - begun)
-    return msgspec.structs.replace(report, warnings=(*report.warnings, *left.warnings))
-
-
-@dataclass(slots=True)
-class _Job:
-    """One colouring under way."""
-
-    aligned: Aligned
-    source: Scene
-    settings: ColourSettings
-    skips: Skips | None
-    progress: Progress | None
-    statistics: FusionStatistics = field(init=False)
-    boxes: MovingBoxes = field(init=False)
-    removed_in_boxes: int = 0
-    removed_by_rays: int = 0
-    unjudged: int = 0
-    guessed: int = 0
-    coloured: int = 0
-    labelled: int = 0
-    classes: set[int] = field(default_factory=set)
-    _done: int = 0
-    _ahead: int = 0
-
-    def __post_init__(self) -> None:
-        scene, ego = self.aligned.scene, self.aligned.ego
-        stands = ego is not None and ego.path.static
-        moving = [] if stands else placeable_lidars(scene)
-        self.statistics = FusionStatistics(
-            {camera.id: CameraStatistics(len(camera.images)) for camera in scene.cameras},
-            frozenset(lidar.id for lidar in moving),
-        )
-        self.boxes = MovingBoxes.of(scene)
-
-    def compare_exposures(self) -> ExposureGains:
-        """Look at the drive a first time, for what images show both."""
-        every = max(1, -(-self._sweeps // _MOST_COMPARED))
-        scene = self.aligned.scene
-        thinned = replace(
-            scene,
-            sensors=tuple(
-                replace(sensor, frames=sensor.frames[::every]) if sensor in scene.lidars else sensor
-                for sensor in scene.sensors
-            ),
-        )
-        self._ahead = sum(len(lidar.frames) for lidar in thinned.lidars)
-        index = {camera.id: k for k, camera in enumerate(scene.cameras)}
-        links = ExposureLinks()
-        for frame in play(thinned, self._system(), skips=self.skips):
-            if frame.views:
-                points_world = frame.views[0].points_world
-                links.add(points_world, frame.views, [index[view.camera_id] for view in frame.views])
-            self._step()
-        return links.solve()
-
-    def run(self, colouring: SweepColouring, sinks: ColourSinks) -> None:
-        """Colour every sweep and give it to the outputs."""
-        locations = self._locations() if self.settings.remove_moving else {}
-        finders: dict[Identifier, MovingPoints[ColouredSweep]] = {}
-        lags = {lidar.id: lags_for(len(lidar.frames)) for lidar in self.aligned.scene.lidars}
-        for frame in play(self.aligned.scene, self._system(), skips=self.skips):
-            self.statistics.add(frame)
-            self._step()
-            if frame.unfused is not None:
-                continue
-            if sinks.projection is not None:
-                sinks.projection.add(frame)
-            sweep = colouring.colour(frame)
-            self._count(sweep)
-            if not self.settings.remove_moving:
-                self._give(sweep, np.ones(len(sweep.points), np.bool_), sinks)
-                continue
-            finder = finders.setdefault(frame.lidar_id, MovingPoints(lags[frame.lidar_id]))
-            self._give_judged(
-                finder.add(sweep, sweep.frame.points.positions, self._trajectory(sweep, locations)), sinks
-            )
-        for finder in finders.values():
-            self._give_judged(finder.flush(), sinks)
-        if self.statistics.unfused and not self.statistics.fused:
-            reasons = ", ".join(
-                f"{reason} ({count} times)" for reason, count in self.statistics.unfused.items()
-            )
-            raise PoseError(
-                f"{self.source.source}: none of {self.statistics.frames} sweeps could be placed: {reasons}"
-            )
-
-    def _give_judged(self, judged: Iterator[tuple[ColouredSweep, BoolArray]], sinks: ColourSinks) -> None:
-        for sweep, moving in judged:
-            times, positions = sweep.points["time_ns"], sweep.points["position"]
-            in_boxes = self.boxes.inside(np.ascontiguousarray(positions), np.ascontiguousarray(times))
-            self.removed_in_boxes += int(in_boxes.sum())
-            self.removed_by_rays += int((moving & ~in_boxes).sum())
-            self._give(sweep, ~(moving | in_boxes), sinks)
-
-    def _give(self, sweep: ColouredSweep, kept: BoolArray, sinks: ColourSinks) -> None:
-        if self.settings.only_coloured:
-            kept = kept & (sweep.points["weight"] > 0)
-        for sink in sinks.all:
-            sink.add(sweep, kept)
-
-    def _count(self, sweep: ColouredSweep) -> None:
-        self.coloured += int((sweep.points["camera"] != 255).sum())
-        if self.settings.labels is not None:
-            stated = sweep.points["label"][sweep.points["label"] != 65535]
-            self.labelled += len(stated)
-            self.classes.update(np.unique(stated).tolist())
-
-    def _trajectory(
-        self, sweep: ColouredSweep, locations: dict[Identifier, PoseSource | None]
-    ) -> LidarTrajectory | None:
-        location = locations[sweep.frame.lidar_id]
-        frame = LidarFrame(sweep.frame.timestamp_ns, sweep.frame.points)
-        trajectory = None if location is None else LidarTrajectory.of(frame, location)
-        self.unjudged += trajectory is None
-        return trajectory
-
-    def _locations(self) -> dict[Identifier, PoseSource | None]:
-        """From where the lidars measured; the middle of the cameras stands for one that is not known."""
-        scene, ego, reach_ns = self.aligned.scene, self.aligned.ego, scene_period_ns(self.aligned.scene)
-        mounts = [camera.mount.translation for camera in scene.cameras if camera.mount is not None]
-        locations = {lidar.id: lidar_position(scene, lidar, ego, reach_ns=reach_ns) for lidar in scene.lidars}
-        for lidar_id, location in locations.items():
-            if location is None and ego is not None and mounts:
-                middle = RigidTransform(np.eye(3), np.mean(mounts, axis=0))
-                locations[lidar_id] = PoseSource(ego.path, middle, reach_ns)
-                self.guessed += 1
-        return locations
-
-    def _system(self) -> FusionSystem:
-        configuration = FusionConfiguration(visibility=VisibilitySettings(threads=self.settings.threads))
-        system = build_system(self.aligned.scene, self.aligned.ego, configuration)
-        if self.skips is not None:
-            system.on_unreadable = self.skips.add
-        return system
-
-    @property
-    def _sweeps(self) -> int:
-        return sum(len(lidar.frames) for lidar in self.aligned.scene.lidars)
-
-    def _step(self) -> None:
-        self._done += 1
-        if self.progress is not None:
-            self.progress(self._done, self._ahead + self._sweeps)
-
-    def warnings(self) -> tuple[DataWarning, ...]:
-        """What had to be assumed, beyond what the scene and the sweeps report."""
-        reported = reported_once(self.aligned.scene.warnings, self.statistics.warnings())
-        found = (
-            (
-                "moving-points-unjudged",
-                self.unjudged,
-                (
-                    "sweeps of which it is not known from where they were measured; their moving points stay, but for "
-                    "those in annotated boxes"
-                ),
-            ),
-            (
-                "lidar-location-guessed",
-                self.guessed,
-                (
-                    "it is not known where a lidar is, whose points come in the ego's frame; the middle of the cameras "
-                    "stands for it where moving points are looked for"
-                ),
-            ),
-        )
-        location, kind = "sensors[]", WarningKind.ASSUMED
-        return (
-            *reported,
-            *(
-                DataWarning(kind=kind, code=code, location=location, message=message, count=count)
-                for code, count, message in found
-                if count
-            ),
-        )
-
-
-def _report(
-    job: _Job,
-    wanted: ColourOutputs,
-    colouring: SweepColouring,
-    sinks: ColourSinks,
-    gains: ExposureGains | None,
-    *,
-    seconds: float,
-) -> ColourReport:
-    statistics, ego = job.statistics, job.aligned.ego
-    cameras = {k: camera.id for k, camera in enumerate(job.source.cameras)}
+    statistics = job.statistics
     return ColourReport(
-        source=job.source.source,
+        source=scene.source,
         output=None if wanted.map is None else str(wanted.map),
-        trajectory=None if ego is None else ego.name,
-        blend=job.settings.blend,
+        trajectory=None if aligned.ego is None else aligned.ego.name,
+        blend=chosen.blend,
         frames=statistics.frames,
         fused=statistics.fused,
         unfused=statistics.unfused,
@@ -411,16 +1033,18 @@ def _report(
         removed_by_rays=job.removed_by_rays,
         unjudged=job.unjudged,
         written=0 if sinks.map is None else sinks.map.written,
-        exposure=None if gains is None else _ExposureReport.of(gains, cameras),
+        exposure=None
+        if gains is None
+        else _ExposureReport.of(gains, [camera.id for camera in scene.cameras]),
         labels=_label_report(job, colouring, sinks),
         cameras=statistics.camera_reports,
         files=sinks.files,
-        seconds=seconds,
-        warnings=job.warnings(),
+        seconds=time.perf_counter() - begun,
+        warnings=(*job.warnings(), *left.warnings),
     )
 
 
-def _label_report(job: _Job, colouring: SweepColouring, sinks: ColourSinks) -> _LabelReport | None:
+def _label_report(job: _Job, colouring: _SweepColouring, sinks: _Sinks) -> _LabelReport | None:
     painted, drawn = colouring.labels, sinks.projection
     if painted is None and drawn is None:
         return None

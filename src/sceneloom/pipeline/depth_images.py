@@ -1,9 +1,10 @@
 """Depth images of a drive, sparse or dense: one scene in, a folder of images out."""
 
 import time
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -12,25 +13,25 @@ import numpy as np
 from sceneloom.arrays import finite_rows
 from sceneloom.colouring.depth_completion import METHODS, DenseDepth, complete_depth
 from sceneloom.colouring.results import FusedFrame, FusedView
-from sceneloom.errors import DataError, OptionError, PoseError
-from sceneloom.formats.base.images import write_confidence_png, write_depth_npz, write_depth_png
-from sceneloom.formats.base.output import check_output, filling, replacing
+from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.base.images import write_confidence_png
+from sceneloom.formats.base.output import check_output, filling
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.pipeline.alignment import Aligned, align
-from sceneloom.pipeline.fusing import lidar_folders, names_of
-from sceneloom.pipeline.play import Skips, build_system, check_has_lidar, play, telling
+from sceneloom.pipeline.outputs import DepthFolder, lidar_folders
+from sceneloom.pipeline.play import Skips, build_system, check_any_placed, check_has_lidar, play, telling
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Progress, key_of
 from sceneloom.visualization.canvas import counting_left_out, leave_out
-from sceneloom.visualization.fused_frames import draw_dense_depth
+from sceneloom.visualization.fused_frames import draw_dense_depth, save_image
 from sceneloom.warnings import DataWarning
 
-SPARSE = "sparse"
-DEPTH_METHODS = (SPARSE, *METHODS)
+_SPARSE = "sparse"
+_METHODS = (_SPARSE, *METHODS)
 """How depth images are made: of the measured points alone, or completed."""
 
-DEPTH_FORMS = ("png", "npz")
+_FORMS = ("png", "npz")
 
 
 class DepthCameraReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -101,46 +102,24 @@ class _Statistics:
 
 @dataclass(slots=True)
 class _Writer:
-    """Writes `<camera>/<frame number>.png` or `.npz`; of several lidars below `<lidar>/`."""
+    """Writes depth images with what belongs to them: confidence beside PNG images, visualisations in another folder."""
 
-    folder: Path
-    folders: Mapping[Identifier, Path]
-    names: Mapping[Identifier, str]
-    form: str
+    depth: DepthFolder
     confidence: bool
     images: Path | None
     drawn: Mapping[Identifier, Path]
-    beyond_range: int = 0
-    tallies: dict[Identifier, _Statistics] = field(default_factory=dict)
+    statistics: dict[Identifier, _Statistics]
 
     def add(self, frame: FusedFrame, view: FusedView, dense: DenseDepth) -> None:
-        """Write one image, and what goes with it."""
-        name = f"{frame.index:06d}"
-        folder = _made(self.folders[frame.lidar_id] / self.names[view.camera_id])
-        target = folder / f"{name}.{self.form}"
-        if self.form == "npz":
-            write_depth_npz(dense.depths, target, confidence=dense.confidence)
-        else:
-            self.beyond_range += write_depth_png(dense.depths, target)
-        if self.confidence and self.form == "png":
-            write_confidence_png(dense.confidence, _made(folder / "confidence") / f"{name}.png")
+        """Write one image, and what belongs to it."""
+        target = self.depth.write(frame, view, dense.depths, dense.confidence)
+        name = f"{target.stem}.png"
+        if self.confidence and self.depth.form == "png":
+            write_confidence_png(dense.confidence, _made(target.parent / "confidence") / name)
         if self.images is not None:
-            location = _made(self.drawn[frame.lidar_id] / self.names[view.camera_id]) / f"{name}.png"
-            with replacing(location, overwrite=False) as draft:
-                draw_dense_depth(view, dense).save(draft, "PNG", compress_level=2)
-        self.tallies[view.camera_id].add(dense)
-        self._note(frame, view, target)
-
-    def _note(self, frame: FusedFrame, view: FusedView, image: Path) -> None:
-        record = {
-            "file": image.relative_to(self.folder).as_posix(),
-            "lidar": frame.lidar_id,
-            "sweep_ns": frame.timestamp_ns,
-            "camera": view.camera_id,
-            "image_ns": view.timestamp_ns,
-        }
-        with (self.folder / "index.jsonl").open("ab") as lines:
-            lines.write(msgspec.json.encode(record) + b"\n")
+            location = _made(self.drawn[frame.lidar_id] / self.depth.names[view.camera_id]) / name
+            save_image(draw_dense_depth(view, dense), location)
+        self.statistics[view.camera_id].add(dense)
 
 
 def write_depth_images(
@@ -202,11 +181,8 @@ def write_depth_images(
         stop=stop,
         lenient=lenient,
     )
-    system = build_system(aligned.scene, aligned.ego, configuration or FusionConfiguration())
-    if skips is not None:
-        system.on_unreadable = skips.add
-    total = sum(len(lidar.frames) for lidar in aligned.scene.lidars)
-    unfused: dict[str, int] = {}
+    system = build_system(aligned.scene, aligned.ego, configuration or FusionConfiguration(), skips)
+    total, unfused = aligned.sweeps, Counter[str]()
     with telling(skips), counting_left_out() as left, ExitStack() as stack:
         writer = _open_writer(
             aligned, location, drawn, stack, form=form, confidence=confidence, overwrite=overwrite
@@ -214,28 +190,28 @@ def write_depth_images(
         for done, frame in enumerate(play(aligned.scene, system, skips=skips), start=1):
             leave_out("points", int((~finite_rows(frame.points.positions)).sum()))
             if frame.unfused is not None:
-                unfused[frame.unfused] = unfused.get(frame.unfused, 0) + 1
+                unfused[frame.unfused] += 1
             for view in frame.views:
                 writer.add(frame, view, _depths_of(view, method))
             if progress is not None:
                 progress(done, total)
-        _refuse_nothing_written(aligned.scene, total, unfused)
+        check_any_placed(aligned.scene, unfused, total)
     return DepthReport(
         source=scene.source,
         folder=str(location),
         method=method,
         sweeps=total,
-        unfused=unfused,
+        unfused=dict(unfused),
         skipped=() if skips is None else tuple(skips.reasons),
-        cameras=tuple(statistics.report(camera_id) for camera_id, statistics in writer.tallies.items()),
-        beyond_range=writer.beyond_range,
+        cameras=tuple(statistics.report(camera_id) for camera_id, statistics in writer.statistics.items()),
+        beyond_range=writer.depth.beyond_range,
         seconds=time.perf_counter() - begun,
         warnings=(*aligned.scene.warnings, *left.warnings),
     )
 
 
 def _depths_of(view: FusedView, method: str) -> DenseDepth:
-    if method == SPARSE:
+    if method == _SPARSE:
         return DenseDepth(view.depth_image, (view.depth_image > 0).astype(np.float32))
     return complete_depth(view, method=method)
 
@@ -243,8 +219,8 @@ def _depths_of(view: FusedView, method: str) -> DenseDepth:
 def _check_choices(method: str, form: str, folder: Path, images: Path | None, *, overwrite: bool) -> None:
     """Refuse what cannot be followed before anything is read."""
     choices: Sequence[tuple[str, str, tuple[str, ...]]] = (
-        ("method", method, DEPTH_METHODS),
-        ("form", form, DEPTH_FORMS),
+        ("method", method, _METHODS),
+        ("form", form, _FORMS),
     )
     for name, value, known in choices:
         if value not in known:
@@ -284,26 +260,14 @@ def _open_writer(
     filled = stack.enter_context(filling(folder, overwrite=overwrite))
     drawn = None if images is None else stack.enter_context(filling(images, overwrite=overwrite))
     return _Writer(
-        filled,
-        lidar_folders(filled, aligned.scene),
-        names_of(aligned.scene.cameras),
-        form,
+        DepthFolder.of(filled, aligned.scene, form),
         confidence,
         drawn,
         {} if drawn is None else lidar_folders(drawn, aligned.scene),
-        tallies={camera.id: _Statistics() for camera in aligned.scene.cameras},
+        {camera.id: _Statistics() for camera in aligned.scene.cameras},
     )
 
 
 def _made(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     return folder
-
-
-def _refuse_nothing_written(scene: Scene, total: int, unfused: Mapping[str, int]) -> None:
-    if total and sum(unfused.values()) == total:
-        reasons = ", ".join(f"{reason} ({count} times)" for reason, count in unfused.items())
-        raise PoseError(
-            f"{scene.source}: none of {total} sweeps could be placed: {reasons}; expected a trajectory on the clock of "
-            "the sweeps; `sceneloom info` reports both spans, and `--trajectory lidar` needs none"
-        )

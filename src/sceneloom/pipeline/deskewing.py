@@ -25,8 +25,7 @@ from sceneloom.motion.deskew import (
 )
 from sceneloom.motion.ego_trajectory import IMU, find_ego_motion, is_computed, with_trajectory_estimated
 from sceneloom.motion.imu import imu_motion
-from sceneloom.pipeline.fusing import reported_once
-from sceneloom.pipeline.play import Skips, check_has_lidar, telling
+from sceneloom.pipeline.play import Skips, check_has_lidar, reported_once, telling
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion, points_source, sensor_path, sensor_source
 from sceneloom.scene.frames import LazyFrames

@@ -1,12 +1,12 @@
 """Plays a recorded scene through the fusion system in time order, as if it were live."""
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.errors import DataError, SceneloomError
+from sceneloom.errors import DataError, PoseError, SceneloomError
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.system import FusionSystem
 from sceneloom.scene.cameras import CameraImage, CameraSensor, Shutter
@@ -35,7 +35,7 @@ def check_has_lidar(scene: Scene, needing: str) -> None:
 
 @dataclass(slots=True)
 class Skips:
-    """Frames that could not be read, with the reason; filled while a scene is fused leniently.
+    """Frames that could not be read, with the reason.
 
     Attributes:
         reasons: one line per frame, however often it was asked for.
@@ -50,7 +50,7 @@ class Skips:
 
 @contextmanager
 def telling(skips: Skips | None) -> Iterator[None]:
-    """Let errors take along what was skipped before them."""
+    """Attach to an error the warnings about what was skipped before it."""
     try:
         yield
     except SceneloomError as error:
@@ -63,13 +63,49 @@ def _skipped(reason: str) -> DataWarning:
     return DataWarning(kind=WarningKind.SKIPPED, code="frame-unreadable", location="", message=reason)
 
 
-def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfiguration) -> FusionSystem:
-    """Make a fusion system that knows the scene's lidars, and its cameras with images, and where they were.
+def reported_once(before: tuple[DataWarning, ...], own: tuple[DataWarning, ...]) -> tuple[DataWarning, ...]:
+    """Add warnings about the sweeps to earlier ones, except those that odometry has reported already."""
+    known = {warning.code for warning in before}
+    return (*before, *(warning for warning in own if warning.code not in known))
+
+
+def check_any_placed(scene: Scene, unfused: Mapping[str, int], sweeps: int, done: str = "placed") -> None:
+    """Refuse a drive none of whose sweeps could be placed in the world.
+
+    Args:
+        scene: of the job.
+        unfused: why sweeps could not be placed, with counts.
+        sweeps: how many there are.
+        done: what could not be done with them.
 
     Raises:
-        PoseError: for a sensor neither poses nor a mounting are known.
+        PoseError: naming the reasons.
+    """
+    if sweeps and sum(unfused.values()) == sweeps:
+        reasons = ", ".join(f"{reason} ({count} times)" for reason, count in unfused.items())
+        raise PoseError(
+            f"{scene.source}: none of {sweeps} sweeps could be {done}: {reasons}; expected a trajectory on the clock "
+            "of the sweeps; `sceneloom info` reports both spans, and `--trajectory lidar` needs none"
+        )
+
+
+def build_system(
+    scene: Scene, ego: EgoMotion | None, configuration: FusionConfiguration, skips: Skips | None = None
+) -> FusionSystem:
+    """Make a fusion system that knows the scene's lidars, and its cameras with images, and where they were.
+
+    Args:
+        scene: whose sensors these are.
+        ego: the ego trajectory; None where every sensor has poses of its own.
+        configuration: of the system.
+        skips: collects images that cannot be read; without it they raise.
+
+    Raises:
+        PoseError: for a sensor neither poses nor extrinsics are known.
     """
     system = FusionSystem(configuration)
+    if skips is not None:
+        system.on_unreadable = skips.add
     reach_ns = scene_period_ns(scene)
     for lidar in scene.lidars:
         source = points_source(scene, lidar, ego, reach_ns=reach_ns)
@@ -108,7 +144,7 @@ def play(scene: Scene, system: FusionSystem, *, skips: Skips | None = None) -> I
 
 
 Reader = Callable[[], LidarFrame | CameraImage]
-"""Reads a frame when it is its rotation."""
+"""Reads a frame when it is needed."""
 
 
 def in_time_order(scene: Scene) -> Iterator[tuple[int, Identifier, Reader]]:

@@ -11,7 +11,7 @@ from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import SceneloomError
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.pipeline.alignment import Aligned, align
-from sceneloom.pipeline.fusing import CameraReport, CameraStatistics, FusionStatistics
+from sceneloom.pipeline.fusing import CameraReport, FusionStatistics
 from sceneloom.pipeline.play import Skips, build_system, play
 from sceneloom.report.content import (
     NOTHING,
@@ -195,7 +195,7 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
         few = with_some_sweeps(aligned.scene, sweeps)
         skips = Skips() if lenient else None
         gathered = _Gathered(
-            FusionStatistics({camera.id: CameraStatistics(len(camera.images)) for camera in scene.cameras}),
+            FusionStatistics.of(aligned),
             DriveCloud(frozenset(range(sweeps))),
         )
         most = max((len(lidar.frames) for lidar in few.lidars), default=0)
@@ -274,11 +274,8 @@ class _Gathered:
 
 def _played(aligned: Aligned, few: Scene, skips: Skips | None) -> Iterator[FusedFrame]:
     """Fuse the few sweeps by the pace of the whole drive."""
-    system = build_system(
-        aligned.scene, aligned.ego, FusionConfiguration(pairing_tolerance_ns=scene_period_ns(aligned.scene))
-    )
-    if skips is not None:
-        system.on_unreadable = skips.add
+    configuration = FusionConfiguration(pairing_tolerance_ns=scene_period_ns(aligned.scene))
+    system = build_system(aligned.scene, aligned.ego, configuration, skips)
     yield from play(few, system, skips=skips)
 
 

@@ -29,7 +29,7 @@ from sceneloom.view.points import SENSORS, WORLD
 from sceneloom.view.poses import Locations, pose_at, poses_within_reach, transform, transform_columns
 from sceneloom.view.stream import Feed, Report, Stream, fits, sdk
 
-IMAGE = "camera_image"
+IMAGE = "image"
 """The entity of a camera's images, below that of the camera; its own space of pixels."""
 
 _QUALITY = 88

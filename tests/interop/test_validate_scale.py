@@ -7,7 +7,7 @@ from copy import deepcopy
 import numpy as np
 import pytest
 
-from sceneloom.checks.scale import RULES
+from sceneloom.checks.scale import SCALE_RULES
 from sceneloom.checks.validation import validate
 from sceneloom.formats.sfs.container import format_keys
 
@@ -344,7 +344,7 @@ def verdicts(scale_python, encode_sfs, tmp_path_factory):
     return {name: (stated[name], paths[name]) for name in paths}
 
 
-RULE_IDS = [rule.id for rule in RULES]
+RULE_IDS = [rule.id for rule in SCALE_RULES]
 
 
 def errors_of(path):

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from sceneloom.checks.rule import ALL_PROFILES, SCALE_ONLY, CheckProfile, FrameInHand, Hit, Rule, Subject
     from sceneloom.checks.validation import (
         LOCATIONS,
-        RULE_MODULES,
+        RULE_TABLES,
         RuleRow,
         ValidationReport,
         all_rules,
@@ -21,7 +21,7 @@ else:
         {
             "ALL_PROFILES": "sceneloom.checks.rule:ALL_PROFILES",
             "LOCATIONS": "sceneloom.checks.validation:LOCATIONS",
-            "RULE_MODULES": "sceneloom.checks.validation:RULE_MODULES",
+            "RULE_TABLES": "sceneloom.checks.validation:RULE_TABLES",
             "SCALE_ONLY": "sceneloom.checks.rule:SCALE_ONLY",
             "CheckProfile": "sceneloom.checks.rule:CheckProfile",
             "FrameInHand": "sceneloom.checks.rule:FrameInHand",
@@ -39,7 +39,7 @@ else:
 __all__ = [
     "ALL_PROFILES",
     "LOCATIONS",
-    "RULE_MODULES",
+    "RULE_TABLES",
     "SCALE_ONLY",
     "CheckProfile",
     "FrameInHand",

@@ -19,6 +19,7 @@ from sceneloom.scene.annotations import (
     ShapeAnnotation,
 )
 from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.types import Identifier, key_of
 
 
@@ -138,6 +139,16 @@ def cuboid_rows(subject: Subject) -> Float64Array:
     return subject.table(
         "rows of cuboids", lambda inner: cuboid_paths(inner).rows(lambda path: path.values, 9)
     )
+
+
+_SAME_TIME_NS = 30_000_000
+
+
+def cuboids_at(subject: Subject, sweep: LidarFrame) -> Float64Array:
+    """The finite rows of cuboids that have a keyframe at the time of a sweep, (K, 9)."""
+    rows, times = cuboid_rows(subject), cuboid_paths(subject).timestamps_ns
+    now = np.minimum(np.abs(times - sweep.timestamp_ns), np.abs(times - sweep.reference_ns)) < _SAME_TIME_NS
+    return np.asarray(rows[now & np.isfinite(rows).all(axis=1)])
 
 
 def _tables(subject: Subject) -> dict[str, PartTable]:

@@ -1,4 +1,4 @@
-"""Rules about cuboids: sizes, motion, the unit and order of angles, and that headings fit motion."""
+"""Rules about cuboids: unit and order of their angles, sizes and motion."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -7,46 +7,33 @@ from typing import NamedTuple
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, read_only
-from sceneloom.checks.annotation_table import PartTable, cuboid_paths, cuboid_rows
-from sceneloom.checks.point_frames import point_positions, transform_at
-from sceneloom.checks.rule import FrameInHand, Hit, Rule, Subject, repaired_annotations
+from sceneloom.checks.annotation_table import PartTable, cuboid_paths, cuboid_rows, cuboids_at
+from sceneloom.checks.point_frames import frames_spread, points_in_world
+from sceneloom.checks.rule import ERROR, HINT, WARNING, FrameInHand, Hit, Rule, Subject, repaired_annotations
 from sceneloom.geometry.euler import ORDERS, AngleUnit, rotation_from_cuboid_angles
 from sceneloom.scene.annotations import Annotation, CuboidAnnotation
 from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.scene import Scene
-from sceneloom.warnings import Severity, WarningKind
+from sceneloom.warnings import WarningKind
 
 _LEAST_STEP_M, _LEAST_SPEED = 0.5, 2.0
 """Steps that are shorter or slower show no direction [m], [m/s]."""
 
-_STRIDES = (1, 4, 16)
+_STRIDES, _ENOUGH_STEPS = (1, 4, 16), 50
+"""Where so few keyframes show motion to the next one, those farther apart are compared."""
 
 _LONGEST_S = 2.0
 """Over a longer time an object may rotate, so that its heading is not that of its whole step."""
 
-_MOST_STEPS = 5_000
-
-_ENOUGH_STEPS = 50
-
-_LEAST_STEPS = 5
+_MOST_STEPS, _LEAST_STEPS = 5_000, 5
 
 _OFF_DEG, _ALONG_DEG = 20.0, 10.0
 """A reading whose headings are so far off the motion is wrong if under another one they are along it, in the median."""
 
-_LOOKED_AT = 4
+_LOOKED_AT, _KEPT_POINTS, _MOST_BOXES, _NEAR_M = 4, 60_000, 150, 60.0
 
-_KEPT_POINTS = 60_000
-
-_MOST_BOXES = 150
-
-_NEAR_M = 60.0
-
-_SAME_TIME_NS = 30_000_000
-
-_LEAST_POINTS = 50
-
-_MORE_POINTS = 1.15
+_LEAST_POINTS, _MORE_POINTS = 50, 1.15
 
 _OFF_GROUND_M = 0.2
 
@@ -54,7 +41,7 @@ _SAME_DEG, _SAME_SHARE = 1.0, 0.98
 """Of readings that are so nearly alike, the one that differs least from what is stated is named."""
 
 
-class Reading(NamedTuple):
+class _Reading(NamedTuple):
     """How angles are read: their unit and the order of the product."""
 
     unit: str
@@ -63,30 +50,62 @@ class Reading(NamedTuple):
     def __str__(self) -> str:
         return f"{self.unit} in the order {self.order}"
 
+    @classmethod
+    def of(cls, subject: Subject) -> "_Reading":
+        """The reading that the scene states, or is taken to state."""
+        angles = CuboidAngles.of(subject.scene)
+        return cls(angles.unit, angles.order)
 
-def stated_reading(scene: Scene) -> Reading:
-    """The reading that the scene says, or is taken to state."""
-    angles = CuboidAngles.of(scene)
-    return Reading(angles.unit, angles.order)
+    def others(self) -> "list[_Reading]":
+        """This reading, then all others, the likeliest mistakes first."""
+        readings = [_Reading(unit.value, order) for unit in AngleUnit for order in ORDERS]
+        return sorted(readings, key=lambda one: (one != self) + (one.order != self.order))
+
+    def rotations(self, rows: Float64Array) -> Float64Array:
+        """(N, 3, 3) `world_from_cuboid` of rows (N, 9)."""
+        return rotation_from_cuboid_angles(rows[:, 6:9], unit=self.unit, order=self.order)
+
+    def headings(self, rows: Float64Array) -> Float64Array:
+        """The direction in which cuboids point, (N, 3) float64: their x axis."""
+        return np.ascontiguousarray(self.rotations(rows)[:, :, 0])
 
 
-def _readings(stated: Reading) -> list[Reading]:
-    """All readings: the one that is stated, then the likeliest slips."""
-    readings = [Reading(unit.value, order) for unit in AngleUnit for order in ORDERS]
-    return sorted(readings, key=lambda reading: (reading != stated) + (reading.order != stated.order))
+@dataclass(slots=True, eq=False)
+class _Evidence:
+    """What the data show about the reading of angles.
+
+    Attributes:
+        off_deg: median angle between heading (or back) and motion by reading [deg]; empty where too little moves.
+        steps: of how many steps.
+        points: points in boxes by reading.
+        boxes: in how many boxes points were counted.
+        counted: the frames that were counted.
+    """
+
+    off_deg: dict[_Reading, float]
+    steps: int
+    points: dict[_Reading, int] = field(default_factory=dict)
+    boxes: int = 0
+    counted: set[str] = field(default_factory=set)
 
 
-def cuboid_headings(rows: Float64Array, reading: Reading) -> Float64Array:
-    """The direction in which cuboids point, (N, 3) float64: their x axis."""
-    return np.ascontiguousarray(_rotations(rows, reading)[:, :, 0])
+def _evidence(subject: Subject) -> _Evidence:
+    return subject.table("evidence for the reading of angles", _motion_evidence)
 
 
-def _rotations(rows: Float64Array, reading: Reading) -> Float64Array:
-    return rotation_from_cuboid_angles(rows[:, 6:9], unit=reading.unit, order=reading.order)
+def _motion_evidence(subject: Subject) -> _Evidence:
+    rows, directions = _moving(subject)
+    if len(rows) < _LEAST_STEPS:
+        return _Evidence({}, len(rows))
+    off_deg = {}
+    for reading in _Reading.of(subject).others():
+        cosines = np.abs(np.sum(reading.headings(rows) * directions, axis=1)).clip(0, 1)
+        off_deg[reading] = float(np.degrees(np.median(np.arccos(cosines))))
+    return _Evidence(off_deg, len(rows))
 
 
 def _moving(subject: Subject) -> tuple[Float64Array, Float64Array]:
-    """Some keyframes at which a cuboid moves, (K, 9), and the directions that it takes there, (K, 3) unit vectors.
+    """Some keyframes at which a cuboid moves, (K, 9), and the directions of motion there, (K, 3) unit vectors.
 
     Labels of many keyframes a second move too little from one to the next: then those farther apart are compared.
     """
@@ -99,7 +118,7 @@ def _moving(subject: Subject) -> tuple[Float64Array, Float64Array]:
 
 
 def _moving_over(subject: Subject, stride: int) -> tuple[Float64Array, Float64Array]:
-    """The same, looking from half the stride before a keyframe to half of it after."""
+    """The same, from half the stride before a keyframe to half of it after."""
     table, rows = cuboid_paths(subject), cuboid_rows(subject)
     if len(rows) <= stride:
         return np.zeros((0, 9)), np.zeros((0, 3))
@@ -114,29 +133,47 @@ def _moving_over(subject: Subject, stride: int) -> tuple[Float64Array, Float64Ar
     return rows[chosen + stride // 2], steps[chosen] / lengths[chosen, None]
 
 
-def _off_motion(subject: Subject) -> tuple[dict[Reading, float], int]:
-    """The median angle between heading (or back) and motion under each reading [deg], and of how many steps."""
+def _count_in_boxes(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
+    """Count the points in the boxes of a frame under each reading; what they show is reported at the end."""
+    lidar, sweep, evidence = frame.sensor, frame.frame, _evidence(subject)
+    if (
+        isinstance(lidar, LidarSensor)
+        and isinstance(sweep, LidarFrame)
+        and len(cuboid_rows(subject))
+        and frame.path not in evidence.counted
+        and frame.number in frames_spread(len(lidar.frames), _LOOKED_AT)
+    ):
+        points_world = points_in_world(subject, lidar, sweep, _KEPT_POINTS)
+        if points_world is not None and len(points_world):
+            evidence.counted.add(frame.path)
+            _count_points(subject, evidence, points_world, cuboids_at(subject, sweep))
+    return iter(())
 
-    def made(inner: Subject) -> tuple[dict[Reading, float], int]:
-        rows, directions = _moving(inner)
-        if len(rows) < _LEAST_STEPS:
-            return {}, len(rows)
-        return {
-            reading: _median_angle(cuboid_headings(rows, reading), directions)
-            for reading in _readings(stated_reading(inner.scene))
-        }, len(rows)
 
-    return subject.table("headings off motion", made)
+def _count_points(
+    subject: Subject, evidence: _Evidence, points_world: Float64Array, rows: Float64Array
+) -> None:
+    """Count the points in some boxes near the middle of a sweep, but for those just above their floors."""
+    from scipy.spatial import cKDTree
 
-
-def _median_angle(headings: Float64Array, directions: Float64Array) -> float:
-    cosines = np.abs(np.sum(headings * directions, axis=1)).clip(0, 1)
-    return float(np.degrees(np.median(np.arccos(cosines))))
+    near = np.linalg.norm(rows[:, 3:6] - np.median(points_world, axis=0), axis=1) < _NEAR_M
+    rows = rows[near & (rows[:, :3] > 0).all(axis=1)]
+    rows = rows[:: len(rows) // _MOST_BOXES + 1]
+    evidence.boxes += len(rows)
+    lists = cKDTree(points_world).query_ball_point(rows[:, 3:6], np.linalg.norm(rows[:, :3], axis=1) / 2)
+    boxes: Int64Array = np.repeat(np.arange(len(rows)), np.array([len(found) for found in lists], np.int64))
+    ids = np.concatenate([np.zeros(0, np.int64), *(np.asarray(found, np.int64) for found in lists)])
+    away, halves = points_world[ids] - rows[boxes, 3:6], rows[boxes, :3] / 2
+    for reading in _Reading.of(subject).others():
+        points_box = np.einsum("nji,nj->ni", reading.rotations(rows)[boxes], away)
+        inside: AnyArray = (np.abs(points_box) <= halves).all(axis=1)
+        count = int(np.count_nonzero(inside & (points_box[:, 2] > _OFF_GROUND_M - halves[:, 2])))
+        evidence.points[reading] = evidence.points.get(reading, 0) + count
 
 
 def _against_motion(subject: Subject) -> Iterator[Hit]:
-    angles, steps = _off_motion(subject)
-    stated = stated_reading(subject.scene)
+    found, stated = _evidence(subject), _Reading.of(subject)
+    angles = found.off_deg
     if not angles or angles[stated] < _OFF_DEG:
         return
     least = min(angles.values())
@@ -145,160 +182,67 @@ def _against_motion(subject: Subject) -> Iterator[Hit]:
         yield Hit(
             "annotations",
             f"read as {stated} headings are {angles[stated]:.0f}° off the motion, read as {best} {angles[best]:.0f}° "
-            f"(median of {steps} steps)",
+            f"(median of {found.steps} steps)",
         )
-
-
-@dataclass(slots=True, eq=False)
-class Statistics:
-    """Points in boxes, by reading, of how many boxes; the frames that are to be looked at, and those that were."""
-
-    points: dict[Reading, int] = field(default_factory=dict)
-    boxes: int = 0
-    wanted: dict[str, frozenset[int]] = field(default_factory=dict)
-    counted: set[str] = field(default_factory=set)
-
-
-def _statistics(subject: Subject) -> Statistics:
-    return subject.table("points in boxes", lambda _: Statistics())
-
-
-def _count_in_boxes(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    """Count the points in the boxes of a frame under each reading; what they show is stated at the end."""
-    yield from ()
-    lidar, sweep = frame.sensor, frame.frame
-    if not isinstance(lidar, LidarSensor) or not isinstance(sweep, LidarFrame):
-        return
-    if len(cuboid_rows(subject)) == 0 or frame.number not in _wanted(subject, frame.sensor_path, lidar):
-        return
-    if frame.path in _statistics(subject).counted:
-        return
-    source = point_positions(subject, lidar).get(lidar.points_frame)
-    world_from_points = None if source is None else transform_at(source, sweep.timestamp_ns)
-    positions = sweep.points.positions
-    some = positions[:: len(positions) // _KEPT_POINTS + 1]
-    some = some[np.isfinite(some).all(axis=1)]
-    if world_from_points is None or len(some) == 0:
-        return
-    points_world = world_from_points.apply(some)
-    rows = _boxes_at(subject, sweep, np.median(points_world, axis=0))
-    statistics = _statistics(subject)
-    statistics.counted.add(frame.path)
-    statistics.boxes += len(rows)
-    for reading, count in _points_in(points_world, rows, stated_reading(subject.scene)).items():
-        statistics.points[reading] = statistics.points.get(reading, 0) + count
-
-
-def _wanted(subject: Subject, path: str, lidar: LidarSensor) -> frozenset[int]:
-    wanted = _statistics(subject).wanted
-    if path not in wanted:
-        wanted[path] = frozenset(np.linspace(0, len(lidar.frames) - 1, _LOOKED_AT).astype(int).tolist())
-    return wanted[path]
-
-
-def _boxes_at(subject: Subject, sweep: LidarFrame, around: Float64Array) -> Float64Array:
-    """Some cuboids with a keyframe at the time of a sweep and near its middle, (K, 9)."""
-    rows, times = cuboid_rows(subject), cuboid_paths(subject).timestamps_ns
-    now = np.minimum(np.abs(times - sweep.timestamp_ns), np.abs(times - sweep.reference_ns)) < _SAME_TIME_NS
-    found = rows[now & np.isfinite(rows).all(axis=1)]
-    near = np.linalg.norm(found[:, 3:6] - around, axis=1) < _NEAR_M
-    found = found[near & (found[:, :3] > 0).all(axis=1)]
-    return np.asarray(found[:: len(found) // _MOST_BOXES + 1])
-
-
-def _points_in(points_world: Float64Array, rows: Float64Array, stated: Reading) -> dict[Reading, int]:
-    """Count the points in boxes, but for those just above their floors, under each reading."""
-    from scipy.spatial import cKDTree
-
-    readings = _readings(stated)
-    if len(rows) == 0:
-        return dict.fromkeys(readings, 0)
-    reach = np.linalg.norm(rows[:, :3], axis=1) / 2
-    lists = cKDTree(points_world).query_ball_point(rows[:, 3:6], reach)
-    boxes: Int64Array = np.repeat(np.arange(len(rows)), [len(found) for found in lists])
-    ids = np.concatenate([np.asarray(found, np.int64) for found in lists])
-    away = points_world[ids] - rows[boxes, 3:6]
-    return {reading: _inside(away, rows, boxes, reading) for reading in readings}
-
-
-def _inside(away: Float64Array, rows: Float64Array, boxes: Int64Array, reading: Reading) -> int:
-    points_box = np.einsum("nji,nj->ni", _rotations(rows, reading)[boxes], away)
-    halves = rows[boxes, :3] / 2
-    inside: AnyArray = (np.abs(points_box) <= halves).all(axis=1)
-    return int(np.count_nonzero(inside & (points_box[:, 2] > _OFF_GROUND_M - halves[:, 2])))
 
 
 def _against_points(subject: Subject) -> Iterator[Hit]:
-    statistics, stated = _statistics(subject), stated_reading(subject.scene)
-    if not statistics.points:
+    found, stated = _evidence(subject), _Reading.of(subject)
+    angles, points = found.off_deg, found.points
+    if not points:
         return
-    angles, steps = _off_motion(subject)
-    most = max(statistics.points.values())
-    best = next(reading for reading, count in statistics.points.items() if count >= _SAME_SHARE * most)
-    more, fewer = statistics.points[best], statistics.points[stated]
-    if more < _LEAST_POINTS or more < _MORE_POINTS * fewer:
+    most = max(points.values())
+    best = next(reading for reading, count in points.items() if count >= _SAME_SHARE * most)
+    if points[best] < _LEAST_POINTS or points[best] < _MORE_POINTS * points[stated]:
         return
     if angles and angles[best] > max(angles[stated], _ALONG_DEG):
         return
-    moving = (
-        f"; headings are {angles[stated]:.0f}° and {angles[best]:.0f}° off the motion, in the median of {steps} steps"
-        if angles
-        else ""
+    problem = (
+        f"read as {stated} {found.boxes} boxes hold {points[stated]} points, read as {best} {points[best]}"
     )
-    yield Hit(
-        "annotations",
-        f"read as {stated} {statistics.boxes} boxes hold {fewer} points, read as {best} {more}{moving}",
-    )
+    if angles:
+        problem += (
+            f"; headings are {angles[stated]:.0f}° and {angles[best]:.0f}° off the motion, in the median of "
+            f"{found.steps} steps"
+        )
+    yield Hit("annotations", problem)
 
 
 def _unsaid(subject: Subject) -> Iterator[Hit]:
-    """Where nothing says how the angles are meant, report what the data state about the reading that was taken."""
+    """Where nothing states how the angles are meant, report what the data show about the reading that was taken."""
     assumed = {warning.code for warning in subject.notes if warning.kind is WarningKind.ASSUMED}
     if not assumed & {"euler-unit", "euler-order"}:
         return
-    stated = stated_reading(subject.scene)
-    other = Reading(next(unit.value for unit in AngleUnit if unit.value != stated.unit), stated.order)
-    statistics, (angles, steps) = _statistics(subject), _off_motion(subject)
+    found, stated = _evidence(subject), _Reading.of(subject)
+    other = _Reading(next(unit.value for unit in AngleUnit if unit.value != stated.unit), stated.order)
     evidence = []
-    if angles:
+    if found.off_deg:
         evidence.append(
-            f"headings are {angles[stated]:.0f}° off the motion in the median of {steps} steps, in {other.unit} "
-            f"{angles[other]:.0f}°"
+            f"headings are {found.off_deg[stated]:.0f}° off the motion in the median of {found.steps} steps, in "
+            f"{other.unit} {found.off_deg[other]:.0f}°"
         )
-    if statistics.points:
-        held, in_other = statistics.points[stated], statistics.points[other]
-        evidence.append(f"{statistics.boxes} boxes hold {held} points, in {other.unit} {in_other}")
+    if found.points:
+        held, in_other = found.points[stated], found.points[other]
+        evidence.append(f"{found.boxes} boxes hold {held} points, in {other.unit} {in_other}")
     reported = "; ".join(evidence) or "neither motion nor points in the boxes report"
     yield Hit("annotations", f"not stated; taken to be {stated}: {reported}")
 
 
 _REMEDY = "Open the file with `--euler-unit` and `--euler-order` as the message says, and write it again."
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "cuboid-heading-off-motion",
-        Severity.WARNING,
-        "Cuboids move along their headings under the unit and order of their angles that is stated.",
-        _REMEDY,
-        find=_against_motion,
-    ),
-    Rule(
-        "cuboid-angles-off-points",
-        Severity.WARNING,
-        "No other unit or order of their angles puts clearly more points into the cuboids.",
-        _REMEDY,
-        look=_count_in_boxes,
-        conclude=_against_points,
-    ),
-    Rule(
-        "cuboid-angles-unsaid",
-        Severity.HINT,
-        "The scene says in which unit and order the angles of its cuboids are.",
-        "Open the file with `--euler-unit` and `--euler-order`, and write it again, which records them.",
-        look=_count_in_boxes,
-        conclude=_unsaid,
-    ),
+# fmt: off
+CUBOID_ANGLE_RULES: tuple[Rule, ...] = (
+    Rule("cuboid-heading-off-motion", WARNING,
+         "Cuboids move along their headings under the unit and order of their angles that is stated.", _REMEDY,
+         find=_against_motion),
+    Rule("cuboid-angles-off-points", WARNING,
+         "No other unit or order of their angles puts clearly more points into the cuboids.", _REMEDY,
+         look=_count_in_boxes, conclude=_against_points),
+    Rule("cuboid-angles-unsaid", HINT, "The scene says in which unit and order the angles of its cuboids are.",
+         "Open the file with `--euler-unit` and `--euler-order`, and write it again, which records them.",
+         look=_count_in_boxes, conclude=_unsaid),
 )
+# fmt: on
 
 _LARGEST_M = 100.0
 """Beyond it even trams and ferries end; a building that long deserves a look."""
@@ -456,14 +400,14 @@ def _stationary_moves(subject: Subject) -> Iterator[Hit]:
 def _cuboids_rotations(subject: Subject) -> Iterator[Hit]:
     table, rows = cuboid_paths(subject), cuboid_rows(subject)
     steps = np.diff(table.timestamps_ns)
-    reading = stated_reading(subject.scene)
+    reading = _Reading.of(subject)
     half_rotation = 180.0 if reading.unit == AngleUnit.DEGREES else np.pi
     reach = np.abs(np.diff(rows[:, 6:9], axis=0)).sum(axis=1) / half_rotation * 180.0
     # no cuboid rotates by more than its three angles do together
     may = table.inner & (steps > 0) & (steps <= _ROTATION_WITHIN_NS) & (reach > _ROTATION_DEG)
     steps_chosen = np.flatnonzero(may)
-    before = cuboid_headings(rows[steps_chosen], reading)
-    after = cuboid_headings(rows[steps_chosen + 1], reading)
+    before = reading.headings(rows[steps_chosen])
+    after = reading.headings(rows[steps_chosen + 1])
     angles = np.degrees(np.arccos(np.sum(before * after, axis=1).clip(-1, 1)))
     bad = np.zeros(len(rows), bool)
     bad[steps_chosen[angles > _ROTATION_DEG] + 1] = True
@@ -471,62 +415,29 @@ def _cuboids_rotations(subject: Subject) -> Iterator[Hit]:
     return _hits(subject, bad, lambda row: f"rotated by {angle_of[row]:.0f}° in {steps[row - 1] / 1e9:.3f} s")
 
 
-CUBOIDS_RULES: tuple[Rule, ...] = (
-    Rule(
-        "cuboid-not-finite",
-        Severity.ERROR,
-        "All numbers of a cuboid are finite.",
-        "Take the keyframe out.",
-        find=_not_finite,
-    ),
-    Rule(
-        "cuboid-negative-size",
-        Severity.ERROR,
-        "No length of a cuboid is negative.",
-        "Take the length without its sign: the box is the same.",
-        find=_negative_size,
-        fix=_positive_sizes,
-    ),
-    Rule(
-        "cuboid-no-size",
-        Severity.ERROR,
-        "No length of a cuboid is zero.",
-        "Draw the cuboid as large as the object.",
-        find=_no_size,
-    ),
-    Rule(
-        "cuboid-size-absurd",
-        Severity.WARNING,
-        f"Cuboids are {_SMALLEST_M:g} m to {_LARGEST_M:g} m long, wide and high.",
-        "Look whether the lengths are in metres, and in the order length, width, height, position, angles.",
-        find=_absurd_size,
-    ),
-    Rule(
-        "cuboid-size-changes",
-        Severity.WARNING,
-        f"From keyframe to keyframe no length changes by more than {_SIZE_FACTOR:g} times and {_SIZE_CHANGE_M:g} m.",
-        "Look whether one path joins two objects.",
-        find=_size_changes,
-    ),
-    Rule(
-        "cuboid-jump",
-        Severity.WARNING,
-        "Cuboids move as objects can: no keyframe lies off the trajectory between its neighbours or out of reach.",
-        "Look whether one path joins two objects, or a keyframe is misplaced.",
-        find=_jumps,
-    ),
-    Rule(
-        "cuboid-rotation",
-        Severity.WARNING,
-        f"No cuboid rotates by more than {_ROTATION_DEG:g}° within {_ROTATION_WITHIN_NS / 1e9:g} s.",
-        "Look whether front and back were mixed up in a keyframe.",
-        find=_cuboids_rotations,
-    ),
-    Rule(
-        "cuboid-stationary-moves",
-        Severity.WARNING,
-        f"The keyframes of a stationary cuboid lie within {_STATIONARY_M:g} m.",
-        "Take `stationary` out, or leave one keyframe.",
-        find=_stationary_moves,
-    ),
+# fmt: off
+CUBOID_RULES: tuple[Rule, ...] = (
+    Rule("cuboid-not-finite", ERROR, "All numbers of a cuboid are finite.", "Take the keyframe out.",
+         find=_not_finite),
+    Rule("cuboid-negative-size", ERROR, "No length of a cuboid is negative.",
+         "Take the length without its sign: the box is the same.", find=_negative_size, fix=_positive_sizes),
+    Rule("cuboid-no-size", ERROR, "No length of a cuboid is zero.", "Draw the cuboid as large as the object.",
+         find=_no_size),
+    Rule("cuboid-size-absurd", WARNING,
+         f"Cuboids are {_SMALLEST_M:g} m to {_LARGEST_M:g} m long, wide and high.",
+         "Look whether the lengths are in metres, and in the order length, width, height, position, angles.",
+         find=_absurd_size),
+    Rule("cuboid-size-changes", WARNING,
+         f"From keyframe to keyframe no length changes by more than {_SIZE_FACTOR:g} times and {_SIZE_CHANGE_M:g} m.",
+         "Look whether one path joins two objects.", find=_size_changes),
+    Rule("cuboid-jump", WARNING,
+         "Cuboids move as objects can: no keyframe lies off the trajectory between its neighbours or out of reach.",
+         "Look whether one path joins two objects, or a keyframe is misplaced.", find=_jumps),
+    Rule("cuboid-rotation", WARNING,
+         f"No cuboid rotates by more than {_ROTATION_DEG:g}° within {_ROTATION_WITHIN_NS / 1e9:g} s.",
+         "Look whether front and back were mixed up in a keyframe.", find=_cuboids_rotations),
+    Rule("cuboid-stationary-moves", WARNING,
+         f"The keyframes of a stationary cuboid lie within {_STATIONARY_M:g} m.",
+         "Take `stationary` out, or leave one keyframe.", find=_stationary_moves),
 )
+# fmt: on

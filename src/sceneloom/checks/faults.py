@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
-from sceneloom.checks.rule import Find, FrameInHand, Hit, Rule, Subject
+from sceneloom.checks.rule import ERROR, HINT, WARNING, Find, FrameInHand, Hit, Rule, Subject
 from sceneloom.formats.base.diagnostics import PlacedFault
 from sceneloom.formats.sfs.container import format_keys
 from sceneloom.formats.sfs.schema import RECORDS, annotation_record, sensor_record
@@ -109,91 +109,45 @@ def _rule(
     return Rule(identifier, Severity.ERROR, summary, remedy, find=faults_of(code), fix=fix)
 
 
+# fmt: off
 FAULT_RULES: tuple[Rule, ...] = (
-    _rule(
-        "file-readable",
-        "unreadable",
-        "The file or folder can be read.",
-        "Export it again; of a scene file that was cut off, `sceneloom salvage` takes out what is whole.",
-    ),
-    _rule(
-        "version-known",
-        "version",
-        "The file says a version that begins with 1.0 or 5.1.",
-        "Write `version` as 1.0 if the file follows the description of the format.",
-    ),
-    _rule(
-        "fields-valid",
-        "malformed",
-        "Every field has the kind, dtype, shape and length that the format says, and required fields are there.",
-        "Correct the field where the file is made; `--fix` leaves it out, or what needs it.",
-    ),
-    _rule(
-        "arrays-whole",
-        "item",
-        "Every array lies inside the file, overlaps no other, and its keys lead to a location of the header.",
-        "Write the file again; `--fix` leaves the array out, and what cannot be without it.",
-    ),
-    _rule(
-        "ids-unique",
-        "duplicate-id",
-        "No two sensors and no two annotations share an id.",
-        "Give each its own id; `--fix` keeps the first of them.",
-    ),
-    _rule(
-        "quaternion-norm",
-        "quaternion-norm",
-        "Quaternions of poses have length 1, within 0.01.",
-        "Normalise them; the direction that they report stays.",
-        as_read,
-    ),
-    _rule(
-        "pose-times-increasing",
-        "pose-times-increasing",
-        "Poses have strictly increasing times.",
-        "Sort the poses by time, and leave out those that stand there twice.",
-        as_read,
-    ),
-    _rule(
-        "poses-finite",
-        "not-finite",
-        "Poses hold finite numbers only.",
-        "Leave the pose out, or compute it again; between its neighbours it is interpolated.",
-    ),
+    _rule("file-readable", "unreadable", "The file or folder can be read.",
+          "Export it again; of a scene file that was cut off, `sceneloom salvage` takes out what is whole."),
+    _rule("version-known", "version", "The file says a version that begins with 1.0 or 5.1.",
+          "Write `version` as 1.0 if the file follows the description of the format."),
+    _rule("fields-valid", "malformed",
+          "Every field has the kind, dtype, shape and length that the format says, and required fields are there.",
+          "Correct the field where the file is made; `--fix` leaves it out, or what needs it."),
+    _rule("arrays-whole", "item",
+          "Every array lies inside the file, overlaps no other, and its keys lead to a location of the header.",
+          "Write the file again; `--fix` leaves the array out, and what cannot be without it."),
+    _rule("ids-unique", "duplicate-id", "No two sensors and no two annotations share an id.",
+          "Give each its own id; `--fix` keeps the first of them."),
+    _rule("quaternion-norm", "quaternion-norm", "Quaternions of poses have length 1, within 0.01.",
+          "Normalise them; the direction that they report stays.", as_read),
+    _rule("pose-times-increasing", "pose-times-increasing", "Poses have strictly increasing times.",
+          "Sort the poses by time, and leave out those that stand there twice.", as_read),
+    _rule("poses-finite", "not-finite", "Poses hold finite numbers only.",
+          "Leave the pose out, or compute it again; between its neighbours it is interpolated."),
 )
+# fmt: on
 """Rules that hold only where a file was read, each for one code of the reader's faults."""
 
-RULES: tuple[Rule, ...] = (
+# fmt: off
+READING_RULES: tuple[Rule, ...] = (
     *FAULT_RULES,
-    Rule(
-        "frame-readable",
-        Severity.ERROR,
-        "Every frame can be read and every image decoded.",
-        "Record or export the frame again, or leave it out.",
-        look=_unreadable,
-    ),
-    Rule(
-        "reading-skipped",
-        Severity.HINT,
-        "Nothing had to be left out on reading.",
-        "See whether what was left out is needed.",
-        find=_warnings_of(WarningKind.SKIPPED),
-    ),
-    Rule(
-        "reading-repaired",
-        Severity.HINT,
-        "Nothing had to be brought into order on reading.",
-        "Correct it where the data are made, so that every program reads the same.",
-        find=_warnings_of(WarningKind.REPAIRED),
-    ),
-    Rule(
-        "reading-assumed",
-        Severity.HINT,
-        "Nothing had to be assumed on reading.",
-        "Where it is otherwise, report it in the files, or with the option that the message names, if it names one.",
-        find=_warnings_of(WarningKind.ASSUMED),
-    ),
+    Rule("frame-readable", ERROR, "Every frame can be read and every image decoded.",
+         "Record or export the frame again, or leave it out.", look=_unreadable),
+    Rule("reading-skipped", HINT, "Nothing had to be left out on reading.",
+         "See whether what was left out is needed.", find=_warnings_of(WarningKind.SKIPPED)),
+    Rule("reading-repaired", HINT, "Nothing had to be brought into order on reading.",
+         "Correct it where the data are made, so that every program reads the same.",
+         find=_warnings_of(WarningKind.REPAIRED)),
+    Rule("reading-assumed", HINT, "Nothing had to be assumed on reading.",
+         "Where it is otherwise, report it in the files, or with the option that the message names, if it names one.",
+         find=_warnings_of(WarningKind.ASSUMED)),
 )
+# fmt: on
 
 _ALIKE = 0.8
 """How like a known name an unknown one has to be, to be taken for it."""
@@ -273,22 +227,15 @@ def _misspelt(subject: Subject) -> Iterator[Hit]:
                 yield Hit(format_keys((*keys, name)), problem)
 
 
-FIELDS_RULES: tuple[Rule, ...] = (
-    Rule(
-        "fields-required",
-        Severity.WARNING,
-        "Fields that the description requires are there, also where a file can be read without them.",
-        "Write the field: programs that follow the description need it.",
-        find=_missing,
-    ),
-    Rule(
-        "fields-spelling",
-        Severity.WARNING,
-        "No field has a name that is nearly one of the format, which is missing.",
-        "Correct the name, or choose another one for a field of your own.",
-        find=_misspelt,
-    ),
+# fmt: off
+FIELD_RULES: tuple[Rule, ...] = (
+    Rule("fields-required", WARNING,
+         "Fields that the description requires are there, also where a file can be read without them.",
+         "Write the field: programs that follow the description need it.", find=_missing),
+    Rule("fields-spelling", WARNING, "No field has a name that is nearly one of the format, which is missing.",
+         "Correct the name, or choose another one for a field of your own.", find=_misspelt),
 )
+# fmt: on
 
 _GREAT_PART = 0.25
 """Where so many of all lines are at fault, that lies not in them but in what wrote them."""
@@ -371,104 +318,60 @@ def _error(code: str, summary: str, remedy: str, find: Find | None = None) -> Ru
     return Rule(code, Severity.ERROR, summary, remedy, find=find or faults_of(code))
 
 
-FAULTS_FAULT_RULES: tuple[Rule, ...] = (
-    _error(
-        UNREADABLE,
-        "A recording has a `data.jsonl` with lines of JSON in UTF-8, and can be opened.",
-        "Do what the message says; a log without any line has to be recorded or exported again.",
-    ),
-    _error(
-        "broken-lines",
-        "Every line of a recording is a JSON object, whole and with finite numbers.",
-        "Write the line again, or leave it out; `--lenient` and `--fix` leave it out.",
-        _lines_at_fault("broken-lines"),
-    ),
-    _error(
-        "unfit-lines",
-        "Every line of a recording has the fields that a line of its kind needs, of the kind that they need.",
-        "Correct the line where it is made, or leave it out; `--lenient` and `--fix` leave it out.",
-        _lines_at_fault("unfit-lines"),
-    ),
-    _error(
-        "unusable-orientations",
-        "Every pose of a recording whose trajectory has orientations has one, of length 1 within 0.01.",
-        "Normalise the quaternion, see whether its order is w, x, y, z by name, or leave the pose out.",
-    ),
-    _error(
-        "unreadable-calibration",
-        "`calibration.json` is a JSON object with a list of cameras.",
-        "Export it again; until then it is not known where sensors are mounted.",
-    ),
-    _error(
-        "unusable-calibrations",
-        "Every entry of `calibration.json` has a camera model and a rigid mounting with numbers of the right kind.",
-        "Correct the entry; a matrix is 4x4 by rows, takes points of the IMU into the sensor, and does not mirror.",
-    ),
-    _error(
-        "repeated-lidars",
-        "No two lidars of `calibration.json` have one `lidarInd`.",
-        "Number them as the `lidar` lines do.",
-    ),
-    _error(
-        "unusable-frame-parameters",
-        "Camera models and mountings that `frames` lines bring along can be used.",
-        "Correct `cameraParameters` or `imuToCamera`, or leave them out: those of the calibration hold then.",
-    ),
-    _error(
-        "unusable-cameras",
-        "Every camera of a recording has a camera model and images that can be used.",
-        "Correct what the message names; the camera is left out until then.",
-    ),
-    _error(
-        "contradicting-mounts",
-        "An entry of `calibration.json` with `imuToCamera` and `imuToCameraMatrix` has the same numbers in both.",
-        "Leave out the wrong one; other programs read `imuToCamera`, and so does `--lenient`.",
-    ),
-    _error(
-        "mounts-missing",
-        "Every camera has an `imuToCamera`, in its entry of `calibration.json` or in its lines.",
-        "Write it; until then nothing can be brought into the images. `--lenient` keeps the camera without it.",
-    ),
-    _error(
-        "cameras-without-calibration",
-        "Every camera that `frames` lines name is in `calibration.json`, or has its camera model in its lines.",
-        "Write its entry (model, focal lengths, principal point, imuToCamera); the camera is left out until then.",
-        _without_calibration,
-    ),
-    _error(
-        "missing-videos",
-        "Every camera that `frames` lines name has a video, or a folder of images.",
-        "Put the video where the message expects it, or take the camera out of the lines.",
-    ),
-    _error(
-        "unreadable-videos",
-        "Videos and folders of images can be opened.",
-        "Record or export the video again; one that was cut off can be repaired by remuxing it.",
-    ),
-    _error(
-        "repeated-videos",
-        "Every camera has one video or one folder of images.",
-        "Keep the one that the lines belong to.",
-    ),
-    _error(
-        "unmatched-images",
-        "A video has as many images as its `frames` lines state.",
-        "Find out which images were lost; `--image-index` says which one a line means, the message "
-        "which way it took.",
-    ),
-    _error(
-        "unusable-lidar-files",
-        "Every `lidar` line has its file, inside the folder, of whole records of 23 bytes.",
-        "Copy the file again, or leave the line out.",
-    ),
-    _error(
-        "unreadable-vio-config",
-        "`vio_config.yaml` can be read as text.",
-        "Export it again, or leave it out.",
-    ),
+# fmt: off
+RECORDING_FAULT_RULES: tuple[Rule, ...] = (
+    _error(UNREADABLE, "A recording has a `data.jsonl` with lines of JSON in UTF-8, and can be opened.",
+           "Do what the message says; a log without any line has to be recorded or exported again."),
+    _error("broken-lines", "Every line of a recording is a JSON object, whole and with finite numbers.",
+           "Write the line again, or leave it out; `--lenient` and `--fix` leave it out.",
+           _lines_at_fault("broken-lines")),
+    _error("unfit-lines",
+           "Every line of a recording has the fields that a line of its kind needs, of the kind that they need.",
+           "Correct the line where it is made, or leave it out; `--lenient` and `--fix` leave it out.",
+           _lines_at_fault("unfit-lines")),
+    _error("unusable-orientations",
+           "Every pose of a recording whose trajectory has orientations has one, of length 1 within 0.01.",
+           "Normalise the quaternion, see whether its order is w, x, y, z by name, or leave the pose out."),
+    _error("unreadable-calibration", "`calibration.json` is a JSON object with a list of cameras.",
+           "Export it again; until then it is not known where sensors are mounted."),
+    _error("unusable-calibrations",
+           "Every entry of `calibration.json` has a camera model and a rigid mounting with numbers of the right "
+           "kind.",
+           "Correct the entry; a matrix is 4x4 by rows, takes points of the IMU into the sensor, and does not "
+           "mirror."),
+    _error("repeated-lidars", "No two lidars of `calibration.json` have one `lidarInd`.",
+           "Number them as the `lidar` lines do."),
+    _error("unusable-frame-parameters",
+           "Camera models and mountings that `frames` lines bring along can be used.",
+           "Correct `cameraParameters` or `imuToCamera`, or leave them out: those of the calibration hold then."),
+    _error("unusable-cameras", "Every camera of a recording has a camera model and images that can be used.",
+           "Correct what the message names; the camera is left out until then."),
+    _error("contradicting-mounts",
+           "An entry of `calibration.json` with `imuToCamera` and `imuToCameraMatrix` has the same numbers in both.",
+           "Leave out the wrong one; other programs read `imuToCamera`, and so does `--lenient`."),
+    _error("mounts-missing",
+           "Every camera has an `imuToCamera`, in its entry of `calibration.json` or in its lines.",
+           "Write it; until then nothing can be brought into the images. `--lenient` keeps the camera without it."),
+    _error("cameras-without-calibration",
+           "Every camera that `frames` lines name is in `calibration.json`, or has its camera model in its lines.",
+           "Write its entry (model, focal lengths, principal point, imuToCamera); the camera is left out until then.",
+           _without_calibration),
+    _error("missing-videos", "Every camera that `frames` lines name has a video, or a folder of images.",
+           "Put the video where the message expects it, or take the camera out of the lines."),
+    _error("unreadable-videos", "Videos and folders of images can be opened.",
+           "Record or export the video again; one that was cut off can be repaired by remuxing it."),
+    _error("repeated-videos", "Every camera has one video or one folder of images.",
+           "Keep the one that the lines belong to."),
+    _error("unmatched-images", "A video has as many images as its `frames` lines state.",
+           "Find out which images were lost; `--image-index` says which one a line means, the message which way "
+           "it took."),
+    _error("unusable-lidar-files",
+           "Every `lidar` line has its file, inside the folder, of whole records of 23 bytes.",
+           "Copy the file again, or leave the line out."),
+    _error("unreadable-vio-config", "`vio_config.yaml` can be read as text.",
+           "Export it again, or leave it out."),
 )
+# fmt: on
 """Each for one code of the reader's faults, which is its id, too."""
 
-FAULT_CODES = frozenset(rule.id for rule in FAULTS_FAULT_RULES)
-
-FAULTS_RULES = FAULTS_FAULT_RULES
+FAULT_CODES = frozenset(rule.id for rule in RECORDING_FAULT_RULES)

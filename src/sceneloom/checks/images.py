@@ -17,12 +17,11 @@ from sceneloom.checks.annotation_table import (
     projections,
     shape_paths,
 )
-from sceneloom.checks.rule import FrameInHand, Hit, Rule, Subject, timestamps_of
+from sceneloom.checks.rule import ERROR, HINT, WARNING, FrameInHand, Hit, Rule, Subject, timestamps_of
 from sceneloom.errors import DataError
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, key_of
-from sceneloom.warnings import Severity
 
 _SHORTEST, _LONGEST = 0.05, 30.0
 """Focal lengths outside these parts of the image's longer side [1] belong to no camera model: 30 sees two degrees."""
@@ -121,51 +120,27 @@ def _as_read(scene: Scene) -> Scene:
     return scene
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "video-or-images",
-        Severity.WARNING,
-        "A camera has a video or images, not both.",
-        "Leave one of them out; the video is taken, the images are carried along.",
-        find=_warnings("video-and-images"),
-    ),
-    Rule(
-        "camera-model-model-known",
-        Severity.WARNING,
-        "The camera model follows a distortion model that can be computed with.",
-        "Use one of the known models; a camera model can be fitted to another model.",
-        find=_unknown_models,
-    ),
-    Rule(
-        "distortion-length",
-        Severity.HINT,
-        "The distortion has as many numbers as its model.",
-        "Write zeros for those that are missing, which is how they are read.",
-        find=_warnings("short-distortion"),
-        fix=_as_read,
-    ),
-    Rule(
-        "principal-point",
-        Severity.WARNING,
-        "The principal point lies inside the image.",
-        "See whether the camera model was calibrated for another size, or the image cut without moving cx and cy.",
-        find=_centre_outside,
-    ),
-    Rule(
-        "focal-length",
-        Severity.WARNING,
-        "Focal lengths are nearly equal, and those of a camera model that there is.",
-        "Give focal lengths in pixels of these images, not in millimetres or of another size.",
-        find=_odd_focal_lengths,
-    ),
-    Rule(
-        "video-count",
-        Severity.ERROR,
-        "A video has as many images as timestamps.",
-        "Find out which images were lost, and give the others their own timestamps.",
-        look=_video_counts,
-    ),
+# fmt: off
+CAMERA_RULES: tuple[Rule, ...] = (
+    Rule("video-or-images", WARNING, "A camera has a video or images, not both.",
+         "Leave one of them out; the video is taken, the images are carried along.",
+         find=_warnings("video-and-images")),
+    Rule("camera-model-known", WARNING,
+         "The distortion model of a camera is a known one.",
+         "Use one of the known models; `sceneloom edit camera-model` fits one to another.", find=_unknown_models),
+    Rule("distortion-length", HINT, "The distortion has as many numbers as its model.",
+         "Write zeros for those that are missing, which is how they are read.",
+         find=_warnings("short-distortion"), fix=_as_read),
+    Rule("principal-point", WARNING, "The principal point lies inside the image.",
+         "See whether the camera model was calibrated for another size, or the image cut without moving cx and cy.",
+         find=_centre_outside),
+    Rule("focal-length", WARNING, "Focal lengths are nearly equal, and those of a camera model that there is.",
+         "Give focal lengths in pixels of these images, not in millimetres or of another size.",
+         find=_odd_focal_lengths),
+    Rule("video-count", ERROR, "A video has as many images as timestamps.",
+         "Find out which images were lost, and give the others their own timestamps.", look=_video_counts),
 )
+# fmt: on
 
 _STEP_PX = 8
 """Every eighth row and column reports whether an image is of one colour."""
@@ -266,32 +241,16 @@ def _plain(subject: Subject) -> Iterator[Hit]:
             yield Hit(f"{facts.path}.images[{number}]", f"{colour}{more}", count=len(facts.plain))
 
 
-IMAGES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "image-size",
-        Severity.WARNING,
-        "Images have the width and height that the camera's intrinsics are for.",
-        "Write the intrinsics for the images as they are stored.",
-        look=_look,
-        conclude=_sizes,
-    ),
-    Rule(
-        "image-repeated",
-        Severity.HINT,
-        "No image is equal to the one before it.",
-        "Look whether the camera hung, or images were filled in.",
-        look=_look,
-        conclude=_repeated,
-    ),
-    Rule(
-        "image-plain",
-        Severity.HINT,
-        "Images show more than one colour.",
-        "Look whether the camera was covered or not exposed.",
-        look=_look,
-        conclude=_plain,
-    ),
+# fmt: off
+IMAGE_RULES: tuple[Rule, ...] = (
+    Rule("image-size", WARNING, "Images have the width and height that the camera's intrinsics are for.",
+         "Write the intrinsics for the images as they are stored.", look=_look, conclude=_sizes),
+    Rule("image-repeated", HINT, "No image is equal to the one before it.",
+         "Look whether the camera hung, or images were filled in.", look=_look, conclude=_repeated),
+    Rule("image-plain", HINT, "Images show more than one colour.",
+         "Look whether the camera was covered or not exposed.", look=_look, conclude=_plain),
 )
+# fmt: on
 
 _SLACK_PX = 1.0
 """A box may end this far outside the image: some count pixels from 1, or to the last one's centre."""
@@ -428,47 +387,24 @@ def _beyond_image(subject: Subject) -> Iterator[Hit]:
     return _outside(subject, wholly=False)
 
 
-BOXES_IN_IMAGES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "box-not-finite",
-        Severity.ERROR,
-        "All numbers of a box in an image are finite; a projection that is not there is null as a whole.",
-        "Write null for a box that is not there.",
-        find=_partly_finite,
-    ),
-    Rule(
-        "box-negative-size",
-        Severity.ERROR,
-        "Width and height of a box in an image are not negative.",
-        "Look whether the numbers are left, top, width, height, or two corners.",
-        find=_negative,
-    ),
-    Rule(
-        "box-without-area",
-        Severity.WARNING,
-        "Boxes in images have a width and a height.",
-        "Write null for a projection that is not there, and leave keyframes without a box out.",
-        find=_without_area,
-    ),
-    Rule(
-        "box-outside-image",
-        Severity.WARNING,
-        "What is drawn into an image overlaps it.",
-        "Look whether it counts pixels of an image of another size, or belongs to another camera.",
-        find=_outside_image,
-    ),
-    Rule(
-        "box-beyond-image",
-        Severity.HINT,
-        f"What is drawn into an image ends at its edges, give or take {_SLACK_PX:g} px.",
-        "Clip it to the image if it means what is seen, and keep it if it means the whole object.",
-        find=_beyond_image,
-    ),
-    Rule(
-        "null-box-confirmed",
-        Severity.WARNING,
-        "A projection that a person confirmed is there.",
-        "Take the confirmation out, or draw what is missing.",
-        find=_null_confirmed,
-    ),
+# fmt: off
+BOX_RULES: tuple[Rule, ...] = (
+    Rule("box-not-finite", ERROR,
+         "All numbers of a box in an image are finite; a projection that is not there is null as a whole.",
+         "Write null for a box that is not there.", find=_partly_finite),
+    Rule("box-negative-size", ERROR, "Width and height of a box in an image are not negative.",
+         "Look whether the numbers are left, top, width, height, or two corners.", find=_negative),
+    Rule("box-without-area", WARNING, "Boxes in images have a width and a height.",
+         "Write null for a projection that is not there, and leave keyframes without a box out.",
+         find=_without_area),
+    Rule("box-outside-image", WARNING, "What is drawn into an image overlaps it.",
+         "Look whether it counts pixels of an image of another size, or belongs to another camera.",
+         find=_outside_image),
+    Rule("box-beyond-image", HINT,
+         f"What is drawn into an image ends at its edges, give or take {_SLACK_PX:g} px.",
+         "Clip it to the image if it means what is seen, and keep it if it means the whole object.",
+         find=_beyond_image),
+    Rule("null-box-confirmed", WARNING, "A projection that a person confirmed is there.",
+         "Take the confirmation out, or draw what is missing.", find=_null_confirmed),
 )
+# fmt: on

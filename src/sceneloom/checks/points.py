@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Int64Array, UInt8Array, read_only
-from sceneloom.checks.rule import FrameInHand, Hit, Rule, Subject, repaired_annotations
+from sceneloom.checks.rule import ERROR, HINT, WARNING, FrameInHand, Hit, Rule, Subject, repaired_annotations
 from sceneloom.scene.annotations import Annotation, LabeledPoints, LabeledPointsAnnotation
 from sceneloom.scene.clouds import (
     LidarFrame,
@@ -22,7 +22,6 @@ from sceneloom.scene.clouds import (
 )
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, key_of
-from sceneloom.warnings import Severity
 
 _FAR_M = 10_000.0
 """Beyond it float32 is coarser than a millimetre."""
@@ -309,92 +308,38 @@ def _absurd_speeds(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
         yield Hit(f"{frame.path}.points.lengths[{off[0]}]", message, count=len(off))
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "points-not-finite",
-        Severity.WARNING,
-        "The location of every point is finite.",
-        "Leave points without a location out.",
-        find=_map_not_finite,
-        look=_not_finite,
-    ),
-    Rule(
-        "points-at-origin",
-        Severity.WARNING,
-        f"No more than {_ORIGIN_SHARE:.0%} of a frame's points lie exactly at the origin.",
-        "Leave out the beams that did not return.",
-        look=_at_origin,
-    ),
-    Rule(
-        "points-far",
-        Severity.WARNING,
-        f"Points lie within {_FAR_M / 1000:g} km of the origin, where float32 reports millimetres.",
-        "Choose an origin near the drive, as `sceneloom fuse` does, and keep the way to it in the metadata.",
-        find=_map_far,
-        look=_far,
-    ),
-    Rule(
-        "frame-without-points",
-        Severity.HINT,
-        "Every frame has points.",
-        "Look whether the sensor was off, or its packets were lost.",
-        look=_seen,
-        conclude=_without_points,
-    ),
-    Rule(
-        "frame-repeated",
-        Severity.HINT,
-        "No frame has the very points of the frame before it.",
-        "Look whether the sensor hung, or frames were filled in.",
-        look=_seen,
-        conclude=_repeated,
-    ),
-    Rule(
-        "point-count-collapses",
-        Severity.WARNING,
-        f"No frame has fewer points than {_COLLAPSED_SHARE:.0%} of the sensor's usual number.",
-        "Look whether packets were lost.",
-        look=_seen,
-        conclude=_collapsed,
-    ),
-    Rule(
-        "intensity-scale",
-        Severity.WARNING,
-        "Intensities use the range from 0 to 255.",
-        "Scale them to 0 to 255 before they become integers.",
-        look=_seen,
-        conclude=_odd_intensities,
-    ),
-    Rule(
-        "colors-all-alike",
-        Severity.WARNING,
-        "The points of a sensor are not all white, and not all black.",
-        "Leave `colors` out where no camera coloured the points, or look why none did.",
-        look=_seen,
-        conclude=_all_one_colour,
-    ),
-    Rule(
-        "camera-index-unknown",
-        Severity.ERROR,
-        "The camera that coloured a point is a camera of the scene; 255 stands for none.",
-        "Colour the points again: cameras were added or taken out since.",
-        look=_unknown_camera,
-    ),
-    Rule(
-        "radar-direction-norm",
-        Severity.WARNING,
-        "The directions of radar points are unit vectors.",
-        "Divide each by its length.",
-        look=_no_unit_vectors,
-    ),
-    Rule(
-        "radar-length-absurd",
-        Severity.WARNING,
-        f"The lengths of radar points are speeds up to {_FASTEST:g} m/s.",
-        "Give metres per second along `directions`.",
-        look=_absurd_speeds,
-    ),
+# fmt: off
+POINT_RULES: tuple[Rule, ...] = (
+    Rule("points-not-finite", WARNING, "The location of every point is finite.",
+         "Leave points without a location out.", find=_map_not_finite, look=_not_finite),
+    Rule("points-at-origin", WARNING,
+         f"No more than {_ORIGIN_SHARE:.0%} of a frame's points lie exactly at the origin.",
+         "Leave out the beams that did not return.", look=_at_origin),
+    Rule("points-far", WARNING,
+         f"Points lie within {_FAR_M / 1000:g} km of the origin, where float32 reports millimetres.",
+         "Choose an origin near the drive, as `sceneloom fuse` does, and keep the way to it in the metadata.",
+         find=_map_far, look=_far),
+    Rule("frame-without-points", HINT, "Every frame has points.",
+         "Look whether the sensor was off, or its packets were lost.", look=_seen, conclude=_without_points),
+    Rule("frame-repeated", HINT, "No frame has the very points of the frame before it.",
+         "Look whether the sensor hung, or frames were filled in.", look=_seen, conclude=_repeated),
+    Rule("point-count-collapses", WARNING,
+         f"No frame has fewer points than {_COLLAPSED_SHARE:.0%} of the sensor's usual number.",
+         "Look whether packets were lost.", look=_seen, conclude=_collapsed),
+    Rule("intensity-scale", WARNING, "Intensities use the range from 0 to 255.",
+         "Scale them to 0 to 255 before they become integers.", look=_seen, conclude=_odd_intensities),
+    Rule("colors-all-alike", WARNING, "The points of a sensor are not all white, and not all black.",
+         "Leave `colors` out where no camera coloured the points, or look why none did.", look=_seen,
+         conclude=_all_one_colour),
+    Rule("camera-index-unknown", ERROR,
+         "The camera that coloured a point is a camera of the scene; 255 stands for none.",
+         "Colour the points again: cameras were added or taken out since.", look=_unknown_camera),
+    Rule("radar-direction-norm", WARNING, "The directions of radar points are unit vectors.",
+         "Divide each by its length.", look=_no_unit_vectors),
+    Rule("radar-length-absurd", WARNING, f"The lengths of radar points are speeds up to {_FASTEST:g} m/s.",
+         "Give metres per second along `directions`.", look=_absurd_speeds),
 )
+# fmt: on
 
 
 class Entry(NamedTuple):
@@ -529,36 +474,17 @@ def _points(count: int) -> str:
     return "1 point" if count == 1 else f"{count} points"
 
 
-LABELLED_POINTS_RULES: tuple[Rule, ...] = (
-    Rule(
-        "labelled-frame-unknown",
-        Severity.ERROR,
-        "The frame of labelled points is a frame of their sensor.",
-        "Count frames from 0; leave `sensor_frame` out where the whole sensor is meant.",
-        find=_frames_that_are_not,
-    ),
-    Rule(
-        "labelled-point-unknown",
-        Severity.ERROR,
-        "Labelled points are points of their frame.",
-        "Label the points again on the frame as it is: its points were thinned or cut since.",
-        find=_beyond_map,
-        look=_beyond_frame,
-        conclude=_beyond_sensor,
-    ),
-    Rule(
-        "labelled-point-twice",
-        Severity.WARNING,
-        "Each labelled point is named once.",
-        "Leave the repetitions out.",
-        find=_labelled_points_repeated,
-        fix=_each_once,
-    ),
-    Rule(
-        "point-in-two-instances",
-        Severity.WARNING,
-        "A point belongs to one instance.",
-        "Decide which of the objects it belongs to.",
-        find=_of_two,
-    ),
+# fmt: off
+LABELLED_POINT_RULES: tuple[Rule, ...] = (
+    Rule("labelled-frame-unknown", ERROR, "The frame of labelled points is a frame of their sensor.",
+         "Count frames from 0; leave `sensor_frame` out where the whole sensor is meant.",
+         find=_frames_that_are_not),
+    Rule("labelled-point-unknown", ERROR, "Labelled points are points of their frame.",
+         "Label the points again on the frame as it is: its points were thinned or cut since.",
+         find=_beyond_map, look=_beyond_frame, conclude=_beyond_sensor),
+    Rule("labelled-point-twice", WARNING, "Each labelled point is named once.", "Leave the repetitions out.",
+         find=_labelled_points_repeated, fix=_each_once),
+    Rule("point-in-two-instances", WARNING, "A point belongs to one instance.",
+         "Decide which of the objects it belongs to.", find=_of_two),
 )
+# fmt: on

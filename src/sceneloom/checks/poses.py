@@ -8,6 +8,9 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.checks.rule import (
+    ERROR,
+    HINT,
+    WARNING,
     Hit,
     Rule,
     Subject,
@@ -26,7 +29,6 @@ from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Sensor, scene_period_ns, time_span
 from sceneloom.scene.types import Coordinates, Identifier, key_of
-from sceneloom.warnings import Severity
 
 FASTEST = 150.0
 """Nothing that carries sensors on the ground is faster [m/s]."""
@@ -212,71 +214,37 @@ def _ego_ambiguous(subject: Subject) -> Iterator[Hit]:
             yield Hit(f"{path}.parent_id", problem)
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "sensor-placed",
-        Severity.WARNING,
-        "Every lidar, radar and camera has poses, or a mounting on the ego.",
-        "Give the sensor its poses, or its mounting (`sceneloom convert` takes it from a calibration).",
-        find=_without_position,
-    ),
-    Rule(
-        "ego-trajectory-known",
-        Severity.HINT,
-        "Of a drive with mounted sensors the ego trajectory is known.",
-        "Find it from the sweeps (`sceneloom fuse --trajectory lidar`), or add one to the drive.",
-        find=_without_trajectory,
-    ),
-    Rule(
-        "poses-cover-frames",
-        Severity.WARNING,
-        "The poses of a sensor reach from its first frame to its last, within one period.",
-        "Add poses, or cut the frames; those without a pose cannot be placed.",
-        find=_uncovered,
-    ),
-    Rule(
-        "poses-jump",
-        Severity.WARNING,
-        "No pose lies farther from its neighbours than a vehicle can move.",
-        "See whether the trajectory was pieced together, or a fix of the satellites was wrong.",
-        find=unless_recording(_jumps),
-    ),
-    Rule(
-        "poses-rotation",
-        Severity.WARNING,
-        "No pose is rotated against its neighbours more than a vehicle can rotate.",
-        "See whether the order of the quaternion's numbers changes, or an angle wraps.",
-        find=unless_recording(_rotations),
-    ),
-    Rule(
-        "trajectory-times-increasing",
-        Severity.ERROR,
-        "The poses of each trajectory have strictly increasing times.",
-        "Sort them, and leave out those that stand there twice.",
-        find=_times_of_trajectories,
-    ),
-    Rule(
-        "ego-odometry",
-        Severity.ERROR,
-        "Where poses are in ego coordinates, an odometry sensor reports where the ego was.",
-        "Add an odometry sensor with the poses of the ego, or give poses in the world.",
-        find=_ego_unknown,
-    ),
-    Rule(
-        "ego-points-placed",
-        Severity.WARNING,
-        "Where points are in the ego's frame, a trajectory or an odometry sensor reports where the ego was.",
-        "Add the trajectory of the ego, or find it from the sweeps (`sceneloom fuse --trajectory lidar`).",
-        find=_ego_points_unknown,
-    ),
-    Rule(
-        "ego-odometry-unique",
-        Severity.ERROR,
-        "Where there are several odometry sensors, `parent_id` says in whose ego coordinates a sensor is.",
-        "Set `parent_id` to the id of the odometry sensor that is meant.",
-        find=_ego_ambiguous,
-    ),
+# fmt: off
+POSE_RULES: tuple[Rule, ...] = (
+    Rule("sensor-placed", WARNING, "Every lidar, radar and camera has poses, or a mounting on the ego.",
+         "Give the sensor its poses, or its mounting (`sceneloom convert` takes it from a calibration).",
+         find=_without_position),
+    Rule("ego-trajectory-known", HINT, "Of a drive with mounted sensors the ego trajectory is known.",
+         "Find it from the sweeps (`sceneloom fuse --trajectory lidar`), or add one to the drive.",
+         find=_without_trajectory),
+    Rule("poses-cover-frames", WARNING,
+         "The poses of a sensor reach from its first frame to its last, within one period.",
+         "Add poses, or cut the frames; those without a pose cannot be placed.", find=_uncovered),
+    Rule("poses-jump", WARNING, "No pose lies farther from its neighbours than a vehicle can move.",
+         "See whether the trajectory was pieced together, or a fix of the satellites was wrong.",
+         find=unless_recording(_jumps)),
+    Rule("poses-rotation", WARNING, "No pose is rotated against its neighbours more than a vehicle can rotate.",
+         "See whether the order of the quaternion's numbers changes, or an angle wraps.",
+         find=unless_recording(_rotations)),
+    Rule("trajectory-times-increasing", ERROR, "The poses of each trajectory have strictly increasing times.",
+         "Sort them, and leave out those that stand there twice.", find=_times_of_trajectories),
+    Rule("ego-odometry", ERROR,
+         "Where poses are in ego coordinates, an odometry sensor reports where the ego was.",
+         "Add an odometry sensor with the poses of the ego, or give poses in the world.", find=_ego_unknown),
+    Rule("ego-points-placed", WARNING,
+         "Where points are in the ego's frame, a trajectory or an odometry sensor reports where the ego was.",
+         "Add the trajectory of the ego, or find it from the sweeps (`sceneloom fuse --trajectory lidar`).",
+         find=_ego_points_unknown),
+    Rule("ego-odometry-unique", ERROR,
+         "Where there are several odometry sensors, `parent_id` says in whose ego coordinates a sensor is.",
+         "Set `parent_id` to the id of the odometry sensor that is meant.", find=_ego_ambiguous),
 )
+# fmt: on
 
 
 def _adjustments(subject: Subject) -> list[tuple[str, LocalizationAdjustment]]:
@@ -350,48 +318,23 @@ def _other_image_size(subject: Subject) -> Iterator[Hit]:
             yield Hit(f"{path}.intrinsics", reported)
 
 
-CORRECTIONS_RULES: tuple[Rule, ...] = (
-    Rule(
-        "corrections-not-applied",
-        Severity.HINT,
-        "Corrections of cameras and of the localization are applied.",
-        "Nothing has to be done: what computes applies them. Other programs may not: `sceneloom edit apply` does it "
-        "for good.",
-        find=_not_applied,
-    ),
-    Rule(
-        "localization-adjustments-several",
-        Severity.WARNING,
-        "A scene has one localization adjustment at most.",
-        "Keep one: in which order several are applied is not stated.",
-        find=_several_adjustments,
-    ),
-    Rule(
-        "localization-adjustment-short",
-        Severity.WARNING,
-        "A localization adjustment covers the time of the scene, give or take one sweep.",
-        "Extend its poses to the scene's ends.",
-        find=_adjustment_short,
-    ),
-    Rule(
-        "camera-calibrations-several",
-        Severity.WARNING,
-        "A camera has one calibration annotation at most.",
-        "Keep one: in which order several are applied is not stated.",
-        find=_several_calibrations,
-    ),
-    Rule(
-        "camera-calibration-empty",
-        Severity.WARNING,
-        "A camera calibration says something about poses, camera model or time.",
-        "Take it out.",
-        find=_calibrates_nothing,
-    ),
-    Rule(
-        "camera-calibration-size",
-        Severity.WARNING,
-        "The camera model of a camera calibration is for images of the camera's size.",
-        "Scale its numbers to the size of the images.",
-        find=_other_image_size,
-    ),
+# fmt: off
+CORRECTION_RULES: tuple[Rule, ...] = (
+    Rule("corrections-not-applied", HINT, "Corrections of cameras and of the localization are applied.",
+         "Nothing has to be done: what computes applies them. Other programs may not: `sceneloom edit apply` does "
+         "it for good.", find=_not_applied),
+    Rule("localization-adjustments-several", WARNING, "A scene has one localization adjustment at most.",
+         "Keep one: in which order several are applied is not stated.", find=_several_adjustments),
+    Rule("localization-adjustment-short", WARNING,
+         "A localization adjustment covers the time of the scene, give or take one sweep.",
+         "Extend its poses to the scene's ends.", find=_adjustment_short),
+    Rule("camera-calibrations-several", WARNING, "A camera has one calibration annotation at most.",
+         "Keep one: in which order several are applied is not stated.", find=_several_calibrations),
+    Rule("camera-calibration-empty", WARNING,
+         "A camera calibration says something about poses, camera model or time.", "Take it out.",
+         find=_calibrates_nothing),
+    Rule("camera-calibration-size", WARNING,
+         "The camera model of a camera calibration is for images of the camera's size.",
+         "Scale its numbers to the size of the images.", find=_other_image_size),
 )
+# fmt: on

@@ -21,6 +21,8 @@ from sceneloom.warnings import DataWarning, Severity
 
 _Table = TypeVar("_Table")
 
+ERROR, WARNING, HINT = Severity.ERROR, Severity.WARNING, Severity.HINT
+
 _FRAME = re.compile(r"(.*?sensors\[\d+\])\.(frames|images)\[(\d+)\](.*)", re.DOTALL)
 
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sceneloom.arrays import AnyArray
-from sceneloom.checks.rule import SCALE_ONLY, Hit, Rule, Subject
+from sceneloom.checks.rule import ERROR, HINT, SCALE_ONLY, WARNING, Hit, Rule, Subject
 from sceneloom.formats.sfs.container import format_keys
 from sceneloom.formats.sfs.profiles import (
     ANNOTATIONS,
@@ -17,7 +17,6 @@ from sceneloom.formats.sfs.profiles import (
     record_faults,
     time_fault,
 )
-from sceneloom.warnings import Severity
 
 Located = tuple[Location, Any]
 
@@ -246,95 +245,38 @@ def _dropped(subject: Subject) -> Iterator[Hit]:
                 yield _hit((*location, name), f"{sensor[name]!r} is dropped by the loader")
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "scale-scene",
-        Severity.ERROR,
-        "Version, unit and offset of the scene are those that Scale's library takes.",
-        "Write the scene again with `--profile scale`.",
-        find=_scene_faults,
-        profiles=SCALE_ONLY,
-    ),
-    Rule(
-        "scale-sensor-type",
-        Severity.ERROR,
-        "All sensors are of types that Scale's validator knows.",
-        "Write the scene again with `--profile scale`: it keeps other sensors under the metadata.",
-        find=_unknown_sensors,
-        profiles=SCALE_ONLY,
-    ),
-    Rule(
-        "scale-sensor-ids",
-        Severity.ERROR,
-        "Sensors have ids of their own.",
-        "Rename all but one.",
-        find=_repeated_ids,
-        profiles=SCALE_ONLY,
-    ),
-    Rule(
-        "scale-annotation-type",
-        Severity.ERROR,
-        "All annotations are of types that Scale's loader reads and converts.",
-        "Write the scene again with `--profile scale`: it keeps other annotations under the metadata.",
-        find=_unknown_annotations,
-        profiles=SCALE_ONLY,
-    ),
-    Rule(
-        "scale-field",
-        Severity.ERROR,
-        "Every field that Scale's library reads is there and of its type.",
-        "Write the scene again with `--profile scale`.",
-        find=_field_faults,
-        profiles=SCALE_ONLY,
-    ),
-    Rule(
-        "scale-times",
-        Severity.ERROR,
-        "The times of frames, images and poses are not negative, increase, begin within 100 s and come at most 100 "
-        "a second.",
-        "Put the start into `time_offset`; leave frames out, or give them their own times.",
-        find=_time_faults,
-        profiles=SCALE_ONLY,
-    ),
-    Rule(
-        "scale-rows",
-        Severity.ERROR,
-        "Paths of poses and cuboids have a row of 7 or 9 numbers for each timestamp.",
-        "Give each timestamp its row.",
-        find=_rows_that_do_not_convert,
-        profiles=SCALE_ONLY,
-    ),
-    Rule(
-        "scale-points",
-        Severity.ERROR,
-        "The arrays of points have the types and lengths that Scale's validator wants, and no point is measured before "
-        "its frame.",
-        "Write the scene again with `--profile scale`.",
-        find=_point_faults,
-        profiles=SCALE_ONLY,
-    ),
-    Rule(
-        "scale-radar-lengths",
-        Severity.ERROR,
-        "Radar points have no lengths: Scale's loader cuts them into rows of three, or drops them.",
-        "Write the scene again with `--profile scale`: it keeps the lengths under the metadata.",
-        find=_radar_lengths,
-        profiles=SCALE_ONLY,
-    ),
-    Rule(
-        "scale-static-attribute",
-        Severity.WARNING,
-        "Static attributes have one timestamp.",
-        "Keep the first value.",
-        find=_static_attributes,
-        profiles=SCALE_ONLY,
-    ),
-    Rule(
-        "scale-dropped",
-        Severity.HINT,
-        "Sensors state nothing that Scale's library drops.",
-        "Keep a copy of the file: what that library writes no longer has it.",
-        find=_dropped,
-        profiles=SCALE_ONLY,
-    ),
+# fmt: off
+SCALE_RULES: tuple[Rule, ...] = (
+    Rule("scale-scene", ERROR, "Version, unit and offset of the scene are those that Scale's library takes.",
+         "Write the scene again with `--profile scale`.", find=_scene_faults, profiles=SCALE_ONLY),
+    Rule("scale-sensor-type", ERROR, "All sensors are of types that Scale's validator knows.",
+         "Write the scene again with `--profile scale`: it keeps other sensors under the metadata.",
+         find=_unknown_sensors, profiles=SCALE_ONLY),
+    Rule("scale-sensor-ids", ERROR, "Sensors have ids of their own.", "Rename all but one.", find=_repeated_ids,
+         profiles=SCALE_ONLY),
+    Rule("scale-annotation-type", ERROR, "All annotations are of types that Scale's loader reads and converts.",
+         "Write the scene again with `--profile scale`: it keeps other annotations under the metadata.",
+         find=_unknown_annotations, profiles=SCALE_ONLY),
+    Rule("scale-field", ERROR, "Every field that Scale's library reads is there and of its type.",
+         "Write the scene again with `--profile scale`.", find=_field_faults, profiles=SCALE_ONLY),
+    Rule("scale-times", ERROR,
+         "The times of frames, images and poses are not negative, increase, begin within 100 s and come at most "
+         "100 a second.", "Put the start into `time_offset`; leave frames out, or give them their own times.",
+         find=_time_faults, profiles=SCALE_ONLY),
+    Rule("scale-rows", ERROR, "Paths of poses and cuboids have a row of 7 or 9 numbers for each timestamp.",
+         "Give each timestamp its row.", find=_rows_that_do_not_convert, profiles=SCALE_ONLY),
+    Rule("scale-points", ERROR,
+         "The arrays of points have the types and lengths that Scale's validator wants, and no point is measured "
+         "before its frame.", "Write the scene again with `--profile scale`.", find=_point_faults,
+         profiles=SCALE_ONLY),
+    Rule("scale-radar-lengths", ERROR,
+         "Radar points have no lengths: Scale's loader cuts them into rows of three, or drops them.",
+         "Write the scene again with `--profile scale`: it keeps the lengths under the metadata.",
+         find=_radar_lengths, profiles=SCALE_ONLY),
+    Rule("scale-static-attribute", WARNING, "Static attributes have one timestamp.", "Keep the first value.",
+         find=_static_attributes, profiles=SCALE_ONLY),
+    Rule("scale-dropped", HINT, "Sensors state nothing that Scale's library drops.",
+         "Keep a copy of the file: what that library writes no longer has it.", find=_dropped,
+         profiles=SCALE_ONLY),
 )
+# fmt: on

@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.checks.annotation_table import SensorMention, sensor_mentions
-from sceneloom.checks.rule import Hit, Rule, Subject, unless_recording
+from sceneloom.checks.rule import ERROR, HINT, WARNING, Hit, Rule, Subject, unless_recording
 from sceneloom.formats.sfs.schema import ANNOTATION_RECORDS, SENSOR_RECORDS
 from sceneloom.scene.annotations import (
     Activation,
@@ -33,7 +33,6 @@ from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import Identifier, key_of
-from sceneloom.warnings import Severity
 
 Key = tuple[type, Identifier]
 
@@ -167,71 +166,33 @@ def _off_the_earth(subject: Subject) -> Iterator[Hit]:
                 yield Hit(f"{path}.positions_lla[{k}]", problem, len(wrong))
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "scene-not-empty",
-        Severity.WARNING,
-        "A scene has a sensor, an annotation or a trajectory.",
-        "See whether the sensors stand where the format wants them.",
-        find=_nothing,
-    ),
-    Rule(
-        "sensor-empty",
-        Severity.WARNING,
-        "Every sensor has frames, images, points or samples, or annotations name it.",
-        "Leave the sensor out if it is not used, or find its data.",
-        find=_empty,
-    ),
-    Rule(
-        "sensor-type-known",
-        Severity.WARNING,
-        "Every sensor is of a type that the format lists.",
-        "Use one of points, lidar, radar, camera and odometry; other programs may refuse the file.",
-        find=_unknown_types,
-    ),
-    Rule(
-        "sensor-ids-distinct",
-        Severity.HINT,
-        "No two ids of sensors differ only in being a number and a text.",
-        "Use one kind: programs that compare ids as texts take both for one.",
-        find=_similar_ids,
-    ),
-    Rule(
-        "sensor-parent-known",
-        Severity.ERROR,
-        "The parent of a sensor is a sensor of the scene.",
-        'Name the parent by its id, of the same type (1 is not "1"), or leave `parent_id` out.',
-        find=_dangling_parents,
-    ),
-    Rule(
-        "sensor-parent-cycle",
-        Severity.ERROR,
-        "No sensor is its own parent, directly or over others.",
-        "Leave `parent_id` out of one of them.",
-        find=_parent_cycles,
-    ),
-    Rule(
-        "sample-times-increasing",
-        Severity.WARNING,
-        "Samples of inertial sensors and fixes of satellite receivers have strictly increasing times.",
-        "Sort them, and leave out those that stand there twice.",
-        find=unless_recording(_disordered_samples),
-    ),
-    Rule(
-        "samples-finite",
-        Severity.WARNING,
-        "Samples of inertial sensors and fixes of satellite receivers hold finite numbers only.",
-        "Leave the sample out.",
-        find=_infinite_samples,
-    ),
-    Rule(
-        "gnss-on-earth",
-        Severity.ERROR,
-        "Latitudes lie within 90 degrees, longitudes within 180.",
-        "See whether latitude and longitude are exchanged, or given in another unit than degrees.",
-        find=unless_recording(_off_the_earth),
-    ),
+# fmt: off
+SENSOR_RULES: tuple[Rule, ...] = (
+    Rule("scene-not-empty", WARNING, "A scene has a sensor, an annotation or a trajectory.",
+         "See whether the sensors stand where the format wants them.", find=_nothing),
+    Rule("sensor-empty", WARNING, "Every sensor has frames, images, points or samples, or annotations name it.",
+         "Leave the sensor out if it is not used, or find its data.", find=_empty),
+    Rule("sensor-type-known", WARNING, "Every sensor is of a type that the format lists.",
+         "Use one of points, lidar, radar, camera and odometry; other programs may refuse the file.",
+         find=_unknown_types),
+    Rule("sensor-ids-distinct", HINT, "No two ids of sensors differ only in being a number and a text.",
+         "Use one kind: programs that compare ids as texts take both for one.", find=_similar_ids),
+    Rule("sensor-parent-known", ERROR, "The parent of a sensor is a sensor of the scene.",
+         'Name the parent by its id, of the same type (1 is not "1"), or leave `parent_id` out.',
+         find=_dangling_parents),
+    Rule("sensor-parent-cycle", ERROR, "No sensor is its own parent, directly or over others.",
+         "Leave `parent_id` out of one of them.", find=_parent_cycles),
+    Rule("sample-times-increasing", WARNING,
+         "Samples of inertial sensors and fixes of satellite receivers have strictly increasing times.",
+         "Sort them, and leave out those that stand there twice.", find=unless_recording(_disordered_samples)),
+    Rule("samples-finite", WARNING,
+         "Samples of inertial sensors and fixes of satellite receivers hold finite numbers only.",
+         "Leave the sample out.", find=_infinite_samples),
+    Rule("gnss-on-earth", ERROR, "Latitudes lie within 90 degrees, longitudes within 180.",
+         "See whether latitude and longitude are exchanged, or given in another unit than degrees.",
+         find=unless_recording(_off_the_earth)),
 )
+# fmt: on
 
 
 def _key(identifier: Identifier) -> Key:
@@ -428,83 +389,37 @@ def _spellings(subject: Subject) -> Iterator[Hit]:
             yield Hit("annotations", f"labels {reported}; expected one spelling, as {usual!r}", count=rare)
 
 
-REFERENCES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "annotation-parent-unknown",
-        Severity.ERROR,
-        "The parent that an annotation names is an annotation of the scene.",
-        'Name an annotation that exists, with the type of its id (1 is not "1"), or leave `parent_id` out.',
-        find=_unknown_parents,
-    ),
-    Rule(
-        "annotation-parent-cycle",
-        Severity.ERROR,
-        "No annotation is its own parent, nor a parent of its parents.",
-        "Leave one `parent_id` of the cycle out.",
-        find=_references_parent_cycles,
-    ),
-    Rule(
-        "annotation-type-known",
-        Severity.WARNING,
-        "Every annotation is of a type that the format lists.",
-        "Correct the type; an annotation of another type is carried along, and nothing computes with it.",
-        find=_references_unknown_types,
-    ),
-    Rule(
-        "part-of-sensor-once",
-        Severity.WARNING,
-        "An annotation has one activation and one projection for each sensor.",
-        "Join them: their timestamps, and what belongs to each.",
-        find=_several_for_a_sensor,
-    ),
-    Rule(
-        "annotation-sensor-unknown",
-        Severity.ERROR,
-        "Every sensor that an annotation or an attribute of the scene names is a sensor of the scene.",
-        'Name a sensor that exists, with the type of its id (1 is not "1"), or take the part out.',
-        find=_unknown_sensors,
-    ),
-    Rule(
-        "annotation-sensor-type",
-        Severity.ERROR,
-        "Boxes and shapes in images, projections and camera calibrations are of cameras; labelled points are of "
-        "sensors with points; activations are of lidars, radars and cameras.",
-        "Name the sensor that was meant.",
-        find=_wrong_sensors,
-    ),
-    Rule(
-        "link-end-unknown",
-        Severity.ERROR,
-        "Both ends of a link are annotations of the scene.",
-        "Name annotations that exist, or take the link out.",
-        find=_unknown_link_ends,
-    ),
-    Rule(
-        "link-to-itself",
-        Severity.WARNING,
-        "A link joins two different annotations.",
-        "Name the other annotation, or take the link out.",
-        find=_links_to_themselves,
-    ),
-    Rule(
-        "attribute-point-unknown",
-        Severity.ERROR,
-        "The point that an attribute of a points annotation is for is one of its points.",
-        "Count points from 0, in the order of `paths`.",
-        find=_unused_attributes_of_points,
-    ),
-    Rule(
-        "annotation-unused",
-        Severity.HINT,
-        "Objects and groups have members, links or attributes.",
-        "Take it out if nothing belongs to it.",
-        find=_unused,
-    ),
-    Rule(
-        "label-spellings",
-        Severity.HINT,
-        "A label is spelt in one way throughout a scene.",
-        "Rename the labels to one spelling.",
-        find=_spellings,
-    ),
+# fmt: off
+REFERENCE_RULES: tuple[Rule, ...] = (
+    Rule("annotation-parent-unknown", ERROR,
+         "The parent that an annotation names is an annotation of the scene.",
+         'Name an annotation that exists, with the type of its id (1 is not "1"), or leave `parent_id` out.',
+         find=_unknown_parents),
+    Rule("annotation-parent-cycle", ERROR, "No annotation is its own parent, nor a parent of its parents.",
+         "Leave one `parent_id` of the cycle out.", find=_references_parent_cycles),
+    Rule("annotation-type-known", WARNING, "Every annotation is of a type that the format lists.",
+         "Correct the type; an annotation of another type is carried along, and nothing computes with it.",
+         find=_references_unknown_types),
+    Rule("part-of-sensor-once", WARNING, "An annotation has one activation and one projection for each sensor.",
+         "Join them: their timestamps, and what belongs to each.", find=_several_for_a_sensor),
+    Rule("annotation-sensor-unknown", ERROR,
+         "Every sensor that an annotation or an attribute of the scene names is a sensor of the scene.",
+         'Name a sensor that exists, with the type of its id (1 is not "1"), or take the part out.',
+         find=_unknown_sensors),
+    Rule("annotation-sensor-type", ERROR,
+         "Boxes and shapes in images, projections and camera calibrations are of cameras; labelled points are of "
+         "sensors with points; activations are of lidars, radars and cameras.",
+         "Name the sensor that was meant.", find=_wrong_sensors),
+    Rule("link-end-unknown", ERROR, "Both ends of a link are annotations of the scene.",
+         "Name annotations that exist, or take the link out.", find=_unknown_link_ends),
+    Rule("link-to-itself", WARNING, "A link joins two different annotations.",
+         "Name the other annotation, or take the link out.", find=_links_to_themselves),
+    Rule("attribute-point-unknown", ERROR,
+         "The point that an attribute of a points annotation is for is one of its points.",
+         "Count points from 0, in the order of `paths`.", find=_unused_attributes_of_points),
+    Rule("annotation-unused", HINT, "Objects and groups have members, links or attributes.",
+         "Take it out if nothing belongs to it.", find=_unused),
+    Rule("label-spellings", HINT, "A label is spelt in one way throughout a scene.",
+         "Rename the labels to one spelling.", find=_spellings),
 )
+# fmt: on

@@ -8,11 +8,10 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, read_only
 from sceneloom.checks.annotation_table import point_paths
-from sceneloom.checks.rule import Hit, Rule, Subject, repaired_annotations
+from sceneloom.checks.rule import ERROR, HINT, WARNING, Hit, Rule, Subject, repaired_annotations
 from sceneloom.scene.annotations import AttributePath, PointsAnnotation, ShapeAnnotation, ShapeType
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import key_of
-from sceneloom.warnings import Severity
 
 _AREAS = (ShapeType.POLYGON, ShapeType.POLYGON_2D, ShapeType.POLYGON_TOPDOWN)
 
@@ -231,71 +230,31 @@ def _ids_of_points(subject: Subject) -> Iterator[Hit]:
                 yield Hit(f"{path}.paths[{k}].id", f"{point.id!r} is the id of paths[{first}], too")
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "shape-vertices",
-        Severity.ERROR,
-        "A polygon has three vertices or more, a polyline two, a point one.",
-        "Draw the missing vertices, or take the keyframe out.",
-        find=_too_few,
-    ),
-    Rule(
-        "point-of-several",
-        Severity.WARNING,
-        "A point has one vertex.",
-        "Make a points annotation or a polyline of it.",
-        find=_several_points,
-    ),
-    Rule(
-        "shape-not-finite",
-        Severity.ERROR,
-        "All numbers of shapes and points are finite.",
-        "Take the keyframe out.",
-        find=_not_finite,
-    ),
-    Rule(
-        "polygon-not-flat",
-        Severity.WARNING,
-        f"The vertices of a polygon in space lie in one plane, within {_FLAT_SHARE:.0%} of its size and {_FLAT_M:g} m.",
-        "Move the vertices into one plane; for an area on the ground use `polygon_topdown`.",
-        find=_not_flat,
-    ),
-    Rule(
-        "polygon-crosses-itself",
-        Severity.WARNING,
-        "The edges of a polygon do not cross.",
-        "Bring the vertices into order, or make two polygons.",
-        find=_crossing,
-    ),
-    Rule(
-        "shape-vertices-pairs",
-        Severity.WARNING,
-        "Vertices of polygons and polylines in space are x, y, z triples.",
-        "Open the file with `--vertices pairs`, and write it again.",
-        find=_pairs_as_triples,
-    ),
-    Rule(
-        "vertex-count-changes",
-        Severity.HINT,
-        "A shape has equally many vertices in all keyframes, so that it is known between them.",
-        "Draw the same vertices in every keyframe.",
-        find=_counts_change,
-    ),
-    Rule(
-        "points-annotation-counts",
-        Severity.ERROR,
-        "A points annotation has a label and a list of projections for each point, and rows of x, y, z.",
-        "Give each point its own, in the order of `paths`.",
-        find=_counts_of_points,
-    ),
-    Rule(
-        "points-annotation-ids",
-        Severity.ERROR,
-        "The points of a points annotation have ids of their own.",
-        "Rename all but one.",
-        find=_ids_of_points,
-    ),
+# fmt: off
+SHAPE_RULES: tuple[Rule, ...] = (
+    Rule("shape-vertices", ERROR, "A polygon has three vertices or more, a polyline two, a point one.",
+         "Draw the missing vertices, or take the keyframe out.", find=_too_few),
+    Rule("point-of-several", WARNING, "A point has one vertex.",
+         "Make a points annotation or a polyline of it.", find=_several_points),
+    Rule("shape-not-finite", ERROR, "All numbers of shapes and points are finite.", "Take the keyframe out.",
+         find=_not_finite),
+    Rule("polygon-not-flat", WARNING,
+         f"A polygon in space lies in one plane, within {_FLAT_SHARE:.0%} of its size and {_FLAT_M:g} m.",
+         "Move the vertices into one plane; for an area on the ground use `polygon_topdown`.", find=_not_flat),
+    Rule("polygon-crosses-itself", WARNING, "The edges of a polygon do not cross.",
+         "Bring the vertices into order, or make two polygons.", find=_crossing),
+    Rule("shape-vertices-pairs", WARNING, "Vertices of polygons and polylines in space are x, y, z triples.",
+         "Open the file with `--vertices pairs`, and write it again.", find=_pairs_as_triples),
+    Rule("vertex-count-changes", HINT,
+         "A shape has equally many vertices in all keyframes, so that it is known between them.",
+         "Draw the same vertices in every keyframe.", find=_counts_change),
+    Rule("points-annotation-counts", ERROR,
+         "A points annotation has a label and a list of projections for each point, and rows of x, y, z.",
+         "Give each point its own, in the order of `paths`.", find=_counts_of_points),
+    Rule("points-annotation-ids", ERROR, "The points of a points annotation have ids of their own.",
+         "Rename all but one.", find=_ids_of_points),
 )
+# fmt: on
 
 
 class Stated(NamedTuple):
@@ -422,41 +381,17 @@ def _without_times(subject: Subject) -> Iterator[Hit]:
             yield Hit(stated.path, message)
 
 
-ATTRIBUTES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "attribute-value-type",
-        Severity.WARNING,
-        "The value of an attribute is text, a number or a list of texts.",
-        "Write truth values as text or as 0 and 1, and leave out what is not known.",
-        find=_unusual,
-    ),
-    Rule(
-        "attribute-kinds-mixed",
-        Severity.HINT,
-        "All values of an attribute are of one kind.",
-        "Write them all as text, or all as numbers.",
-        find=_of_several_kinds,
-    ),
-    Rule(
-        "attribute-static-changes",
-        Severity.WARNING,
-        "A static attribute has one value.",
-        "Take `static` out, or decide which value holds.",
-        find=_static_changes,
-    ),
-    Rule(
-        "attribute-static-repeats",
-        Severity.HINT,
-        "A static attribute is reported once.",
-        "Keep the first of the equal values.",
-        find=_static_repeats,
-        fix=_static_once,
-    ),
-    Rule(
-        "attribute-times",
-        Severity.ERROR,
-        "An attribute that changes has a timestamp for each value.",
-        "Give each value its time.",
-        find=_without_times,
-    ),
+# fmt: off
+ATTRIBUTE_RULES: tuple[Rule, ...] = (
+    Rule("attribute-value-type", WARNING, "The value of an attribute is text, a number or a list of texts.",
+         "Write truth values as text or as 0 and 1, and leave out what is not known.", find=_unusual),
+    Rule("attribute-kinds-mixed", HINT, "All values of an attribute are of one kind.",
+         "Write them all as text, or all as numbers.", find=_of_several_kinds),
+    Rule("attribute-static-changes", WARNING, "A static attribute has one value.",
+         "Take `static` out, or decide which value holds.", find=_static_changes),
+    Rule("attribute-static-repeats", HINT, "A static attribute is reported once.",
+         "Keep the first of the equal values.", find=_static_repeats, fix=_static_once),
+    Rule("attribute-times", ERROR, "An attribute that changes has a timestamp for each value.",
+         "Give each value its time.", find=_without_times),
 )
+# fmt: on

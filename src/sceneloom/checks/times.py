@@ -16,6 +16,9 @@ from sceneloom.checks.annotation_table import (
 )
 from sceneloom.checks.faults import as_read
 from sceneloom.checks.rule import (
+    ERROR,
+    HINT,
+    WARNING,
     Find,
     FrameInHand,
     Hit,
@@ -45,7 +48,6 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSen
 from sceneloom.scene.point_times import PointTimes, RawTimes, timed_frame
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, scene_period_ns, time_span
-from sceneloom.warnings import Severity
 
 HIGHEST_RATE_HZ = 100
 """More frames a second, on average, are no frames. Source: `MAX_FPS` of Scale's validator."""
@@ -182,81 +184,38 @@ def _with_time_offset(scene: Scene) -> Scene:
     return scene if span is None else replace(scene, time_offset_ns=chosen_offset_ns(span[0]))
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "frame-times-increasing",
-        Severity.ERROR,
-        "Frames and images of a sensor stand in the order of their times.",
-        "Sort them by time.",
-        find=_out_of_order(in_videos=False),
-        fix=with_sorted_frames,
-    ),
-    Rule(
-        "video-times-increasing",
-        Severity.ERROR,
-        "The timestamps of a video stand in the order of its images.",
-        "Find out which images the timestamps belong to.",
-        find=_out_of_order(in_videos=True),
-    ),
-    Rule(
-        "frame-times-unique",
-        Severity.ERROR,
-        "No two frames or images of a sensor have one time.",
-        "Keep one of them, or give each the time at which it was measured.",
-        find=unless_recording(_of_one_time),
-    ),
-    Rule(
-        "frame-rate",
-        Severity.WARNING,
-        "A sensor has at most 100 frames a second on average.",
-        "See whether the timestamps are in the unit that `time_unit` says.",
-        find=unless_recording(_too_many_a_second),
-    ),
-    Rule(
-        "frame-doubled",
-        Severity.WARNING,
-        "No frame follows the one before within a tenth of the usual interval.",
-        "See whether a frame was recorded twice, or timestamped when it was received and not when it was measured.",
-        find=_doubled,
-    ),
-    Rule(
-        "frame-gaps",
-        Severity.WARNING,
-        "The frames of a sensor follow each other without gaps.",
-        "See whether frames were lost; programs that count frames to report the time will be off.",
-        find=unless_recording(_gaps),
-    ),
-    Rule(
-        "frame-jitter",
-        Severity.HINT,
-        "The intervals between frames are even.",
-        "Timestamp frames when they are measured, not when they arrive.",
-        find=unless_recording(_uneven),
-    ),
-    Rule(
-        "video-fps",
-        Severity.WARNING,
-        "`fps` of a video agrees with the timestamps of its images, within 5 %.",
-        "Leave `fps` out, or write what the timestamps report: the timestamps are what counts.",
-        find=_fps_differs,
-    ),
-    Rule(
-        "epoch-times",
-        Severity.WARNING,
-        "The timestamps of a scene file count from somewhere near its beginning, not from 1970.",
-        "Take whole seconds off all timestamps and write them as `time_offset`; absolute times stay the same.",
-        find=_timestamps_are_dates,
-        fix=_with_time_offset,
-    ),
-    Rule(
-        "late-start",
-        Severity.HINT,
-        "A scene file begins within 100 s of its clock's zero.",
-        "Write a `time_offset`: timestamps of points in microseconds end after 71 minutes.",
-        find=_starts_late,
-        fix=_with_time_offset,
-    ),
+# fmt: off
+TIME_RULES: tuple[Rule, ...] = (
+    Rule("frame-times-increasing", ERROR, "Frames and images of a sensor stand in the order of their times.",
+         "Sort them by time.", find=_out_of_order(in_videos=False), fix=with_sorted_frames),
+    Rule("video-times-increasing", ERROR, "The timestamps of a video stand in the order of its images.",
+         "Find out which images the timestamps belong to.", find=_out_of_order(in_videos=True)),
+    Rule("frame-times-unique", ERROR, "No two frames or images of a sensor have one time.",
+         "Keep one of them, or give each the time at which it was measured.",
+         find=unless_recording(_of_one_time)),
+    Rule("frame-rate", WARNING, "A sensor has at most 100 frames a second on average.",
+         "See whether the timestamps are in the unit that `time_unit` says.",
+         find=unless_recording(_too_many_a_second)),
+    Rule("frame-doubled", WARNING, "No frame follows the one before within a tenth of the usual interval.",
+         "See whether a frame was recorded twice, or timestamped when it was received and not when it was measured.",
+         find=_doubled),
+    Rule("frame-gaps", WARNING, "The frames of a sensor follow each other without gaps.",
+         "See whether frames were lost; programs that count frames to report the time will be off.",
+         find=unless_recording(_gaps)),
+    Rule("frame-jitter", HINT, "The intervals between frames are even.",
+         "Timestamp frames when they are measured, not when they arrive.", find=unless_recording(_uneven)),
+    Rule("video-fps", WARNING, "`fps` of a video agrees with the timestamps of its images, within 5 %.",
+         "Leave `fps` out, or write what the timestamps report: the timestamps are what counts.",
+         find=_fps_differs),
+    Rule("epoch-times", WARNING,
+         "The timestamps of a scene file count from somewhere near its beginning, not from 1970.",
+         "Take whole seconds off all timestamps and write them as `time_offset`; absolute times stay the same.",
+         find=_timestamps_are_dates, fix=_with_time_offset),
+    Rule("late-start", HINT, "A scene file begins within 100 s of its clock's zero.",
+         "Write a `time_offset`: timestamps of points in microseconds end after 71 minutes.", find=_starts_late,
+         fix=_with_time_offset),
 )
+# fmt: on
 
 _WRAP_NS = (UINT32_MAX + 1) * 1_000
 """What microseconds in 32 bits run over at [ns]."""
@@ -374,41 +333,23 @@ def _outside_the_sweep(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
     return ()
 
 
-POINT_TIMES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "point-times-width",
-        Severity.ERROR,
-        "Times of points are uint64 where the unit is the nanosecond, else uint32.",
-        "Write the scene again: programs that follow the description read the bytes by the unit, not by the dtype.",
-        find=_widths,
-        fix=as_read,
-    ),
-    Rule(
-        "point-times-clock",
-        Severity.WARNING,
-        "Times of points are on the clock of their frames, in its unit.",
-        "Write absolute times; in microseconds of 32 bits choose a time_offset, or write nanoseconds.",
-        find=_relative_in_file,
-        look=_not_on_the_clock,
-        conclude=observations_of("point-times-clock"),
-    ),
-    Rule(
-        "point-times-frame",
-        Severity.HINT,
-        "No point lies before its frame, nor after the next one.",
-        "Timestamp frames at their earliest point: writing the scene does.",
-        look=_outside_the_sweep,
-        conclude=observations_of("point-times-frame"),
-    ),
-    Rule(
-        "point-times-equal",
-        Severity.HINT,
-        "Points of a sweep have times of their own.",
-        "Leave the times out if the sensor gives none; with them, the motion during a sweep can be undone.",
-        look=_all_equal,
-        conclude=observations_of("point-times-equal"),
-    ),
+# fmt: off
+POINT_TIME_RULES: tuple[Rule, ...] = (
+    Rule("point-times-width", ERROR,
+         "Times of points are uint64 where the unit is the nanosecond, else uint32.",
+         "Write the scene again: programs that follow the description read the bytes by the unit, not by the dtype.",
+         find=_widths, fix=as_read),
+    Rule("point-times-clock", WARNING, "Times of points are on the clock of their frames, in its unit.",
+         "Write absolute times; in microseconds of 32 bits choose a time_offset, or write nanoseconds.",
+         find=_relative_in_file, look=_not_on_the_clock, conclude=observations_of("point-times-clock")),
+    Rule("point-times-frame", HINT, "No point lies before its frame, nor after the next one.",
+         "Timestamp frames at their earliest point: writing the scene does.", look=_outside_the_sweep,
+         conclude=observations_of("point-times-frame")),
+    Rule("point-times-equal", HINT, "Points of a sweep have times of their own.",
+         "Leave the times out if the sensor gives none; with them, the motion during a sweep can be undone.",
+         look=_all_equal, conclude=observations_of("point-times-equal")),
 )
+# fmt: on
 
 _LEAST_TOLERANCE_NS = 1_000_000
 """Times are written in microseconds and images are moved by half an exposure: a millisecond is no difference."""
@@ -652,49 +593,24 @@ def _far_from_images(images_ns: Int64Array, times_ns: Int64Array) -> BoolArray:
     return far
 
 
-ANNOTATION_TIMES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "annotation-times-increasing",
-        Severity.ERROR,
-        "The keyframes of a path, and the times of activations, projections and attributes, those of the scene among "
-        "them, strictly increase.",
-        "Sort them by time; of two at one time, decide which is meant.",
-        find=_not_increasing,
-        fix=_sorted_times,
-    ),
-    Rule(
-        "annotation-path-empty",
-        Severity.WARNING,
-        "Every path has at least one keyframe.",
-        "Give it keyframes, or take the annotation out.",
-        find=_empty,
-    ),
-    Rule(
-        "annotation-outside-scene",
-        Severity.WARNING,
-        "No annotation lies outside the time of the scene by more than a second.",
-        "Look whether the annotations count time in another unit or from another start than the sensors.",
-        find=_outside,
-    ),
-    Rule(
-        "annotation-beyond-scene",
-        Severity.HINT,
-        "Annotations lie within the time of the scene, give or take one sweep.",
-        "Cut the scene with its annotations (`sceneloom edit crop`) if the rest is of no use.",
-        find=_beyond,
-    ),
-    Rule(
-        "annotation-duration",
-        Severity.ERROR,
-        "Events and activations end no sooner than they begin.",
-        "Set the duration to how long it lasts.",
-        find=_negative_durations,
-    ),
-    Rule(
-        "projection-without-image",
-        Severity.WARNING,
-        "The times of a projection are times of images of its camera.",
-        "Project at the times of the images.",
-        find=_without_image,
-    ),
+# fmt: off
+ANNOTATION_TIME_RULES: tuple[Rule, ...] = (
+    Rule("annotation-times-increasing", ERROR,
+         "The keyframes of a path, and the times of activations, projections and attributes, those of the scene "
+         "among them, strictly increase.", "Sort them by time; of two at one time, decide which is meant.",
+         find=_not_increasing, fix=_sorted_times),
+    Rule("annotation-path-empty", WARNING, "Every path has at least one keyframe.",
+         "Give it keyframes, or take the annotation out.", find=_empty),
+    Rule("annotation-outside-scene", WARNING,
+         "No annotation lies outside the time of the scene by more than a second.",
+         "Look whether the annotations count time in another unit or from another start than the sensors.",
+         find=_outside),
+    Rule("annotation-beyond-scene", HINT,
+         "Annotations lie within the time of the scene, give or take one sweep.",
+         "Cut the scene with its annotations (`sceneloom edit crop`) if the rest is of no use.", find=_beyond),
+    Rule("annotation-duration", ERROR, "Events and activations end no sooner than they begin.",
+         "Set the duration to how long it lasts.", find=_negative_durations),
+    Rule("projection-without-image", WARNING, "The times of a projection are times of images of its camera.",
+         "Project at the times of the images.", find=_without_image),
 )
+# fmt: on

@@ -10,8 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.checks.faults import FAULT_CODES, FAULT_RULES, UNREADABLE
-from sceneloom.checks.faults import FAULTS_FAULT_RULES as FAULT_RULES_OF_RECORDINGS
+from sceneloom.checks.faults import FAULT_CODES, FAULT_RULES, RECORDING_FAULT_RULES, UNREADABLE
 from sceneloom.checks.rule import ALL_PROFILES, CheckProfile, FrameInHand, Hit, Rule, Subject
 from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError, redacted
 from sceneloom.formats.base.diagnostics import PlacedFault
@@ -128,54 +127,57 @@ def _nothing(path: str | Path, format_name: str) -> Scene:
     return Scene((), source=redacted(path), format=format_name)
 
 
-RULE_MODULES: tuple[str, ...] = (
-    "sceneloom.checks.faults",
-    "sceneloom.checks.faults",
-    "sceneloom.checks.faults",
-    "sceneloom.checks.recordings.lines",
-    "sceneloom.checks.recordings.times",
-    "sceneloom.checks.recordings.samples",
-    "sceneloom.checks.recordings.samples",
-    "sceneloom.checks.recordings.samples",
-    "sceneloom.checks.recordings.satellite_fixes",
-    "sceneloom.checks.recordings.satellite_fixes",
-    "sceneloom.checks.recordings.poses",
-    "sceneloom.checks.recordings.lines",
-    "sceneloom.checks.recordings.lines",
-    "sceneloom.checks.recordings.calibration",
-    "sceneloom.checks.recordings.calibration",
-    "sceneloom.checks.recordings.calibration",
-    "sceneloom.checks.recordings.calibration",
-    "sceneloom.checks.recordings.lines",
-    "sceneloom.checks.times",
-    "sceneloom.checks.times",
-    "sceneloom.checks.poses",
-    "sceneloom.checks.recordings.poses",
-    "sceneloom.checks.recordings.satellite_fixes",
-    "sceneloom.checks.recordings.times",
-    "sceneloom.checks.sensors",
-    "sceneloom.checks.images",
-    "sceneloom.checks.points",
-    "sceneloom.checks.point_frames",
-    "sceneloom.checks.point_frames",
-    "sceneloom.checks.images",
-    "sceneloom.checks.sensors",
-    "sceneloom.checks.times",
-    "sceneloom.checks.shapes",
-    "sceneloom.checks.cuboids",
-    "sceneloom.checks.cuboids",
-    "sceneloom.checks.images",
-    "sceneloom.checks.shapes",
-    "sceneloom.checks.points",
-    "sceneloom.checks.poses",
-    "sceneloom.checks.scale",
+RULE_TABLES: tuple[str, ...] = (
+    "faults:READING_RULES",
+    "faults:FIELD_RULES",
+    "faults:RECORDING_FAULT_RULES",
+    "recordings.lines:PRESENCE_RULES",
+    "recordings.times:STREAM_RULES",
+    "recordings.samples:IMU_TIME_RULES",
+    "recordings.samples:IMU_VALUE_RULES",
+    "recordings.samples:SENSOR_VALUE_RULES",
+    "recordings.satellite_fixes:FIX_RULES",
+    "recordings.satellite_fixes:FIX_ROTATION_RULES",
+    "recordings.poses:POSE_STEP_RULES",
+    "recordings.lines:CONFIGURATION_RULES",
+    "recordings.lines:FRAME_LINE_RULES",
+    "recordings.calibration:CALIBRATION_RULES",
+    "recordings.calibration:CALIBRATED_CAMERA_RULES",
+    "recordings.calibration:MOUNTING_RULES",
+    "recordings.calibration:STEREO_RULES",
+    "recordings.lines:LIDAR_LINE_RULES",
+    "times:TIME_RULES",
+    "times:POINT_TIME_RULES",
+    "poses:POSE_RULES",
+    "recordings.poses:POSES_AND_IMU_RULES",
+    "recordings.satellite_fixes:POSES_AND_GNSS_RULES",
+    "recordings.times:ORIENTATION_RULES",
+    "sensors:SENSOR_RULES",
+    "images:CAMERA_RULES",
+    "points:POINT_RULES",
+    "point_frames:POINT_FRAME_RULES",
+    "point_frames:SURROUNDINGS_RULES",
+    "images:IMAGE_RULES",
+    "sensors:REFERENCE_RULES",
+    "times:ANNOTATION_TIME_RULES",
+    "shapes:ATTRIBUTE_RULES",
+    "cuboids:CUBOID_RULES",
+    "cuboids:CUBOID_ANGLE_RULES",
+    "images:BOX_RULES",
+    "shapes:SHAPE_RULES",
+    "points:LABELLED_POINT_RULES",
+    "poses:CORRECTION_RULES",
+    "scale:SCALE_RULES",
 )
-"""The modules that offer `RULES`, in the order in which a person would look."""
+"""All tables of rules, in the order in which findings are reported."""
 
 
 def all_rules() -> tuple[Rule, ...]:
     """Every rule of every profile."""
-    return tuple(rule for module in RULE_MODULES for rule in import_module(module).RULES)
+    tables = (table.split(":") for table in RULE_TABLES)
+    return tuple(
+        r for module, name in tables for r in getattr(import_module(f"{__package__}.{module}"), name)
+    )
 
 
 def chosen_rules(
@@ -431,7 +433,7 @@ class _Terms:
     def hits(self, subject: Subject) -> _Hits:
         """Run the rules; of what could not be read at all, only those that state why."""
         if subject.faults and subject.holds_nothing:
-            reported = {rule.id for rule in (*FAULT_RULES, *FAULT_RULES_OF_RECORDINGS)}
+            reported = {rule.id for rule in (*FAULT_RULES, *RECORDING_FAULT_RULES)}
             return find_all(subject, [rule for rule in self.rules if rule.id in reported], frames=False)
         hits = find_all(subject, self.rules, frames=self.frames, progress=self.progress)
         if not subject.frame_numbers:
@@ -591,6 +593,6 @@ def _gone(before: Sequence[Finding], after: Sequence[Finding]) -> list[Finding]:
 
 
 def _left_out(gone: Sequence[Finding], applied: frozenset[str]) -> tuple[Finding, ...]:
-    rules = (*FAULT_RULES, *FAULT_RULES_OF_RECORDINGS)
+    rules = (*FAULT_RULES, *RECORDING_FAULT_RULES)
     unmended = {rule.id for rule in rules if rule.fix is None} - applied
     return tuple(finding for finding in gone if finding.rule in unmended)

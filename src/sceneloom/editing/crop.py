@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array
-from sceneloom.editing.move_annotations import frames_ns
 from sceneloom.editing.move_points import (
     KNOWN,
     CloudSensor,
@@ -21,6 +20,7 @@ from sceneloom.editing.move_points import (
     points_change,
     with_chosen_points,
 )
+from sceneloom.editing.move_world import frames_ns
 from sceneloom.editing.references import (
     OURS,
     NewIds,

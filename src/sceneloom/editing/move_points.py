@@ -1,16 +1,14 @@
-"""Points and poses of sensors from one frame into another over time, and the choice of some points of a frame."""
+"""The change from one frame to another over time, and the choice of some points of a frame."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float32Array, Float64Array, FloatArray, Int64Array, finite_rows
-from sceneloom.editing.references import assumed, skipped
-from sceneloom.errors import ArrayError, PoseError
+from sceneloom.arrays import AnyArray, Float64Array, FloatArray, Int64Array
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import (
     conjugate_quaternion,
@@ -18,7 +16,6 @@ from sceneloom.geometry.rotations import (
     multiply_quaternions,
     rotate_vectors,
 )
-from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, shots_of
 from sceneloom.scene.clouds import (
     LidarFrame,
     LidarPoints,
@@ -28,13 +25,11 @@ from sceneloom.scene.clouds import (
     RadarPoints,
     RadarSensor,
 )
-from sceneloom.scene.ego import EgoMotion, camera_path, ego_path, points_source, sensor_path, sensor_source
+from sceneloom.scene.ego import EgoMotion, points_source
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import Poses, PoseSamples, PoseSource
-from sceneloom.scene.scene import Scene, frame_times
-from sceneloom.scene.time_range import Renumbering
-from sceneloom.scene.types import Coordinates, Identifier, Key, PointsFrame, key_of
-from sceneloom.warnings import DataWarning
+from sceneloom.scene.scene import Scene
+from sceneloom.scene.types import Coordinates, Identifier, PointsFrame
 
 KNOWN = 1
 """Greatest coverage of a pose that is used: inside its path, or extrapolated within reach."""
@@ -48,7 +43,7 @@ class FrameChange:
     """`new_from_old` over time.
 
     Attributes:
-        hub_from_old: where the old frame is in the one between; None where it is that one.
+        hub_from_old: pose of the old frame in a common frame, the hub; None where it is the hub.
         hub_from_new: the same of the new frame.
         held: beyond the ends of a path its end poses hold, instead of nothing.
     """
@@ -142,31 +137,26 @@ class FrameChange:
 
         Args:
             path: `old_from_body`.
-            times_ns: (M,) int64 [ns], ascending, the times to give instead of the path's own: what an static path
+            times_ns: (M,) int64 [ns], ascending, the times to give instead of the path's own: what a static path
                 needs where the change is not constant.
         """
-        if path.static and self.is_constant:
-            times_ns, static = path.timestamps_ns, True
-        else:
-            static = False
         times = path.timestamps_ns if times_ns is None else times_ns
-        old = path.interpolate(times) if times_ns is not None else None
-        positions = path.positions if old is None else old.positions
-        rotations = path.quaternions_xyzw if old is None else old.quaternions_xyzw
-        new = self.poses(times, positions, rotations)
+        old: Poses | PoseSamples = path if times_ns is None else path.interpolate(times)
+        new = self.poses(times, old.positions, old.quaternions_xyzw)
+        static = path.static and self.is_constant and times_ns is None
         known = (new.coverage <= KNOWN) & np.isfinite(new.positions[:, 0])
         if not known.any():
             return None
         return Poses(times[known], new.positions[known], new.quaternions_xyzw[known], static=static)
 
 
-_PointsOf = LidarSensor | RadarSensor
-
-_Posed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
-
-
 def points_change(
-    scene: Scene, sensor: _PointsOf, ego: EgoMotion | None, frame: PointsFrame, *, reach_ns: int
+    scene: Scene,
+    sensor: LidarSensor | RadarSensor,
+    ego: EgoMotion | None,
+    frame: PointsFrame,
+    *,
+    reach_ns: int,
 ) -> FrameChange | None:
     """Give what takes a sensor's points into a frame; None where they are in it already.
 
@@ -181,106 +171,27 @@ def points_change(
         return change if frame is PointsFrame.EGO else change.inverse()
     return FrameChange(
         points_source(scene, sensor, ego, reach_ns=reach_ns),
-        points_source(scene, _with_points_frame(sensor, frame), ego, reach_ns=reach_ns),
+        points_source(scene, replace(sensor, points_frame=frame), ego, reach_ns=reach_ns),
     )
 
 
-def _with_points_frame(sensor: _PointsOf, frame: PointsFrame) -> _PointsOf:
-    if isinstance(sensor, LidarSensor):
-        return replace(sensor, points_frame=frame)
-    return replace(sensor, points_frame=frame)
-
-
-def _on_ego(sensor: _PointsOf, reach_ns: int) -> PoseSource | None:
+def _on_ego(sensor: LidarSensor | RadarSensor, reach_ns: int) -> PoseSource | None:
     """`ego_from_sensor`, where the sensor itself reports it."""
     if sensor.mount is not None:
         return PoseSource(Poses.identity(), sensor.mount)
-    if sensor.coordinates is Coordinates.EGO and sensor.poses is not None:
-        poses = sensor.poses
-        if len(poses.timestamps_ns) == 1:
-            poses = replace(poses, static=True)
-        return PoseSource(poses, RigidTransform.identity(), reach_ns)
-    return None
-
-
-def poses_in_world(
-    scene: Scene, sensor: _Posed, ego: EgoMotion | None, *, reach_ns: int, anew: bool = False
-) -> Poses | None:
-    """Give where a sensor was in the world, at the times of its own poses, else as its frames need it.
-
-    Args:
-        scene: the sensor's.
-        sensor: which one.
-        ego: the ego trajectory, if it is needed.
-        reach_ns: how far beyond a path's ends its velocity is continued.
-        anew: take the ego trajectory even where the sensor reports its location in the world.
-
-    Returns:
-        The path; None where it is not known.
-
-    Raises:
-        PoseError: the sensor's location on the ego is known, and that of the ego is not.
-    """
-    own = sensor.poses
-    if (
-        own is not None
-        and sensor.coordinates is Coordinates.WORLD
-        and not (anew and sensor.mount is not None)
-    ):
-        return own
-    if own is not None and len(own.timestamps_ns) > 1 and sensor.coordinates is Coordinates.EGO:
-        # at its own times, not by a path composed of both: that would end where the shorter of them ends
-        trajectory = PoseSource(ego_path(scene, sensor, ego), RigidTransform.identity(), reach_ns)
-        return FrameChange(trajectory).path(own)
-    try:
-        source = sensor_source(scene, sensor, ego, reach_ns=reach_ns)
-    except PoseError:
-        if own is None:
-            return None
-        raise
-    return _as_needed(source, sensor)
-
-
-def _as_needed(source: PoseSource, sensor: _Posed) -> Poses | None:
-    """The poses at the times of a sensor's own, else as its frames need them, else as many as the trajectory has."""
-    own, times_ns = sensor.poses, frame_times(sensor)
-    if own is not None and len(own.timestamps_ns) > 1:
-        return _path_at(source, own.timestamps_ns)
-    if len(times_ns) == 0:
-        return _path_at(source, source.path.timestamps_ns)
-    if isinstance(sensor, CameraSensor | DepthCameraSensor):
-        return camera_path(source, shots_of(sensor))
-    return sensor_path(source, times_ns)
-
-
-def poses_on_ego(sensor: _Posed, ego: EgoMotion, *, reach_ns: int) -> Poses | None:
-    """Give where a sensor was on the ego, at the times of its own poses; None where it has none there."""
-    if sensor.poses is None or sensor.coordinates is Coordinates.EGO:
-        return sensor.poses
-    ego_from_world = FrameChange(None, PoseSource(ego.path, RigidTransform.identity(), reach_ns))
-    times_ns = np.unique(frame_times(sensor)) if sensor.poses.static else None
-    if times_ns is not None and len(times_ns) == 0:
-        times_ns = ego.path.timestamps_ns
-    return ego_from_world.path(sensor.poses, times_ns=times_ns)
-
-
-def _path_at(source: PoseSource, times_ns: Int64Array) -> Poses | None:
-    """Give the poses at those of the times that the source reaches; None where it reaches none."""
-    poses = source.at(times_ns)
-    known = poses.coverage <= KNOWN
-    if not known.any():
+    poses = sensor.poses
+    if sensor.coordinates is not Coordinates.EGO or poses is None:
         return None
-    return Poses(times_ns[known], poses.positions[known], poses.quaternions_xyzw[known])
+    poses = replace(poses, static=True) if len(poses.timestamps_ns) == 1 else poses
+    return PoseSource(poses, RigidTransform.identity(), reach_ns)
 
-
-_Cloud = TypeVar("_Cloud", LidarFrame, RadarFrame)
-
-CloudSensor = TypeVar("CloudSensor", LidarSensor, RadarSensor)
 
 _Points = TypeVar("_Points", LidarPoints, RadarPoints)
 
+CloudSensor = TypeVar("CloudSensor", LidarSensor, RadarSensor)
+
 OnPoints = Callable[[Identifier, int, int, int], None]
-"""Reported of each frame that is read: its sensor, its number, how many points it had, how many it has now."""
+"""Called for each frame that is read: its sensor, its number, how many points it had, how many it has now."""
 
 _Choose = Callable[[LidarFrame | RadarFrame], Int64Array | None]
 """Gives the rows of a frame's points that stay, ascending; None for all of them."""
@@ -301,164 +212,50 @@ def chosen_points(points: _Points, rows: Int64Array) -> _Points:
     """Give some of the points, (M,) int64 rows, each with everything that is known of it."""
     arrays = {name: getattr(points, name, None) for name in _ARRAYS}
     taken: dict[str, Any] = {name: array[rows] for name, array in arrays.items() if array is not None}
-    return replace(points, **taken, extras=_chosen_further(points.extras, len(points), rows))
+    return replace(points, **taken, extras=_chosen_extras(points.extras, len(points), rows))
 
 
 def chosen_map(sensor: PointsSensor, rows: Int64Array) -> PointsSensor:
     """Give a points sensor with some of its points."""
     extras = dict(sensor.extras)
     if isinstance(extras.get("points"), Mapping):
-        extras["points"] = _chosen_further(extras["points"], len(sensor.positions), rows)
-    return replace(
-        sensor,
-        positions=sensor.positions[rows],
-        colors=None if sensor.colors is None else sensor.colors[rows],
-        extras=MappingProxyType(extras),
-    )
+        extras["points"] = _chosen_extras(extras["points"], len(sensor.positions), rows)
+    colors = None if sensor.colors is None else sensor.colors[rows]
+    return replace(sensor, positions=sensor.positions[rows], colors=colors, extras=MappingProxyType(extras))
 
 
-def _chosen_further(further: Mapping[str, AnyArray], count: int, rows: Int64Array) -> Mapping[str, AnyArray]:
-    """Of further arrays those rows; what has not one row per point stays whole."""
-    return MappingProxyType(
-        {
-            name: array[rows] if isinstance(array, np.ndarray) and array.shape[:1] == (count,) else array
-            for name, array in further.items()
-        }
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ChosenFrames(Generic[_Cloud]):
-    """Reads frames, each with some of its points; what `LazyFrames` asks for.
-
-    Attributes:
-        frames: as they were.
-        choose: which points stay.
-        sensor_id: whose frames they are.
-        on_points: reported each frame that is read.
-    """
-
-    frames: LazyFrames[_Cloud]
-    choose: _Choose
-    sensor_id: Identifier
-    on_points: OnPoints | None = None
-
-    def __call__(self, k: int) -> _Cloud:
-        """Read frame `k`.
-
-        Raises:
-            DataError: it cannot be read.
-        """
-        frame = self.frames[k]
-        rows = self.choose(frame)
-        chosen = frame if rows is None else replace(frame, points=chosen_points(frame.points, rows))
-        if self.on_points is not None:
-            self.on_points(self.sensor_id, k, len(frame.points), len(chosen.points))
-        return chosen
+def _chosen_extras(extras: Mapping[str, AnyArray], count: int, rows: Int64Array) -> Mapping[str, AnyArray]:
+    """Those rows of unknown arrays; what has not one row per point stays whole."""
+    by_point = {
+        k: isinstance(array, np.ndarray) and array.shape[:1] == (count,) for k, array in extras.items()
+    }
+    return MappingProxyType({k: array[rows] if by_point[k] else array for k, array in extras.items()})
 
 
 def with_chosen_points(
-    frames: LazyFrames[_Cloud], choose: _Choose, sensor_id: Identifier, on_points: OnPoints | None = None
-) -> LazyFrames[_Cloud]:
-    """Give frames with some of their points, chosen when they are read; arguments as in `ChosenFrames`."""
-    return LazyFrames(frames.timestamps_ns, ChosenFrames(frames, choose, sensor_id, on_points))
+    frames: LazyFrames[Any], choose: _Choose, sensor_id: Identifier, on_points: OnPoints | None = None
+) -> LazyFrames[Any]:
+    """Give frames with some of their points, chosen when they are read, and report each frame that is read."""
+    return LazyFrames(frames.timestamps_ns, partial(_frame_of_chosen, frames, choose, sensor_id, on_points))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MovedFrames(Generic[_Cloud]):
-    """Reads frames and takes their points into another frame; what `LazyFrames` asks for.
-
-    Attributes:
-        frames: as they were.
-        change: `new_from_old`, known at the times of all frames.
-    """
-
-    frames: LazyFrames[_Cloud]
-    change: FrameChange
-
-    def __call__(self, k: int) -> _Cloud:
-        """Read frame `k`.
-
-        Raises:
-            DataError: it cannot be read.
-        """
-        frame = self.frames[k]
-        new_from_old = self.change.transform(int(self.frames.timestamps_ns[k]))
-        return replace(frame, points=_moved_points(frame.points, new_from_old))
+def _frame_of_chosen(
+    frames: LazyFrames[Any], choose: _Choose, sensor_id: Identifier, on_points: OnPoints | None, k: int
+) -> Any:
+    frame = frames[k]
+    rows = choose(frame)
+    chosen = frame if rows is None else replace(frame, points=chosen_points(frame.points, rows))
+    if on_points is not None:
+        on_points(sensor_id, k, len(frame.points), len(chosen.points))
+    return chosen
 
 
-def _moved_frames(frames: LazyFrames[_Cloud], change: FrameChange) -> tuple[LazyFrames[_Cloud], Int64Array]:
-    """Give frames whose points are in another frame, and the old numbers (M,) of those at whose times it is known."""
-    numbers = np.flatnonzero(change.at(frames.timestamps_ns).coverage <= KNOWN)
-    known = chosen_frames(frames, numbers)
-    return LazyFrames(known.timestamps_ns, MovedFrames(known, change)), numbers
-
-
-def chosen_frames(frames: LazyFrames[_Cloud], numbers: Int64Array) -> LazyFrames[_Cloud]:
+def chosen_frames(frames: LazyFrames[Any], numbers: Int64Array) -> LazyFrames[Any]:
     """Give the frames with these numbers, (M,) int64."""
     if len(numbers) == len(frames):
         return frames
-    return LazyFrames(frames.timestamps_ns[numbers], partial(_read, frames, numbers))
+    return LazyFrames(frames.timestamps_ns[numbers], partial(_numbered_frame, frames, numbers))
 
 
-def _read(frames: LazyFrames[_Cloud], numbers: Int64Array, k: int) -> _Cloud:
+def _numbered_frame(frames: LazyFrames[Any], numbers: Int64Array, k: int) -> Any:
     return frames[int(numbers[k])]
-
-
-def _moved_points(points: _Points, new_from_old: RigidTransform) -> _Points:
-    """Take the points of a frame into another frame; a radar's directions rotate, too."""
-    positions = moved_positions(points.positions, new_from_old)
-    if isinstance(points, RadarPoints) and points.directions is not None:
-        return replace(
-            points,
-            positions=positions,
-            directions=new_from_old.rotate(points.directions).astype(np.float32),
-        )
-    return replace(points, positions=positions)
-
-
-def moved_positions(positions: Float32Array, new_from_old: RigidTransform) -> Float32Array:
-    """Take positions (N, 3) float32 [m] into another frame, computed in float64.
-
-    Raises:
-        ArrayError: a point that has coordinates would have none there, as float32 does not reach so far.
-    """
-    with np.errstate(over="ignore", invalid="ignore"):
-        moved = new_from_old.apply(positions).astype(np.float32)
-    lost = finite_rows(positions) & ~finite_rows(moved)
-    if lost.any():
-        row = int(lost.argmax())
-        raise ArrayError(
-            f"points.positions[{row}]: {positions[row].tolist()} moved by {new_from_old.translation.tolist()}; "
-            "expected metres that float32 holds"
-        )
-    return moved
-
-
-@dataclass(slots=True)
-class CloudMoves:
-    """What becomes of the frames of a scene's sensors.
-
-    Attributes:
-        frames: the numbers of those that stay, by sensor, where some go.
-        warnings: what is to be reported.
-    """
-
-    frames: dict[Key, Renumbering] = field(default_factory=dict)
-    warnings: list[DataWarning] = field(default_factory=list)
-
-    def cloud(self, sensor: CloudSensor, change: FrameChange | None, frame: PointsFrame) -> CloudSensor:
-        """Move the points of a sensor; note the frames that go."""
-        if change is None:
-            return replace(sensor, points_frame=frame)
-        moved, numbers = _moved_frames(sensor.frames, change)
-        location = f"sensors[{sensor.id}].frames"
-        if len(numbers) < len(sensor.frames):
-            self.frames[key_of(sensor.id)] = Renumbering(numbers)
-            what = "frames at whose time the ego trajectory is not known"
-            lost = len(sensor.frames) - len(numbers)
-            self.warnings.append(skipped("frames-beyond-the-trajectory", location, what, count=lost))
-        beyond = int(np.count_nonzero(change.at(moved.timestamps_ns).coverage == KNOWN))
-        what = "frames beyond the ends of the trajectory, placed as if it went on"
-        self.warnings.append(assumed("frames-extrapolated", location, what, count=beyond))
-        return replace(sensor, frames=moved, points_frame=frame)

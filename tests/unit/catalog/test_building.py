@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.catalog import TABLES, Selection, build, database, update
+from sceneloom.catalog import TABLES, Selection, build, query, update
 from sceneloom.catalog.rows import scene_rows
 from sceneloom.catalog.storage import Entry, Fresh, Layout, Parts, scene_name, write_draft
 from sceneloom.errors import OptionError, OutputError
@@ -28,7 +28,7 @@ def timestamps(folder):
 
 def rows_of_others(folder, path):
     return {
-        table: database(
+        table: query(
             folder, f"SELECT * FROM {table} WHERE scene != '{scene_name(path, {})}' ORDER BY ALL"
         ).rows
         for table in TABLES
@@ -55,9 +55,7 @@ def test_an_update_reads_only_what_changed(copies, tmp_path):
     report = update(folder)
     assert (report.changed, report.unchanged) == ((str(copies[2]),), 2)
     assert repr(rows_of_others(folder, str(copies[2]))) == repr(others)  # equal, not-a-number included
-    assert database(folder, "SELECT count(*) FROM scenes WHERE duration > 3.8 AND duration < 4").rows == [
-        (1,)
-    ]
+    assert query(folder, "SELECT count(*) FROM scenes WHERE duration > 3.8 AND duration < 4").rows == [(1,)]
     assert not [*folder.rglob(".part*"), *folder.rglob(".drafts")]
 
 
@@ -66,7 +64,7 @@ def test_scenes_share_parts_up_to_a_number_of_rows(copies, tmp_path, monkeypatch
     folder = tmp_path / "catalogue"
     build(copies, folder)  # of 200, 200 and 40 frames
     counts = "SELECT path, count(*) FROM frames JOIN scenes USING (scene) GROUP BY path ORDER BY path"
-    assert [count for _, count in database(folder, counts).rows] == [200, 200, 40]
+    assert [count for _, count in query(folder, counts).rows] == [200, 200, 40]
     assert [file.name for file in sorted(folder.glob("frames/*"))] == [
         "part-00000.parquet",
         "part-00001.parquet",
@@ -76,7 +74,7 @@ def test_scenes_share_parts_up_to_a_number_of_rows(copies, tmp_path, monkeypatch
     update(folder)
     after = timestamps(folder)
     assert {file.name for file in before if after[file] != before[file]} == {"part-00001.parquet"}
-    assert [count for _, count in database(folder, counts).rows] == [200, 80, 40]
+    assert [count for _, count in query(folder, counts).rows] == [200, 80, 40]
 
 
 @pytest.mark.parametrize("stopped_after", range(7))
@@ -99,14 +97,14 @@ def test_an_update_that_is_stopped_anywhere_is_done_again(copies, tmp_path, monk
         with pytest.raises(KeyboardInterrupt):
             update(folder, copies)
     assert len(files) == stopped_after
-    assert database(folder, "SELECT count(*) FROM annotations WHERE annotation = 'car 1'").rows[0][0] >= 100
+    assert query(folder, "SELECT count(*) FROM annotations WHERE annotation = 'car 1'").rows[0][0] >= 100
     report = update(folder, copies)
     assert (len(report.added) + len(report.changed), report.failed) == (2, ())
     whole = tmp_path / "whole"
     build(copies, whole)
     for table in TABLES:
         sql = f"SELECT * FROM {table} ORDER BY ALL"
-        assert repr(database(folder, sql).rows) == repr(database(whole, sql).rows)
+        assert repr(query(folder, sql).rows) == repr(query(whole, sql).rows)
     assert update(folder).unchanged == 3
 
 
@@ -126,7 +124,7 @@ def test_workers_make_the_same_catalogue(copies, tmp_path):
     assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)] * 2
     for table in TABLES:
         sql = f"SELECT * FROM {table} ORDER BY ALL"
-        assert repr(database(tmp_path / "1", sql).rows) == repr(database(tmp_path / "2", sql).rows)
+        assert repr(query(tmp_path / "1", sql).rows) == repr(query(tmp_path / "2", sql).rows)
 
 
 def test_one_process_at_a_time_writes(copies, tmp_path):
@@ -136,7 +134,7 @@ def test_one_process_at_a_time_writes(copies, tmp_path):
         for write in (lambda: update(folder), lambda: build(copies, folder, overwrite=True)):
             with pytest.raises(OutputError, match="another run"):
                 write()
-        assert database(folder, "SELECT count(*) FROM scenes").rows == [(1,)]
+        assert query(folder, "SELECT count(*) FROM scenes").rows == [(1,)]
     assert update(folder).unchanged == 1
 
 
@@ -148,7 +146,7 @@ def test_a_run_that_is_stopped_leaves_what_was_read(copies, tmp_path):
     folder = tmp_path / "catalogue"
     with pytest.raises(KeyboardInterrupt):
         build(copies, folder, progress=stops)
-    assert database(folder, "SELECT path FROM scenes ORDER BY path").rows == [
+    assert query(folder, "SELECT path FROM scenes ORDER BY path").rows == [
         (str(copy),) for copy in copies[:2]
     ]
     report = update(folder, copies)
@@ -183,9 +181,7 @@ def test_a_drive_that_cannot_be_read_is_reported_and_the_others_go_on(copies, tm
     copies[0].write_bytes(b"{")
     report = update(folder)
     assert [failure.path for failure in report.failed] == [str(copies[0])]
-    assert database(folder, "SELECT count(*) > 0 FROM annotations").rows == [
-        (True,)
-    ]  # what stood of it before
+    assert query(folder, "SELECT count(*) > 0 FROM annotations").rows == [(True,)]  # what stood of it before
 
 
 def test_scenes_of_a_damaged_file_are_read_again(copies, tmp_path):
@@ -194,7 +190,7 @@ def test_scenes_of_a_damaged_file_are_read_again(copies, tmp_path):
     (file,) = folder.glob("scenes/*.parquet")
     file.write_bytes(b"PAR1")
     assert len(update(folder, copies[:1]).changed) == 3  # those beside it in the file as well
-    assert database(folder, "SELECT count(*) FROM scenes").rows == [(3,)]
+    assert query(folder, "SELECT count(*) FROM scenes").rows == [(3,)]
     for file in folder.rglob("*.parquet"):
         file.write_bytes(b"PAR1")
     report = update(folder)
@@ -247,13 +243,11 @@ def test_odd_scenes_are_catalogued_too(tmp_path):
     tables = scene_rows(scene, path="x", options={}, fingerprint="", size_bytes=None, findings=())
     empty = scene_rows(Scene(()), path="y", options={}, fingerprint="", size_bytes=None, findings=())
     layout = Layout.made(tmp_path / "catalogue", overwrite=False)
-    assert database(layout.folder, "SELECT count(*) FROM scenes JOIN annotations USING (scene)").rows == [
-        (0,)
-    ]
-    assert database(layout.folder, Selection(labels=("car",))).rows == []
+    assert query(layout.folder, "SELECT count(*) FROM scenes JOIN annotations USING (scene)").rows == [(0,)]
+    assert query(layout.folder, Selection(labels=("car",))).rows == []
     put(layout, a=tables, b=empty)
     sql = "SELECT track, annotation, boxes FROM tracks ORDER BY track"
-    assert database(layout.folder, sql).rows == [(0, "'; DROP", 11), (1, "1", 1), (2, "1", 0), (3, "e", 0)]
-    values = database(layout.folder, "SELECT value, number FROM attributes WHERE owner = 'annotation'").rows
+    assert query(layout.folder, sql).rows == [(0, "'; DROP", 11), (1, "1", 1), (2, "1", 0), (3, "e", 0)]
+    values = query(layout.folder, "SELECT value, number FROM attributes WHERE owner = 'annotation'").rows
     assert values == [(str(10**400), None), ("true", None), ("a", None), ("b", None), ('{"x": 1}', None)]
-    assert database(layout.folder, Selection(types=("cuboid",))).rows[0][3:] == (12, 1)
+    assert query(layout.folder, Selection(types=("cuboid",))).rows[0][3:] == (12, 1)

@@ -6,8 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from sceneloom.catalog import TABLES, opened, update
-from sceneloom.catalog import database as catalog_database
+from sceneloom.catalog import TABLES, opened, query, update
 from sceneloom.catalog.database import Database
 from sceneloom.catalog.storage import read_part
 from sceneloom.errors import DataError, OptionError
@@ -47,7 +46,7 @@ def test_sql_that_is_wrong_writes_or_looks_elsewhere_is_refused(copied, tmp_path
     (tmp_path / "secret.txt").write_text("secret")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(OptionError, match="SQL"):
-        catalog_database(copied, sql.format(tmp_path, copied))
+        query(copied, sql.format(tmp_path, copied))
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -118,20 +117,20 @@ def test_no_statement_writes_anything_anywhere(copied, tmp_path, monkeypatch, gu
 def test_names_of_this_program_are_no_tables(catalogue):
     secret = [1, 2, 3]
     with pytest.raises(OptionError, match="secret"):
-        catalog_database(catalogue, "SELECT * FROM secret")
+        query(catalogue, "SELECT * FROM secret")
     assert secret
 
 
 def test_a_damaged_file_is_named_and_made_anew_by_an_update(copied, drives):
     files = sorted(copied.glob("annotations/*.parquet"))
-    whole = catalog_database(copied, "SELECT count(*) FROM annotations").rows
+    whole = query(copied, "SELECT count(*) FROM annotations").rows
     files[0].write_bytes(files[0].read_bytes()[:-7])
     with pytest.raises(DataError, match="no whole Parquet file") as refused:
-        catalog_database(copied, "SELECT * FROM annotations")
+        query(copied, "SELECT * FROM annotations")
     assert refused.value.file == str(files[0])
     report = update(copied)
     assert (len(report.changed), report.unchanged) == (3, 0)
-    assert catalog_database(copied, "SELECT count(*) FROM annotations").rows == whole
+    assert query(copied, "SELECT count(*) FROM annotations").rows == whole
 
 
 def test_a_file_that_declares_far_more_rows_than_its_bytes_is_refused(copied, monkeypatch):
@@ -146,7 +145,7 @@ def test_a_folder_that_is_no_catalogue_is_refused(tmp_path, content):
     if content is not None:
         (tmp_path / "catalog.json").write_text(content)
     with pytest.raises(DataError):
-        catalog_database(tmp_path, "SELECT 1")
+        query(tmp_path, "SELECT 1")
     with pytest.raises(DataError):
         update(tmp_path)
 
@@ -162,7 +161,7 @@ def test_files_with_wrong_bytes_give_rows_or_an_error_about_data(copied, table):
             content[location] = int(random.integers(256))
         file.write_bytes(content)
         try:
-            catalog_database(copied, "SELECT * FROM annotations JOIN scenes USING (scene)")
+            query(copied, "SELECT * FROM annotations JOIN scenes USING (scene)")
         except DataError:
             refused += 1
     assert refused
@@ -172,17 +171,17 @@ def test_files_with_wrong_bytes_give_rows_or_an_error_about_data(copied, table):
 def test_damage_inside_a_file_is_named_and_repaired(copied, table):
     (file,) = copied.glob(f"{table}/*.parquet")
     sql = f"SELECT * FROM {table} ORDER BY ALL"
-    whole, right = file.read_bytes(), repr(catalog_database(copied, sql).rows)
+    whole, right = file.read_bytes(), repr(query(copied, sql).rows)
     footer = int.from_bytes(whole[-8:-4], "little") + 8
     file.write_bytes(whole[:4] + bytes(len(whole) - footer - 4) + whole[-footer:])
     if table == "findings" and right == "[]":
         return  # nothing is in it
     with pytest.raises(DataError, match="delete the file") as refused:
-        catalog_database(copied, sql)
+        query(copied, sql)
     assert refused.value.file == str(file)
     file.unlink()
     assert len(update(copied).changed) == 3
-    assert repr(catalog_database(copied, sql).rows) == right
+    assert repr(query(copied, sql).rows) == right
 
 
 @pytest.mark.parametrize("table", ["annotations", "scenes"])
@@ -198,5 +197,5 @@ def test_updates_of_files_with_wrong_bytes_end_well_or_name_them(copied, drives,
         report = update(copied, drives[:1], checks="none")
         assert not report.failed
         assert not update(copied, drives, checks="none").failed
-        assert catalog_database(copied, "SELECT count(*) FROM scenes").rows == [(3,)]
-        assert catalog_database(copied, "SELECT count(*) FROM annotations").rows[0][0] > 200
+        assert query(copied, "SELECT count(*) FROM scenes").rows == [(3,)]
+        assert query(copied, "SELECT count(*) FROM annotations").rows[0][0] > 200

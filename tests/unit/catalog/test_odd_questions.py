@@ -9,8 +9,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sceneloom.catalog import SHOWN, TABLES, Result, Selection, format_csv, iter_list, opened, records, sql_of
-from sceneloom.catalog import database as catalog_database
+from sceneloom.catalog import (
+    SHOWN,
+    TABLES,
+    Result,
+    Selection,
+    format_csv,
+    iter_list,
+    opened,
+    query,
+    records,
+    sql_of,
+)
 from sceneloom.errors import OptionError
 
 ODD = (
@@ -88,7 +98,7 @@ def check(result: Result) -> None:
 @pytest.mark.parametrize("sql", ODD)
 def test_odd_sql_gives_rows_or_is_refused(catalogue, sql):
     try:
-        result = catalog_database(catalogue, sql)
+        result = query(catalogue, sql)
     except OptionError as error:
         assert re.fullmatch("SQL(?!.*Traceback).*", str(error))  # noqa: PT017 - the one or the other
     else:
@@ -136,18 +146,16 @@ def test_any_filters_give_rows_or_are_refused(database, wanted, show, gap, margi
 )
 def test_numbers_that_nothing_can_fit_are_refused(catalogue, wanted):
     with pytest.raises(OptionError):
-        catalog_database(catalogue, Selection(**wanted))
+        query(catalogue, Selection(**wanted))
 
 
 def test_decimals_are_numbers_in_lists_and_json_and_exact_in_csv(catalogue):
-    found = catalog_database(
-        catalogue, "SELECT path, 0.5 AS start, 12345678901234567.25 AS stop FROM scenes LIMIT 1"
-    )
+    found = query(catalogue, "SELECT path, 0.5 AS start, 12345678901234567.25 AS stop FROM scenes LIMIT 1")
     assert (records(found)[0]["start"], json.loads(next(iter_list(found)))["start"]) == (0.5, 0.5)
     assert format_csv(found).endswith(",0.5,12345678901234567.25\n")
 
 
 def test_gap_and_margin_may_be_without_bound(catalogue):
-    rows = catalog_database(catalogue, Selection(labels=("car",)), gap=float("inf"), margin=float("inf"))
+    rows = query(catalogue, Selection(labels=("car",)), gap=float("inf"), margin=float("inf"))
     assert [row[1] for row in rows.rows] == [0.0, 0.0]
     assert [json.loads(line).keys() for line in iter_list(rows)] == [{"path", "start"}] * 2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.catalog import TABLES, Selection, build, database
+from sceneloom.catalog import TABLES, Selection, build, query
 from sceneloom.catalog.rows import Ego, box_rows, distances, track_rows
 from sceneloom.scene import Poses
 
@@ -14,7 +14,7 @@ from .conftest import box, street, times_ns
 
 
 def rows_of(catalogue, sql):
-    return database(catalogue, sql).rows
+    return query(catalogue, sql).rows
 
 
 def test_a_box_stands_at_every_moment_between_its_timestamps(catalogue, drives):
@@ -100,7 +100,7 @@ def test_a_location_of_the_world_counts_where_it_is_one_and_the_world_was_not_mo
 
 def test_every_table_has_its_columns_and_the_scene(catalogue):
     for table, columns in TABLES.items():
-        result = database(catalogue, f"SELECT * FROM {table} LIMIT 0")
+        result = query(catalogue, f"SELECT * FROM {table} LIMIT 0")
         assert result.columns == ("scene", *(column.name for column in columns))
 
 
@@ -143,7 +143,7 @@ def test_the_moments_of_a_drive_without_frames_are_the_timestamps_of_its_boxes(t
     assert rows[1:] == [
         (name, x) for goes in (0.0, 2.0, 6.0) for name, x in (("stands", 1.0), ("goes", goes))
     ]
-    assert database(tmp_path / "catalogue", Selection(labels=("car",), count=2), gap=5.0).rows[0][3:] == (
+    assert query(tmp_path / "catalogue", Selection(labels=("car",), count=2), gap=5.0).rows[0][3:] == (
         3,
         2,
     )

@@ -8,12 +8,12 @@ from pymap3d import enu2geodetic
 from pymap3d.vincenty import vdist
 
 from sceneloom.batch.jobs import find_inputs
-from sceneloom.catalog import Selection, database, format_csv, iter_list, records
+from sceneloom.catalog import Selection, format_csv, iter_list, query, records
 from sceneloom.errors import OptionError
 
 
 def spans(catalogue, drive, **wanted):
-    result = database(catalogue, Selection(**wanted))
+    result = query(catalogue, Selection(**wanted))
     return [(row[1], row[2]) for row in result.rows if row[0] == str(drive)]
 
 
@@ -54,15 +54,15 @@ def test_locations_are_found_by_metres_on_the_ellipsoid_also_across_the_date_lin
 
 
 def test_findings_choose_drives(catalogue, drives):
-    rules = database(catalogue, "SELECT DISTINCT rule, path FROM findings JOIN scenes USING (scene)").rows
+    rules = query(catalogue, "SELECT DISTINCT rule, path FROM findings JOIN scenes USING (scene)").rows
     assert rules, "the drives state less than the rules want"
     rule = rules[0][0]
-    chosen = database(catalogue, Selection(findings=(rule,)), show="drives")
+    chosen = query(catalogue, Selection(findings=(rule,)), show="drives")
     assert [row[0] for row in chosen.rows] == sorted(path for name, path in rules if name == rule)
 
 
 def test_rows_are_the_boxes_themselves(catalogue, drives):
-    result = database(catalogue, Selection(labels=("ped*",)), show="rows")
+    result = query(catalogue, Selection(labels=("ped*",)), show="rows")
     mine = [row for row in records(result) if row["path"] == str(drives[0])]
     assert len(mine) == 11
     assert mine[0]["left_px"] is None
@@ -71,22 +71,20 @@ def test_rows_are_the_boxes_themselves(catalogue, drives):
 
 def test_a_gap_joins_spans_and_a_margin_widens_them(catalogue, drives):
     wanted = Selection(labels=("car",), distance=(10.2, 15.0))
-    both = [row[1:3] for row in database(catalogue, wanted, gap=0.2).rows if row[0] == str(drives[0])]
+    both = [row[1:3] for row in query(catalogue, wanted, gap=0.2).rows if row[0] == str(drives[0])]
     assert len(both) == 2
-    one = [
-        row[1:3] for row in database(catalogue, wanted, gap=2.0, margin=0.5).rows if row[0] == str(drives[0])
-    ]
+    one = [row[1:3] for row in query(catalogue, wanted, gap=2.0, margin=0.5).rows if row[0] == str(drives[0])]
     assert one == [pytest.approx((both[0][0] - 0.5, both[1][1] + 0.5))]
 
 
 def test_lists_are_what_a_batch_takes(catalogue, drives, tmp_path):
-    lines = list(iter_list(database(catalogue, Selection(labels=("ped*",)))))
+    lines = list(iter_list(query(catalogue, Selection(labels=("ped*",)))))
     (tmp_path / "found.jsonl").write_text("\n".join(lines))
     inputs = find_inputs((), (tmp_path / "found.jsonl",))
     assert [drive.location for drive in inputs] == list(map(str, drives[:2]))
     assert inputs[0].options == {"start": 2.0, "stop": json.loads(lines[0])["stop"]}
     with pytest.raises(OptionError, match="needs the column `path`"):
-        list(iter_list(database(catalogue, "SELECT 1 AS start")))
+        list(iter_list(query(catalogue, "SELECT 1 AS start")))
 
 
 @pytest.mark.parametrize(
@@ -104,6 +102,6 @@ def test_bounds_that_cannot_be_are_refused(wanted):
 
 def test_times_that_are_none_are_refused(catalogue):
     with pytest.raises(OptionError, match="'noon'"):
-        database(catalogue, Selection(start="noon"))
+        query(catalogue, Selection(start="noon"))
     with pytest.raises(OptionError, match="rows"):
-        database(catalogue, Selection(), show="all")
+        query(catalogue, Selection(), show="all")

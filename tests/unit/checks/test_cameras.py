@@ -11,7 +11,7 @@ from sceneloom.scene import DataWarning, VideoContent, WarningKind
 
 RULES = (
     "video-or-images",
-    "camera-model-model-known",
+    "camera-model-known",
     "distortion-length",
     "principal-point",
     "focal-length",
@@ -39,7 +39,7 @@ def with_fisheye(sound):
 
 def test_an_unknown_camera_model_is_found(sound, found):
     scene = sound.scene(with_camera_model(sound, model="spherical"))
-    [(path, message)] = found(scene, "camera-model-model-known")
+    [(path, message)] = found(scene, "camera-model-known")
     assert path == "sensors[0].intrinsics.distortion.model"
     assert "'spherical'" in message
 

@@ -13,7 +13,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, unproject
 from sceneloom.checks.faults import as_read, warnings_of_code
-from sceneloom.checks.rule import FrameInHand, Hit, Rule, Subject
+from sceneloom.checks.rule import HINT, WARNING, FrameInHand, Hit, Rule, Subject
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.recording.calibration import CAMERA_MODEL_READINGS, CameraParameters
 from sceneloom.geometry.rigid import RigidTransform
@@ -22,7 +22,6 @@ from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.scene import Scene, Sensor
-from sceneloom.warnings import Severity
 
 CAMERA_KEYS = frozenset(
     {
@@ -146,37 +145,21 @@ def _shifts(subject: Subject) -> Iterator[Hit]:
             yield Hit(f"{location}.imuToCameraShiftSeconds", reported)
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "calibration-spelling",
-        Severity.WARNING,
-        "Keys, models and lists of a calibration are spelt as the vendor's software reads them.",
-        "Use `imuToCamera` of 4 rows, `model` in small letters with a dash, and 8 numbers for `brown-conrady`.",
-        find=_spelling,
-        fix=as_read,
-    ),
-    Rule(
-        "calibration-keys-known",
-        Severity.HINT,
-        "Every key of a calibration is one of the format.",
-        "See whether it is misspelt; it is kept as it is.",
-        find=_unknown_keys,
-    ),
-    Rule(
-        "calibration-shutter",
-        Severity.WARNING,
-        f"A shutter rolls for {LONGEST_ROLL:g} s at most, and is open for {LONGEST_EXPOSURE:g} s at most.",
-        "Write seconds.",
-        find=_shutter_times,
-    ),
-    Rule(
-        "calibration-shift",
-        Severity.WARNING,
-        f"`imuToCameraShiftSeconds` is {LONGEST_SHIFT:g} s at most.",
-        "Write seconds.",
-        find=_shifts,
-    ),
+# fmt: off
+CALIBRATION_RULES: tuple[Rule, ...] = (
+    Rule("calibration-spelling", WARNING,
+         "Keys, models and lists of a calibration are spelt as the vendor's software reads them.",
+         "Use `imuToCamera` of 4 rows, `model` in small letters with a dash, and 8 numbers for `brown-conrady`.",
+         find=_spelling, fix=as_read),
+    Rule("calibration-keys-known", HINT, "Every key of a calibration is one of the format.",
+         "See whether it is misspelt; it is kept as it is.", find=_unknown_keys),
+    Rule("calibration-shutter", WARNING,
+         f"A shutter rolls for {LONGEST_ROLL:g} s at most, and is open for {LONGEST_EXPOSURE:g} s at most.",
+         "Write seconds.", find=_shutter_times),
+    Rule("calibration-shift", WARNING, f"`imuToCameraShiftSeconds` is {LONGEST_SHIFT:g} s at most.",
+         "Write seconds.", find=_shifts),
 )
+# fmt: on
 
 SHORTEST, LONGEST = 0.2, 5.0
 """Focal lengths outside these parts of the image's width are rare: they see 136° and more, or 11° and less."""
@@ -298,31 +281,22 @@ def _is_near(value: float, wanted: float) -> bool:
     return abs(value - wanted) <= _NEAR * wanted
 
 
-CALIBRATED_CAMERA_MODELS_RULES: tuple[Rule, ...] = (
-    Rule(
-        "calibration-focal-length",
-        Severity.WARNING,
-        f"Focal lengths of a calibration are {SHORTEST:g} to {LONGEST:g} image widths, and differ by less than "
-        f"{MOST_UNEQUAL - 1:.0%}.",
-        "Write pixels of the images that imageWidth and imageHeight report.",
-        find=_focal_lengths,
-    ),
-    Rule(
-        "calibration-principal-point",
-        Severity.WARNING,
-        f"Principal points of a calibration lie within {OFF_CENTRE:.0%} of the image's size around its centre.",
-        "See whether the camera model was calibrated for another size, or the image cut without moving the point.",
-        find=_principal_points,
-    ),
-    Rule(
-        "calibration-size",
-        Severity.WARNING,
-        "Images have the `imageWidth` and `imageHeight` that their camera model is calibrated for.",
-        "Write the numbers for the images as they are; `--fix` scales them, which is wrong for cut images.",
-        find=warnings_of_code("camera-model-scaled"),
-        fix=as_read,
-    ),
+# fmt: off
+CALIBRATED_CAMERA_RULES: tuple[Rule, ...] = (
+    Rule("calibration-focal-length", WARNING,
+         f"Focal lengths of a calibration are {SHORTEST:g} to {LONGEST:g} image widths, and differ by less than "
+         f"{MOST_UNEQUAL - 1:.0%}.", "Write pixels of the images that imageWidth and imageHeight report.",
+         find=_focal_lengths),
+    Rule("calibration-principal-point", WARNING,
+         f"Principal points of a calibration lie within {OFF_CENTRE:.0%} of the image's size around its centre.",
+         "See whether the camera model was calibrated for another size, or the image cut without moving the point.",
+         find=_principal_points),
+    Rule("calibration-size", WARNING,
+         "Images have the `imageWidth` and `imageHeight` that their camera model is calibrated for.",
+         "Write the numbers for the images as they are; `--fix` scales them, which is wrong for cut images.",
+         find=warnings_of_code("camera-model-scaled"), fix=as_read),
 )
+# fmt: on
 
 _ALIKE_DEG = 15.0
 """Cameras whose axes differ by no more are a pair [deg]."""
@@ -558,58 +532,31 @@ def _is_off(numbers: object) -> bool:
         return False
 
 
-MOUNTINGS_RULES: tuple[Rule, ...] = (
-    Rule(
-        "mounting-rotation",
-        Severity.WARNING,
-        "Rotations of mountings are orthonormal within 0.001; beyond 0.01 they are refused.",
-        "Write rotations with more digits; `--fix` writes the nearest rotation.",
-        find=warnings_of_code("rotation-normalised"),
-        fix=_with_rotations,
-    ),
-    Rule(
-        "mounting-far",
-        Severity.WARNING,
-        f"Cameras and lidars are at most {FARTHEST:g} m from the IMU.",
-        "Write metres.",
-        find=_far,
-    ),
-    Rule(
-        "mounting-repeated",
-        Severity.WARNING,
-        "No two cameras have one `imuToCamera`.",
-        "Write each camera's own.",
-        find=_same,
-    ),
-    Rule(
-        "mounting-inverted",
-        Severity.WARNING,
-        "Cameras do not lie on their side where the inverse of their matrix would stand upright.",
-        "Write the matrix by rows that takes points of the IMU into the camera: x right, y down, z forward.",
-        find=_inverted,
-    ),
-    Rule(
-        "mounting-steep",
-        Severity.HINT,
-        f"Cameras look ahead, not up or down by more than {_STEEP_DEG:g}°.",
-        "See whether the axes are x right, y down, z forward; it is allowed if the camera is mounted so.",
-        find=_steep,
-    ),
-    Rule(
-        "stereo-baseline",
-        Severity.WARNING,
-        f"Cameras that look the same way are {_NARROWEST_BASELINE * 1e3:g} mm to {WIDEST_BASELINE:g} m apart.",
-        "Write metres, and each camera's own mounting.",
-        find=_baselines,
-    ),
-    Rule(
-        "stereo-sides",
-        Severity.HINT,
-        "Of two cameras that look the same way, the first is the left one.",
-        "See whether videos, entries or matrices are exchanged; it is allowed if they are not.",
-        find=_left_and_right,
-    ),
+# fmt: off
+MOUNTING_RULES: tuple[Rule, ...] = (
+    Rule("mounting-rotation", WARNING,
+         "Rotations of mountings are orthonormal within 0.001; beyond 0.01 they are refused.",
+         "Write rotations with more digits; `--fix` writes the nearest rotation.",
+         find=warnings_of_code("rotation-normalised"), fix=_with_rotations),
+    Rule("mounting-far", WARNING, f"Cameras and lidars are at most {FARTHEST:g} m from the IMU.",
+         "Write metres.", find=_far),
+    Rule("mounting-repeated", WARNING, "No two cameras have one `imuToCamera`.", "Write each camera's own.",
+         find=_same),
+    Rule("mounting-inverted", WARNING,
+         "Cameras do not lie on their side where the inverse of their matrix would stand upright.",
+         "Write the matrix by rows that takes points of the IMU into the camera: x right, y down, z forward.",
+         find=_inverted),
+    Rule("mounting-steep", HINT, f"Cameras look ahead, not up or down by more than {_STEEP_DEG:g}°.",
+         "See whether the axes are x right, y down, z forward; it is allowed if the camera is mounted so.",
+         find=_steep),
+    Rule("stereo-baseline", WARNING,
+         f"Cameras that look the same way are {_NARROWEST_BASELINE * 1e3:g} mm to {WIDEST_BASELINE:g} m apart.",
+         "Write metres, and each camera's own mounting.", find=_baselines),
+    Rule("stereo-sides", HINT, "Of two cameras that look the same way, the first is the left one.",
+         "See whether videos, entries or matrices are exchanged; it is allowed if they are not.",
+         find=_left_and_right),
 )
+# fmt: on
 
 _WIDTH = 192
 """Images are compared at this width [px], or at their own where that is less."""
@@ -752,13 +699,11 @@ def _patches(values: Float64Array) -> Float64Array:
     return means
 
 
-STEREO_IMAGES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "stereo-images",
-        Severity.WARNING,
-        "Near things shift between the images of a stereo pair to the side that the mountings report.",
-        "See whether videos or entries of the cameras are exchanged, or their matrices inverted.",
-        look=_look,
-        conclude=_wrong_side,
-    ),
+# fmt: off
+STEREO_RULES: tuple[Rule, ...] = (
+    Rule("stereo-images", WARNING,
+         "Near things shift between the images of a stereo pair to the side that the mountings report.",
+         "See whether videos or entries of the cameras are exchanged, or their matrices inverted.", look=_look,
+         conclude=_wrong_side),
 )
+# fmt: on

@@ -17,7 +17,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.checks.faults import as_read, warnings_of_code
 from sceneloom.checks.recordings.calibration import stereo_pairs
 from sceneloom.checks.recordings.times import Kind, streams_of, streams_of_kind
-from sceneloom.checks.rule import FrameInHand, Hit, Rule, Subject
+from sceneloom.checks.rule import HINT, WARNING, FrameInHand, Hit, Rule, Subject
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
 from sceneloom.formats.recording.columns import FrameColumns, time_order, view
 from sceneloom.formats.recording.losses import (
@@ -31,7 +31,6 @@ from sceneloom.formats.recording.reader import VIO_CONFIG_FILE
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.scene import Scene
-from sceneloom.warnings import Severity
 
 _IMU = (Kind.ACCELEROMETER, Kind.GYROSCOPE)
 
@@ -53,37 +52,22 @@ def _without_calibration(subject: Subject) -> Iterator[Hit]:
         yield Hit(CALIBRATION_FILE, "there is none")
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "imu-there",
-        Severity.WARNING,
-        "A recording has an accelerometer and a gyroscope.",
-        "Record them; software for visual-inertial odometry, the vendor's too, gives nothing without.",
-        find=_without_imu,
-    ),
-    Rule(
-        "calibration-there",
-        Severity.WARNING,
-        "A recording has a `calibration.json`.",
-        "Write one, though its list of cameras be empty: the format asks for it.",
-        find=_without_calibration,
-    ),
-    Rule(
-        "json-plain",
-        Severity.WARNING,
-        "Files of JSON begin without a byte order mark, and `data.jsonl` ends without blank lines.",
-        "Write them without: other programs stop at them; `--fix` does.",
-        find=warnings_of_code("byte-order-mark", "blank-lines-at-end"),
-        fix=as_read,
-    ),
-    Rule(
-        "poses-without-orientation",
-        Severity.WARNING,
-        "Either all poses of a trajectory have an orientation, or none.",
-        "See why some lack it; they are left out of the trajectory, and their lines are kept.",
-        find=warnings_of_code("poses-without-orientation"),
-    ),
+# fmt: off
+PRESENCE_RULES: tuple[Rule, ...] = (
+    Rule("imu-there", WARNING, "A recording has an accelerometer and a gyroscope.",
+         "Record them; software for visual-inertial odometry, the vendor's too, gives nothing without.",
+         find=_without_imu),
+    Rule("calibration-there", WARNING, "A recording has a `calibration.json`.",
+         "Write one, though its list of cameras be empty: the format asks for it.", find=_without_calibration),
+    Rule("json-plain", WARNING,
+         "Files of JSON begin without a byte order mark, and `data.jsonl` ends without blank lines.",
+         "Write them without: other programs stop at them; `--fix` does.",
+         find=warnings_of_code("byte-order-mark", "blank-lines-at-end"), fix=as_read),
+    Rule("poses-without-orientation", WARNING, "Either all poses of a trajectory have an orientation, or none.",
+         "See why some lack it; they are left out of the trajectory, and their lines are kept.",
+         find=warnings_of_code("poses-without-orientation")),
 )
+# fmt: on
 
 
 def _counted_anew(scene: Scene) -> Scene:
@@ -245,62 +229,31 @@ def _apart(frames: FrameColumns, first: int, second: int) -> tuple[Int64Array, F
     return rows.astype(np.int64), view(b.seconds)[in_b] - view(a.seconds)[in_a]
 
 
-FRAME_LINES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "frame-numbers-begin",
-        Severity.HINT,
-        "`number` of the first `frames` line is 0.",
-        "Count from 0: what counts from elsewhere takes other images of the video in some programs.",
-        find=_begin,
-        fix=_counted_anew,
-    ),
-    Rule(
-        "frame-numbers-increasing",
-        Severity.WARNING,
-        "`number` grows from `frames` line to `frames` line, in the order of their times.",
-        "See which image each line means: it is known by its number; `--fix` numbers them by time, and the video with "
-        "them.",
-        find=_order,
-        fix=_counted_anew,
-    ),
-    Rule(
-        "frame-numbers-gaps",
-        Severity.WARNING,
-        "`number` grows by one from `frames` line to `frames` line.",
-        "See whether frames were dropped; `--fix` numbers the lines anew and takes images without a line out.",
-        find=_gaps,
-        fix=_counted_anew,
-    ),
-    Rule(
-        "frames-without-camera",
-        Severity.WARNING,
-        "Every `frames` line names every camera.",
-        "Add the camera, with `missingBitmap` where it has no image: the vendor's software refuses other lines.",
-        find=_without_cameras,
-        fix=_with_all_cameras,
-    ),
-    Rule(
-        "frames-missing-bitmap",
-        Severity.HINT,
-        "No entry of a `frames` line says `missingBitmap`.",
-        "See whether the camera dropped images.",
-        find=warnings_of_code("missing-bitmaps"),
-    ),
-    Rule(
-        "frame-entry-times",
-        Severity.WARNING,
-        "`frames[].time` lies within half a period of its line's time.",
-        "Write the time at which the image was taken, on the clock of the other lines.",
-        find=_entry_times,
-    ),
-    Rule(
-        "stereo-in-step",
-        Severity.WARNING,
-        f"Cameras that look the same way take their images within {IN_STEP * 1e3:g} ms.",
-        "Trigger both together, or give them lines of their own: a pair is taken for one moment.",
-        find=_out_of_step,
-    ),
+# fmt: off
+FRAME_LINE_RULES: tuple[Rule, ...] = (
+    Rule("frame-numbers-begin", HINT, "`number` of the first `frames` line is 0.",
+         "Count from 0: what counts from elsewhere takes other images of the video in some programs.",
+         find=_begin, fix=_counted_anew),
+    Rule("frame-numbers-increasing", WARNING,
+         "`number` grows from `frames` line to `frames` line, in the order of their times.",
+         "See which image each line means: it is known by its number; `--fix` numbers them by time, and the video "
+         "with them.", find=_order, fix=_counted_anew),
+    Rule("frame-numbers-gaps", WARNING, "`number` grows by one from `frames` line to `frames` line.",
+         "See whether frames were dropped; `--fix` numbers the lines anew and takes images without a line out.",
+         find=_gaps, fix=_counted_anew),
+    Rule("frames-without-camera", WARNING, "Every `frames` line names every camera.",
+         "Add the camera, with `missingBitmap` where it has no image: the vendor's software refuses other lines.",
+         find=_without_cameras, fix=_with_all_cameras),
+    Rule("frames-missing-bitmap", HINT, "No entry of a `frames` line says `missingBitmap`.",
+         "See whether the camera dropped images.", find=warnings_of_code("missing-bitmaps")),
+    Rule("frame-entry-times", WARNING, "`frames[].time` lies within half a period of its line's time.",
+         "Write the time at which the image was taken, on the clock of the other lines.", find=_entry_times),
+    Rule("stereo-in-step", WARNING,
+         f"Cameras that look the same way take their images within {IN_STEP * 1e3:g} ms.",
+         "Trigger both together, or give them lines of their own: a pair is taken for one moment.",
+         find=_out_of_step),
 )
+# fmt: on
 
 FARTHEST, NEAREST = 400.0, 0.5
 """Half of a sweep's points lie nearer than the first, and farther than the second [m]."""
@@ -368,23 +321,14 @@ def _absurd(subject: Subject) -> Iterator[Hit]:
         yield Hit(f"{ranges.path}.frames[].points.positions", reported, len(ranges.found))
 
 
-LIDAR_LINES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "lidar-file-repeated",
-        Severity.WARNING,
-        "No two `lidar` lines name one file.",
-        "Give each sweep its own file; see whether a file was overwritten.",
-        find=_doubled,
-    ),
-    Rule(
-        "lidar-range",
-        Severity.WARNING,
-        f"The middle distance of a lidar's points is {NEAREST:g} to {FARTHEST:g} m.",
-        "Write metres.",
-        look=_look,
-        conclude=_absurd,
-    ),
+# fmt: off
+LIDAR_LINE_RULES: tuple[Rule, ...] = (
+    Rule("lidar-file-repeated", WARNING, "No two `lidar` lines name one file.",
+         "Give each sweep its own file; see whether a file was overwritten.", find=_doubled),
+    Rule("lidar-range", WARNING, f"The middle distance of a lidar's points is {NEAREST:g} to {FARTHEST:g} m.",
+         "Write metres.", look=_look, conclude=_absurd),
 )
+# fmt: on
 
 
 def _text(subject: Subject) -> str:
@@ -424,27 +368,17 @@ def _strange(subject: Subject) -> Iterator[Hit]:
         yield Hit(f"{VIO_CONFIG_FILE}: line {number}", f"{line[:60]!r}; expected a setting, `key: value`")
 
 
+# fmt: off
 CONFIGURATION_RULES: tuple[Rule, ...] = (
-    Rule(
-        "config-keys-known",
-        Severity.WARNING,
-        "Every setting of `vio_config.yaml` has a name that is publicly known.",
-        "See whether it is misspelt: the vendor's software stops at settings that it does not know.",
-        find=_unknown,
-    ),
-    Rule(
-        "config-keys-unique",
-        Severity.WARNING,
-        "No setting of `vio_config.yaml` stands there twice.",
-        "Leave one of them out.",
-        find=_repeated,
-    ),
-    Rule(
-        "config-lines-settings",
-        Severity.WARNING,
-        "Every line of `vio_config.yaml` is a setting, `key: value`, or belongs to the one above it.",
-        "Write a blank behind the colon, indent what belongs to a setting, or mark the line as a comment with `#`.",
-        find=_strange,
-    ),
+    Rule("config-keys-known", WARNING, "Every setting of `vio_config.yaml` has a name that is publicly known.",
+         "See whether it is misspelt: the vendor's software stops at settings that it does not know.",
+         find=_unknown),
+    Rule("config-keys-unique", WARNING, "No setting of `vio_config.yaml` stands there twice.",
+         "Leave one of them out.", find=_repeated),
+    Rule("config-lines-settings", WARNING,
+         "Every line of `vio_config.yaml` is a setting, `key: value`, or belongs to the one above it.",
+         "Write a blank behind the colon, indent what belongs to a setting, or mark the line as a comment with `#`.",
+         find=_strange),
 )
+# fmt: on
 """Rules that read the settings as they are kept."""

@@ -16,7 +16,7 @@ from sceneloom.checks.poses import (
     beyond_neighbours,
 )
 from sceneloom.checks.recordings.times import Kind, Stream, location, streams_of_kind
-from sceneloom.checks.rule import Hit, Rule, Subject
+from sceneloom.checks.rule import WARNING, Hit, Rule, Subject
 from sceneloom.formats.base.poses import GREATEST_NORM_ERROR
 from sceneloom.geometry.rotations import (
     angle_between,
@@ -28,7 +28,6 @@ from sceneloom.geometry.rotations import (
 )
 from sceneloom.scene.motion import ImuSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory
-from sceneloom.warnings import Severity
 
 _INTERVAL = 0.2
 """Rates are compared over so long [s], or over the time from pose to pose where that is longer."""
@@ -249,23 +248,18 @@ def _rotations(subject: Subject) -> Iterator[Hit]:
             yield Hit(location(stream, row), problem)
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "pose-steps",
-        Severity.WARNING,
-        "Poses of a recording move at up to 150 m/s, and no step is 3 times as fast as those beside it and 1 m more.",
-        "See whether the trajectory was pieced together, or tracking was lost and found again.",
-        find=_jumps,
-    ),
-    Rule(
-        "pose-rotations",
-        Severity.WARNING,
-        "Poses of a recording rotate by up to 720 degrees a second, and no step is 3 times as fast as those beside it "
-        "and 15 degrees more.",
-        "See whether the signs or the order of the quaternion's numbers change.",
-        find=_rotations,
-    ),
+# fmt: off
+POSE_STEP_RULES: tuple[Rule, ...] = (
+    Rule("pose-steps", WARNING,
+         "Poses of a recording move at up to 150 m/s, and no step is 3 times as fast as those beside it and 1 m "
+         "more.", "See whether the trajectory was pieced together, or tracking was lost and found again.",
+         find=_jumps),
+    Rule("pose-rotations", WARNING,
+         "Poses of a recording rotate by up to 720 degrees a second, and no step is 3 times as fast as those "
+         "beside it and 15 degrees more.",
+         "See whether the signs or the order of the quaternion's numbers change.", find=_rotations),
 )
+# fmt: on
 
 _LEAST_CORRELATION = 0.8
 """Rotate rates of orientations and of the gyroscope that correlate less do not agree."""
@@ -476,34 +470,21 @@ def _clocks(subject: Subject) -> Iterator[Hit]:
             yield Hit(f"trajectories[{found.name}]", problem)
 
 
+# fmt: off
 POSES_AND_IMU_RULES: tuple[Rule, ...] = (
-    Rule(
-        "poses-against-gravity",
-        Severity.WARNING,
-        f"What the accelerometer measures points up in the world of the poses, within {_GREATEST_TILT_DEG:.0f}°.",
-        "Write poses of the IMU as device to world, quaternions as x, y, z, w, in a world whose z points up; see "
-        "whether the accelerometer has the gyroscope's axes, and points up at rest.",
-        find=_gravity,
-    ),
-    Rule(
-        "poses-against-gyroscope",
-        Severity.WARNING,
-        f"Orientations rotate as the gyroscope measures: their rates correlate by {_LEAST_CORRELATION} or more.",
-        "Write poses as device to world, quaternions as x, y, z, w, of the IMU's own axes, in a right-handed world.",
-        find=_gyroscope,
-    ),
-    Rule(
-        "gyroscope-scale",
-        Severity.WARNING,
-        f"The gyroscope rotates {_SCALES[0]} to {_SCALES[1]} times as fast as the orientations.",
-        "Write radians per second.",
-        find=_scale,
-    ),
-    Rule(
-        "poses-clock",
-        Severity.WARNING,
-        f"Orientations rotate at the time at which the gyroscope does, within {_LEAST_SHIFT} s.",
-        "Find the offset with `sceneloom sync`, and bring both to one clock.",
-        find=_clocks,
-    ),
+    Rule("poses-against-gravity", WARNING,
+         f"What the accelerometer measures points up in the world of the poses, within {_GREATEST_TILT_DEG:.0f}°.",
+         "Write poses of the IMU as device to world, quaternions as x, y, z, w, in a world whose z points up; see "
+         "whether the accelerometer has the gyroscope's axes, and points up at rest.", find=_gravity),
+    Rule("poses-against-gyroscope", WARNING,
+         f"Orientations rotate as the gyroscope measures: their rates correlate by {_LEAST_CORRELATION} or more.",
+         "Write poses as device to world, quaternions as x, y, z, w, of the IMU's own axes, in a right-handed world.",
+         find=_gyroscope),
+    Rule("gyroscope-scale", WARNING,
+         f"The gyroscope rotates {_SCALES[0]} to {_SCALES[1]} times as fast as the orientations.",
+         "Write radians per second.", find=_scale),
+    Rule("poses-clock", WARNING,
+         f"Orientations rotate at the time at which the gyroscope does, within {_LEAST_SHIFT} s.",
+         "Find the offset with `sceneloom sync`, and bring both to one clock.", find=_clocks),
 )
+# fmt: on

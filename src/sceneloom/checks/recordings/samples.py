@@ -8,8 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.checks.recordings.times import APART_SECONDS, Kind, Stream, location, streams_of_kind
-from sceneloom.checks.rule import Find, Hit, Rule, Subject
-from sceneloom.warnings import Severity
+from sceneloom.checks.rule import ERROR, HINT, WARNING, Find, Hit, Rule, Subject
 
 FAR_SECONDS = 0.1
 
@@ -103,29 +102,20 @@ def _between_counts(streams: dict[Kind, Stream]) -> int:
     return abs(len(streams[Kind.ACCELEROMETER]) - len(streams[Kind.GYROSCOPE]))
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "frames-far-from-imu",
-        Severity.WARNING,
-        "Every image has a sample of the gyroscope within 0.1 s and 4 of its intervals, whichever is longer.",
-        "See whether both are on one clock, and whether the IMU was started late or stopped early.",
-        find=_far_from_imu,
-    ),
-    Rule(
-        "frames-at-imu-times",
-        Severity.HINT,
-        "At most half of the images have the very time of a sample of the IMU.",
-        "Timestamp images when they are exposed, not with the next sample's time; the vendor's diagnosis warns of it.",
-        find=_at_samples,
-    ),
-    Rule(
-        "imu-clocks",
-        Severity.WARNING,
-        "Accelerometer and gyroscope of one rate and length begin and end within 1.5 intervals of each other.",
-        "See whether one of them is timestamped late, and take the shift off its times.",
-        find=_shifted,
-    ),
+# fmt: off
+IMU_TIME_RULES: tuple[Rule, ...] = (
+    Rule("frames-far-from-imu", WARNING,
+         "Every image has a sample of the gyroscope within 0.1 s and 4 of its intervals, whichever is longer.",
+         "See whether both are on one clock, and whether the IMU was started late or stopped early.",
+         find=_far_from_imu),
+    Rule("frames-at-imu-times", HINT, "At most half of the images have the very time of a sample of the IMU.",
+         "Timestamp images when they are exposed, not with the next sample's time; the vendor's diagnosis warns "
+         "of it.", find=_at_samples),
+    Rule("imu-clocks", WARNING,
+         "Accelerometer and gyroscope of one rate and length begin and end within 1.5 intervals of each other.",
+         "See whether one of them is timestamped late, and take the shift off its times.", find=_shifted),
 )
+# fmt: on
 
 LEAST_MEAN_PULL, GREATEST_MEAN_PULL = 8.0, 20.0
 """What an accelerometer measures on average [m/s²]: gravity is in it, and no vehicle pulls twice as much for long."""
@@ -248,43 +238,23 @@ def _fast_rotations(subject: Subject) -> Iterator[Hit]:
             yield from _beyond(stream, FASTEST_ROTATION, "rad/s")
 
 
-IMU_VALUES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "accelerometer-unit",
-        Severity.ERROR,
-        "Accelerations are m/s² with gravity in them: 8 to 20 long on average.",
-        "Write what the accelerometer measures, in m/s²: at rest it points up and is 9.81 long.",
-        find=_wrong_unit_of_pull,
-    ),
-    Rule(
-        "accelerometer-range",
-        Severity.WARNING,
-        "No acceleration is longer than 200 m/s².",
-        "See whether the sensor was hit, or its samples are torn.",
-        find=_hard_pulls,
-    ),
-    Rule(
-        "accelerometer-noise",
-        Severity.WARNING,
-        "Above a quarter of the rate, accelerations are 2.5 m/s² at most on average.",
-        "Mount the sensor where it shakes less, or filter before thinning out its samples.",
-        find=_noise,
-    ),
-    Rule(
-        "gyroscope-unit",
-        Severity.ERROR,
-        "Rotate rates are rad/s: faster than 20 for no longer than a shock takes, 0.2 s or 0.1 % of the time.",
-        "Write rad/s; degrees per second are 57.3 times as large.",
-        find=_wrong_unit_of_rotations,
-    ),
-    Rule(
-        "gyroscope-range",
-        Severity.WARNING,
-        "No yaw rate is faster than 20 rad/s.",
-        "See whether the sensor was hit, or its samples are torn.",
-        find=_fast_rotations,
-    ),
+# fmt: off
+IMU_VALUE_RULES: tuple[Rule, ...] = (
+    Rule("accelerometer-unit", ERROR, "Accelerations are m/s² with gravity in them: 8 to 20 long on average.",
+         "Write what the accelerometer measures, in m/s²: at rest it points up and is 9.81 long.",
+         find=_wrong_unit_of_pull),
+    Rule("accelerometer-range", WARNING, "No acceleration is longer than 200 m/s².",
+         "See whether the sensor was hit, or its samples are torn.", find=_hard_pulls),
+    Rule("accelerometer-noise", WARNING,
+         "Above a quarter of the rate, accelerations are 2.5 m/s² at most on average.",
+         "Mount the sensor where it shakes less, or filter before thinning out its samples.", find=_noise),
+    Rule("gyroscope-unit", ERROR,
+         "Rotate rates are rad/s: faster than 20 for no longer than a shock takes, 0.2 s or 0.1 % of the time.",
+         "Write rad/s; degrees per second are 57.3 times as large.", find=_wrong_unit_of_rotations),
+    Rule("gyroscope-range", WARNING, "No yaw rate is faster than 20 rad/s.",
+         "See whether the sensor was hit, or its samples are torn.", find=_fast_rotations),
 )
+# fmt: on
 
 
 @dataclass(frozen=True, slots=True)
@@ -406,34 +376,18 @@ def _repeated(stream: Stream) -> np.ndarray:
     return np.flatnonzero((values[1:] == values[:-1]).all(axis=1))
 
 
-SENSOR_VALUES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "magnetometer-unit",
-        Severity.WARNING,
-        "The magnetic field is in µT: at most 1000, and its median at least 5.",
-        "Write µT: 1000 nanotesla, 10 milligauss or 0.01 gauss each.",
-        find=_weak_field,
-    ),
-    Rule(
-        "barometer-unit",
-        Severity.WARNING,
-        "The pressure of the air is 800 to 1200 hPa.",
-        "Write hPa: 100 pascal each.",
-        find=_out_of_range(Kind.BAROMETER),
-    ),
-    Rule(
-        "temperature-unit",
-        Severity.WARNING,
-        "The temperature of the IMU is 200 to 400 K.",
-        "Write kelvin: degrees Celsius and 273.15.",
-        find=_out_of_range(Kind.TEMPERATURE),
-    ),
-    Rule(
-        "values-repeated",
-        Severity.WARNING,
-        "At most 1 % of samples of a sensor, and of fixes, have the very values of the one before; "
-        "of a barometer's, 20 %.",
-        "See whether the sensor hung, or samples were filled in to reach a rate that it does not have.",
-        find=_hanging,
-    ),
+# fmt: off
+SENSOR_VALUE_RULES: tuple[Rule, ...] = (
+    Rule("magnetometer-unit", WARNING, "The magnetic field is in µT: at most 1000, and its median at least 5.",
+         "Write µT: 1000 nanotesla, 10 milligauss or 0.01 gauss each.", find=_weak_field),
+    Rule("barometer-unit", WARNING, "The pressure of the air is 800 to 1200 hPa.",
+         "Write hPa: 100 pascal each.", find=_out_of_range(Kind.BAROMETER)),
+    Rule("temperature-unit", WARNING, "The temperature of the IMU is 200 to 400 K.",
+         "Write kelvin: degrees Celsius and 273.15.", find=_out_of_range(Kind.TEMPERATURE)),
+    Rule("values-repeated", WARNING,
+         "At most 1 % of samples of a sensor, and of fixes, have the very values of the one before; of a "
+         "barometer's, 20 %.",
+         "See whether the sensor hung, or samples were filled in to reach a rate that it does not have.",
+         find=_hanging),
 )
+# fmt: on

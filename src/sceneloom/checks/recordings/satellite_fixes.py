@@ -8,12 +8,11 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.checks.poses import FASTEST
 from sceneloom.checks.recordings.times import Kind, Stream, location, streams_of_kind
-from sceneloom.checks.rule import Hit, Rule, Subject
+from sceneloom.checks.rule import ERROR, WARNING, Hit, Rule, Subject
 from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.motion.ego_trajectory import usable_fixes
 from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Trajectory
-from sceneloom.warnings import Severity
 
 LOWEST, HIGHEST = -500.0, 10_000.0
 """Altitudes [m] between the Dead Sea's shore and the highest roads, with room for aeroplanes."""
@@ -188,44 +187,25 @@ def _too_far(seconds: Float64Array, locations: Float64Array, sigmas: Float64Arra
     return far
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "fixes-on-earth",
-        Severity.ERROR,
-        "Latitudes of fixes lie within 90 degrees, longitudes within 180.",
-        "See whether they are exchanged, or in another unit than degrees.",
-        find=_off_the_earth,
-    ),
-    Rule(
-        "fixes-somewhere",
-        Severity.WARNING,
-        "No fix is at latitude 0, longitude 0, and not all are within what radians reach.",
-        "Leave fixes out that are none; write degrees.",
-        find=_at_zero,
-    ),
-    Rule(
-        "fixes-altitude",
-        Severity.WARNING,
-        "Altitudes of fixes are -500 to 10000 m.",
-        "Write metres above the ellipsoid.",
-        find=_altitudes,
-    ),
-    Rule(
-        "fixes-accuracy",
-        Severity.WARNING,
-        "Accuracies of fixes are more than 0 and at most 1000 m, where they are given.",
-        "Leave the accuracy out where it is not known: whoever weighs fixes by it trusts one of 0 without end.",
-        find=_accuracies,
-    ),
-    Rule(
-        "fixes-jump",
-        Severity.WARNING,
-        "No fix lies farther off the trajectory between its neighbours than 8 of their accuracies, 10 m/s² and 0.5 m "
-        "explain, nor is reached at more than 150 m/s.",
-        "Leave the fix out, or give it the accuracy that it has.",
-        find=_jumps,
-    ),
+# fmt: off
+FIX_RULES: tuple[Rule, ...] = (
+    Rule("fixes-on-earth", ERROR, "Latitudes of fixes lie within 90 degrees, longitudes within 180.",
+         "See whether they are exchanged, or in another unit than degrees.", find=_off_the_earth),
+    Rule("fixes-somewhere", WARNING,
+         "No fix is at latitude 0, longitude 0, and not all are within what radians reach.",
+         "Leave fixes out that are none; write degrees.", find=_at_zero),
+    Rule("fixes-altitude", WARNING, "Altitudes of fixes are -500 to 10000 m.",
+         "Write metres above the ellipsoid.", find=_altitudes),
+    Rule("fixes-accuracy", WARNING,
+         "Accuracies of fixes are more than 0 and at most 1000 m, where they are given.",
+         "Leave the accuracy out where it is not known: whoever weighs fixes by it trusts one of 0 without end.",
+         find=_accuracies),
+    Rule("fixes-jump", WARNING,
+         "No fix lies farther off the trajectory between its neighbours than 8 of their accuracies, 10 m/s² and "
+         "0.5 m explain, nor is reached at more than 150 m/s.",
+         "Leave the fix out, or give it the accuracy that it has.", find=_jumps),
 )
+# fmt: on
 
 LEAST_CORRELATION = -0.8
 """Rotates that correlate worse were taken to the other side."""
@@ -313,16 +293,15 @@ def _ends_of_legs(locations: Float64Array, shortest: float) -> Int64Array:
     return np.array(ends, np.int64)
 
 
-FIXES_ROTATING_RULES: tuple[Rule, ...] = (
-    Rule(
-        "fixes-mirrored",
-        Severity.WARNING,
-        "The trajectory of the fixes rotates to the side to which the gyroscope rotates: they do not correlate by "
-        "less than -0.8.",
-        "See whether latitude and longitude are exchanged, and whether the accelerometer points up at rest.",
-        find=_mirrored,
-    ),
+# fmt: off
+FIX_ROTATION_RULES: tuple[Rule, ...] = (
+    Rule("fixes-mirrored", WARNING,
+         "The trajectory of the fixes rotates to the side to which the gyroscope rotates: they do not correlate "
+         "by less than -0.8.",
+         "See whether latitude and longitude are exchanged, and whether the accelerometer points up at rest.",
+         find=_mirrored),
 )
+# fmt: on
 
 NEAREST_REPORTED = 5.0
 """Fixes within this distance [m] of a trajectory agree with it, whatever they claim: antennas sit elsewhere."""
@@ -466,21 +445,15 @@ def _upside_down(subject: Subject) -> Iterator[Hit]:
             yield Hit(f"trajectories[{case.trajectory.name}]", reported)
 
 
+# fmt: off
 POSES_AND_GNSS_RULES: tuple[Rule, ...] = (
-    Rule(
-        "poses-against-gnss",
-        Severity.WARNING,
-        f"Trajectories lie along the fixes of the satellites, within {NEAREST_REPORTED:g} m or {_ACCURACIES:g} times "
-        f"their "
-        f"accuracy, and {_DRIFT:.0%} of the trajectory.",
-        "Write positions in metres, in a right-handed world whose z points up, on the clock of the fixes.",
-        find=_far_apart,
-    ),
-    Rule(
-        "heights-against-gnss",
-        Severity.WARNING,
-        "Trajectories climb where the altitudes of the fixes do.",
-        "Write positions in a world whose z points up.",
-        find=_upside_down,
-    ),
+    Rule("poses-against-gnss", WARNING,
+         f"Trajectories lie along the fixes of the satellites, within {NEAREST_REPORTED:g} m or {_ACCURACIES:g} times "
+         f"their "
+         f"accuracy, and {_DRIFT:.0%} of the trajectory.",
+         "Write positions in metres, in a right-handed world whose z points up, on the clock of the fixes.",
+         find=_far_apart),
+    Rule("heights-against-gnss", WARNING, "Trajectories climb where the altitudes of the fixes do.",
+         "Write positions in a world whose z points up.", find=_upside_down),
 )
+# fmt: on

@@ -15,7 +15,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.checks.faults import as_read
-from sceneloom.checks.rule import Find, Hit, Rule, Subject, chosen_frames
+from sceneloom.checks.rule import HINT, WARNING, Find, Hit, Rule, Subject, chosen_frames
 from sceneloom.formats.recording.columns import (
     Columns,
     LineLog,
@@ -31,7 +31,6 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor
-from sceneloom.warnings import Severity
 
 _FEWEST_FOR_A_RATE = 4
 """Fewer samples do not report what is usual."""
@@ -360,16 +359,14 @@ def _with_unit_orientations(trajectory: Trajectory) -> Trajectory:
     return replace(trajectory, quaternions_xyzw=read_only(units))
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "orientation-norm",
-        Severity.WARNING,
-        f"Orientations of poses have length 1, within {NORM_TOLERANCE:g}; beyond 0.01 they are refused.",
-        "Write quaternions with more digits; `--fix` scales them to length 1.",
-        find=_lengths,
-        fix=with_unit_orientations,
-    ),
+# fmt: off
+ORIENTATION_RULES: tuple[Rule, ...] = (
+    Rule("orientation-norm", WARNING,
+         f"Orientations of poses have length 1, within {NORM_TOLERANCE:g}; beyond 0.01 they are refused.",
+         "Write quaternions with more digits; `--fix` scales them to length 1.", find=_lengths,
+         fix=with_unit_orientations),
 )
+# fmt: on
 
 GAP_SECONDS = 0.25
 
@@ -589,72 +586,39 @@ def _apart(subject: Subject) -> Iterator[Hit]:
                 yield Hit(stream.whole, problem)
 
 
-TIMES_RULES: tuple[Rule, ...] = (
-    Rule(
-        "lines-in-order",
-        Severity.WARNING,
-        "The lines of a recording stand in the order of their times.",
-        "Sort the lines by time; software that replays them in the order of the file drops what comes late.",
-        find=_out_of_order,
-        fix=as_read,
-    ),
-    Rule(
-        "stream-times-unique",
-        Severity.WARNING,
-        "No two samples, images or poses of a stream have one time.",
-        "Leave one of them out, or write times with all their digits; `--fix` leaves out what stands there twice.",
-        find=_of_one_time,
-        fix=without_repetitions,
-    ),
-    Rule(
-        "stream-gaps",
-        Severity.WARNING,
-        "No interval of a recording's stream exceeds the usual one by more than 0.25 s and 10 intervals; of images "
-        "and sweeps, by 0.75 intervals where at most 5 % do.",
-        "See whether samples were lost: a full disk, a full buffer, a loose cable.",
-        find=_gaps(irregular=False),
-    ),
-    Rule(
-        "samples-lost",
-        Severity.HINT,
-        "No interval of the IMU, of a magnetometer or of a barometer is longer than 1.75 usual ones.",
-        "See whether single samples were lost; what integrates them has to go by their times.",
-        find=_single_losses,
-    ),
-    Rule(
-        "stream-outages",
-        Severity.HINT,
-        "No interval between fixes or poses exceeds the usual one by more than 0.25 s and 10 intervals.",
-        "Compute with it where these are relied on: there was no reception, or tracking was lost.",
-        find=_gaps(irregular=True),
-    ),
-    Rule(
-        "stream-jitter",
-        Severity.WARNING,
-        "At most 5 % of a stream's intervals are off the usual one by more than a fifth.",
-        "Timestamp samples when they are measured, not when they arrive.",
-        find=_uneven(irregular=False),
-    ),
-    Rule(
-        "stream-uneven",
-        Severity.HINT,
-        "At most 5 % of the intervals between fixes or poses are off the usual one by more than a fifth.",
-        "Timestamp fixes and poses with the time that they are for, not with that of their arrival.",
-        find=_uneven(irregular=True),
-    ),
-    Rule(
-        "stream-rate",
-        Severity.WARNING,
-        "Streams come at rates that sensors have: cameras and lidars at 1 to 100 Hz, accelerometer and gyroscope at 50 "
-        "to 10000, magnetometer and barometer at 1 to 1000, fixes at up to 100, poses at 1 to 10000.",
-        "See whether times are seconds; of a slow IMU, record it at its own rate.",
-        find=_wrong_rates,
-    ),
-    Rule(
-        "streams-together",
-        Severity.WARNING,
-        "All streams of a recording start and end within 5 s of each other.",
-        "See whether all are on one clock, and whether one of them was cut off.",
-        find=_apart,
-    ),
+# fmt: off
+STREAM_RULES: tuple[Rule, ...] = (
+    Rule("lines-in-order", WARNING, "The lines of a recording stand in the order of their times.",
+         "Sort the lines by time; software that replays them in the order of the file drops what comes late.",
+         find=_out_of_order, fix=as_read),
+    Rule("stream-times-unique", WARNING, "No two samples, images or poses of a stream have one time.",
+         "Leave one of them out, or write times with all their digits; `--fix` leaves out what stands there twice.",
+         find=_of_one_time, fix=without_repetitions),
+    Rule("stream-gaps", WARNING,
+         "No interval of a recording's stream exceeds the usual one by more than 0.25 s and 10 intervals; of "
+         "images and sweeps, by 0.75 intervals where at most 5 % do.",
+         "See whether samples were lost: a full disk, a full buffer, a loose cable.",
+         find=_gaps(irregular=False)),
+    Rule("samples-lost", HINT,
+         "No interval of the IMU, of a magnetometer or of a barometer is longer than 1.75 usual ones.",
+         "See whether single samples were lost; what integrates them has to go by their times.",
+         find=_single_losses),
+    Rule("stream-outages", HINT,
+         "No interval between fixes or poses exceeds the usual one by more than 0.25 s and 10 intervals.",
+         "Compute with it where these are relied on: there was no reception, or tracking was lost.",
+         find=_gaps(irregular=True)),
+    Rule("stream-jitter", WARNING,
+         "At most 5 % of a stream's intervals are off the usual one by more than a fifth.",
+         "Timestamp samples when they are measured, not when they arrive.", find=_uneven(irregular=False)),
+    Rule("stream-uneven", HINT,
+         "At most 5 % of the intervals between fixes or poses are off the usual one by more than a fifth.",
+         "Timestamp fixes and poses with the time that they are for, not with that of their arrival.",
+         find=_uneven(irregular=True)),
+    Rule("stream-rate", WARNING,
+         "Streams come at rates that sensors have: cameras and lidars at 1 to 100 Hz, accelerometer and gyroscope "
+         "at 50 to 10000, magnetometer and barometer at 1 to 1000, fixes at up to 100, poses at 1 to 10000.",
+         "See whether times are seconds; of a slow IMU, record it at its own rate.", find=_wrong_rates),
+    Rule("streams-together", WARNING, "All streams of a recording start and end within 5 s of each other.",
+         "See whether all are on one clock, and whether one of them was cut off.", find=_apart),
 )
+# fmt: on

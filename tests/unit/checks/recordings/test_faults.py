@@ -8,7 +8,7 @@ import pytest
 
 import sceneloom
 from sceneloom.checks import validate
-from sceneloom.checks.faults import FAULT_CODES, FAULTS_FAULT_RULES
+from sceneloom.checks.faults import FAULT_CODES, RECORDING_FAULT_RULES
 from sceneloom.formats.base.diagnostics import MOST_LOCATIONS
 
 READER = Path(sceneloom.__file__).parent / "formats" / "recording"
@@ -158,4 +158,4 @@ def test_nothing_is_repaired_where_the_calibration_cannot_be_read(write, tmp_pat
 
 
 def test_ids_of_the_rules_are_the_codes():
-    assert len(FAULT_CODES) == len(FAULTS_FAULT_RULES)
+    assert len(FAULT_CODES) == len(RECORDING_FAULT_RULES)

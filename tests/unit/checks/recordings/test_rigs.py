@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 
 from sceneloom.checks import validate
-from sceneloom.checks.recordings import calibration
-from sceneloom.checks.recordings import lines as recordings_lines
+from sceneloom.checks.recordings.calibration import CALIBRATED_CAMERA_RULES, CALIBRATION_RULES, MOUNTING_RULES
+from sceneloom.checks.recordings.lines import FRAME_LINE_RULES, LIDAR_LINE_RULES
 
-RULES = tuple(
-    rule.id
-    for module in (recordings_lines, calibration, calibration, calibration, recordings_lines)
-    for rule in module.RULES
-)
+TABLES = (FRAME_LINE_RULES, CALIBRATION_RULES, CALIBRATED_CAMERA_RULES, MOUNTING_RULES, LIDAR_LINE_RULES)
+RULES = tuple(rule.id for table in TABLES for rule in table)
 FRAMES = 12
 LAYOUT = "RoboSense M1 XYZIRT"
 

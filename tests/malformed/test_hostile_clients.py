@@ -338,7 +338,7 @@ def attack(rig, other, name, count, *, seed=0):
 
 def is_a_fault(counter):
     """Whether a counter reports an exception that should not have been."""
-    return counter.startswith("errors.") and counter != "errors.unreadable-camera-image"
+    return counter.startswith("errors.") and counter != "errors.unreadable-image"
 
 
 def _options(rig, *, waits):
@@ -467,7 +467,7 @@ def test_files_of_images_that_hold_far_more_than_they_should_cost_their_image_al
     rig("Flush")
     counts = rig.counts()
     assert counts["received.image"] == len(bombs)
-    assert counts["errors.unreadable-camera-image"] >= 4
+    assert counts["errors.unreadable-image"] >= 4
     assert not [name for name in counts if is_a_fault(name)]
     assert other.works()
     assert server.peak() - before < 192 * MEBIBYTE

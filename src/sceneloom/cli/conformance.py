@@ -55,8 +55,8 @@ def conformance(
     Any server of the project's .proto can be checked, whoever wrote it. Each check works in a session of its own,
     which is ended after it.
     """
-    from sceneloom.db34t.conformance.examination import as_builtins, chosen, examine, form_of, write_report
-    from sceneloom.db34t.transport import Doors, GrpcTransport
+    from sceneloom.db34t.conformance.examination import check_report, chosen, examine
+    from sceneloom.db34t.transport import Access, GrpcTransport
     from sceneloom.formats.base.output import check_output
 
     checks = chosen(only)
@@ -67,17 +67,17 @@ def conformance(
         raise click.UsageError("Missing argument 'HOST:PORT'.", context)
     certificate = certificate_of(client_cert, client_key)
     if report is not None:
-        form_of(report)
+        check_report(report)
         check_output(report, overwrite=overwrite)
     with (
-        GrpcTransport.connected(address, Doors(ca, token_file, certificate)) as transport,
+        GrpcTransport.connected(address, Access(ca, token_file, certificate)) as transport,
         progress_bar("checking", quiet=quiet) as progress,
     ):
         examination = examine(transport, address=address, only=only, progress=progress)
     if report is not None:
-        write_report(examination, report, overwrite=overwrite)
+        examination.write(report, overwrite=overwrite)
     if as_json:
-        print_json(as_builtins(examination))
+        print_json(examination.as_builtins())
     else:
         _print_examination(examination, verbose=verbose, report=report)
     if not examination.passed:

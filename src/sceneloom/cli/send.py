@@ -46,7 +46,7 @@ def send(
     **further: Any,
 ) -> None:
     """Send a drive to a fusion service as its sensors would have sent it; or a log of `serve --log` once more."""
-    from sceneloom.service.replay import is_log
+    from sceneloom.service.session_log import is_log
 
     calls = {name: further.pop(name) for name in _CALLING}
     with connected(address, **calls) as open_client, progress_bar("sending", quiet=quiet) as progress:
@@ -81,7 +81,7 @@ def _send_log(
 ) -> "SendReport":
     if stated:
         raise click.UsageError(f"--{next(iter(stated))} says nothing of a log, which is sent as it is")
-    from sceneloom.service.replay import send_log
+    from sceneloom.service.sending import send_log
 
     return send_log(path, lambda name: open_client(session or name.replace("#", "-")), rate=rate)
 

@@ -79,8 +79,9 @@ def serve(
 
     with ExitStack() as stack:
         stack.enter_context(reporting_compiling(report))
+        from sceneloom.db34t.transport import read_token
         from sceneloom.service.running import configured, serve_until_ended
-        from sceneloom.service.server import Security, ServerSettings, read_token
+        from sceneloom.service.server import Security, ServerSettings
 
         limits, configure = configured(
             config, **stated(most_sessions=max_sessions, idle_minutes=idle_minutes)
@@ -94,9 +95,9 @@ def serve(
         security.check_host(host)
         observe: Any = None
         if log is not None:
-            from sceneloom.service.session_log import BlackBox
+            from sceneloom.service.session_log import SessionLog
 
-            observe = stack.enter_context(BlackBox(log, overwrite=overwrite)).session
+            observe = stack.enter_context(SessionLog(log, overwrite=overwrite)).session
         settings = ServerSettings(
             host=host,
             port=port,

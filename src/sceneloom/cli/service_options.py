@@ -67,8 +67,8 @@ def connected(
 ) -> Iterator[Callable[[str], "FusionClient"]]:
     """Give what opens clients of sessions; all are closed in the end. The name "" stands for the chosen session."""
     certificate = certificate_of(client_cert, client_key)
+    from sceneloom.db34t.transport import read_token
     from sceneloom.service.client import FusionClient
-    from sceneloom.service.server import read_token
 
     token = None if token_file is None else read_token(token_file)
     opened: list[FusionClient] = []

@@ -343,10 +343,7 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
                 check=parse_calibrations,
             ),
             PredefinedProperty(
-                "reference_frame",
-                "frame of the points in results of table 9: 0 camera, 1 lidar",
-                "bool",
-                1,
+                "reference_frame", "frame of the points in results of table 9: 0 camera, 1 lidar", "bool", 1
             ),
             PredefinedProperty(
                 "depth_kind",

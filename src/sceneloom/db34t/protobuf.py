@@ -26,10 +26,16 @@ from sceneloom.db34t.types import (
     bytes_view,
     shown,
 )
-from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError, MissingExtraError, how_to_install
 from sceneloom.formats.base.protobuf import LENGTH_TYPE, WireField, enclosed, field_head, wire_fields
 from sceneloom.kernels import packed
+
+try:
+    from google.protobuf.message import DecodeError, Message
+
+    from sceneloom.db34t.wire import fusion_pb2
+except ImportError as missing:
+    raise MissingExtraError(f"{missing}; install the extra: {how_to_install('serve')}") from missing
 
 
 def timestamp_to_protobuf(timestamp: Timestamp) -> fusion_pb2.Timestamp:
@@ -322,13 +328,6 @@ def _form(field: Any, layout: ListLayout) -> int:
     kinds |= {field.TYPE_STRING: "string", field.TYPE_MESSAGE: "message"}
     return _FORMS[kinds[field.type], field.is_repeated]
 
-
-try:
-    from google.protobuf.message import DecodeError, Message
-
-    from sceneloom.db34t.wire import fusion_pb2
-except ImportError as missing:
-    raise MissingExtraError(f"{missing}; install the extra: {how_to_install('serve')}") from missing
 
 _KIND_OF_MESSAGE: Mapping[str, RecordKind] = {kind.message_name: kind for kind in RECORD_KINDS.values()}
 

@@ -3,6 +3,7 @@
 And the calls that the conformance kit makes.
 """
 
+import ipaddress
 import ssl
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -10,15 +11,20 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol, Self
 
-import grpc
-from google.protobuf.message import DecodeError, Message
-from grpc_health.v1 import health_pb2
-from grpc_reflection.v1alpha import reflection_pb2
-
-from sceneloom.db34t.wire import fusion_pb2
-from sceneloom.errors import DataError, OptionError, SceneloomError
+from sceneloom.errors import DataError, MissingExtraError, OptionError, SceneloomError, how_to_install
 from sceneloom.formats.base.files import read_settings
-from sceneloom.service.server import read_token
+
+try:
+    import grpc
+    from google.protobuf.message import DecodeError, Message
+    from grpc_health.v1 import health_pb2
+    from grpc_reflection.v1alpha import reflection_pb2
+
+    from sceneloom.db34t.wire import fusion_pb2
+except ImportError as missing:
+    raise MissingExtraError(f"{missing}; install the extra: {how_to_install('serve')}") from missing
+
+_SHORTEST_TOKEN = 16
 
 
 def read_certificates(path: Path) -> bytes:
@@ -52,6 +58,22 @@ def read_pair(certificate: Path, key: Path) -> tuple[bytes, bytes]:
         wanted = f"the unencrypted key (PEM) of the certificate in {certificate}"
         raise DataError(key, "", f"not that key; expected {wanted}") from error
     return certificates, private
+
+
+def read_token(path: Path) -> str:
+    """Read a token from a file that holds nothing else.
+
+    Raises:
+        DataError: it is no text, too short, or has blanks in it.
+    """
+    try:
+        token = read_settings(path).decode("ascii").strip()
+    except UnicodeDecodeError as error:
+        raise DataError(path, "", "no token; expected ASCII characters") from error
+    if len(token) < _SHORTEST_TOKEN or not token.isprintable() or " " in token:
+        problem = f"{len(token)} characters; expected a token of {_SHORTEST_TOKEN} or more without blanks"
+        raise DataError(path, "", problem)
+    return token
 
 
 class ServiceError(SceneloomError):
@@ -203,8 +225,19 @@ class Transport(Protocol):
         ...
 
 
+def is_local(address: str) -> bool:
+    """Whether a host, or HOST:PORT, is this machine's alone."""
+    host = address.rsplit(":", 1)[0] if address.count(":") == 1 or "]:" in address else address
+    if host == "localhost" or address.startswith("unix:"):
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
 @dataclass(frozen=True, slots=True)
-class Doors:
+class Access:
     """How a server lets one in.
 
     Attributes:
@@ -238,13 +271,13 @@ class Doors:
             OSError: a file cannot be read.
         """
         options = [
-            (f"grpc.max_{trajectory}_message_length", _LARGEST_MESSAGE) for trajectory in ("send", "receive")
+            (f"grpc.max_{direction}_message_length", _LARGEST_MESSAGE) for direction in ("send", "receive")
         ]
         if self.ca is not None:
             chain, key = (None, None) if self.certificate is None else read_pair(*self.certificate)
             credentials = grpc.ssl_channel_credentials(read_certificates(self.ca), key, chain)
             return grpc.secure_channel(address, credentials, options)
-        if self.token_file is not None and not _is_here(address):
+        if self.token_file is not None and not is_local(address):
             raise OptionError(f"{address}: a token over a connection that is not encrypted; state --ca, too")
         return grpc.insecure_channel(address, options)
 
@@ -267,7 +300,7 @@ class GrpcTransport:
         self._stubs: Mapping[str, Any] = {method.name: _stub(channel, method) for method in SERVICE.methods}
 
     @classmethod
-    def connected(cls, address: str, doors: Doors) -> "GrpcTransport":
+    def connected(cls, address: str, access: Access) -> "GrpcTransport":
         """Connect to a server.
 
         Raises:
@@ -276,7 +309,7 @@ class GrpcTransport:
             DataError: a file holds no token, or no certificate.
             OSError: a file cannot be read.
         """
-        channel = doors.channel(address)
+        channel = access.channel(address)
         try:
             grpc.channel_ready_future(channel).result(timeout=PATIENCE_S / 3)
         except grpc.FutureTimeoutError:
@@ -285,7 +318,7 @@ class GrpcTransport:
                 "no server answers there; is it running, and are both sides with or both without TLS (--ca)?"
             )
             raise NobodyAnswersError(f"{address}: {reported}") from None
-        transport = cls(channel, metadata=doors.metadata())
+        transport = cls(channel, metadata=access.metadata())
         try:
             transport.call("CloseSession", fusion_pb2.CloseSessionRequest(session="conformance-knocks"))
         except CallFailedError as error:
@@ -394,8 +427,3 @@ def _only(replies: list[Any]) -> Any:
         error = replies[0].error_response
         raise CallFailedError(f"code {error.error_code}", error.error_message)
     return replies[0]
-
-
-def _is_here(address: str) -> bool:
-    host = address.rsplit(":", 1)[0].strip("[]")
-    return host in {"localhost", "::1"} or host.startswith("127.") or address.startswith("unix:")

@@ -320,10 +320,7 @@ class Rig:
 
     def _system(self, lidar_id: int, setting: Setting) -> FusionSystem:
         system = FusionSystem(
-            setting.configuration,
-            on_unreadable=self._unreadable,
-            on_failed=self._failed,
-            on_left=self._leave,
+            setting.configuration, on_unreadable=self._unreadable, on_failed=self._failed, on_left=self._leave
         )
         system.add_lidar(f"lidar{lidar_id}", _AT_LIDAR, period_ns=setting.sweep_period_ns, location=_AT_LIDAR)
         return system
@@ -399,10 +396,7 @@ class ResultsQueue:
         self._counters.add(_COUNTED[kind])
         self._announcer.notify(result)
         dropped = self._queues[kind].put(
-            result,
-            size=size_of(record),
-            most=properties["result_queue_length"],
-            most_bytes=self._most_bytes,
+            result, size=size_of(record), most=properties["result_queue_length"], most_bytes=self._most_bytes
         )
         self._counters.add("dropped.results", dropped)
         if self._on_result is not None:

@@ -16,7 +16,4 @@ else:
         },
     )
 
-__all__ = [
-    "FusionConfiguration",
-    "FusionSystem",
-]
+__all__ = ["FusionConfiguration", "FusionSystem"]

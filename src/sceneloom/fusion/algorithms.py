@@ -52,7 +52,7 @@ BUILT_IN: Mapping[FusionType, Mapping[str, str]] = MappingProxyType(
 NEEDS: Mapping[str, str] = MappingProxyType(
     {
         "MV3d": "a trained network of Chen et al. 2017 (Multi-View 3D Object Detection), which no package here "
-        "provides; a plug-in can, as an entry point of that name",
+        "provides; a plug-in can, as an entry point of that name"
     }
 )
 """Algorithms that are known by name and not built in, and what they need.

@@ -16,6 +16,7 @@ from sceneloom.db34t.records import CalibrationData, SentRecord
 from sceneloom.db34t.transport import (
     code_of,
     details_of,
+    is_local,
     read_certificates,
     read_pair,
     reader_of,
@@ -44,8 +45,6 @@ _LARGEST_MESSAGE = 1 << 29
 _SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 
 _LONGEST_WAIT_MS = 2**32 - 1
-
-_LOOPBACK = ("localhost", "127.", "[::1]", "unix:")
 
 
 class FusionClient:
@@ -86,7 +85,7 @@ class FusionClient:
             session: name of the rig.
             deadline_s: how long an answer may take [s].
         """
-        if token is not None and ca is None and not address.startswith(_LOOPBACK):
+        if token is not None and ca is None and not is_local(address):
             raise OptionError(
                 f"a token for {address} without TLS; expected `ca`, the file that reports its certificate"
             )

@@ -88,10 +88,7 @@ def motion_request(path: Poses, *, session: str = "") -> fusion_pb2.SendMotionRe
             quaternion_xyzw=quaternion,
         )
         for timestamp_ns, position, quaternion in zip(
-            path.timestamps_ns.tolist(),
-            path.positions.tolist(),
-            path.quaternions_xyzw.tolist(),
-            strict=True,
+            path.timestamps_ns.tolist(), path.positions.tolist(), path.quaternions_xyzw.tolist(), strict=True
         )
     ]
     return fusion_pb2.SendMotionRequest(poses=poses, session=session)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import product
+from pathlib import Path
 from typing import Any, Protocol
 
 import msgspec
@@ -20,6 +21,8 @@ from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.cameras.fitting import fit
 from sceneloom.db34t.boxes import Boxes2d, Boxes3d
 from sceneloom.db34t.calibration import CAMERA_MODELS, CalibrationEntry, DeclaredAxes, calibration_data
+from sceneloom.db34t.properties import Property
+from sceneloom.db34t.protobuf import from_protobuf
 from sceneloom.db34t.records import CalibrationData, SentRecord, kind_of
 from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record, image_data_of, point_cloud_of
 from sceneloom.db34t.types import Cause, Outcome
@@ -38,6 +41,8 @@ from sceneloom.scene.point_times import RawTimes, timed_frame
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns, time_span, usual_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
+from sceneloom.service.messages import path_of, property_of, value_from_protobuf
+from sceneloom.service.session_log import LogEntry, read_log
 from sceneloom.warnings import DataWarning, WarningKind
 
 _CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
@@ -634,6 +639,10 @@ class Statistics:
             outcome = self.receiver.send(record)
         self.count(kind_of(record).name, outcome)
 
+    def send_motion(self, path: Poses) -> None:
+        """Send poses."""
+        self.count("motion", self.receiver.send_motion(path), len(path.timestamps_ns))
+
     def count(self, name: str, outcome: Outcome, number: int = 1) -> None:
         """Count what was sent."""
         self.sent[name] += number
@@ -702,17 +711,12 @@ def _send_chunks(
                 raise
             skipped.append(_unreadable(error))
             records = []
-        _send_motion(piece, statistics)
+        if piece.motion is not None:
+            statistics.send_motion(piece.motion)
         for record in records:
             statistics.send(record)
         if progress is not None:
             progress(done, total)
-
-
-def _send_motion(piece: _Piece, statistics: Statistics) -> None:
-    if piece.motion is not None:
-        outcome = statistics.receiver.send_motion(piece.motion)
-        statistics.count("motion", outcome, len(piece.motion.timestamps_ns))
 
 
 def _unreadable(error: DataError) -> DataWarning:
@@ -744,10 +748,14 @@ def _configure(receiver: Receiver, rig: _SentRig) -> None:
         )
         settings[CAMERA_MODELS] = _format_camera_models(rig.camera_models)
     for name, value in settings.items():
-        must(receiver.set_property(name, value), f"property {name}")
+        _must(receiver.set_property(name, value), f"property {name}")
     for entry in rig.calibrations:
-        outcome = receiver.set_calibration(entry.data, camera_id=entry.camera_id, lidar_id=entry.lidar_id)
-        must(outcome, f"calibration of camera {entry.camera_id} and lidar {entry.lidar_id}")
+        _set_calibration(receiver, entry)
+
+
+def _set_calibration(receiver: Receiver, entry: CalibrationEntry) -> None:
+    outcome = receiver.set_calibration(entry.data, camera_id=entry.camera_id, lidar_id=entry.lidar_id)
+    _must(outcome, f"calibration of camera {entry.camera_id} and lidar {entry.lidar_id}")
 
 
 def _frequency(periods_ns: Iterable[int]) -> int:
@@ -762,14 +770,14 @@ def _refusing(receiver: Receiver, rate: float) -> Iterator[None]:
         yield
         return
     before = receiver.get_property("queue_policy")
-    must(receiver.set_property("queue_policy", "refuse"), "property queue_policy")
+    _must(receiver.set_property("queue_policy", "refuse"), "property queue_policy")
     try:
         yield
     finally:
         receiver.set_property("queue_policy", before)
 
 
-def must(outcome: Outcome, what: str) -> None:
+def _must(outcome: Outcome, what: str) -> None:
     """Make an error of what a session refuses and nothing works without.
 
     Raises:
@@ -777,3 +785,104 @@ def must(outcome: Outcome, what: str) -> None:
     """
     if not outcome:
         raise OptionError(f"the session refuses the {what}: {outcome.cause}: {outcome.reason}")
+
+
+def send_log(
+    path: str | Path, open_session: Callable[[str], Receiver], *, rate: float = 1.0, pace: Pace | None = None
+) -> SendReport:
+    """Send what was taken in the sessions of a log, in its order.
+
+    What was refused or dropped is not sent again. Results are the same byte for byte as long as the receiving sessions
+    drop nothing and no pause lets them fuse what waits earlier than it was; `replay` excludes both.
+
+    Args:
+        open_session: gives what is sent to, by the name of the session in the log.
+        rate: 1 for as fast as it came, 2 for twice as fast, 0 for as fast as the sessions take it.
+        pace: holds records back; None for one of that rate.
+
+    Raises:
+        DataError: the file is no log, or what stands in it is faulty.
+        OptionError: a session refuses the configuration.
+    """
+    begun = time.perf_counter()
+    kept = pace or Pace(rate)
+    sessions: dict[str, _ResentSession] = {}
+    for entry in read_log(Path(path)):
+        if entry.what not in _RESENT:
+            continue
+        if entry.session not in sessions:
+            sessions[entry.session] = _ResentSession(Statistics(open_session(entry.session), kept))
+        kept.until(entry.log_time_ns)
+        sessions[entry.session].take(entry)
+    for session in sessions.values():
+        session.end()
+    sent: Counter[str] = sum((session.statistics.sent for session in sessions.values()), Counter())
+    refused: Counter[str] = sum((session.statistics.refused for session in sessions.values()), Counter())
+    return SendReport(
+        source=str(path),
+        sensors={},
+        sent=dict(sorted(sent.items())),
+        refused=dict(sorted(refused.items())),
+        seconds=time.perf_counter() - begun,
+    )
+
+
+@dataclass(slots=True)
+class _ResentSession:
+    """One session of a log that is sent again."""
+
+    statistics: Statistics
+    _known: dict[str, Property] = field(default_factory=dict)
+    _policy: str | None = None
+
+    def take(self, entry: LogEntry) -> None:
+        """Do what an entry says."""
+        message, receiver = entry.message, self.statistics.receiver
+        match entry.what:
+            case "properties":
+                for found in map(property_of, message.properties):
+                    self._set(found)
+            case "algorithms":
+                # of both types; the type that the log says is set last
+                chosen = receiver.get_property(_TYPE)
+                for number, name in enumerate(value_from_protobuf(message)):
+                    _must(receiver.set_property(_TYPE, number), f"property {_TYPE}")
+                    _must(receiver.set_property(_ALGORITHM, name), f"property {_ALGORITHM}")
+                _must(receiver.set_property(_TYPE, chosen), f"property {_TYPE}")
+            case "calibration":
+                data, ids = from_protobuf(message.calibration), (message.camera_id, message.lidar_id)
+                _set_calibration(receiver, CalibrationEntry(*ids, data))
+            case "record":
+                self.statistics.send(from_protobuf(message))
+            case "motion":
+                self.statistics.send_motion(path_of(message))
+            case "flush":
+                receiver.flush()
+
+    def _set(self, found: Property) -> None:
+        """Add and set a property if it is not so yet; the algorithms follow by themselves."""
+        receiver, known = self.statistics.receiver, self._known.get(found.name)
+        if not found.predefined and known is None:
+            outcome = receiver.add_property(found.name, found.description, str(found.type))
+            if outcome.cause is not Cause.KNOWN_NAME:
+                _must(outcome, f"property {found.name}")
+        if found.name == _POLICY and self.statistics.pace.rate <= 0:
+            # as fast as possible, what there is no room for is sent again; in the end it is as it was
+            self._policy = found.value
+            _must(receiver.set_property(_POLICY, "refuse"), f"property {_POLICY}")
+        elif found.value is not None and found.name != _ALGORITHM:
+            before = receiver.get_property(found.name) if known is None else known.value
+            if before != found.value:
+                _must(receiver.set_property(found.name, found.value), f"property {found.name}")
+        self._known[found.name] = found
+
+    def end(self) -> None:
+        """Leave the session as the log left it."""
+        if self._policy is not None:
+            self.statistics.receiver.set_property(_POLICY, self._policy)
+
+
+_POLICY, _TYPE, _ALGORITHM = "queue_policy", "fusion_type", "fusion_algorithm"
+
+_RESENT = ("properties", "algorithms", "calibration", "record", "motion", "flush")
+"""What is sent again of the entries of a log."""

@@ -2,7 +2,6 @@
 
 import asyncio
 import hmac
-import ipaddress
 import logging
 import time
 from collections.abc import Awaitable, Callable
@@ -19,17 +18,14 @@ from grpc_reflection.v1alpha import reflection
 
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.queues import Event, QueueLimits
-from sceneloom.db34t.transport import read_certificates, read_pair
-from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.base.files import read_settings
+from sceneloom.db34t.transport import is_local, read_certificates, read_pair
+from sceneloom.errors import OptionError
 from sceneloom.service.methods import SERVICE, Handlers, Metrics, serve_metrics
 from sceneloom.service.sessions import Session, SessionTable
 from sceneloom.service.startup import ServiceLimits, check_port
 
 _OPEN_SERVICES = ("/grpc.health.v1.Health/",)
 """Services that need no token: they report whether the server is up, and nothing else."""
-
-_SHORTEST_TOKEN = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +53,7 @@ class Security:
             raise OptionError("a TLS certificate or a key alone; expected both")
         if self.tls_client_authority is not None and self.tls_certificate is None:
             raise OptionError("an authority of clients' certificates without the server's; expected it, too")
-        if is_loopback(host):
+        if is_local(host):
             return
         lacking = [
             name
@@ -86,40 +82,12 @@ class Security:
             None if self.tls_client_authority is None else read_certificates(self.tls_client_authority)
         )
         return grpc.ssl_server_credentials(
-            [(key, certificate)],
-            root_certificates=authority,
-            require_client_auth=authority is not None,
+            [(key, certificate)], root_certificates=authority, require_client_auth=authority is not None
         )
 
     def interceptors(self) -> list[ServerInterceptor]:
         """Give what looks at calls before they are answered."""
         return [] if self.token is None else [_TokenCheck(self.token)]
-
-
-def is_loopback(host: str) -> bool:
-    """Whether an address is this machine's alone."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False
-
-
-def read_token(path: Path) -> str:
-    """Read a token from a file that holds nothing else.
-
-    Raises:
-        DataError: it is no text, too short, or has blanks in it.
-    """
-    try:
-        token = read_settings(path).decode("ascii").strip()
-    except UnicodeDecodeError as error:
-        raise DataError(path, "", "no token; expected ASCII characters") from error
-    if len(token) < _SHORTEST_TOKEN or not token.isprintable() or " " in token:
-        problem = f"{len(token)} characters; expected a token of {_SHORTEST_TOKEN} or more without blanks"
-        raise DataError(path, "", problem)
-    return token
 
 
 class _TokenCheck(ServerInterceptor):

@@ -1,219 +1,47 @@
-"""The session log: everything that sessions receive and return, in one MCAP file that can be replayed."""
+"""The session log: all that sessions receive and give, in one MCAP file that can be replayed.
+
+`SessionLog` writes it. `read_log` reads it, `replay` fuses it once more in this process: the same records under the
+same configurations give the same results. `compare` holds these against the results in the log.
+"""
 
 import logging
 import os
+import struct
 import threading
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, BinaryIO, NamedTuple, Self
 
-import numpy as np
 from google.protobuf.message import Message
 
-from sceneloom.arrays import AnyArray, Float32Array, Float64Array
-from sceneloom.db34t.boxes import Boxes2d, Boxes3d
-from sceneloom.db34t.calibration import SensorKind
-from sceneloom.db34t.protobuf import encode, encode_in, fill_message
+from sceneloom.db34t.calibration import CalibrationEntry, CalibrationTable
+from sceneloom.db34t.interface import FusionInterface, RecentTrajectory
+from sceneloom.db34t.protobuf import encode, encode_in, fill_message, from_protobuf, parse_message
 from sceneloom.db34t.queues import Dropped, Event, Flushed, Moved, Refused, Result
-from sceneloom.db34t.received_records import Accepted, Setting
-from sceneloom.db34t.records import (
-    ENCODINGS,
-    FusedDetections,
-    ImageData,
-    PointCloudData,
-    ResultRecord,
-    SensorFusionData,
-    SentRecord,
-    kind_of,
-    size_of,
-)
-from sceneloom.db34t.types import bytes_view
+from sceneloom.db34t.received_records import Accepted, Setting, accepted_alone
+from sceneloom.db34t.records import Record, ResultRecord, SentRecord, kind_of, size_of
 from sceneloom.db34t.wire import fusion_pb2
-from sceneloom.errors import OutputError, SceneloomError
+from sceneloom.errors import DataError, OutputError, SceneloomError
+from sceneloom.formats.base.files import open_file
 from sceneloom.formats.base.output import check_output
-from sceneloom.formats.messages.cameras import camera_model_record, is_foreign
-from sceneloom.formats.messages.foxglove import encode as encode_shown
-from sceneloom.formats.messages.foxglove import foxglove_type, schema_bytes, serialised
-from sceneloom.formats.messages.mcap_files import McapWriter
-from sceneloom.formats.messages.points import pack
-from sceneloom.formats.messages.records import (
-    AnyRecord,
-    Box2D,
-    Box3D,
-    Boxes2DRecord,
-    Boxes3DRecord,
-    CameraModelRecord,
-    CloudRecord,
-    CompressedImageRecord,
-    ImageRecord,
-    TransformRecord,
+from sceneloom.formats.messages.foxglove import schema_bytes, serialised
+from sceneloom.service.messages import (
+    motion_request,
+    path_of,
+    properties_message,
+    snapshot_of,
+    value_from_protobuf,
+    value_to_protobuf,
 )
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.service.messages import motion_request, properties_message, value_to_protobuf
 from sceneloom.version import __version__
 
-_FrameName = Callable[[str, int], str]
-"""Gives the name of the frame of a kind of sensor and its number."""
-
-_FISHEYE = "kannala_brandt"
-
-_RAW_NAMES = MappingProxyType({1: "mono8", 3: "rgb8", 4: "rgba8"})
-
-_COLOURS = ("r", "g", "b")
-
-_LARGEST_COLOUR = 255
-
-
-def shown_records(
-    record: SentRecord | ResultRecord, frame_id: str, image_frame_id: str = ""
-) -> dict[str, AnyRecord]:
-    """Give what viewers show of a record: one message, or of a result one for each part.
-
-    Args:
-        frame_id: the frame of the sensor; of a result that of its points and boxes.
-        image_frame_id: of a result, the frame of the camera; "" for the same.
-
-    Returns:
-        By part: image, depth, points, boxes_3d, boxes_2d; without those that no message can hold.
-    """
-    camera, found = image_frame_id or frame_id, dict[str, AnyRecord | None]()
-    time_ns = record.timestamp.nanoseconds
-    match record:
-        case ImageData():
-            size_hwc = record.height, record.width, record.channel
-            found["image"] = _image(time_ns, camera, record.encoding, size_hwc, record.data)
-        case PointCloudData():
-            found["points"] = _cloud(time_ns, frame_id, record.fields, record.points)
-        case SensorFusionData():
-            size_hwc = record.height, record.width, record.image_channel
-            image_ns = _image_time_ns(record)
-            found["image"] = _image(image_ns, camera, record.encoding, size_hwc, record.image_data)
-            height, width = record.height, record.width
-            depth = bytes_view(record.image_depth)
-            found["depth"] = ImageRecord(image_ns, camera, "32FC1", width, height, 4 * width, depth)
-            found["points"] = _cloud(time_ns, frame_id, record.point_fields, record.points)
-        case FusedDetections():
-            found["boxes_3d"] = _boxes_3d(record, frame_id)
-            found["boxes_2d"] = _boxes_2d(record, _image_time_ns(record), camera)
-        case Boxes3d():
-            found["boxes_3d"] = _boxes_3d(record, frame_id)
-        case Boxes2d():
-            found["boxes_2d"] = _boxes_2d(record, time_ns, camera)
-    return {part: shown for part, shown in found.items() if shown is not None}
-
-
-def _shown_camera_models(setting: Setting, frame_name: _FrameName) -> dict[int, CameraModelRecord]:
-    """Give the intrinsics of each camera whose model viewers know."""
-    cameras = {camera_id: pair.camera for (camera_id, _), pair in setting.pairs.items()}
-    return {
-        camera_id: camera_model_record(camera, 0, frame_name("camera", camera_id), _FISHEYE)
-        for camera_id, camera in cameras.items()
-        if not is_foreign(camera)
-    }
-
-
-def _shown_transforms(setting: Setting, frame_name: _FrameName) -> Iterator[TransformRecord]:
-    """Give the extrinsics of each camera in its lidars; a left-handed lidar frame has none."""
-    axes = setting.frames.lidar.standard_from_declared(SensorKind.LIDAR)
-    if np.linalg.det(axes) < 0:
-        return
-    standard_from_declared = RigidTransform(axes, np.zeros(3))
-    for (camera_id, lidar_id), pair in setting.pairs.items():
-        lidar_from_camera = (pair.camera_from_lidar @ standard_from_declared).inverse()
-        yield TransformRecord(
-            0,
-            frame_name("lidar", lidar_id),
-            frame_name("camera", camera_id),
-            lidar_from_camera.translation,
-            lidar_from_camera.quaternion_xyzw,
-        )
-
-
-def _image_time_ns(record: SensorFusionData | FusedDetections) -> int:
-    return (record.image_timestamp or record.timestamp).nanoseconds
-
-
-def _image(
-    time_ns: int, frame_id: str, encoding: str, size_hwc: tuple[int, int, int], data: AnyArray
-) -> ImageRecord | CompressedImageRecord | None:
-    height, width, channel = size_hwc
-    if ENCODINGS[encoding].is_file:
-        return CompressedImageRecord(time_ns, frame_id, encoding, bytes_view(data))
-    name = _RAW_NAMES.get(channel) if encoding == "raw" else encoding
-    if name is None:
-        return None
-    return ImageRecord(time_ns, frame_id, name, width, height, width * channel, bytes_view(data))
-
-
-def _cloud(time_ns: int, frame_id: str, names: Sequence[str], table: Float32Array) -> CloudRecord:
-    """Points as they were sent; colours that are whole numbers from 0 to 255 as bytes, which viewers ask for."""
-    colours = table[:, [k for k, name in enumerate(names) if name in _COLOURS]]
-    columns: dict[tuple[str, ...], AnyArray] = {tuple(names): table}
-    # NaN is in no range
-    whole = (colours >= 0) & (colours <= _LARGEST_COLOUR) & (colours == np.floor(colours))
-    if colours.shape[1] == len(_COLOURS) and whole.all():
-        rest = [k for k, name in enumerate(names) if name not in _COLOURS]
-        by_name = [names.index(name) for name in _COLOURS]
-        columns = {
-            tuple(names[k] for k in rest): table[:, rest],
-            ("red", "green", "blue"): table[:, by_name].astype(np.uint8),
-            ("alpha",): np.full(len(table), _LARGEST_COLOUR, np.uint8),
-        }
-    packed = pack(columns, len(table))
-    return CloudRecord(time_ns, frame_id, packed.fields, packed.stride, packed.data, packed.count)
-
-
-def _boxes_3d(record: Boxes3d | FusedDetections, frame_id: str) -> Boxes3DRecord:
-    boxes = tuple(
-        Box3D(
-            str(k),
-            frame_id,
-            record.centers[k],
-            _quaternion_xyzw(record.directions[k]),
-            record.sizes_lwh[k],
-            record.class_names[k],
-            {**_metadata(record, k), "velocity": str(record.velocities[k])},
-        )
-        for k in range(len(record))
-        if record.directions[k].any()
-    )
-    return Boxes3DRecord(record.timestamp.nanoseconds, boxes)
-
-
-def _boxes_2d(record: Boxes2d | FusedDetections, time_ns: int, frame_id: str) -> Boxes2DRecord:
-    boxes = tuple(
-        Box2D(str(k), (x1, y1, x2 - x1, y2 - y1), record.class_names[k], _metadata(record, k))
-        for k, (x1, y1, x2, y2) in enumerate(record.corners_xyxy.astype(np.float64).tolist())
-    )
-    return Boxes2DRecord(time_ns, frame_id, boxes)
-
-
-def _metadata(record: Boxes2d | Boxes3d | FusedDetections, k: int) -> dict[str, str]:
-    return {"id": str(record.id[k]), "confidence": str(record.confidence[k])}
-
-
-def _quaternion_xyzw(direction: Float32Array) -> Float64Array:
-    """Rotation (4,) of the x axis into a direction (3,) of any length but 0, without roll."""
-    dx, dy, dz = direction.astype(np.float64).tolist()
-    yaw, pitch = np.arctan2(dy, dx) / 2, -np.arctan2(dz, np.hypot(dx, dy)) / 2
-    about_y, about_z = (np.sin(pitch), np.cos(pitch)), (np.sin(yaw), np.cos(yaw))
-    return np.array(
-        [
-            -about_z[0] * about_y[0],
-            about_z[1] * about_y[0],
-            about_z[0] * about_y[1],
-            about_z[1] * about_y[1],
-        ]
-    )
-
-
-LOG = logging.getLogger(__name__)
+_LOG = logging.getLogger(__name__)
 
 _CHUNK_BYTES = 4 << 20
 """Of messages that are compressed and written together; the most that is kept in memory, beside the largest message."""
@@ -222,107 +50,17 @@ _MOST_CHANNELS = 60_000
 """Channels of one file, of at most 65535 that the format counts."""
 
 _OVERHEAD = 2048
-"""What an entry that waits keeps beside its arrays [byte], about."""
+"""What an event that waits keeps beside its arrays [byte], about."""
+
+_MAGIC_BYTES = 8
+
+_PACKAGE = fusion_pb2.DESCRIPTOR.package
 
 _SENSORS = {"raw": "sensor", "image": "camera", "boxes_2d": "camera", "points": "lidar", "boxes_3d": "lidar"}
-
-Step = Callable[[int], None]
-"""Writes an entry, given when it happened [ns]."""
 
 
 class NotLoggedError(SceneloomError):
     """Something is not in the log: the disk was too slow or failed."""
-
-
-class LogWriter:
-    """Writes messages of any number of channels into the file of a log; until it is closed it has another name.
-
-    Attributes:
-        path: where the log is once it is closed.
-        draft: where it is until then.
-    """
-
-    def __init__(self, path: Path, *, overwrite: bool = False) -> None:
-        """Begin a log, which may replace one that is there.
-
-        Raises:
-            OutputError: the log, or an unfinished one of its name, is there, or cannot be written.
-        """
-        self.path, self.draft = path, unfinished_path(path)
-        self._overwrite = overwrite
-        check_output(path, overwrite=overwrite)
-        check_output(self.draft, overwrite=overwrite)
-        try:
-            self._stream: BinaryIO = self.draft.open("wb")
-        except OSError as error:
-            raise OutputError(f"{self.draft}: cannot be written: {error.strerror}") from error
-        library = f"sceneloom {__version__}"
-        self._writer = McapWriter(self._stream, library=library, compression="lz4", chunk_bytes=_CHUNK_BYTES)
-        self._stream.flush()
-        self._latest_ns = 0
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[tuple[str, str, str], int] = {}
-
-    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write values that are no message."""
-        self._writer.add_metadata(name, dict(values))
-
-    def add(
-        self,
-        topic: str,
-        message_type: type[Any],
-        content: bytes,
-        *,
-        session: str,
-        what: str,
-        timestamp_ns: int | None = None,
-        log_time_ns: int | None = None,
-    ) -> None:
-        """Write a message.
-
-        Args:
-            topic: of its channel.
-            message_type: its class.
-            content: its bytes.
-            session: that it is of.
-            what: what it says, for those who read the log again.
-            timestamp_ns: when what it says was measured; None for when it happened.
-            log_time_ns: when it happened; None for now.
-
-        Raises:
-            OutputError: there are more channels than a log may have.
-        """
-        # times never run backwards in the file, whatever the clock does: its order is what is replayed
-        self._latest_ns = max(time.time_ns() if log_time_ns is None else log_time_ns, self._latest_ns)
-        published_ns = self._latest_ns if timestamp_ns is None else timestamp_ns
-        name = message_type.DESCRIPTOR.full_name
-        channel = self._channels.get((topic, name, session))
-        if channel is None:
-            if len(self._channels) >= _MOST_CHANNELS:
-                raise OutputError(f"{_MOST_CHANNELS} channels, as many as a log may have")
-            if name not in self._schemas:
-                self._schemas[name] = self._writer.add_schema(name, "protobuf", schema_bytes(message_type))
-            metadata = {"session": session, "what": what}
-            channel = self._writer.add_channel(topic, "protobuf", self._schemas[name], metadata)
-            self._channels[topic, name, session] = channel
-        self._writer.add_message(channel, self._latest_ns, [content], published_ns)
-
-    def flush(self) -> None:
-        """Hand what was added to the disk."""
-        self._writer.flush()
-
-    def close(self) -> None:
-        """Complete the log and give it its name.
-
-        Raises:
-            OutputError: a log of that name is there by now.
-        """
-        self._writer.finish()
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
-        self._stream.close()
-        check_output(self.path, overwrite=self._overwrite)
-        self.draft.replace(self.path)
 
 
 def unfinished_path(path: Path) -> Path:
@@ -330,33 +68,24 @@ def unfinished_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.unfinished{path.suffix}")
 
 
-class _Entry(NamedTuple):
-    step: Step
-    session: str
-    size: int
-    time_ns: int
-
-
-class BlackBox:
-    """Writes what happens in sessions; give `session(name)` as the observer of each, or the box itself for one.
+class SessionLog:
+    """Writes what happens in sessions; give `session(name)` as the observer of each, or the log itself for one.
 
     Arrays of records have to stay as they are after they were sent. Neither a file that cannot be written nor a disk
     that is too slow disturbs the sessions: `failure`, `lost` and `close` report it. Once there is no room, everything
-    is left out until half of what waits is written: so the log has long parts that are whole, and not images without
-    their sweeps.
+    is left out until half of what waits is written, so that the log has long parts that are whole, and not images
+    without their sweeps.
 
     Attributes:
-        writer: the file.
-        shown: whether images, clouds, boxes and results are written once more as MCAP viewers know them.
+        path: of the log once it is closed.
         failure: why nothing is written any more; None while all is well.
-        lost: by session, how many entries are not in the log: the disk was too slow, or failed.
+        lost: by session, how many events are not in the log: the disk was too slow, or failed.
     """
 
     def __init__(
         self,
         path: str | Path,
         *,
-        shown: bool = True,
         overwrite: bool = False,
         most_bytes: int = 512 << 20,
         most_entries: int = 20_000,
@@ -367,26 +96,25 @@ class BlackBox:
 
         Args:
             path: of the MCAP file; until it is closed it stands beside as `NAME.unfinished.mcap`.
-            shown: whether viewers are to show it; without, files are half as large.
             overwrite: replace a log that is there.
-            most_bytes: of records and results that wait to be written; the default is some one and a half seconds of
+            most_bytes: of records and results that wait to be written; the default is some two and a half seconds of
                 10 Hz of 1080p and 250,000 points.
-            most_entries: how many entries may wait.
+            most_entries: how many events may wait.
             kept_back_s: how long what was written may wait for the disk [s]; 0: observers return when it is there.
-            clock_ns: gives the time of entries.
+            clock_ns: gives the time of events.
 
         Raises:
-            OutputError: the file is there, or cannot be written.
+            OutputError: the log, or an unfinished one of its name, is there, or cannot be written.
         """
-        self.writer = LogWriter(Path(path), overwrite=overwrite)
-        self.shown = shown
+        self.path = Path(path)
+        self._file = _LogFile(self.path, overwrite=overwrite)
         self.failure: Exception | None = None
         self.lost = Counter[str]()
         self._most_bytes, self._most_entries = most_bytes, most_entries
         self._kept_back_s, self._clock_ns = kept_back_s, clock_ns
-        self._names: set[str] = set()
+        self._sessions: dict[str, _Messages] = {}
         self._own: Callable[[Event], None] | None = None
-        self._entries = deque[_Entry]()
+        self._waiting = deque[_Waiting]()
         self._bytes = 0
         self._missing = Counter[str]()
         self._full = self._writing = self._closed = False
@@ -409,47 +137,18 @@ class BlackBox:
         self._own(event)
 
     def session(self, name: str) -> Callable[[Event], None]:
-        """Give the observer of a session; one of a name that ended and began again is another session."""
+        """Give the observer of a session; one of a name that ended and began again is another session.
+
+        It raises `NotLoggedError` for an event that will not be written.
+        """
         chosen, number = name, 1
-        while chosen in self._names:
+        while chosen in self._sessions:
             number += 1
             chosen = f"{name}#{number}"
-        self._names.add(chosen)
-        values = {"session": chosen, "sceneloom": __version__}
+        self._sessions[chosen] = _Messages(chosen)
         with suppress(NotLoggedError):
-            self.put(lambda _: self._attempt(partial(self.writer.add_metadata, "session", values)), chosen)
-        return _Session(self, chosen)
-
-    @property
-    def pressed(self) -> bool:
-        """Whether so much waits that only what cannot be made again should be written."""
-        return 2 * self._bytes > self._most_bytes
-
-    def put(self, step: Step, session: str, size: int = 0) -> None:
-        """Let something be written after all that came before.
-
-        Args:
-            step: writes it.
-            session: that it is of.
-            size: how much memory it keeps [byte].
-
-        Raises:
-            NotLoggedError: it will not be: there is no room, or the log has ended.
-        """
-        with self._changed:
-            if self._closed or self.failure is not None or not self._has_room(size):
-                self._leave_out(session)
-            for name, count in self._missing.items():
-                self._append(partial(self._gap, name, count), name, 0)
-            self._missing.clear()
-            self._append(step, session, size)
-            self._changed.notify_all()
-            if self._kept_back_s <= 0:
-                self._changed.wait_for(self._is_done)
-
-    def add(self, topic: str, message_type: type[Any], content: bytes, **named: Any) -> None:
-        """Write a message now, as `LogWriter.add` does; a log that cannot be written is cut."""
-        self._attempt(partial(self.writer.add, topic, message_type, content, **named))
+            self._put(chosen, _Begun())
+        return partial(self._put, chosen)
 
     def close(self) -> None:
         """Write all that waits, complete the file and give it its name.
@@ -462,16 +161,29 @@ class BlackBox:
             self._changed.notify_all()
         self._thread.join()
         if self.lost:
-            LOG.warning("the log is not whole", extra={"fields": {"lost": dict(self.lost)}})
+            _LOG.warning("the log is not whole", extra={"fields": {"lost": dict(self.lost)}})
         if is_first:
-            self._attempt(self.writer.close)
+            self._attempt(self._file.close)
         if self.failure is not None:
-            raise OutputError(
-                f"{self.writer.path}: cannot be written: {self.failure}; see {self.writer.draft}"
-            )
+            draft = unfinished_path(self.path)
+            raise OutputError(f"{self.path}: cannot be written: {self.failure}; see {draft}")
+
+    def _put(self, session: str, event: "_Logged") -> None:
+        held = event.accepted.record if isinstance(event, Dropped) else getattr(event, "record", None)
+        size = _OVERHEAD + (size_of(held) if isinstance(held, SentRecord | ResultRecord) else 0)
+        with self._changed:
+            if self._closed or self.failure is not None or not self._has_room(size):
+                self._leave_out(session)
+            for name, count in self._missing.items():
+                self._append(name, _Gap(count), 0)
+            self._missing.clear()
+            self._append(session, event, size)
+            self._changed.notify_all()
+            if self._kept_back_s <= 0:
+                self._changed.wait_for(self._is_done)
 
     def _has_room(self, size: int) -> bool:
-        waiting = len(self._entries) + self._writing
+        waiting = len(self._waiting) + self._writing
         share = 0.5 if self._full else 1.0
         fits = self._bytes + size <= share * self._most_bytes and waiting < share * self._most_entries
         self._full = waiting > 0 and not fits
@@ -480,8 +192,8 @@ class BlackBox:
     def _leave_out(self, session: str) -> None:
         ended = self._closed or self.failure is not None
         if not self._missing and not ended:
-            waiting = {"waiting_bytes": self._bytes, "waiting_entries": len(self._entries)}
-            LOG.warning(
+            waiting = {"waiting_bytes": self._bytes, "waiting_entries": len(self._waiting)}
+            _LOG.warning(
                 "the disk is slower than what is to be logged: the log has a gap",
                 extra={"fields": {"session": session, **waiting}},
             )
@@ -489,41 +201,42 @@ class BlackBox:
         self._missing[session] += 1
         raise NotLoggedError("the log has ended" if ended else "the log has no room")
 
-    def _append(self, step: Step, session: str, size: int) -> None:
-        self._entries.append(_Entry(step, session, size, self._clock_ns()))
+    def _append(self, session: str, event: "_Logged", size: int) -> None:
+        self._waiting.append(_Waiting(session, event, size, self._clock_ns()))
         self._bytes += size
 
     def _is_done(self) -> bool:
-        return not self._entries and not self._writing
+        return not self._waiting and not self._writing
 
     def _work(self) -> None:
         due_s: float | None = None
         while True:
             with self._changed:
                 patience_s = None if due_s is None else max(due_s - time.monotonic(), 0.0)
-                self._changed.wait_for(lambda: self._entries or self._closed, patience_s)
-                if not self._entries and self._closed:
+                self._changed.wait_for(lambda: self._waiting or self._closed, patience_s)
+                if not self._waiting and self._closed:
                     break
-                entry = self._entries.popleft() if self._entries else None
+                entry = self._waiting.popleft() if self._waiting else None
                 self._writing = entry is not None
             if entry is not None:
                 self._write(entry)
                 due_s = time.monotonic() + self._kept_back_s if due_s is None else due_s
             if due_s is not None and time.monotonic() >= due_s:
-                self._attempt(self.writer.flush)
+                self._attempt(self._file.flush)
                 due_s = None
             with self._changed:
                 self._writing = False
                 self._bytes -= 0 if entry is None else entry.size
                 self._changed.notify_all()
         for session, count in self._missing.items():
-            self._write(_Entry(partial(self._gap, session, count), session, 0, self._clock_ns()))
+            self._write(_Waiting(session, _Gap(count), 0, self._clock_ns()))
 
-    def _write(self, entry: _Entry) -> None:
+    def _write(self, entry: "_Waiting") -> None:
         try:
-            entry.step(entry.time_ns)
-        except Exception as error:  # noqa: BLE001 - one entry that cannot be stated must not end the log
-            LOG.error("an entry cannot be logged", extra={"fields": {"error": repr(error)}})  # noqa: TRY400
+            for message in self._sessions[entry.session].of(entry.event):
+                self._attempt(partial(self._file.add, entry.session, message, entry.time_ns))
+        except Exception as error:  # noqa: BLE001 - one event that cannot be stated must not end the log
+            _LOG.error("an entry cannot be logged", extra={"fields": {"error": repr(error)}})
             with self._changed:
                 self._missing[entry.session] += 1
                 self.lost[entry.session] += 1
@@ -539,145 +252,413 @@ class BlackBox:
         try:
             step()
         except Exception as error:  # noqa: BLE001 - whatever a full disk or a foreign writer does
-            LOG.error("the log is cut: it cannot be written", extra={"fields": {"error": repr(error)}})  # noqa: TRY400
+            _LOG.error("the log is cut: it cannot be written", extra={"fields": {"error": repr(error)}})
             with self._changed:
                 self.failure = error
-                self.lost.update(entry.session for entry in self._entries)
-                self._bytes -= sum(entry.size for entry in self._entries)
-                self._entries.clear()
+                self.lost.update(entry.session for entry in self._waiting)
+                self._bytes -= sum(entry.size for entry in self._waiting)
+                self._waiting.clear()
                 self._changed.notify_all()
 
-    def _gap(self, session: str, count: int, time_ns: int) -> None:
-        reason = f"{count} entries are missing here: the disk was slower than what came"
-        status = fusion_pb2.Status(status=0, cause="log-gap", reason=reason)
-        topic, content = f"/{session}/gap", serialised(status)
-        self.add(topic, type(status), content, session=session, what="gap", log_time_ns=time_ns)
+
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """A session began."""
 
 
-class _Session:
-    """Writes what happens in one session; not for several threads at once, as interfaces call their observers."""
+@dataclass(frozen=True, slots=True)
+class _Gap:
+    """So many events are missing."""
 
-    def __init__(self, box: BlackBox, name: str) -> None:
-        self._box, self._name = box, name
-        self._time_ns = 0
+    count: int
+
+
+_Logged = Event | _Begun | _Gap
+
+
+class _Waiting(NamedTuple):
+    session: str
+    event: _Logged
+    size: int
+    time_ns: int
+
+
+class _Message(NamedTuple):
+    """One message of a session.
+
+    Attributes:
+        name: of its topic within the session.
+        what: what it says, for those who read the log again.
+        type: its class; None for values that are no message.
+        content: its bytes, or these values.
+        timestamp_ns: when what it says was measured; None for when it happened.
+    """
+
+    name: str
+    what: str
+    type: type[Any] | None
+    content: Any
+    timestamp_ns: int | None = None
+
+
+class _Messages:
+    """States the events of one session as messages, each after the configuration in force where that is another."""
+
+    def __init__(self, session: str) -> None:
+        self._session = session
         self._setting: Setting | None = None
-        self._drawn: dict[str, set[str]] = {}
 
-    def __call__(self, event: Event) -> None:
-        """Let an event be written.
-
-        Raises:
-            NotLoggedError: it will not be.
-        """
-        held = event.accepted.record if isinstance(event, Dropped) else getattr(event, "record", None)
-        size = _OVERHEAD + (size_of(held) if isinstance(held, SentRecord | ResultRecord) else 0)
-        self._box.put(partial(self._event, event), self._name, size)
-
-    def _event(self, event: Event, time_ns: int) -> None:
-        self._time_ns = time_ns
+    def of(self, event: _Logged) -> Iterator[_Message]:
+        """Give the messages of an event."""
         match event:
             case Accepted():
-                self._accepted(event)
+                yield from self._configuration(event.setting)
+                kind = kind_of(event.record).name
+                name = f"{_SENSORS[kind]}/{event.sensor_id}/{kind}"
+                yield self._record(name, "record", event.record)
             case Refused():
-                self._refused(event)
+                outcome = event.outcome
+                status = fusion_pb2.Status(status=outcome.status, cause=outcome.cause, reason=outcome.reason)
+                yield self._message("refused", status)
+                if isinstance(event.record, SentRecord):
+                    name = f"refused/{kind_of(event.record).name}"
+                    yield self._record(name, "refused-record", event.record)
             case Dropped():
                 record = event.accepted.record
-                self._record(f"dropped/{kind_of(record).name}", record, "dropped-record")
+                yield self._record(f"dropped/{kind_of(record).name}", "dropped-record", record)
             case Moved():
-                self._add("motion", motion_request(event.sent, session=self._name), "motion")
+                yield self._message("motion", motion_request(event.sent, session=self._session))
             case Flushed():
-                self._add("flush", fusion_pb2.FlushRequest(session=self._name), "flush")
+                yield self._message("flush", fusion_pb2.FlushRequest(session=self._session))
             case Result():
-                self._given(event)
+                yield self._result(event)
+            case _Gap():
+                reason = f"{event.count} entries are missing here: the disk was slower than what came"
+                yield self._message("gap", fusion_pb2.Status(status=0, cause="log-gap", reason=reason))
+            case _Begun():
+                values = {"session": self._session, "sceneloom": __version__}
+                yield _Message("session", "", None, values)
 
-    def _accepted(self, event: Accepted) -> None:
-        """Write a record that was taken, after the configuration in force where that is another."""
-        if event.setting is not self._setting:
-            self._configured(event.setting)
-        kind = kind_of(event.record).name
-        name = f"{_SENSORS[kind]}/{event.sensor_id}/{kind}"
-        self._record(name, event.record, "record")
-        if self._shows:
-            shown = shown_records(event.record, self._frame(str(event.kind), event.sensor_id))
-            for part, record in shown.items():
-                self._show(f"{name}/{part}_shown", record, event.record.timestamp.nanoseconds)
-
-    def _refused(self, event: Refused) -> None:
-        """Write why a record was not taken, and the record where it is one."""
-        outcome = event.outcome
-        status = fusion_pb2.Status(status=outcome.status, cause=outcome.cause, reason=outcome.reason)
-        self._add("refused", status, "refused")
-        if isinstance(event.record, SentRecord):
-            self._record(f"refused/{kind_of(event.record).name}", event.record, "refused-record")
-
-    def _given(self, result: Result) -> None:
-        """Write a result; of its configuration the revision, for it stands in the file already."""
-        record = result.record
-        reply = fusion_pb2.GetReply(number=result.number)
-        reply.configuration.revision = result.configuration.revision
-        topic, time_ns = f"results/{kind_of(record).name}", record.timestamp.nanoseconds
-        self._write(topic, fusion_pb2.GetReply, encode_in(reply, record), "result", time_ns)
-        if not self._shows:
-            return
-        lidar, camera = self._frame("lidar", record.lidar_id), self._frame("camera", record.camera_id)
-        in_camera = not isinstance(record, FusedDetections) and record.point_frame == "camera"
-        for part, shown in shown_records(record, camera if in_camera else lidar, camera).items():
-            if part != "image":  # it is there as it was sent
-                self._show(f"fused/camera{record.camera_id}_lidar{record.lidar_id}/{part}", shown, time_ns)
-
-    @property
-    def _shows(self) -> bool:
-        """Whether viewers get their own form: not while the disk lags behind, for it can be made of ours."""
-        return self._box.shown and not self._box.pressed
-
-    def _configured(self, setting: Setting) -> None:
+    def _configuration(self, setting: Setting) -> Iterator[_Message]:
         before, self._setting = self._setting, setting
+        if before is setting:
+            return
         if before is None or before.properties is not setting.properties:
-            self._add("configuration", properties_message(setting.properties), "properties")
-            self._add("algorithms", value_to_protobuf(setting.properties.algorithms), "algorithms")
+            yield self._message("configuration", properties_message(setting.properties), "properties")
+            yield self._message("algorithms", value_to_protobuf(setting.properties.algorithms))
         known = {} if before is None else before.table.entries
         for pair, entry in setting.table.entries.items():
             if known.get(pair) is not entry:
                 request = fusion_pb2.SetCalibrationRequest(
-                    camera_id=pair[0], lidar_id=pair[1], session=self._name
+                    camera_id=pair[0], lidar_id=pair[1], session=self._session
                 )
                 fill_message(request.calibration, entry.data)
-                self._add("calibration", request, "calibration")
+                yield self._message("calibration", request)
         if set(known) - set(setting.table.entries):
-            self._add("pairs", value_to_protobuf(list(setting.table.entries)), "pairs")
-        if self._box.shown:
-            for camera_id, camera_model in _shown_camera_models(setting, self._frame).items():
-                self._show(f"camera/{camera_id}/camera model", camera_model)
-            for transform in _shown_transforms(setting, self._frame):
-                self._show("frames", transform)
+            yield self._message("pairs", value_to_protobuf(list(setting.table.entries)))
 
-    def _frame(self, kind: str, sensor_id: int) -> str:
-        return f"{self._name}/{kind}{sensor_id}"
+    def _result(self, result: Result) -> _Message:
+        """Give a result; of its configuration the revision, for it stands in the file already."""
+        record = result.record
+        reply = fusion_pb2.GetReply(number=result.number)
+        reply.configuration.revision = result.configuration.revision
+        content, time_ns = encode_in(reply, record), record.timestamp.nanoseconds
+        return _Message(f"results/{kind_of(record).name}", "result", type(reply), content, time_ns)
 
-    def _record(self, name: str, record: SentRecord, what: str) -> None:
+    def _record(self, name: str, what: str, record: Record) -> _Message:
         message_type = getattr(fusion_pb2, kind_of(record).message_name)
-        self._write(name, message_type, encode(record), what, record.timestamp.nanoseconds)
+        return _Message(name, what, message_type, encode(record), record.timestamp.nanoseconds)  # type: ignore[union-attr]
 
-    def _add(self, name: str, message: Message, what: str) -> None:
-        self._write(name, type(message), serialised(message), what)
+    def _message(self, name: str, message: Message, what: str = "") -> _Message:
+        return _Message(name, what or name, type(message), serialised(message))
 
-    def _show(self, name: str, record: AnyRecord, timestamp_ns: int | None = None) -> None:
-        if isinstance(record, Boxes3DRecord):  # viewers keep a box until it is taken away
-            drawn = {box.id for box in record.boxes}
-            record = replace(record, gone=tuple(sorted(self._drawn.get(name, set()) - drawn)))
-            self._drawn[name] = drawn
-        schema, parts = encode_shown(record)
-        self._write(name, foxglove_type(schema), b"".join(parts), "shown", timestamp_ns)
 
-    def _write(
-        self,
-        name: str,
-        message_type: type[Any],
-        content: bytes,
-        what: str,
-        timestamp_ns: int | None = None,
-    ) -> None:
-        self._box.add(
-            f"/{self._name}/{name}", message_type, content, session=self._name, what=what,
-            timestamp_ns=timestamp_ns, log_time_ns=self._time_ns,
-        )  # fmt: skip
+class _LogFile:
+    """The file of a log with any number of channels; until it is closed it has another name."""
+
+    def __init__(self, path: Path, *, overwrite: bool) -> None:
+        from sceneloom.formats.messages.mcap_files import McapWriter
+
+        self._path, self._draft, self._overwrite = path, unfinished_path(path), overwrite
+        check_output(path, overwrite=overwrite)
+        check_output(self._draft, overwrite=overwrite)
+        try:
+            self._stream: BinaryIO = self._draft.open("wb")
+        except OSError as error:
+            raise OutputError(f"{self._draft}: cannot be written: {error.strerror}") from error
+        library = f"sceneloom {__version__}"
+        self._writer = McapWriter(self._stream, library=library, compression="lz4", chunk_bytes=_CHUNK_BYTES)
+        self._stream.flush()
+        self._latest_ns = 0
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, str], int] = {}
+
+    def add(self, session: str, message: _Message, time_ns: int) -> None:
+        """Write a message that happened at a time.
+
+        Raises:
+            OutputError: there are more channels than a log may have.
+        """
+        if message.type is None:
+            self._writer.add_metadata(message.name, message.content)
+            return
+        # times never run backwards in the file, whatever the clock does: its order is what is replayed
+        self._latest_ns = max(time_ns, self._latest_ns)
+        published_ns = self._latest_ns if message.timestamp_ns is None else message.timestamp_ns
+        channel = self._channel(session, message)
+        self._writer.add_message(channel, self._latest_ns, [message.content], published_ns)
+
+    def _channel(self, session: str, message: _Message) -> int:
+        topic, name = f"/{session}/{message.name}", message.type.DESCRIPTOR.full_name  # type: ignore[union-attr]
+        if (topic, name) not in self._channels:
+            if len(self._channels) >= _MOST_CHANNELS:
+                raise OutputError(f"{_MOST_CHANNELS} channels, as many as a log may have")
+            if name not in self._schemas:
+                self._schemas[name] = self._writer.add_schema(name, "protobuf", schema_bytes(message.type))  # type: ignore[arg-type]
+            metadata = {"session": session, "what": message.what}
+            self._channels[topic, name] = self._writer.add_channel(
+                topic, "protobuf", self._schemas[name], metadata
+            )
+        return self._channels[topic, name]
+
+    def flush(self) -> None:
+        """Hand what was added to the disk."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Complete the log and give it its name.
+
+        Raises:
+            OutputError: a log of that name is there by now.
+        """
+        self._writer.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+        check_output(self._path, overwrite=self._overwrite)
+        self._draft.replace(self._path)
+
+
+@dataclass(frozen=True, slots=True)
+class LogEntry:
+    """One message of a log.
+
+    Attributes:
+        session: that it is of.
+        what: what it says.
+        topic: of its channel.
+        log_time_ns: when it was written.
+        message: of our `.proto`.
+    """
+
+    session: str
+    what: str
+    topic: str
+    log_time_ns: int
+    message: Any
+
+
+def is_log(path: Path) -> bool:
+    """Whether a file begins as an MCAP file does."""
+    if not path.is_file():
+        return False
+    with open_file(path) as file:
+        return file.read(6) == b"\x89MCAP0"
+
+
+def is_complete(path: Path) -> bool:
+    """Whether a log was closed, rather than cut off by a crash."""
+    if not is_log(path) or path.stat().st_size < 2 * _MAGIC_BYTES:
+        return False
+    with open_file(path) as file:
+        start = file.read(_MAGIC_BYTES)
+        file.seek(-_MAGIC_BYTES, os.SEEK_END)
+        return file.read() == start
+
+
+def read_log(path: Path) -> Iterator[LogEntry]:
+    """Give the messages of our schemas in the order in which they were written; what a crash cut off ends it.
+
+    Raises:
+        DataError: the file is no MCAP file, or holds none of our messages.
+    """
+    from mcap.records import Channel, Schema
+    from mcap.records import Message as Record
+
+    schemas: dict[int, Any] = {}
+    channels: dict[int, Any] = {}
+    found = False
+    for record in _records(path):
+        if isinstance(record, Schema):
+            schemas[record.id] = _message_type(record.name)
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Record):
+            channel = channels[record.channel_id]
+            message_type = schemas.get(channel.schema_id)
+            if message_type is None or "what" not in channel.metadata:
+                continue
+            found = True
+            reported = channel.metadata
+            yield LogEntry(
+                reported.get("session", ""),
+                reported["what"],
+                channel.topic,
+                record.log_time,
+                parse_message(message_type, record.data),
+            )
+    if not found:
+        raise DataError(path, "", f"no messages of {_PACKAGE}; expected a log of this service")
+
+
+def _message_type(schema: str) -> type[Any] | None:
+    package, _, name = schema.rpartition(".")
+    return getattr(fusion_pb2, name, None) if package == _PACKAGE else None
+
+
+def _records(path: Path) -> Iterator[Any]:
+    """The records of a file up to its end, or to where it was cut off."""
+    from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
+    from mcap.stream_reader import StreamReader
+
+    if not is_log(path):
+        raise DataError(path, "", "no MCAP file")
+    with open_file(path) as file:
+        try:
+            yield from StreamReader(file, record_size_limit=path.stat().st_size).records
+        except (EndOfFile, RecordLengthLimitExceeded, struct.error):
+            return  # it ends in the middle of a record
+        except (McapError, RuntimeError, ValueError) as error:
+            raise DataError(path, f"byte {file.tell()}", f"cannot be read: {error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayReport:
+    """Whether a log, replayed, gave what it says.
+
+    Attributes:
+        equal: by session, how many results were the same, byte for byte.
+        different: by session, those that were not: kind and number.
+        beyond: by session, those that the log does not have. The last ones are none of a log that a crash cut off.
+        complete: whether the log was closed.
+        gaps: by session, how often the log left something out; what came after the first gap of a session is not
+            compared, for it depends on what is missing.
+    """
+
+    equal: Mapping[str, int]
+    different: Mapping[str, tuple[str, ...]]
+    beyond: Mapping[str, tuple[str, ...]]
+    complete: bool
+    gaps: Mapping[str, int] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        if self.gaps or any(self.different.values()):
+            return False
+        return not (self.complete and any(self.beyond.values()))
+
+
+def replay(path: str | Path, *, session: str | None = None) -> Iterator[tuple[str, Result]]:
+    """Replay a log, and give session and result in the order in which they were.
+
+    Args:
+        session: only that one; None for all.
+
+    Raises:
+        DataError: the file is no log, or what stands in it is faulty.
+    """
+    replayed: dict[str, _Replayed] = defaultdict(lambda: _Replayed(Path(path)))
+    for entry in read_log(Path(path)):
+        if session in (None, entry.session):
+            for result in replayed[entry.session].take(entry):
+                yield entry.session, result
+
+
+def compare(path: str | Path) -> ReplayReport:
+    """Replay a log and compare each result with the log's own.
+
+    Raises:
+        DataError: the file is no log, or what stands in it is faulty.
+    """
+    replayed: dict[str, _Replayed] = defaultdict(lambda: _Replayed(Path(path)))
+    ours: dict[str, dict[tuple[str, int], bytes]] = defaultdict(dict)
+    equal, gaps = Counter[str](), Counter[str]()
+    different: dict[str, list[str]] = defaultdict(list)
+    for entry in read_log(Path(path)):
+        gaps.update([entry.session] * (entry.what == "gap"))
+        if entry.session in gaps:
+            continue
+        results = ours[entry.session]
+        for result in replayed[entry.session].take(entry):
+            results[kind_of(result.record).name, result.number] = encode(result.record)
+        if entry.what == "result":
+            name, number = entry.message.WhichOneof("result"), entry.message.number
+            if results.pop((name, number), None) == encode(from_protobuf(getattr(entry.message, name))):
+                equal[entry.session] += 1
+            else:
+                different[entry.session].append(f"{name} {number}")
+    return ReplayReport(
+        equal=dict(equal),
+        different={name: tuple(found) for name, found in different.items()},
+        beyond={
+            name: tuple(f"{kind} {number}" for kind, number in left)
+            for name, left in ours.items()
+            if name not in gaps
+        },
+        complete=is_complete(Path(path)),
+        gaps=dict(gaps),
+    )
+
+
+@dataclass(slots=True)
+class _Replayed:
+    """One session that is replayed."""
+
+    path: Path
+    _fusion: FusionInterface = field(init=False)
+    _results: list[Result] = field(default_factory=list)
+    _algorithms: tuple[str, str] | None = None
+    _properties: Any = None
+    _table: CalibrationTable = field(default_factory=CalibrationTable)
+    _setting: Setting | None = None
+    _trajectory: RecentTrajectory = field(default_factory=RecentTrajectory)
+
+    def __post_init__(self) -> None:
+        self._fusion = FusionInterface(inline=True, observer=self._note)
+
+    def _note(self, event: Event) -> None:
+        if isinstance(event, Result):
+            self._results.append(event)
+
+    def take(self, entry: LogEntry) -> list[Result]:
+        """Do what an entry says, and give what it results in; entries that only report do nothing."""
+        message = entry.message
+        match entry.what:
+            case "properties":
+                self._properties, self._setting = message, None
+            case "algorithms":
+                sensor_data, detections = value_from_protobuf(message)
+                self._algorithms, self._setting = (sensor_data, detections), None
+            case "calibration":
+                data = from_protobuf(message.calibration)
+                added = CalibrationEntry(message.camera_id, message.lidar_id, data)
+                self._table, self._setting = self._table.having([added]), None
+            case "pairs":
+                kept = {tuple(pair) for pair in value_from_protobuf(message)}
+                entries = {pair: known for pair, known in self._table.entries.items() if pair in kept}
+                self._table, self._setting = CalibrationTable(MappingProxyType(entries)), None
+            case "record":
+                self._fusion.repeat(accepted_alone(from_protobuf(message), self._current()))
+            case "motion":
+                path = path_of(message)
+                self._fusion.repeat(Moved(self._trajectory.extended(path), path))
+            case "flush":
+                self._fusion.repeat(Flushed())
+        results, self._results = self._results, []
+        return results
+
+    def _current(self) -> Setting:
+        if self._setting is None:
+            if self._properties is None:
+                raise DataError(self.path, "", "a record before any configuration; expected it first")
+            self._setting = Setting.of(snapshot_of(self._properties, self._algorithms), self._table)
+        return self._setting

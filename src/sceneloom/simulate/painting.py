@@ -171,9 +171,9 @@ def _car_body(
     """Lacquer with a dark sill and door gaps in the second colour; lamps and number plates in the third."""
     sill = band(v, -1.0, 0.12, wv)
     if face == _ALONG_Y:
-        doors = band(abs(u - 0.15), 0.0, 0.025, wu) + band(abs(abs(u - 0.15) - 1.0), 0.0, 0.025, wu)
+        access = band(abs(u - 0.15), 0.0, 0.025, wu) + band(abs(abs(u - 0.15) - 1.0), 0.0, 0.025, wu)
         trim = band(v, 0.33, 0.39, wv)
-        return min(1.0, sill + 0.7 * doors + 0.8 * trim), 0.0, 1.0
+        return min(1.0, sill + 0.7 * access + 0.8 * trim), 0.0, 1.0
     if face == _ALONG_X:
         lamps = band(abs(u), half_u - 0.42, half_u - 0.1, wu) * band(v, 0.36, 0.54, wv)
         plate = band(abs(u), -1.0, 0.26, wu) * band(v, 0.2, 0.32, wv)

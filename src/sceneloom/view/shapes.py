@@ -159,7 +159,7 @@ def attribute_name(attribute: AttributePath) -> str:
 
 
 def attribute_text(values: Mapping[str, Any]) -> str:
-    """Attributes in a line: `colour red, doors 4`."""
+    """Attributes in a line: `colour red, access 4`."""
     return ", ".join(
         f"{name} {value if isinstance(value, str) else json.dumps(value, default=str)}"
         for name, value in values.items()

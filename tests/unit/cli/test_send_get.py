@@ -14,10 +14,9 @@ from sceneloom.cli.main import sceneloom as program
 from sceneloom.colouring.cuboid_projection import project_cuboids
 from sceneloom.db34t import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.service.client import FusionClient
-from sceneloom.service.replay import compare
 from sceneloom.service.running import running_server
 from sceneloom.service.server import Security, ServerSettings
-from sceneloom.service.session_log import BlackBox
+from sceneloom.service.session_log import SessionLog, compare
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 TOKEN = "sixteen-characters-or-more"
@@ -46,7 +45,7 @@ def run(*arguments, code=0, reported=""):
 
 @pytest.fixture(scope="module")
 def address(logged):
-    with BlackBox(logged) as box, running_server(ServerSettings(observe=box.session)) as server:
+    with SessionLog(logged) as log, running_server(ServerSettings(observe=log.session)) as server:
         yield server.address
 
 
@@ -120,7 +119,7 @@ def test_following_ends_after_as_many_as_asked_for(address, sent):
 
 def test_a_log_is_sent_once_more(drive, tmp_path, logged):
     log = tmp_path / "first.mcap"
-    with BlackBox(log) as box, running_server(ServerSettings(observe=box.session)) as server:
+    with SessionLog(log) as log, running_server(ServerSettings(observe=log.session)) as server:
         run("send", drive, server.address, "--rate", 0, "--session", "rig", "-q")
         first = run("get", server.address, "--type", "detection", "--session", "rig")
     assert compare(log)

@@ -261,7 +261,7 @@ def test_unknown_sensors_and_wrong_measurements_are_refused_by_name() -> None:
     system = system_with()
     with pytest.raises(OptionError, match="from 'roof'; known are"):
         system.send("roof", sweep(0))
-    with pytest.raises(OptionError, match="a Image from 'lidar'"):
+    with pytest.raises(OptionError, match="a CameraImage from 'lidar'"):
         system.send("lidar", image(0))
     with pytest.raises(OptionError, match="known already"):
         system.add_lidar("camera0", None, period_ns=1)

@@ -137,9 +137,9 @@ def sessions():
 
 def conformance():
     from sceneloom.db34t.conformance.examination import examine
-    from sceneloom.db34t.transport import Doors, GrpcTransport
+    from sceneloom.db34t.transport import Access, GrpcTransport
 
-    with running_server() as server, GrpcTransport.connected(server.address, Doors()) as transport:
+    with running_server() as server, GrpcTransport.connected(server.address, Access()) as transport:
         assert examine(transport, address=server.address).failed_ids == ()
 
 

@@ -8,7 +8,7 @@ from grpc_reflection.v1alpha import reflection_pb2
 from grpc_reflection.v1alpha.reflection import ReflectionServicer
 
 from sceneloom.db34t.conformance.examination import examine
-from sceneloom.db34t.transport import SERVICE, CallFailedError, Doors, GrpcTransport, NobodyAnswersError
+from sceneloom.db34t.transport import SERVICE, Access, CallFailedError, GrpcTransport, NobodyAnswersError
 from sceneloom.errors import OptionError
 from sceneloom.service.server import Security
 
@@ -27,10 +27,10 @@ def test_a_server_with_tls_client_certificates_and_a_token_is_checked_like_any(s
     )
     token = tmp_path / "token"
     token.write_text(TOKEN + "\n")
-    doors = Doors(authority.path, token, authority.issue("kit"))
-    with GrpcTransport.connected(f"localhost:{server.port}", doors) as transport:
+    access = Access(authority.path, token, authority.issue("kit"))
+    with GrpcTransport.connected(f"localhost:{server.port}", access) as transport:
         assert examine(transport, only=["5.3", "X-6", "X-7"]).failed_ids == ()
-    without = Doors(authority.path, None, authority.issue("kit"))
+    without = Access(authority.path, None, authority.issue("kit"))
     with pytest.raises(NobodyAnswersError, match=r"UNAUTHENTICATED.*--token-file"):
         GrpcTransport.connected(f"localhost:{server.port}", without)
 
@@ -40,15 +40,15 @@ def test_a_token_is_not_sent_over_an_open_connection_to_another_machine(tmp_path
     token.write_text(TOKEN)
     for address in ("192.0.2.7:1", "fusion.example:1", "[2001:db8::1]:1"):
         with pytest.raises(OptionError, match="not encrypted"):
-            Doors(token_file=token).channel(address)
+            Access(token_file=token).channel(address)
     for address in ("127.0.0.1:1", "localhost:1", "[::1]:1"):
-        Doors(token_file=token).channel(address).close()
+        Access(token_file=token).channel(address).close()
 
 
 def test_a_call_that_ends_with_an_error_is_reported_with_its_code(serve):
     from sceneloom.db34t.wire import fusion_pb2
 
-    with GrpcTransport.connected(serve().address, Doors()) as transport:
+    with GrpcTransport.connected(serve().address, Access()) as transport:
         with pytest.raises(CallFailedError) as failed:
             transport.call("GetProperty", fusion_pb2.GetPropertyRequest(name="nothing"))
         assert failed.value.code == "NOT_FOUND"
@@ -60,7 +60,7 @@ SURROUNDINGS = ["X-21", "X-22", "X-23"]
 
 
 def test_health_and_reflection_of_the_server_are_found(serve):
-    with GrpcTransport.connected(serve().address, Doors()) as transport:
+    with GrpcTransport.connected(serve().address, Access()) as transport:
         assert examine(transport, only=SURROUNDINGS).failed_ids == ()
 
 
@@ -69,7 +69,7 @@ def test_a_server_without_health_and_reflection_fails_these_checks_and_says_so()
     port = server.add_insecure_port("127.0.0.1:0")
     server.start()
     try:
-        with GrpcTransport.connected(f"127.0.0.1:{port}", Doors()) as transport:
+        with GrpcTransport.connected(f"127.0.0.1:{port}", Access()) as transport:
             examination = examine(transport, only=SURROUNDINGS)
     finally:
         server.stop(None).wait()
@@ -95,7 +95,7 @@ def test_a_server_with_the_newer_reflection_alone_is_asked_by_that():
     port = server.add_insecure_port("127.0.0.1:0")
     server.start()
     try:
-        with GrpcTransport.connected(f"127.0.0.1:{port}", Doors()) as transport:
+        with GrpcTransport.connected(f"127.0.0.1:{port}", Access()) as transport:
             assert transport.services() == set(names)
             assert examine(transport, only=SURROUNDINGS).failed_ids == ("X-21",)
             with pytest.raises(CallFailedError, match="code 5"):  # NOT_FOUND

@@ -17,8 +17,7 @@ from sceneloom.db34t.protobuf import to_send_request
 from sceneloom.db34t.queues import Refused
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
-from sceneloom.service.replay import compare, is_complete, read_log
-from sceneloom.service.session_log import unfinished_path
+from sceneloom.service.session_log import compare, is_complete, read_log, unfinished_path
 from sceneloom.service.startup import ServiceLimits
 
 PATIENCE_S = 60

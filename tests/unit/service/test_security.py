@@ -11,10 +11,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from sceneloom.db34t.transport import read_pair
+from sceneloom.db34t.transport import is_local, read_pair, read_token
 from sceneloom.errors import DataError, OptionError
 from sceneloom.service.client import FusionClient
-from sceneloom.service.server import FusionServer, Security, ServerSettings, is_loopback, read_token
+from sceneloom.service.server import FusionServer, Security, ServerSettings
 from sceneloom.service.startup import check_port
 
 TOKEN = "0123456789abcdefghij"
@@ -177,7 +177,7 @@ def test_a_certificate_needs_its_key_and_an_authority_the_certificate(tmp_path):
     ],
 )
 def test_this_machine_is_distinguished_from_others(host, expected):
-    assert is_loopback(host) is expected
+    assert is_local(host) is expected
 
 
 def test_a_token_is_read_from_a_file_that_holds_nothing_else(tmp_path):

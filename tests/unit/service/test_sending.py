@@ -17,9 +17,8 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import iter_fused
 from sceneloom.scene import CameraSensor, PointsFrame
-from sceneloom.service.replay import compare, send_log
-from sceneloom.service.sending import PATIENCE_MS, Pace, Statistics, send_scene
-from sceneloom.service.session_log import BlackBox
+from sceneloom.service.sending import PATIENCE_MS, Pace, Statistics, send_log, send_scene
+from sceneloom.service.session_log import SessionLog, compare
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 CAMERA = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
@@ -78,10 +77,7 @@ def test_a_session_that_gets_the_records_of_a_drive_fuses_as_the_drive_is_fused(
 
 def test_a_rolling_shutter_is_sent_along_and_every_row_goes_by_its_own_time(receiver):
     scene = simulate_street(
-        1,
-        frames=4,
-        lidar=LidarSpec(beams=8, steps=90),
-        cameras=(CameraSpec(CAMERA, readout_ns=80_000_000),),
+        1, frames=4, lidar=LidarSpec(beams=8, steps=90), cameras=(CameraSpec(CAMERA, readout_ns=80_000_000),)
     ).scene
     at_once = replace(scene, sensors=tuple(without_shutter(one) for one in scene.sensors))
     depths = [
@@ -305,17 +301,17 @@ def test_a_drive_without_a_camera_cannot_be_sent(receiver):
 def test_a_log_sent_again_gives_the_same_results(tmp_path):
     path, again = tmp_path / "session.mcap", tmp_path / "again.mcap"
     scene = project_cuboids(street())
-    with BlackBox(path) as box, FusionInterface(inline=True, observer=box.session("rig")) as fusion:
+    with SessionLog(path) as log, FusionInterface(inline=True, observer=log.session("rig")) as fusion:
         fusion.add_property("site", "where", "string")
         fusion.set_property("site", "A1")
         fusion.set_property("result_queue_length", 1000)
         send_scene(scene, fusion, rate=0)
         expected = [encode(result.record) for kind in (0, 1) for result in fusion.results(kind)]
     opened = {}
-    with BlackBox(again) as box:
+    with SessionLog(again) as log:
 
         def open_session(name):
-            opened[name] = FusionInterface(inline=True, observer=box.session(name))
+            opened[name] = FusionInterface(inline=True, observer=log.session(name))
             return opened[name]
 
         report = send_log(path, open_session, rate=0)

@@ -5,7 +5,6 @@ import subprocess
 import sys
 import textwrap
 import threading
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +12,18 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
-from scipy.spatial.transform import Rotation
 
 from sceneloom.db34t import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.calibration import CalibrationEntry, format_calibrations
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode
 from sceneloom.db34t.queues import Flushed, Result
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.db34t.worker import Rig
 from sceneloom.errors import DataError, OptionError, OutputError
+from sceneloom.formats.messages.mcap_files import McapWriter
 from sceneloom.scene.poses import Poses
-from sceneloom.service.replay import compare, is_complete, read_log, replay
-from sceneloom.service.session_log import BlackBox, LogWriter, shown_records, unfinished_path
+from sceneloom.service.session_log import SessionLog, compare, is_complete, read_log, replay, unfinished_path
 
 WIDTH, HEIGHT = 64, 48
 FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
@@ -127,8 +126,8 @@ def begun(observer, *, inline):
 def logged(tmp_path):
     """A log of one inline session, and its results."""
     path, results = tmp_path / "session.mcap", []
-    with BlackBox(path) as box:
-        observe = box.session("rig")
+    with SessionLog(path) as log:
+        observe = log.session("rig")
 
         def observer(event):
             observe(event)
@@ -175,96 +174,6 @@ def test_any_reader_gives_back_all_that_came_in_and_went_out(logged):
     assert sent[3].poses[0].position == [500_003.0, 0, 0]  # as it came, not from an origin of our own
 
 
-def test_viewers_find_images_clouds_boxes_and_depths_in_schemas_that_they_know(logged):
-    path, results = logged
-    shown = {}
-    for name, channel, message in messages_of(path):
-        if name.startswith("foxglove."):
-            shown.setdefault(channel.topic, []).append((name.removeprefix("foxglove."), message))
-    kinds = {topic: messages[0][0] for topic, messages in shown.items()}
-    assert kinds == {
-        "/rig/camera/1/image/image_shown": "RawImage",
-        "/rig/camera/1/boxes_2d/boxes_2d_shown": "ImageAnnotations",
-        "/rig/camera/1/camera_model": "CameraCalibration",
-        "/rig/frames": "FrameTransform",
-        "/rig/lidar/0/points/points_shown": "PointCloud",
-        "/rig/lidar/0/boxes_3d/boxes_3d_shown": "SceneUpdate",
-        "/rig/fused/camera1_lidar0/depth": "RawImage",
-        "/rig/fused/camera1_lidar0/points": "PointCloud",
-        "/rig/fused/camera1_lidar0/boxes_2d": "ImageAnnotations",
-        "/rig/fused/camera1_lidar0/boxes_3d": "SceneUpdate",
-    }
-    camera_image = shown["/rig/camera/1/image/image_shown"][0][1]
-    assert (camera_image.width, camera_image.height, camera_image.encoding, camera_image.step) == (
-        WIDTH,
-        HEIGHT,
-        "rgb8",
-        3 * WIDTH,
-    )
-    assert camera_image.data == image(0, 0).data.tobytes()
-    points = shown["/rig/lidar/0/points/points_shown"][0][1]
-    assert np.array_equal(np.frombuffer(points.data, "<f4"), cloud(5, 0).data)
-    fused = shown["/rig/fused/camera1_lidar0/points"][0][1]
-    offsets = {field.name: (field.offset, field.type) for field in fused.fields}
-    rows = np.frombuffer(fused.data, np.uint8).reshape(-1, fused.point_stride)
-    columns = [offsets[name][0] for name in ("red", "green", "blue")]
-    assert {offsets[name][1] for name in ("red", "green", "blue", "alpha")} == {fused.fields[0].UINT8}
-    assert np.array_equal(rows[:, columns], results[0].record.points[:, -3:])
-    depth = shown["/rig/fused/camera1_lidar0/depth"][0][1]
-    assert depth.encoding == "32FC1"
-    assert np.array_equal(np.frombuffer(depth.data, "<f4"), results[0].record.image_depth)
-    cubes = [entity.cubes[0] for entity in shown["/rig/lidar/0/boxes_3d/boxes_3d_shown"][0][1].entities]
-    assert [(cube.size.x, cube.size.y) for cube in cubes] == [
-        (4, 2),
-        (pytest.approx(0.6), pytest.approx(0.6)),
-        (4, 2),
-    ]
-    transform = shown["/rig/frames"][0][1]
-    assert (transform.parent_frame_id, transform.child_frame_id) == ("rig/lidar0", "rig/camera1")
-    # a camera that looks forward: x right, y down, z forward seen from x forward, y left, z up
-    q = [transform.rotation.x, transform.rotation.y, transform.rotation.z, transform.rotation.w]
-    assert np.allclose(np.array(q) * np.sign(q[3]), [-0.5, 0.5, -0.5, 0.5])
-    camera_model = shown["/rig/camera/1/camera_model"][0][1]
-    assert list(camera_model.K) == [50, 0, 31.5, 0, 50, 23.5, 0, 0, 1]
-
-
-def test_viewers_are_reported_to_remove_boxes_that_the_next_list_does_not_have(tmp_path):
-    path, first = tmp_path / "session.mcap", boxes_3d(5, 0)
-    kept = {
-        name: getattr(first, name)[:1]
-        for name in ("id", "class_names", "confidence", "centers", "sizes_lwh", "directions", "velocities")
-    }
-    with BlackBox(path) as box, begun(box, inline=True) as fusion:
-        fusion.send(first)
-        fusion.send(replace(boxes_3d(105, 1), **kept))
-    updates = [message for name, _, message in messages_of(path) if name == "foxglove.SceneUpdate"]
-    assert [[entity.id for entity in update.entities] for update in updates] == [["0", "1", "2"], ["0"]]
-    assert [[gone.id for gone in update.deletions] for update in updates] == [[], ["1", "2"]]
-
-
-def test_viewers_see_where_boxes_point_and_pixels_that_they_know():
-    directions = np.array([[1, 2, 0.5], [-3, 0.1, 2], [0, 0, -1]], np.float32)
-    boxes = shown_records(replace(boxes_3d(0, 0), directions=directions), "lidar")["boxes_3d"].boxes
-    for box, direction in zip(boxes, directions.astype(float), strict=True):
-        rotated = Rotation.from_quat(box.quaternion_xyzw).apply([[1, 0, 0], [0, 1, 0]])
-        assert np.allclose(rotated[0], direction / np.linalg.norm(direction))
-        assert rotated[1, 2] == pytest.approx(0)  # no roll
-    pixels = np.zeros(HEIGHT * WIDTH * 2, np.uint8)
-    assert shown_records(replace(image(0, 0), encoding="raw", channel=2, data=pixels), "camera") == {}
-    grey = replace(image(0, 0), encoding="raw", channel=1, data=pixels[: HEIGHT * WIDTH])
-    assert shown_records(grey, "camera")["image"].encoding == "mono8"
-
-
-@pytest.mark.parametrize("colour", [0.5, 256.0, -1.0, np.inf])
-def test_colours_that_are_no_bytes_are_shown_as_the_numbers_that_they_are(colour):
-    points = np.array([[1, 2, 3, 0, 255, colour]], np.float32)
-    names = ("x", "y", "z", "r", "g", "b")
-    record = replace(cloud(0, 0), number=1, fields=names, fields_number=6, data=points)
-    shown = shown_records(record, "lidar")["points"]
-    assert [field.name for field in shown.fields] == list(names)
-    assert np.array_equal(np.frombuffer(shown.data, "<f4"), points[0])
-
-
 def test_a_log_played_again_gives_the_same_bytes(logged):
     path, results = logged
     again = [result for _, result in replay(path)]
@@ -280,13 +189,20 @@ def test_a_log_played_again_gives_the_same_bytes(logged):
 def test_a_result_that_differs_is_named(logged, tmp_path):
     path, _ = logged
     changed = tmp_path / "changed.mcap"
-    writer = LogWriter(changed)
-    for entry in read_log(path):
-        if entry.what == "result" and entry.message.number == 2 and entry.message.HasField("detections"):
-            entry.message.detections.image_seq += 1
-        content = entry.message.SerializeToString()
-        writer.add(entry.topic, type(entry.message), content, session=entry.session, what=entry.what)
-    writer.close()
+    with path.open("rb") as source, changed.open("wb") as target:
+        writer = McapWriter(target, library="test", compression="lz4", chunk_bytes=1 << 20)
+        channels = {}
+        for schema, channel, message in make_reader(source).iter_messages(log_time_order=False):
+            if channel.id not in channels:
+                number = writer.add_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.add_channel(channel.topic, "protobuf", number, channel.metadata)
+            content = message.data
+            if channel.topic == "/rig/results/detections":
+                reply = fusion_pb2.GetReply.FromString(content)
+                reply.detections.image_seq += reply.number == 2
+                content = reply.SerializeToString()
+            writer.add_message(channels[channel.id], message.log_time, [content], message.publish_time)
+        writer.finish()
     report = compare(changed)
     assert not report
     assert (report.equal, report.different) == ({"rig": 7}, {"rig": ("detections 2",)})
@@ -305,8 +221,8 @@ def test_a_live_session_with_drops_idle_flushes_and_hot_calibration_can_be_playe
         return feed(rig, *arguments)
 
     monkeypatch.setattr(Rig, "feed", feed_once_the_gate_is_open)
-    with BlackBox(path) as box:
-        observe = box.session("live")
+    with SessionLog(path) as log:
+        observe = log.session("live")
 
         def observer(event):
             observe(event)
@@ -340,7 +256,7 @@ def test_a_live_session_with_drops_idle_flushes_and_hot_calibration_can_be_playe
 def test_calibrations_that_were_replaced_altogether_are_played_so(tmp_path):
     path = tmp_path / "session.mcap"
     other = CalibrationEntry(1, 0, calibration(70.0))
-    with BlackBox(path) as box, begun(box, inline=True) as fusion:
+    with SessionLog(path) as log, begun(log, inline=True) as fusion:
         assert fusion.set_calibration(calibration(), camera_id=2, lidar_id=0)
         fusion.send(image(0, 0, sensor_id=2))
         drive(fusion, 2)
@@ -355,14 +271,14 @@ def test_calibrations_that_were_replaced_altogether_are_played_so(tmp_path):
 
 def test_several_sessions_stand_side_by_side_in_one_file(tmp_path):
     path = tmp_path / "rigs.mcap"
-    with BlackBox(path) as box:
-        first, second = (begun(box.session(name), inline=True) for name in ("a", "b"))
+    with SessionLog(path) as log:
+        first, second = (begun(log.session(name), inline=True) for name in ("a", "b"))
         for seq in range(3):
             drive(first, 1, start=seq)
             drive(second, 1, start=2 * seq)
         first.close()
         second.close()
-        with begun(box.session("a"), inline=True) as again:
+        with begun(log.session("a"), inline=True) as again:
             drive(again, 1)
     report = compare(path)
     assert report
@@ -376,9 +292,9 @@ def test_several_sessions_stand_side_by_side_in_one_file(tmp_path):
 CRASHING = """
 import os, signal, sys
 sys.path.insert(0, {folder!r})
-from test_session_log import BlackBox, begun, drive
-box = BlackBox({path!r}, kept_back_s=0)
-drive(begun(box.session("rig"), inline=True), 3)
+from test_session_log import SessionLog, begun, drive
+log = SessionLog({path!r}, kept_back_s=0)
+drive(begun(log.session("rig"), inline=True), 3)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -396,7 +312,7 @@ def test_what_was_written_before_a_kill_can_be_read_and_played(tmp_path):
     assert report
     assert report.equal == {"rig": 4}  # the third sweep waits for an image
     with pytest.raises(OutputError, match="exists already"):
-        BlackBox(path)
+        SessionLog(path)
 
 
 def test_a_file_that_was_cut_anywhere_ends_where_it_was_cut(logged, tmp_path):
@@ -427,127 +343,107 @@ def test_a_log_never_replaces_another_unless_it_may(tmp_path):
     path = tmp_path / "session.mcap"
     path.write_bytes(b"mine")
     with pytest.raises(OutputError, match="exists already"):
-        BlackBox(path)
-    with BlackBox(path, overwrite=True) as box, begun(box, inline=True) as fusion:
+        SessionLog(path)
+    with SessionLog(path, overwrite=True) as log, begun(log, inline=True) as fusion:
         drive(fusion, 1)
     assert compare(path).equal == {"default": 2}
 
 
 def test_a_file_that_cannot_be_written_leaves_the_session_alone(tmp_path):
     path = tmp_path / "session.mcap"
-    box = BlackBox(path, kept_back_s=0)
-    with begun(box.session("rig"), inline=True) as fusion:
+    log = SessionLog(path, kept_back_s=0)
+    with begun(log.session("rig"), inline=True) as fusion:
         drive(fusion, 1)
-        box.writer._stream.close()
+        log._file._stream.close()
         drive(fusion, 1, start=1)
         assert fusion.counters.counts()["results.sensor_data"] == 1
-    assert isinstance(box.failure, ValueError)
+    assert isinstance(log.failure, ValueError)
     with pytest.raises(OutputError, match="cannot be written"):
-        box.close()
+        log.close()
 
 
 @pytest.fixture
 def stalled(monkeypatch):
     """A disk that takes nothing until its gate is opened."""
-    gate, add = threading.Event(), LogWriter.add
+    gate, add = threading.Event(), McapWriter.add_message
 
     def add_once_the_gate_is_open(writer, *arguments, **options):
         assert gate.wait(60)
         return add(writer, *arguments, **options)
 
-    monkeypatch.setattr(LogWriter, "add", add_once_the_gate_is_open)
+    monkeypatch.setattr(McapWriter, "add_message", add_once_the_gate_is_open)
     yield gate
     gate.set()
 
 
 def test_fusion_does_not_wait_for_the_disk_and_nothing_is_lost_of_what_there_is_room_for(tmp_path, stalled):
     path, results = tmp_path / "session.mcap", []
-    box = BlackBox(path)
-    with begun(box.session("rig"), inline=True) as fusion:
+    log = SessionLog(path)
+    with begun(log.session("rig"), inline=True) as fusion:
         drive(fusion)
         results += [*fusion.results(0), *fusion.results(1)]
     assert len(results) == 6  # the fourth waits for a later image; and not a message is in the file
     stalled.set()
-    box.close()
-    assert (compare(path).equal, compare(path).gaps, box.lost) == ({"rig": 8}, {}, {})
+    log.close()
+    assert (compare(path).equal, compare(path).gaps, log.lost) == ({"rig": 8}, {}, {})
 
 
 def test_what_there_is_no_room_for_is_counted_and_the_log_says_where_it_has_gaps(tmp_path, stalled, caplog):
     path = tmp_path / "session.mcap"
-    box = BlackBox(path, most_bytes=60_000)
-    with begun(box.session("rig"), inline=True) as fusion:
+    log = SessionLog(path, most_bytes=60_000)
+    with begun(log.session("rig"), inline=True) as fusion:
         drive(fusion)
         results = fusion.counters.counts()["results.sensor_data"]
         lost = fusion.counters.counts()["errors.observer.NotLoggedError"]
     assert results == 3
-    assert box.lost["rig"] >= lost > 0  # the end of the session is an event, too
+    assert log.lost["rig"] >= lost > 0  # the end of the session is an event, too
     stalled.set()
-    box.close()
+    log.close()
     reported = [record for record in caplog.records if "has a gap" in record.message]
     assert len(reported) == 1
     report = compare(path)
     assert (report.gaps, bool(report), report.complete, report.different) == ({"rig": 1}, False, True, {})
     (gap,) = [entry for entry in read_log(path) if entry.what == "gap"]
-    assert gap.message.reason.startswith(f"{box.lost['rig']} entries are missing")
+    assert gap.message.reason.startswith(f"{log.lost['rig']} entries are missing")
 
 
 def test_a_log_with_a_gap_goes_on_after_it(tmp_path, stalled):
     path = tmp_path / "session.mcap"
-    box = BlackBox(path, most_bytes=60_000)
-    with begun(box.session("rig"), inline=True) as fusion:
+    log = SessionLog(path, most_bytes=60_000)
+    with begun(log.session("rig"), inline=True) as fusion:
         drive(fusion)
         stalled.set()
-        with box._changed:
-            assert box._changed.wait_for(box._is_done, 60)
+        with log._changed:
+            assert log._changed.wait_for(log._is_done, 60)
         drive(fusion, 1, start=4)
-    box.close()
+    log.close()
     reported = [entry.what for entry in read_log(path)]
     after = reported[reported.index("gap") :]
     assert after.count("gap") == 1
     assert after.count("record") == 4
 
 
-def test_viewers_are_left_out_before_anything_else_is(tmp_path, stalled):
-    path = tmp_path / "session.mcap"
-    box = BlackBox(path, most_bytes=400_000)
-    with begun(box.session("rig"), inline=True) as fusion:
-        drive(fusion)
-    stalled.set()
-    box.close()
-    shown = [name for name, _, _ in messages_of(path) if name.startswith("foxglove.")]
-    assert 0 < len(shown) < 30  # of all that a log shows of four pairs
-    assert compare(path).equal == {"rig": 8}
-
-
 def test_an_error_of_the_disk_is_reported_once_and_what_it_loses_is_counted(tmp_path, caplog):
     path = tmp_path / "session.mcap"
-    box = BlackBox(path, kept_back_s=0)
-    with begun(box.session("rig"), inline=True) as fusion:
+    log = SessionLog(path, kept_back_s=0)
+    with begun(log.session("rig"), inline=True) as fusion:
         drive(fusion, 1)
-        box.writer._stream.close()
+        log._file._stream.close()
         drive(fusion, 2, start=1)
         counts = fusion.counters.counts()
     assert counts["results.sensor_data"] == 2
     assert counts["errors.observer.NotLoggedError"] > 10
-    assert box.lost["rig"] >= counts["errors.observer.NotLoggedError"]
+    assert log.lost["rig"] >= counts["errors.observer.NotLoggedError"]
     assert len([record for record in caplog.records if "is cut" in record.message]) == 1
     with pytest.raises(OutputError, match="cannot be written"):
-        box.close()
+        log.close()
     assert not is_complete(unfinished_path(path))
     assert [entry.what for entry in read_log(unfinished_path(path))].count("record") == 4
 
 
-def test_without_what_viewers_want_the_file_holds_our_messages_alone(tmp_path):
-    path = tmp_path / "session.mcap"
-    with BlackBox(path, shown=False) as box, begun(box, inline=True) as fusion:
-        drive(fusion, 1)
-    assert not [name for name, _, _ in messages_of(path) if name.startswith("foxglove.")]
-    assert compare(path)
-
-
 def test_chunks_and_times_stand_in_order_whatever_the_clock_does(tmp_path):
     path, ticks = tmp_path / "session.mcap", iter([5_000, 4_000, 9_000] * 1000)
-    with BlackBox(path, clock_ns=lambda: next(ticks)) as box, begun(box, inline=True) as fusion:
+    with SessionLog(path, clock_ns=lambda: next(ticks)) as log, begun(log, inline=True) as fusion:
         drive(fusion, 2)
     with path.open("rb") as file:
         times = [

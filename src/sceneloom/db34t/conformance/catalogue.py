@@ -1,17 +1,19 @@
-"""What a conformance check is: its number, the clause or table row it stands for (quoted in Chinese and English).
+"""What a conformance check is: a numbered statement of the standard, and a function that asks a server.
 
-The sessions it works with, and what it observes.
+The sessions that checks work with, what they observe, and how they are declared.
 """
 
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
-from types import MappingProxyType
+from importlib.resources import files
 from typing import Any, NamedTuple, TypeVar
 
+import numpy as np
 from google.protobuf.message import Message
 
-from sceneloom.db34t.conformance import scene as conformance_scene
+from sceneloom.db34t.conformance import scene
 from sceneloom.db34t.tables import TABLES
 from sceneloom.db34t.transport import SERVICE, CallFailedError, Transport
 from sceneloom.db34t.wire import fusion_pb2
@@ -29,257 +31,10 @@ class _Quote(NamedTuple):
     chinese: str
 
 
-CLAUSES: Mapping[str, _Quote] = MappingProxyType(
-    {
-        "4.1": _Quote(
-            "sensor data fusion takes the lidar's point clouds and the camera's images, the calibration data, "
-            "and the "
-            "mode that the configuration data give, and puts out fused data",
-            "分别从激光雷达和摄像头接收激光点云数据和图像数据,从标定数据获取标定信息,"
-            "按配置数据中给出的传感器数据融合模式"
-            "进行融合,输出融合数据",
-        ),
-        "4.2": _Quote(
-            "detection fusion takes the two-dimensional boxes of images and the three-dimensional boxes of point "
-            "clouds, the calibration data, and the mode that the configuration data give, and puts out fused "
-            "detections",
-            "分别获取图像目标检测二维包围框和点云目标检测三维包围框,从标定数据获取标定信息,"
-            "按配置数据中给出的目标检测结果"
-            "融合模式进行融合,输出融合后的目标检测结果",
-        ),
-        "5.2": _Quote(
-            "the configuration data of the interface are those of table 2", "配置接口的配置数据见表2"
-        ),
-        "5.3.1": _Quote(
-            "the fusion system offers an interface that adds a configuration property: its name, its "
-            "description, the "
-            "type of its value",
-            "融合系统提供添加配置属性接口, 添加配置属性, 包括属性名称、属性描述、属性值的类型等",
-        ),
-        "5.3.2": _Quote(
-            "inputs: name of the property; description of the property; type of its value",
-            "接口输入参数: 属性名称; 属性描述; 属性值的类型",
-        ),
-        "5.3.3": _Quote(
-            "the interface returns whether the property was added: 1 added, 0 not added",
-            "接口返回值: 属性添加成功与否的状态, 1—添加成功、0—添加失败",
-        ),
-        "5.4.1": _Quote(
-            "the fusion system offers an interface that sets the value of the property with a given name",
-            "融合系统提供设置配置属性值接口, 设置指定属性名的属性值",
-        ),
-        "5.4.2": _Quote("inputs: the name of a property; the value", "接口输入参数: 指定属性名; 属性值"),
-        "5.4.3": _Quote(
-            "the interface returns whether the value was set: 1 set, 0 not set",
-            "接口返回值: 属性值设置成功与否的状态, 1—设置成功、0—设置失败",
-        ),
-        "5.5.1": _Quote(
-            "the fusion system offers an interface that gets the value of the property with a given name",
-            "融合系统提供获取配置属性值接口, 获取指定属性名的属性值",
-        ),
-        "5.5.2": _Quote("input: the name of a property", "接口输入参数: 指定属性名"),
-        "5.5.3": _Quote("the interface returns the value of the property", "接口返回值: 属性值"),
-        "5.6.1": _Quote(
-            "the sender gives the fusion system data through the receiving interface: raw data (6.2), image "
-            "data (6.3), "
-            "point cloud data (6.4), 3D boxes (6.5) or 2D boxes (6.6)",
-            "数据发送端通过数据接收接口向融合系统提供待融合的数据, 可以是原始数据 (6.2)、图像数据 (6.3)、"
-            "点云数据 (6.4)、"
-            "点云目标检测三维包围框信息 (6.5)、图像目标检测二维包围框信息 (6.6) 之一",
-        ),
-        "5.6.2": _Quote(
-            "input: data of one of the types that the specification defines",
-            "接口输入参数: 数据, 规范中定义的数据类型的数据",
-        ),
-        "5.6.3": _Quote(
-            "the interface returns whether the data were sent: 1 sent, 0 not sent",
-            "接口返回值: 设置/发送成功与否的状态, 1—设置/发送成功、0—设置/发送失败",
-        ),
-        "5.7.1": _Quote(
-            "fused data are fetched through the interface: fused sensor data (6.7) or fused detections (6.8)",
-            "融合系统通过数据获取接口获取融合后数据, 可以是传感器数据融合后数据 (6.7)、"
-            "目标检测结果融合后目标检测结果数据 (6.8)",
-        ),
-        "5.7.2": _Quote("input: the fusion type", "接口输入参数: 融合类型, 指定融合的类型"),
-        "5.7.3": _Quote("the interface returns the fused data", "接口返回值: 融合后的数据"),
-        "6.2": _Quote("raw data are as table 4 says", "原始数据描述 应符合表4的规定"),
-        "6.3": _Quote("image data are as table 5 says", "图像数据描述 应符合表5的规定"),
-        "6.4": _Quote("point cloud data are as table 6 says", "点云数据描述 应符合表6的规定"),
-        "6.5": _Quote("3D boxes are as table 7 says", "点云目标检测三维包围框信息描述 应符合表7的规定"),
-        "6.7": _Quote("fused sensor data are as table 9 says", "传感器数据融合后数据描述 应符合表9的规定"),
-        "6.8": _Quote("fused detections are as table 10 says", "目标检测结果融合后数据描述 应符合表10的规定"),
-    }
+QUOTES: Mapping[str, Mapping[str, Any]] = tomllib.loads(
+    files(__package__).joinpath("quotes.toml").read_text("utf-8")
 )
-"""By clause."""
-
-TYPE_ROWS: Mapping[str, _Quote] = MappingProxyType(
-    {
-        "bool": _Quote("bool: truth value", "bool 布尔型"),
-        "int8": _Quote("int8: whole number of 8 bits", "int8 8位整型"),
-        "uint8": _Quote("uint8: whole number of 8 bits without a sign", "uint8 无符号8位整型"),
-        "int32": _Quote("int32: whole number of 32 bits", "int32 32位整型"),
-        "uint32": _Quote("uint32: whole number of 32 bits without a sign", "uint32 无符号32位整型"),
-        "float": _Quote(
-            "float: floating-point number of single precision (32 bits)", "float 单精度浮点（32bit）"
-        ),
-        "double": _Quote(
-            "double: floating-point number of double precision (64 bits)", "double 双精度浮点（64-bit）"
-        ),
-        "string": _Quote("string: text", "string 字符串类型"),
-        "enum": _Quote("enum: enumeration", "enum 枚举类型"),
-    }
-)
-"""Table 1, by the type."""
-
-PROPERTY_ROWS: Mapping[str, _Quote] = MappingProxyType(
-    {
-        "fusion_type": _Quote(
-            "fusion type, bool, 0: sensor data fusion, 1: detection fusion",
-            "fusion_type 融合类型 bool 0: 传感器数据融合; 1: 目标检测结果融合",
-        ),
-        "chirality": _Quote(
-            "chirality, bool, 0: right-handed frames, 1: left-handed frames",
-            "chirality 手征: 右手坐标系或者左手坐标系 bool 0: 右手坐标系; 1: 左手坐标系",
-        ),
-        "camera_coordinate": _Quote(
-            "axes of the camera frame that the vehicle's forward, right and vertical directions go along; 0, 1, "
-            "2 mean "
-            "x, y, z, negative numbers the opposite direction",
-            "camera_coordinate 记录车辆前进方向、右侧方向、竖直方向对应摄像头坐标系的轴 (int8, int8, int8) "
-            "数字0, 1, 2分别表示"
-            "x, y, z轴, 负数表示负方向",
-        ),
-        "lidar_coordinate": _Quote(
-            "axes of the lidar frame that the vehicle's forward, right and vertical directions go along; 0, 1, "
-            "2 mean "
-            "x, y, z, negative numbers the opposite direction",
-            "lidar_coordinate 记录车辆前进方向、右侧方向、竖直方向对应激光雷达坐标系的轴 (int8, int8, int8) "
-            "数字0, 1, 2分别表示"
-            "x, y, z轴, 负数表示负方向",
-        ),
-        "camera_frequency": _Quote(
-            "frequency of the camera's data, uint32, Hz", "camera_frequency 摄像头获取数据频率 uint32 HZ"
-        ),
-        "lidar_frequency": _Quote(
-            "frequency of the lidar's data, uint32, Hz", "lidar_frequency 激光雷达获取数据频率 uint32 HZ"
-        ),
-        "fusion_algorithm": _Quote("algorithm of the fusion, string", "fusion_algorithm 融合所用算法 string"),
-    }
-)
-"""Table 2, by the property."""
-
-_TIME = "uint32. uint32 s. ns / 秒. 纳秒"
-
-ROWS: Mapping[int, Mapping[str, str]] = MappingProxyType(
-    {
-        3: {
-            "image_size": "图像大小 uint32[2] 1×2向量",
-            "distortion_coeffs": "畸变参数向量 缺省所有形变系数都设为0 double[5] 该畸变参数适用于针孔相机模型",
-            "intrinsic_matrix": "内参矩阵 double[9] 3×3矩阵, 包含摄像头的光学中心和焦距信息, "
-            "表示摄像头坐标系到图像坐标系的映射"
-            "关系",
-            "reference_frame": "参考坐标系 bool 外参矩阵参考坐标系, 0:摄像头坐标系 1:激光雷达坐标系",
-            "extrinsic_matrix": "外参矩阵 double[16] 4×4矩阵, 包括旋转与平移信息, 表示参考坐标系之间的空间转换关系",
-        },
-        4: {
-            "sensor_id": "产生原始数据的传感器id uint8",
-            "timestamp": f"数据生成的时间戳 {_TIME}",
-            "seq": "数据的序列 uint32",
-            "length": "原始数据字节数 uint32",
-            "data": "原始数据字节流 int8[]",
-        },
-        5: {
-            "sensor_id": "产生图像数据的摄像头传感器id uint8",
-            "timestamp": f"图片生成的时间戳 {_TIME}",
-            "seq": "图像的序列 uint32",
-            "height": "图像高度, 即像素行数 uint32",
-            "width": "图像宽度, 即像素列数 uint32",
-            "encoding": "图像编码 string",
-            "channel": "图像的通道数 uint8",
-            "data": "图像数据, width * height * channel个uint8数据 uint8[]",
-        },
-        6: {
-            "sensor_id": "产生点云数据的激光雷达id uint8",
-            "timestamp": f"点云的时间戳 {_TIME}",
-            "seq": "连续递增的序列唯一标识 uint32",
-            "number": "点云中的点的个数 uint32",
-            "fields": "点云中一个点所包含的数据类别 string[] 一个点云数据包括必须的x, y, z三维坐标信息, "
-            "以及可选的reflectivity"
-            "反射率信息等",
-            "fields_number": "一个点包含的数据类别数 uint8 如fields为[x, y, z], 则fields_number为3",
-            "data": "点云数据, number * fields_number个float数 float[] 每fields_number个浮点数表示点云中的一个点",
-            "sensor_type": "机械式激光雷达/固态激光雷达 bool 0为机械式激光雷达 1为固态激光雷达",
-            "beam": "机械式激光雷达线束 uint32 当sensor_type为0时可选",
-            "ring": "点云点所属的机械式激光雷达线束 uint32 当sensor_type为0时可选",
-        },
-        7: {
-            "id": "包围框的id int32",
-            "class": "目标类别 enum",
-            "points_seq": "点云序列 uint32 对应的点云序列号",
-            "confidence": "目标存在的概率 float [0, 1]范围内的小数, 表示目标存在的概率",
-            "timestamp": f"该三维包围框对应的时间戳 {_TIME}",
-            "X": "包围框的中心点在激光雷达坐标系中的x坐标 float",
-            "Y": "包围框的中心点在激光雷达坐标系中的y坐标 float",
-            "Z": "包围框的中心点在激光雷达坐标系中的z坐标 float",
-            "length": "包围框的长度 float m/米",
-            "width": "包围框的宽度 float m/米",
-            "height": "包围框的高度 float m/米",
-            "direction": "三维包围框的在激光雷达坐标系下的朝向向量 float[3]",
-            "velocity": "三维包围框速度 float m/s 米/秒",
-        },
-        8: {
-            "id": "二维包围框的id int32",
-            "class": "目标类别 enum",
-            "image_seq": "对应的图像的序列 uint32",
-            "confidence": "目标存在的概率 float [0, 1]范围内的小数, 表示目标存在的概率",
-            "timestamp": f"该二维包围框对应的时间戳 {_TIME}",
-            "x1": "图像坐标系中的包围框左上角横坐标 uint32 像素的在图像坐标系中的位置",
-            "y1": "图像坐标系中的包围框左上角纵坐标 uint32 像素的在图像坐标系中的位置",
-            "x2": "图像坐标系中的包围框右下角横坐标 uint32 像素的在图像坐标系中的位置",
-            "y2": "图像坐标系中的包围框右下角纵坐标 uint32 像素的在图像坐标系中的位置",
-        },
-        9: {
-            "timestamp": f"时间戳 {_TIME}",
-            "class": "目标类别 enum",
-            "image_seq": "融合所用图像数据序列号 uint32",
-            "points_seq": "融合所用的点云数据序列号 uint32",
-            "camera_id": "生成图像的传感器id uint8",
-            "lidar_id": "生成点云的激光雷达id uint8",
-            "height": "图像高度, 即像素行数 uint32",
-            "width": "图像宽度, 即像素列数 uint32",
-            "encoding": "图像编码 string",
-            "image_channel": "图像的通道数 uint8",
-            "image_data": "图像数据，数组长度为width * height * image_channel uint8[]",
-            "image_depth": "融合后得到的像素值为摄像头到场景中各点的距离（深度）的深度图像，数组长度为width * "
-            "height float[]",
-            "point_num": "点云中点的数量 uint32",
-            "point_fields": "融合后点云中一个点所包含的数据类别 string[]",
-            "fields_number": "融合后点云中一个点包含的数据类别数 uint8",
-            "point_data": "点云数据 float[]",
-        },
-        10: {
-            "id": "id int32",
-            "confidence": "目标存在的概率 float [0, 1]范围内的小数，表示目标存在的概率",
-            "timestamp": f"时间戳 {_TIME}",
-            "class": "目标类别 enum",
-            "X": "融合后目标包围框的中心点在激光雷达坐标系中的x坐标 float",
-            "Y": "融合后目标包围框的中心点在激光雷达坐标系中的y坐标 float",
-            "Z": "融合后目标包围框的中心点在激光雷达坐标系中的z坐标 float",
-            "center_cov": "融合后中心点协方差 float[9] 3×3矩阵，表示目标位置的不确定度",
-            "length": "融合后目标包围框的长度 float m/米",
-            "width": "融合后目标包围框的宽度 float 米",
-            "height": "融合后目标包围框的高度 float 米",
-            "size_cov": "融合后的尺寸协方差 float[9] 3×3矩阵，表示尺寸的不确定度",
-            "direction": "融合后包围框的在激光雷达坐标系下的朝向向量 float[3]",
-            "velocity": "融合后目标速度 float m/s / 米/秒",
-            "x1": "融合后图像坐标系中的包围框左上角横坐标 uint32 像素的在图像坐标系中的位置",
-            "y1": "融合后图像坐标系中的包围框左上角纵坐标 uint32 像素的在图像坐标系中的位置",
-            "x2": "融合后图像坐标系中的包围框右下角横坐标 uint32 像素的在图像坐标系中的位置",
-            "y2": "融合后图像坐标系中的包围框右下角纵坐标 uint32 像素的在图像坐标系中的位置",
-        },
-    }
-)
-"""Tables 3 to 10: description, type and note of each row."""
+"""`clauses`, `table_1` and `table_2` by name: English and Chinese; `table_3` to `table_10` by row: Chinese."""
 
 _Made = TypeVar("_Made")
 
@@ -327,23 +82,17 @@ class Peer:
         return plain_value(self.get(name).value)
 
     def calibrate(
-        self,
-        *,
-        camera_id: int = conformance_scene.CAMERA_ID,
-        lidar_id: int = conformance_scene.LIDAR_ID,
-        **changed: Any,
+        self, *, camera_id: int = scene.CAMERA_ID, lidar_id: int = scene.LIDAR_ID, **changed: Any
     ) -> int:
         """Send a calibration, that of the scene but for what is stated; the status."""
-        return self.calibrate_with(
-            conformance_scene.calibration(**changed), camera_id=camera_id, lidar_id=lidar_id
-        )
+        return self.calibrate_with(scene.calibration(**changed), camera_id=camera_id, lidar_id=lidar_id)
 
     def calibrate_with(
         self,
         calibration: fusion_pb2.Calibration,
         *,
-        camera_id: int = conformance_scene.CAMERA_ID,
-        lidar_id: int = conformance_scene.LIDAR_ID,
+        camera_id: int = scene.CAMERA_ID,
+        lidar_id: int = scene.LIDAR_ID,
     ) -> int:
         """Send a calibration; the status."""
         reply = self.call("SetCalibration", calibration=calibration, camera_id=camera_id, lidar_id=lidar_id)
@@ -430,16 +179,41 @@ class Bench:
 
 def fused_pair(peer: Peer) -> Any:
     """The record of table 9 of the scene."""
-    peer.send(conformance_scene.image())
-    peer.send(conformance_scene.cloud())
+    peer.send(scene.image())
+    peer.send(scene.cloud())
     return peer.result(SENSOR_DATA)
+
+
+def send_pairs(peer: Peer, numbers: range) -> None:
+    """Send pairs of an image and a sweep, a period apart."""
+    for k in numbers:
+        peer.send(scene.image(k, k * scene.PERIOD_NS + scene.IMAGE_LATER_NS))
+        peer.send(scene.cloud(k, k * scene.PERIOD_NS))
 
 
 def fused_boxes(peer: Peer) -> Any:
     """The records of table 10 of the scene."""
-    peer.send(conformance_scene.boxes_2d())
-    peer.send(conformance_scene.boxes_3d())
+    peer.send(scene.boxes_2d())
+    peer.send(scene.boxes_3d())
     return peer.result(DETECTIONS)
+
+
+def depths(record: Any) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """The depth image of a record of table 9, (H, W)."""
+    return np.frombuffer(record.image_depth, "<f4").reshape(record.height, record.width)
+
+
+def filled(record: Any) -> list[tuple[int, int]]:
+    """Column and row of the pixels that have a depth."""
+    rows, columns = np.nonzero(depths(record))
+    return sorted(zip(columns.tolist(), rows.tolist(), strict=True))
+
+
+def columns_of(record: Any, names: tuple[str, ...]) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """Some fields of the points of a record of table 9, (N, F)."""
+    fields = list(record.point_fields)
+    rows = np.frombuffer(record.point_data, "<f4").reshape(-1, len(fields))
+    return rows[:, [fields.index(name) for name in names]]
 
 
 def result_of(reply: Any, fusion_type: int) -> Any:
@@ -455,7 +229,7 @@ def result_of(reply: Any, fusion_type: int) -> Any:
     return getattr(reply, name)
 
 
-def detection_of(result: Any, box: conformance_scene.SentBox) -> Any:
+def detection_of(result: Any, box: scene.SentBox) -> Any:
     """The fused detection that stands where a box was sent.
 
     Raises:
@@ -549,39 +323,37 @@ class Check:
     look: Look
 
 
-@dataclass(slots=True)
+_Declare = Callable[[Look], Look]
+
+
 class Catalogue:
-    """The checks of one part of the standard, in order.
+    """Declares the checks of some parts of the standard; each method is a decorator of what looks.
 
     Attributes:
-        title: of the part.
-        checks: gathered as they are declared.
+        checks: in the order in which they were declared.
     """
 
-    title: str
-    checks: list[Check] = field(default_factory=list)
+    def __init__(self) -> None:
+        """Declare nothing yet."""
+        self.checks: list[Check] = []
 
-    def clause(
-        self, number: str, of_clause: str, title: str, *, basis: Basis = Basis.TEXT
-    ) -> Callable[[Look], Look]:
-        """Declare what looks whether a clause is kept."""
-        return self._declare(number, f"clause {of_clause}", title, basis, CLAUSES[of_clause])
+    def clause(self, number: str, of: str, title: str, *, reading: bool = False) -> _Declare:
+        """Declare what looks whether a clause is kept; `reading` where the clause leaves it open."""
+        quote = _Quote(*QUOTES["clauses"][of])
+        return self._declare(number, f"clause {of}", title, _BASES[reading], quote)
 
-    def row(self, table: int, name: str, title: str, *, basis: Basis = Basis.TEXT) -> Callable[[Look], Look]:
+    def row(self, table: int, name: str, title: str, *, reading: bool = False) -> _Declare:
         """Declare what looks at a row of a table."""
-        row_number, quote = _row(table, name)
-        return self._declare(
-            f"T{table}-{row_number}", f"table {table}, row {row_number} ({name})", title, basis, quote
-        )
+        number, quote = _row(table, name)
+        location = f"table {table}, row {number} ({name})"
+        return self._declare(f"T{table}-{number}", location, title, _BASES[reading], quote)
 
-    def extension(self, number: int, location: str, title: str) -> Callable[[Look], Look]:
+    def extension(self, number: int, location: str, title: str) -> _Declare:
         """Declare what looks at something that the standard does not have."""
         quote = _Quote("not in the standard", "本文件未规定")
         return self._declare(f"X-{number}", location, title, Basis.EXTENSION, quote)
 
-    def _declare(
-        self, number: str, location: str, title: str, basis: Basis, quote: _Quote
-    ) -> Callable[[Look], Look]:
+    def _declare(self, number: str, location: str, title: str, basis: Basis, quote: _Quote) -> _Declare:
         def declared(look: Look) -> Look:
             self.checks.append(Check(number, location, title, basis, quote, look))
             return look
@@ -589,14 +361,16 @@ class Catalogue:
         return declared
 
 
+_BASES = {False: Basis.TEXT, True: Basis.READING}
+
+
 def _row(table: int, name: str) -> tuple[int, _Quote]:
-    if table == 1:
-        return list(TYPE_ROWS).index(name) + 1, TYPE_ROWS[name]
-    if table == 2:
-        return list(PROPERTY_ROWS).index(name) + 1, PROPERTY_ROWS[name]
+    quotes = QUOTES[f"table_{table}"]
+    if table <= 2:
+        return list(quotes).index(name) + 1, _Quote(*quotes[name])
     row = TABLES[table].row(name)
     unit = f" [{row.unit}]" if row.unit else ""
-    return row.number, _Quote(f"{name}: {row.type}{unit}: {row.meaning}", ROWS[table][name])
+    return row.number, _Quote(f"{name}: {row.type}{unit}: {row.meaning}", quotes[name])
 
 
 def same(sent: str, expected: Any, found: Any) -> Seen:
@@ -607,6 +381,21 @@ def same(sent: str, expected: Any, found: Any) -> Seen:
 def true(sent: str, expected: str, found: Any, *, agrees: bool) -> Seen:
     """See whether something holds that is stated in words."""
     return Seen(sent, expected, _short(found), agrees)
+
+
+def taken(sent: str, status: int) -> Seen:
+    """See whether a record or a calibration was taken."""
+    return same(sent, "taken", "taken" if status else "refused")
+
+
+def added(sent: str, status: int) -> Seen:
+    """See whether a property was added."""
+    return true(sent, "added", f"status {status}", agrees=status != 0)
+
+
+def refused(sent: str, status: int) -> Seen:
+    """See whether something was refused."""
+    return same(sent, "status 0", f"status {status}")
 
 
 def near(sent: str, expected: float, found: float, tolerance: float) -> Seen:

@@ -10,23 +10,24 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from sceneloom.db34t.conformance import extension_checks, fusion_checks, property_checks, record_checks
-from sceneloom.db34t.conformance.catalogue import Bench, Catalogue, Check, NoResultError, Seen
+from sceneloom.db34t.conformance import (
+    calibration_checks,
+    extension_checks,
+    property_checks,
+    record_checks,
+    result_checks,
+)
+from sceneloom.db34t.conformance.catalogue import Bench, Check, NoResultError, Seen
 from sceneloom.db34t.transport import CallFailedError, Transport
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.output import replacing
 
-PARTS: tuple[Catalogue, ...] = tuple(
-    part.CHECKS
-    for part in (
-        *(property_checks, property_checks, fusion_checks, fusion_checks, record_checks, record_checks),
-        *(record_checks, fusion_checks, fusion_checks, extension_checks, extension_checks),
-    )
+CHECKS: tuple[Check, ...] = tuple(
+    check
+    for part in (property_checks, calibration_checks, record_checks, result_checks, extension_checks)
+    for check in part.CHECKS.checks
 )
-"""The parts of the kit, in the order of the standard."""
-
-CHECKS: tuple[Check, ...] = tuple(check for part in PARTS for check in part.checks)
-"""All checks."""
+"""All checks, in the order of the standard."""
 
 
 class Verdict(StrEnum):
@@ -83,6 +84,33 @@ class Examination:
     def failed_ids(self) -> tuple[str, ...]:
         """The checks that failed."""
         return tuple(f.check.id for f in self.findings if f.verdict is Verdict.FAILED)
+
+    def as_builtins(self) -> dict[str, Any]:
+        """Give it as plain values."""
+        checks = [_plain(finding) for finding in self.findings]
+        return {"address": self.address, "passed": self.passed, "counts": self.counts, "checks": checks}
+
+    def write(self, path: Path, *, overwrite: bool = False) -> None:
+        """Write a report in the format that the file's suffix says.
+
+        Raises:
+            OptionError: the suffix is none of .json, .md and .html.
+            OutputError: the file exists already, or cannot be written.
+        """
+        check_report(path)
+        text = _FORMATS[path.suffix.lower()](self)
+        with replacing(path, overwrite=overwrite) as draft:
+            draft.write_text(text, "utf-8")
+
+
+def check_report(path: Path) -> None:
+    """Check that a report can be written into a file of that name.
+
+    Raises:
+        OptionError: its suffix is none of .json, .md and .html.
+    """
+    if path.suffix.lower() not in _FORMATS:
+        raise OptionError(f"report {path}; expected a name that ends with one of {', '.join(_FORMATS)}")
 
 
 def chosen(ids: Iterable[str]) -> tuple[Check, ...]:
@@ -151,40 +179,6 @@ def _after(seen: Sequence[Seen]) -> str:
     return f"what comes after: {seen[-1].sent}" if seen else "what the check begins with"
 
 
-def write_report(examination: Examination, path: Path, *, overwrite: bool = False) -> None:
-    """Write a report in the form that the file's suffix says.
-
-    Raises:
-        OptionError: the suffix is none of .json, .md and .html.
-        OutputError: the file exists already, or cannot be written.
-    """
-    text = form_of(path)(examination)
-    with replacing(path, overwrite=overwrite) as draft:
-        draft.write_text(text, "utf-8")
-
-
-def form_of(path: Path) -> Callable[[Examination], str]:
-    """How a report is written into a file of that name.
-
-    Raises:
-        OptionError: its suffix is none of .json, .md and .html.
-    """
-    form = _FORMS.get(path.suffix.lower())
-    if form is None:
-        raise OptionError(f"report {path}; expected a name that ends with one of {', '.join(_FORMS)}")
-    return form
-
-
-def as_builtins(examination: Examination) -> dict[str, Any]:
-    """Give an examination as plain values."""
-    return {
-        "address": examination.address,
-        "passed": examination.passed,
-        "counts": examination.counts,
-        "checks": [_plain(finding) for finding in examination.findings],
-    }
-
-
 def _plain(finding: Finding) -> dict[str, Any]:
     check = finding.check
     return {
@@ -201,7 +195,7 @@ def _plain(finding: Finding) -> dict[str, Any]:
 
 def _as_json(examination: Examination) -> str:
     """Give an examination as JSON."""
-    return json.dumps(as_builtins(examination), indent=2, ensure_ascii=False) + "\n"
+    return json.dumps(examination.as_builtins(), indent=2, ensure_ascii=False) + "\n"
 
 
 def _as_markdown(examination: Examination) -> str:
@@ -286,7 +280,7 @@ def _summary(examination: Examination) -> str:
     return f"{len(examination.findings)} checks: {reported}"
 
 
-_FORMS: Mapping[str, Callable[[Examination], str]] = {
+_FORMATS: Mapping[str, Callable[[Examination], str]] = {
     ".json": _as_json,
     ".md": _as_markdown,
     ".html": _as_html,

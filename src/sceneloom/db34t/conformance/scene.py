@@ -24,6 +24,9 @@ SECONDS, NANOSECONDS = 1595682678, 715705367
 IMAGE_LATER_NS = 1_234_567
 """How much after its sweep an image is taken."""
 
+PERIOD_NS = 100_000_000
+"""Between one pair and the next."""
+
 CAMERA_FROM_LIDAR = np.array(
     [[0.0, -1.0, 0.0, 0.25], [0.0, 0.0, -1.0, -0.5], [1.0, 0.0, 0.0, -0.125], [0.0, 0.0, 0.0, 1.0]]
 )

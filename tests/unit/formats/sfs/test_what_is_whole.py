@@ -68,7 +68,7 @@ def header():
                 "id": "car",
                 "type": "cuboid",
                 "path": path(BOX, BOX, BOX),
-                "attributes": [attribute, {**attribute, "name": "doors", "values": [4]}],
+                "attributes": [attribute, {**attribute, "name": "access", "values": [4]}],
                 "activations": [
                     {"sensor_id": "top", "timestamps": [0], "durations": [5]},
                     {"sensor_id": "front", "timestamps": [0], "durations": [5]},

@@ -157,11 +157,7 @@ def test_raw_bytes_of_a_lidar_are_the_records_of_the_recording_format():
 
 
 @pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        (b"1" * 47, "a remainder of 1 bytes"),
-        (b"~" * 46, "times up to"),
-    ],
+    ("content", "problem"), [(b"1" * 47, "a remainder of 1 bytes"), (b"~" * 46, "times up to")]
 )
 def test_raw_bytes_that_are_no_records_are_refused(content, problem):
     raw = RawData(sensor_id=3, timestamp=TIME, seq=1, length=len(content), data=content)

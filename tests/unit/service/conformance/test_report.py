@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from sceneloom.db34t.conformance.examination import examine, write_report
+from sceneloom.db34t.conformance.examination import examine
 from sceneloom.errors import OptionError, OutputError
 
 from .defects import Broken, status_two
@@ -25,7 +25,7 @@ def examination():
 
 
 def test_json_holds_every_check_with_what_it_saw(examination, tmp_path):
-    write_report(examination, tmp_path / "r.json")
+    examination.write(tmp_path / "r.json")
     found = json.loads((tmp_path / "r.json").read_text("utf-8"))
     assert (found["address"], found["passed"], found["counts"]) == (
         "127.0.0.1:1",
@@ -39,7 +39,7 @@ def test_json_holds_every_check_with_what_it_saw(examination, tmp_path):
 
 
 def test_markdown_has_a_row_for_each_check_and_a_section_for_each_that_failed(examination, tmp_path):
-    write_report(examination, tmp_path / "r.md")
+    examination.write(tmp_path / "r.md")
     lines = (tmp_path / "r.md").read_text("utf-8").splitlines()
     assert sum(line.startswith(("| 5.3-", "| T10-")) for line in lines) == len(examination.findings)
     assert [line for line in lines if line.startswith("## ")] == [
@@ -63,7 +63,7 @@ def test_html_shows_each_check_and_runs_nothing_that_a_server_wrote(tmp_path):
     found = examine(Broken(HereTransport(), outgoing=renamed), address="<b>", only=["5.3-1"])
     assert found.failed_ids == ("5.3-1",)
     for suffix in (".html", ".md"):
-        write_report(found, tmp_path / f"r{suffix}")
+        found.write(tmp_path / f"r{suffix}")
     page = Page()
     page.feed((tmp_path / "r.html").read_text("utf-8"))
     assert page.tags.count("details") == 1
@@ -74,9 +74,9 @@ def test_html_shows_each_check_and_runs_nothing_that_a_server_wrote(tmp_path):
 
 def test_other_suffixes_and_files_that_are_there_are_refused(examination, tmp_path):
     with pytest.raises(OptionError, match=r"\.json, \.md, \.html"):
-        write_report(examination, tmp_path / "r.pdf")
+        examination.write(tmp_path / "r.pdf")
     (tmp_path / "r.md").write_text("mine")
     with pytest.raises(OutputError, match="exists already"):
-        write_report(examination, tmp_path / "r.md")
-    write_report(examination, tmp_path / "r.md", overwrite=True)
+        examination.write(tmp_path / "r.md")
+    examination.write(tmp_path / "r.md", overwrite=True)
     assert "mine" not in (tmp_path / "r.md").read_text("utf-8")

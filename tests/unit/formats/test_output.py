@@ -220,7 +220,7 @@ import os, sys
 from contextlib import suppress
 from pathlib import Path
 from sceneloom.errors import OutputError
-from sceneloom.formats import output
+from sceneloom.formats.base import output
 from sceneloom.formats.base.output import FolderKind, check_output, filling, on_trial, replacing, replacing_together
 
 job, top, exchanges = sys.argv[1], Path(sys.argv[2]), sys.argv[3] == "exchange"

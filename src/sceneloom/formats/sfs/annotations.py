@@ -1,13 +1,10 @@
-"""Annotations of a file, from records to the model: cuboids, keypoints, boxes, shapes, with attributes.
-
-Activations and projections.
-"""
+"""Annotations of a file, read and written by one table: the fields of each type and the attributes of its model."""
 
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain
 from types import MappingProxyType
 from typing import Any, Literal
@@ -17,12 +14,22 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import ArrayError, CalibrationError
-from sceneloom.formats.sfs.clock import FileClock, TimeRangeError
+from sceneloom.errors import ArrayError, CalibrationError, OptionError
+from sceneloom.formats.sfs.clock import FileClock, StaticTime, TimeRangeError
 from sceneloom.formats.sfs.metadata import Source
-from sceneloom.formats.sfs.records import Faults, FieldError, Location, repaired_path_of, rows_of, times_of
+from sceneloom.formats.sfs.records import (
+    Faults,
+    FieldError,
+    Location,
+    described,
+    extras_of_poses,
+    repaired_path_of,
+    rows_of,
+    times_of,
+    with_extras,
+)
 from sceneloom.formats.sfs.schema import ANNOTATION_RECORDS, annotation_record
-from sceneloom.formats.sfs.sensors import further_of_intrinsics, read_camera_model
+from sceneloom.formats.sfs.sensors import extras_of_intrinsics, intrinsics_record, read_camera_model
 from sceneloom.formats.sfs.spec import PAIRS
 from sceneloom.scene.annotations import (
     DIMENSIONS,
@@ -55,47 +62,82 @@ from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import Identifier
 from sceneloom.warnings import WarningKind
 
-_Record = Mapping[str, Any]
-
-_ATTRIBUTE = frozenset({"name", "sensor_id", "static", "point_index", "timestamps", "values"})
+_Fields = Mapping[str, Any]
 
 
-@contextmanager
-def _noting(faults: Faults, location: Location) -> Iterator[None]:
-    """Rotate what a part refuses into a fault at its location."""
-    try:
-        yield
-    except FieldError as error:
-        faults.add(location, str(error), code=error.code)
-    except ArrayError as error:
-        faults.add(location, str(error))
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """A record of the file that is being read: an annotation, or a part of one.
+
+    Attributes:
+        source: the file.
+        fields: its fields, checked by the table of fields, times in nanoseconds.
+        root: where the annotation is in the file.
+        location: where the record is in the annotation.
+        faults: collects what is wrong, with locations in the annotation.
+        type: of the annotation.
+    """
+
+    source: Source
+    fields: _Fields
+    root: Location
+    location: Location
+    faults: Faults
+    type: str = ""
+
+    def part(self, fields: _Fields, *below: str | int) -> "_Record":
+        """A record inside this one."""
+        return _Record(self.source, fields, self.root, (*self.location, *below), self.faults, self.type)
+
+    def build(self, model: Callable[..., Any], columns: Mapping[str, "_Column"], **given: Any) -> Any:
+        """Make an object of the model; None where something is at fault. Unknown fields become its `extras`."""
+        before, extras = len(self.faults), {}
+        for name, value in self.fields.items():
+            column = columns.get(name)
+            if column is None:
+                extras[name] = value
+            elif value is not None:
+                read = column.read
+                given[column.attribute or name] = value if read is None else read(self, name, value)
+                if column.extras is not None and (unknown := column.extras(value)):
+                    extras[name] = unknown
+        if any(not fault.repaired for fault in self.faults[before:]):
+            return None
+        with _noting(self.faults, self.location):
+            return model(**given, extras=extras)
+        return None
+
+    def warn_flat(self, *below: str | int) -> None:
+        """Warn that a path in space has pairs for positions."""
+        message = "pairs where locations in the world were expected; their z is taken as 0"
+        where = (*self.root, *self.location, *below)
+        self.source.warning(WarningKind.ASSUMED, "no-height", where, message)
 
 
-def _further(record: _Record, *taken: str) -> dict[str, Any]:
-    """The fields of a record that are not taken."""
-    return {name: value for name, value in record.items() if name not in taken}
+@dataclass(frozen=True, slots=True)
+class _Column:
+    """A field of a record, and the attribute of the model that holds it.
+
+    Attributes:
+        attribute: its name in the model, if it is another one.
+        read: makes the attribute of record, name and value; None: it passes as it is.
+        write: makes the field of location, attribute and unknown fields of it; None: it passes as it is.
+        extras: gives the unknown fields of a value that the model has no object for.
+    """
+
+    attribute: str = ""
+    read: Callable[[_Record, str, Any], Any] | None = None
+    write: Callable[[str, Any, Any], Any] | None = None
+    extras: Callable[[Any], _Fields] | None = None
 
 
-def read_attributes(records: Any, faults: Faults) -> tuple[AttributePath, ...]:
-    """Make the attributes of their records."""
-    attributes = []
-    for index, record in enumerate(records or ()):
-        with _noting(faults, ("attributes", index)):
-            attributes.append(_attribute(record))
-    return tuple(attributes)
+class _NotFiniteError(ValueError):
+    """Where a number is not finite, below the annotation, and which."""
 
 
-def _attribute(record: _Record) -> AttributePath:
-    times, values = record.get("timestamps"), attribute_values(record.get("values"))
-    return AttributePath(
-        record["name"],
-        values,
-        timestamps_ns=None if times is None else read_only(times_of(times)),
-        sensor_id=record.get("sensor_id"),
-        static=record.get("static"),
-        point_index=record.get("point_index"),
-        extras=_further(record, *_ATTRIBUTE),
-    )
+def read_attributes(source: Source, records: Any, faults: Faults) -> tuple[AttributePath, ...]:
+    """Read the attributes of the scene or of a sensor from their records."""
+    return _read_attributes(_Record(source, {}, (), (), faults), "attributes", records or ())
 
 
 def attribute_values(values: Any) -> tuple[Any, ...]:
@@ -107,148 +149,266 @@ def attribute_values(values: Any) -> tuple[Any, ...]:
     )
 
 
-def _check_counts(times: Sized, values: Sized, *, name: str = "values") -> None:
-    """Refuse a path with more or fewer values than timestamps.
+def attribute_record(attribute: AttributePath) -> dict[str, Any]:
+    """Make the record of an attribute."""
+    record = _written(attribute, _ATTRIBUTE)
+    if attribute.timestamps_ns is None and not attribute.values:
+        del record["values"]
+    return record
+
+
+def encode_annotation(annotation: Annotation) -> dict[str, Any]:
+    """Make the record of an annotation.
 
     Raises:
-        FieldError: there are.
+        OptionError: a number of it is not finite; rows of NaN, where they mean "none", are written as null.
     """
+    if isinstance(annotation, PlainAnnotation):
+        return {"id": annotation.id, "type": annotation.type, **annotation.fields}
+    head = {"id": annotation.id, "type": str(annotation.type)}
+    try:
+        return _written(annotation, _COLUMNS[type(annotation)], head=head)
+    except _NotFiniteError as error:
+        raise OptionError(f"annotations[{annotation.id}].{error}") from None
+
+
+def _written(
+    value: Any, columns: Mapping[str, _Column], *, location: str = "", head: _Fields = MappingProxyType({})
+) -> dict[str, Any]:
+    """Make the record of an object of the model; fields that are not stated are left out."""
+    record, extras = dict(head), value.extras
+    for name, column in columns.items():
+        held = getattr(value, column.attribute or name)
+        if held is not None and column.write is not None:
+            held = column.write(f"{location}{name}", held, extras.get(name))
+        if held is not None:
+            record[name] = held
+    return with_extras(record, extras) if extras else record
+
+
+def read_annotations(source: Source, raw: Any, location: Location) -> tuple[Annotation, ...]:
+    """Read a list of annotations; those at fault are left out if the caller is lenient."""
+    if raw is None:
+        return ()
+    if not isinstance(raw, list):
+        faults = Faults()
+        faults.add((), "expected a list of annotations")
+        source.collect(faults, location)
+        return ()
+    usual = _read_usual_cuboids(raw, source.clock)
+    annotations: list[Annotation] = []
+    for index, item in enumerate(raw):
+        if index in usual:
+            annotations.append(usual[index])
+            continue
+        faults = Faults()
+        annotation = _read_annotation(source, item, (*location, index), faults)
+        if source.settle(faults, (*location, index)) and annotation is not None:
+            annotations.append(annotation)
+    return tuple(annotations)
+
+
+def _read_annotation(source: Source, raw: Any, location: Location, faults: Faults) -> Annotation | None:
+    type_name = raw.get("type") if isinstance(raw, dict) else None
+    if not isinstance(type_name, str):
+        faults.add(("type",), f"{type_name!r}; expected one of {', '.join(ANNOTATION_RECORDS)}")
+        return None
+    if type_name == "event" and raw.get("start") is None:
+        source.warning(
+            WarningKind.ASSUMED, "event-is-object", location, "an event without a start; read as an object"
+        )
+        type_name = "object"
+    known = type_name in ANNOTATION_RECORDS
+    values = source.reader(forgiving=not known).read(raw, annotation_record(type_name), faults)
+    if not known and not isinstance(values.get("id"), str | int):
+        faults.add(("id",), f"{values.get('id')!r}; expected text or an integer")
+    if faults.unmended:
+        return None
+    del values["type"]
+    model = _MODELS.get(type_name)
+    if model is None:
+        return PlainAnnotation(values.pop("id"), type_name, values)
+    record, columns = _Record(source, values, location, (), faults, type_name), _COLUMNS[model]
+    if model is ShapeAnnotation and type_name != ShapeType.POLYLINE:
+        columns = {name: column for name, column in columns.items() if name != "is_closed"}
+    given = {"type": ShapeType(type_name) if model is ShapeAnnotation else type_name}
+    annotation: Annotation | None = record.build(model, columns, **given if model in _TYPED else {})
+    if isinstance(annotation, PointsAnnotation):
+        _check_labels(annotation, faults)
+    return annotation
+
+
+def _check_labels(annotation: PointsAnnotation, faults: Faults) -> None:
+    labels = annotation.labels
+    points = sum(path.values.shape[1] // 3 for path in annotation.paths)
+    if labels is not None and len(labels) not in {len(annotation.paths), points}:
+        faults.add(("labels",), f"{len(labels)} labels for {points} points; expected as many of both")
+
+
+@contextmanager
+def _noting(faults: Faults, location: Location) -> Iterator[None]:
+    """Turn what a part refuses into a fault at its location."""
+    try:
+        yield
+    except FieldError as error:
+        faults.add(location, str(error), code=error.code)
+    except ArrayError as error:
+        faults.add(location, str(error))
+
+
+def _read_times(_: _Record, __: str, raw: Any) -> Int64Array:
+    return read_only(times_of(raw))
+
+
+def _read_tuple(_: _Record, __: str, raw: Any) -> tuple[Any, ...]:
+    return tuple(raw)
+
+
+def _check_counts(record: _Record, values: Sized, name: str = "values") -> None:
+    """Refuse more or fewer values than timestamps."""
+    times = record.fields["timestamps"]
     if len(times) != len(values):
         raise FieldError(f"{len(times)} timestamps and {len(values)} {name}; expected as many of both")
 
 
-def _row_path(
-    record: _Record, columns: int, faults: Faults, location: Location
-) -> tuple[Int64Array, Float64Array] | None:
-    """Take the timestamps [ns] and rows of numbers of a path; None where it is at fault."""
-    rows = _rows_at(record["values"], columns, faults, (*location, "values"))
-    if rows is None:
-        return None
-    times = times_of(record["timestamps"])
-    with _noting(faults, location):
-        _check_counts(times, rows)
-        return read_only(times), read_only(rows)
-    return None
+def _read_durations(record: _Record, name: str, raw: Any) -> tuple[Any, ...]:
+    with _noting(record.faults, (*record.location, name)):
+        _check_counts(record, raw, name)
+    return tuple(raw)
 
 
-def _rows_at(values: Any, columns: int, faults: Faults, location: Location) -> Float64Array | None:
-    """Take rows of numbers, (N, columns) float64; each row that is none becomes a fault with its number."""
+def _read_confirmed(record: _Record, name: str, raw: Any) -> tuple[bool | None, ...]:
+    """Read `confirmed`: true, false or null for each timestamp."""
+    listed = raw.tolist() if isinstance(raw, np.ndarray) else raw
+    for index, value in enumerate(listed):
+        if value is not None and not isinstance(value, bool):
+            problem = f"{described(value)}; expected true, false or null"
+            record.faults.add((*record.location, name, index), problem)
+    with _noting(record.faults, (*record.location, name)):
+        _check_counts(record, listed)
+    return tuple(listed)
+
+
+def _read_labels(record: _Record, name: str, raw: Any) -> tuple[str, ...]:
+    for index, label in enumerate(raw):
+        if not isinstance(label, str):
+            record.faults.add((name, index), f"{label!r}; expected text")
+    return tuple(raw)
+
+
+def _read_rows(record: _Record, name: str, raw: Any, *, columns: int) -> Float64Array | None:
+    """Read rows of numbers, (N, columns) float64; each row that is none becomes a fault with its number."""
+    location, faults = (*record.location, name), record.faults
     try:
-        return rows_of(values, columns)
+        rows = rows_of(raw, columns)
     except FieldError as error:
         before = len(faults)
-        for index, row in enumerate(values if isinstance(values, list) else ()):
+        for index, row in enumerate(raw if isinstance(raw, list) else ()):
             _note_bad_row(row, columns, faults, (*location, index))
         if len(faults) == before:
             faults.add(location, str(error))
-    return None
-
-
-def _note_bad_row(row: Any, columns: int, faults: Faults, location: Location) -> bool:
-    """Note a row that is not that many numbers; report whether it is sound."""
-    numbers = isinstance(row, list | np.ndarray) and all(
-        isinstance(value, int | float | np.number) and not isinstance(value, bool) for value in row
-    )
-    if numbers and len(row) == columns:
-        return True
-    found = f"{len(row)} numbers" if numbers else _described(row)
-    faults.add(location, f"{found}; expected {columns} numbers")
-    return False
-
-
-def _described(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _nullable_rows(
-    record: _Record, name: str, columns: int, faults: Faults, location: Location
-) -> Float64Array | None:
-    """Take the rows of a field in which null stands for none, (N, columns) float64 with rows of NaN for null.
-
-    None where there is no such field, or it is at fault.
-    """
-    values = record.get(name)
-    if values is None:
         return None
-    listed: Sequence[Any] = values.tolist() if isinstance(values, np.ndarray) else values
+    with _noting(faults, record.location):
+        _check_counts(record, rows)
+    return read_only(rows)
+
+
+def _read_nullable_rows(record: _Record, name: str, raw: Any, *, columns: int) -> Float64Array | None:
+    """Read rows in which null stands for none, (N, columns) float64 with rows of NaN for null."""
+    location, faults = (*record.location, name), record.faults
+    listed: Sequence[Any] = raw.tolist() if isinstance(raw, np.ndarray) else raw
     kept = [index for index, row in enumerate(listed) if row is not None]
     before = len(faults)
-    with _noting(faults, (*location, name)):
-        _check_counts(record["timestamps"], listed, name=name)
+    with _noting(faults, location):
+        _check_counts(record, listed, name)
     try:
         rows = rows_of([listed[index] for index in kept], columns)
     except FieldError as error:
         for index in kept:
-            _note_bad_row(listed[index], columns, faults, (*location, name, index))
+            _note_bad_row(listed[index], columns, faults, (*location, index))
         if len(faults) == before:
-            faults.add((*location, name), str(error))
-    if len(faults) > before:
+            faults.add(location, str(error))
         return None
     array = np.full((len(listed), columns), np.nan)
     array[kept] = rows
     return read_only(array)
 
 
-def _confirmations(record: _Record, faults: Faults, location: Location) -> tuple[bool | None, ...] | None:
-    """Take `confirmed`: true, false or null for each timestamp."""
-    values = record.get("confirmed")
-    if values is None:
+def _note_bad_row(row: Any, columns: int, faults: Faults, location: Location) -> None:
+    """Note a row that is not that many numbers."""
+    numbers = isinstance(row, list | np.ndarray) and all(
+        isinstance(value, int | float | np.number) and not isinstance(value, bool) for value in row
+    )
+    if not numbers or len(row) != columns:
+        found = f"{len(row)} numbers" if numbers else described(row)
+        faults.add(location, f"{found}; expected {columns} numbers")
+
+
+def _write_rows(location: str, values: Float64Array, _: Any) -> Float64Array:
+    if np.isfinite(values).all():
+        return values
+    row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+    raise _NotFiniteError(f"{location}[{row}]: {values[row].tolist()}; expected finite numbers")
+
+
+def _write_nullable_rows(location: str, values: Float64Array, _: Any) -> Any:
+    """Write rows of NaN as null."""
+    if np.isfinite(values).all():
+        return values
+    rows: list[list[float] | None] = values.tolist()
+    for row in np.flatnonzero(~np.isfinite(values).all(axis=1)).tolist():
+        if not np.isnan(values[row]).all():
+            problem = f"{rows[row]}; expected finite numbers, or NaN for all of them"
+            raise _NotFiniteError(f"{location}[{row}]: {problem}")
+        rows[row] = None
+    return rows
+
+
+def _read_points(record: _Record, name: str, raw: Any) -> Float64Array | None:
+    """Read rows of x, y, z, or of several such triples; of pairs, z is 0."""
+    columns = len(raw[0]) if len(raw) and isinstance(raw[0], list | np.ndarray) else 3
+    rows = _read_rows(record, name, raw, columns=columns)
+    if rows is None:
         return None
-    listed = values.tolist() if isinstance(values, np.ndarray) else values
-    for index, value in enumerate(listed):
-        if value is not None and not isinstance(value, bool):
-            faults.add((*location, "confirmed", index), f"{_described(value)}; expected true, false or null")
-    with _noting(faults, (*location, "confirmed")):
-        _check_counts(record["timestamps"], listed, name="values")
-    return tuple(listed)
+    if _fits_pairs_only([columns]):
+        record.warn_flat(name)
+        return read_only(_with_height(rows.reshape(-1, 2)).reshape(len(rows), -1))
+    if columns % 3 or columns == 0:
+        problem = f"rows of {columns} numbers; expected x, y, z"
+        record.faults.add((*record.location, name), problem)
+    return rows
 
 
-def _read_poses(values: _Record, faults: Faults) -> Poses | None:
-    """Make the poses of a correction."""
-    record = values.get("poses")
-    if record is None:
-        return None
-    before = len(faults)
-    path = repaired_path_of(record, faults)
-    if path is None and len(faults) == before:
-        faults.add(("poses",), "empty; expected at least one pose")
-    return path
-
-
-def _vertices_of(
-    rows: Any, dimensions: int, faults: Faults, location: Location, *, are_pairs: bool | None = None
-) -> tuple[tuple[Float64Array, ...], bool]:
-    """Cut rows of numbers into vertices, (V, D) float64 each.
-
-    Args:
-        rows: the numbers of each keyframe.
-        dimensions: 2 or 3.
-        faults: takes what is wrong.
-        location: where the rows are.
-        are_pairs: whether rows that should hold triples hold pairs; None: where they fit pairs only.
-
-    Returns:
-        vertices: one array per row; nothing where one is at fault.
-        flat: whether rows that should hold triples fit pairs only; their z is 0.
-    """
-    listed: Sequence[Any] = list(rows)
-    arrays = [_numbers(row, faults, (*location, index)) for index, row in enumerate(listed)]
+def _read_vertices(record: _Record, name: str, raw: Any) -> tuple[Float64Array, ...]:
+    """Cut the rows of a shape into vertices, (V, D) float64 each; where rows fit pairs only, z is 0."""
+    kind, asked, faults = ShapeType(record.type), record.source.options.vertices, record.faults
+    location, dimensions = (*record.location, name), DIMENSIONS[kind]
+    listed: Sequence[Any] = list(raw)
+    arrays = [_read_numbers(row, faults, (*location, index)) for index, row in enumerate(listed)]
     found = [array for array in arrays if array is not None]
     if len(found) != len(listed):
-        return (), False
-    fits = _fits_pairs_only([array.size for array in found])
-    flat = dimensions == 3 and (fits if are_pairs is None else are_pairs)
+        return ()
+    if asked is None or kind not in _OUTLINES:
+        are_pairs = _fits_pairs_only([array.size for array in found])
+    else:
+        are_pairs = asked == PAIRS
+    flat = dimensions == 3 and are_pairs
     size = 2 if flat else dimensions
     for index, array in enumerate(found):
         if array.size % size:
-            faults.add(
-                (*location, index), f"{array.size} numbers; expected a multiple of {size}, {size} per vertex"
-            )
+            problem = f"{array.size} numbers; expected a multiple of {size}, {size} per vertex"
+            faults.add((*location, index), problem)
     if faults.unmended:
-        return (), False
+        return ()
+    with _noting(faults, record.location):
+        _check_counts(record, found)
+    if flat:
+        record.warn_flat(name)
     cut = [array.reshape(-1, size) for array in found]
-    return tuple(read_only(_with_height(array) if flat else array) for array in cut), flat
+    return tuple(read_only(_with_height(array) if flat else array) for array in cut)
+
+
+_OUTLINES = frozenset({ShapeType.POLYGON, ShapeType.POLYGON_TOPDOWN, ShapeType.POLYLINE})
 
 
 def _fits_pairs_only(sizes: Sequence[int]) -> bool:
@@ -257,231 +417,252 @@ def _fits_pairs_only(sizes: Sequence[int]) -> bool:
 
 
 def _with_height(pairs: Float64Array) -> Float64Array:
-    """Add z = 0 to (V, 2) locations."""
+    """Add z = 0 to (V, 2) positions."""
     return np.column_stack([pairs, np.zeros(len(pairs))])
 
 
-def _numbers(row: Any, faults: Faults, location: Location) -> Float64Array | None:
+def _read_numbers(row: Any, faults: Faults, location: Location) -> Float64Array | None:
     array: AnyArray | None = None
     if isinstance(row, list | np.ndarray):
-        with _noting(faults, location):
-            array = _flat_array(row)
+        try:
+            array = np.asarray(row)
+        except (ValueError, OverflowError):
+            array = None
     if array is None or array.ndim != 1 or (array.size and array.dtype.kind not in "iuf"):
-        faults.add(location, f"{_described(row)}; expected a list of numbers")
+        faults.add(location, f"{described(row)}; expected a list of numbers")
         return None
     return array.astype(np.float64)
 
 
-def _flat_array(row: Any) -> AnyArray:
+def _write_vertices(location: str, vertices: tuple[Float64Array, ...], _: Any) -> list[list[float]]:
+    return [
+        _write_rows(f"{location}[{k}], vertices", rows, None).reshape(-1).tolist()
+        for k, rows in enumerate(vertices)
+    ]
+
+
+def _read_poses(record: _Record, name: str, raw: Any) -> Poses | None:
+    before = len(record.faults)
+    path = repaired_path_of(raw, record.faults)
+    if path is None and len(record.faults) == before:
+        record.faults.add((name,), "empty; expected at least one pose")
+    return path
+
+
+def _write_poses(_: str, poses: Poses, extras: Any) -> dict[str, Any]:
+    """Write poses; the time of one that holds at all times means nothing."""
+    times: Any = StaticTime(poses.start_ns) if poses.static else poses.timestamps_ns
+    rows = np.hstack([poses.positions, poses.quaternions_xyzw])
+    return with_extras({"timestamps": times, "values": rows}, extras if isinstance(extras, Mapping) else {})
+
+
+def _read_intrinsics(record: _Record, name: str, raw: Any) -> Camera | None:
     try:
-        return np.asarray(row)
-    except (ValueError, OverflowError):
-        raise FieldError(f"{_described(row)}; expected a list of numbers") from None
+        return read_camera_model(record.source, raw, {}, (*record.root, name))
+    except (FieldError, CalibrationError) as error:
+        record.faults.add((name,), str(error))
+        return None
 
 
-@dataclass(frozen=True, slots=True)
-class _AnnotationRecord:
-    """One annotation of the file.
+def _read_attributes(record: _Record, name: str, raw: Any) -> tuple[AttributePath, ...]:
+    built = (
+        record.part(fields, name, index).build(AttributePath, _ATTRIBUTE, values=())
+        for index, fields in enumerate(raw)
+    )
+    return tuple(attribute for attribute in built if attribute is not None)
 
-    Attributes:
-        source: the file.
-        values: its fields, checked by the table of fields, times in nanoseconds.
-        location: where it stands.
-        faults: takes what is wrong, with locations below it.
+
+def _write_attributes(_: str, attributes: tuple[AttributePath, ...], __: Any) -> list[dict[str, Any]] | None:
+    return [attribute_record(attribute) for attribute in attributes] or None
+
+
+def _record(model: Callable[..., Any], columns: Mapping[str, _Column]) -> _Column:
+    """A field that holds one record."""
+
+    def read(record: _Record, name: str, raw: Any) -> Any:
+        return record.part(raw, name).build(model, columns)
+
+    def write(location: str, value: Any, _: Any) -> dict[str, Any]:
+        return _written(value, columns, location=f"{location}.")
+
+    return _Column(read=read, write=write)
+
+
+def _records(
+    model: Callable[..., Any], columns: Mapping[str, _Column], *, depth: int = 1, required: bool = False
+) -> _Column:
+    """A field that holds a list of records, or a list of lists of them; one in place of a list is taken, too.
+
+    An empty list is left out where the field is not required.
     """
 
-    source: Source
-    values: _Record
-    location: Location
-    faults: Faults
+    def read_level(record: _Record, location: Location, raw: Any, level: int) -> Any:
+        if level and not isinstance(raw, dict):
+            parts = (read_level(record, (*location, k), item, level - 1) for k, item in enumerate(raw))
+            return tuple(part for part in parts if part is not None)
+        part = record.part(raw, *location).build(model, columns)
+        return part if not level else () if part is None else (part,)
 
-    @property
-    def id(self) -> Identifier:
-        """Its id."""
-        identifier: Identifier = self.values["id"]
-        return identifier
+    def read(record: _Record, name: str, raw: Any) -> Any:
+        return read_level(record, (name,), raw, depth)
 
-    def fields(self, *names: str, taken: tuple[str, ...] = ()) -> dict[str, Any]:
-        """Give fields that pass as they are, `attributes`, and all others but those taken as `extras`."""
-        fields = {name: self.values.get(name) for name in names}
-        fields["extras"] = _further(self.values, "id", "type", *names, *taken)
-        if "attributes" in fields:
-            fields["attributes"] = read_attributes(fields["attributes"], self.faults)
-        return fields
+    def write_list(location: str, values: Any, below: int) -> Any:
+        if not below:
+            return _written(values, columns, location=f"{location}.")
+        return [write_list(f"{location}[{k}]", value, below - 1) for k, value in enumerate(values)]
 
-    def note_flat(self, *below: str | int) -> None:
-        """Report that a path in space has pairs for locations."""
-        message = "pairs where locations in the world were expected; their z is taken as 0"
-        self.source.warning(WarningKind.ASSUMED, "no-height", (*self.location, *below), message)
+    def write(location: str, values: Any, _: Any) -> Any:
+        return write_list(location, values, depth) if values or required else None
+
+    return _Column(read=read, write=write)
 
 
-def _read_cuboid(found: _AnnotationRecord) -> CuboidAnnotation | None:
-    """Make a cuboid."""
-    record, faults = found.values["path"], found.faults
-    fields = found.fields(
-        "label", "stationary", "parent_id", "attributes", taken=("path", "activations", "projections")
-    )
-    activations = _parts(found, "activations", _activation)
-    projections = _parts(found, "projections", _projection)
-    path = _row_path(record, 9, faults, ("path",))
-    if path is None or faults.unmended:
-        return None
-    return CuboidAnnotation(
-        found.id,
-        CuboidPath(*path, extras=_further(record, "timestamps", "values")),
-        activations=activations,
-        projections=projections,
-        **fields,
-    )
+_AS_IS = _Column()
+
+_TIMESTAMPS = _Column("timestamps_ns", _read_times)
 
 
-def _parts(
-    found: _AnnotationRecord, name: str, read: Callable[[_Record, Faults, Location], Any]
-) -> tuple[Any, ...]:
-    records = found.values.get(name) or ()
-    return tuple(read(record, found.faults, (name, index)) for index, record in enumerate(records))
+def _rows(columns: int) -> _Column:
+    return _Column(read=partial(_read_rows, columns=columns), write=_write_rows)
 
 
-def _activation(record: _Record, faults: Faults, location: Location) -> Activation | None:
-    before = len(faults)
-    cuboids = _nullable_rows(record, "cuboids", 9, faults, location)
-    durations = record.get("durations")
-    if durations is not None:
-        with _noting(faults, (*location, "durations")):
-            _check_counts(record["timestamps"], durations, name="durations")
-    if len(faults) > before:
-        return None
-    return Activation(
-        record["sensor_id"],
-        read_only(times_of(record["timestamps"])),
-        durations_ns=None if durations is None else tuple(durations),
-        cuboids=cuboids,
-        extras=_further(record, "sensor_id", "timestamps", "durations", "cuboids"),
-    )
+def _nullable_rows(columns: int) -> _Column:
+    return _Column(read=partial(_read_nullable_rows, columns=columns), write=_write_nullable_rows)
 
 
-def _projection(record: _Record, faults: Faults, location: Location) -> Projection | None:
-    before = len(faults)
-    boxes = _nullable_rows(record, "boxes", 4, faults, location)
-    cuboids = _nullable_rows(record, "cuboids", 9, faults, location)
-    confirmed = _confirmations(record, faults, location)
-    if len(faults) > before:
-        return None
-    return Projection(
-        record["sensor_id"],
-        read_only(times_of(record["timestamps"])),
-        boxes=boxes,
-        confirmed=confirmed,
-        cuboids=cuboids,
-        extras=_further(record, "sensor_id", "timestamps", "boxes", "confirmed", "cuboids"),
-    )
+def _path(values: _Column) -> Mapping[str, _Column]:
+    return {"timestamps": _TIMESTAMPS, "values": values}
 
 
-def _read_keypoints(found: _AnnotationRecord) -> PointsAnnotation | None:
-    """Make a points annotation; one path instead of a list of them is taken, too."""
-    values, faults = found.values, found.faults
-    raw = values["paths"]
-    single = isinstance(raw, dict)
-    paths = [
-        _path(found, record, ("paths",) if single else ("paths", index))
-        for index, record in enumerate([raw] if single else raw)
-    ]
-    projections = [
-        _projections(of_point, faults, ("projections", index))
-        for index, of_point in enumerate(values.get("projections") or ())
-    ]
-    fields = found.fields(
-        "sensor_id", "stationary", "parent_id", "attributes", taken=("paths", "labels", "projections")
-    )
-    with _noting(faults, ("labels",)):
-        labels = _labels(values.get("labels"), [path for path in paths if path is not None], faults)
-    if faults.unmended:
-        return None
-    return PointsAnnotation(
-        found.id,
-        tuple(path for path in paths if path is not None),
-        labels=labels,
-        projections=tuple(projections),
-        **fields,
-    )
+_ATTRIBUTE: Mapping[str, _Column] = {
+    "name": _AS_IS,
+    "sensor_id": _AS_IS,
+    "static": _AS_IS,
+    "point_index": _AS_IS,
+    "timestamps": _TIMESTAMPS,
+    "values": _Column(read=lambda _, __, raw: attribute_values(raw)),
+}
+
+_SEEN = {"sensor_id": _AS_IS, "timestamps": _TIMESTAMPS}
+"""What activations and projections begin with."""
+
+_CONFIRMED = _Column(read=_read_confirmed)
+
+_CUBOIDS = _nullable_rows(9)
+
+_POSES = _Column(read=_read_poses, write=_write_poses, extras=extras_of_poses)
+
+_ANY = {"id": _AS_IS, "parent_id": _AS_IS}
+
+_ATTRIBUTES = _Column(read=_read_attributes, write=_write_attributes)
+
+_LABELLED = {**_ANY, "label": _AS_IS, "attributes": _ATTRIBUTES}
+
+_OBJECT = {**_ANY, "label": _AS_IS, "stationary": _AS_IS, "attributes": _ATTRIBUTES}
+
+_COLUMNS: Mapping[type, Mapping[str, _Column]] = {
+    CuboidAnnotation: {
+        **_OBJECT,
+        "path": _record(CuboidPath, _path(_rows(9))),
+        "activations": _records(
+            Activation,
+            {**_SEEN, "durations": _Column("durations_ns", _read_durations), "cuboids": _CUBOIDS},
+        ),
+        "projections": _records(
+            Projection,
+            {**_SEEN, "boxes": _nullable_rows(4), "confirmed": _CONFIRMED, "cuboids": _CUBOIDS},
+        ),
+    },
+    Box2DAnnotation: {**_OBJECT, "sensor_id": _AS_IS, "path": _record(BoxPath, _path(_rows(4)))},
+    ShapeAnnotation: {
+        **_OBJECT,
+        "sensor_id": _AS_IS,
+        "is_closed": _AS_IS,
+        "path": _record(VertexPath, _path(_Column("vertices", _read_vertices, _write_vertices))),
+    },
+    PointsAnnotation: {
+        **_ANY,
+        "stationary": _AS_IS,
+        "attributes": _ATTRIBUTES,
+        "sensor_id": _AS_IS,
+        "labels": _Column(read=_read_labels),
+        "paths": _records(
+            PointPath,
+            {"id": _AS_IS, **_path(_Column(read=_read_points, write=_write_rows))},
+            required=True,
+        ),
+        "projections": _records(
+            PointProjection,
+            {
+                **_SEEN,
+                "points": _nullable_rows(2),
+                "confirmed": _CONFIRMED,
+                "positions": _nullable_rows(3),
+            },
+            depth=2,
+        ),
+    },
+    LabeledPointsAnnotation: {
+        **_LABELLED,
+        "is_instance": _AS_IS,
+        "labeled_points": _records(
+            LabeledPoints,
+            {"sensor_id": _AS_IS, "sensor_frame": _AS_IS, "point_ids": _AS_IS},
+            required=True,
+        ),
+    },
+    EventAnnotation: {
+        **_LABELLED,
+        "sensor_id": _AS_IS,
+        "start": _Column("start_ns"),
+        "duration": _Column("duration_ns"),
+    },
+    LinkAnnotation: {
+        **_LABELLED,
+        "sensor_id": _AS_IS,
+        "from_id": _AS_IS,
+        "to_id": _AS_IS,
+        "is_bidirectional": _AS_IS,
+    },
+    LocalizationAdjustment: {**_ANY, "poses": _POSES},
+    CameraCalibration: {
+        **_ANY,
+        "sensor_id": _AS_IS,
+        "poses": _POSES,
+        "intrinsics": _Column(
+            read=_read_intrinsics,
+            write=lambda _, camera, extras: intrinsics_record(camera, extras),
+            extras=extras_of_intrinsics,
+        ),
+        "time_offset": _Column("time_offset_ns"),
+    },
+    ObjectAnnotation: _LABELLED,
+    GroupAnnotation: _LABELLED,
+}
+"""The fields of each type besides `type`, in the order in which they are written."""
+
+_MODELS: Mapping[str, type] = {
+    "cuboid": CuboidAnnotation,
+    "box_2d": Box2DAnnotation,
+    **dict.fromkeys(ShapeType, ShapeAnnotation),
+    "points": PointsAnnotation,
+    "event": EventAnnotation,
+    "labeled_points": LabeledPointsAnnotation,
+    "point_segmentation": LabeledPointsAnnotation,
+    "localization_adjustment": LocalizationAdjustment,
+    "camera_calibration": CameraCalibration,
+    "object": ObjectAnnotation,
+    "attributes": ObjectAnnotation,
+    "link": LinkAnnotation,
+    "group": GroupAnnotation,
+}
+"""The model of each type of the file; annotations of other types stay plain."""
+
+_TYPED = frozenset({ShapeAnnotation, LabeledPointsAnnotation, ObjectAnnotation})
+"""Models of several types, which hold theirs."""
 
 
-def _path(found: _AnnotationRecord, record: _Record, location: Location) -> PointPath | None:
-    times = times_of(record["timestamps"])
-    values = _values(found, record["values"], (*location, "values"))
-    if values is None:
-        return None
-    with _noting(found.faults, location):
-        _check_counts(times, values)
-        return PointPath(
-            read_only(times),
-            read_only(values),
-            id=record.get("id"),
-            extras=_further(record, "id", "timestamps", "values"),
-        )
-    return None
-
-
-def _values(found: _AnnotationRecord, raw: Any, location: Location) -> Float64Array | None:
-    """Take rows of x, y, z, or of several such triples; of pairs, z is 0."""
-    columns = len(raw[0]) if len(raw) and isinstance(raw[0], list | np.ndarray) else 3
-    rows = _rows_at(raw, columns, found.faults, location)
-    if rows is None:
-        return None
-    if _fits_pairs_only([columns]):
-        found.note_flat(*location)
-        return _with_height(rows.reshape(-1, 2)).reshape(len(rows), -1)
-    if columns % 3 or columns == 0:
-        found.faults.add(location, f"rows of {columns} numbers; expected x, y, z")
-        return None
-    return rows
-
-
-def _labels(raw: Any, paths: list[PointPath], faults: Faults) -> tuple[str, ...] | None:
-    if raw is None:
-        return None
-    for index, label in enumerate(raw):
-        if not isinstance(label, str):
-            faults.add(("labels", index), f"{label!r}; expected text")
-    points = sum(path.values.shape[1] // 3 for path in paths)
-    if not faults.unmended and len(raw) not in {len(paths), points}:
-        raise FieldError(f"{len(raw)} labels for {points} points; expected as many of both")
-    return tuple(raw)
-
-
-def _projections(raw: Any, faults: Faults, location: Location) -> tuple[PointProjection, ...]:
-    """Take the projections of one point; one instead of a list of them is taken, too."""
-    if isinstance(raw, dict):
-        return _listed(_read_keypoints_projection(raw, faults, location))
-    return tuple(
-        projection
-        for index, record in enumerate(raw)
-        for projection in _listed(_read_keypoints_projection(record, faults, (*location, index)))
-    )
-
-
-def _listed(projection: PointProjection | None) -> tuple[PointProjection, ...]:
-    return () if projection is None else (projection,)
-
-
-def _read_keypoints_projection(record: _Record, faults: Faults, location: Location) -> PointProjection | None:
-    before = len(faults)
-    points = _nullable_rows(record, "points", 2, faults, location)
-    positions = _nullable_rows(record, "positions", 3, faults, location)
-    confirmed = _confirmations(record, faults, location)
-    if len(faults) > before:
-        return None
-    return PointProjection(
-        record["sensor_id"],
-        read_only(times_of(record["timestamps"])),
-        points=points,
-        confirmed=confirmed,
-        positions=positions,
-        extras=_further(record, "sensor_id", "timestamps", "points", "confirmed", "positions"),
-    )
-
-
-_COLUMNS = 9
+_CUBOID_COLUMNS = 9
 
 
 class _Path(msgspec.Struct, forbid_unknown_fields=True, gc=False):
@@ -519,7 +700,7 @@ def _read_usual_cuboids(annotations: list[Any], clock: FileClock) -> dict[int, C
 
     Args:
         annotations: the file's list of annotations.
-        clock: rotates timestamps into nanoseconds.
+        clock: turns timestamps into nanoseconds.
 
     Returns:
         The cuboids by their number in the list.
@@ -543,12 +724,12 @@ def _read_usual_cuboids(annotations: list[Any], clock: FileClock) -> dict[int, C
         times_ns, stated_ns = _times(timestamps, clock), _times(stated, clock)
     except TimeRangeError:
         return {}
-    values = np.frombuffer(b"".join(rows), np.float64).reshape(-1, _COLUMNS)
+    values = np.frombuffer(b"".join(rows), np.float64).reshape(-1, _CUBOID_COLUMNS)
     counts = [len(cuboid.path.timestamps) for cuboid in found.values()]
     paths = cut_cuboid_paths(times_ns, values, counts)
-    saying = _Saying(stated_ns)
+    attributes = _UsualAttributes(stated_ns)
     return {
-        index: _cuboid(cuboid, path, saying)
+        index: _cuboid(cuboid, path, attributes)
         for (index, cuboid), path in zip(found.items(), paths, strict=True)
     }
 
@@ -559,9 +740,9 @@ def _packed_timestamps(timestamps: list[int]) -> bytes:
 
 def _packed_rows(path: _Path) -> bytes:
     count = len(path.timestamps)
-    if len(path.values) != count or set(map(len, path.values)) != {_COLUMNS}:
+    if len(path.values) != count or set(map(len, path.values)) != {_CUBOID_COLUMNS}:
         raise _UnusualError
-    return _packer("d", count * _COLUMNS)(*chain.from_iterable(path.values))
+    return _packer("d", count * _CUBOID_COLUMNS)(*chain.from_iterable(path.values))
 
 
 @lru_cache(maxsize=256)
@@ -575,25 +756,25 @@ def _times(packed: list[bytes], clock: FileClock) -> Int64Array:
     return times_ns
 
 
-def _cuboid(cuboid: _Cuboid, path: CuboidPath, saying: "_Saying") -> CuboidAnnotation:
+def _cuboid(cuboid: _Cuboid, path: CuboidPath, attributes: "_UsualAttributes") -> CuboidAnnotation:
     return CuboidAnnotation(
         cuboid.id,
         path,
         cuboid.label,
         cuboid.stationary,
         cuboid.parent_id,
-        tuple(map(saying.attribute, cuboid.attributes)) if cuboid.attributes else (),
+        tuple(map(attributes.make, cuboid.attributes)) if cuboid.attributes else (),
     )
 
 
-class _Saying:
-    """Deals the times of all attributes out to them, in order."""
+class _UsualAttributes:
+    """Makes attributes one after another, each with its part of the times of all."""
 
     def __init__(self, times_ns: Int64Array) -> None:
         self._times_ns = times_ns
         self._next = 0
 
-    def attribute(self, attribute: _Attribute) -> AttributePath:
+    def make(self, attribute: _Attribute) -> AttributePath:
         """Make the next one."""
         values, first = attribute.values, self._next
         self._next += len(attribute.timestamps)
@@ -604,190 +785,3 @@ class _Saying:
             attribute.sensor_id,
             attribute.static,
         )
-
-
-def read_annotations(source: Source, raw: Any, location: Location) -> tuple[Annotation, ...]:
-    """Read a list of annotations; those at fault are left out where the caller is lenient.
-
-    Raises:
-        DataError: one is at fault.
-    """
-    if raw is None:
-        return ()
-    if not isinstance(raw, list):
-        faults = Faults()
-        faults.add((), "expected a list of annotations")
-        source.collect(faults, location)
-        return ()
-    usual = _read_usual_cuboids(raw, source.clock)
-    annotations: list[Annotation] = []
-    for index, item in enumerate(raw):
-        if index in usual:
-            annotations.append(usual[index])
-            continue
-        faults = Faults()
-        annotation = _read_annotation(source, item, (*location, index), faults)
-        if source.settle(faults, (*location, index)) and annotation is not None:
-            annotations.append(annotation)
-    return tuple(annotations)
-
-
-def _read_annotation(source: Source, raw: Any, location: Location, faults: Faults) -> Annotation | None:
-    type_name = raw.get("type") if isinstance(raw, dict) else None
-    if not isinstance(type_name, str):
-        faults.add(("type",), f"{type_name!r}; expected one of {', '.join(ANNOTATION_RECORDS)}")
-        return None
-    if type_name == "event" and raw.get("start") is None:
-        source.warning(
-            WarningKind.ASSUMED, "event-is-object", location, "an event without a start; read as an object"
-        )
-        type_name = "object"
-    known = type_name in ANNOTATION_RECORDS
-    values = source.reader(forgiving=not known).read(raw, annotation_record(type_name), faults)
-    if not known and not isinstance(values.get("id"), str | int):
-        faults.add(("id",), f"{values.get('id')!r}; expected text or an integer")
-    if faults.unmended:
-        return None
-    build = _BUILDERS.get(type_name, _plain)
-    return build(_AnnotationRecord(source, {**values, "type": type_name}, location, faults))
-
-
-def _plain(found: _AnnotationRecord) -> PlainAnnotation:
-    return PlainAnnotation(found.id, found.values["type"], _further(found.values, "id", "type"))
-
-
-def _box_2d(found: _AnnotationRecord) -> Box2DAnnotation | None:
-    record = found.values["path"]
-    fields = found.fields("label", "stationary", "parent_id", "attributes", taken=("sensor_id", "path"))
-    path = _row_path(record, 4, found.faults, ("path",))
-    if path is None:
-        return None
-    box = BoxPath(*path, extras=_further(record, "timestamps", "values"))
-    return Box2DAnnotation(found.id, found.values["sensor_id"], box, **fields)
-
-
-_OUTLINES = frozenset({ShapeType.POLYGON, ShapeType.POLYGON_TOPDOWN, ShapeType.POLYLINE})
-
-
-def _shape(found: _AnnotationRecord) -> ShapeAnnotation | None:
-    kind, record, faults = ShapeType(found.values["type"]), found.values["path"], found.faults
-    closing = ("is_closed",) if kind is ShapeType.POLYLINE else ()
-    names = ("sensor_id", *closing, "label", "stationary", "parent_id", "attributes")
-    fields = found.fields(*names, taken=("path",))
-    asked = found.source.options.vertices
-    vertices, flat = _vertices_of(
-        record["values"],
-        DIMENSIONS[kind],
-        faults,
-        ("path", "values"),
-        are_pairs=None if asked is None or kind not in _OUTLINES else asked == PAIRS,
-    )
-    if not faults.unmended:
-        if flat:
-            found.note_flat("path", "values")
-        with _noting(faults, ("path",)):
-            path = _vertex_path(record, vertices)
-            return ShapeAnnotation(found.id, kind, path, **fields)
-    return None
-
-
-def _vertex_path(record: Mapping[str, Any], vertices: tuple[Any, ...]) -> VertexPath:
-    times = times_of(record["timestamps"])
-    _check_counts(times, vertices)
-    return VertexPath(read_only(times), vertices, extras=_further(record, "timestamps", "values"))
-
-
-def _event(found: _AnnotationRecord) -> EventAnnotation:
-    fields = found.fields("label", "sensor_id", "parent_id", "attributes", taken=("start", "duration"))
-    return EventAnnotation(
-        found.id, found.values["start"], duration_ns=found.values.get("duration"), **fields
-    )
-
-
-def _labeled_points(found: _AnnotationRecord) -> LabeledPointsAnnotation:
-    names = ("label", "is_instance", "parent_id", "attributes")
-    parts = [
-        LabeledPoints(
-            record["sensor_id"],
-            record["point_ids"],
-            sensor_frame=record.get("sensor_frame"),
-            extras=_further(record, "sensor_id", "point_ids", "sensor_frame"),
-        )
-        for record in found.values["labeled_points"]
-    ]
-    fields = found.fields(*names, taken=("labeled_points",))
-    return LabeledPointsAnnotation(found.id, tuple(parts), type=found.values["type"], **fields)
-
-
-def _object(found: _AnnotationRecord) -> ObjectAnnotation:
-    return ObjectAnnotation(
-        found.id, type=found.values["type"], **found.fields("label", "parent_id", "attributes")
-    )
-
-
-def _group(found: _AnnotationRecord) -> GroupAnnotation:
-    return GroupAnnotation(found.id, **found.fields("label", "parent_id", "attributes"))
-
-
-def _link(found: _AnnotationRecord) -> LinkAnnotation:
-    names = ("from_id", "to_id", "label", "is_bidirectional", "sensor_id", "parent_id", "attributes")
-    return LinkAnnotation(found.id, **found.fields(*names))
-
-
-def _adjustment(found: _AnnotationRecord) -> LocalizationAdjustment | None:
-    poses = _read_poses(found.values, found.faults)
-    if poses is None:
-        return None
-    fields = found.fields("parent_id", taken=("poses",))
-    fields["extras"] |= _further_of_poses(found)
-    return LocalizationAdjustment(found.id, poses, **fields)
-
-
-def _calibration(found: _AnnotationRecord) -> CameraCalibration | None:
-    poses, camera_model = _read_poses(found.values, found.faults), _camera_model(found)
-    if found.faults.unmended:
-        return None
-    fields = found.fields("sensor_id", "parent_id", taken=("poses", "intrinsics", "time_offset"))
-    fields["extras"] |= _further_of_poses(found)
-    if camera_model is not None:
-        fields["extras"] |= further_of_intrinsics(found.values["intrinsics"])
-    time_offset_ns = found.values.get("time_offset")
-    return CameraCalibration(
-        found.id, poses=poses, intrinsics=camera_model, time_offset_ns=time_offset_ns, **fields
-    )
-
-
-def _further_of_poses(found: _AnnotationRecord) -> dict[str, Any]:
-    unknown = _further(found.values.get("poses") or {}, "timestamps", "values")
-    return {"poses": unknown} if unknown else {}
-
-
-def _camera_model(found: _AnnotationRecord) -> Camera | None:
-    intrinsics = found.values.get("intrinsics")
-    if intrinsics is None:
-        return None
-    try:
-        return read_camera_model(found.source, intrinsics, {}, (*found.location, "intrinsics"))
-    except (FieldError, CalibrationError) as error:
-        found.faults.add(("intrinsics",), str(error))
-        return None
-
-
-_BUILDERS: Mapping[str, Callable[[_AnnotationRecord], Annotation | None]] = MappingProxyType(
-    {
-        "cuboid": _read_cuboid,
-        "box_2d": _box_2d,
-        **dict.fromkeys(ShapeType, _shape),
-        "points": _read_keypoints,
-        "event": _event,
-        "labeled_points": _labeled_points,
-        "point_segmentation": _labeled_points,
-        "localization_adjustment": _adjustment,
-        "camera_calibration": _calibration,
-        "object": _object,
-        "attributes": _object,
-        "link": _link,
-        "group": _group,
-    }
-)
-"""What makes each type of annotation; other types stay plain."""

@@ -32,7 +32,11 @@ _EXACT_QUOTIENT = 2**50
 
 
 class TimeRangeError(OptionError):
-    """A time does not fit the integers that must hold it; readers rotate it into a fault of the file."""
+    """A time does not fit the integers that must hold it; readers turn it into a fault of the file."""
+
+
+class StaticTime(int):
+    """The time of something that holds at all times [ns]; it is written as one that the file can hold."""
 
 
 @dataclass(frozen=True, slots=True)

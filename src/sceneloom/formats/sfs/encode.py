@@ -1,51 +1,30 @@
-"""The model's sensors, trajectories and annotations as records: the field names of the file, times in its unit.
-
-Arrays as items.
-"""
+"""Sensors and trajectories as records of the file, and records as JSON by the table of fields, arrays as items."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float64Array
+from sceneloom.arrays import AnyArray
 from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.cameras.fitting import nearest
 from sceneloom.errors import OptionError, without_folders
 from sceneloom.formats.base.losses import Support
-from sceneloom.formats.sfs.clock import FileClock
+from sceneloom.formats.sfs.clock import FileClock, StaticTime
 from sceneloom.formats.sfs.container import DTYPES, ITEMS, format_keys
 from sceneloom.formats.sfs.images import camera_record
-from sceneloom.formats.sfs.records import Location, mount_rows
+from sceneloom.formats.sfs.records import Location, mount_rows, with_extras
 from sceneloom.formats.sfs.schema import COEFFICIENT_COUNTS, RECORDS, Field, Kind
-from sceneloom.formats.sfs.spool import Blob, Losses, SensorDraft, with_further
-from sceneloom.scene.annotations import (
-    Activation,
-    Annotation,
-    AttributePath,
-    Box2DAnnotation,
-    CameraCalibration,
-    CuboidAnnotation,
-    EventAnnotation,
-    GroupAnnotation,
-    LabeledPointsAnnotation,
-    LinkAnnotation,
-    LocalizationAdjustment,
-    ObjectAnnotation,
-    PlainAnnotation,
-    PointPath,
-    PointProjection,
-    PointsAnnotation,
-    Projection,
-    ShapeAnnotation,
-)
+from sceneloom.formats.sfs.sensors import intrinsics_record
+from sceneloom.formats.sfs.spool import Blob, Losses, SensorDraft
+from sceneloom.scene.annotations import CameraCalibration
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor
-from sceneloom.scene.poses import Poses, Trajectory, same_direction
+from sceneloom.scene.poses import Trajectory, same_direction
 from sceneloom.scene.scene import Sensor
 from sceneloom.warnings import DataWarning
 
@@ -107,26 +86,6 @@ def _candidates() -> dict[str, tuple[str, ...]]:
     }
 
 
-def _intrinsics_record(camera: Camera) -> dict[str, Any]:
-    """Make the `intrinsics` record of a camera model that the format can hold."""
-    record: dict[str, Any] = {
-        name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy", "width", "height")
-    }
-    if camera.model != "pinhole":
-        record["distortion"] = {"model": camera.model, "params": list(camera.coefficients)}
-    return record
-
-
-def _merged_intrinsics(record: dict[str, Any], further: Any) -> dict[str, Any]:
-    """Add unknown fields of an `intrinsics` record and of its `distortion`; known ones win."""
-    if not isinstance(further, Mapping):
-        return record
-    of_distortion = further.get("distortion")
-    if isinstance(of_distortion, Mapping):
-        record["distortion"] = with_further(record.get("distortion") or {}, of_distortion)
-    return with_further(record, further)
-
-
 _GNSS_ARRAYS = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
 
 _TRAJECTORY_ARRAYS = ("timestamps_ns", "positions", "quaternions_xyzw", "file_seconds")
@@ -136,7 +95,7 @@ def _points_fields(sensor: PointsSensor) -> dict[str, Any]:
     """Make the fields of a points sensor."""
     further = sensor.extras.get("points")
     points = {"positions": sensor.positions, "colors": sensor.colors}
-    return {"points": with_further(points, further if isinstance(further, Mapping) else {})}
+    return {"points": with_extras(points, further if isinstance(further, Mapping) else {})}
 
 
 def _imu_fields(sensor: ImuSensor) -> dict[str, Any]:
@@ -218,7 +177,7 @@ def _fields(sensor: Any) -> dict[str, Any]:
     """The fields that every sensor has, and those that it only carries along."""
     merged = {name for name in _MERGED if isinstance(sensor.extras.get(name), Mapping)}
     further = {name: value for name, value in sensor.extras.items() if name not in merged}
-    return with_further({"parent_id": sensor.parent_id}, further)
+    return with_extras({"parent_id": sensor.parent_id}, further)
 
 
 def _cloud(sensor: Any, losses: Losses) -> SensorDraft:
@@ -244,9 +203,7 @@ def _camera(sensor: CameraSensor, losses: Losses, *, any_distortion: bool) -> Se
         draft.note |= {"camera": camera_record(sensor.camera), "written_camera": camera_record(written)}
         kept = "metadata.sceneloom.sensor_notes[].camera"
         losses.add(f"{draft.location}.intrinsics.distortion", how_far, kept=kept)
-    draft.fields["intrinsics"] = _merged_intrinsics(
-        _intrinsics_record(written), sensor.extras.get("intrinsics")
-    )
+    draft.fields["intrinsics"] = intrinsics_record(written, sensor.extras.get("intrinsics"))
     return draft
 
 
@@ -279,10 +236,6 @@ Items = list[tuple[Location, Blob]]
 """The arrays below what is written first, each with its location there."""
 
 
-class _StationaryTime(int):
-    """The time of something that holds at all times [ns]; it is written as one that the file can hold."""
-
-
 class ArraySink(Protocol):
     """Takes the arrays of records."""
 
@@ -296,7 +249,7 @@ class RecordWriter:
     """Writes records of a file whose clock is known.
 
     Attributes:
-        clock: rotates nanoseconds into timestamps.
+        clock: turns nanoseconds into timestamps.
         spool: takes the arrays.
         lowest: the lowest timestamp so far, 0 at most.
         rounded: how many times were not a whole number of the file's unit.
@@ -459,7 +412,7 @@ def _write_time(writer: RecordWriter, value: Any, _: Field, items: Items) -> Any
 
 
 def _write_times(writer: RecordWriter, value: Any, field: Field, items: Items) -> Any:
-    if isinstance(value, _StationaryTime):
+    if isinstance(value, StaticTime):
         return [max(writer.clock.timestamp(value), 0)]
     if isinstance(value, np.ndarray) and value.dtype.kind in "iu" and value.ndim == 1:
         timestamps, inexact = writer.clock.timestamp_array(value.astype(np.int64))
@@ -543,232 +496,3 @@ _WRITERS: Mapping[Kind, Callable[[RecordWriter, Any, Field, Items], Any]] = {
     Kind.RECORD_LISTS: _write_records,
     Kind.RECORD_MAP: _write_record_map,
 }
-
-_Record = dict[str, Any]
-
-
-def annotation_record(annotation: Annotation) -> _Record:
-    """Make the record of an annotation.
-
-    Raises:
-        OptionError: a number of it is not finite; rows of NaN, where they mean "none", are written as null.
-    """
-    if isinstance(annotation, PlainAnnotation):
-        return {"id": annotation.id, "type": annotation.type, **annotation.fields}
-    record: _Record = {
-        "id": annotation.id,
-        "type": str(annotation.type),
-        "parent_id": annotation.parent_id,
-        **_stated(annotation),
-    }
-    try:
-        record |= _FIELDS[type(annotation)](annotation)
-    except _NotFiniteError as error:
-        raise OptionError(f"annotations[{annotation.id}].{error}") from None
-    # a field that is not stated is left out here: not every type has each of them
-    stated = {name: value for name, value in record.items() if value is not None}
-    return with_further(stated, annotation.extras)
-
-
-def attribute_record(attribute: AttributePath) -> _Record:
-    """Make the record of an attribute."""
-    values: Any = attribute.values
-    if attribute.timestamps_ns is None and not values:
-        values = None
-    record = {
-        "name": attribute.name,
-        "sensor_id": attribute.sensor_id,
-        "static": attribute.static,
-        "point_index": attribute.point_index,
-        "timestamps": attribute.timestamps_ns,
-        "values": values,
-    }
-    return with_further(record, attribute.extras)
-
-
-class _NotFiniteError(ValueError):
-    """Where a number is not finite, below the annotation, and which."""
-
-
-def _stated(annotation: Any) -> _Record:
-    """Label, stillness and attributes, of the types that have them."""
-    record: _Record = {name: getattr(annotation, name, None) for name in ("label", "stationary")}
-    attributes = getattr(annotation, "attributes", ())
-    if attributes:
-        record["attributes"] = [attribute_record(attribute) for attribute in attributes]
-    return record
-
-
-def _finite(name: str, values: Float64Array) -> Float64Array:
-    if np.isfinite(values).all():
-        return values
-    row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
-    raise _NotFiniteError(f"{name}[{row}]: {values[row].tolist()}; expected finite numbers")
-
-
-def _nullable(name: str, values: Float64Array | None) -> Any:
-    """Write rows of NaN as null."""
-    if values is None or np.isfinite(values).all():
-        return values
-    rows: list[list[float] | None] = values.tolist()
-    for row in np.flatnonzero(~np.isfinite(values).all(axis=1)).tolist():
-        if not np.isnan(values[row]).all():
-            raise _NotFiniteError(
-                f"{name}[{row}]: {rows[row]}; expected finite numbers, or NaN for all of them"
-            )
-        rows[row] = None
-    return rows
-
-
-def _path(timestamps_ns: Any, values: Any, further: Mapping[str, Any]) -> _Record:
-    return with_further({"timestamps": timestamps_ns, "values": values}, further)
-
-
-def _poses(poses: Poses | None, further: Any) -> _Record | None:
-    """Write poses; the time of one that holds at all times says nothing."""
-    if poses is None:
-        return None
-    times: Any = _StationaryTime(poses.start_ns) if poses.static else poses.timestamps_ns
-    rows = np.hstack([poses.positions, poses.quaternions_xyzw])
-    return _path(times, rows, further if isinstance(further, Mapping) else {})
-
-
-def _cuboid(cuboid: CuboidAnnotation) -> _Record:
-    path = cuboid.path
-    return {
-        "path": _path(path.timestamps_ns, _finite("path.values", path.values), path.extras),
-        "activations": _listed("activations", cuboid.activations, _activation),
-        "projections": _listed("projections", cuboid.projections, _projection),
-    }
-
-
-def _listed(name: str, parts: Iterable[Any], record: Callable[[str, Any], _Record]) -> list[_Record] | None:
-    return [record(f"{name}[{index}]", part) for index, part in enumerate(parts)] or None
-
-
-def _activation(location: str, activation: Activation) -> _Record:
-    record = {
-        "sensor_id": activation.sensor_id,
-        "timestamps": activation.timestamps_ns,
-        "durations": activation.durations_ns,
-        "cuboids": _nullable(f"{location}.cuboids", activation.cuboids),
-    }
-    return with_further(record, activation.extras)
-
-
-def _projection(location: str, projection: Projection) -> _Record:
-    record = {
-        "sensor_id": projection.sensor_id,
-        "timestamps": projection.timestamps_ns,
-        "boxes": _nullable(f"{location}.boxes", projection.boxes),
-        "confirmed": projection.confirmed,
-        "cuboids": _nullable(f"{location}.cuboids", projection.cuboids),
-    }
-    return with_further(record, projection.extras)
-
-
-def _box_2d(box: Box2DAnnotation) -> _Record:
-    path = box.path
-    values = _finite("path.values", path.values)
-    return {"sensor_id": box.sensor_id, "path": _path(path.timestamps_ns, values, path.extras)}
-
-
-def _shape(shape: ShapeAnnotation) -> _Record:
-    path = shape.path
-    rows = [
-        _finite(f"path.values[{k}], vertices", vertices).reshape(-1).tolist()
-        for k, vertices in enumerate(path.vertices)
-    ]
-    return {
-        "sensor_id": shape.sensor_id,
-        "is_closed": shape.is_closed,
-        "path": _path(path.timestamps_ns, rows, path.extras),
-    }
-
-
-def _write_annotations_points(points: PointsAnnotation) -> _Record:
-    return {
-        "sensor_id": points.sensor_id,
-        "labels": points.labels,
-        "paths": [_point_path(f"paths[{k}]", path) for k, path in enumerate(points.paths)],
-        "projections": [
-            _listed(f"projections[{k}]", of_point, _point_projection) or []
-            for k, of_point in enumerate(points.projections)
-        ]
-        or None,
-    }
-
-
-def _point_path(location: str, path: PointPath) -> _Record:
-    values = _finite(f"{location}.values", path.values)
-    return {"id": path.id, **_path(path.timestamps_ns, values, path.extras)}
-
-
-def _point_projection(location: str, projection: PointProjection) -> _Record:
-    record = {
-        "sensor_id": projection.sensor_id,
-        "timestamps": projection.timestamps_ns,
-        "points": _nullable(f"{location}.points", projection.points),
-        "confirmed": projection.confirmed,
-        "positions": _nullable(f"{location}.positions", projection.positions),
-    }
-    return with_further(record, projection.extras)
-
-
-def _labeled_points(annotation: LabeledPointsAnnotation) -> _Record:
-    parts = [
-        with_further(
-            {"sensor_id": part.sensor_id, "sensor_frame": part.sensor_frame, "point_ids": part.point_ids},
-            part.extras,
-        )
-        for part in annotation.labeled_points
-    ]
-    return {"is_instance": annotation.is_instance, "labeled_points": parts}
-
-
-def _event(event: EventAnnotation) -> _Record:
-    return {"sensor_id": event.sensor_id, "start": event.start_ns, "duration": event.duration_ns}
-
-
-def _link(link: LinkAnnotation) -> _Record:
-    names = ("sensor_id", "from_id", "to_id", "is_bidirectional")
-    return {name: getattr(link, name) for name in names}
-
-
-def _adjustment(adjustment: LocalizationAdjustment) -> _Record:
-    return {"poses": _poses(adjustment.poses, adjustment.extras.get("poses"))}
-
-
-def _calibration(calibration: CameraCalibration) -> _Record:
-    camera_model, further = calibration.intrinsics, calibration.extras.get("intrinsics")
-    return {
-        "sensor_id": calibration.sensor_id,
-        "poses": _poses(calibration.poses, calibration.extras.get("poses")),
-        "intrinsics": None
-        if camera_model is None
-        else _merged_intrinsics(_intrinsics_record(camera_model), further),
-        "time_offset": calibration.time_offset_ns,
-    }
-
-
-def _nothing_more(_: Any) -> _Record:
-    return {}
-
-
-_FIELDS = cast(
-    "Mapping[type, Callable[[Any], _Record]]",
-    {
-        CuboidAnnotation: _cuboid,
-        Box2DAnnotation: _box_2d,
-        ShapeAnnotation: _shape,
-        PointsAnnotation: _write_annotations_points,
-        LabeledPointsAnnotation: _labeled_points,
-        EventAnnotation: _event,
-        LinkAnnotation: _link,
-        LocalizationAdjustment: _adjustment,
-        CameraCalibration: _calibration,
-        ObjectAnnotation: _nothing_more,
-        GroupAnnotation: _nothing_more,
-    },
-)
-"""What each type of annotation has besides what all have."""

@@ -322,7 +322,9 @@ def video_content(
 def image_content(source: Source, images: list[Mapping[str, Any]], location: Location) -> ImageContent:
     """Give the images of an `images` list."""
     container = source.container
-    rgb = source.parts.keep(format_keys(location), partial(_decode_image, container, images, location))
+    rgb = source.parts.keep(
+        f"{format_keys(location)}: content", partial(_decode_image, container, images, location)
+    )
     own = tuple({k: v for k, v in image.items() if k not in {"timestamp", "content"}} for image in images)
 
     def read(index: int, camera: Camera) -> CameraImage:

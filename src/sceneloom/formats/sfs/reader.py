@@ -374,7 +374,7 @@ def _examination(
     annotations, annotation_positions = _unique(source, _all_annotations(source, ours), "annotations", ours)
     attributes = _attributes(source, header.get("attributes"))
     faults = Faults()
-    aside = read_attributes(ours.get("attributes"), faults)
+    aside = read_attributes(source, ours.get("attributes"), faults)
     trajectories = read_trajectories(
         ours.get("trajectories"), sensors, ("metadata", OURS, "trajectories"), faults
     )
@@ -440,7 +440,7 @@ def _attributes(source: Source, raw: Any) -> tuple[AttributePath, ...]:
     """Make the attributes of the scene and its sensors."""
     faults = Faults()
     records = source.reader().read({"version": "", "attributes": raw}, "scene", faults).get("attributes")
-    attributes = () if faults else read_attributes(records, faults)
+    attributes = () if faults else read_attributes(source, records, faults)
     source.settle(faults, ())
     return attributes
 

@@ -78,7 +78,7 @@ class RecordReader:
     """Reads records of a file whose clock is known.
 
     Attributes:
-        clock: rotates timestamps into nanoseconds.
+        clock: turns timestamps into nanoseconds.
         forgiving: keep what does not fit its field as it is found, without a fault.
     """
 
@@ -140,6 +140,11 @@ def _found(value: Any) -> str:
         return f"an array of {value.dtype.name} {value.shape}"
     if isinstance(value, list | dict):
         return f"a {'list' if isinstance(value, list) else 'JSON object'} of {len(value)}"
+    return described(value)
+
+
+def described(value: Any) -> str:
+    """Show a value in a message, cut where it is long."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -504,11 +509,14 @@ def _normalised(rows: Float64Array, faults: Faults) -> Float64Array:
     return repaired
 
 
-def further_of_poses(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Give the unknown fields of a sensor's `poses`, as an entry of its further fields."""
-    record = values.get("poses") or {}
-    further = {name: value for name, value in record.items() if name not in {"timestamps", "values"}}
-    return {"poses": further} if further else {}
+def extras_of_poses(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Give the unknown fields of a `poses` record."""
+    return {name: value for name, value in record.items() if name not in {"timestamps", "values"}}
+
+
+def with_extras(record: dict[str, Any], extras: Mapping[str, Any]) -> dict[str, Any]:
+    """Add unknown fields that the model carries along to a record, whose own fields win."""
+    return {**record, **{name: value for name, value in extras.items() if record.get(name) is None}}
 
 
 def mount_of(rows: Any) -> RigidTransform:

@@ -14,10 +14,10 @@ import numpy as np
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.files import is_url
 from sceneloom.formats.base.output import check_output
+from sceneloom.formats.sfs.annotations import encode_annotation
 from sceneloom.formats.sfs.arrays import ITEMS, format_keys
 from sceneloom.formats.sfs.container import Container, ItemFault
 from sceneloom.formats.sfs.container import format_keys as container_format_keys
-from sceneloom.formats.sfs.encode import annotation_record
 from sceneloom.formats.sfs.images import as_keys, video_problem
 from sceneloom.formats.sfs.reader import read_container
 from sceneloom.formats.sfs.schema import Keys
@@ -366,7 +366,7 @@ class _Rescue:
         kept = []
         for annotation in scene.annotations:
             try:
-                annotation_record(annotation)
+                encode_annotation(annotation)
             except OptionError as error:
                 location, _, problem = str(error).partition(": ")
                 self.lost.append(LostPart(location, problem, 0))

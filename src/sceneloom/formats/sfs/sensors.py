@@ -29,10 +29,11 @@ from sceneloom.formats.sfs.records import (
     Faults,
     FieldError,
     Location,
-    further_of_poses,
+    extras_of_poses,
     mount_of,
     repaired_path_of,
     times_of,
+    with_extras,
 )
 from sceneloom.formats.sfs.schema import (
     COEFFICIENT_COUNTS,
@@ -140,7 +141,8 @@ def _rest_of(values: _Record) -> _Record:
     """The fields that no attribute of the model takes."""
     taken = {"id", "type", "parent_id", "poses", "coordinates", "points", "frames"}
     further = {name: value for name, value in values.items() if name not in taken}
-    return {**further, **further_of_poses(values)}
+    of_poses = extras_of_poses(values.get("poses") or {})
+    return {**further, **({"poses": of_poses} if of_poses else {})}
 
 
 def _read_moving(
@@ -469,7 +471,9 @@ def _read_camera(source: Source, values: _Record, location: Location, faults: Fa
     faults.extend(inner)
     if inner.unmended:
         return None
-    extras = {**_rest_of(values), **further_of_intrinsics(intrinsics), **content.further}
+    extras = {**_rest_of(values), **content.further}
+    if of_intrinsics := extras_of_intrinsics(intrinsics):
+        extras["intrinsics"] = of_intrinsics
     images = _images(source, content, own, exposure_ns(extras, 0), location)
     return CameraSensor(
         values["id"],
@@ -578,15 +582,26 @@ def _coefficients(source: Source, model: str, params: Any, location: Location) -
     return coefficients
 
 
-def further_of_intrinsics(intrinsics: _Record) -> _Record:
-    """Unknown fields of `intrinsics` and `distortion`, which the model has no object for."""
-    known = {"fx", "fy", "cx", "cy", "width", "height", "distortion"}
-    unknown = {name: value for name, value in intrinsics.items() if name not in known}
+def extras_of_intrinsics(intrinsics: Mapping[str, Any]) -> _Record:
+    """Give the unknown fields of an `intrinsics` record and of its `distortion`."""
+    unknown = {name: value for name, value in intrinsics.items() if name not in RECORDS["intrinsics"]}
     distortion = intrinsics.get("distortion") or {}
-    of_distortion = {name: value for name, value in distortion.items() if name not in {"model", "params"}}
-    if of_distortion:
-        unknown["distortion"] = of_distortion
-    return {"intrinsics": unknown} if unknown else {}
+    of_distortion = {k: value for k, value in distortion.items() if k not in RECORDS["distortion"]}
+    return {**unknown, **({"distortion": of_distortion} if of_distortion else {})}
+
+
+def intrinsics_record(camera: Camera, extras: Any) -> _Record:
+    """Make the `intrinsics` record of a camera model that the format can hold, with unknown fields, if any."""
+    names = ("fx", "fy", "cx", "cy", "width", "height")
+    record: _Record = {name: getattr(camera, name) for name in names}
+    if camera.model != "pinhole":
+        record["distortion"] = {"model": camera.model, "params": list(camera.coefficients)}
+    if not isinstance(extras, Mapping):
+        return record
+    of_distortion = extras.get("distortion")
+    if isinstance(of_distortion, Mapping):
+        record["distortion"] = with_extras(record.get("distortion") or {}, of_distortion)
+    return with_extras(record, extras)
 
 
 _SENSOR_READERS: Mapping[str, Callable[[Source, dict[str, Any], Location, Faults], Sensor | None]] = (

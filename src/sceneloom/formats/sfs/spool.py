@@ -25,7 +25,7 @@ from sceneloom.formats.base.losses import Loss, Support, joined
 from sceneloom.formats.sfs.clock import UINT32_MAX, UINT64_MAX, FileClock, chosen_offset_ns
 from sceneloom.formats.sfs.images import ImageNotesWriter, declared_length, exposure_ns, is_mp4
 from sceneloom.formats.sfs.profiles import Profile
-from sceneloom.formats.sfs.records import mount_rows
+from sceneloom.formats.sfs.records import mount_rows, with_extras
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraImage, CameraSensor, VideoContent
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, RadarFrame
@@ -394,16 +394,14 @@ class SensorDraft:
         """Write a path; of poses that fall on one timestamp the first stays."""
         rows = np.hstack([path.positions, path.quaternions_xyzw])
         if path.static:
-            return with_further(
+            return with_extras(
                 {"timestamps": [self._stationary_ns(clock)], "values": rows}, self.further_poses
             )
         timestamps, _ = clock.timestamp_array(path.timestamps_ns)
         kept = np.concatenate([[True], np.diff(timestamps) > 0])
         what = "left out: within one tick of the pose before"
         losses.add(f"{self.location}.poses", what, count=int((~kept).sum()))
-        return with_further(
-            {"timestamps": path.timestamps_ns[kept], "values": rows[kept]}, self.further_poses
-        )
+        return with_extras({"timestamps": path.timestamps_ns[kept], "values": rows[kept]}, self.further_poses)
 
     def _stationary_ns(self, clock: FileClock) -> int:
         """The time to be written for a pose that holds at all times."""
@@ -412,11 +410,6 @@ class SensorDraft:
         timestamps = [frame["timestamp"] for frame in self.frames or []]
         timestamps += [image["timestamp"] for image in self.fields.get("images") or []]
         return min(timestamps, default=max(clock.offset_ns, 0))
-
-
-def with_further(record: dict[str, Any], further: Mapping[str, Any]) -> dict[str, Any]:
-    """Add fields that the model carries along to a record, whose own fields win."""
-    return {**record, **{name: value for name, value in further.items() if record.get(name) is None}}
 
 
 def check_new(drafts: Mapping[tuple[type, Identifier], SensorDraft], identifier: Identifier) -> None:
@@ -613,7 +606,7 @@ class CloudWriter:
         }
         timestamp_ns = self._frame_timestamp(draft, frame)
         frames = draft.frames if draft.frames is not None else []
-        frames.append(with_further({"timestamp": timestamp_ns, "points": blobs}, frame.extras))
+        frames.append(with_extras({"timestamp": timestamp_ns, "points": blobs}, frame.extras))
 
     def _frame_timestamp(self, draft: SensorDraft, frame: LidarFrame | RadarFrame) -> int:
         """The start of a frame: its earliest point time, rounded down, so that it is later than no point."""
@@ -730,7 +723,7 @@ class ImageWriter:
             camera.notes.add(image, image.extras)
         further = sensor.extras.get("video")
         video = {"timestamps": starts, "content": content, "fps": _fps(sensor.fps, starts)}
-        camera.draft.fields["video"] = with_further(video, further if isinstance(further, Mapping) else {})
+        camera.draft.fields["video"] = with_extras(video, further if isinstance(further, Mapping) else {})
         camera.draft.streamed = False
 
     def add_image(self, camera: CameraDraft, image: CameraImage) -> None:
@@ -743,7 +736,7 @@ class ImageWriter:
         start_ns = image.timestamp_ns - self._half_exposure_ns(camera, image)
         content = self.spool.add(np.frombuffer(encoded, np.uint8))
         images = camera.draft.fields.setdefault("images", [])
-        images.append(with_further({"timestamp": start_ns, "content": content}, image.extras))
+        images.append(with_extras({"timestamp": start_ns, "content": content}, image.extras))
         camera.notes.add(image, {})
 
     def _half_exposure_ns(self, camera: CameraDraft, image: CameraImage) -> int:

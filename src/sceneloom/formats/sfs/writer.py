@@ -14,19 +14,18 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.losses import LossReport, Support
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.base.registry import FORMATS
+from sceneloom.formats.sfs.annotations import attribute_record, encode_annotation
 from sceneloom.formats.sfs.clock import READABLE_TICKS_NS, TICKS_NS, UINT32_MAX, chosen_offset_ns
 from sceneloom.formats.sfs.container import collector_paused
 from sceneloom.formats.sfs.encode import (
     Items,
     RecordWriter,
-    attribute_record,
     draft_of,
     encode_header,
     trajectory_record,
     warning_record,
     with_written_camera_model,
 )
-from sceneloom.formats.sfs.encode import annotation_record as encode_annotation_record
 from sceneloom.formats.sfs.images import ImageNotesWriter
 from sceneloom.formats.sfs.metadata import OURS
 from sceneloom.formats.sfs.profiles import (
@@ -516,7 +515,7 @@ class SceneWriter:
         if isinstance(annotation, CameraCalibration):
             any_model = self._profile.any_distortion
             annotation = with_written_camera_model(annotation, self._losses, any_model=any_model)
-        self._contents.annotations.append(encode_annotation_record(annotation))
+        self._contents.annotations.append(encode_annotation(annotation))
 
     def set_metadata(self, fields: Mapping[str, Any]) -> None:
         """Add free fields; those under "sceneloom" join ours.

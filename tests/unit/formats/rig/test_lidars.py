@@ -32,7 +32,7 @@ POINT_TIMES = 'point_times = { field = "t", unit = "seconds" }'
 
 @pytest.mark.parametrize(("timestamp", "before_ms"), [("start", 0), ("middle", 50), ("end", 100)])
 def test_a_frame_is_timestamped_with_the_start_of_its_sweep(opened, timed, timestamp, before_ms):
-    stated = f'{POINT_TIMES}\nstamp = "{timestamp}"\nsweep_s = 0.1'
+    stated = f'{POINT_TIMES}\ntimestamp = "{timestamp}"\nsweep_s = 0.1'
     frame = opened((FIELDS, TIMED), (SCALE, stated)).lidars[0].frames[0]
     assert frame.timestamp_ns == START_NS - before_ms * 1_000_000
     assert frame.points.timestamps_ns[0] == START_NS, "they count from the timestamp"
@@ -63,7 +63,7 @@ def test_points_without_times_belong_to_the_middle_of_their_sweep(opened, stated
 
 
 def test_the_length_of_a_sweep_is_distinguished_from_the_intervals_with_a_warning(opened):
-    assert "sweep-length" in codes(opened((SCALE, f'{SCALE}\nstamp = "end"')))
+    assert "sweep-length" in codes(opened((SCALE, f'{SCALE}\ntimestamp = "end"')))
 
 
 def test_the_length_of_a_sweep_is_in_seconds(opened):
@@ -74,7 +74,7 @@ def test_the_length_of_a_sweep_is_in_seconds(opened):
 def test_the_length_of_a_single_sweep_has_to_be_stated(opened):
     single = ("top/*.bin", f"top/{START_NS}.bin")
     with pytest.raises(DataError, match="a single sweep has no interval; expected how long a sweep takes"):
-        opened(single, (SCALE, f'{SCALE}\nstamp = "end"'))
+        opened(single, (SCALE, f'{SCALE}\ntimestamp = "end"'))
 
 
 def test_times_of_points_that_were_used_for_deskewing_are_not_used_again(opened, timed):

@@ -54,7 +54,7 @@ def test_the_template_that_is_not_filled_in_says_what_is_left(clouds_and_images)
         "sensors[0] (lidar_top): still to be filled in: extrinsic.translation, extrinsic.quaternion_xyzw"
         in reported
     )
-    assert "sensors[1] (cam_front): still to be filled in: camera model.fx" in reported
+    assert "sensors[1] (cam_front): still to be filled in: camera_model.fx" in reported
 
 
 def test_lines_that_are_commented_out_are_right_as_well(clouds_and_images):

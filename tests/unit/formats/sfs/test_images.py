@@ -42,7 +42,7 @@ def mp4():
 def camera(camera_images, **fields):
     lazy = LazyFrames.of(camera_images, [camera_image.timestamp_ns for camera_image in camera_images])
     return CameraSensor(
-        **{"id": "front", "camera": CAMERA_MODEL, "camera_images": lazy, "poses": Poses.identity(), **fields}
+        **{"id": "front", "camera": CAMERA_MODEL, "images": lazy, "poses": Poses.identity(), **fields}
     )
 
 
@@ -110,7 +110,7 @@ def test_any_bytes_have_a_codec_or_none(content):
 def test_a_camera_without_images_opens(open_header):
     scene = open_header(camera_header())
     assert len(scene.cameras[0].images) == 0
-    assert "no-camera-images" in [warning.code for warning in scene.warnings]
+    assert "no-images" in [warning.code for warning in scene.warnings]
 
 
 def test_video_and_images_together_lose_nothing(open_header, target, decode_sfs, mp4):
@@ -230,7 +230,7 @@ def test_camera_models_mountings_and_fields_of_single_images_come_back(target, m
     assert read.images[0].mount is None
     np.testing.assert_array_equal(read.images[1].mount.matrix, mount.matrix)
     assert read.images[1].extras == {"number": 7}
-    assert [(loss.field, loss.count) for loss in report] == [("sensors[front].camera_images[].camera", 1)]
+    assert [(loss.field, loss.count) for loss in report] == [("sensors[front].images[].camera", 1)]
 
 
 @pytest.mark.parametrize(

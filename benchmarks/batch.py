@@ -31,7 +31,7 @@ from sceneloom.batch import Input, Job, RunSummary, run
 from sceneloom.batch.cluster import DaskCluster
 from sceneloom.batch.record import FOLDER, Record
 from sceneloom.batch.workers import ProcessPool, one_thread
-from sceneloom.cli.batch.one_drive import BATCHED, CALL
+from sceneloom.cli.batch import BATCHED, CALL
 from sceneloom.simulate import LidarSpec, simulate_street
 
 STREETS = 8
@@ -54,7 +54,7 @@ def make_drives(folder: Path, count: int, frames: int) -> list[Path]:
 
 
 def fuse_job(locations: list[Path], retries: int = 2) -> Job:
-    from sceneloom.cli.batch.one_drive import verb_named
+    from sceneloom.cli.batch import verb_named
 
     options = verb_named("fuse").make_context("fuse", [str(locations[0]), "-o", "made.sfs"]).params
     left_out = ("path", "output", "as_json", "quiet", "verbose", "overwrite")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sceneloom.cli.mountings import mounting_text
+from sceneloom.cli.info import mounting_text
 from sceneloom.formats import open_scene
 from sceneloom.scene.ego import ego_axes
 

@@ -243,7 +243,7 @@ def each_drive(given: Input, *, read_as: str | None = None) -> tuple[Input, ...]
     """
     if is_url(given.location) or f"{READING}sequence" in given.options:
         return (given,)
-    found = drives_of(Path(given.location), read_as=given.options.get(f"{READING}read_as", read_as))
+    found = drives_of(Path(given.location), read_as=given.options.get(f"{READING}format", read_as))
     drives = [
         replace(given, location=str(one))
         if isinstance(one, Path)

@@ -1,14 +1,33 @@
-"""`sceneloom calibrate`."""
+"""`sceneloom calibrate`: a calibration checked, repaired, or its conventions found out."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sceneloom.cli import detection_options, options
-from sceneloom.cli.calibrate_check import BOXES, box_options, check_health
-from sceneloom.cli.calibrate_conventions import check_conventions
-from sceneloom.cli.calibrate_repair import asked_repair, repair_calibration, repair_options
+from sceneloom.cli.printing import Printer, print_table, several
+from sceneloom.cli.running import reading_verb
+
+if TYPE_CHECKING:
+    from sceneloom.calibrate.conventions import ConventionsReport, ExtrinsicFound
+    from sceneloom.calibrate.health import CalibrationHealth, Item
+    from sceneloom.pipeline.calibrating import RepairReport
+    from sceneloom.scene.scene import Scene
+
+_WORST_FIRST = {"wrong": 4, "drifting": 3, "cannot determine": 5, "good": 0}
+"""What each verdict of a check means to the shell."""
+
+_REPAIRED = {"refined": 0, "kept": 3, "cannot determine": 5}
+"""What each outcome of a repair means to the shell."""
+
+_WRONG_CONVENTIONS = 4
+"""Exit code where something is not what the drive was read with."""
+
+_REPAIRS = ("refine", "hand_eye", "lidar_to_lidar", "target")
+_OF_REPAIRS = ("output", "parameters", "form", "onto")
+_BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences", "motion")
 
 
 @click.command()
@@ -23,52 +42,69 @@ from sceneloom.cli.calibrate_repair import asked_repair, repair_calibration, rep
     "--drive",
     type=options.location,
     metavar="DRIVE",
-    help="With --conventions of a file: the drive to judge it by.",
+    help="With --conventions of a file: the drive to compare it with.",
 )
-@repair_options
-@click.option("--camera", "camera_id", metavar="ID", help="The camera. [default: the first with images]")
-@click.option("--lidar", "lidar_id", metavar="ID", help="The lidar. [default: the first with sweeps]")
+@click.option("--refine", is_flag=True, help="Refine the calibration of a camera against a lidar.")
+@click.option(
+    "--hand-eye",
+    is_flag=True,
+    help="Estimate a lidar's extrinsics on the ego from its odometry and a trajectory.",
+)
+@click.option(
+    "--lidar-to-lidar", is_flag=True, help="Estimate the transform from --lidar to --onto by their clouds."
+)
+@click.option(
+    "--target",
+    metavar="BOARD",
+    help="Estimate the transform from a camera to a lidar by a checkerboard of COLUMNSxROWS inner corners with squares "
+    "of SQUARE metres on a board of WIDTHxHEIGHT metres: COLUMNSxROWS:SQUARE[:WIDTHxHEIGHT].",
+)
+@click.option("--onto", metavar="ID", help="With --lidar-to-lidar: the other lidar. [default: the first]")
+@options.output(
+    "What to write the repaired calibration to: NAME.sfs (annotation), calibration.json (recording) or NAME.json "
+    "(table 3).",
+    required=False,
+)
+@click.option(
+    "--form",
+    type=click.Choice(["sfs", "table-3", "recording"]),
+    help="Format of the output, where its ending is ambiguous.",
+)
+@click.option(
+    "--parameters",
+    metavar="LIST",
+    help="With --refine: what may change, of rotation,translation,time,focal. [default: rotation,translation,time]",
+)
+@click.option("--camera", metavar="ID", help="The camera. [default: the first with images]")
+@click.option("--lidar", metavar="ID", help="The lidar. [default: the first with sweeps]")
 @click.option(
     "--most",
     type=click.IntRange(min=1),
     default=20,
     show_default=True,
     metavar="N",
-    help="Look at N images at most, spread over the drive.",
+    help="Use N images at most, spread over the drive.",
 )
+@options.visualize("Draw points and edges over images into DIR.")
+@options.overwrite
+@detection_options.compared
 @click.option(
-    "--visualize",
-    "images",
-    type=options.target,
-    metavar="DIR",
-    help="Draw points and edges over images into DIR.",
+    "--motion",
+    is_flag=True,
+    help="With --check: compare the rotations of camera and lidar, too; takes longer.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-@box_options
 @options.part
-@options.reading
-@options.printing
-@click.pass_context
+@reading_verb
 def calibrate(
-    context: click.Context,
-    /,
     path: Path | str,
     check: bool,
     conventions: bool,
     drive: Path | str | None,
-    camera_id: str | None,
-    lidar_id: str | None,
-    most: int,
-    images: Path | None,
-    overwrite: bool,
-    start: float | None,
-    stop: float | None,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
-    **reading: Any,
+    printer: Printer,
+    reading: dict[str, Any],
+    **given: Any,
 ) -> None:
-    """Check how a camera is stated to lie to a lidar by what both show: rotation, shift, focal length, time.
+    """Check the camera-lidar calibration by what both show: rotation, translation, focal length, time.
 
     Exit 0 where the calibration is good, 3 where it is drifting, 4 where it is wrong, 5 where the drive cannot
     determine.
@@ -76,29 +112,268 @@ def calibrate(
     With --refine, --hand-eye, --lidar-to-lidar or --target repair it: exit 0 where it was, 3 where what is stated was
     kept, 5 where the drive cannot determine.
     """
-    asked = asked_repair(reading)
-    boxes = {name: reading.pop(name) for name in BOXES}
-    if check + conventions + (asked is not None) > 1:
+    repair = _asked_repair(given)
+    if check + conventions + (repair is not None) > 1:
         raise click.UsageError("--check, --conventions and a repair: state one of them")
     if drive is not None and not conventions:
         raise click.UsageError("--drive DRIVE does nothing without --conventions")
-    if conventions or asked is not None:
-        own = [name for name in BOXES if name != "sequences"]
-        detection_options.refuse(boxes, own, "--check looks at it")
-        reading["sequence"] = options.one_sequence(boxes["sequences"])
-    if conventions:
-        code = check_conventions(
-            path, drive, camera_id=camera_id, lidar_id=lidar_id, as_json=as_json, quiet=quiet, reading=reading
+    if conventions or repair is not None:
+        options.refuse(given, [name for name in _BOXES if name != "sequences"], "--check looks at it")
+    if check or not (conventions or repair is not None):
+        code = _check(path, given, printer, reading)
+    else:
+        reading |= options.stated(sequence=options.one_sequence(given["sequences"]))
+        if repair is None:
+            code = _check_conventions(path, drive, given, printer, reading)
+        else:
+            code = _repair(path, repair, given, printer, reading)
+    click.get_current_context().exit(code)
+
+
+def _asked_repair(given: dict[str, Any]) -> str | None:
+    """Which repair is asked for; None for none.
+
+    Raises:
+        click.UsageError: several are, or an option of repairs without any.
+    """
+    asked = [name for name in _REPAIRS if given[name]]
+    if len(asked) > 1:
+        raise click.UsageError(
+            f"{' and '.join('--' + name.replace('_', '-') for name in asked)}: state one of them"
         )
-        context.exit(code)
-    if asked is not None:
-        code = repair_calibration(
-            path, asked, camera_id=camera_id, lidar_id=lidar_id, most=most, start=start, stop=stop,
-            images=images, overwrite=overwrite, as_json=as_json, quiet=quiet, reading=reading,
-        )  # fmt: skip
-        context.exit(code)
-    code = check_health(
-        path, camera_id=camera_id, lidar_id=lidar_id, most=most, start=start, stop=stop,
-        images=images, overwrite=overwrite, as_json=as_json, verbose=verbose, boxes=boxes, reading=reading,
-    )  # fmt: skip
-    context.exit(code)
+    if not asked:
+        stated = [name for name in _OF_REPAIRS if given[name] is not None]
+        if stated:
+            raise click.UsageError(f"--{stated[0]}: needs --refine, --hand-eye, --lidar-to-lidar or --target")
+        return None
+    return asked[0]
+
+
+# --check
+
+
+def _check(path: Path | str, given: dict[str, Any], printer: Printer, reading: dict[str, Any]) -> int:
+    """Check a calibration, print the result, draw images where these are asked for; give the exit code."""
+    from sceneloom.formats.base.output import check_output
+    from sceneloom.formats.base.registry import open_scene
+    from sceneloom.formats.kitti.tracking_reader import is_tracking_folder
+    from sceneloom.pipeline.calibrating import check_drive
+    from sceneloom.visualization.calibration import save_calibration_images
+
+    images: Path | None = given["images"]
+    if not (given["boxes3d"] or given["boxes2d"]) and is_tracking_folder(Path(path)):
+        useless = {**given, "start": given["start"] is not None, "stop": given["stop"] is not None}
+        names = ("camera", "lidar", "start", "stop", "images", "motion")
+        options.refuse(useless, names, "a folder of KITTI's sequences is judged by its boxes")
+        return _check_folder(path, given, printer, lenient="lenient" in reading)
+    options.refuse(
+        given, ("det2d", "det3d"), f"{path} is no folder of KITTI's sequences, or has lists beside it"
+    )
+    reading |= options.stated(sequence=options.one_sequence(given["sequences"]))
+    if images is not None:
+        is_empty = images.is_dir() and not any(images.iterdir())
+        check_output(images, overwrite=given["overwrite"] or is_empty)
+    with open_scene(path, **reading) as scene:
+        found = check_drive(
+            scene,
+            options.known_id(scene, given["camera"]),
+            options.known_id(scene, given["lidar"]),
+            boxes_3d=given["boxes3d"],
+            boxes_2d=given["boxes2d"],
+            lenient="lenient" in reading,
+            **{name: given[name] for name in ("most", "start", "stop", "motion")},
+        )
+    if images is not None:
+        save_calibration_images(found.frames, found.health, images, overwrite=given["overwrite"])
+    printer.show(found.health, _print_health)
+    if not printer.as_json:
+        printer.corrections(found.health.corrections)
+        if images is not None:
+            click.echo(f"images: {images}")
+    return _WORST_FIRST[found.health.verdict]
+
+
+def _check_folder(path: Path | str, given: dict[str, Any], printer: Printer, *, lenient: bool) -> int:
+    """Check each sequence of a folder by its boxes; the worst gives the exit code."""
+    from sceneloom.formats.kitti.tracking_reader import open_tracking_folder
+    from sceneloom.pipeline.calibrating import check_sequences
+
+    tracking = open_tracking_folder(
+        path, detector_2d=given["det2d"], detector_3d=given["det3d"], lenient=lenient
+    )
+    found = check_sequences(tracking, given["sequences"])
+    printer.show(found, _print_healths)
+    verdicts = {str(health.verdict) for health in found}
+    return next(code for verdict, code in _WORST_FIRST.items() if verdict in verdicts)
+
+
+def _print_healths(found: "list[CalibrationHealth]", printer: Printer) -> None:
+    for health in found:
+        _print_health(health, printer)
+
+
+def _print_health(health: "CalibrationHealth", printer: Printer) -> None:
+    looked = several(health.frames, "image")
+    if health.views:
+        looked += f" of {several(health.views, 'view')}"
+    click.echo(f"{health.source}: {health.camera_id} to {health.lidar_id}: {health.verdict} ({looked})")
+    reasons = {item.reason for item in health.items}
+    if len(reasons) == 1 and reasons != {""}:
+        click.echo(f"nothing can be reported: {reasons.pop()}")
+    else:
+        reported = [item for item in health.items if health.views or item.name.startswith("boxes")]
+        print_table([("part", "verdict", "to be changed by", "why"), *map(_item_row, reported)])
+    if not health.views:
+        return
+    stated, best = health.stated_distinctness, health.distinctness
+    click.echo(f"agreement above chance: {stated:.1f} deviations as stated, {best:.1f} at best")
+    if printer.verbose:
+        rows = [(name, f"{here:.1f}", f"{there:.1f}") for name, (here, there) in health.measures.items()]
+        print_table([("measure", "as stated", "at best"), *rows])
+
+
+def _item_row(item: "Item") -> tuple[str, ...]:
+    numbers = ", ".join(f"{v:+.2f} ± {s:.2f}" for v, s in zip(item.values, item.sigmas, strict=True))
+    return (
+        item.name.replace("_", " "),
+        str(item.verdict),
+        f"{numbers} {item.unit}" if numbers else "-",
+        item.reason,
+    )
+
+
+# --refine, --hand-eye, --lidar-to-lidar, --target
+
+
+def _repair(
+    path: Path | str, repair: str, given: dict[str, Any], printer: Printer, reading: dict[str, Any]
+) -> int:
+    """Repair, write, print, and give the exit code."""
+    if given["images"] is not None and repair != "refine":
+        raise click.UsageError("--visualize: with --check and --refine only")
+    from sceneloom.formats.base.registry import open_scene
+    from sceneloom.scene.time_range import cut_scene
+
+    with open_scene(path, **reading) as scene, printer.progress("repairing") as progress:
+        part = cut_scene(scene, start=given["start"], stop=given["stop"])
+        report = _repaired(part, repair, given, progress)
+    printer.show(report, _print_repair)
+    return _REPAIRED[report.verdict]
+
+
+def _repaired(scene: "Scene", repair: str, given: dict[str, Any], progress: Any) -> "RepairReport":
+    from sceneloom.pipeline import calibrating
+
+    output: Path | None = given["output"]
+    lidar = options.known_id(scene, given["lidar"])
+    common = {"form": given["form"], "overwrite": given["overwrite"], "progress": progress}
+    if repair == "hand_eye":
+        return calibrating.mount_lidar(scene, output, lidar=lidar, **common)
+    common["most"] = given["most"]
+    if repair == "lidar_to_lidar":
+        onto = options.known_id(scene, given["onto"])
+        return calibrating.align_lidars(scene, output, lidar=lidar, onto=onto, **common)
+    camera = options.known_id(scene, given["camera"])
+    if repair == "target":
+        board = given["target"]
+        return calibrating.calibrate_by_target(
+            scene, output, board=board, camera=camera, lidar=lidar, **common
+        )
+    parameters = given["parameters"]
+    changing = options.stated(parameters=None if parameters is None else tuple(parameters.split(",")))
+    return calibrating.refine_drive(
+        scene, output, camera=camera, lidar=lidar, images=given["images"], **changing, **common
+    )
+
+
+def _print_repair(report: "RepairReport", _: Printer) -> None:
+    a, b = report.sensors
+    click.echo(f"{report.source}: {a} from {b} ({report.method}): {report.verdict}: {report.reason}")
+    rows = [_change_row(name, value, report.sigmas[name]) for name, value in report.change.items()]
+    print_table([("number", "changed by", "known within"), *rows])
+    for line in (*report.unobserved, *report.notes):
+        click.echo(line)
+    if report.output is not None:
+        click.echo(f"written as {report.form}: {report.output}")
+
+
+def _change_row(name: str, value: float, sigma: float) -> tuple[str, str, str]:
+    unit, scale = {"later": ("ms", 1e3), "focal": ("%", 100.0)}.get(name, ("deg", 1.0))
+    if name in {"right", "down", "ahead"} or name.startswith("shift"):
+        unit, scale = "cm", 100.0
+    return name.replace("_", " "), f"{value * scale:+.2f} {unit}", f"{sigma * scale:.2f} {unit}"
+
+
+# --conventions
+
+
+def _check_conventions(
+    path: Path | str,
+    drive: Path | str | None,
+    given: dict[str, Any],
+    printer: Printer,
+    reading: dict[str, Any],
+) -> int:
+    """Judge a file, by a drive where one is given, or a drive; print the result, and give the exit code."""
+    from sceneloom.calibrate.conventions import check_drive, check_file
+    from sceneloom.formats.base.registry import open_scene
+
+    def opened(location: Path | str, judge: Callable[["Scene"], "ConventionsReport"]) -> "ConventionsReport":
+        with open_scene(location, **reading) as scene:
+            return judge(scene)
+
+    judged_by_drive = drive is not None or _is_drive(path)
+    with printer.progress("judging") as progress:
+        if drive is not None:
+            report = opened(
+                drive,
+                lambda scene: check_file(
+                    Path(path),
+                    scene,
+                    camera_id=options.known_id(scene, given["camera"]),
+                    lidar_id=options.known_id(scene, given["lidar"]),
+                    progress=progress,
+                ),
+            )
+        elif judged_by_drive:
+            report = opened(path, lambda scene: check_drive(scene, progress=progress))
+        else:
+            report = check_file(Path(path), progress=progress)
+    printer.show(report, _print_conventions, judged_by_drive)
+    return _WRONG_CONVENTIONS if report.wrong else 0
+
+
+def _is_drive(path: Path | str) -> bool:
+    """Whether a path is one of the formats of drives; a file of numbers alone is none."""
+    from sceneloom.errors import SceneloomError
+    from sceneloom.formats.base.registry import format_and_location
+
+    if Path(path).is_dir() or "://" in str(path):
+        return True
+    try:
+        format_and_location(path)
+    except SceneloomError:
+        return False
+    return True
+
+
+def _print_conventions(report: "ConventionsReport", judged_by_drive: bool, printer: Printer) -> None:
+    printer.corrections(report.corrections)
+    click.echo(f"{report.source}:")
+    for found in report.extrinsics:
+        click.echo(f"{found.location}: {_verdict(found)}: {found.reason}")
+        print_table([(f"  {name}", " or ".join(values)) for name, values in found.possible.items()])
+    for points in report.points:
+        possible = " or ".join(points.possible) or "the drive does not report"
+        click.echo(f"points of {points.lidar}: read in {points.stated} coordinates; possible: {possible}")
+    for times in report.times:
+        units = " or ".join(times.possible) or "no unit fits"
+        click.echo(f"timestamps of {times.sensor} ({times.kind}), read as seconds: {units}")
+    if report.extrinsics and not judged_by_drive:
+        click.echo("judged without a drive: --drive DRIVE lets its points and images report more")
+
+
+def _verdict(found: "ExtrinsicFound") -> str:
+    if found.as_read is not None:
+        return "as read" if found.as_read else "NOT as read"
+    return "decided" if found.decided else "cannot determine"

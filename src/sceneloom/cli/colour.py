@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import print_json, print_lines, print_table, print_warnings, progress_bar, several
+from sceneloom.cli.printing import Printer, print_outputs, print_table, several
+from sceneloom.cli.running import reading_verb
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
     from sceneloom.pipeline.colouring import ColourOutputs, ColourReport
@@ -14,28 +15,28 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 
 @click.command()
 @click.argument("path", type=options.location)
-@click.option("-o", "--output", type=options.target, help="The map: .las, .laz, .ply, .pcd or .sfs.")
+@options.output("The map: .las, .laz, .ply, .pcd or .sfs.", required=False)
 @click.option(
     "--voxel", type=options.positive, metavar="M", help="Keep one point per cube of M metres. [default: all]"
 )
 @click.option(
     "--blend",
     type=click.Choice(["nearest", "best", "weighted"]),
-    help="The pixel nearest to an image's middle; the colour trusted most, between pixels; or the mean of those that "
-    "agree with it. [default: weighted]",
+    help="The pixel nearest to an image's centre; the most trusted colour, interpolated between pixels; or the mean of "
+    "those that agree with it. [default: weighted]",
 )
-@click.option("--no-exposure", is_flag=True, help="Leave differences in exposure between images.")
+@click.option("--no-exposure", is_flag=True, help="Do not correct differences in exposure between images.")
 @click.option(
-    "--remove-moving", is_flag=True, help="Leave out what other rays pass through, or moving boxes hold."
+    "--remove-moving", is_flag=True, help="Remove points that other rays pass through, or in moving boxes."
 )
-@click.option("--only-coloured", is_flag=True, help="Leave out points that no image shows.")
+@click.option("--only-coloured", is_flag=True, help="Remove points that no image shows.")
 @click.option("--provenance", is_flag=True, help="Add camera, image, pixel and weight of each point.")
-@click.option("--labels", type=options.source(), metavar="DIR", help="Label images to paint on.")
+@click.option("--labels", type=options.source(), metavar="DIR", help="Label images to transfer to points.")
 @click.option(
     "--project-labels",
     type=options.target,
     metavar="DIR",
-    help="Folder for label images made of the drive's labelled points.",
+    help="Folder for label images projected from the drive's labelled points.",
 )
 @click.option(
     "--label-radius",
@@ -50,70 +51,42 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     metavar="DIR",
     help="Folder for a cloud of each sweep, or an .sfs file of the drive.",
 )
-@click.option(
-    "--visualize", "images", type=options.target, metavar="DIR", help="Folder for images to look at."
-)
-@options.trajectory(further="`identity`: it was stationary")
+@options.visualize()
+@options.trajectory(options.STATIONARY)
 @options.threads
 @options.part
-@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-@options.reading
-@options.printing
+@options.overwrite
+@reading_verb
 def colour(
     path: Path | str,
     output: Path | None,
-    project_labels: Path | None,
-    label_radius_px: int | None,
-    per_sweep: Path | None,
-    images: Path | None,
     no_exposure: bool,
-    trajectory: str | None,
-    heading: str | None,
-    start: float | None,
-    stop: float | None,
-    overwrite: bool,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
-    **further: Any,
+    printer: Printer,
+    reading: dict[str, Any],
+    **given: Any,
 ) -> None:
-    """Colour the points of a drive from all its cameras: one map, or sweep by sweep; carry labels over."""
+    """Colour the points of a drive from all its cameras: one map, or sweep by sweep; transfer labels."""
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.pipeline.colouring import ColourOutputs, ColourSettings
     from sceneloom.pipeline.colouring import colour as colour_scene
 
-    if label_radius_px is not None and project_labels is None:
+    if given["label_radius_px"] is not None and given["project_labels"] is None:
         raise click.UsageError("--label-radius does nothing without --project-labels DIR")
-    names = ("voxel", "blend", "remove_moving", "only_coloured", "provenance", "labels", "threads")
-    chosen = {name: further.pop(name) for name in names}
-    settings = ColourSettings(
-        exposure=not no_exposure, **options.stated(**chosen, label_radius_px=label_radius_px)
-    )
-    outputs = ColourOutputs(
-        map=output, per_sweep=per_sweep, project_labels=project_labels, images=images, overwrite=overwrite
-    )
-    with (
-        open_scene(path, **options.stated(**further)) as scene,
-        progress_bar("colouring", quiet=quiet) as progress,
-    ):
+    settings = options.take(ColourSettings, given, exposure=not no_exposure)
+    outputs = options.take(ColourOutputs, given, map=output)
+    with open_scene(path, **reading) as scene, printer.progress("colouring") as progress:
         report = colour_scene(
             scene,
-            trajectory=trajectory,
-            heading=heading,
-            start=start,
-            stop=stop,
             settings=settings,
             outputs=outputs,
-            lenient=further["lenient"],
+            lenient="lenient" in reading,
             progress=progress,
+            **given,
         )
-    if as_json:
-        print_json(report)
-    else:
-        _print(report, outputs, quiet=quiet, verbose=verbose)
+    printer.show(report, _print_report, outputs)
 
 
-def _print(report: "ColourReport", outputs: "ColourOutputs", *, quiet: bool, verbose: bool) -> None:
+def _print_report(report: "ColourReport", outputs: "ColourOutputs", printer: Printer) -> None:
     """Print what was coloured, what was left out and why, and where it is."""
     click.echo(
         f"coloured {report.fused} of {several(report.frames, 'sweep')} in {report.seconds:.1f} s: "
@@ -131,24 +104,15 @@ def _print(report: "ColourReport", outputs: "ColourOutputs", *, quiet: bool, ver
     for how, count in removed.items():
         if count:
             click.echo(f"{several(count, 'point')} removed {how}")
-    if report.labels is not None:
-        _print_labels(report)
+    _print_labels(report)
     for reason, count in report.unfused.items():
         click.echo(f"{several(count, 'sweep')} left out: {reason}")
     if outputs.map is not None:
         click.echo(f"map: {outputs.map} ({several(report.written, 'point')})")
-    locations = {
-        "sweeps": outputs.per_sweep,
-        "label images": outputs.project_labels,
-        "images": outputs.images,
-    }
-    for kind, location in locations.items():
-        if location is not None:
-            files = report.files.get(kind)
-            click.echo(f"{kind}: {location}" + ("" if files is None else f" ({several(files, 'file')})"))
-    if not quiet:
-        print_lines([f"skipped: {reason}" for reason in report.skipped], verbose=verbose)
-        print_warnings(report.warnings, verbose=verbose)
+    folders = {"sweeps": outputs.per_sweep, "label images": outputs.project_labels, "images": outputs.images}
+    print_outputs(folders, report.files)
+    printer.skipped(report.skipped)
+    printer.warnings(report.warnings)
 
 
 def _print_exposure(report: "ColourReport") -> None:

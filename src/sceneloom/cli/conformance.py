@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import print_json, progress_bar
-from sceneloom.cli.service_options import certificate_of, host_and_port, let_in
+from sceneloom.cli.printing import Printer, print_json
+from sceneloom.cli.running import verb
+from sceneloom.cli.service import access, certificate_of, host_and_port
 
 if TYPE_CHECKING:
     from sceneloom.db34t.conformance.catalogue import Check
@@ -23,20 +24,17 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Write all that was sent, expected and found to a .json, .md or .html file.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace FILE if it exists.")
+@options.overwrite
 @click.option(
     "--only",
     multiple=True,
     metavar="ID",
-    help="Run this check (5.4-3), or those of a clause or table (5.4, T9); may be stated again.",
+    help="Run this check (5.4-3), or those of a clause or table (5.4, T9); may be repeated.",
 )
 @click.option("--checks", "list_checks", is_flag=True, help="List the checks and stop.")
-@let_in
-@options.printing
-@click.pass_context
+@access
+@verb
 def conformance(
-    context: click.Context,
-    /,
     address: str | None,
     report: Path | None,
     overwrite: bool,
@@ -46,9 +44,7 @@ def conformance(
     token_file: Path | None,
     client_cert: Path | None,
     client_key: Path | None,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
+    printer: Printer,
 ) -> None:
     """Check a fusion service against DB34/T 4101-2022, clause by clause and row by row; exit 1 where a check fails.
 
@@ -61,30 +57,30 @@ def conformance(
 
     checks = chosen(only)
     if list_checks:
-        _print_checks(checks, as_json=as_json)
+        _print_checks(checks, printer)
         return
     if address is None:
-        raise click.UsageError("Missing argument 'HOST:PORT'.", context)
+        raise click.UsageError("Missing argument 'HOST:PORT'.", click.get_current_context())
     certificate = certificate_of(client_cert, client_key)
     if report is not None:
         check_report(report)
         check_output(report, overwrite=overwrite)
     with (
         GrpcTransport.connected(address, Access(ca, token_file, certificate)) as transport,
-        progress_bar("checking", quiet=quiet) as progress,
+        printer.progress("checking") as progress,
     ):
         examination = examine(transport, address=address, only=only, progress=progress)
     if report is not None:
         examination.write(report, overwrite=overwrite)
-    if as_json:
+    if printer.as_json:
         print_json(examination.as_builtins())
     else:
-        _print_examination(examination, verbose=verbose, report=report)
+        _print_examination(examination, verbose=printer.verbose, report=report)
     if not examination.passed:
-        context.exit(1)
+        click.get_current_context().exit(1)
 
 
-def _print_checks(checks: "tuple[Check, ...]", *, as_json: bool) -> None:
+def _print_checks(checks: "tuple[Check, ...]", printer: Printer) -> None:
     rows = [
         {
             "id": check.id,
@@ -96,7 +92,7 @@ def _print_checks(checks: "tuple[Check, ...]", *, as_json: bool) -> None:
         }
         for check in checks
     ]
-    if as_json:
+    if printer.as_json:
         print_json(rows)
         return
     for row in rows:

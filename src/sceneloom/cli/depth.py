@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.identifiers import known_ids
-from sceneloom.cli.printing import print_json, print_lines, print_table, print_warnings, progress_bar, several
+from sceneloom.cli.printing import Printer, print_table, several
+from sceneloom.cli.running import reading_verb
 
 if TYPE_CHECKING:
     from sceneloom.pipeline.depth_images import DepthReport
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("path", type=options.location)
-@click.option("-o", "--output", type=options.target, required=True, help="Folder for the depth images.")
+@options.output("Folder for the depth images.")
 @click.option(
     "--method",
     type=click.Choice(["sparse", "fast", "quality"]),
-    help="`sparse`: the measured points alone; `fast`: gaps between scan lines closed; `quality`: surfaces, with jumps "
-    "where the image has edges. [default: quality]",
+    help="`sparse`: measured points only; `fast`: gaps between scan lines filled; `quality`: surfaces, with "
+    "discontinuities at edges of the image. [default: quality]",
 )
 @click.option(
     "--form",
@@ -29,31 +29,21 @@ if TYPE_CHECKING:
 )
 @click.option("--camera", "cameras", multiple=True, metavar="ID", help="The only cameras. [default: all]")
 @click.option("--confidence", is_flag=True, help="Write the confidence beside PNG images: 8 bit, 255 for 1.")
-@click.option("--visualize", "images", type=options.target, help="Folder for images to look at.")
-@options.trajectory(further="`identity`: it was stationary")
+@options.visualize()
+@options.trajectory(options.STATIONARY)
 @options.threads
 @options.part
-@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-@options.reading
-@options.printing
+@options.overwrite
+@reading_verb
 def depth(
     path: Path | str,
     output: Path,
+    cameras: tuple[str, ...],
     method: str | None,
     form: str | None,
-    cameras: tuple[str, ...],
-    confidence: bool,
-    camera_images: Path | None,
-    trajectory: str | None,
-    heading: str | None,
-    threads: int | None,
-    start: float | None,
-    stop: float | None,
-    overwrite: bool,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
-    **reading: Any,
+    printer: Printer,
+    reading: dict[str, Any],
+    **given: Any,
 ) -> None:
     """Write a depth image for each sweep and image: z in metres, dense by choice, with a confidence."""
     from sceneloom.colouring.visibility import VisibilitySettings
@@ -61,38 +51,25 @@ def depth(
     from sceneloom.fusion.configuration import FusionConfiguration
     from sceneloom.pipeline.depth_images import write_depth_images
 
-    with (
-        open_scene(path, **options.stated(**reading)) as scene,
-        progress_bar("completing", quiet=quiet) as progress,
-    ):
+    configuration = FusionConfiguration(visibility=options.take(VisibilitySettings, given))
+    with open_scene(path, **reading) as scene, printer.progress("completing") as progress:
         report = write_depth_images(
             scene,
             output,
-            cameras=known_ids(scene, cameras),
-            confidence=confidence,
-            images=camera_images,
-            trajectory=trajectory,
-            heading=heading,
-            start=start,
-            stop=stop,
-            configuration=FusionConfiguration(
-                visibility=VisibilitySettings(**options.stated(threads=threads))
-            ),
-            lenient=reading["lenient"],
-            overwrite=overwrite,
+            cameras=options.known_ids(scene, cameras),
+            configuration=configuration,
+            lenient="lenient" in reading,
             progress=progress,
+            **given,
             **options.stated(method=method, form=form),
         )
-    if as_json:
-        print_json(report)
-    else:
-        _print_report(report, camera_images, quiet=quiet, verbose=verbose)
+    printer.show(report, _print_report, given["images"])
 
 
-def _print_report(report: "DepthReport", camera_images: Path | None, *, quiet: bool, verbose: bool) -> None:
-    images = sum(camera.images for camera in report.cameras)
+def _print_report(report: "DepthReport", images: Path | None, printer: Printer) -> None:
+    count = sum(camera.images for camera in report.cameras)
     click.echo(
-        f"{several(images, 'depth image')} ({report.method}) of {several(report.sweeps, 'sweep')} "
+        f"{several(count, 'depth image')} ({report.method}) of {several(report.sweeps, 'sweep')} "
         f"in {report.seconds:.1f} s: {report.folder}"
     )
     print_table(
@@ -104,12 +81,11 @@ def _print_report(report: "DepthReport", camera_images: Path | None, *, quiet: b
         ]
         for camera in report.cameras
     )
-    if camera_images is not None:
-        click.echo(f"images: {camera_images}")
-    for reason, count in report.unfused.items():
-        click.echo(f"{several(count, 'sweep')} left out: {reason}")
+    if images is not None:
+        click.echo(f"images: {images}")
+    for reason, left_out in report.unfused.items():
+        click.echo(f"{several(left_out, 'sweep')} left out: {reason}")
     if report.beyond_range:
         click.echo(f"{report.beyond_range} pixels beyond 255.99 m were written as 0; --form npz keeps them")
-    if not quiet:
-        print_lines([f"skipped: {reason}" for reason in report.skipped], verbose=verbose)
-        print_warnings(report.warnings, verbose=verbose)
+    printer.skipped(report.skipped)
+    printer.warnings(report.warnings)

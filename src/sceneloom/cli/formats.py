@@ -1,14 +1,17 @@
 """`sceneloom formats`."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import print_json, print_table
+from sceneloom.cli.printing import Printer, print_table
+from sceneloom.cli.running import verb
 
 if TYPE_CHECKING:
+    from sceneloom.formats.base.losses import Holding
     from sceneloom.formats.listing import FormatListing
 
 
@@ -25,24 +28,17 @@ if TYPE_CHECKING:
     "folder",
     type=options.source(),
     metavar="FOLDER",
-    help="Look into the folder, and write the template for what is in it.",
+    help="Write the template for what is in this folder.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace a template that exists.")
-@options.printing
+@verb
 def formats(
-    name: str | None,
-    template: Path | None,
-    folder: Path | None,
-    overwrite: bool,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
+    name: str | None, template: Path | None, folder: Path | None, overwrite: bool, printer: Printer
 ) -> None:
-    """List the formats, state what one of them holds of a scene, or begin a `rig.toml` for your own data.
+    """List the formats, the supported fields of one, or begin a `rig.toml` for your own data.
 
     With NAME: what becomes of each field of a scene that is written in that format.
     """
-    del verbose
     if template is not None:
         _write_template(template, folder, overwrite=overwrite)
         return
@@ -51,15 +47,17 @@ def formats(
             f"{'--from' if folder else '--overwrite'} does nothing without --template rig.toml"
         )
     if name is not None:
-        _print_supported_fields(name, as_json=as_json)
+        from sceneloom.formats.listing import list_supported_fields
+
+        printer.show(list_supported_fields(name), _print_supported_fields, name)
         return
     from sceneloom.formats.listing import list_formats
 
-    known = list_formats()
-    if as_json:
-        print_json(known)
-        return
-    if quiet:
+    printer.show(list_formats(), _print_formats)
+
+
+def _print_formats(known: "Sequence[FormatListing]", printer: Printer) -> None:
+    if printer.quiet:
         click.echo("\n".join(form.name for form in known))
         return
     print_table(_row(form) for form in known if not form.trajectory)
@@ -74,18 +72,13 @@ def _row(form: "FormatListing") -> tuple[str, str, str, str]:
     return form.name, both, suffixes if form.writes else "", form.looks_like
 
 
-def _print_supported_fields(name: str, *, as_json: bool) -> None:
+def _print_supported_fields(found: "Mapping[str, Holding]", name: str, _: Printer) -> None:
     from sceneloom.formats.base.losses import Support
-    from sceneloom.formats.listing import list_supported_fields
 
-    found = list_supported_fields(name)
-    if as_json:
-        print_json(found)
-        return
     if not found:
         click.echo(f"{name} is only read")
     for support in Support:
-        rows = [(field, holding.how) for field, holding in found.items() if holding.support == support]
+        rows = [(field, how.how) for field, how in found.items() if how.support == support]
         if rows:
             click.echo(f"{support} ({len(rows)})")
             print_table(rows)

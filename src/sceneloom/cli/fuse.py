@@ -1,51 +1,51 @@
-"""`sceneloom fuse`."""
+"""`sceneloom fuse`, of sensor data and of detections, and `sceneloom demo`."""
 
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from sceneloom.cli import detection_options, options
-from sceneloom.cli.fuse_detections import fuse_found
-from sceneloom.cli.fusion_summary import print_fusion
-from sceneloom.cli.printing import print_json, progress_bar
+from sceneloom.cli.printing import Printer, print_outputs, print_table, several
+from sceneloom.cli.running import rewriting_verb, verb
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.fusion.configuration import FusionConfiguration
+    from sceneloom.pipeline.fusing import CameraReport, FusionOutputs, FusionReport
+    from sceneloom.pipeline.fusing_detections import DetectionFusionReport
 
 
 @click.command()
 @click.argument("path", type=options.location)
-@click.option(
-    "-o", "--output", type=options.target, help="The .sfs file to write; of detections, the .jsonl file."
-)
+@options.output("The .sfs file to write; for detections, the .jsonl file.", required=False)
 @click.option(
     "--type",
     "fusion_type",
     type=click.Choice(["sensor", "detection"]),
-    help="Fuse clouds and images, or what detectors found in them. [default: sensor]",
+    help="Fuse clouds and images, or detections in them. [default: sensor]",
 )
 @click.option(
     "--format",
     "form",
     type=click.Choice(["jsonl", "kitti"]),
-    help="Of detections: lines of JSON, or for KITTI's folders its text, without tracks. [default: jsonl]",
+    help="For detections: JSON lines, or for KITTI's folders its text, without tracks. [default: jsonl]",
 )
-@detection_options.takes
-@options.trajectory(further="`identity`: it was stationary")
+@detection_options.fused
+@options.trajectory(options.STATIONARY)
 @click.option(
     "--algorithm",
     metavar="NAME|FILE.py:FUNCTION",
     help="`projection`: colours of nearest pixels; `blending`: of all images, by weight; one that a package brings, "
     "or a function of a Python file, which is executed. [default: projection]",
 )
-@click.option("--depth", type=options.target, help="Folder for depth images.")
+@click.option("--depth", type=options.target, metavar="DIR", help="Folder for depth images.")
 @click.option(
     "--depth-format",
     type=click.Choice(["png", "npz"]),
     help="16-bit PNG (metres times 256) or NPZ (float32 metres). [default: png]",
 )
-@click.option("--visualize", "images", type=options.target, help="Folder for images to look at.")
+@options.visualize()
 @click.option(
     "--visualize-every",
     "images_every",
@@ -55,35 +55,34 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 )
 @options.threads
 @options.part
-@options.rewriting
+@rewriting_verb
 def fuse(
     path: Path | str,
     output: Path | None,
     fusion_type: str | None,
     form: str | None,
-    algorithm: str | None,
+    printer: Printer,
+    reading: dict[str, Any],
     **given: Any,
 ) -> None:
     """Fuse lidar and cameras of a drive: coloured clouds in one world, depth images, one scene file.
 
-    With --type detection, fuse what detectors found: objects with existence and covariances, as lines of JSON (table 10
-    of DB34/T 4101). PATH is then a drive with --boxes2d and --boxes3d, or a folder laid out like KITTI's tracking
+    With --type detection, fuse detections: objects with existence probabilities and covariances, as JSON lines (table
+    10 of DB34/T 4101). PATH is then a drive with --boxes2d and --boxes3d, or a folder laid out like KITTI's tracking
     benchmark.
     """
     if fusion_type == "detection":
-        detection_options.refuse(given, _OF_SENSOR_DATA, "detections are fused into lines of JSON")
-        found = {name: given.pop(name) for name in (*detection_options.NAMES, *_TRAJECTORY)}
-        kept = {name: value for name, value in given.items() if name not in _OF_SENSOR_DATA}
-        fuse_found(path, output, found, algorithm=algorithm, form=form, **kept)
+        options.refuse(given, _OF_SENSOR_DATA, "detections are fused into lines of JSON")
+        _fuse_detections(path, output, form, printer, reading, given)
         return
     own = [name for name in detection_options.NAMES if name != "sequences"]
-    detection_options.refuse({"format": form, **given}, ("format", *own), "state --type detection with it")
-    given["sequence"] = options.one_sequence(given["sequences"])
-    kept = {name: value for name, value in given.items() if name not in detection_options.NAMES}
-    _fuse_sensor_data(path, output, algorithm=algorithm, **kept)
+    options.refuse({"form": form, **given}, ("form", *own), "state --type detection with it")
+    sequence = options.one_sequence(given["sequences"])
+    for name in detection_options.NAMES:
+        del given[name]
+    _fuse_sensor_data(path, output, printer, reading | options.stated(sequence=sequence), given)
 
 
-_TRAJECTORY = ("trajectory", "heading")
 _OF_SENSOR_DATA = (
     *("depth", "depth_format", "images", "images_every", "threads"),
     *("profile", "time_unit"),
@@ -92,74 +91,201 @@ _OF_SENSOR_DATA = (
 
 
 def _fuse_sensor_data(
-    path: Path | str,
-    output: Path | None,
-    *,
-    trajectory: str | None,
-    heading: str | None,
-    algorithm: str | None,
-    depth: Path | None,
-    depth_format: str | None,
-    images: Path | None,
-    images_every: int | None,
-    threads: int | None,
-    start: float | None,
-    stop: float | None,
-    overwrite: bool,
-    profile: str | None,
-    time_unit: str | None,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
-    **reading: Any,
+    path: Path | str, output: Path | None, printer: Printer, reading: dict[str, Any], given: dict[str, Any]
 ) -> None:
-    if output is None and depth is None and images is None:
+    if output is None and given["depth"] is None and given["images"] is None:
         raise click.UsageError("nothing to write: state -o drive.sfs, --depth DIR or --visualize DIR")
-    _refuse_idle("--depth-format", depth_format, "--depth", depth)
-    _refuse_idle("--visualize-every", images_every, "--visualize", images)
+    options.needs("--depth-format", given["depth_format"], "--depth DIR", given["depth"])
+    options.needs("--visualize-every", given["images_every"], "--visualize DIR", given["images"])
+    from sceneloom.colouring.visibility import VisibilitySettings
     from sceneloom.formats.base.registry import open_scene
+    from sceneloom.fusion.configuration import FusionConfiguration
     from sceneloom.pipeline.fusing import FusionOutputs
     from sceneloom.pipeline.fusing import fuse as fuse_scene
     from sceneloom.stages import timed
 
-    outputs = FusionOutputs(
-        scene=output,
-        depth=depth,
-        images=images,
-        images_every=images_every,
-        **options.stated(depth_format=depth_format, profile=profile, time_unit=time_unit),
-        overwrite=overwrite,
+    configuration = FusionConfiguration(
+        visibility=options.take(VisibilitySettings, given),
+        **options.stated(fusion_algorithm=given.pop("algorithm")),
     )
-    with (
-        timed() as stages,
-        open_scene(path, **options.stated(**reading)) as scene,
-        progress_bar("fusing", quiet=quiet) as progress,
-    ):
+    outputs = options.take(FusionOutputs, given, scene=output)
+    with timed() as stages, open_scene(path, **reading) as scene, printer.progress("fusing") as progress:
         report = fuse_scene(
             scene,
-            trajectory=trajectory,
-            heading=heading,
-            start=start,
-            stop=stop,
             outputs=outputs,
-            configuration=_configuration(algorithm, threads),
-            lenient=reading["lenient"],
+            configuration=configuration,
+            lenient="lenient" in reading,
             progress=progress,
+            **given,
         )
-    if as_json:
-        print_json(report, stages=stages)
-    else:
-        print_fusion(report, outputs, quiet=quiet, verbose=verbose)
+    printer.show(report, _print_fusion, outputs, stages=stages)
 
 
-def _configuration(algorithm: str | None, threads: int | None) -> "FusionConfiguration":
-    from sceneloom.colouring.visibility import VisibilitySettings
+def _print_fusion(report: "FusionReport", outputs: "FusionOutputs", printer: Printer) -> None:
+    """Print what was fused, what was left out and why, and where it is."""
+    trajectory = "the sensors' own poses" if report.trajectory is None else f"trajectory {report.trajectory}"
+    click.echo(
+        f"fused {report.fused} of {several(report.frames, 'sweep')} by {trajectory} "
+        f"in {report.seconds:.1f} s ({report.frames_per_second:.1f} sweeps a second)"
+    )
+    click.echo(f"{several(report.points, 'point')}, {report.coloured_percent:.1f} % coloured")
+    print_table(_camera_row(camera) for camera in report.cameras)
+    if not printer.quiet:
+        _print_blind(report)
+    _print_left_out(report, printer)
+    locations = {"scene": outputs.scene, "depth images": outputs.depth, "images": outputs.images}
+    print_outputs(locations, report.files)
+    printer.warnings(report.warnings)
+    printer.losses(report.losses)
+
+
+def _camera_row(camera: "CameraReport") -> list[str]:
+    unpaired = f"{several(camera.unpaired, 'sweep')} without an image" if camera.unpaired else ""
+    unposed = f"{several(camera.unposed, 'image')} beyond the trajectory" if camera.unposed else ""
+    return [
+        str(camera.camera),
+        several(camera.images, "image"),
+        f"{camera.in_image_percent:.1f} % of the points in it",
+        f"{camera.hidden_percent:.1f} % of these hidden",
+        f"{camera.coloured} coloured",
+        ", ".join(filter(None, [unpaired, unposed])),
+    ]
+
+
+def _print_blind(report: "FusionReport") -> None:
+    """Note cameras that see nothing of what the lidars see, as with most wrong extrinsics."""
+    blind = [str(camera.camera) for camera in report.cameras if camera.paired and not camera.in_image_percent]
+    if blind:
+        message = (
+            f"no point falls into the images of {', '.join(blind)}; where they look is in `sceneloom info`"
+        )
+        click.echo(f"assumed: {message}: is the mounting right?", err=True)
+
+
+def _print_left_out(report: "FusionReport", printer: Printer) -> None:
+    if report.extrapolated:
+        sweeps = several(report.extrapolated, "sweep")
+        click.echo(f"{sweeps} used poses beyond the trajectory's ends, by at most one sweep period")
+    for reason, count in report.unfused.items():
+        click.echo(f"{several(count, 'sweep')} kept unfused: {reason}")
+    if report.skipped:
+        count = len(report.skipped)
+        click.echo("1 sweep or image skipped" if count == 1 else f"{count} sweeps or images skipped")
+        printer.skipped(report.skipped)
+    if report.depth_beyond_range:
+        click.echo(
+            f"{report.depth_beyond_range} depth pixels beyond 255.99 m were written as 0; --depth-format npz keeps them"
+        )
+
+
+def _fuse_detections(
+    path: Path | str,
+    output: Path | None,
+    form: str | None,
+    printer: Printer,
+    reading: dict[str, Any],
+    given: dict[str, Any],
+) -> None:
+    """Fuse the detections of a drive, or of a folder laid out like KITTI's tracking benchmark."""
+    if output is None:
+        raise click.UsageError(
+            "nothing to write: state -o objects.jsonl, or -o FOLDER for a folder of KITTI's sequences"
+        )
+    from sceneloom.detections.settings import ProjectionSettings
     from sceneloom.fusion.configuration import FusionConfiguration
+    from sceneloom.pipeline.detection_jobs import fuse_detections
 
-    visibility = VisibilitySettings(**options.stated(threads=threads))
-    return FusionConfiguration(visibility=visibility, **options.stated(fusion_algorithm=algorithm))
+    chosen = detection_options.detection_input(given)
+    detectors = given["detectors"]
+    with printer.progress("fusing") as progress:
+        report = fuse_detections(
+            path,
+            output,
+            chosen=chosen,
+            configuration=FusionConfiguration(**options.stated(detection_algorithm=given["algorithm"])),
+            settings=None if detectors is None else ProjectionSettings(detectors=detectors),
+            overwrite=given["overwrite"],
+            lenient=reading.pop("lenient", False),
+            reading=reading | options.stated(start=given["start"], stop=given["stop"]),
+            progress=progress,
+            **options.stated(form=form),
+        )
+    printer.show(report, _print_detections)
 
 
-def _refuse_idle(option: str, value: object, needed: str, folder: Path | None) -> None:
-    if value is not None and folder is None:
-        raise click.UsageError(f"{option} {value} does nothing without {needed} DIR")
+def _print_detections(report: "DetectionFusionReport", printer: Printer) -> None:
+    print_table(
+        [
+            one.name,
+            several(one.pairs, "pair"),
+            several(one.objects, "object"),
+            f"{one.both} of both, {one.sweeps_only} of sweeps alone, {one.images_only} of images alone",
+            f"{several(one.unpaired, 'sweep')} without an image" if one.unpaired else "",
+        ]
+        for one in report.drives
+    )
+    click.echo(f"fused {several(len(report.drives), 'drive')} in {report.seconds:.1f} s: {report.output}")
+    printer.warnings(report.warnings)
+
+
+@click.command()
+@click.option(
+    "--keep",
+    type=options.target,
+    default=Path("sceneloom-demo"),
+    show_default=True,
+    metavar="DIR",
+    help="Folder for the drive, the scene and the images.",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Random seed of the street.")
+@click.option(
+    "--frames", type=click.IntRange(min=2), default=30, show_default=True, help="Lidar sweeps at 10 Hz."
+)
+@click.option(
+    "--video",
+    type=click.Choice(["h264", "png"]),
+    default="h264",
+    show_default=True,
+    help="Format of the drive's images.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an earlier demo.")
+@verb
+def demo(keep: Path, seed: int, frames: int, video: str, overwrite: bool, printer: Printer) -> None:
+    """Simulate a small drive through a street, fuse it, and show the result."""
+    from sceneloom.formats.base.output import check_output
+
+    begun = time.perf_counter()
+    recording = keep / "drive"
+    fused, depth, images = keep / "drive.sfs", keep / "depth", keep / "images"
+    keep.mkdir(parents=True, exist_ok=True)
+    for location in (recording, fused, depth, images):
+        check_output(location, overwrite=overwrite)
+    if not printer.quiet:
+        click.echo(f"making a drive of {frames / 10:g} s through a synthetic street …", err=True)
+
+    from sceneloom.formats.base.registry import open_scene, write_scene
+    from sceneloom.pipeline.fusing import FusionOutputs
+    from sceneloom.pipeline.fusing import fuse as fuse_scene
+    from sceneloom.simulate.drive import demo_drive
+
+    outputs = FusionOutputs(scene=fused, depth=depth, images=images, overwrite=overwrite)
+    drive = demo_drive(seed=seed, frames=frames).scene
+    written = write_scene(drive, recording, overwrite=overwrite, images=video)
+    with open_scene(recording) as scene, printer.progress("fusing") as progress:
+        report = fuse_scene(scene, outputs=outputs, progress=progress)
+    if printer.as_json:
+        printer.show(report, _print_fusion)
+        return
+    _print_fusion(report, outputs, replace(printer, quiet=printer.quiet or not printer.verbose))
+    click.echo(f"recording: {recording}")
+    if printer.verbose:
+        printer.losses(written)
+    elif not printer.quiet:
+        # whoever begins has not asked yet what formats cannot hold
+        notes = several(len([*report.warnings, *report.losses, *written]), "note")
+        click.echo(f"{notes} on what these files cannot hold of the drive: `--verbose` lists them", err=True)
+    click.echo(f"all in {time.perf_counter() - begun:.1f} s")
+    click.echo(f"look at {images / 'cloud_drive_perspective.png'} and what is beside it; then try")
+    click.echo(f"  sceneloom info {recording}")
+    click.echo(f"  sceneloom info {keep / 'drive.sfs'}")
+    click.echo("  sceneloom fuse YOUR_DRIVE -o YOUR_DRIVE.sfs --visualize images")

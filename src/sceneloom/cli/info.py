@@ -5,42 +5,47 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 from msgspec import structs
 
+from sceneloom.arrays import Float64Array
 from sceneloom.cli import options
-from sceneloom.cli.mountings import mounting_text
-from sceneloom.cli.printing import amount, print_json, print_table, print_warnings, seconds, several
-from sceneloom.scene.ego import ego_axes
+from sceneloom.cli.printing import Printer, amount, print_json, print_table, seconds, several
+from sceneloom.cli.running import reading_verb
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
+from sceneloom.scene.ego import EgoAxes, ego_axes
 from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.scene.types import SensorType
 
 if TYPE_CHECKING:
-    from sceneloom.scene.scene import Scene
+    from sceneloom.scene.scene import Scene, Sensor
     from sceneloom.warnings import DataWarning
+
+
+_SECTORS = ("ahead", "ahead left", "left", "back left", "back", "back right", "right", "ahead right")
+_STEEP = np.cos(np.pi / 6)
+"""An axis nearer than 30 degrees to the vertical has no direction in the plane worth naming."""
+
+_TILTED = np.cos(np.pi / 4)
+_STANDARD = EgoAxes(np.eye(3), known=True)
 
 
 @click.command()
 @click.argument("path", type=options.location)
-@click.option(
-    "--visualize",
-    "images",
-    type=options.target,
-    metavar="DIR",
-    help="Draw the annotations into a folder: in the images, from above, over time, and each type by itself.",
+@options.visualize(
+    "Draw the annotations into DIR: in the images, from above, over time, and each type by itself."
 )
 @click.option("--at", type=float, metavar="S", help="When to draw them. [default: the middle of the scene]")
-@click.option("--overwrite", is_flag=True, help="Replace images that exist.")
-@options.reading
-@options.printing
+@options.overwrite
+@reading_verb
 def info(
     path: Path | str,
     images: Path | None,
     at: float | None,
     overwrite: bool,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
-    **reading: Any,
+    printer: Printer,
+    reading: dict[str, Any],
 ) -> None:
     """Report what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
     if at is not None and images is None:
@@ -49,7 +54,7 @@ def info(
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.scene.summary import summarise
 
-    with open_scene(path, **options.stated(**reading)) as scene:
+    with open_scene(path, **reading) as scene:
         # a drive may be named by a file in it
         whole = Path(scene.source) if isinstance(path, Path) and Path(scene.source).exists() else path
         summary = summarise(scene, size_bytes=size_on_disk(whole))
@@ -57,7 +62,7 @@ def info(
         mountings = [mounting_text(sensor, axes) for sensor in scene.sensors]
         drawn, undrawn = ([], ()) if images is None else _draw(scene, images, at, overwrite=overwrite)
         summary = structs.replace(summary, warnings=(*summary.warnings, *undrawn))
-    if as_json:
+    if printer.as_json:
         print_json(
             summary if images is None else {**structs.asdict(summary), "images": list(map(str, drawn))}
         )
@@ -65,8 +70,7 @@ def info(
     _print_summary(summary, mountings)
     if drawn:
         click.echo(f"{several(len(drawn), 'image')}: {images}")
-    if not quiet:
-        print_warnings(summary.warnings, verbose=verbose)
+    printer.warnings(summary.warnings)
 
 
 def _draw(
@@ -146,3 +150,55 @@ def _sensor_row(sensor: SensorSummary, mounting: str | None) -> list[str]:
         gaps,
     ]
     return [str(sensor.id), sensor.type, str(sensor.count), rate, span, ", ".join(filter(None, details))]
+
+
+def mounting_text(sensor: "Sensor", axes: EgoAxes = _STANDARD) -> str | None:
+    """Report where a sensor is in the ego's frame and which way it looks: what wrong extrinsics show by.
+
+    Args:
+        axes: where the vehicle's forward and upward directions are in the ego's frame.
+
+    Returns:
+        None where the mounting is not known.
+    """
+    mount: RigidTransform | None = getattr(sensor, "mount", None)
+    if mount is None:
+        return None
+    rotation = axes.body_from_ego @ mount.matrix[:3, :3]
+    x, y, z = mount.translation + 0.0
+    facing = (
+        _camera_rotation(rotation)
+        if isinstance(sensor, CameraSensor | DepthCameraSensor)
+        else _body_rotation(rotation)
+    )
+    location = "" if not np.abs(mount.translation).max() else f" at ({x:.2f}, {y:.2f}, {z:.2f}) m"
+    if facing and not axes.known:
+        facing += " if the ego's x axis is ahead"
+    return ", ".join(filter(None, [f"mounted on the ego{location}", facing]))
+
+
+def _camera_rotation(ego_from_camera: Float64Array) -> str:
+    """Name the optical axis (z), and the direction of the image's upper edge (-y)."""
+    forward, up = ego_from_camera[:, 2], -ego_from_camera[:, 1]
+    if abs(forward[2]) > _STEEP:
+        return f"looks {'up' if forward[2] > 0 else 'down'}"
+    if abs(up[2]) < _TILTED * np.hypot(forward[0], forward[1]):
+        return f"looks {_sector(forward)}, lying on its side"
+    return f"looks {_sector(forward)}" + ("" if up[2] > 0 else ", upside down")
+
+
+def _body_rotation(ego_from_sensor: Float64Array) -> str:
+    """Name the direction of the x axis where it is not ahead, and a z axis that is not upright."""
+    forward, upright = ego_from_sensor[:, 0], ego_from_sensor[2, 2]
+    if upright < -_TILTED:
+        return "upside down"
+    if upright < _TILTED:
+        return "lying on its side"
+    sector = _sector(forward)
+    return "" if sector == _SECTORS[0] else f"its x axis points {sector}"
+
+
+def _sector(direction: Float64Array) -> str:
+    """The eighth of a circle around the ego that a direction is in."""
+    facing = np.arctan2(direction[1], direction[0])
+    return _SECTORS[round(float(facing) / (np.pi / 4)) % len(_SECTORS)]

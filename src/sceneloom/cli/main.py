@@ -11,48 +11,94 @@ from typing import Any, NoReturn
 
 import click
 
-from sceneloom.cli.first_run import telling_of_compiling
-from sceneloom.cli.verb_group import VerbGroup
 from sceneloom.errors import OptionError, SceneloomError, ignore_warnings_of_extreme_numbers
+from sceneloom.kernels.cache import reporting_compiling
+from sceneloom.lazy import imported
 from sceneloom.version import __version__
 
 VERBS = MappingProxyType(
     {
-        "demo": "Make a small drive, fuse it, show what came out.",
-        "info": "Report what is in a recording or a scene.",
-        "fuse": "Fuse lidar and cameras of a drive into one scene.",
-        "track": "Follow objects through a drive by what detectors found in it.",
-        "colour": "Colour the points of a drive from all its cameras: one map, or sweep by sweep.",
-        "depth": "Write depth images, sparse or dense, with a confidence.",
-        "view": "Look at a drive in Rerun's viewer, or save the view to a file.",
-        "convert": "Write a recording or a scene in another format.",
-        "validate": "Check a drive or a scene by rules, and repair what can be repaired safely.",
-        "salvage": "Take out of a damaged scene file what is whole.",
-        "report": "Make a page about a drive that can be sent.",
-        "batch": "Do one verb for many drives: in parallel, with a record, resumable.",
-        "catalog": "Put many drives into tables, and find drives and moments in them.",
-        "diff": "Report what differs between two drives.",
-        "edit": "Change one thing of a drive: crop, merge, deskew, …",
-        "eval": "Report how good an estimate is: a trajectory, tracks or detections, against a reference.",
-        "sync": "Report whether the clocks of a drive's streams are in step, and correct them.",
-        "calibrate": "Report whether camera and lidar lie to one another as the calibration says, and repair it.",
-        "serve": "Serve the fusion interface of DB34/T 4101-2022 over gRPC.",
-        "send": "Send a drive, or a log, to a fusion service.",
-        "get": "Fetch results from a fusion service.",
-        "conformance": "Check a fusion service against DB34/T 4101-2022.",
-        "formats": "List the formats that can be read and written.",
-        "doctor": "Report what this installation can do and what it lacks.",
-        "completion": "Print what a shell needs to complete verbs and options.",
+        "demo": ("sceneloom.cli.fuse:demo", "Simulate a small drive, fuse it, and show the result."),
+        "info": ("sceneloom.cli.info:info", "Report what is in a recording or a scene."),
+        "fuse": ("sceneloom.cli.fuse:fuse", "Fuse lidar and cameras of a drive into one scene."),
+        "track": ("sceneloom.cli.track:track", "Track objects through a drive by detections."),
+        "colour": (
+            "sceneloom.cli.colour:colour",
+            "Colour the points of a drive from all its cameras: one map, or sweep by sweep.",
+        ),
+        "depth": ("sceneloom.cli.depth:depth", "Write depth images, sparse or dense, with a confidence."),
+        "view": ("sceneloom.cli.view:view", "Look at a drive in Rerun's viewer, or save the view to a file."),
+        "convert": ("sceneloom.cli.convert:convert", "Write a recording or a scene in another format."),
+        "validate": (
+            "sceneloom.cli.validate:validate",
+            "Check a drive or a scene by rules, and repair what can be repaired safely.",
+        ),
+        "salvage": (
+            "sceneloom.cli.validate:salvage",
+            "Extract what is whole from a damaged scene file.",
+        ),
+        "report": ("sceneloom.cli.report:report", "Write a page about a drive that can be sent."),
+        "batch": (
+            "sceneloom.cli.batch:batch",
+            "Run one verb over many drives: in parallel, with a record, resumable.",
+        ),
+        "catalog": (
+            "sceneloom.cli.catalog:catalog",
+            "Put many drives into tables, and find drives and moments in them.",
+        ),
+        "diff": ("sceneloom.cli.diff:diff", "Report what differs between two drives."),
+        "edit": ("sceneloom.cli.edit:edit", "Change one thing of a drive: crop, merge, deskew, …"),
+        "eval": (
+            "sceneloom.cli.evaluate:evaluate",
+            "Evaluate a trajectory, tracks or detections against a reference.",
+        ),
+        "sync": (
+            "sceneloom.cli.sync:sync",
+            "Check whether the clocks of a drive's streams are synchronised, and correct them.",
+        ),
+        "calibrate": (
+            "sceneloom.cli.calibrate:calibrate",
+            "Check the camera-lidar calibration, and refine it.",
+        ),
+        "serve": ("sceneloom.cli.service:serve", "Serve the fusion interface of DB34/T 4101-2022 over gRPC."),
+        "send": ("sceneloom.cli.service:send", "Send a drive, or a session log, to a fusion service."),
+        "get": ("sceneloom.cli.service:get", "Fetch results from a fusion service."),
+        "conformance": (
+            "sceneloom.cli.conformance:conformance",
+            "Check a fusion service against DB34/T 4101-2022.",
+        ),
+        "formats": ("sceneloom.cli.formats:formats", "List the formats that can be read and written."),
+        "doctor": (
+            "sceneloom.cli.installation:doctor",
+            "Report what this installation can do and what it lacks.",
+        ),
+        "completion": (
+            "sceneloom.cli.installation:completion",
+            "Print what a shell needs to complete verbs and options.",
+        ),
     }
 )
+"""Where each verb is, and a line on it for `--help`."""
 
 
-@click.group(
-    cls=VerbGroup, verbs=VERBS, room="sceneloom.cli", context_settings={"help_option_names": ["-h", "--help"]}
-)
+class _Program(click.Group):
+    """Imports a verb only when it is called, so that `--help` is quick."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        return imported(VERBS[cmd_name][0]) if cmd_name in VERBS else None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, line) for name, (_, line) in VERBS.items()])
+
+
+@click.group(cls=_Program, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="sceneloom")
 def sceneloom() -> None:
-    """Weave every sensor of a drive into one scene.
+    """Fuse every sensor of a drive into one scene.
 
     Start with `sceneloom demo`; then `sceneloom info YOUR_DRIVE` and `sceneloom fuse YOUR_DRIVE -o drive.sfs`.
     """
@@ -62,10 +108,10 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line; exit 0 when done, 1 on bad data, 2 on bad usage."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            # names of files may be no Unicode, and a terminal may know fewer characters than we write
+            # names of files need not be Unicode, and a terminal may know fewer characters than we write
             stream.reconfigure(errors="backslashreplace")
     ignore_warnings_of_extreme_numbers()
-    with _ending_cleanly(), telling_of_compiling():
+    with _ending_cleanly(), reported_compiling():
         sys.exit(_run(arguments))
 
 
@@ -77,23 +123,22 @@ EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
 )
 """What each kind of failure means to the shell; the first that fits counts."""
 
-
-ENDING_SIGNALS = ("SIGTERM", "SIGHUP")
+_SIGNALS = ("SIGTERM", "SIGHUP")
 """What asks a program to end, besides Ctrl-C: `kill`, a container or a batch system, a terminal that closes."""
 
 
-class Ended(BaseException):
-    """One of the ending signals came; passes through everything, so that half written outputs are taken away."""
+class _Ended(BaseException):
+    """One of the signals came; passes through everything, so that half written outputs are removed."""
 
 
 def _end(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001 - the signature of a signal's handler
-    raise Ended(number)
+    raise _Ended(number)
 
 
 @contextmanager
 def _ending_cleanly() -> Iterator[None]:
-    """Let the ending signals do what Ctrl-C does; those that the caller ignores or handles are left alone."""
-    found = [getattr(signal, name) for name in ENDING_SIGNALS if hasattr(signal, name)]
+    """Let the signals do what Ctrl-C does; those that the caller ignores or handles are left alone."""
+    found = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
     main_thread = threading.current_thread() is threading.main_thread()
     ours = [number for number in found if main_thread and signal.getsignal(number) is signal.SIG_DFL]
     for number in ours:
@@ -105,15 +150,29 @@ def _ending_cleanly() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
+@contextmanager
+def reported_compiling() -> Iterator[None]:
+    """Report once on a terminal that kernels are compiled: the first run is silent for a minute otherwise."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    compiled: list[str] = []
+
+    def report(module: str) -> None:
+        if not compiled:
+            click.echo("compiling the inner loops for this machine; they are kept …", err=True)
+        compiled.append(module)
+
+    with reporting_compiling(report):
+        yield
+
+
 def _run(arguments: list[str] | None) -> int:
     try:
         result: Any = sceneloom.main(args=arguments, prog_name="sceneloom", standalone_mode=False)
-    except (click.exceptions.Abort, KeyboardInterrupt):
+    except (click.exceptions.Abort, KeyboardInterrupt, _Ended) as stopped:
         click.echo("sceneloom: stopped; nothing was left half written", err=True)
-        return 128 + signal.SIGINT
-    except Ended as ended:
-        click.echo("sceneloom: stopped; nothing was left half written", err=True)
-        return 128 + int(ended.args[0])
+        return 128 + (int(stopped.args[0]) if isinstance(stopped, _Ended) else signal.SIGINT)
     except click.ClickException as error:
         error.show()
         return error.exit_code

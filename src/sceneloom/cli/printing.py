@@ -1,9 +1,10 @@
-"""Results for people on standard output, progress and warnings on standard error."""
+"""Results on standard output, progress and warnings on standard error."""
 
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -16,6 +17,83 @@ if TYPE_CHECKING:  # a verb that reads no drive starts quickly without them
 SHOWN = 5
 """Warnings and losses shown unless `--verbose` is stated."""
 
+_LOSSES = {"kept": "note", "converted": "converted", "approximated": "approximated", "dropped": "lost"}
+"""What a line about a loss begins with."""
+
+
+@dataclass(frozen=True, slots=True)
+class Printer:
+    """Prints what a verb found, as `--json`, `--quiet` and `--verbose` state."""
+
+    as_json: bool = False
+    quiet: bool = False
+    verbose: bool = False
+
+    def show(
+        self,
+        result: Any,
+        to_people: Callable[..., None],
+        *arguments: Any,
+        stages: Mapping[str, float] | None = None,
+    ) -> None:
+        """Print a result as JSON, or by a function that takes it, `arguments` and this printer."""
+        if self.as_json:
+            print_json(result, stages=stages)
+        else:
+            to_people(result, *arguments, self)
+
+    @contextmanager
+    def progress(self, title: str) -> Iterator[Callable[[int, int], None] | None]:
+        """Show a bar on standard error while work goes on; nothing where that is not a terminal."""
+        if self.quiet or not sys.stderr.isatty():
+            yield None
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(title, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+
+    def warnings(self, warnings: "Sequence[DataWarning]") -> None:
+        """Print what was assumed, repaired or left out; what was made of corrections first."""
+        self.notes(
+            [
+                ": ".join(filter(None, (warning.kind, warning.location, warning.message)))
+                + times(warning.count)
+                for warning in sorted(warnings, key=lambda warning: not _is_correction(warning))
+            ]
+        )
+
+    def corrections(self, warnings: "Sequence[DataWarning]") -> None:
+        """Print only what was made of a drive's corrections, for verbs whose results hold the other warnings."""
+        Printer(quiet=self.quiet, verbose=True).warnings(list(filter(_is_correction, warnings)))
+
+    def losses(self, losses: "LossReport") -> None:
+        """Print what the target format has no field for: lost, or kept where only we look for it."""
+        self.notes(
+            [
+                f"{'kept aside' if loss.kept else _LOSSES[loss.support]}: {loss.field}: {loss.what}"
+                + times(loss.count)
+                + (f"; it is in {loss.kept}" if loss.kept else "")
+                for loss in losses
+            ]
+        )
+
+    def skipped(self, reasons: Iterable[str]) -> None:
+        """Print what a lenient reading left out."""
+        self.notes([f"skipped: {reason}" for reason in reasons])
+
+    def notes(self, lines: Sequence[str]) -> None:
+        """Print lines on standard error, only the first ones unless `--verbose` is stated."""
+        if not self.quiet:
+            print_lines(lines, verbose=self.verbose)
+
+
+def _is_correction(warning: "DataWarning") -> bool:
+    return warning.code.startswith("correction-")
+
 
 def print_json(result: Any, *, stages: Mapping[str, float] | None = None) -> None:
     """Print a result for machines; with the seconds of its stages, where these were taken (`sceneloom.stages`)."""
@@ -24,53 +102,13 @@ def print_json(result: Any, *, stages: Mapping[str, float] | None = None) -> Non
     try:
         text = msgspec.json.format(msgspec.json.encode(result), indent=2).decode()
     except UnicodeEncodeError:
-        # a path may hold bytes that are no Unicode; this encoder escapes them
+        # a path may hold bytes that are not Unicode; this encoder escapes them
         text = json.dumps(msgspec.to_builtins(result), indent=2)
     click.echo(text)
 
 
-def print_warnings(warnings: "Sequence[DataWarning]", *, verbose: bool) -> None:
-    """Print what was assumed, repaired or left out; what was made of corrections first."""
-    warnings = sorted(warnings, key=lambda warning: not warning.code.startswith("correction-"))
-    print_lines(
-        [
-            ": ".join(filter(None, (warning.kind, warning.location, warning.message)))
-            + (f" ({warning.count} times)" if warning.count > 1 else "")
-            for warning in warnings
-        ],
-        verbose=verbose,
-    )
-
-
-def print_corrections(warnings: "Sequence[DataWarning]") -> None:
-    """Print only what was made of a drive's corrections, for verbs whose results hold the other warnings."""
-    print_warnings([warning for warning in warnings if warning.code.startswith("correction-")], verbose=True)
-
-
-_HAPPENED = {
-    "kept": "note",
-    "converted": "converted",
-    "approximated": "approximated",
-    "dropped": "lost",
-}
-"""What a line about a loss begins with."""
-
-
-def print_losses(losses: "LossReport", *, verbose: bool) -> None:
-    """Print what the target format has no field for: lost, or kept where only we look for it."""
-    print_lines(
-        [
-            f"{'kept aside' if loss.kept else _HAPPENED[loss.support]}: {loss.field}: {loss.what}"
-            + (f" ({loss.count} times)" if loss.count > 1 else "")
-            + (f"; it is in {loss.kept}" if loss.kept else "")
-            for loss in losses
-        ],
-        verbose=verbose,
-    )
-
-
 def print_lines(lines: Sequence[str], *, verbose: bool) -> None:
-    """Print notes, only the first ones unless `verbose`."""
+    """Print lines on standard error, only the first ones unless `verbose`."""
     shown = lines if verbose else lines[:SHOWN]
     for line in shown:
         click.echo(line, err=True)
@@ -79,7 +117,7 @@ def print_lines(lines: Sequence[str], *, verbose: bool) -> None:
 
 
 def print_table(rows: Iterable[Sequence[str]], *, indent: str = "  ", err: bool = False) -> None:
-    """Print rows in columns; `err`: as a note, not as a result."""
+    """Print rows in columns; `err`: on standard error."""
     table = [list(row) for row in rows]
     if not table:
         return
@@ -89,24 +127,22 @@ def print_table(rows: Iterable[Sequence[str]], *, indent: str = "  ", err: bool 
         click.echo((indent + "  ".join(cells)).rstrip(), err=err)
 
 
-@contextmanager
-def progress_bar(title: str, *, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Show a bar on standard error while work goes on; nothing where that is not a terminal."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+def print_outputs(outputs: Mapping[str, Any], files: Mapping[str, int]) -> None:
+    """Print where each kind of output is, and of how many files it is."""
+    for kind, location in outputs.items():
+        if location is not None:
+            count = files.get(kind)
+            click.echo(f"{kind}: {location}" + ("" if count is None else f" ({several(count, 'file')})"))
 
 
 def several(count: int, noun: str, plural: str | None = None) -> str:
     """A count with its noun: "1 sweep", "3 sweeps"; `plural` where that is more than an s."""
     return f"{count} {noun}" if count == 1 else f"{count} {plural or f'{noun}s'}"
+
+
+def times(count: int) -> str:
+    """How often something was found, in brackets; nothing of what was found once."""
+    return f" ({count} times)" if count > 1 else ""
 
 
 def seconds(timestamp_ns: int) -> str:

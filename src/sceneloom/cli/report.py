@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import print_corrections, print_json, progress_bar, several
+from sceneloom.cli.printing import Printer, several
+from sceneloom.cli.running import reading_verb
 
 if TYPE_CHECKING:
     from sceneloom.report.drive_report import DriveReport
@@ -21,78 +22,59 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="The page, one file that ends in .html. [default: report.html, unless --json or --numbers is stated]",
 )
-@click.option("--numbers", type=options.target, metavar="FILE", help="All its numbers as JSON, too.")
-@click.option("--title", metavar="TEXT", help="Of the page. [default: the drive's name]")
+@click.option("--numbers", type=options.target, metavar="FILE", help="Also write all its metrics as JSON.")
+@click.option("--title", metavar="TEXT", help="Title of the page. [default: the drive's name]")
 @options.trajectory()
 @click.option(
     "--truth",
     type=options.source(),
     metavar="FILE",
-    help="What the drive is held against: a trajectory, a scene, or KITTI's text.",
+    help="Reference to compare the drive with: a trajectory, a scene, or KITTI's text.",
 )
 @click.option(
     "--compare",
     type=click.Choice(["lidar", "gnss"]),
     multiple=True,
-    help="Find the ego trajectory from this, too, and hold it against the drive's own; may be stated again.",
+    help="Also estimate the trajectory from this, and compare the drive's own with it; may be repeated.",
 )
 @click.option(
     "--losses",
     type=options.source(),
     metavar="FILE",
-    help="What writing the drive lost, as JSON of `sceneloom convert`, to be reported with it.",
+    help="Loss report of writing the drive to show with it, as JSON of `sceneloom convert`.",
 )
-@click.option("--quick", is_flag=True, help="Look at a few frames only; no check of the calibration.")
+@click.option("--quick", is_flag=True, help="Read a few frames only; no check of the calibration.")
 @click.option(
     "--images",
     type=click.IntRange(min=0),
     default=24,
     show_default=True,
     metavar="N",
-    help="Images that the page may hold.",
+    help="Most images on the page.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
+@options.overwrite
 @options.part
-@options.reading
-@options.printing
+@reading_verb
 def report(
     path: Path | str,
     output: Path | None,
     numbers: Path | None,
-    title: str | None,
-    trajectory: str | None,
-    heading: str | None,
-    truth: Path | None,
-    compare: tuple[str, ...],
-    losses: Path | None,
-    quick: bool,
-    images: int,
     overwrite: bool,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
-    **reading: Any,
+    printer: Printer,
+    reading: dict[str, Any],
+    **given: Any,
 ) -> None:
-    """Make a page about a drive that can be sent: what is in it, whether it is in order, what it looks like.
+    """Write a page about a drive that can be sent: contents, quality, and what it looks like.
 
     One file that holds everything it shows: a verdict and what to do, timing and gaps, map, calibration, coverage,
-    fusion, annotations, all findings of `sceneloom validate`. `--json` prints its numbers.
+    fusion, annotations, all findings of `sceneloom validate`. `--json` prints its metrics.
     """
     from sceneloom.report.page import ReportSettings, write_report
     from sceneloom.stages import timed
 
-    page = Path("report.html") if output is None and numbers is None and not as_json else output
-    settings = ReportSettings(
-        trajectory=trajectory,
-        heading=heading,
-        truth=truth,
-        compare=compare,
-        losses=losses,
-        quick=quick,
-        images=images,
-        title=title,
-    )
-    with progress_bar("looking", quiet=quiet) as progress, timed() as stages:
+    page = Path("report.html") if output is None and numbers is None and not printer.as_json else output
+    settings = options.take(ReportSettings, given)
+    with printer.progress("looking") as progress, timed() as stages:
         found = write_report(
             path,
             page,
@@ -100,29 +82,26 @@ def report(
             settings=settings,
             overwrite=overwrite,
             progress=progress,
-            **options.stated(**reading),
+            **reading,
+            **options.stated(**given),
         )
-    if as_json:
-        print_json(found, stages=stages)
-        return
-    if not quiet:
-        print_corrections(found.warnings)
-    _print_verdict(found, verbose=verbose)
-    for name, written in (("page", page), ("numbers", numbers)):
-        if written is not None:
-            click.echo(f"{name}: {written}")
+    printer.show(found, _print_report, {"page": page, "numbers": numbers}, stages=stages)
 
 
-def _print_verdict(found: "DriveReport", *, verbose: bool) -> None:
-    """Print what the page says first."""
+def _print_report(found: "DriveReport", outputs: dict[str, Path | None], printer: Printer) -> None:
+    """Print what the page states first, and where it is."""
+    printer.corrections(found.warnings)
     click.echo(f"{found.name}: {found.verdict.contents}")
     click.echo(found.verdict.sentence)
     advices = found.verdict.advices
-    shown = advices if verbose else advices[:5]
+    shown = advices if printer.verbose else advices[:5]
     for advice in shown:
         click.echo(f"  {advice.severity}: {advice.title}")
-        if verbose and advice.detail:
+        if printer.verbose and advice.detail:
             click.echo(f"    {advice.detail}")
         click.echo(f"    → {advice.remedy}")
     if len(advices) > len(shown):
         click.echo(f"  … and {several(len(advices) - len(shown), 'more thing')} on the page")
+    for name, written in outputs.items():
+        if written is not None:
+            click.echo(f"{name}: {written}")

@@ -6,14 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import (
-    print_json,
-    print_losses,
-    print_table,
-    print_warnings,
-    progress_bar,
-    several,
-)
+from sceneloom.cli.printing import Printer, print_table, several
+from sceneloom.cli.running import rewriting_verb
 
 if TYPE_CHECKING:
     from sceneloom.motion.clock.estimate import ClockEstimate
@@ -22,9 +16,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("path", type=options.location)
-@click.option(
-    "--reference", metavar="STREAM", help="The stream whose clock is right. [default: the IMU, else …]"
-)
+@click.option("--reference", metavar="STREAM", help="The stream of reference. [default: the IMU, else …]")
 @click.option("--streams", metavar="NAMES", help="The only streams to compare, with commas. [default: all]")
 @click.option(
     "--reach",
@@ -32,69 +24,58 @@ if TYPE_CHECKING:
     default=5.0,
     show_default=True,
     metavar="S",
-    help="Look for offsets up to S seconds.",
+    help="Search for offsets up to S seconds.",
 )
 @click.option(
     "--lever",
+    "lever_sigma",
     type=options.not_negative,
     default=1.0,
     show_default=True,
     metavar="M",
-    help="How far from the ego's origin a receiver's antenna may be.",
+    help="Standard deviation of a receiver's antenna's distance from the ego's origin.",
 )
 @click.option(
     "--apply", "output", type=options.target, metavar="OUT", help="Write the drive with clocks corrected."
 )
 @options.part
-@options.rewriting
+@rewriting_verb
 def sync(
     path: Path | str,
-    reference: str | None,
-    streams: str | None,
-    reach: float,
-    lever: float,
     output: Path | None,
     start: float | None,
     stop: float | None,
-    overwrite: bool,
+    streams: str | None,
+    reach: float,
     profile: str | None,
     time_unit: str | None,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
-    **reading: Any,
+    printer: Printer,
+    reading: dict[str, Any],
+    **given: Any,
 ) -> None:
-    """Report whether the clocks of a drive's streams are in step, and put right those that are not.
+    """Check whether the clocks of a drive's streams are synchronised, and correct those that are not.
 
-    Streams are IMUs, trajectories, lidars, cameras and satellite receivers. Their motion is compared: what the one
-    stream shows later than the other is the offset of their clocks, what it loses over the drive the skew.
+    Streams are IMUs, trajectories, lidars, cameras and satellite receivers. Their motion is compared: a constant delay
+    between two streams is the offset of their clocks, a growing one the skew.
     """
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.pipeline.syncing import sync as sync_scene
     from sceneloom.scene.time_range import cut_scene
 
-    with (
-        open_scene(path, **options.stated(**reading)) as scene,
-        progress_bar("looking", quiet=quiet) as progress,
-    ):
+    with open_scene(path, **reading) as scene, printer.progress("looking") as progress:
         report = sync_scene(
             cut_scene(scene, start=start, stop=stop),
             output,
-            reference=reference,
-            streams=None if streams is None else tuple(name.strip() for name in streams.split(",")),
+            streams=options.names(streams),
             reach_ns=round(reach * 1e9),
-            lever_sigma=lever,
             progress=progress,
-            overwrite=overwrite,
+            **given,
             **({} if output is None else options.stated(profile=profile, time_unit=time_unit)),
         )
-    if as_json:
-        print_json(report)
-    else:
-        _print_report(report, quiet=quiet, verbose=verbose)
+    printer.show(report, _print_report)
 
 
-def _print_report(report: "SyncReport", *, quiet: bool, verbose: bool) -> None:
+def _print_report(report: "SyncReport", printer: Printer) -> None:
     if not report.comparisons:
         click.echo(
             f"{report.source}: nothing to compare: two streams that report the ego's motion are needed"
@@ -107,14 +88,13 @@ def _print_report(report: "SyncReport", *, quiet: bool, verbose: bool) -> None:
     if report.output is not None:
         for correction in report.applied:
             skew = f", skew {correction.skew_ppm:+.1f} ppm" if correction.skew_ppm else ""
-            by_trajectory = f" (through {correction.through})" if correction.through else ""
+            through = f" (through {correction.through})" if correction.through else ""
             click.echo(
-                f"corrected: {correction.stream}: {-correction.offset_ns / 1e6:+.3f} ms{skew}{by_trajectory}"
+                f"corrected: {correction.stream}: {-correction.offset_ns / 1e6:+.3f} ms{skew}{through}"
             )
         click.echo(f"written: {report.output}" + ("" if report.applied else ", as it was"))
-    if not quiet:
-        print_warnings(report.warnings, verbose=verbose)
-        print_losses(report.losses, verbose=verbose)
+    printer.warnings(report.warnings)
+    printer.losses(report.losses)
 
 
 def _row(comparison: Any) -> tuple[str, ...]:

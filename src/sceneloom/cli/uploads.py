@@ -4,7 +4,6 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, TextIO, cast
 
 import click
@@ -18,6 +17,8 @@ def draft_of(url: str) -> Path:
     Raises:
         click.BadParameter: nothing can be written there.
     """
+    from tempfile import TemporaryDirectory
+
     from sceneloom.errors import OutputError
     from sceneloom.formats.remote.uploads import output_name
 
@@ -28,8 +29,8 @@ def draft_of(url: str) -> Path:
         name = output_name(url)
     except OutputError as error:
         raise click.BadParameter(str(error)) from error
-    workplace = context.with_resource(TemporaryDirectory(prefix="sceneloom-"))
-    draft = Path(workplace) / name
+    folder = context.with_resource(TemporaryDirectory(prefix="sceneloom-"))
+    draft = Path(folder) / name
     _drafts(context)[draft] = url
     return draft
 
@@ -62,7 +63,7 @@ def _drafts(context: click.Context) -> dict[Path, str]:
 
 
 class _Renaming:
-    """A stream in which outputs bear the names that the user gave them."""
+    """A stream in which outputs have the names that the user gave them."""
 
     def __init__(self, stream: TextIO, names: Mapping[str, str]) -> None:
         self._stream, self._names = stream, names

@@ -1,5 +1,6 @@
-"""`sceneloom validate`."""
+"""`sceneloom validate` and `sceneloom salvage`."""
 
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -7,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.printing import print_json, progress_bar, several
+from sceneloom.cli.printing import Printer, amount, print_table, several, times
+from sceneloom.cli.running import reading_verb, verb
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from sceneloom.checks.validation import ValidationReport
     from sceneloom.formats.base.losses import Loss
+    from sceneloom.formats.sfs.salvage import SalvageReport
     from sceneloom.warnings import Finding
 
 
@@ -24,89 +25,68 @@ if TYPE_CHECKING:
     type=click.Choice(["sfs", "scale"]),
     help="`scale`: also what Scale's own library refuses. Default: sfs, of a recording its lines and files.",
 )
-@click.option("--strict", is_flag=True, help="Warnings count as errors do.")
-@click.option("--quick", is_flag=True, help="Read no frames and images.")
+@click.option("--strict", is_flag=True, help="Treat warnings as errors.")
+@click.option("--quick", is_flag=True, help="Do not read frames and images.")
 @click.option(
     "--fix",
     type=options.target,
     metavar="OUT",
     help="Write the scene to OUT with all safe fixes applied.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace OUT if it exists.")
-@click.option("--rule", "rules", multiple=True, metavar="ID", help="Run this rule only; may be stated again.")
-@click.option("--ignore", multiple=True, metavar="ID", help="Leave this rule out; may be stated again.")
+@options.overwrite
+@click.option("--rule", "rules", multiple=True, metavar="ID", help="Run this rule only; may be repeated.")
+@click.option("--ignore", multiple=True, metavar="ID", help="Do not run this rule; may be repeated.")
 @click.option("--rules", "list_rules", is_flag=True, help="List the rules and stop.")
 @options.part
-@options.reading
-@options.printing
-@click.pass_context
+@reading_verb
 def validate(
-    context: click.Context,
-    /,
     path: Path | str | None,
-    profile: str | None,
-    strict: bool,
     quick: bool,
-    fix: Path | None,
-    overwrite: bool,
-    rules: tuple[str, ...],
-    ignore: tuple[str, ...],
     list_rules: bool,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
-    **reading: Any,
+    printer: Printer,
+    reading: dict[str, Any],
+    start: float | None,
+    stop: float | None,
+    **given: Any,
 ) -> None:
-    """Check a scene, recording or rig, and state what is wrong, where, and what to do; exit 1 where it does not pass.
+    """Check a scene, recording or rig, and list what is wrong, where, and what to do; exit 1 where it does not pass.
 
     Every finding names the rule, its location in the file, the value and what was expected. `--fix OUT` writes what
-    can be repaired safely, checks that, and reports what is left. Where it is open which image a line means, it says
-    which way it took; `--image-index` takes another.
+    can be repaired safely, checks that, and reports what is left. Where it is ambiguous which image a line means, the
+    choice is reported; `--image-index` makes another.
     """
-    if list_rules:
-        _print_rules(as_json=as_json)
-        return
-    if path is None:
-        raise click.UsageError("Missing argument 'PATH'.", context)
-    from sceneloom.checks.validation import LOCATIONS
+    from sceneloom.checks.validation import LOCATIONS, catalogue
     from sceneloom.checks.validation import validate as validate_scene
     from sceneloom.stages import timed
 
-    with progress_bar("checking", quiet=quiet) as progress, timed() as stages:
+    if list_rules:
+        printer.show(catalogue(), _print_rules)
+        return
+    if path is None:
+        raise click.UsageError("Missing argument 'PATH'.", click.get_current_context())
+    fix = given["fix"]
+    with printer.progress("checking") as progress, timed() as stages:
         report = validate_scene(
             path,
-            profile=profile,
-            fix=fix,
-            overwrite=overwrite,
-            strict=strict,
             frames=not quick,
-            rules=rules,
-            ignore=ignore,
-            locations=None if as_json or verbose else LOCATIONS,
+            locations=None if printer.as_json or printer.verbose else LOCATIONS,
             progress=progress,
-            **options.stated(**reading),
+            **given,
+            **reading,
+            **options.stated(start=start, stop=stop),
         )
-    if as_json:
-        print_json(report, stages=stages)
-    else:
-        _print_report(report, asked_to_fix=fix is not None, quiet=quiet)
+    printer.show(report, _print_validation, fix is not None, stages=stages)
     if not report.passed or (fix is not None and report.output is None):
-        context.exit(1)
+        click.get_current_context().exit(1)
 
 
-def _print_rules(*, as_json: bool) -> None:
-    from sceneloom.checks.validation import catalogue
-
-    rows = catalogue()
-    if as_json:
-        print_json(rows)
-        return
-    for row in rows:
-        marks = [row.severity, *(["fix"] if row.fixable else []), *row.only_in]
-        click.echo(f"{row.id} ({', '.join(marks)})\n    {row.summary}\n    {row.remedy}")
+def _print_rules(rules: Sequence[Any], _: Printer) -> None:
+    for rule in rules:
+        marks = [rule.severity, *(["fix"] if rule.fixable else []), *rule.only_in]
+        click.echo(f"{rule.id} ({', '.join(marks)})\n    {rule.summary}\n    {rule.remedy}")
 
 
-def _print_report(report: "ValidationReport", *, asked_to_fix: bool, quiet: bool) -> None:
+def _print_validation(report: "ValidationReport", asked_to_fix: bool, printer: Printer) -> None:
     found = ", ".join(several(count, severity) for severity, count in report.counts.items() if count)
     verdict = "passed" if report.passed else "not passed"
     read = "" if report.frames_read else "; frames were not read"
@@ -115,7 +95,7 @@ def _print_report(report: "ValidationReport", *, asked_to_fix: bool, quiet: bool
     against += ["recording" if report.profile == "recording" else f"profile {report.profile}"]
     reported = ", ".join(dict.fromkeys(against))
     click.echo(f"{report.output or report.source}: {reported}: {verdict}, {found or 'nothing found'}{read}")
-    _print_findings([f for f in report.findings if not (quiet and f.severity == "hint")])
+    _print_findings([f for f in report.findings if not (printer.quiet and f.severity == "hint")])
     if report.output is not None:
         _print_changes("fixed", report.fixed)
         _print_changes("left out", report.left_out)
@@ -126,7 +106,7 @@ def _print_report(report: "ValidationReport", *, asked_to_fix: bool, quiet: bool
 
 
 def _print_findings(findings: "Sequence[Finding]") -> None:
-    """Findings under their rules, the remedy once for each."""
+    """Print findings under their rules, the remedy once for each."""
     for severity, of_severity in groupby(findings, key=lambda finding: finding.severity):
         click.echo(f"{severity}s")
         for rule, group in groupby(of_severity, key=lambda finding: finding.rule):
@@ -152,12 +132,34 @@ def _print_losses(losses: "Sequence[Loss]") -> None:
             click.echo(title)
         for loss in group:
             location = f"; it is in {loss.kept}" if kept else ""
-            click.echo(f"  {loss.field}: {loss.what}{_times(loss.count)}{location}")
-
-
-def _times(count: int) -> str:
-    return f" ({count} times)" if count > 1 else ""
+            click.echo(f"  {loss.field}: {loss.what}{times(loss.count)}{location}")
 
 
 def _line(finding: "Finding") -> str:
-    return ": ".join(filter(None, (finding.path, finding.message))) + _times(finding.count)
+    return ": ".join(filter(None, (finding.path, finding.message))) + times(finding.count)
+
+
+@click.command()
+@click.argument("path", type=options.location)
+@options.output("The .sfs file to write.")
+@options.overwrite
+@verb
+def salvage(path: Path | str, output: Path, overwrite: bool, printer: Printer) -> None:
+    """Extract what is whole from a scene file that was truncated or damaged, and list what is not."""
+    from sceneloom.formats.sfs.salvage import salvage as salvage_file
+
+    printer.show(salvage_file(path, output, overwrite=overwrite), _print_salvaged)
+
+
+def _print_salvaged(report: "SalvageReport", printer: Printer) -> None:
+    click.echo(f"{report.source}, {amount(report.size_bytes)} → {report.output}")
+    print_table(
+        (str(sensor.id), sensor.type, f"{sensor.kept} of {sensor.count}" if sensor.count else "")
+        for sensor in report.sensors
+    )
+    click.echo(several(report.annotations, "annotation"))
+    if not report.lost:
+        click.echo("nothing is lost")
+        return
+    click.echo(f"lost: {several(len(report.lost), 'part')}, {amount(report.lost_bytes)}")
+    printer.notes([f"lost: {part.location}: {part.problem} ({amount(part.bytes)})" for part in report.lost])

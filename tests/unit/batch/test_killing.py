@@ -19,7 +19,7 @@ from sceneloom.batch import Input, Job, run
 from sceneloom.batch.cluster import DaskCluster
 from sceneloom.batch.record import FOLDER
 from sceneloom.batch.workers import ProcessPool
-from sceneloom.cli.batch.one_drive import CALL, verb_named
+from sceneloom.cli.batch import CALL, verb_named
 from sceneloom.simulate import LidarSpec, simulate_street
 
 pytestmark = [

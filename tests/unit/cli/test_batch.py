@@ -7,7 +7,7 @@ import click
 import pytest
 
 import sceneloom
-from sceneloom.cli.batch.one_drive import BATCHED, verb_named
+from sceneloom.cli.batch import BATCHED, verb_named
 from sceneloom.scene.scene import time_span
 
 

@@ -378,7 +378,7 @@ def test_what_was_corrected_is_not_corrected_again(
         assert [entry["id"] for entry in scene.metadata["sceneloom"]["applied"]] == ["mounted", "placed"]
 
 
-@pytest.mark.parametrize("words", [("camera_model", "--model", "fisheye", "--limit", "9"), ("undistort",)])
+@pytest.mark.parametrize("words", [("camera-model", "--model", "fisheye", "--limit", "9"), ("undistort",)])
 def test_a_new_camera_model_stands_for_the_corrected_one(
     words: tuple[str, ...], call: Callable[..., Any], files: Path, tmp_path: Path
 ) -> None:

@@ -61,7 +61,7 @@ def test_edit_camera_model_reports_how_far_off_the_new_camera_model_is(
     call: Call, distorted: Path, tmp_path: Path
 ) -> None:
     outcome = call(
-        "edit", "camera_model", distorted, "-o", tmp_path / "drive", "--model", "fisheye", "--json"
+        "edit", "camera-model", distorted, "-o", tmp_path / "drive", "--model", "fisheye", "--json"
     )
     assert outcome.code == 0
     warnings = {warning["code"]: warning["message"] for warning in json.loads(outcome.out)["warnings"]}
@@ -74,7 +74,7 @@ def test_edit_camera_model_refuses_what_is_further_off_than_the_limit(
     call: Call, distorted: Path, tmp_path: Path
 ) -> None:
     outcome = call(
-        "edit", "camera_model", distorted, "-o", tmp_path / "d.sfs", "--model", "pinhole", "--limit", "0.5"
+        "edit", "camera-model", distorted, "-o", tmp_path / "d.sfs", "--model", "pinhole", "--limit", "0.5"
     )
     assert (outcome.code, "expected at most 0.5 px" in outcome.err) == (1, True)
     assert not (tmp_path / "d.sfs").exists()

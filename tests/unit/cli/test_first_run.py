@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from sceneloom.cli.first_run import telling_of_compiling
+from sceneloom.cli.main import reported_compiling
 
 KERNELS = """
 from numba import int64
@@ -33,19 +33,19 @@ def kernels(monkeypatch, tmp_path, request):
 
 def test_a_terminal_hears_once_of_compiling_and_not_when_kernels_are_kept(monkeypatch, capsys, kernels):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with telling_of_compiling():
+    with reported_compiling():
         module = kernels()
         assert not capsys.readouterr().err
         assert [module.added(2, 3), module.doubled(4)] == [7, 8]
     assert capsys.readouterr().err.count("compiling") == 1
     sys.modules.pop(module.__name__)
-    with telling_of_compiling():
+    with reported_compiling():
         assert kernels().added(2, 3) == 7
     assert not capsys.readouterr().err
 
 
 def test_nothing_is_stated_but_on_a_terminal(monkeypatch, capsys, kernels):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False)
-    with telling_of_compiling():
+    with reported_compiling():
         assert kernels().added(2, 3) == 7
     assert not capsys.readouterr().err

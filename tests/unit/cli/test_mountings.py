@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.cli.mountings import mounting_text
+from sceneloom.cli.info import mounting_text
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, ImuSensor, LazyFrames, LidarSensor, Scene, Trajectory, VectorSamples
 from sceneloom.scene.ego import ego_axes

@@ -1,13 +1,48 @@
-"""`sceneloom completion`: what a shell needs to complete verbs and options."""
+"""`sceneloom doctor`: what this installation can do; `sceneloom completion`: what a shell needs to complete verbs."""
 
 import os
+from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import click
 from click.shell_completion import get_completion_class
 
+from sceneloom.cli.printing import Printer, print_json, print_table
+from sceneloom.cli.running import verb
 from sceneloom.errors import OptionError
+
+if TYPE_CHECKING:
+    from sceneloom.pipeline.installation import Finding
+
+_MARKS = {"good": "ok", "missing": "--", "broken": "BROKEN"}
+
+
+@click.command()
+@verb
+def doctor(printer: Printer) -> int:
+    """Report what this installation can do and what it lacks; exit 1 if something needed is broken."""
+    from sceneloom.pipeline.installation import examine_installation
+
+    report = examine_installation()
+    if printer.as_json:
+        print_json({"sound": report.is_sound, "findings": report.findings})
+        return int(not report.is_sound)
+    for group, findings in groupby(report.findings, key=lambda finding: finding.group):
+        rows = [_row(one) for one in findings if not printer.quiet or one.status != "good"]
+        if rows:
+            click.echo(group)
+            print_table(rows)
+    if not report.is_sound:
+        click.echo("sceneloom: something that is needed is broken; what to do stands beside it", err=True)
+    return int(not report.is_sound)
+
+
+def _row(finding: "Finding") -> tuple[str, str, str]:
+    stated = finding.stated if finding.remedy is None else f"{finding.stated}: {finding.remedy}"
+    return _MARKS[finding.status], finding.name, stated
+
 
 _INSTALLED = MappingProxyType(
     {

@@ -1,0 +1,589 @@
+"""`sceneloom batch`: the verbs that take one drive, done for many drives, and how a run stands."""
+
+import inspect
+import io
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from copy import copy
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.batch.jobs import READING, FileOption
+from sceneloom.cli import options
+from sceneloom.cli.printing import SHOWN, print_json, print_table, several
+from sceneloom.errors import OptionError
+
+if TYPE_CHECKING:
+    from sceneloom.batch.jobs import Further, Input, Outcome
+    from sceneloom.batch.record import Row
+    from sceneloom.batch.running import Reported, RunSummary
+    from sceneloom.batch.workers import Executor
+
+CALL = "sceneloom.cli.batch:run_verb"
+"""How workers find the function below."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batched:
+    """A verb that can be done over many drives.
+
+    Attributes:
+        drive: name of its parameter that is the drive.
+        output: name of the one that is its output; "" if it only prints, which is then what is written.
+        suffix: what names of outputs end in, unless the user says otherwise.
+        modules: what it imports when it is called and takes long to import.
+        folders, files: names of those that are further outputs.
+        beside: names of those that name files which it reads beside the drive.
+    """
+
+    drive: str
+    output: str
+    suffix: str
+    modules: tuple[str, ...]
+    folders: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
+
+
+BATCHED: Mapping[str, Batched] = MappingProxyType(
+    {
+        "fuse": Batched(
+            *("path", "output", ".sfs", ("sceneloom.cli.fuse", "sceneloom.pipeline.fusing")),
+            folders=("depth", "images"),
+            beside=("boxes3d", "boxes2d", "detectors"),
+        ),
+        "convert": Batched(
+            *("source", "target", ".sfs", ("sceneloom.cli.convert", "sceneloom.pipeline.converting")),
+            files=("loss",),
+            beside=("from_times",),
+        ),
+        "validate": Batched(
+            *("path", "", ".json", ("sceneloom.cli.validate", "sceneloom.checks.validation")), files=("fix",)
+        ),
+        "track": Batched(
+            *("path", "output", ".sfs", ("sceneloom.cli.track", "sceneloom.pipeline.detection_jobs")),
+            folders=("images",),
+            beside=("boxes3d", "boxes2d", "detectors"),
+        ),
+        "report": Batched(
+            *("path", "output", ".html", ("sceneloom.cli.report", "sceneloom.report.page")),
+            files=("numbers",),
+            beside=("truth", "losses"),
+        ),
+    }
+)
+
+
+_NAMED = "detectors"
+"""Of those that name files, the one that takes a name, too: verbs take it as text."""
+
+
+_LEFT_OUT = ("as_json", "quiet", "verbose", "overwrite")
+"""Options of the verbs that the run decides."""
+
+
+class _Verbs(click.Group):
+    """Makes a verb over many drives of one over a single drive when it is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the verbs, then what is about runs."""
+        return [*BATCHED, *super().list_commands(ctx)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Make a verb."""
+        return _over_many(cmd_name) if cmd_name in BATCHED else super().get_command(ctx, cmd_name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """List the verbs without importing them."""
+        rows = [(name, f"`sceneloom {name}` over many drives.") for name in BATCHED]
+        with formatter.section("Commands"):
+            formatter.write_dl([*rows, ("status", "Report the state of a run.")])
+
+
+@click.group(cls=_Verbs)
+def batch() -> None:
+    """Run one verb over many drives: in parallel, with a record, so that it can be resumed.
+
+    Drives are paths, patterns in quotes, URLs, or the lines of a list (`--list FILE`, as `sceneloom catalog query`
+    writes). A drive that fails does not stop the others.
+    """
+
+
+def _target(text: str) -> "Path | str":
+    """Take an argument as a folder, or as the location in a store, which workers write to."""
+    location = options.location(text)
+    return location if isinstance(location, str) else options.target(str(location))
+
+
+_options = options.stacked(
+    click.argument("inputs", nargs=-1, metavar="DRIVES..."),
+    click.option(
+        "-o",
+        "--output",
+        type=_target,
+        required=True,
+        metavar="OUT",
+        help="Folder of all outputs, or its URL in a store.",
+    ),
+    click.option(
+        "--record",
+        type=click.Path(path_type=Path, file_okay=False),
+        metavar="DIR",
+        help="Folder of the run's record where OUT is a URL. [default: one in ~/.local/state/sceneloom]",
+    ),
+    options.lists('a path, or {"path": …, "start": …, "stop": …, OPTION: FILE}'),
+    click.option(
+        "--workers",
+        type=click.IntRange(1, 1024),
+        metavar="N",
+        help="Processes on this machine, each with one thread. [default: one for each processor]",
+    ),
+    click.option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Workers of dask instead: `local`, or those of the scheduler at an address such as tcp://HOST:8786.",
+    ),
+    click.option(
+        "--resume", is_flag=True, help="Continue an earlier run; what is done and unchanged is skipped."
+    ),
+    click.option(
+        "--retries",
+        type=click.IntRange(0, 100),
+        default=2,
+        show_default=True,
+        metavar="N",
+        help="Tries again after errors that may pass: a lost worker, a network.",
+    ),
+    click.option(
+        "--metrics",
+        type=options.target,
+        metavar="FILE",
+        help="Progress of the run as text for Prometheus, rewritten every few seconds.",
+    ),
+    click.option("--suffix", metavar="TEXT", help="Suffix of the outputs. [default: that of the verb]"),
+    click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
+    click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings."),
+    click.option("-v", "--verbose", is_flag=True, help="Every failure, not only the first ones."),
+)
+
+
+def _over_many(name: str) -> click.Command:
+    batched, verb = BATCHED[name], verb_named(name)
+    theirs = [
+        _placed(parameter) if parameter.name in {*batched.folders, *batched.files} else parameter
+        for parameter in verb.params
+        if parameter.name not in {batched.drive, batched.output, *_LEFT_OUT}
+    ]
+
+    def callback(**values: Any) -> int:
+        own = {option.name: values.pop(option.name) for option in ours}
+        return _run(name, own, values)
+
+    ours = click.command()(_options(lambda: None)).params
+    reported = f"{inspect.cleandoc(verb.help or '')}\n\nOver many drives: {_HELP}"
+    return click.Command(name, params=[*ours, *theirs], callback=callback, help=reported)
+
+
+_HELP = (
+    "outputs are named by their drives and lie in OUT, a folder or a location in a store, such as s3://bucket/run1/. "
+    "Other outputs have the drives' names, too: for a folder DIR that an option names DIR/DRIVE, for a file NAME "
+    "DRIVE.NAME beside it. In names of files that are read, such as --truth 'truths/{name}.tum', {name} is the drive's "
+    "name, {drive} its path, {folder} its folder. The record of the run is OUT/.sceneloom-run, or --record. Exit code "
+    "1 if a drive failed."
+)
+
+
+def _placed(parameter: click.Parameter) -> click.Parameter:
+    """The option of a further output, which may lie in a store as OUT does."""
+    placed = copy(parameter)
+    placed.type = click.types.convert_type(_target)
+    return placed
+
+
+def _further(name: str, values: dict[str, Any]) -> "tuple[Further, ...]":
+    """Take the further outputs that were asked for out of the verb's values, as the run writes them."""
+    from sceneloom.batch.jobs import Further
+
+    batched = BATCHED[name]
+    wanted = [option for option in (*batched.folders, *batched.files) if values[option] is not None]
+    for option in wanted:
+        values[option] = str(values[option])
+    return tuple(
+        Further(option=option, location=values[option], is_folder=option in batched.folders)
+        for option in wanted
+    )
+
+
+def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
+    from sceneloom.batch.jobs import Job, give_files
+    from sceneloom.batch.running import run
+    from sceneloom.formats.base.files import processors
+
+    workers = own["workers"] or processors()
+    taken, whole = _beside(name), partial(_is_one_task, values)
+    stated = {option: values[option] for option in taken if values[option] not in (None, ())}
+    found = find_listed(
+        name,
+        own["inputs"],
+        own["lists"],
+        files=taken,
+        reading=options.stated(**values),
+        stays=whole,
+        quiet=own["quiet"],
+    )
+    inputs, files = give_files(found, stated, taken)
+    further = _further(name, values)
+    executor = _cluster(own, workers)
+    job = Job(
+        verb=name,
+        call=CALL,
+        inputs=inputs,
+        options={"verb": name, **values},
+        files=files,
+        suffix=_suffix(name, own["suffix"], folders=all(map(whole, inputs))),
+        retries=own["retries"],
+        modules=BATCHED[name].modules,
+        further=further,
+    )
+    with _progress(name, len(job.inputs), quiet=own["quiet"]) as reported:
+        summary = run(
+            job,
+            own["output"],
+            record=own["record"],
+            workers=workers,
+            executor=executor,
+            resume=own["resume"],
+            reported=_all_reported(reported, own["metrics"]),
+        )
+    if own["as_json"]:
+        print_json(summary)
+    else:
+        _print_summary(summary, verbose=own["verbose"])
+    return int(bool(summary.failed))
+
+
+def _suffix(name: str, stated: str | None, *, folders: bool) -> str:
+    """What names of outputs end in; those of folders, with a file for each drive, in nothing."""
+    if stated is None:
+        return "" if folders else BATCHED[name].suffix
+    return stated
+
+
+def _is_one_task(values: Mapping[str, Any], drive: "Input") -> bool:
+    """Whether a verb does all sequences of a folder of KITTI's at once, since detections lie beside them."""
+    takes = values.get("fusion_type") == "detection" if "fusion_type" in values else "boxes3d" in values
+    lists = any(values.get(name) or drive.files.get(name) for name in ("boxes3d", "boxes2d"))
+    if not takes or lists:
+        return False
+    from sceneloom.formats.kitti.tracking_reader import is_tracking_folder
+
+    return Path(drive.location).is_dir() and is_tracking_folder(Path(drive.location))
+
+
+def _all_reported(reported: "Reported | None", metrics: Path | None) -> "Reported | None":
+    """Report the file of metrics, too, if there is one."""
+    if metrics is None:
+        return reported
+    from sceneloom.batch.running import MetricsFile
+    from sceneloom.formats.base.output import check_output
+
+    check_output(metrics, overwrite=True)
+    file = MetricsFile(metrics)
+
+    def both(summary: "RunSummary", outcome: "Outcome") -> None:
+        file.reported(summary, outcome)
+        if reported is not None:
+            reported(summary, outcome)
+
+    return both
+
+
+def _cluster(own: dict[str, Any], workers: int) -> "Executor | None":
+    """The workers of dask that were asked for, and where dask shows them."""
+    if own["cluster"] is None:
+        return None
+    from sceneloom.batch.cluster import open_cluster
+
+    cluster = open_cluster(own["cluster"], workers)
+    if cluster.dashboard and not own["quiet"]:
+        click.echo(f"dask's dashboard: {cluster.dashboard}", err=True)
+    return cluster
+
+
+@contextmanager
+def _progress(name: str, total: int, *, quiet: bool) -> Iterator["Reported | None"]:
+    """A bar with the rate and what is left, on a terminal; failures are reported above it at once."""
+    import sys
+
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(), TextColumn("{task.fields[failed]}"),
+    )  # fmt: skip
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        row = bar.add_task(name, total=total, rate="", failed="")
+
+        def reported(summary: "RunSummary", outcome: "Outcome") -> None:
+            ended = summary.done + summary.failed - summary.skipped
+            rate = f"{60.0 * ended / summary.seconds:.1f}/min" if summary.seconds else ""
+            failed = f"{summary.failed} failed" if summary.failed else ""
+            bar.update(row, completed=ended + summary.skipped, rate=rate, failed=failed)
+            if outcome.error:
+                bar.console.print(f"{outcome.error.strip().splitlines()[-1]}", markup=False, highlight=False)
+
+        yield reported
+
+
+# the drives
+
+
+def find_listed(
+    verb: str,
+    locations: Sequence[str],
+    lists: Sequence[Path],
+    *,
+    files: "Mapping[str, FileOption] | None" = None,
+    reading: Mapping[str, Any] | None = None,
+    stays: "Callable[[Input], bool]" = lambda _: False,
+    quiet: bool = False,
+) -> "tuple[Input, ...]":
+    """Find the drives of a command, and report what lists state for other verbs.
+
+    Args:
+        verb: what the command does.
+        locations, lists, files: as of `find_inputs`.
+        reading: the stated options of reading; each drive of a data set is then found for itself, unless they name one.
+        stays: which data sets are not split so, since the verb does all their drives at once.
+        quiet: report nothing.
+    """
+    from sceneloom.batch.jobs import each_drive, find_inputs, flag_of
+
+    others = {option for batched in BATCHED.values() for option in batched.beside}
+    found = find_inputs(locations, lists, files=files or {}, others=others)
+    unread = sorted({option for drive in found for option in drive.unread})
+    if unread and not quiet:
+        flags = ", ".join(map(flag_of, unread))
+        click.echo(f"not read by {verb}: what the lists state for {flags}", err=True)
+    if reading is None:
+        return found
+    if reading.get("sequence") or reading.get("sequences"):
+        return found
+    drives: list[Input] = []
+    for one in found:
+        several = (one,) if stays(one) else each_drive(one, read_as=reading.get("format"))
+        if len(several) > 1 and not quiet:
+            click.echo(f"{one.name}: {len(several)} drives; --sequence chooses one", err=True)
+        drives += several
+    return tuple(drives)
+
+
+def options_of(drive: "Input") -> dict[str, Any]:
+    """How a list states that a drive is opened."""
+    return {
+        name.removeprefix(READING): value for name, value in drive.options.items() if name.startswith(READING)
+    }
+
+
+# one drive
+
+
+def _beside(name: str) -> dict[str, FileOption]:
+    """The options of a verb that name files which it reads beside a drive."""
+    from sceneloom.detections.detectors import detector_names
+
+    wanted = BATCHED[name].beside
+    return {
+        option.name: FileOption(
+            several=getattr(option, "multiple", False),
+            names=frozenset(detector_names() if option.name == _NAMED else ()),
+        )
+        for option in verb_named(name).params
+        if option.name in wanted
+    }
+
+
+def verb_named(name: str) -> click.Command:
+    """Import a verb of the command line."""
+    from sceneloom.cli.main import sceneloom
+
+    command = sceneloom.get_command(click.Context(sceneloom), name)
+    if command is None:
+        raise OptionError(f"no verb {name!r}")
+    return command
+
+
+def run_verb(location: str, output: Path, values: Mapping[str, Any]) -> Any:
+    """Do a verb for one drive, quietly, and give what it prints as JSON.
+
+    Args:
+        location: path or URL of the drive.
+        output: the file or folder to write.
+        values: of the verb's other parameters, its name as `verb`.
+
+    Raises:
+        SceneloomError: the verb refuses the drive.
+    """
+    given = dict(values)
+    name = given.pop("verb")
+    batched, command = BATCHED[name], verb_named(name)
+    fixed = {"as_json": True, "quiet": True, "verbose": True, "overwrite": False}
+    given |= {
+        parameter.name: fixed[parameter.name] for parameter in command.params if parameter.name in fixed
+    }
+    given[batched.drive] = options.location(location)
+    if batched.output:
+        given[batched.output] = output
+    if isinstance(given.get(_NAMED), Path):
+        given[_NAMED] = str(given[_NAMED])
+    _read_as_listed(given, command)
+    printed = io.StringIO()
+    with click.Context(command, info_name=f"sceneloom {name}") as context, redirect_stdout(printed):
+        try:
+            context.invoke(command.callback, **given)  # type: ignore[arg-type]
+        except click.exceptions.Exit as ended:
+            if ended.exit_code and not printed.getvalue():
+                raise OptionError(f"{name} ended with code {ended.exit_code}") from ended
+        except click.ClickException as error:
+            raise OptionError(error.format_message()) from error
+    reported = _reported(printed.getvalue())
+    if not batched.output:  # without times, which the record has: the same drive gives the same file
+        result = (
+            {name: value for name, value in reported.items() if name != "stages"}
+            if isinstance(reported, dict)
+            else reported
+        )
+        with output.open("w", encoding="utf-8") as file, redirect_stdout(file):
+            print_json(result)
+    return reported
+
+
+def _reported(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text.strip()
+
+
+def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
+    """Put what a list says of reading a drive where the verb has it, instead of what is stated for all."""
+    names = {parameter.name for parameter in command.params} & options.READING
+    sequences = any(parameter.name == "sequences" for parameter in command.params)
+    for own in [name for name in given if name.startswith(READING)]:
+        name, value = own.removeprefix(READING), given.pop(own)
+        if name == "sequence" and sequences:
+            given["sequences"] = (value,)
+        elif name in names - {options.INPUT_OPTIONS}:
+            given[name] = value
+        else:
+            given[options.INPUT_OPTIONS] = (*given.get(options.INPUT_OPTIONS, ()), f"{name}={value}")
+
+
+# how a run stands
+
+
+@batch.command()
+@click.argument("output", type=options.location)
+@click.option(
+    "--record",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Folder of the record of a run into a store, if it is not where it is by default.",
+)
+@click.option("--html", type=options.target, metavar="FILE", help="Write a page about the run as well.")
+@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@click.option("-q", "--quiet", is_flag=True, help="Only how many, no failures.")
+@click.option("-v", "--verbose", is_flag=True, help="Every drive, not only the failures.")
+def status(
+    output: Path | str,
+    record: Path | None,
+    html: Path | None,
+    overwrite: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Report the state of the run into OUTPUT, a folder or a URL, while it goes on, too."""
+    from sceneloom.batch.jobs import State
+    from sceneloom.batch.outputs import record_folder
+    from sceneloom.batch.record import Record
+    from sceneloom.batch.running import read_figures, write_page
+    from sceneloom.errors import redacted
+
+    folder = record or (record_folder(output) if isinstance(output, str) else output)
+    with Record.opened(folder) as opened:
+        reported, rows = opened.reported(), opened.rows()
+    figures = read_figures(folder)
+    if html is not None:
+        write_page(figures, html, overwrite=overwrite)
+    if as_json:
+        print_json({"run": reported, "stages": figures.stages, "drives": [asdict(row) for row in rows]})
+        return
+    counts = {state: sum(row.state is state for row in rows) for state in State}
+    parts = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    click.echo(
+        f"{redacted(output)}: {reported.get('verb', '')} over {several(len(rows), 'drive')}: {parts or 'none'}"
+    )
+    if quiet:
+        return
+    stages = sorted(figures.stages.items(), key=lambda stage: -stage[1])
+    if stages:
+        click.echo("  " + ", ".join(f"{name} {seconds:.1f} s" for name, seconds in stages))
+    shown = rows if verbose else [row for row in rows if row.state is State.FAILED]
+    print_table(
+        [
+            (
+                row.state,
+                row.name,
+                "" if row.seconds is None else f"{row.seconds:.1f} s",
+                _why(row),
+            )
+            for row in shown
+        ]
+    )
+    if html is not None:
+        click.echo(f"page: {html}")
+
+
+def _print_summary(summary: "RunSummary", *, verbose: bool) -> None:
+    """Report how a run ended, and what to do about failures."""
+    from sceneloom.batch.jobs import State
+    from sceneloom.batch.record import Record
+
+    parts = [f"{summary.done} done"]
+    parts += [f"{summary.skipped} of them before and unchanged"] if summary.skipped else []
+    parts += [f"{summary.failed} failed"] if summary.failed else []
+    parts += [several(summary.retried, "further try", "further tries")] if summary.retried else []
+    click.echo(
+        f"{summary.verb}: {several(summary.total, 'drive')} in {summary.seconds:.1f} s: {', '.join(parts)}"
+    )
+    together = summary.record == summary.output
+    click.echo(f"outputs{' and record' if together else ''}: {summary.output}")
+    if not together:
+        click.echo(f"record: {summary.record}")
+    if not summary.failed:
+        return
+    with Record.opened(Path(summary.record)) as record:
+        failed = record.rows(State.FAILED)
+    for row in failed if verbose else failed[:SHOWN]:
+        click.echo(f"failed: {row.name}: {_why(row)}", err=True)
+    if not verbose and len(failed) > SHOWN:
+        click.echo(f"… and {len(failed) - SHOWN} more: `sceneloom batch status {summary.record}`", err=True)
+    click.echo("next: repair what failed, then state the same with `--resume`", err=True)
+
+
+def _why(row: "Row") -> str:
+    """The last line of an error, without the drive that it begins with."""
+    lines = (row.error or "").strip().splitlines()
+    return lines[-1].removeprefix(f"{row.input}: ") if lines else ""

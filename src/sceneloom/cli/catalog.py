@@ -1,0 +1,276 @@
+"""`sceneloom catalog`: many drives in tables, and what is found in them."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sceneloom.cli import options
+from sceneloom.cli.printing import Printer, print_json, print_lines, print_table, several
+from sceneloom.cli.running import reading_verb, verb
+
+if TYPE_CHECKING:
+    from sceneloom.catalog.building import CatalogReport, Drive, Failure
+    from sceneloom.catalog.database import Result, Selection
+
+
+@click.group()
+def catalog() -> None:
+    """Put many drives into tables (Parquet), and find drives and moments in them."""
+
+
+_building = options.stacked(
+    click.option(
+        "--checks",
+        type=click.Choice(["none", "quick", "full"]),
+        default="quick",
+        show_default=True,
+        help="Which rules fill the table of findings; `full` reads every frame.",
+    ),
+    click.option(
+        "--workers",
+        type=click.IntRange(1, 1024),
+        metavar="N",
+        help="Processes that read drives, each with one thread. [default: one per processor, if drives are many]",
+    ),
+)
+_lists = options.lists('a path, or {"path": …, "reading": {"sequence": …}}')
+
+
+@catalog.command()
+@click.argument("drives", nargs=-1, metavar="DRIVES...")
+@click.option(
+    "-o", "--output", type=options.target, required=True, metavar="OUT", help="Folder of the catalogue."
+)
+@_lists
+@click.option("--overwrite", is_flag=True, help="Replace a catalogue that exists.")
+@_building
+@reading_verb
+def build(
+    drives: tuple[str, ...],
+    output: Path,
+    lists: tuple[Path, ...],
+    printer: Printer,
+    reading: dict[str, Any],
+    **given: Any,
+) -> int:
+    """Make a catalogue of drives: scenes, sensors, frames, annotations, tracks, attributes and findings as tables.
+
+    Drives are paths, patterns in quotes, URLs, or the lines of a list. One that cannot be read is reported, and the
+    others go on; exit 1 then.
+    """
+    from sceneloom.catalog.building import build as build_catalogue
+
+    named = _named_drives(drives, lists, reading, quiet=printer.quiet)
+    with printer.progress("reading drives") as progress:
+        report = build_catalogue(named, output, progress=progress, **given)
+    printer.show(report, _print_report)
+    return int(bool(report.failed))
+
+
+@catalog.command()
+@click.argument("catalogue", type=click.Path(path_type=Path))
+@click.argument("drives", nargs=-1, metavar="[DRIVES...]")
+@_lists
+@click.option("--prune", is_flag=True, help="Remove drives that are not there any more.")
+@_building
+@reading_verb
+def update(
+    catalogue: Path,
+    drives: tuple[str, ...],
+    lists: tuple[Path, ...],
+    printer: Printer,
+    reading: dict[str, Any],
+    **given: Any,
+) -> int:
+    """Bring a catalogue up to date: drives that are new or have changed are read, no other is touched.
+
+    Without drives, all in the catalogue are looked at, and read as they were before. One that cannot be read is
+    reported, and what the catalogue had of it stays; exit 1 then.
+    """
+    from sceneloom.catalog.building import update as update_catalogue
+
+    named = _named_drives(drives, lists, reading, quiet=printer.quiet) if drives or lists else []
+    with printer.progress("looking at drives") as progress:
+        report = update_catalogue(catalogue, named, progress=progress, **given)
+    printer.show(report, _print_report)
+    return int(bool(report.failed))
+
+
+def _named_drives(
+    locations: Sequence[str], lists: Sequence[Path], reading: Mapping[str, Any], *, quiet: bool
+) -> "list[Drive]":
+    """The drives that a command names, and how each is opened, which lists may state; whole ones only."""
+    from sceneloom.catalog.building import Drive
+    from sceneloom.cli.batch import find_listed, options_of
+
+    found = find_listed("catalog", locations, lists, reading=reading, quiet=quiet)
+    return [Drive(drive.location, {**reading, **options_of(drive)}) for drive in found]
+
+
+def _print_report(report: "CatalogReport", printer: Printer) -> None:
+    parts = [
+        f"{count} {word}"
+        for word, count in (
+            ("new", len(report.added)),
+            ("read again", len(report.changed)),
+            ("unchanged", report.unchanged),
+            ("taken out", len(report.removed)),
+            ("failed", len(report.failed)),
+        )
+        if count
+    ]
+    click.echo(
+        f"{report.catalogue}: {several(report.scenes, 'scene')}: {', '.join(parts) or 'nothing to do'}"
+    )
+    failed = [f"failed: {_reported(failure)}" for failure in report.failed]
+    print_lines(failed, verbose=printer.verbose)
+    gone = [f"not there any more: {path}; `--prune` takes it out" for path in report.gone]
+    print_lines(gone, verbose=printer.verbose)
+
+
+def _reported(failure: "Failure") -> str:
+    """Errors of files begin with their path already; of a fault of ours the last line says what it is."""
+    text = (failure.error.strip().splitlines() or [""])[-1]
+    return text if text.startswith(failure.path) else f"{failure.path}: {text}"
+
+
+@catalog.command()
+@click.argument("catalogue", type=click.Path(path_type=Path))
+@click.option("--sql", metavar="TEXT", help="One statement that reads, instead of filters.")
+@click.option(
+    "--label",
+    "labels",
+    multiple=True,
+    metavar="NAME",
+    help="Boxes of this class, `*` allowed; may be repeated.",
+)
+@click.option(
+    "--type", "types", type=click.Choice(["cuboid", "box_2d"]), multiple=True, help="Boxes of this type."
+)
+@click.option(
+    "--after",
+    "start",
+    metavar="T",
+    help="Not before T: seconds of the drive, or a date and time (UTC unless stated).",
+)
+@click.option("--before", "stop", metavar="T", help="Before T.")
+@click.option(
+    "--near",
+    type=(options.finite, options.finite, options.not_negative),
+    metavar="LAT LON METRES",
+    help="The ego no farther from a location.",
+)
+@click.option(
+    "--speed",
+    type=(options.not_negative, options.not_negative),
+    metavar="MIN MAX",
+    help="The ego so fast, in m/s; `inf` for no bound.",
+)
+@click.option(
+    "--distance",
+    type=(options.not_negative, options.not_negative),
+    metavar="MIN MAX",
+    help="Boxes so far from the ego, in metres.",
+)
+@click.option("--count", type=click.IntRange(1), metavar="N", help="At least N such boxes at one time.")
+@click.option(
+    "--attribute",
+    "attributes",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="An attribute of the scene, a sensor or the box has this value then; may be repeated.",
+)
+@click.option(
+    "--finding", "findings", multiple=True, metavar="RULE", help="`validate` found this; may be repeated."
+)
+@click.option(
+    "--show",
+    type=click.Choice(["spans", "drives", "rows"]),
+    default="spans",
+    show_default=True,
+    help="Time spans in which all filters hold, drives that have such, or each box (or frame).",
+)
+@click.option(
+    "--gap",
+    type=options.not_negative,
+    default=1.0,
+    show_default=True,
+    metavar="S",
+    help="Join spans so near.",
+)
+@click.option(
+    "--margin", type=options.not_negative, default=0.0, show_default=True, metavar="S", help="Widen spans."
+)
+@click.option("--limit", type=click.IntRange(1), metavar="N", help="At most N rows.")
+@click.option(
+    "--as",
+    "form",
+    type=click.Choice(["table", "json", "csv", "list"]),
+    help="`list`: drives and spans as lines that the verbs of `sceneloom batch` take with --list. [default: table]",
+)
+@verb
+def query(
+    catalogue: Path,
+    sql: str | None,
+    show: str,
+    gap: float,
+    margin: float,
+    limit: int | None,
+    form: str | None,
+    printer: Printer,
+    **filters: Any,
+) -> None:
+    """Query a catalogue: drives and time spans in which all filters hold, or SQL.
+
+    SQL sees the tables `scenes`, `sensors`, `frames`, `annotations`, `tracks`, `attributes` and `findings`, joined by
+    `scene`; it can read them and nothing else.
+    """
+    if sql is not None and any(value not in {None, ()} for value in filters.values()):
+        raise click.UsageError("--sql replaces filters: state them in its WHERE")
+    from sceneloom.catalog.database import query as query_catalogue
+
+    wanted = sql if sql is not None else _selection(filters)
+    result = query_catalogue(catalogue, wanted, show=show, gap=gap, margin=margin, limit=limit)
+    _PRINTED[form or ("json" if printer.as_json else "table")](result)
+
+
+def _selection(filters: dict[str, Any]) -> "Selection":
+    from sceneloom.catalog.database import Selection
+
+    pairs = [pair.partition("=") for pair in filters.pop("attributes")]
+    for name, sign, value in pairs:
+        if not (name and sign):
+            raise click.BadParameter(
+                f"{name + sign + value!r}; expected NAME=VALUE", param_hint="--attribute"
+            )
+    return Selection(attributes=tuple((name, value) for name, _, value in pairs), **filters)
+
+
+def _print_rows(result: "Result") -> None:
+    from sceneloom.catalog.database import format_cell
+
+    print_table([result.columns, *([format_cell(value) for value in row] for row in result.rows)], indent="")
+
+
+def _print_json(result: "Result") -> None:
+    from sceneloom.catalog.database import records
+
+    print_json(records(result))
+
+
+def _print_csv(result: "Result") -> None:
+    from sceneloom.catalog.database import format_csv
+
+    click.echo(format_csv(result), nl=False)
+
+
+def _print_list(result: "Result") -> None:
+    from sceneloom.catalog.database import iter_list
+
+    for line in iter_list(result):
+        click.echo(line)
+
+
+_PRINTED = {"table": _print_rows, "json": _print_json, "csv": _print_csv, "list": _print_list}

@@ -1,5 +1,0 @@
-"""`sceneloom catalog` and its verbs."""
-
-from sceneloom.cli.catalog.group import catalog
-
-__all__ = ["catalog"]

@@ -1,0 +1,381 @@
+"""`sceneloom serve`, `send` and `get`: a fusion service, data sent to it, and results fetched from it."""
+
+import os
+import re
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+import msgspec
+
+from sceneloom.cli import options
+from sceneloom.cli.printing import Printer, print_json
+from sceneloom.cli.running import reading_verb, verb
+from sceneloom.errors import OptionError
+
+if TYPE_CHECKING:
+    from sceneloom.db34t.queues import Result
+    from sceneloom.service.client import FusionClient
+    from sceneloom.service.sending import SendReport
+    from sceneloom.service.server import FusionServer
+
+_ADDRESS = re.compile(r"unix:.+|(dns:.*)?([^:\s]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
+_FILE = options.source(exists=True, dir_okay=False)
+_PORT = click.IntRange(0, 65535)
+
+
+# serve
+
+
+@click.command()
+@click.option(
+    "--config", type=_FILE, help="TOML file: properties, sensors and calibrations of new sessions, limits."
+)
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address; others need TLS and a token.")
+@click.option("--port", type=_PORT, default=0, help="Port; 0 for a free one. [default: 0]")
+@click.option("--tls-cert", type=_FILE, help="PEM file: the server's certificate.")
+@click.option("--tls-key", type=_FILE, help="PEM file: its key.")
+@click.option(
+    "--tls-client-ca", type=_FILE, help="PEM file: who signs the certificates that clients must show."
+)
+@click.option("--token-file", type=_FILE, help="File with the token that clients must show.")
+@click.option(
+    "--metrics-port", type=_PORT, help="Answer `GET /metrics` here, for Prometheus on this machine."
+)
+@click.option("--max-sessions", type=click.IntRange(min=1), help="Sessions at once. [default: 16]")
+@click.option(
+    "--idle-minutes", type=options.positive, help="End sessions that were unused for so long. [default: 30]"
+)
+@click.option(
+    "--log",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="MCAP file for the session log: all that comes in and goes out.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace the log if it exists.")
+@click.option("--json", "as_json", is_flag=True, help="Print the address as JSON.")
+@click.option("-q", "--quiet", is_flag=True, help="Log warnings only.")
+@click.option("-v", "--verbose", is_flag=True, help="Also log what helps to find faults.")
+def serve(
+    config: Path | None,
+    host: str,
+    port: int,
+    tls_cert: Path | None,
+    tls_key: Path | None,
+    tls_client_ca: Path | None,
+    token_file: Path | None,
+    metrics_port: int | None,
+    max_sessions: int | None,
+    idle_minutes: float | None,
+    log: Path | None,
+    overwrite: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Serve the fusion interface of DB34/T 4101-2022 over gRPC, until it is told to end.
+
+    The first start on a machine compiles for minutes, and logs what; the port is closed until then.
+    """
+    from sceneloom.kernels.cache import reporting_compiling
+    from sceneloom.service.startup import check_port, log_to_standard_error
+
+    check_port(host, port)
+    logger = log_to_standard_error(quiet=quiet, verbose=verbose)
+
+    def report(module: str) -> None:
+        logger.info("compiling for this machine; it is kept", extra={"fields": {"module": module}})
+
+    with ExitStack() as stack:
+        stack.enter_context(reporting_compiling(report))
+        from sceneloom.db34t.transport import read_token
+        from sceneloom.service.running import configured, serve_until_ended
+        from sceneloom.service.server import Security, ServerSettings
+
+        limits, configure = configured(
+            config, **options.stated(most_sessions=max_sessions, idle_minutes=idle_minutes)
+        )
+        security = Security(
+            tls_certificate=tls_cert,
+            tls_key=tls_key,
+            tls_client_authority=tls_client_ca,
+            token=None if token_file is None else read_token(token_file),
+        )
+        security.check_host(host)
+        observe: Any = None
+        if log is not None:
+            from sceneloom.service.session_log import SessionLog
+
+            observe = stack.enter_context(SessionLog(log, overwrite=overwrite)).session
+        settings = ServerSettings(
+            host=host,
+            port=port,
+            metrics_port=metrics_port,
+            limits=limits,
+            security=security,
+            configure=configure,
+            observe=observe,
+        )
+        started = _print_server_json if as_json else _print_server
+        hanging = serve_until_ended(settings, started=started, quiet=quiet, verbose=verbose)
+    if hanging:
+        _leave(hanging)
+
+
+def _leave(hanging: tuple[str, ...]) -> NoReturn:
+    """End the process at once: threads that hang would keep it for ever."""
+    reported = f"left with the fusion of {', '.join(hanging)} hanging; what waited there is lost"
+    click.echo(f"Error: {reported}", err=True)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(1)
+
+
+def _print_server(server: "FusionServer") -> None:
+    click.echo(f"serving at {server.address}")
+    if server.metrics_port:
+        click.echo(f"metrics at http://127.0.0.1:{server.metrics_port}/metrics")
+
+
+def _print_server_json(server: "FusionServer") -> None:
+    print_json({"address": server.address, "port": server.port, "metrics_port": server.metrics_port or None})
+
+
+# the options of clients
+
+
+def host_and_port(text: str) -> str:
+    """Take an argument as the address of a service: without a port gRPC would try 443."""
+    if _ADDRESS.fullmatch(text) is None:
+        raise click.BadParameter(f"{text!r}; expected HOST:PORT, such as 127.0.0.1:50051")
+    return text
+
+
+access = options.stacked(
+    click.option("--token-file", type=_FILE, help="File with the token that the service asks for."),
+    click.option("--ca", type=_FILE, help="PEM file: who signed the service's certificate; for TLS."),
+    click.option("--client-cert", type=_FILE, help="PEM file: a certificate to show, where it is asked for."),
+    click.option("--client-key", type=_FILE, help="PEM file: its key."),
+)
+"""On every verb that reaches a service."""
+
+_calling = options.stacked(
+    access,
+    click.option(
+        "--session", default="", metavar="NAME", help="The session. [default: the service's default one]"
+    ),
+)
+_CALLING = ("session", "token_file", "ca", "client_cert", "client_key")
+"""The parameters that `_connected` takes."""
+
+
+def certificate_of(client_cert: Path | None, client_key: Path | None) -> tuple[Path, Path] | None:
+    """Give the certificate that a client shows, with its key; None for none."""
+    if client_cert is not None and client_key is not None:
+        return client_cert, client_key
+    if client_cert is None and client_key is None:
+        return None
+    raise click.UsageError("--client-cert and --client-key belong together")
+
+
+@contextmanager
+def _connected(
+    address: str,
+    *,
+    session: str,
+    token_file: Path | None,
+    ca: Path | None,
+    client_cert: Path | None,
+    client_key: Path | None,
+) -> Iterator[Callable[[str], "FusionClient"]]:
+    """Give what opens clients of sessions; all are closed in the end. The name "" stands for the chosen session."""
+    certificate = certificate_of(client_cert, client_key)
+    from sceneloom.db34t.transport import read_token
+    from sceneloom.service.client import FusionClient
+
+    token = None if token_file is None else read_token(token_file)
+    opened: list[FusionClient] = []
+
+    def open_client(name: str) -> FusionClient:
+        client = FusionClient(address, token=token, ca=ca, certificate=certificate, session=name or session)
+        opened.append(client)
+        return client
+
+    try:
+        yield open_client
+    finally:
+        for client in opened:
+            client.close()
+
+
+# send
+
+
+@click.command()
+@click.argument("path", type=options.location)
+@click.argument("address", type=host_and_port, metavar="HOST:PORT")
+@click.option(
+    "--rate",
+    type=options.not_negative,
+    default=1.0,
+    show_default=True,
+    metavar="N",
+    help="Speed: 1 for real time, 2 for twice that, 0 for as fast as the service accepts it.",
+)
+@options.trajectory(options.STATIONARY)
+@options.part
+@_calling
+@reading_verb
+def send(
+    path: Path | str,
+    address: str,
+    rate: float,
+    printer: Printer,
+    reading: dict[str, Any],
+    **given: Any,
+) -> None:
+    """Send a drive to a fusion service as its sensors would have sent it, or replay a session log of `serve --log`."""
+    from sceneloom.service.replay import is_log, send_log
+
+    calls = {name: given.pop(name) for name in _CALLING}
+    session = calls["session"]
+    with _connected(address, **calls) as open_client, printer.progress("sending") as progress:
+        if isinstance(path, Path) and is_log(path):
+            for name in options.stated(**given):
+                raise click.UsageError(f"--{name} says nothing of a log, which is sent as it is")
+            report = send_log(path, lambda name: open_client(session or name.replace("#", "-")), rate=rate)
+        else:
+            from sceneloom.formats.base.registry import open_scene
+            from sceneloom.scene.time_range import cut_scene
+            from sceneloom.service.sending import send_scene
+
+            with open_scene(path, **reading) as scene:
+                report = send_scene(
+                    cut_scene(scene, start=given.pop("start"), stop=given.pop("stop")),
+                    open_client(""),
+                    rate=rate,
+                    lenient="lenient" in reading,
+                    progress=progress,
+                    **given,
+                )
+    printer.show(report, _print_sent, address)
+
+
+def _print_sent(report: "SendReport", address: str, printer: Printer) -> None:
+    sent = ", ".join(f"{count} {kind}" for kind, count in report.sent.items()) or "nothing"
+    click.echo(f"{report.source}: sent {sent} to {address} in {report.seconds:.1f} s")
+    if report.sensors:
+        click.echo("numbered: " + ", ".join(f"{name} is {number}" for name, number in report.sensors.items()))
+    refused = ", ".join(f"{count} {cause}" for cause, count in report.refused.items())
+    click.echo(f"refused: {refused or 'none'}")
+    printer.warnings(report.warnings)
+
+
+# get
+
+
+_TYPES = {"sensor": 0, "detection": 1}
+
+
+@click.command()
+@click.argument("address", type=host_and_port, metavar="HOST:PORT")
+@click.option("--type", "kind", type=click.Choice(list(_TYPES)), required=True, help="Which fusion.")
+@click.option(
+    "-o",
+    "--output",
+    type=options.target,
+    help="Of detections a file of JSON lines; of sensor data a folder for depth images, images and points, or a "
+    "scene file (.sfs) for the coloured points. [default: a line each on standard output]",
+)
+@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N results.")
+@click.option("--follow", is_flag=True, help="Go on until the session ends, or Ctrl-C.")
+@click.option("--track", is_flag=True, help="With --follow: follow objects from sweep to sweep, by id.")
+@click.option(
+    "--wait",
+    type=options.not_negative,
+    default=0.0,
+    metavar="S",
+    help="Wait up to S seconds for each result.",
+)
+@_calling
+@verb
+def get(
+    address: str,
+    kind: str,
+    output: Path | None,
+    overwrite: bool,
+    count: int | None,
+    follow: bool,
+    track: bool,
+    wait: float,
+    printer: Printer,
+    **calls: Any,
+) -> None:
+    """Fetch results from a fusion service: those that are there, or as they come."""
+    if track and (kind != "detection" or not follow):
+        raise click.UsageError("--track needs --type detection and --follow")
+    from sceneloom.service.result_files import described, open_sink
+
+    fetched: Counter[str] = Counter()
+    with _connected(address, **calls) as open_client, ExitStack() as stack:
+        sink = None
+        if output is not None:
+            sink = stack.enter_context(open_sink(output, detections=kind == "detection", overwrite=overwrite))
+        try:
+            client = open_client("")
+            if follow and not printer.quiet and not _has_received(client):
+                click.echo(f"session {_name(client)!r} has received no records yet; waiting", err=True)
+            for result in _results(client, _TYPES[kind], count, wait, follow=follow, track=track):
+                fetched[kind] += 1
+                if sink is not None:
+                    sink.add(result)
+                elif not printer.as_json:
+                    click.echo(msgspec.json.encode(described(result)).decode())
+        except KeyboardInterrupt:
+            if not printer.quiet:
+                click.echo("stopped; what was fetched is kept", err=True)
+        else:
+            if not follow and not fetched[kind] and not _has_received(client):
+                problem = (
+                    f"session {_name(client)!r} has received no records; expected one that data were sent to"
+                )
+                raise OptionError(f"{problem} (--session)")
+    summary = {"address": address, "type": kind, "results": fetched[kind], "output": output}
+    if printer.as_json:
+        print_json(summary | {"output": None if output is None else str(output)})
+    elif output is not None:
+        click.echo(f"{fetched[kind]} results of {kind} fusion: {output}")
+
+
+def _has_received(client: "FusionClient") -> bool:
+    """Whether anything was sent to the session, whatever became of it: the service begins one with any name."""
+    return any(name.startswith(("received.", "refused.")) for name in client.counters())
+
+
+def _name(client: "FusionClient") -> str:
+    return client.session or "default"
+
+
+def _results(
+    client: "FusionClient",
+    fusion_type: int,
+    count: int | None,
+    wait_s: float,
+    *,
+    follow: bool,
+    track: bool,
+) -> "Iterator[Result]":
+    if follow:
+        yield from client.subscribe(fusion_type, most=count or 0, track=track)
+        return
+    fetched = 0
+    while count is None or fetched < count:
+        result = client.get(fusion_type, timeout_s=wait_s)
+        if result is None:
+            return
+        fetched += 1
+        yield result

@@ -115,7 +115,7 @@ def batch() -> None:
     """
 
 
-def _target(text: str) -> "Path | str":
+def target(text: str) -> "Path | str":
     """Take an argument as a folder, or as the location in a store, which workers write to."""
     location = options.location(text)
     return location if isinstance(location, str) else options.target(str(location))
@@ -126,7 +126,7 @@ _options = options.stacked(
     click.option(
         "-o",
         "--output",
-        type=_target,
+        type=target,
         required=True,
         metavar="OUT",
         help="Folder of all outputs, or its URL in a store.",
@@ -202,7 +202,7 @@ _HELP = (
 def _placed(parameter: click.Parameter) -> click.Parameter:
     """The option of a further output, which may lie in a store as OUT does."""
     placed = copy(parameter)
-    placed.type = click.types.convert_type(_target)
+    placed.type = click.types.convert_type(target)
     return placed
 
 

@@ -19,19 +19,17 @@ _MOST = 10 * SHOWN
 """Differences shown unless `--verbose` is stated."""
 
 
-def _tolerance(unit: str, metavar: str, help: str) -> Callable[[Command], Command]:  # noqa: A002 - click's word
-    return click.option(
-        f"--tolerance-{unit}", type=options.not_negative, default=0.0, metavar=metavar, help=help
-    )
+def _tolerance(flag: str, metavar: str, help: str) -> Callable[[Command], Command]:  # noqa: A002 - click's word
+    return click.option(flag, type=options.not_negative, default=0.0, metavar=metavar, help=help)
 
 
 @click.command()
 @click.argument("first", type=options.location)
 @click.argument("second", type=options.location)
-@_tolerance("m", "M", "Ignore distances up to this.")
-@_tolerance("deg", "DEG", "Ignore rotations up to this.")
-@_tolerance("ns", "NS", "Ignore differences of timestamps up to this.")
-@_tolerance("px", "PX", "Ignore distances of pixels up to this.")
+@_tolerance("--tolerance-m", "M", "Ignore distances up to this.")
+@_tolerance("--tolerance-deg", "DEG", "Ignore rotations up to this.")
+@_tolerance("--tolerance-ns", "NS", "Ignore differences of timestamps up to this.")
+@_tolerance("--tolerance-px", "PX", "Ignore distances of pixels up to this.")
 @click.option(
     "--other-timestamps",
     is_flag=True,

@@ -18,7 +18,7 @@ SOURCES = Path(sceneloom.__file__).parent
 OPTION = re.compile(r"(?<![\w(-])--[a-z][a-z0-9-]*(?![a-z0-9-]|\s*:)")
 """Colours and lengths of style sheets, as `--ink: #111` and `var(--ink)`, are none."""
 
-OF_OTHER_PROGRAMS = frozenset({Path("view/showing.py")})
+OF_OTHER_PROGRAMS = frozenset({Path("view/viewer.py")})
 """Modules that start another program with its own options."""
 
 

@@ -98,8 +98,7 @@ class Web:
 def web(tmp_path, monkeypatch):
     monkeypatch.setattr("sceneloom.formats.remote.stores.time.sleep", lambda _: None)
     quick = stores.Patience(tries=2, deadline=5.0, answer=0.3)
-    for module in ("patience", "ranged"):
-        monkeypatch.setattr(f"sceneloom.formats.remote.{module}.PATIENCE", quick, raising=False)
+    monkeypatch.setattr("sceneloom.formats.remote.stores._PATIENCE", quick)
     sceneloom.write(sound_scene(), tmp_path / "drive.sfs")
     found = Web((tmp_path / "drive.sfs").read_bytes())
     yield found

@@ -64,7 +64,7 @@ VERBS = MappingProxyType(
         "send": ("sceneloom.cli.service:send", "Send a drive, or a session log, to a fusion service."),
         "get": ("sceneloom.cli.service:get", "Fetch results from a fusion service."),
         "conformance": (
-            "sceneloom.cli.conformance:conformance",
+            "sceneloom.cli.service:conformance",
             "Check a fusion service against DB34/T 4101-2022.",
         ),
         "formats": ("sceneloom.cli.formats:formats", "List the formats that can be read and written."),

@@ -1,4 +1,4 @@
-"""`sceneloom serve`, `send` and `get`: a fusion service, data sent to it, and results fetched from it."""
+"""A fusion service: `sceneloom serve`, data sent to it, results fetched from it, and its conformance checked."""
 
 import os
 import re
@@ -6,6 +6,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -18,6 +19,8 @@ from sceneloom.cli.running import reading_verb, verb
 from sceneloom.errors import OptionError
 
 if TYPE_CHECKING:
+    from sceneloom.db34t.conformance.catalogue import Check
+    from sceneloom.db34t.conformance.examination import Examination, Finding
     from sceneloom.db34t.queues import Result
     from sceneloom.service.client import FusionClient
     from sceneloom.service.sending import SendReport
@@ -147,14 +150,14 @@ def _print_server_json(server: "FusionServer") -> None:
 # the options of clients
 
 
-def host_and_port(text: str) -> str:
+def _host_and_port(text: str) -> str:
     """Take an argument as the address of a service: without a port gRPC would try 443."""
     if _ADDRESS.fullmatch(text) is None:
         raise click.BadParameter(f"{text!r}; expected HOST:PORT, such as 127.0.0.1:50051")
     return text
 
 
-access = options.stacked(
+_access = options.stacked(
     click.option("--token-file", type=_FILE, help="File with the token that the service asks for."),
     click.option("--ca", type=_FILE, help="PEM file: who signed the service's certificate; for TLS."),
     click.option("--client-cert", type=_FILE, help="PEM file: a certificate to show, where it is asked for."),
@@ -163,7 +166,7 @@ access = options.stacked(
 """On every verb that reaches a service."""
 
 _calling = options.stacked(
-    access,
+    _access,
     click.option(
         "--session", default="", metavar="NAME", help="The session. [default: the service's default one]"
     ),
@@ -172,7 +175,7 @@ _CALLING = ("session", "token_file", "ca", "client_cert", "client_key")
 """The parameters that `_connected` takes."""
 
 
-def certificate_of(client_cert: Path | None, client_key: Path | None) -> tuple[Path, Path] | None:
+def _certificate_of(client_cert: Path | None, client_key: Path | None) -> tuple[Path, Path] | None:
     """Give the certificate that a client shows, with its key; None for none."""
     if client_cert is not None and client_key is not None:
         return client_cert, client_key
@@ -192,7 +195,7 @@ def _connected(
     client_key: Path | None,
 ) -> Iterator[Callable[[str], "FusionClient"]]:
     """Give what opens clients of sessions; all are closed in the end. The name "" stands for the chosen session."""
-    certificate = certificate_of(client_cert, client_key)
+    certificate = _certificate_of(client_cert, client_key)
     from sceneloom.db34t.transport import read_token
     from sceneloom.service.client import FusionClient
 
@@ -216,7 +219,7 @@ def _connected(
 
 @click.command()
 @click.argument("path", type=options.location)
-@click.argument("address", type=host_and_port, metavar="HOST:PORT")
+@click.argument("address", type=_host_and_port, metavar="HOST:PORT")
 @click.option(
     "--rate",
     type=options.not_negative,
@@ -238,7 +241,7 @@ def send(
     **given: Any,
 ) -> None:
     """Send a drive to a fusion service as its sensors would have sent it, or replay a session log of `serve --log`."""
-    from sceneloom.service.replay import is_log, send_log
+    from sceneloom.service.session_log import is_log
 
     calls = {name: given.pop(name) for name in _CALLING}
     session = calls["session"]
@@ -246,6 +249,8 @@ def send(
         if isinstance(path, Path) and is_log(path):
             for name in options.stated(**given):
                 raise click.UsageError(f"--{name} says nothing of a log, which is sent as it is")
+            from sceneloom.service.sending import send_log
+
             report = send_log(path, lambda name: open_client(session or name.replace("#", "-")), rate=rate)
         else:
             from sceneloom.formats.base.registry import open_scene
@@ -281,7 +286,7 @@ _TYPES = {"sensor": 0, "detection": 1}
 
 
 @click.command()
-@click.argument("address", type=host_and_port, metavar="HOST:PORT")
+@click.argument("address", type=_host_and_port, metavar="HOST:PORT")
 @click.option("--type", "kind", type=click.Choice(list(_TYPES)), required=True, help="Which fusion.")
 @click.option(
     "-o",
@@ -379,3 +384,112 @@ def _results(
             return
         fetched += 1
         yield result
+
+
+# conformance
+
+
+@click.command()
+@click.argument("address", type=_host_and_port, metavar="HOST:PORT", required=False)
+@click.option(
+    "--report",
+    type=options.target,
+    metavar="FILE",
+    help="Write all that was sent, expected and found to a .json, .md or .html file.",
+)
+@options.overwrite
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="ID",
+    help="Run this check (5.4-3), or those of a clause or table (5.4, T9); may be repeated.",
+)
+@click.option("--checks", "list_checks", is_flag=True, help="List the checks and stop.")
+@_access
+@verb
+def conformance(
+    address: str | None,
+    report: Path | None,
+    overwrite: bool,
+    only: tuple[str, ...],
+    list_checks: bool,
+    ca: Path | None,
+    token_file: Path | None,
+    client_cert: Path | None,
+    client_key: Path | None,
+    printer: Printer,
+) -> None:
+    """Check a fusion service against DB34/T 4101-2022, clause by clause and row by row; exit 1 where a check fails.
+
+    Any server of the project's .proto can be checked, whoever wrote it. Each check works in a session of its own,
+    which is ended after it.
+    """
+    from sceneloom.db34t.conformance.examination import check_report, chosen, examine
+    from sceneloom.db34t.transport import Access, GrpcTransport
+    from sceneloom.formats.base.output import check_output
+
+    checks = chosen(only)
+    if list_checks:
+        _print_checks(checks, printer)
+        return
+    if address is None:
+        raise click.UsageError("Missing argument 'HOST:PORT'.", click.get_current_context())
+    certificate = _certificate_of(client_cert, client_key)
+    if report is not None:
+        check_report(report)
+        check_output(report, overwrite=overwrite)
+    with (
+        GrpcTransport.connected(address, Access(ca, token_file, certificate)) as transport,
+        printer.progress("checking") as progress,
+    ):
+        examination = examine(transport, address=address, only=only, progress=progress)
+    if report is not None:
+        examination.write(report, overwrite=overwrite)
+    if printer.as_json:
+        print_json(examination.as_builtins())
+    else:
+        _print_examination(examination, verbose=printer.verbose, report=report)
+    if not examination.passed:
+        click.get_current_context().exit(1)
+
+
+def _print_checks(checks: "tuple[Check, ...]", printer: Printer) -> None:
+    rows = [
+        {
+            "id": check.id,
+            "location": check.location,
+            "title": check.title,
+            "basis": str(check.basis),
+            "english": check.quote.english,
+            "chinese": check.quote.chinese,
+        }
+        for check in checks
+    ]
+    if printer.as_json:
+        print_json(rows)
+        return
+    for row in rows:
+        click.echo(f"{row['id']:8} {row['title']} ({row['basis']}: {row['location']})")
+
+
+def _print_examination(examination: "Examination", *, verbose: bool, report: Path | None) -> None:
+    shown = [finding for finding in examination.findings if verbose or finding.failures]
+    for part, findings in groupby(shown, key=lambda finding: finding.check.id.split("-")[0]):
+        click.echo(part)
+        for finding in findings:
+            _print_finding(finding)
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in examination.counts.items())
+    click.echo(f"{examination.address}: {len(examination.findings)} checks: {counts}")
+    if report is not None:
+        click.echo(f"written: {report}")
+
+
+def _print_finding(finding: "Finding") -> None:
+    check = finding.check
+    click.echo(f"  {check.id:7} {finding.verdict}  {check.title} ({check.location})")
+    if not finding.failures:
+        return
+    click.echo(f"          {check.quote.english}")
+    click.echo(f"          {check.quote.chinese}")
+    for seen in finding.failures:
+        click.echo(f"          sent {seen.sent}: expected {seen.expected}, found {seen.found}")

@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.batch import jobs
 from sceneloom.calibrate.conventions import read_extrinsics
-from sceneloom.catalog import database
+from sceneloom.catalog.database import query
 from sceneloom.db34t.interface import read_configuration_file
 from sceneloom.db34t.transport import read_certificates, read_pair, read_token
 from sceneloom.detections.detectors import read_detectors
@@ -51,7 +51,7 @@ def test_a_pipe_among_the_sweeps_of_a_recording_is_named_as_what_it_is(recording
 def test_the_marker_of_a_catalogue_that_is_a_pipe_is_named(tmp_path):
     os.mkfifo(tmp_path / "catalog.json")
     with pytest.raises(DataError, match=r"catalog\.json: cannot be read: is a named pipe"):
-        database(tmp_path, "SELECT 1")
+        query(tmp_path, "SELECT 1")
 
 
 @pytest.mark.parametrize("what", sorted(READERS.keys() - {"losses", "fused detections"}))

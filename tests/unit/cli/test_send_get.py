@@ -119,7 +119,7 @@ def test_following_ends_after_as_many_as_asked_for(address, sent):
 
 def test_a_log_is_sent_once_more(drive, tmp_path, logged):
     log = tmp_path / "first.mcap"
-    with SessionLog(log) as log, running_server(ServerSettings(observe=log.session)) as server:
+    with SessionLog(log) as kept, running_server(ServerSettings(observe=kept.session)) as server:
         run("send", drive, server.address, "--rate", 0, "--session", "rig", "-q")
         first = run("get", server.address, "--type", "detection", "--session", "rig")
     assert compare(log)

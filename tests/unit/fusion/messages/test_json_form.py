@@ -154,5 +154,5 @@ def test_a_fault_in_json_is_named(name, changes, location, problem):
     "text", ["", "{", "[]", "{}", '{"image": {}, "raw": {}}', '{"image": {}}', '{"image": NaN}', b"\xff"]
 )
 def test_a_text_that_is_no_record_is_refused(text):
-    with pytest.raises(DataError, match="record|sensor_id: missing"):
+    with pytest.raises(DataError, match=r"record|sensor_id: missing"):
         parse_json(text)

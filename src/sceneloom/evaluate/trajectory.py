@@ -9,7 +9,8 @@ from msgspec import structs
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.evaluate.plot import check_plot, plot_errors
+from sceneloom.evaluate.plot import check_plot
+from sceneloom.evaluate.trajectory_plot import plot_errors
 from sceneloom.evaluate.trajectory_errors import (
     AbsoluteErrors,
     Alignment,

@@ -28,8 +28,7 @@ from scipy.spatial import cKDTree
 import sceneloom
 from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix
 from sceneloom.motion.deskew import points_to_world
-from sceneloom.motion.odometry.lidar_odometry import LidarOdometry
-from sceneloom.motion.odometry.run import lidar_odometry
+from sceneloom.motion.odometry import LidarOdometry, lidar_odometry
 from sceneloom.pipeline import iter_fused
 from sceneloom.scene import CameraImage, LazyFrames, LidarFrame, LidarPoints, Poses, Scene
 from sceneloom.scene.poses import PoseSource

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
-from sceneloom.motion.gnss_imu.chain import Chain, Fixes, States, equations
 from sceneloom.motion.gnss_imu.measurements import SmootherSettings, preintegrated
+from sceneloom.motion.gnss_imu.smoother import Chain, Fixes, States, equations
 
 gtsam = pytest.importorskip("gtsam", reason="needs gtsam")
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.motion.clock.estimate import ClockVerdict
+from sceneloom.motion.clock.comparison import ClockVerdict
 from sceneloom.motion.clock.streams import gyroscope_against_trajectory
 from sceneloom.pipeline import sync
 

@@ -9,7 +9,7 @@ from sceneloom.geometry.rotations import (
     multiply_quaternions,
     rotate_vectors,
 )
-from sceneloom.motion.odometry.run import OdometryRun, lidar_odometry
+from sceneloom.motion.odometry import OdometryRun, lidar_odometry
 from sceneloom.simulate import LidarSpec, SimulatedDrive, simulate_street
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.motion.odometry.lidar_odometry import LidarOdometry, PoseEstimate
+from sceneloom.motion.odometry import LidarOdometry, PoseEstimate
 from sceneloom.simulate import (
     LidarSpec,
     PathSpec,

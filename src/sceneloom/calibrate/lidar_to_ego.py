@@ -27,11 +27,10 @@ from sceneloom.geometry.rotations import (
     rotate_vectors,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.clock.comparison import compare_turnings
-from sceneloom.motion.clock.estimate import ClockEstimate, ClockVerdict
+from sceneloom.motion.clock.comparison import ClockEstimate, ClockVerdict, compare_turnings
 from sceneloom.motion.clock.signals import Rotating
 from sceneloom.motion.ego_trajectory import LIDAR, find_ego_motion, gnss_receivers
-from sceneloom.motion.odometry.run import lidar_odometry
+from sceneloom.motion.odometry import lidar_odometry
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene

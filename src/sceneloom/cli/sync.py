@@ -10,7 +10,7 @@ from sceneloom.cli.printing import Printer, print_table, several
 from sceneloom.cli.running import rewriting_verb
 
 if TYPE_CHECKING:
-    from sceneloom.motion.clock.estimate import ClockEstimate
+    from sceneloom.motion.clock.comparison import ClockEstimate
     from sceneloom.pipeline.syncing import SyncReport
 
 

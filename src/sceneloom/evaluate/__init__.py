@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.evaluate.trajectory import RPE_DELTAS, evaluate_trajectory
-    from sceneloom.evaluate.trajectory_errors import (
+    from sceneloom.evaluate.trajectory import (
         ALIGNMENTS,
+        RPE_DELTAS,
         AbsoluteErrors,
         AlignmentReport,
         ErrorStatistics,
@@ -15,20 +15,21 @@ if TYPE_CHECKING:
         RelativeErrors,
         SegmentErrors,
         TrajectoryReport,
+        evaluate_trajectory,
     )
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "ALIGNMENTS": "sceneloom.evaluate.trajectory_errors:ALIGNMENTS",
+            "ALIGNMENTS": "sceneloom.evaluate.trajectory:ALIGNMENTS",
             "RPE_DELTAS": "sceneloom.evaluate.trajectory:RPE_DELTAS",
-            "AbsoluteErrors": "sceneloom.evaluate.trajectory_errors:AbsoluteErrors",
-            "AlignmentReport": "sceneloom.evaluate.trajectory_errors:AlignmentReport",
-            "ErrorStatistics": "sceneloom.evaluate.trajectory_errors:ErrorStatistics",
-            "KittiErrors": "sceneloom.evaluate.trajectory_errors:KittiErrors",
-            "RelativeErrors": "sceneloom.evaluate.trajectory_errors:RelativeErrors",
-            "SegmentErrors": "sceneloom.evaluate.trajectory_errors:SegmentErrors",
-            "TrajectoryReport": "sceneloom.evaluate.trajectory_errors:TrajectoryReport",
+            "AbsoluteErrors": "sceneloom.evaluate.trajectory:AbsoluteErrors",
+            "AlignmentReport": "sceneloom.evaluate.trajectory:AlignmentReport",
+            "ErrorStatistics": "sceneloom.evaluate.trajectory:ErrorStatistics",
+            "KittiErrors": "sceneloom.evaluate.trajectory:KittiErrors",
+            "RelativeErrors": "sceneloom.evaluate.trajectory:RelativeErrors",
+            "SegmentErrors": "sceneloom.evaluate.trajectory:SegmentErrors",
+            "TrajectoryReport": "sceneloom.evaluate.trajectory:TrajectoryReport",
             "evaluate_trajectory": "sceneloom.evaluate.trajectory:evaluate_trajectory",
         },
     )

@@ -19,7 +19,7 @@ from sceneloom.scene.types import Coordinates, PointsFrame, Progress
 from sceneloom.warnings import DataWarning, WarningKind
 
 if TYPE_CHECKING:
-    from sceneloom.motion.odometry.run import OdometryRun
+    from sceneloom.motion.odometry import OdometryRun
 
 _HIGHEST = 1e6
 """Heights beyond it [m] no receiver reports that is carried by an ego; NaN stands for one that is not reported."""
@@ -278,7 +278,7 @@ def placeable_lidars(scene: Scene) -> tuple[LidarSensor, ...]:
 
 
 def _followed(scene: Scene, progress: Progress | None, *, lenient: bool) -> "OdometryRun":
-    from sceneloom.motion.odometry.run import lidar_odometry
+    from sceneloom.motion.odometry import lidar_odometry
 
     return lidar_odometry(scene, progress=progress, lenient=lenient)
 

@@ -57,7 +57,7 @@ from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import usual_period_ns
 from sceneloom.scene.types import Identifier, Progress
-from sceneloom.tracking.observation import Observation, View
+from sceneloom.tracking.tracker import Observation, View
 from sceneloom.warnings import DataWarning
 
 _Classes = frozenset[str] | None

@@ -12,8 +12,7 @@ from sceneloom.editing.retime import ClockCorrection, retimed_scene
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.registry import check_scene_output, write_scene
-from sceneloom.motion.clock.comparison import LEVER_SIGMA, REACH_NS
-from sceneloom.motion.clock.estimate import ClockEstimate, ClockVerdict
+from sceneloom.motion.clock.comparison import LEVER_SIGMA, REACH_NS, ClockEstimate, ClockVerdict
 from sceneloom.motion.clock.streams import Stream, StreamKind, compare_streams, streams_of
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress, key_of

@@ -28,10 +28,9 @@ from sceneloom.scene.poses import Poses, Trajectory, same_direction
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Progress
 from sceneloom.tracking.labels import Labelled, label_tracks
-from sceneloom.tracking.observation import Observation
 from sceneloom.tracking.settings import TrackerSettings
 from sceneloom.tracking.smoother import gathered, track_drive
-from sceneloom.tracking.tracker import Tracker
+from sceneloom.tracking.tracker import Observation, Tracker
 from sceneloom.warnings import DataWarning
 
 

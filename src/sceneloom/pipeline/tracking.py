@@ -51,8 +51,8 @@ from sceneloom.scene.detections import Boxes3D, Support, TrackedObjects
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
 from sceneloom.stages import stage
-from sceneloom.tracking.observation import Observation
 from sceneloom.tracking.settings import ImageBox
+from sceneloom.tracking.tracker import Observation
 from sceneloom.visualization.canvas import PilImage, counting_left_out
 from sceneloom.visualization.clouds import EgoPosition
 from sceneloom.visualization.fused_frames import save_image

@@ -10,8 +10,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import ArrayError, DataError, OptionError, PoseError, SceneloomError
 from sceneloom.evaluate.tracking import TrackingReport, compare_tracks
-from sceneloom.evaluate.trajectory import evaluate_trajectory
-from sceneloom.evaluate.trajectory_errors import TrajectoryReport
+from sceneloom.evaluate.trajectory import TrajectoryReport, evaluate_trajectory
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.motion.ego_trajectory import find_ego_motion, usable_fixes, usable_positions

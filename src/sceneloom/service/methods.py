@@ -44,9 +44,8 @@ from sceneloom.service.messages import (
     value_from_protobuf,
 )
 from sceneloom.service.sessions import DEFAULT_SESSION, CallError, Session, SessionTable
-from sceneloom.tracking.observation import Observation, View
 from sceneloom.tracking.settings import TrackerSettings
-from sceneloom.tracking.tracker import Tracker
+from sceneloom.tracking.tracker import Observation, Tracker, View
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 """The descriptor of the service."""

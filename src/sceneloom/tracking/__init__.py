@@ -5,19 +5,18 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.tracking.observation import Observation, View
     from sceneloom.tracking.settings import ImageBox, TrackerSettings
     from sceneloom.tracking.smoother import track_drive
-    from sceneloom.tracking.tracker import Tracker
+    from sceneloom.tracking.tracker import Observation, Tracker, View
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "Observation": "sceneloom.tracking.observation:Observation",
+            "Observation": "sceneloom.tracking.tracker:Observation",
             "ImageBox": "sceneloom.tracking.settings:ImageBox",
             "Tracker": "sceneloom.tracking.tracker:Tracker",
             "TrackerSettings": "sceneloom.tracking.settings:TrackerSettings",
-            "View": "sceneloom.tracking.observation:View",
+            "View": "sceneloom.tracking.tracker:View",
             "track_drive": "sceneloom.tracking.smoother:track_drive",
         },
     )

@@ -19,12 +19,10 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from sceneloom.scene.detections import Support, Track, TrackedObjects, Tracks
 from sceneloom.scene.types import Identifier
-from sceneloom.tracking import states
-from sceneloom.tracking import states as tracking_states
-from sceneloom.tracking.observation import Observation
+from sceneloom.tracking import tracker as tracking_states
+from sceneloom.tracking import tracker as tracking_tracker
 from sceneloom.tracking.settings import ImageBox, TrackerSettings
-from sceneloom.tracking.states import no_boxes
-from sceneloom.tracking.tracker import DEFAULTS, Moment, Tracker
+from sceneloom.tracking.tracker import DEFAULTS, Moment, Observation, Tracker, no_boxes
 
 
 def smoothed(
@@ -48,10 +46,12 @@ def smoothed(
     for k in range(len(means) - 2, -1, -1):
         gain = np.linalg.solve(predicted_covariances[k + 1], slopes[k + 1] @ covariances[k]).T
         apart = later[k + 1] - predicted_means[k + 1]
-        rotations = round(float(apart[states.YAW]) / np.pi)
-        apart[states.YAW] -= rotations * np.pi
+        rotations = round(float(apart[tracking_tracker.YAW]) / np.pi)
+        apart[tracking_tracker.YAW] -= rotations * np.pi
         later[k] = means[k] + gain @ apart
-        later[k, states.YAW] = states.wrapped(later[k, states.YAW] + (rotations % 2) * np.pi)
+        later[k, tracking_tracker.YAW] = tracking_tracker.wrapped(
+            later[k, tracking_tracker.YAW] + (rotations % 2) * np.pi
+        )
         spread[k] = covariances[k] + gain @ (spread[k + 1] - predicted_covariances[k + 1]) @ gain.T
         spread[k] = (spread[k] + spread[k].T) / 2.0
     return later, spread

@@ -1,4 +1,36 @@
-"""The tracker: association, track initiation, headings, and one step per moment.
+"""The multi-object tracker: states, observations, association and existence.
+
+A state is x = (middle 3, size 3, heading, velocity 3, yaw rate), in the world. Between moments objects keep their
+velocity, which of vehicles rotates with them, and their yaw rate, which dies down; white noise of the acceleration
+makes that uncertain, so that one long step leaves as much doubt as many short ones. A box z of the middle, size and
+heading is read by Kalman's update,
+
+    K = P Hᵀ (H P Hᵀ + w R)⁻¹,   x' = x + K (z - H x),   P' = P - K H P,   w = max(1, (ν + d²) / (ν + 7)),
+
+where d² is the square of Mahalanobis' distance of the box and ν degrees of freedom: a box that is far off is taken for
+less sure. A vehicle moves along its heading: that its velocity across is 0 is one more thing that is read of it.
+
+Source: Kalman 1960; Bar-Shalom, Li and Kirubarajan 2001, "Estimation with Applications to Tracking and Navigation",
+ch. 6.2 for the noise and ch. 11.7 for rotating; Lange, Little and Taylor 1989, "Robust Statistical Modeling Using the t
+Distribution", for the weight.
+
+The probability p that an object exists falls with time, as objects leave, p ← p exp(-t / lifetime). A box of the object
+with the probability s of its own moment, where π is the prior one, changes the odds of p by
+
+    odds ← odds · ([s / (1 - s)] / [π / (1 - π)])ʷ,
+
+and a moment without any box, where detectors had the chances D to find it, by
+
+    odds ← odds · ((1 - D_2d) (1 - D_3d))ʷ.
+
+The exponent w is below 1 since moments are not independent: what was mistaken or hidden once is likely to be again.
+
+Source: Thrun, Burgard and Fox 2005, "Probabilistic Robotics", ch. 4.2 for log odds; Musicki, Evans and Stankovic 1994,
+"Integrated Probabilistic Data Association", for existence that is lost with time and by missed detections.
+
+A detector's box is not the outline of the box in space: arms and shadows, sizes and locations that are a little off.
+How it differs changes slowly: its middle by shares of the outline's sides, its sides by factors. These four numbers are
+filtered, so that the box in the next image is foreseen well, and so that one image's noise does not count in full.
 
 A box z is rather of an object whose location x is foreseen than of anything else by the logarithm of
 
@@ -18,20 +50,659 @@ box votes for its own heading, each moment of motion for its direction; the sum 
 whose heading is known are asked anew each time, and count only where the rest is undecided.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
-from sceneloom.detections.projection import assign_pairs
+from sceneloom.cameras.camera import Camera
+from sceneloom.colouring.box_outlines import widest_angle
+from sceneloom.detections.detectors import KINDS, SAYS_NOTHING, kind_name
+from sceneloom.detections.projection import Outlines, assign_pairs, fuse_by_projection, project_outlines
+from sceneloom.detections.results import NO_BOX, DetectionAlgorithm, DetectionPair, FusedBoxes
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels import tracking
 from sceneloom.kernels.tracking import add_gains_in_image, gains_in_space, without_twins
 from sceneloom.scene.detections import Support, TrackedObjects
-from sceneloom.tracking import states
-from sceneloom.tracking import states as tracking_states
-from sceneloom.tracking.observation import SUREST, Observation, Observations, visibility
+from sceneloom.scene.types import Identifier
 from sceneloom.tracking.settings import ImageBox, TrackerSettings
-from sceneloom.tracking.states import ByCamera, Population, has_area, no_boxes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A camera at one moment.
+
+    Attributes:
+        camera: its camera model.
+        camera_from_lidar: takes the lidar's frame at the time of the sweep into the camera's at that of its image.
+    """
+
+    camera: Camera
+    camera_from_lidar: RigidTransform
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """What was seen at one moment.
+
+    Attributes:
+        timestamp_ns: of the sweep [ns].
+        world_from_lidar: takes the lidar's frame at that time into a world that is stationary, z up.
+        fused: by camera, the objects behind the boxes of the sweep and those of that camera's image. A box of the
+            sweep is in each of them, and known by its number in `rows_3d`. Nothing was looked at where it is empty.
+        views: the cameras by which boxes are put into images. A camera of `fused` without one has no images: what
+            is stated for its sweep counts, and no box in an image is given.
+    """
+
+    timestamp_ns: int
+    world_from_lidar: RigidTransform
+    fused: Mapping[Identifier, FusedBoxes] = field(default_factory=dict)
+    views: Mapping[Identifier, View] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fused", MappingProxyType(dict(self.fused)))
+        object.__setattr__(self, "views", MappingProxyType(dict(self.views)))
+
+    @classmethod
+    def of_pairs(
+        cls,
+        pairs: Mapping[Identifier, DetectionPair],
+        world_from_lidar: RigidTransform,
+        *,
+        fuse: DetectionAlgorithm = fuse_by_projection,
+    ) -> Self:
+        """Fuse the boxes of one sweep with those of each camera's image.
+
+        Args:
+            pairs: by camera, the same boxes of the sweep with those of its image; one at least.
+            world_from_lidar: where the lidar was at the time of the sweep.
+            fuse: how.
+
+        Raises:
+            OptionError: the boxes of the sweep are not in the lidar's frame.
+        """
+        return cls(
+            next(iter(pairs.values())).boxes_3d.timestamp_ns,
+            world_from_lidar,
+            {camera_id: fuse(pair) for camera_id, pair in pairs.items()},
+            {camera_id: View(pair.camera, pair.camera_from_lidar) for camera_id, pair in pairs.items()},
+        )
+
+
+_FAMILIES = {family: k for k, family in enumerate(dict.fromkeys(kind.family for kind in KINDS.values()))}
+
+_VEHICLES = _FAMILIES[KINDS["car"].family]
+
+_ANY = -1
+
+_numbers: dict[str, int] = {}
+
+
+@lru_cache(maxsize=4096)
+def _code(label: str) -> tuple[int, int]:
+    name = kind_name(label)
+    if name in SAYS_NOTHING:
+        return _ANY, _ANY
+    kind = KINDS.get(name)
+    return _numbers.setdefault(name, len(_numbers)), _ANY if kind is None else _FAMILIES[kind.family]
+
+
+def _codes_of(labels: Sequence[str]) -> Int64Array:
+    """Give classes as (N, 2) int64: a number of the class and one of its family, -1 for none."""
+    return np.array([_code(label) for label in labels], np.int64).reshape(-1, 2)
+
+
+def _is_vehicle(codes: Int64Array) -> BoolArray:
+    """Which classes move along their heading as cars do, (N,) bool of (N, 2) codes."""
+    vehicles: BoolArray = codes[:, 1] == _VEHICLES
+    return vehicles
+
+
+_SUREST = 1e-4
+"""No single moment makes surer of what is there or not than this."""
+
+UNKNOWN_VARIANCE = 1e4
+"""Of what a box does not report."""
+
+_VEHICLE_YAW_SIGMA, _PERSON_YAW_SIGMA = 0.1, 0.4
+"""Deviation of headings whose fusion does not give it [rad]."""
+
+_SEEN_ALONG = 9.0
+"""Of a box of images alone: how often its variance along the visibility is taken. The same guess of the object's height
+errs the same way every time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Observations:
+    """The boxes of one moment.
+
+    Attributes:
+        measures: (M, 7) float64, middle [m], length, width, height [m] and heading [rad], world frame.
+        covariances: (M, 7, 7) float64 of these, with `UNKNOWN_VARIANCE` where it is not reported.
+        measured: (M,) bool, whether a box of the sweep is behind it.
+        log_odds: (M,) float64, of existence by this moment's boxes alone.
+        labels: M classes.
+        codes: (M, 2) int64, of the class and its family.
+        vehicles: (M,) bool.
+        corners_xyxy: by camera, (M, 4) float64 [px], NaN where no box of its image is behind it.
+        velocities: (M, 3) float64 [m/s], world frame, NaN where not reported.
+    """
+
+    measures: Float64Array
+    covariances: Float64Array
+    measured: BoolArray
+    log_odds: Float64Array
+    labels: tuple[str, ...]
+    codes: Int64Array
+    vehicles: BoolArray
+    corners_xyxy: dict[Identifier, Float64Array]
+    velocities: Float64Array
+
+    def __len__(self) -> int:
+        return len(self.measures)
+
+
+def visibility(observation: Observation) -> _Observations:
+    """Give the boxes of all cameras' fusions in the world frame, those of the sweep once each."""
+    parts = [
+        (camera_id, fused, np.flatnonzero(_sound(fused))) for camera_id, fused in observation.fused.items()
+    ]
+    parts = [part for part in parts if len(part[2])]
+    if not parts:
+        return _observations([], observation.world_from_lidar)
+    rows = _each_once(parts)
+    return _observations(
+        [(camera_id, fused, kept) for (camera_id, fused, _), kept in zip(parts, rows, strict=True)],
+        observation.world_from_lidar,
+        {camera_id: fused for camera_id, fused, _ in parts},
+    )
+
+
+def _sound(fused: FusedBoxes) -> BoolArray:
+    """Which boxes have a location, a size and covariances."""
+    numbers = np.concatenate(
+        [
+            fused.centers,
+            fused.sizes_lwh,
+            fused.yaws[:, None],
+            fused.center_covariances.reshape(-1, 9),
+            fused.size_covariances.reshape(-1, 9),
+        ],
+        axis=1,
+    )
+    sound: BoolArray = np.isfinite(numbers).all(axis=1) & (fused.sizes_lwh > 0.0).all(axis=1)
+    return sound
+
+
+_Part = tuple[Identifier, FusedBoxes, Int64Array]
+
+
+def _each_once(parts: list[_Part]) -> list[Int64Array]:
+    """Of every box of the sweep the one camera's fusion that knows most: one with a partner, else the most doubtful.
+
+    A camera that should have seen an object and did not makes it doubtful; one that could not says nothing.
+    """
+    if len(parts) == 1:
+        return [parts[0][2]]
+    best: dict[int, tuple[tuple[bool, float, int], int]] = {}
+    kept: list[list[int]] = [[] for _ in parts]
+    for p, (_, fused, rows) in enumerate(parts):
+        for row in rows.tolist():
+            number = int(fused.rows_3d[row])
+            if number == NO_BOX:
+                kept[p].append(row)
+                continue
+            rank = (fused.rows_2d[row] == NO_BOX, float(fused.scores[row]), p)
+            if number not in best or rank < best[number][0]:
+                best[number] = rank, row
+    for rank, row in best.values():
+        kept[rank[2]].append(row)
+    return [np.array(sorted(rows), np.int64) for rows in kept]
+
+
+def _observations(
+    parts: list[_Part],
+    world_from_lidar: RigidTransform,
+    all_fused: dict[Identifier, FusedBoxes] | None = None,
+) -> _Observations:
+    columns = [_columns(fused, rows, world_from_lidar) for _, fused, rows in parts]
+    labels = tuple(fused.labels[k] for _, fused, rows in parts for k in rows.tolist())
+    stacked: dict[str, Any] = {
+        name: np.concatenate([c[name] for c in columns]) if columns else empty
+        for name, empty in _EMPTY.items()
+    }
+    numbers = stacked.pop("rows_3d")
+    codes = _codes_of(labels)
+    return _Observations(
+        labels=labels,
+        codes=codes,
+        vehicles=_is_vehicle(codes),
+        corners_xyxy=_corners(parts, numbers, all_fused or {}),
+        **stacked,
+    )
+
+
+def _corners(
+    parts: list[_Part], numbers: Int64Array, all_fused: dict[Identifier, FusedBoxes]
+) -> dict[Identifier, Float64Array]:
+    """Of each camera the boxes of its image, also of boxes of the sweep that another camera's fusion reports."""
+    corners, start = {}, 0
+    for camera_id, _, rows in parts:
+        fused = all_fused[camera_id]
+        boxes = np.full((len(numbers), 4), np.nan)
+        paired = fused.rows_2d[rows] != NO_BOX
+        boxes[start : start + len(rows)][paired] = fused.corners_xyxy[rows[paired]]
+        start += len(rows)
+        if len(parts) > 1:
+            both = np.flatnonzero((fused.rows_3d != NO_BOX) & (fused.rows_2d != NO_BOX))
+            location = {int(fused.rows_3d[k]): k for k in both.tolist()}
+            for i, number in enumerate(numbers.tolist()):
+                if number in location:
+                    boxes[i] = fused.corners_xyxy[location[number]]
+        corners[camera_id] = boxes
+    return corners
+
+
+def _columns(fused: FusedBoxes, rows: Int64Array, world_from_lidar: RigidTransform) -> dict[str, Any]:
+    measured = fused.rows_3d[rows] != NO_BOX
+    rotation = world_from_lidar.rotation
+    yaws, covariances = fused.yaws[rows], np.zeros((len(rows), 7, 7))
+    centers = fused.center_covariances[rows]
+    alone = np.flatnonzero(~measured)
+    if len(alone):
+        centers[alone] = _stretched(centers[alone], fused.centers[rows[alone]])
+    covariances[:, :3, :3] = rotation @ centers @ rotation.T
+    covariances[:, 3:6, 3:6] = fused.size_covariances[rows]
+    covariances[:, 6, 6] = _yaw_variances(fused, rows)
+    covariances[alone, 6, 6] = UNKNOWN_VARIANCE
+    directions = np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(len(yaws))]) @ rotation.T
+    scores = np.clip(np.nan_to_num(fused.scores[rows], nan=0.5), _SUREST, 1.0 - _SUREST)
+    velocities = np.full((len(rows), 3), np.nan)
+    if fused.velocities is not None:
+        velocities[measured] = fused.velocities[rows[measured]] @ rotation.T
+    return {
+        "measures": np.column_stack(
+            [
+                world_from_lidar.apply(fused.centers[rows]),
+                fused.sizes_lwh[rows],
+                np.arctan2(directions[:, 1], directions[:, 0]),
+            ]
+        ),
+        "covariances": covariances,
+        "measured": measured,
+        "log_odds": np.log(scores / (1.0 - scores)),
+        "velocities": velocities,
+        "rows_3d": fused.rows_3d[rows],
+    }
+
+
+def _stretched(covariances: Float64Array, centers: Float64Array) -> Float64Array:
+    """The covariances, wider along the visibility."""
+    rays = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-9)
+    along = np.einsum("ni,nij,nj->n", rays, covariances, rays)
+    wider: Float64Array = covariances + ((_SEEN_ALONG - 1.0) * along)[:, None, None] * (
+        rays[:, :, None] * rays[:, None]
+    )
+    return wider
+
+
+def _yaw_variances(fused: FusedBoxes, rows: Int64Array) -> Float64Array:
+    vehicles = _is_vehicle(_codes_of([fused.labels[k] for k in rows.tolist()]))
+    variances: Float64Array = np.where(vehicles, _VEHICLE_YAW_SIGMA, _PERSON_YAW_SIGMA) ** 2
+    stated: Float64Array | None = getattr(fused, "yaw_variances", None)
+    if stated is not None:
+        sound = np.isfinite(stated[rows]) & (stated[rows] > 0.0)
+        variances[sound] = stated[rows[sound]]
+    return variances
+
+
+_EMPTY: dict[str, Any] = {
+    "measures": np.zeros((0, 7)),
+    "covariances": np.zeros((0, 7, 7)),
+    "measured": np.zeros(0, np.bool_),
+    "log_odds": np.zeros(0),
+    "velocities": np.zeros((0, 3)),
+    "rows_3d": np.zeros(0, np.int64),
+}
+
+SIZE, _MEASURED = tracking.SIZE, tracking.MEASURED
+
+YAW, ROTATION = 6, 10
+
+_FREEDOM = 4.0
+"""Degrees of freedom of what boxes are off."""
+
+_CLIMB = 0.3
+"""Deviation of vertical accelerations [m/s²]."""
+
+_SIZE_DRIFT = 0.02
+"""How much sizes change as objects are seen from other sides [m after a second]."""
+
+_VEHICLE_HEADING_DRIFT, _PERSON_HEADING_DRIFT = 0.02, 0.5
+"""How much headings change beside rotating [rad after a second]."""
+
+_ACROSS = 0.3
+"""Acceleration of vehicles across their heading, as a share of that along it."""
+
+_ROTATION_TIME = 1.0
+"""Time after which a rotation has died down [s]."""
+
+
+def wrapped(angles: Float64Array) -> Float64Array:
+    """Angles as those from -π to π."""
+    result: Float64Array = (angles + np.pi) % (2.0 * np.pi) - np.pi
+    return result
+
+
+def predicted(
+    means: Float64Array,
+    covariances: Float64Array,
+    vehicles: BoolArray,
+    seconds: float,
+    settings: TrackerSettings,
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Move states on.
+
+    Args:
+        means, covariances: (N, 11) and (N, 11, 11).
+        vehicles: (N,), whether they move as vehicles do.
+        seconds: how long.
+        settings: how strongly they change their motion.
+
+    Returns:
+        Means and covariances afterwards, and the slopes (N, 11, 11) of the means.
+    """
+    fast, slow = settings.vehicle_acceleration, settings.person_acceleration
+    rotating = settings.yaw_acceleration
+    deviations = np.array(
+        [
+            [slow, slow, _CLIMB, _SIZE_DRIFT, _PERSON_HEADING_DRIFT, rotating],
+            [fast, _ACROSS * fast, _CLIMB, _SIZE_DRIFT, _VEHICLE_HEADING_DRIFT, rotating],
+        ]
+    )
+    moved: tuple[Float64Array, Float64Array, Float64Array] = tracking.predict(
+        means, covariances, vehicles, seconds, _ROTATION_TIME, deviations**2
+    )
+    return moved
+
+
+def read(
+    means: Float64Array,
+    covariances: Float64Array,
+    rows: Int64Array,
+    measures: Float64Array,
+    noises: Float64Array,
+    columns: Int64Array,
+) -> None:
+    """Read of some states a box each, in place.
+
+    Args:
+        means, covariances: (N, 11) and (N, 11, 11).
+        rows: (K,), which of them.
+        measures, noises: (M, 7) and (M, 7, 7); headings off by more than a right angle are taken the other way round.
+        columns: (K,), the box of each.
+    """
+    tracking.read_boxes(means, covariances, rows, measures, noises, columns, _FREEDOM)
+
+
+def read_no_slip(
+    means: Float64Array, covariances: Float64Array, vehicles: BoolArray, side_slip: float
+) -> None:
+    """Read of vehicles, in place, that they do not move across their heading, but for so much [m/s]."""
+    tracking.read_no_slip(means, covariances, vehicles, side_slip**2)
+
+
+def probabilities(log_odds: Float64Array) -> Float64Array:
+    """Give logarithms of odds as probabilities."""
+    shares: Float64Array = 1.0 / (1.0 + np.exp(-log_odds))
+    return shares
+
+
+def log_odds(share: float) -> float:
+    """Give a probability between 0 and 1 as a logarithm of odds."""
+    with np.errstate(divide="ignore"):
+        return float(np.log(share) - np.log1p(-share))
+
+
+def aged(odds: Float64Array, seconds: float, lifetime: float) -> Float64Array:
+    """Logarithms of odds after so long without a look."""
+    likely = probabilities(odds) * np.exp(-seconds / lifetime)
+    older: Float64Array = np.log(likely / (1.0 - likely)) if seconds > 0.0 else odds
+    return older
+
+
+def missed(lines: Outlines, distances: Float64Array, settings: TrackerSettings) -> Float64Array:
+    """How little it says of each object that neither detector finds it, by what one camera sees: logarithms of 1 - D.
+
+    Args:
+        lines: where the image shows the objects, and how openly.
+        distances: (N,) float64 [m], from the lidar.
+        settings: what the detectors find.
+
+    Returns:
+        (N, 2) float64, of images and of sweeps.
+    """
+    corners = lines.corners_xyxy
+    tall = corners[:, 3] - corners[:, 1] >= settings.least_height_px
+    near = distances < settings.farthest_3d
+    recalls = np.column_stack([settings.recall_2d * tall, settings.recall_3d * near])
+    chances: Float64Array = np.log1p(-recalls * lines.seen_shares[:, None])
+    return chances
+
+
+_ByCamera = dict[Identifier, Float64Array]
+
+
+@dataclass(slots=True, eq=False)
+class _Population:
+    """Objects, a row each. No array is written to once another moment begins.
+
+    Attributes:
+        ids: (N,) int64.
+        means, covariances: (N, 11) and (N, 11, 11) of `motion`.
+        log_odds: (N,) float64, of existence.
+        hidden: (N,) float64, probability that something unknown hides them.
+        codes: (N, 2) int64, class and family.
+        vehicles: (N,) bool.
+        seen_ns: (N,) int64 [ns], when a box was last theirs.
+        heading_votes: (N,) float64, how much speaks for their heading and against its opposite.
+        votes: (N, K) float64, for each of K words.
+        supports: (N,) uint8 of `Support`.
+        differing, differing_variances: by camera, (N, 4) of `image_boxes`.
+        corners_xyxy: by camera, (N, 4) float64 [px], the detector's boxes of this moment, NaN where there are none.
+    """
+
+    ids: Int64Array
+    means: Float64Array
+    covariances: Float64Array
+    log_odds: Float64Array
+    hidden: Float64Array
+    codes: Int64Array
+    vehicles: BoolArray
+    seen_ns: Int64Array
+    heading_votes: Float64Array
+    votes: Float64Array
+    supports: UInt8Array
+    differing: _ByCamera = field(default_factory=dict)
+    differing_variances: _ByCamera = field(default_factory=dict)
+    corners_xyxy: _ByCamera = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @classmethod
+    def empty(cls) -> "_Population":
+        """No object."""
+        return cls(
+            ids=np.zeros(0, np.int64),
+            means=np.zeros((0, SIZE)),
+            covariances=np.zeros((0, SIZE, SIZE)),
+            log_odds=np.zeros(0),
+            hidden=np.zeros(0),
+            codes=np.zeros((0, 2), np.int64),
+            vehicles=np.zeros(0, np.bool_),
+            seen_ns=np.zeros(0, np.int64),
+            heading_votes=np.zeros(0),
+            votes=np.zeros((0, 0)),
+            supports=np.zeros(0, np.uint8),
+        )
+
+    def copied(self) -> "_Population":
+        """The same objects, to be changed in place."""
+        kept: dict[str, Any] = {}
+        for name in _COLUMNS:
+            value = getattr(self, name)
+            kept[name] = dict(value) if isinstance(value, dict) else value.copy()
+        return _Population(**kept)
+
+    def select(self, rows: Int64Array | BoolArray) -> "_Population":
+        """Some of the objects."""
+        kept: dict[str, Any] = {}
+        for name in _COLUMNS:
+            value = getattr(self, name)
+            kept[name] = {k: v[rows] for k, v in value.items()} if isinstance(value, dict) else value[rows]
+        return _Population(**kept)
+
+    def joined(self, others: "_Population") -> "_Population":
+        """These objects and others, whose words are the same."""
+        kept: dict[str, Any] = {}
+        for name in _COLUMNS:
+            own, other = getattr(self, name), getattr(others, name)
+            if isinstance(own, dict):
+                kept[name] = {
+                    k: np.concatenate([own.get(k, no_boxes(len(self))), other.get(k, no_boxes(len(others)))])
+                    for k in {**own, **other}
+                }
+            else:
+                kept[name] = np.concatenate([own, other])
+        return _Population(**kept)
+
+
+_COLUMNS = tuple(f.name for f in fields(_Population))
+
+
+def no_boxes(count: int) -> Float64Array:
+    """(N, 4) float64 of NaN."""
+    return np.full((count, 4), np.nan)
+
+
+_EDGE_PX, _EDGE_SHARE = 1.0, 0.02
+"""Deviation of an edge of a detector's box: so many pixels, plus so much of its side."""
+
+DRIFTS = (0.05, 0.3)
+"""How much a box comes to differ from the outline, as shares of its sides: of vehicles and people [after a second]."""
+
+UNKNOWN = 0.15**2
+"""Variance of how they differ before anything is known of it."""
+
+
+def outlines(
+    numbers: Float64Array, likely: Float64Array, world_from_lidar: RigidTransform, view: View
+) -> Outlines:
+    """Where an image shows boxes of the world.
+
+    Args:
+        numbers: (N, 7), middle, length, width, height [m] and heading [rad].
+        likely: (N,), how likely each is there, and hides what is behind it.
+        world_from_lidar: where the lidar is.
+        view: the camera.
+    """
+    rotation = world_from_lidar.rotation
+    cosines, sines = np.cos(numbers[:, 6]), np.sin(numbers[:, 6])
+    boxes = numbers.copy()
+    boxes[:, :3] = (numbers[:, :3] - world_from_lidar.translation) @ rotation
+    boxes[:, 6] = np.arctan2(
+        rotation[0, 1] * cosines + rotation[1, 1] * sines, rotation[0, 0] * cosines + rotation[1, 0] * sines
+    )
+    in_view = _in_view(boxes, view)
+    if in_view.all():
+        return project_outlines(view.camera, view.camera_from_lidar, boxes, likely=likely)
+    found = project_outlines(view.camera, view.camera_from_lidar, boxes[in_view], likely=likely[in_view])
+    return Outlines(*(_spread(getattr(found, f.name), in_view) for f in fields(found)))
+
+
+def _in_view(boxes: Float64Array, view: View) -> BoolArray:
+    """Which boxes may be in the image: not those whose ball lies outside the cone that it shows.
+
+    To find where such a box leaves the camera model, which it never enters, is slow.
+    """
+    middles = boxes[:, :3] @ view.camera_from_lidar.rotation.T + view.camera_from_lidar.translation
+    away = np.sqrt((middles**2).sum(axis=1))
+    reach = np.sqrt((boxes[:, 3:6] ** 2).sum(axis=1)) / 2.0
+    angles = np.arctan2(np.hypot(middles[:, 0], middles[:, 1]), middles[:, 2])
+    balls = np.arcsin(np.minimum(reach / np.maximum(away, 1e-9), 1.0))
+    in_view: BoolArray = (angles - balls < widest_angle(view.camera)) | (reach >= away)
+    return in_view
+
+
+def _spread(rows: Float64Array, chosen: BoolArray) -> Float64Array:
+    """Rows in their locations among all, zeros between them."""
+    every = np.zeros((len(chosen), *rows.shape[1:]))
+    every[chosen] = rows
+    return every
+
+
+def _filtered(
+    differing: Float64Array, variances: Float64Array, corners: Float64Array, outlined: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Read how boxes of an image differ from outlines.
+
+    Args:
+        differing, variances: (N, 4), what is known of it, NaN where nothing is.
+        corners: (N, 4) [px], boxes of the detector, NaN where there are none.
+        outlined: (N, 4) [px], zeros where there are none.
+    """
+    fresh = np.isnan(differing)
+    means, variances = np.where(fresh, 0.0, differing), np.where(fresh, UNKNOWN, variances)
+    seen = np.flatnonzero(has_area(corners) & has_area(outlined))
+    apart = differences(corners[seen], outlined[seen])
+    gains = variances[seen] / (variances[seen] + noises(corners[seen]))
+    means[seen] += gains * (apart - means[seen])
+    variances[seen] *= 1.0 - gains
+    return means, variances
+
+
+def differences(corners: Float64Array, outlined: Float64Array) -> Float64Array:
+    """Shifts of the middles of boxes (N, 4) from those of outlines, and logarithms of the factors of their sides."""
+    sides, usual = corners[:, 2:] - corners[:, :2], outlined[:, 2:] - outlined[:, :2]
+    shifts = ((corners[:, :2] + corners[:, 2:]) - (outlined[:, :2] + outlined[:, 2:])) / (2.0 * usual)
+    return np.concatenate([shifts, np.log(sides / usual)], axis=1)
+
+
+def noises(corners: Float64Array) -> Float64Array:
+    """Variances (N, 4) of the differences of a detector's boxes: of a middle half, of a side twice those of an edge."""
+    edges = (_EDGE_PX / (corners[:, 2:] - corners[:, :2]) + _EDGE_SHARE) ** 2
+    return np.concatenate([edges / 2.0, edges * 2.0], axis=1)
+
+
+def applied(differing: Float64Array, outlined: Float64Array, width: int, height: int) -> Float64Array:
+    """The boxes that differ so from outlines, cut at the image; NaN where there is no outline.
+
+    Args:
+        differing: (N, 4), NaN where nothing is known of it.
+        outlined: (N, 4) [px].
+        width, height: of the image [px].
+    """
+    known = np.where(np.isnan(differing), 0.0, differing)
+    sides = outlined[:, 2:] - outlined[:, :2]
+    middles = (outlined[:, :2] + outlined[:, 2:]) / 2.0 + known[:, :2] * sides
+    halves = sides * np.exp(known[:, 2:]) / 2.0
+    corners = np.concatenate([middles - halves, middles + halves], axis=1)
+    corners = np.clip(corners, 0.0, (width, height, width, height))
+    corners[~(has_area(outlined) & has_area(corners))] = np.nan
+    boxes: Float64Array = corners
+    return boxes
+
+
+def has_area(corners: Float64Array) -> BoolArray:
+    """Which boxes (N, 4) have an area; those with NaN have none."""
+    area: BoolArray = (corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1])
+    return area
+
 
 _OVERLAP_SIGMA = 0.25
 """Deviation of the share by which boxes in images fail to overlap that are one object's."""
@@ -44,9 +715,6 @@ _LEAST_OVERLAP = 0.3
 
 _LEAST_SIGMA = 0.3
 """No middle of a box is where it is expected to within less than this [m]."""
-
-_FREEDOM = 4.0
-"""Degrees of freedom of what boxes are off."""
 
 _AGREEMENT = (
     0.5 * (_FREEDOM + 1.0) * float(np.log1p(((1.0 - _USUAL_OVERLAP) / _OVERLAP_SIGMA) ** 2 / _FREEDOM))
@@ -63,7 +731,7 @@ class Candidates(NamedTuple):
 
 
 def _candidates(
-    objects: Population, foreseen: ByCamera, seen: Observations, settings: TrackerSettings
+    objects: _Population, foreseen: _ByCamera, seen: _Observations, settings: TrackerSettings
 ) -> Candidates:
     """Which boxes may be of which objects, and how much likelier that is than that they are of anything else.
 
@@ -116,11 +784,11 @@ _LOCATION = [0, 1, 4]
 _SPEEDS = ((10.0, 2.0), (1.5, 1.5))
 """Deviation of the speed of what is seen for the first time, along and across its heading: vehicles, people [m/s]."""
 
-_CLIMB, _ROTATION = 0.3, 0.2
+_TRACKER_CLIMB, _ROTATION = 0.3, 0.2
 """The same of climbing [m/s] and rotating [rad/s]."""
 
 
-def _unclaimed(seen: Observations, free: BoolArray, objects: Population) -> Int64Array:
+def _unclaimed(seen: _Observations, free: BoolArray, objects: _Population) -> Int64Array:
     """Give the rows of free boxes that are no second box of an object of this moment, nor of one another.
 
     Args:
@@ -145,15 +813,15 @@ def _unclaimed(seen: Observations, free: BoolArray, objects: Population) -> Int6
     return kept
 
 
-def _stacked(corners: ByCamera, count: int) -> Float64Array:
+def _stacked(corners: _ByCamera, count: int) -> Float64Array:
     """Boxes of all images, (C, N, 4)."""
     return np.array(list(corners.values())).reshape(len(corners), count, 4)
 
 
-def _states(seen: Observations, rows: Int64Array) -> tuple[Float64Array, Float64Array]:
+def _states(seen: _Observations, rows: Int64Array) -> tuple[Float64Array, Float64Array]:
     """States of objects that are seen for the first time, (K, 11) and (K, 11, 11) of `tracking_states`."""
-    means = np.zeros((len(rows), tracking_states.SIZE))
-    covariances = np.zeros((len(rows), tracking_states.SIZE, tracking_states.SIZE))
+    means = np.zeros((len(rows), SIZE))
+    covariances = np.zeros((len(rows), SIZE, SIZE))
     means[:, :7], covariances[:, :7, :7] = seen.measures[rows], seen.covariances[rows]
     covariances[:, 6, 6] = np.minimum(covariances[:, 6, 6], np.pi**2)
     reported = np.isfinite(seen.velocities[rows]).all(axis=1)
@@ -164,7 +832,7 @@ def _states(seen: Observations, rows: Int64Array) -> tuple[Float64Array, Float64
     covariances[:, 7, 7] = along * cosines**2 + across * sines**2
     covariances[:, 8, 8] = along * sines**2 + across * cosines**2
     covariances[:, 7, 8] = covariances[:, 8, 7] = (along - across) * cosines * sines
-    covariances[:, 9, 9], covariances[:, 10, 10] = _CLIMB**2, _ROTATION**2
+    covariances[:, 9, 9], covariances[:, 10, 10] = _TRACKER_CLIMB**2, _ROTATION**2
     return means, covariances
 
 
@@ -193,7 +861,7 @@ _PARALLEL = 0.95
 """Least cosine between the axes of neighbours."""
 
 
-def _rotation_round(objects: Population, rows: Int64Array, seen: Observations, columns: Int64Array) -> None:
+def _rotation_round(objects: _Population, rows: Int64Array, seen: _Observations, columns: Int64Array) -> None:
     """Let boxes, motion and neighbours vote on headings, in place, and rotate those round that are outvoted.
 
     Args:
@@ -204,8 +872,8 @@ def _rotation_round(objects: Population, rows: Int64Array, seen: Observations, c
     """
     sure = seen.covariances[columns, 6, 6] < _SURE_HEADING
     rows, columns = rows[sure], columns[sure]
-    objects.heading_votes[rows] += np.cos(seen.measures[columns, 6] - objects.means[rows, states.YAW])
-    headings = objects.means[:, states.YAW]
+    objects.heading_votes[rows] += np.cos(seen.measures[columns, 6] - objects.means[rows, YAW])
+    headings = objects.means[:, YAW]
     forward = np.cos(headings) * objects.means[:, 7] + np.sin(headings) * objects.means[:, 8]
     objects.heading_votes += np.sign(forward) * (np.abs(forward) > _MOVING)
     objects.heading_votes = np.clip(objects.heading_votes, -_MOST_VOTES, _MOST_VOTES)
@@ -215,19 +883,19 @@ def _rotation_round(objects: Population, rows: Int64Array, seen: Observations, c
         doubtful[votes + _NEIGHBOURS * _of_neighbours(objects, doubtful) < _OUTVOTED],
         np.flatnonzero(~objects.vehicles & (objects.heading_votes < _OUTVOTED)),
     )
-    objects.means[wrong, states.YAW] = states.wrapped(objects.means[wrong, states.YAW] + np.pi)
+    objects.means[wrong, YAW] = wrapped(objects.means[wrong, YAW] + np.pi)
     objects.heading_votes[wrong] *= -1.0
 
 
-def _of_neighbours(objects: Population, rows: Int64Array) -> Float64Array:
+def _of_neighbours(objects: _Population, rows: Int64Array) -> Float64Array:
     """How much vehicles of the same lane speak for the headings of some, (K,), from -1 to 1."""
     known = np.flatnonzero(objects.vehicles & (objects.heading_votes >= _KNOWN))
     apart = objects.means[known, :2] - objects.means[rows, None, :2]
-    headings = objects.means[rows, states.YAW, None]
+    headings = objects.means[rows, YAW, None]
     cosines, sines = np.cos(headings), np.sin(headings)
     along = cosines * apart[..., 0] + sines * apart[..., 1]
     across = cosines * apart[..., 1] - sines * apart[..., 0]
-    rotations = np.cos(objects.means[known, states.YAW] - headings)
+    rotations = np.cos(objects.means[known, YAW] - headings)
     of_lane = (np.abs(across) < _HALF_LANE) & (np.abs(along) < _AHEAD) & (np.abs(rotations) > _PARALLEL)
     reported: Float64Array = np.clip(np.sum(rotations, axis=1, where=of_lane), -1.0, 1.0)
     return reported
@@ -249,10 +917,10 @@ class Moment(NamedTuple):
     """
 
     observation: Observation
-    objects: Population
-    predicted: Population
+    objects: _Population
+    predicted: _Population
     slopes: Float64Array
-    outlined: ByCamera
+    outlined: _ByCamera
     words: Sequence[str]
 
 
@@ -265,7 +933,7 @@ class Tracker:
 
     def __init__(self, settings: TrackerSettings = DEFAULTS) -> None:
         self.settings = settings
-        self._objects = Population.empty()
+        self._objects = _Population.empty()
         self._time_ns: int | None = None
         self._next_id = 1
         self._words: list[str] = []
@@ -301,10 +969,10 @@ class Tracker:
         seconds = 0.0 if before is None else (timestamp_ns - before) / 1e9
         if 0.0 <= seconds <= self.settings.longest_gap:
             return seconds
-        self._objects = Population.empty()
+        self._objects = _Population.empty()
         return 0.0
 
-    def _learn_words(self, seen: Observations) -> None:
+    def _learn_words(self, seen: _Observations) -> None:
         self._words += [word for word in dict.fromkeys(seen.labels) if word not in self._words]
         missing = len(self._words) - self._objects.votes.shape[1]
         if missing:
@@ -312,17 +980,17 @@ class Tracker:
 
     def _read(
         self,
-        objects: Population,
+        objects: _Population,
         rows: Int64Array,
-        seen: Observations,
+        seen: _Observations,
         columns: Int64Array,
-        predicted: Population,
+        predicted: _Population,
     ) -> None:
         """Read of some objects the boxes that are theirs."""
         settings = self.settings
-        states.read(objects.means, objects.covariances, rows, seen.measures, seen.covariances, columns)
-        states.read_no_slip(objects.means, objects.covariances, objects.vehicles, settings.side_slip)
-        gained = seen.log_odds[columns] - states.log_odds(settings.prior)
+        read(objects.means, objects.covariances, rows, seen.measures, seen.covariances, columns)
+        read_no_slip(objects.means, objects.covariances, objects.vehicles, settings.side_slip)
+        gained = seen.log_odds[columns] - log_odds(settings.prior)
         objects.log_odds[rows] = predicted.log_odds[rows] + settings.trust * gained
         objects.votes[rows] += self._votes(seen, columns)
         objects.supports[:] = Support.PREDICTED
@@ -332,28 +1000,28 @@ class Tracker:
             objects.corners_xyxy[camera_id][rows] = corners[columns]
         _rotation_round(objects, rows, seen, columns)
 
-    def _votes(self, seen: Observations, rows: Int64Array) -> Float64Array:
+    def _votes(self, seen: _Observations, rows: Int64Array) -> Float64Array:
         """How much boxes speak for each of the words, (K, words)."""
         votes = np.zeros((len(rows), len(self._words)))
         numbers = [self._words.index(seen.labels[k]) for k in rows.tolist()]
-        votes[np.arange(len(rows)), numbers] = states.probabilities(seen.log_odds[rows])
+        votes[np.arange(len(rows)), numbers] = probabilities(seen.log_odds[rows])
         return votes
 
     def _with_newborn(
         self,
-        objects: Population,
+        objects: _Population,
         rows: Int64Array,
-        seen: Observations,
+        seen: _Observations,
         columns: Int64Array,
         timestamp_ns: int,
-    ) -> Population:
-        free = seen.log_odds > states.log_odds(self.settings.drop)
+    ) -> _Population:
+        free = seen.log_odds > log_odds(self.settings.drop)
         free[columns] = False
         new = _unclaimed(seen, free, objects.select(rows))
         if not len(new):
             return objects
         means, covariances = _states(seen, new)
-        newborn = Population(
+        newborn = _Population(
             ids=np.arange(self._next_id, self._next_id + len(new)),
             means=means,
             covariances=covariances,
@@ -370,25 +1038,25 @@ class Tracker:
         self._next_id += len(new)
         return objects.joined(newborn)
 
-    def _still_there(self, objects: Population, timestamp_ns: int) -> Population:
+    def _still_there(self, objects: _Population, timestamp_ns: int) -> _Population:
         settings = self.settings
-        there = objects.log_odds > states.log_odds(settings.drop)
+        there = objects.log_odds > log_odds(settings.drop)
         there &= timestamp_ns - objects.seen_ns <= settings.longest_gap * 1e9
         return objects if there.all() else objects.select(there)
 
 
 def _predicted(
-    objects: Population, seconds: float, settings: TrackerSettings
-) -> tuple[Population, Float64Array]:
+    objects: _Population, seconds: float, settings: TrackerSettings
+) -> tuple[_Population, Float64Array]:
     """The objects so much later, and the slopes of their states."""
     moved = objects.copied()
-    moved.means, moved.covariances, slopes = states.predicted(
+    moved.means, moved.covariances, slopes = predicted(
         objects.means, objects.covariances, objects.vehicles, seconds, settings
     )
-    moved.log_odds = states.aged(objects.log_odds, seconds, settings.lifetime)
+    moved.log_odds = aged(objects.log_odds, seconds, settings.lifetime)
     leaving, coming = np.exp(-seconds / settings.hidden_time), np.exp(-seconds / settings.open_time)
     moved.hidden = objects.hidden * leaving + (1.0 - objects.hidden) * (1.0 - coming)
-    drifts = np.where(objects.vehicles, *states.DRIFTS)[:, None] ** 2 * seconds
+    drifts = np.where(objects.vehicles, *DRIFTS)[:, None] ** 2 * seconds
     moved.differing_variances = {
         camera_id: variances + drifts for camera_id, variances in moved.differing_variances.items()
     }
@@ -397,27 +1065,25 @@ def _predicted(
 
 
 def _foreseen(
-    objects: Population, observation: Observation, settings: TrackerSettings
-) -> tuple[ByCamera, Float64Array]:
+    objects: _Population, observation: Observation, settings: TrackerSettings
+) -> tuple[_ByCamera, Float64Array]:
     """The boxes that are expected in images, and how little it says if an object is not found, (N,) logarithms."""
-    likely = states.probabilities(objects.log_odds)
+    likely = probabilities(objects.log_odds)
     apart = np.linalg.norm(objects.means[:, :3] - observation.world_from_lidar.translation, axis=1)
-    foreseen: ByCamera = {}
-    missed = np.zeros((len(objects), 2))
+    foreseen: _ByCamera = {}
+    misses = np.zeros((len(objects), 2))
     for camera_id, view in observation.views.items():
-        lines = states.outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
+        lines = outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
         differing = objects.differing.get(camera_id, no_boxes(len(objects)))
-        foreseen[camera_id] = states.applied(
-            differing, lines.corners_xyxy, view.camera.width, view.camera.height
-        )
+        foreseen[camera_id] = applied(differing, lines.corners_xyxy, view.camera.width, view.camera.height)
         # every camera looks for itself, the lidar once
-        of_camera = states.missed(lines, apart, settings)
-        missed[:, 0] += of_camera[:, 0]
-        missed[:, 1] = np.minimum(missed[:, 1], of_camera[:, 1])
-    return foreseen, missed.sum(axis=1)
+        of_camera = missed(lines, apart, settings)
+        misses[:, 0] += of_camera[:, 0]
+        misses[:, 1] = np.minimum(misses[:, 1], of_camera[:, 1])
+    return foreseen, misses.sum(axis=1)
 
 
-def _supports(seen: Observations, rows: Int64Array) -> UInt8Array:
+def _supports(seen: _Observations, rows: Int64Array) -> UInt8Array:
     """What boxes are, as `Support`."""
     shown = np.zeros(len(rows), np.bool_)
     for corners in seen.corners_xyxy.values():
@@ -426,15 +1092,15 @@ def _supports(seen: Observations, rows: Int64Array) -> UInt8Array:
     return np.where(seen.measured[rows], supports, Support.IMAGE).astype(np.uint8)
 
 
-def _compare_with_outlines(objects: Population, observation: Observation) -> ByCamera:
+def _compare_with_outlines(objects: _Population, observation: Observation) -> _ByCamera:
     """Learn how boxes in images differ from the outlines of the objects, and give these."""
-    likely = states.probabilities(objects.log_odds)
-    outlined: ByCamera = {}
+    likely = probabilities(objects.log_odds)
+    outlined: _ByCamera = {}
     for camera_id, view in observation.views.items():
-        lines = states.outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
+        lines = outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
         outlined[camera_id] = lines.corners_xyxy
         unknown = no_boxes(len(objects))
-        objects.differing[camera_id], objects.differing_variances[camera_id] = states.filtered(
+        objects.differing[camera_id], objects.differing_variances[camera_id] = _filtered(
             objects.differing.get(camera_id, unknown),
             objects.differing_variances.get(camera_id, unknown),
             objects.corners_xyxy.get(camera_id, unknown),
@@ -445,8 +1111,8 @@ def _compare_with_outlines(objects: Population, observation: Observation) -> ByC
 
 def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
     """The objects that are likely enough to be reported."""
-    likely = states.probabilities(moment.objects.log_odds) * (1.0 - moment.objects.hidden)
-    rows = np.flatnonzero(likely >= np.minimum(settings.report, 1.0 - SUREST))
+    likely = probabilities(moment.objects.log_odds) * (1.0 - moment.objects.hidden)
+    rows = np.flatnonzero(likely >= np.minimum(settings.report, 1.0 - _SUREST))
     objects = moment.objects.select(rows)
     corners = {}
     for camera_id, view in moment.observation.views.items():
@@ -454,16 +1120,16 @@ def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
         differing = objects.differing[camera_id]
         if settings.image_box is ImageBox.PROJECTED:
             differing = np.zeros_like(differing)
-        corners[camera_id] = states.applied(differing, outlined, view.camera.width, view.camera.height)
+        corners[camera_id] = applied(differing, outlined, view.camera.width, view.camera.height)
     return TrackedObjects(
         timestamp_ns=moment.observation.timestamp_ns,
         ids=objects.ids,
         labels=tuple(moment.words[k] for k in _most_votes(objects).tolist()),
         centers=objects.means[:, :3],
         sizes_lwh=objects.means[:, 3:6],
-        yaws=objects.means[:, states.YAW],
+        yaws=objects.means[:, YAW],
         velocities=objects.means[:, 7:10],
-        yaw_rates=objects.means[:, states.ROTATION],
+        yaw_rates=objects.means[:, ROTATION],
         covariances=objects.covariances[:, :10, :10],
         scores=likely[rows],
         supports=objects.supports,
@@ -471,5 +1137,5 @@ def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
     )
 
 
-def _most_votes(objects: Population) -> Int64Array:
+def _most_votes(objects: _Population) -> Int64Array:
     return objects.votes.argmax(axis=1) if len(objects) else np.zeros(0, np.int64)

@@ -10,8 +10,7 @@ from scipy.ndimage import map_coordinates
 from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.calibrate.measures import UNITS, Change
-from sceneloom.calibrate.refinement import RefinementVerdict, refine, views_of
-from sceneloom.calibrate.refinement_objective import find_cues, moving_pixels
+from sceneloom.calibrate.refinement import RefinementVerdict, find_cues, moving_pixels, refine, views_of
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform

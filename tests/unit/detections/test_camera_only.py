@@ -5,8 +5,8 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
-from sceneloom.detections.camera_only import EDGES, position_by_height
 from sceneloom.detections.detectors import KINDS, numbers_of, table_rows
+from sceneloom.detections.projection import EDGES, position_by_height
 from sceneloom.geometry.rigid import RigidTransform
 
 CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)

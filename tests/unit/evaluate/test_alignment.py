@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom import evaluate_trajectory
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.evaluate.trajectory_errors import MatchedPoses, Pairs, align_pairs, umeyama
+from sceneloom.evaluate.trajectory import MatchedPoses, Pairs, align_pairs, umeyama
 from sceneloom.scene import Trajectory
 
 

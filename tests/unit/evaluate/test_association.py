@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom import evaluate_trajectory
 from sceneloom.errors import ArrayError, OptionError, PoseError
-from sceneloom.evaluate.trajectory_errors import associate_poses, covered_share
+from sceneloom.evaluate.trajectory import associate_poses, covered_share
 from sceneloom.scene import Poses, Trajectory
 
 

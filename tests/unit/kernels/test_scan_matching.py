@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sceneloom.kernels.scan_matching import accumulate_normal_equations, move_points, thin_points
-from sceneloom.motion.odometry.registration import LocalMap
+from sceneloom.motion.odometry import LocalMap
 
 YAW_RATE, VELOCITY = np.array([0.05, -0.1, 0.8]), np.array([9.0, 2.0, -0.3])
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sceneloom.motion.odometry.registration import SurfaceLevel
+from sceneloom.motion.odometry import SurfaceLevel
 
 NOISE = 0.02
 

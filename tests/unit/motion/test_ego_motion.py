@@ -48,9 +48,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         calls.append(options)
         return SimpleNamespace(trajectory=FOUND, warnings=(NOTE,))
 
-    module = ModuleType("sceneloom.motion.odometry.run")
+    module = ModuleType("sceneloom.motion.odometry")
     module.lidar_odometry = lidar_odometry  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "sceneloom.motion.odometry.run", module)
+    monkeypatch.setitem(sys.modules, "sceneloom.motion.odometry", module)
     return calls
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import OptionError, OutputError
-from sceneloom.motion.clock.estimate import ClockVerdict
+from sceneloom.motion.clock.comparison import ClockVerdict
 from sceneloom.pipeline import sync
 from sceneloom.pipeline.syncing import AppliedCorrection, corrected_scene
 from sceneloom.scene import Scene

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.tracking.observation import UNKNOWN_VARIANCE, visibility
+from sceneloom.tracking.tracker import UNKNOWN_VARIANCE, visibility
 
 ROTATION = RigidTransform(
     np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([5.0, 6.0, 7.0])

@@ -10,8 +10,14 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import SceneloomError
-from sceneloom.motion.clock.comparison import LEVER_SIGMA, REACH_NS, compare_trajectories, compare_turnings
-from sceneloom.motion.clock.estimate import ClockEstimate, ClockVerdict
+from sceneloom.motion.clock.comparison import (
+    LEVER_SIGMA,
+    REACH_NS,
+    ClockEstimate,
+    ClockVerdict,
+    compare_trajectories,
+    compare_turnings,
+)
 from sceneloom.motion.clock.signals import (
     DeadReckonedTrajectory,
     Fixes,
@@ -152,7 +158,7 @@ def _trajectory_reported(trajectory: Trajectory) -> _ReportedMotion:
 
 
 def _of_lidar(stream: Stream, progress: Progress | None) -> _ReportedMotion:
-    from sceneloom.motion.odometry.run import lidar_odometry
+    from sceneloom.motion.odometry import lidar_odometry
 
     lidar: LidarSensor = stream.source
     if lidar.points_frame is PointsFrame.WORLD:

@@ -1,6 +1,10 @@
-"""The GNSS/IMU smoother of a whole drive: all measurements at once, slow GNSS errors, and the trajectory of a scene."""
+"""GNSS/IMU smoothing: the ego trajectory that fits GNSS fixes, IMU samples and lidar odometry best.
 
-from dataclasses import dataclass, replace
+And lidar odometry.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,41 +17,1058 @@ from sceneloom.geometry.rotations import (
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
-from sceneloom.kernels.imu_chain import preintegrate_until
+from sceneloom.kernels import imu_chain as kernels
+from sceneloom.kernels.imu_chain import (
+    ACCELEROMETER,
+    GYROSCOPE,
+    MOTION_CHAIN_ROTATION,
+    POSITION,
+    SIZE,
+    VELOCITY,
+    chain_covariances,
+    preintegrate_until,
+    solve_chain,
+)
 from sceneloom.motion.ego_trajectory import gnss_receivers
-from sceneloom.motion.gnss_imu.chain import Chain, RelativePoses, States, covariances, equations
-from sceneloom.motion.gnss_imu.constraints import led_by_lidar, lidar_steps, misfit, stops, vehicle_speeds
 from sceneloom.motion.gnss_imu.measurements import (
     CLOSEST_NS,
     DEFAULTS,
+    Fixes,
     GnssFixes,
     InertialSamples,
     Preintegrated,
     SmootherSettings,
     carried_fixes,
     check_times,
+    crossed_with,
+    fix_variances,
     gnss_fixes,
     inertial_samples,
     knot_times,
     noise_densities,
     preintegrated,
 )
-from sceneloom.motion.gnss_imu.robust import (
-    Fit,
-    coasted,
-    fit_gently,
-    fit_sternly,
-    inertial_factors,
-    oriented,
-    rescaled,
-    stationary_states,
-)
-from sceneloom.motion.imu import find_stationary
+from sceneloom.motion.imu import QUIET_FORCE, QUIET_RATE, WHITE, find_stationary
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene
 from sceneloom.warnings import DataWarning, WarningKind
 
-_ROUNDS = 4
+_MAX_DAMPINGS = 12
+
+_LARGEST_DAMPING = 1e3
+"""Where this many times the diagonal does not make equations solvable, they hold no numbers."""
+
+_UNKNOWN_SPEED, _UNKNOWN_ROTATION, _TILT = 100.0, np.pi, 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class States:
+    """K states.
+
+    Attributes:
+        rotations: (K, 3, 3) `world_from_body`.
+        positions, velocities: (K, 3) [m] and [m/s], world.
+        biases: (K, 6) of the gyroscope [rad/s] and of the accelerometer [m/s²].
+    """
+
+    rotations: Float64Array
+    positions: Float64Array
+    velocities: Float64Array
+    biases: Float64Array
+
+    def __post_init__(self) -> None:
+        for name in ("rotations", "positions", "velocities", "biases"):
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
+
+    def stepped(self, step: Float64Array) -> "States":
+        """Go a step, (K, 15) in the order of `kernels.motion_chain`."""
+        rotations = matrix_from_quaternion(quaternion_from_rotation_vector(step[:, MOTION_CHAIN_ROTATION]))
+        return States(
+            self.rotations @ rotations,
+            self.positions + step[:, POSITION],
+            self.velocities + step[:, VELOCITY],
+            self.biases + step[:, 9:],
+        )
+
+    def part(self, first: int, last: int) -> "States":
+        """States `first` to `last`, without the latter."""
+        rows = slice(first, last)
+        return States(
+            self.rotations[rows].copy(),
+            self.positions[rows].copy(),
+            self.velocities[rows].copy(),
+            self.biases[rows].copy(),
+        )
+
+    def joined(self, later: "States") -> "States":
+        """These states and then others."""
+        return States(
+            np.concatenate([self.rotations, later.rotations]),
+            np.concatenate([self.positions, later.positions]),
+            np.concatenate([self.velocities, later.velocities]),
+            np.concatenate([self.biases, later.biases]),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelativePoses:
+    """Measured poses of states as seen from those before, `earlier_from_later`.
+
+    Attributes:
+        locations: (F,) int64, the earlier states.
+        rotations: (F, 3, 3); ways: (F, 3) [m].
+        information: (F, 6, 6) of rotation [rad] and trajectory.
+    """
+
+    locations: Int64Array
+    rotations: Float64Array
+    trajectories: Float64Array
+    information: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodySpeeds:
+    """Known speeds along axes of the body.
+
+    Attributes:
+        locations: (F,) int64, the states.
+        axes: (F, 3) unit vectors in the body; speeds: (F,) [m/s]; sigmas: (F,) [m/s].
+    """
+
+    locations: Int64Array
+    axes: Float64Array
+    speeds: Float64Array
+    sigmas: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """Everything that was measured of K states.
+
+    Attributes:
+        knots_ns: (K,) int64 [ns], their times.
+        measured: (K - 1,) bool, between which an IMU measured.
+        inertial: what it measured, for all K - 1 intervals; what stands in the others does not count.
+        fixes, relative, speeds: further measurements.
+        gravity: [m/s²], down the world's z axis.
+        settings: noise that is taken for granted.
+        information: (K - 1, 9, 9) of what the IMU measured.
+    """
+
+    knots_ns: Int64Array
+    measured: BoolArray
+    inertial: Preintegrated
+    fixes: Fixes
+    gravity: float
+    settings: SmootherSettings
+    relative: tuple[RelativePoses, ...] = ()
+    speeds: tuple[BodySpeeds, ...] = ()
+    information: Float64Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        information = np.zeros((len(self.measured), 9, 9))
+        if self.measured.any():
+            information[self.measured] = np.linalg.inv(self.inertial.covariances[self.measured])
+        object.__setattr__(self, "information", information)
+
+    @property
+    def seconds(self) -> Float64Array:
+        """(K - 1,) between the states."""
+        seconds: Float64Array = np.diff(self.knots_ns) * 1e-9
+        return seconds
+
+    def part(self, first: int, last: int) -> "Chain":
+        """What was measured of states `first` to `last`, without the latter."""
+        rows = slice(first, last - 1)
+        return replace(
+            self,
+            knots_ns=self.knots_ns[first:last],
+            measured=self.measured[rows],
+            inertial=self.inertial.part(rows),
+            fixes=self.fixes.within(first, last),
+            relative=tuple(_relative_within(one, first, last) for one in self.relative),
+            speeds=tuple(_speeds_within(one, first, last) for one in self.speeds),
+        )
+
+
+def _relative_within(one: RelativePoses, first: int, last: int) -> RelativePoses:
+    inside = (one.locations >= first) & (one.locations < last - 1)
+    return RelativePoses(
+        one.locations[inside] - first,
+        one.rotations[inside],
+        one.trajectories[inside],
+        one.information[inside],
+    )
+
+
+def _speeds_within(one: BodySpeeds, first: int, last: int) -> BodySpeeds:
+    inside = (one.locations >= first) & (one.locations < last)
+    return BodySpeeds(one.locations[inside] - first, one.axes[inside], one.speeds[inside], one.sigmas[inside])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Equations:
+    """Normal equations around some states, and how well these fit.
+
+    Attributes:
+        blocks, couplings, right: (K, 15, 15), (K - 1, 15, 15), (K, 15).
+        cost: weighted sum of squares.
+        fix_residuals: (F, 3) [m].
+    """
+
+    blocks: Float64Array
+    couplings: Float64Array
+    right: Float64Array
+    cost: float
+    fix_residuals: Float64Array
+
+
+def equations(chain: Chain, states: States, weights: Float64Array) -> _Equations:
+    """Linearise everything that was measured around some states.
+
+    Args:
+        weights: (F,) of the fixes, 0 to 1.
+    """
+    count = len(states.positions)
+    blocks, couplings = np.zeros((count, SIZE, SIZE)), np.zeros((count - 1, SIZE, SIZE))
+    right = np.zeros((count, SIZE))
+    normal = (blocks, couplings, right)
+    cost = _add_priors(chain, states, blocks, right)
+    cost += _add_motion(chain, states, normal)
+    for relative in chain.relative:
+        residuals = np.empty((len(relative.locations), 6))
+        cost += kernels.add_relative_poses(
+            states.rotations, states.positions, relative.locations, relative.rotations, relative.trajectories,
+            relative.information, *normal, residuals,
+        )  # fmt: skip
+    for speeds in chain.speeds:
+        speed_residuals = np.empty(len(speeds.locations))
+        cost += kernels.add_body_speeds(
+            states.rotations, states.velocities, speeds.locations, speeds.axes, speeds.speeds,
+            speeds.sigmas**-2.0, blocks, right, speed_residuals,
+        )  # fmt: skip
+    fixes = chain.fixes
+    fix_residuals = np.empty((len(fixes), 3))
+    cost += kernels.add_fixes(
+        states.rotations, states.positions, states.velocities, states.biases, fixes.locations, fixes.seconds,
+        fixes.positions, fixes.levers, fixes.falls, fixes.slopes, fixes.biases,
+        weights[:, None] * fixes.sigmas**-2.0, blocks, right, fix_residuals,
+    )  # fmt: skip
+    return _Equations(blocks, couplings, right, cost, fix_residuals)
+
+
+def _add_priors(chain: Chain, states: States, blocks: Float64Array, right: Float64Array) -> float:
+    """What is known of the first state before anything was measured; without an IMU, that it stands about upright."""
+    settings = chain.settings
+    cost = 0.0
+    for rows, value, sigma in (
+        (VELOCITY, states.velocities[0], _UNKNOWN_SPEED),
+        (GYROSCOPE, states.biases[0, :3], settings.gyroscope_bias),
+        (ACCELEROMETER, states.biases[0, 3:], settings.accelerometer_bias),
+    ):
+        blocks[0, rows, rows] += np.eye(3) * sigma**-2
+        right[0, rows] -= value * sigma**-2
+        cost += float(value @ value) * sigma**-2
+    blocks[0, MOTION_CHAIN_ROTATION, MOTION_CHAIN_ROTATION] += np.eye(3) * _UNKNOWN_ROTATION**-2
+    if not chain.measured.any():
+        k = next((int(one.locations[0]) for one in chain.relative if len(one.locations)), 0)
+        slope = np.cross(states.rotations[k], [0.0, 0.0, -1.0])[:2]
+        tilt = states.rotations[k][:2, 2]
+        blocks[k, MOTION_CHAIN_ROTATION, MOTION_CHAIN_ROTATION] += slope.T @ slope * _TILT**-2
+        right[k, MOTION_CHAIN_ROTATION] -= slope.T @ tilt * _TILT**-2
+        cost += float(tilt @ tilt) * _TILT**-2
+    return cost
+
+
+def _add_motion(
+    chain: Chain, states: States, normal: tuple[Float64Array, Float64Array, Float64Array]
+) -> float:
+    settings, seconds, inertial = chain.settings, chain.seconds, chain.inertial
+    walks = np.repeat([settings.gyroscope_walk, settings.accelerometer_walk], 3)
+    walk = 1.0 / (seconds[:, None] * walks**2)
+    cost = kernels.add_walk(states.biases, walk, *normal)
+    cost += kernels.add_inertial(
+        states.rotations, states.positions, states.velocities, states.biases, seconds, chain.gravity,
+        np.flatnonzero(chain.measured), inertial.rotations, inertial.gains, inertial.trajectories, inertial.slopes,
+        chain.information, inertial.biases, *normal,
+    )  # fmt: skip
+    coasting = np.flatnonzero(~chain.measured)
+    if len(coasting) == 0:
+        return float(cost)
+    cost += kernels.add_coasting(
+        states.positions, states.velocities, seconds, coasting, settings.acceleration**2, *normal
+    )
+    rotations = np.tile(np.eye(3), (len(coasting), 1, 1))
+    information = np.zeros((len(coasting), 6, 6))
+    information[:, :3, :3] = np.eye(3) / (settings.rotating**2 * seconds[coasting, None, None])
+    cost += kernels.add_relative_poses(
+        states.rotations, states.positions, coasting, rotations, np.zeros((len(coasting), 3)), information, *normal,
+        np.empty((len(coasting), 6)),
+    )  # fmt: skip
+    return float(cost)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """A step towards states that fit better.
+
+    Attributes:
+        states: after the step.
+        equations: around these, with the weights of the step.
+        damping: with which the step was found, to begin the next with.
+    """
+
+    states: States
+    equations: _Equations
+    damping: float
+
+
+def step(
+    chain: Chain, states: States, weights: Float64Array, damping: float, *, here: _Equations | None = None
+) -> Step:
+    """Go one step of Levenberg and Marquardt; where no step helps, none is gone.
+
+    Args:
+        here: equations around the states with these weights, where they are known already.
+
+    Source: Madsen, Nielsen and Tingleff 2004, "Methods for Non-Linear Least Squares Problems", 3.2.
+    """
+    here = equations(chain, states, weights) if here is None else here
+    factors, gains = np.empty_like(here.blocks), np.empty_like(here.couplings)
+    solution = np.empty_like(here.right)
+    for _ in range(_MAX_DAMPINGS):
+        failed = solve_chain(here.blocks, here.couplings, here.right, damping, factors, gains, solution)
+        if failed < 0 and np.isfinite(solution).all():
+            stepped = states.stepped(solution)
+            there = equations(chain, stepped, weights)
+            if there.cost <= here.cost * (1.0 + 1e-12) + 1e-12:
+                return Step(stepped, there, 0.0 if damping < 1e-8 else damping / 10.0)
+        damping = max(10.0 * damping, 1e-6)
+    return Step(states, here, damping)
+
+
+def _covariances(chain: Chain, states: States, weights: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Give the covariance of each state, (K, 15, 15), and with the next, (K - 1, 15, 15).
+
+    Raises:
+        PoseError: the equations hold what is no number.
+    """
+    here = equations(chain, states, weights)
+    factors, gains = np.empty_like(here.blocks), np.empty_like(here.couplings)
+    damping, solution = 0.0, np.empty_like(here.right)
+    while solve_chain(here.blocks, here.couplings, here.right, damping, factors, gains, solution) >= 0:
+        if damping > _LARGEST_DAMPING:
+            raise PoseError("the measurements leave the trajectory open: their equations have no solution")
+        damping = max(10.0 * damping, 1e-14)
+    own, between = np.empty_like(here.blocks), np.empty_like(here.couplings)
+    chain_covariances(factors, gains, own, between)
+    return own, between
+
+
+def inertial_residuals(chain: Chain, states: States) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """How far the states are from what the IMU measured: (K - 1, 9), and slopes by both states, (K - 1, 9, 15).
+
+    The slopes of the rotation leave out what is second order in its residual.
+    """
+    seconds, inertial = chain.seconds[:, None], chain.inertial
+    changes = np.einsum("nij,nj->ni", inertial.slopes, states.biases[:-1] - inertial.biases)
+    before, inverse = states.rotations[:-1], np.swapaxes(states.rotations[:-1], 1, 2)
+    relative = inverse @ states.rotations[1:]
+    expected = inertial.rotations @ matrix_from_quaternion(quaternion_from_rotation_vector(changes[:, :3]))
+    apart = np.swapaxes(expected, 1, 2) @ relative
+    down = np.array([0.0, 0.0, -chain.gravity])
+    gain = np.diff(states.velocities, axis=0) - seconds * down
+    trajectory = (
+        np.diff(states.positions, axis=0) - seconds * states.velocities[:-1] - 0.5 * seconds**2 * down
+    )
+    felt, gone = (np.einsum("nji,nj->ni", before, vector) for vector in (gain, trajectory))
+    rotation = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
+    residuals = np.hstack([rotation, felt - inertial.gains, gone - inertial.trajectories])
+    residuals[:, 3:] -= changes[:, 3:]
+    first, second = np.zeros((len(seconds), 9, SIZE)), np.zeros((len(seconds), 9, SIZE))
+    first[:, :3, MOTION_CHAIN_ROTATION], second[:, :3, MOTION_CHAIN_ROTATION] = (
+        -np.swapaxes(relative, 1, 2),
+        np.eye(3),
+    )
+    first[:, 3:6, MOTION_CHAIN_ROTATION], first[:, 6:9, MOTION_CHAIN_ROTATION] = (
+        -crossed_with(felt),
+        -crossed_with(gone),
+    )
+    first[:, 3:6, VELOCITY], second[:, 3:6, VELOCITY] = -inverse, inverse
+    first[:, 6:9, POSITION], second[:, 6:9, POSITION] = -inverse, inverse
+    first[:, 6:9, VELOCITY] = -seconds[:, :, None] * inverse
+    first[:, :, 9:] = -inertial.slopes
+    return residuals, first, second
+
+
+_HUBER = 1.5
+"""Standard deviations from which on a fix loses weight while the states are still far off."""
+
+_MOST_STEPS = 30
+
+_SETTLED = 1e-4
+"""Change of the cost, relative to it, below which no further step is gone."""
+
+_MOST_ROUNDS, _FEW_STEPS, _MOST_CHANGES = 25, 4, 3
+"""Rounds of leaving out and taking back, steps in each, and how often one fix may change."""
+
+_READMITTED, _AROUND = 0.7, 2
+"""A fix comes back well inside the gate; of so many neighbours on each side only the worst goes at a time."""
+
+_MEDIAN_FLAT, _MEDIAN_UP, _MEDIAN_ROOT = 1.3863, 0.4549, 0.888
+"""Medians of chi-square with two degrees of freedom, with one, and of the root of a third of it with three."""
+
+_DECLARED_WORTH = 1.0
+"""The accuracy that a receiver reports counts as this many measurements of it."""
+
+_INERTIAL_WORTH = 6.0
+"""What the samples report their noise counts as this many measurements of it."""
+
+_LEAST_SCALE, _LARGEST_SCALE = 1e-3, 1e3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """States that fit a chain's measurements.
+
+    Attributes:
+        chain: the measurements, their noise as found.
+        states: which fit them.
+        weights: (F,) of the fixes, 0 to 1.
+        cost: weighted sum of squares.
+    """
+
+    chain: Chain
+    states: States
+    weights: Float64Array
+    cost: float
+
+
+def _squares(fixes: Fixes, residuals: Float64Array) -> Float64Array:
+    """(F,) squared distance of each fix in standard deviations."""
+    distance: Float64Array = ((residuals / fixes.sigmas) ** 2).sum(axis=1)
+    return distance
+
+
+def _fit_gently(chain: Chain, states: States, *, steps: int = _MOST_STEPS) -> _Fit:
+    """Fit with weights that fall off slowly (Huber 1964), so that no start is too far off."""
+    return _fitted(chain, states, steps)
+
+
+def _fit_sternly(fit: _Fit, *, scaled: bool) -> _Fit:
+    """Fit with fixes that have a state or none: those that jump lose it, worst first, and may get it back.
+
+    Each fix is held against where the others state that it should be, in standard deviations, so that one at an end or
+    in a gap, which bends the trajectory towards itself, is found as well. Until the noise is scaled, the median of
+    these distances reports it, which half of the fixes cannot spoil.
+
+    Args:
+        fit: to begin with.
+        scaled: whether the fixes' noise is known from their residuals.
+
+    Source: Baarda 1968, "A Testing Procedure for Use in Geodetic Networks"; for the gate in two dimensions, the
+    distribution of Rayleigh.
+    """
+    states, weights = fit.states, fit.weights
+    changes = np.zeros(len(weights), np.int64)
+    for number in range(_MOST_ROUNDS):
+        if number:
+            states = _settled(fit.chain, states, weights, _FEW_STEPS).states
+        ratios = _gate_ratios(_Fit(fit.chain, states, weights, 0.0), scaled=scaled)
+        allowed = changes < _MOST_CHANGES
+        dropped = (
+            (ratios > 1.0)
+            & (weights > 0)
+            & _is_worst_around(np.where(weights > 0, ratios, -np.inf))
+            & allowed
+        )
+        taken = (ratios < _READMITTED) & (weights == 0) & allowed
+        full = np.where(dropped, 0.0, np.where(taken | (weights > 0), 1.0, 0.0))
+        if number and (full == weights).all():
+            break
+        changes += (full > 0) != (weights > 0)
+        weights = full
+    return _settled(fit.chain, states, weights, _MOST_STEPS)
+
+
+def _gate_ratios(fit: _Fit, *, scaled: bool) -> Float64Array:
+    """(F,) squared distances of the fixes from where the others put them, in units of the gate's."""
+    chain, fixes = fit.chain, fit.chain.fixes
+    own, _ = _covariances(chain, fit.states, fit.weights)
+    spread = fix_variances(fixes, fit.states.rotations, own)
+    residuals = equations(chain, fit.states, fit.weights).fix_residuals
+    known = np.where(fit.weights[:, None] > 0, -fit.weights[:, None] * spread, spread)
+    apart = residuals**2 / np.maximum(fixes.sigmas**2 + known, 0.05 * fixes.sigmas**2)
+    flat, up = apart[:, :2].sum(axis=1), apart[:, 2]
+    rare = math.erfc(chain.settings.gate / math.sqrt(2.0))
+    ratios = np.empty(len(fixes))
+    for receiver in np.unique(fixes.receivers):
+        rows = fixes.receivers == receiver
+        if not scaled:
+            flat[rows] /= max(np.median(flat[rows]) / _MEDIAN_FLAT, _LEAST_SCALE**2)
+            up[rows] /= max(np.median(up[rows]) / _MEDIAN_UP, _LEAST_SCALE**2)
+        taken = np.clip(known[rows] / fixes.sigmas[rows] ** 2, -1.0, 0.0)
+        free = (fit.weights[rows, None] * (1.0 + taken)).sum(axis=0)
+        across = _rarity(flat[rows], float(free[:2].sum()), 2, scaled=scaled)
+        along_up = _rarity(up[rows], float(free[2]), 1, scaled=scaled)
+        ratios[rows] = np.maximum(across, along_up) / -math.log(rare)
+    return ratios
+
+
+def _rarity(distances: Float64Array, free: float, axes: int, *, scaled: bool) -> Float64Array:
+    """How rare distances are, as minus the logarithm; for one axis as if it were two, which is nearly the same.
+
+    Where the noise comes from the residuals, one that jumps has its share in it: the fewer there are, the more.
+
+    Source: Pope 1976, "The Statistics of Residuals and the Detection of Outliers", for two axes in closed form.
+    """
+    rarity: Float64Array = 0.5 * distances
+    if scaled and free > axes + 1.0:
+        rarity = -0.5 * (free - axes) * np.log(np.maximum(1.0 - distances / free, 1e-12))
+    return rarity
+
+
+def _is_worst_around(ratios: Float64Array) -> BoolArray:
+    padded = np.pad(ratios, _AROUND, constant_values=-np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1)
+    worst: BoolArray = ratios >= windows.max(axis=1)
+    return worst
+
+
+def _settled(chain: Chain, states: States, weights: Float64Array, steps: int) -> _Fit:
+    """Go steps with given weights until nothing changes."""
+    damping = 0.0
+    here = equations(chain, states, weights)
+    for _ in range(steps):
+        gone = step(chain, states, weights, damping, here=here)
+        settled = here.cost - gone.equations.cost <= _SETTLED * here.cost
+        states, damping, here = gone.states, gone.damping, gone.equations
+        if settled:
+            break
+    return _Fit(chain, states, weights, here.cost)
+
+
+def _fitted(chain: Chain, states: States, steps: int) -> _Fit:
+    damping, cost = 1e-4, np.inf
+    weights = np.ones(len(chain.fixes))
+    here = equations(chain, states, weights)
+    for _ in range(steps):
+        roots = np.sqrt(np.maximum(_squares(chain.fixes, here.fix_residuals) / 3.0, 1e-30))
+        middle = float(np.median(roots)) if len(roots) else _MEDIAN_ROOT
+        bend = _HUBER * max(middle / _MEDIAN_ROOT, _LEAST_SCALE)
+        weights = np.minimum(1.0, bend / roots)
+        gone = step(chain, states, weights, damping)
+        states, damping, here = gone.states, gone.damping, gone.equations
+        total = _huber_cost(chain, here, weights, bend)
+        if abs(cost - total) <= _SETTLED * total:
+            break
+        cost = total
+    return _Fit(chain, states, weights, total)
+
+
+def _huber_cost(chain: Chain, here: _Equations, weights: Float64Array, bend: float) -> float:
+    distances = _squares(chain.fixes, here.fix_residuals)
+    quadratic = float((weights * distances).sum())
+    roots = np.sqrt(distances / 3.0)
+    huber = np.where(roots <= bend, distances, 3.0 * (2.0 * bend * roots - bend**2))
+    return here.cost - quadratic + float(huber.sum())
+
+
+def _rescaled(fit: _Fit) -> tuple[_Fit, Float64Array]:
+    """Scale the fixes' noise to what their residuals show.
+
+    Returns:
+        The fit, with the new noise in its chain, and (F, 2) the factors, horizontal and vertical.
+
+    Source: Förstner 1979, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten": the sum of squares over
+    the redundancy, which the states' own covariance reports.
+    """
+    chain, fixes = fit.chain, fit.chain.fixes
+    own, _ = _covariances(chain, fit.states, fit.weights)
+    spread = fix_variances(fixes, fit.states.rotations, own)
+    residuals = equations(chain, fit.states, fit.weights).fix_residuals
+    share = (fit.weights[:, None] / fixes.sigmas**2) * spread
+    redundancy = fit.weights[:, None] * np.clip(1.0 - share, 0.0, 1.0)
+    weighted = fit.weights[:, None] * (residuals / fixes.sigmas) ** 2
+    factors = np.ones((len(fixes), 2))
+    for receiver in np.unique(fixes.receivers):
+        rows = fixes.receivers == receiver
+        for column, axes in enumerate((slice(0, 2), slice(2, 3))):
+            total = weighted[rows, axes].sum() + _DECLARED_WORTH
+            free = redundancy[rows, axes].sum() + _DECLARED_WORTH
+            factors[rows, column] = np.clip(np.sqrt(total / free), _LEAST_SCALE, _LARGEST_SCALE)
+    sigmas = np.maximum(fixes.sigmas * factors[:, [0, 0, 1]], chain.settings.least_fix_noise)
+    return replace(fit, chain=replace(chain, fixes=replace(fixes, sigmas=sigmas))), factors
+
+
+def _inertial_factors(fit: _Fit) -> Float64Array:
+    """(2,) factors by which the IMU's noise, of yaw rate and force, shows to be larger than taken; at least 1.
+
+    Source: Förstner 1979, as in `_rescaled`; the rotation's share of velocity and trajectory is taken out first.
+    """
+    chain = fit.chain
+    rows = np.flatnonzero(chain.measured)
+    if len(rows) == 0:
+        return np.ones(2)
+    own, between = _covariances(chain, fit.states, fit.weights)
+    residuals, first, second = inertial_residuals(chain, fit.states)
+    whitened = np.linalg.inv(np.linalg.cholesky(chain.inertial.covariances[rows]))
+    residuals = np.einsum("nij,nj->ni", whitened, residuals[rows])
+    first, second = whitened @ first[rows], whitened @ second[rows]
+    early, late, cross = own[rows], own[rows + 1], between[rows]
+    taken = np.einsum("nij,njk,nik->ni", first, early, first)
+    taken += np.einsum("nij,njk,nik->ni", second, late, second)
+    taken += 2.0 * np.einsum("nij,njk,nik->ni", first, cross, second)
+    redundancy = np.clip(1.0 - taken, 0.0, 1.0)
+    factors = np.ones(2)
+    for k, columns in enumerate((slice(0, 3), slice(3, 9))):
+        total = (residuals[:, columns] ** 2).sum() + _INERTIAL_WORTH
+        free = redundancy[:, columns].sum() + _INERTIAL_WORTH
+        factors[k] = np.clip(np.sqrt(total / free), 1.0, _LARGEST_SCALE)
+    return factors
+
+
+_FIRST_TRAJECTORY, _FIRST_SECONDS, _FIRST_KNOTS = 30.0, 10.0, 12
+"""The first piece that is fitted lasts so long and reaches so far [m], as far as there is as much."""
+
+_SPAN = 1.0
+"""Gains of velocity are compared over this time [s], so that the noise of velocities counts less."""
+
+_QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
+
+_SURELY_BETTER = 9.0
+"""A start that needs the ego to look elsewhere than ahead has to fit better by so much: three standard deviations."""
+
+
+def _coasted(chain: Chain, states: States) -> _Fit:
+    """Fit the fixes alone, and find their noise."""
+    fit = _fit_gently(chain, states)
+    for _ in range(3):
+        fit, _ = _rescaled(fit)
+        fit = _fit_gently(fit.chain, fit.states)
+    return fit
+
+
+def _stationary_states(chain: Chain, gyroscope_bias: Float64Array | None = None) -> States:
+    """States at the fixes, level, looking east, without speed."""
+    count = len(chain.knots_ns)
+    fixes = chain.fixes
+    start_ns = chain.knots_ns[0]
+    seconds, reported = (chain.knots_ns - start_ns) * 1e-9, (fixes.timestamps_ns - start_ns) * 1e-9
+    positions = np.stack([np.interp(seconds, reported, column) for column in fixes.positions.T], axis=1)
+    biases = np.zeros((count, 6))
+    if gyroscope_bias is not None:
+        biases[:, :3] = gyroscope_bias
+    return States(np.tile(np.eye(3), (count, 1, 1)), positions, np.zeros((count, 3)), biases)
+
+
+def _oriented(chain: Chain, coasting: States) -> _Fit:
+    """Fit fixes and IMU: a first piece from several headings, then more and more of the drive around it."""
+    count = len(chain.knots_ns)
+    first, last = _first_piece(chain, coasting)
+    fit = _best_of_headings(chain.part(first, last), coasting.part(first, last))
+    while first > 0 or last < count:
+        length = last - first
+        earlier, later = max(first - length, 0), min(last + length, count)
+        states = _extended(chain, coasting, fit.states, first, last, earlier, later)
+        fit = _fit_gently(chain.part(earlier, later), states)
+        first, last = earlier, later
+    return fit
+
+
+def _first_piece(chain: Chain, states: States) -> tuple[int, int]:
+    """The first knots over which the IMU measured without a gap and the ego moved far enough, else the longest."""
+    seconds = np.concatenate([[0.0], np.cumsum(chain.seconds)])
+    trajectory = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(states.positions, axis=0), axis=1))])
+    longest = (0, min(2, len(seconds)))
+    for first, last in _measured_runs(chain):
+        enough = (trajectory[first:last] - trajectory[first] >= _FIRST_TRAJECTORY) & (
+            seconds[first:last] - seconds[first] >= _FIRST_SECONDS
+        )
+        enough &= np.arange(last - first) >= _FIRST_KNOTS
+        if enough.any():
+            stop = first + int(np.argmax(enough)) + 1
+            start = int(np.searchsorted(trajectory, trajectory[stop - 1] - 1.5 * _FIRST_TRAJECTORY))
+            start = min(start, int(np.searchsorted(seconds, seconds[stop - 1] - _FIRST_SECONDS)))
+            return max(first, start), stop
+        if trajectory[last - 1] - trajectory[first] > trajectory[longest[1] - 1] - trajectory[longest[0]]:
+            longest = (first, last)
+    return longest
+
+
+def _measured_runs(chain: Chain) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chain.measured, [False]]).astype(np.int8)))
+    return [(int(start), int(stop) + 1) for start, stop in edges.reshape(-1, 2)]
+
+
+def _best_of_headings(chain: Chain, states: States) -> _Fit:
+    """Try where the ego may have looked; where several fit alike, it looked where it went."""
+    rotated = _rotated_by_gyroscope(chain)
+    level = _wahba(chain, states, rotated)
+    headings = [_along_motion(states, level @ rotated)]
+    headings += [_about_up(angle) @ level for angle in _QUARTERS]
+    fits = []
+    for first in headings:
+        begun = replace(states, rotations=np.ascontiguousarray(first @ rotated))
+        fits.append(_fit_gently(chain, begun))
+    best = min(fits, key=lambda fit: fit.cost)
+    return fits[0] if fits[0].cost <= best.cost + _SURELY_BETTER else best
+
+
+def _rotated_by_gyroscope(chain: Chain) -> Float64Array:
+    """(K, 3, 3) `first_from_body` by the gyroscope alone, as preintegrated."""
+    inertial = chain.inertial
+    rotated = np.empty((len(chain.knots_ns), 3, 3))
+    rotated[0] = np.eye(3)
+    for k in range(len(chain.measured)):
+        rotated[k + 1] = rotated[k] @ inertial.rotations[k] if chain.measured[k] else rotated[k]
+    return rotated
+
+
+def _wahba(chain: Chain, states: States, rotated: Float64Array) -> Float64Array:
+    """The orientation at the first knot by which the felt gains of velocity become those of the fixes, and gravity.
+
+    Source: Wahba 1965, solved as by Markley 1988, "Attitude Determination using Vector Observations and the Singular
+    Value Decomposition".
+    """
+    seconds = chain.seconds
+    felt = np.einsum("kij,kj->ki", rotated[:-1], chain.inertial.gains)
+    seen = np.diff(states.velocities, axis=0) + seconds[:, None] * [0.0, 0.0, chain.gravity]
+    felt, seen = felt[chain.measured], seen[chain.measured]
+    span = np.floor(np.cumsum(seconds[chain.measured]) / _SPAN).astype(np.int64)
+    felt, seen = _sums(span, felt), _sums(span, seen)
+    u, _, vt = np.linalg.svd(seen.T @ felt)
+    rotation: Float64Array = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return rotation
+
+
+def _sums(groups: Int64Array, values: Float64Array) -> Float64Array:
+    return np.stack([np.bincount(groups, column) for column in values.T], axis=1)
+
+
+def _along_motion(states: States, rotations: Float64Array) -> Float64Array:
+    """The first orientation rotated about up so that on the whole the body looks where it goes."""
+    ahead = rotations[:, :2, 0]
+    speed = states.velocities[:, :2]
+    cosine = (ahead * speed).sum()
+    sine = (ahead[:, 0] * speed[:, 1] - ahead[:, 1] * speed[:, 0]).sum()
+    rotated: Float64Array = _about_up(float(np.arctan2(sine, cosine))) @ rotations[0]
+    return rotated
+
+
+def _about_up(angle: float) -> Float64Array:
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _extended(
+    chain: Chain, coasting: States, known: States, first: int, last: int, earlier: int, later: int
+) -> States:
+    """Carry orientations on by the gyroscope, beyond both ends of what is known; the rest comes from the fixes."""
+    rotations = np.empty((later - earlier, 3, 3))
+    rotations[first - earlier : last - earlier] = known.rotations
+    biases = np.empty((later - earlier, 6))
+    biases[: first - earlier], biases[last - earlier :] = known.biases[0], known.biases[-1]
+    biases[first - earlier : last - earlier] = known.biases
+    for k in range(last - 1, later - 1):
+        rotations[k + 1 - earlier] = rotations[k - earlier] @ _rotation(chain, k, known.biases[-1])
+    for k in range(first - 1, earlier - 1, -1):
+        rotations[k - earlier] = rotations[k + 1 - earlier] @ _rotation(chain, k, known.biases[0]).T
+    before, after = coasting.part(earlier, first), coasting.part(last, later)
+    joined = before.joined(known).joined(after)
+    return States(rotations, joined.positions, joined.velocities, biases)
+
+
+def _rotation(chain: Chain, k: int, bias: Float64Array) -> Float64Array:
+    if not chain.measured[k]:
+        return np.eye(3)
+    inertial = chain.inertial
+    vector = inertial.slopes[k, :3] @ (bias - inertial.biases[k])
+    rotated: Float64Array = inertial.rotations[k] @ matrix_from_quaternion(
+        quaternion_from_rotation_vector(vector)
+    )
+    return rotated
+
+
+_SECONDS, _LEAST_SAMPLES = 1.0, 15
+"""The IMU is judged over so long, and so many samples at least."""
+
+_YAW_RATE = 0.02
+"""Mean yaw rate of a stand, the bias taken off, at most [rad/s]."""
+
+_SPEED, _DEVIATIONS = 0.2, 3.0
+"""Speed that fixes may leave to a stand: at most this [m/s] and so many standard deviations more."""
+
+_STILL_SPEED, _STILL_ROTATION, _STILL_TRAJECTORY = 0.02, 2e-4, 2e-3
+"""How far a stand is none [m/s], and from one state to the next [rad] and [m]."""
+
+_WIDE = 1.5
+"""Excess of the variance over that of white noise that a low number of samples leaves to chance."""
+
+
+def _stops(
+    fit: _Fit, own: Float64Array, samples: InertialSamples
+) -> tuple[tuple[BodySpeeds, ...], tuple[RelativePoses, ...]]:
+    """Give what is known of the states at which the ego stands, as measurements.
+
+    The IMU is quiet, and what is left is noise without sway; the fixes leave no speed. A smooth even drive passes the
+    first test, hence the second.
+
+    Args:
+        own: (K, 15, 15) covariances of the states.
+
+    Source: Skog, Händel, Nilsson and Rantakokko 2010, "Zero-Velocity Detection - An Algorithm Evaluation"; as in
+    `motion.stationary`.
+    """
+    still = _stands(fit, own, samples)
+    rows = np.flatnonzero(still)
+    if len(rows) < 2:
+        return (), ()
+    axes = np.tile(np.eye(3), (len(rows), 1))
+    count = len(axes)
+    speeds = BodySpeeds(np.repeat(rows, 3), axes, np.zeros(count), np.full(count, _STILL_SPEED))
+    locations = np.flatnonzero(still[:-1] & still[1:])
+    information = np.diag(np.repeat([_STILL_ROTATION**-2, _STILL_TRAJECTORY**-2], 3))
+    relative = RelativePoses(
+        locations,
+        np.tile(np.eye(3), (len(locations), 1, 1)),
+        np.zeros((len(locations), 3)),
+        np.tile(information, (len(locations), 1, 1)),
+    )
+    return (speeds,), (relative,)
+
+
+def _stands(fit: _Fit, own: Float64Array, samples: InertialSamples) -> BoolArray:
+    chain, states = fit.chain, fit.states
+    quiet = _quiet(samples, chain.knots_ns, states.biases)
+    speed = np.linalg.norm(states.velocities, axis=1)
+    unsure = np.sqrt(np.einsum("kii->k", own[:, VELOCITY, VELOCITY]))
+    inside = np.ones(len(quiet), np.bool_)
+    inside[:-1] &= chain.measured
+    inside[1:] &= chain.measured
+    still: BoolArray = quiet & inside & (speed < _SPEED + _DEVIATIONS * unsure)
+    return still
+
+
+def _quiet(samples: InertialSamples, knots_ns: Int64Array, biases: Float64Array) -> BoolArray:
+    """Whether the IMU is quiet around each state."""
+    count = len(samples.timestamps_ns)
+    width = max(round(_SECONDS / samples.period), _LEAST_SAMPLES)
+    if count <= width:
+        return np.zeros(len(knots_ns), np.bool_)
+    values = samples.values - samples.values.mean(axis=0)
+    sums = _running(values)
+    squares = _running(values**2)
+    steps = _running(np.vstack([np.diff(values, axis=0) ** 2, np.zeros((1, 6))]))
+    middle = np.searchsorted(samples.timestamps_ns, knots_ns)
+    first = np.clip(middle - width // 2, 0, count - width)
+    mean = (sums[first + width] - sums[first]) / width
+    variance = np.maximum((squares[first + width] - squares[first]) / width - mean**2, 0.0)
+    successive = (steps[first + width - 1] - steps[first]) / (width - 1)
+    calm = (variance < np.repeat([QUIET_RATE**2, QUIET_FORCE**2], 3)).all(axis=1)
+    white = (variance <= _WIDE * WHITE * successive / 2 + 1e-20).all(axis=1)
+    rate = mean[:, :3] + samples.values.mean(axis=0)[:3] - biases[:, :3]
+    quiet: BoolArray = calm & white & (np.abs(rate) < _YAW_RATE).all(axis=1)
+    return quiet
+
+
+def _running(values: Float64Array) -> Float64Array:
+    sums: Float64Array = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return sums
+
+
+_EVERY = 1.0
+"""The knowledge is used this often [s]: what is wrong with it stays wrong for about so long."""
+
+_SLIP, _AXIS, _LEVER = 0.1, 0.02, 0.5
+"""It is wrong by a slip [m/s], a share of the speed since the axis is not exactly the body's, and the yaw rate times a
+lever [m], since the axle that does not slip is elsewhere."""
+
+_MOVING = 2.0
+"""Speed from which on a direction of motion counts [m/s]."""
+
+_LEAST_ROTATION, _LEAST_KNOTS = np.radians(40.0), 8
+"""To show that it holds, the ego has to rotate so far while it moves, over so many states."""
+
+_FAST = 5.0
+"""Or it moves so fast on the whole [m/s], along its x axis."""
+
+_LARGEST_SHARE = 0.3
+"""Sideways speeds have to be known to be below this share of the speed."""
+
+_LARGEST_MISFIT = 2.0
+"""Mean square of sideways speeds in units of what they may be."""
+
+
+def _vehicle_speeds(
+    fit: _Fit, own: Float64Array, samples: InertialSamples, *, asked: bool | None
+) -> BodySpeeds | None:
+    """Give the knowledge as measurements, if the states show that it holds, or if it is asked for.
+
+    It has to be seen in rotations, or at speed along the x axis: on a straight trajectory every body moves along one of
+        its axes.
+
+    Args:
+        own: (K, 15, 15) covariances of the states.
+        asked: True to have it in any case, False to have it in none, None for the states to decide.
+
+    Source: Dissanayake, Sukkarieh, Nebot and Durrant-Whyte 2001, "The Aiding of a Low-Cost Strapdown Inertial
+    Measurement Unit Using Vehicle Model Constraints for Land Vehicle Applications"; the test is ours.
+    """
+    if asked is False:
+        return None
+    chain, states = fit.chain, fit.states
+    inside = np.einsum("nji,nj->ni", states.rotations, states.velocities)
+    rates = _rates(chain, states, samples)
+    rows = _spread_out(chain)
+    if asked:
+        return _speeds(rows, np.array([1.0, 0.0, 0.0]), inside, rates)
+    for axis in _axes(inside):
+        speeds = _speeds(rows, axis, inside, rates)
+        if _shows(speeds, states, own, inside):
+            return speeds
+    return None
+
+
+def _misfit(speeds: BodySpeeds, states: States) -> float:
+    """Mean square of how far states are from it, in units of what they may be."""
+    inside = np.einsum("nji,nj->ni", states.rotations[speeds.locations], states.velocities[speeds.locations])
+    apart = (speeds.axes * inside).sum(axis=1) - speeds.speeds
+    return float(((apart / speeds.sigmas) ** 2).mean())
+
+
+def _axes(inside: Float64Array) -> list[Float64Array]:
+    """The axes along which the body may move: its own x, and that along which it did most."""
+    found = np.linalg.eigh(inside.T @ inside)[1][:, 2]
+    return [np.array([1.0, 0.0, 0.0]), found * np.sign(inside.sum(axis=0) @ found or 1.0)]
+
+
+def _spread_out(chain: Chain) -> Int64Array:
+    seconds = (chain.knots_ns - chain.knots_ns[0]) * 1e-9
+    _, rows = np.unique(np.floor(seconds / _EVERY + 1e-6), return_index=True)
+    chosen: Int64Array = rows
+    return chosen
+
+
+def _rates(chain: Chain, states: States, samples: InertialSamples) -> Float64Array:
+    """(K, 3) yaw rates at the states [rad/s]."""
+    start = samples.timestamps_ns[0]
+    times, knots = (samples.timestamps_ns - start) * 1e-9, (chain.knots_ns - start) * 1e-9
+    rates = np.stack([np.interp(knots, times, samples.values[:, k]) for k in range(3)], axis=1)
+    rotating: Float64Array = rates - states.biases[:, :3]
+    return rotating
+
+
+def _speeds(rows: Int64Array, axis: Float64Array, inside: Float64Array, rates: Float64Array) -> BodySpeeds:
+    """No speed across an axis, at some states."""
+    across = np.linalg.svd(axis[None])[2][1:]
+    sigma = np.sqrt(
+        _SLIP**2
+        + (_AXIS * np.linalg.norm(inside[rows], axis=1)) ** 2
+        + (_LEVER * np.linalg.norm(rates[rows], axis=1)) ** 2
+    )
+    locations = np.repeat(rows, 2)
+    return BodySpeeds(
+        locations, np.tile(across, (len(rows), 1)), np.zeros(len(locations)), np.repeat(sigma, 2)
+    )
+
+
+def _shows(speeds: BodySpeeds, states: States, own: Float64Array, inside: Float64Array) -> bool:
+    locations, axes = speeds.locations, speeds.axes
+    speed = np.linalg.norm(inside[locations], axis=1)
+    moving = speed > _MOVING
+    if moving.sum() < 2 * _LEAST_KNOTS:
+        return False
+    rotating = _rotated(states, np.unique(locations[moving])) >= _LEAST_ROTATION
+    fast = speed[moving].mean() >= _FAST and abs(axes[:, 0]).max() < 1e-6
+    if not (rotating or fast):
+        return False
+    u = inside[locations]
+    slopes = np.zeros((len(locations), 15))
+    slopes[:, MOTION_CHAIN_ROTATION] = np.cross(axes, u)
+    slopes[:, VELOCITY] = np.einsum("nij,nj->ni", states.rotations[locations], axes)
+    variance = np.einsum("ni,nij,nj->n", slopes, own[locations], slopes)
+    sideways = (axes * u).sum(axis=1)
+    known = np.sqrt((sideways**2 + variance)[moving].mean()) < _LARGEST_SHARE * np.sqrt(
+        (speed[moving] ** 2).mean()
+    )
+    agrees = (sideways**2 / (variance + speeds.sigmas**2))[moving].mean() < _LARGEST_MISFIT
+    return bool(known and agrees)
+
+
+def _rotated(states: States, rows: Int64Array) -> float:
+    """By how much the directions of motion at some states span [rad]."""
+    direction = np.unwrap(np.arctan2(states.velocities[rows, 1], states.velocities[rows, 0]))
+    return float(np.ptp(direction))
+
+
+_LIDAR_STEPS_LEAST_ROTATION, _LEAST_TRAJECTORY = 3e-4, 5e-3
+"""No step is believed to be better [rad] and [m]: what a fit onto the map repeats to."""
+
+_ROUNDS = 8
+"""Rounds of weighting the fixes by how they agree (L1)."""
+
+
+def _lidar_steps(lidar: Trajectory, knots_ns: Int64Array) -> RelativePoses:
+    """Give the steps from each state to the next within the odometry's trajectory, with what they add to its errors."""
+    found = lidar.poses.interpolate(knots_ns)
+    inside = found.coverage == 0
+    locations = np.flatnonzero(inside[:-1] & inside[1:])
+    rotations = np.full((len(knots_ns), 3, 3), np.nan)
+    rotations[inside] = matrix_from_quaternion(found.quaternions_xyzw[inside])
+    before, after = rotations[locations], rotations[locations + 1]
+    steps = found.positions[locations + 1] - found.positions[locations]
+    delta_rotations = np.swapaxes(before, 1, 2) @ after
+    trajectories = np.einsum("nji,nj->ni", before, steps)
+    added = _added(lidar, knots_ns, locations, steps)
+    covariances = np.zeros((len(locations), 6, 6))
+    covariances[:, :3, :3] = np.swapaxes(after, 1, 2) @ added[:, :3, :3] @ after
+    covariances[:, 3:, 3:] = np.swapaxes(before, 1, 2) @ added[:, 3:, 3:] @ before
+    covariances += np.diag(np.repeat([_LIDAR_STEPS_LEAST_ROTATION**2, _LEAST_TRAJECTORY**2], 3))
+    return RelativePoses(
+        locations, delta_rotations, trajectories, np.asarray(np.linalg.inv(covariances), np.float64)
+    )
+
+
+def _added(
+    lidar: Trajectory, knots_ns: Int64Array, locations: Int64Array, steps: Float64Array
+) -> Float64Array:
+    """What the odometry's covariance grows by in each step beyond what the error before it makes of it, (F, 6, 6)."""
+    if lidar.covariances is None:
+        return np.zeros((len(locations), 6, 6))
+    rows = np.clip(np.searchsorted(lidar.timestamps_ns, knots_ns), 0, len(lidar.timestamps_ns) - 1)
+    known = lidar.covariances[rows]
+    levers = np.tile(np.eye(6), (len(locations), 1, 1))
+    x, y, z = steps.T
+    nothing = np.zeros(len(locations))
+    levers[:, 3:, :3] = np.stack([nothing, z, -y, -z, nothing, x, y, -x, nothing], axis=1).reshape(-1, 3, 3)
+    grown = known[locations + 1] - levers @ known[locations] @ np.swapaxes(levers, 1, 2)
+    values, axes = np.linalg.eigh(0.5 * (grown + np.swapaxes(grown, 1, 2)))
+    positive: Float64Array = (axes * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(axes, 1, 2)
+    return positive
+
+
+def _led_by_lidar(lidar: Trajectory, knots_ns: Int64Array, fixes: Fixes) -> Float64Array:
+    """Give orientations of the states, (K, 3, 3): the odometry's, its world rotated about up onto the fixes."""
+    known = lidar.poses.held(knots_ns)
+    here, there = known.positions[fixes.locations, :2], fixes.positions[:, :2]
+    weights = np.ones(len(fixes))
+    angle = 0.0
+    for _ in range(_ROUNDS):
+        share = weights / weights.sum()
+        one, other = here - share @ here, there - share @ there
+        dot = (share[:, None] * one * other).sum()
+        cross = (share * (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])).sum()
+        angle = float(np.arctan2(cross, dot))
+        cosine, sine = np.cos(angle), np.sin(angle)
+        apart = np.hypot(*(one @ np.array([[cosine, sine], [-sine, cosine]]) - other).T)
+        weights = 1.0 / np.maximum(apart, 0.1)
+    delta_rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    rotations: Float64Array = delta_rotation @ matrix_from_quaternion(known.quaternions_xyzw)
+    return rotations
+
+
+_SMOOTHER_ROUNDS = 4
 """So often the noise is reported anew from the residuals."""
 
 _CONTRADICTED = 3.0
@@ -64,7 +1085,7 @@ class _Smoothed:
         densities: (K - 1, 2) of the IMU's white noise, as found, (rad/s)²/Hz and (m/s²)²/Hz.
     """
 
-    fit: Fit
+    fit: _Fit
     own: Float64Array
     densities: Float64Array
 
@@ -93,17 +1114,17 @@ def _smoothed(drive: _Measurements, settings: SmootherSettings) -> _Smoothed:
     chain, densities = _chain(drive, settings)
     coasting, chain = _begun(drive, chain)
     if drive.samples is not None:
-        fit, densities = _refined(oriented(chain, coasting.states), drive, drive.samples, densities)
+        fit, densities = _refined(_oriented(chain, coasting.states), drive, drive.samples, densities)
     elif drive.lidar is not None:
-        rotations = led_by_lidar(drive.lidar, chain.knots_ns, chain.fixes)
-        fit = _cleaned(fit_gently(chain, replace(coasting.states, rotations=rotations)))
+        rotations = _led_by_lidar(drive.lidar, chain.knots_ns, chain.fixes)
+        fit = _cleaned(_fit_gently(chain, replace(coasting.states, rotations=rotations)))
     else:
         fit = _cleaned(coasting)
-    own, _ = covariances(fit.chain, fit.states, fit.weights)
+    own, _ = _covariances(fit.chain, fit.states, fit.weights)
     return _Smoothed(fit, own, densities)
 
 
-def _begun(drive: _Measurements, chain: Chain) -> tuple[Fit, Chain]:
+def _begun(drive: _Measurements, chain: Chain) -> tuple[_Fit, Chain]:
     """States by the fixes that have one alone, without an IMU, and the noise that these fixes show in the chain's."""
     unmeasured = np.zeros_like(chain.measured)
     fixes = carried_fixes(
@@ -111,7 +1132,7 @@ def _begun(drive: _Measurements, chain: Chain) -> tuple[Fit, Chain]:
     )
     near = np.abs(fixes.seconds) <= CLOSEST_NS * 1e-9
     alone = replace(chain, measured=unmeasured, relative=(), fixes=fixes.chosen(near))
-    coasting = coasted(alone, stationary_states(alone, drive.gyroscope_bias))
+    coasting = _coasted(alone, _stationary_states(alone, drive.gyroscope_bias))
     sigmas = chain.fixes.sigmas.copy()
     for receiver in np.unique(fixes.receivers[near]):
         rows = fixes.receivers == receiver
@@ -121,35 +1142,35 @@ def _begun(drive: _Measurements, chain: Chain) -> tuple[Fit, Chain]:
     return coasting, replace(chain, fixes=replace(chain.fixes, sigmas=sigmas))
 
 
-def _cleaned(fit: Fit) -> Fit:
+def _cleaned(fit: _Fit) -> _Fit:
     """Fit again with fixes that jump left out and the noise as found."""
-    fit = fit_sternly(fit, scaled=False)
-    for _ in range(_ROUNDS):
-        fit = fit_sternly(rescaled(fit)[0], scaled=True)
+    fit = _fit_sternly(fit, scaled=False)
+    for _ in range(_SMOOTHER_ROUNDS):
+        fit = _fit_sternly(_rescaled(fit)[0], scaled=True)
     return fit
 
 
 def _refined(
-    fit: Fit, drive: _Measurements, samples: InertialSamples, densities: Float64Array
-) -> tuple[Fit, Float64Array]:
+    fit: _Fit, drive: _Measurements, samples: InertialSamples, densities: Float64Array
+) -> tuple[_Fit, Float64Array]:
     """Fit again with biases and noise as found, fixes that jump left out, and what is known of wheels and stands."""
     lidar = fit.chain.relative
-    fit = fit_sternly(fit, scaled=False)
-    for number in range(_ROUNDS):
-        densities = densities * inertial_factors(fit) ** 2
-        fit, _ = rescaled(fit)
+    fit = _fit_sternly(fit, scaled=False)
+    for number in range(_SMOOTHER_ROUNDS):
+        densities = densities * _inertial_factors(fit) ** 2
+        fit, _ = _rescaled(fit)
         begun = bool(fit.chain.speeds)
-        chain = _knowing(fit, samples, lidar) if number >= _ROUNDS - 2 else fit.chain
+        chain = _knowing(fit, samples, lidar) if number >= _SMOOTHER_ROUNDS - 2 else fit.chain
         chain = _felt_anew(chain, drive.fixes, samples, fit.states.biases[:-1], densities)
         fit = replace(fit, chain=chain)
         if chain.speeds and not begun:
             # what bent the trajectory towards itself is seen against stiffer ways
-            fit = fit_sternly(fit_gently(fit.chain, fit.states), scaled=False)
+            fit = _fit_sternly(_fit_gently(fit.chain, fit.states), scaled=False)
         else:
-            fit = fit_sternly(fit, scaled=True)
-    believed = tuple(one for one in fit.chain.speeds if misfit(one, fit.states) <= _CONTRADICTED)
+            fit = _fit_sternly(fit, scaled=True)
+    believed = tuple(one for one in fit.chain.speeds if _misfit(one, fit.states) <= _CONTRADICTED)
     if len(believed) < len(fit.chain.speeds):
-        fit = fit_sternly(
+        fit = _fit_sternly(
             replace(fit, chain=replace(fit.chain, speeds=believed, relative=lidar)), scaled=True
         )
     return fit, densities
@@ -167,11 +1188,11 @@ def _felt_anew(
     return replace(chain, inertial=inertial, fixes=carried)
 
 
-def _knowing(fit: Fit, samples: InertialSamples, lidar: tuple[RelativePoses, ...]) -> Chain:
+def _knowing(fit: _Fit, samples: InertialSamples, lidar: tuple[RelativePoses, ...]) -> Chain:
     """The measurements with what is known of an ego on wheels and of one that stands, where the states show it."""
-    own, _ = covariances(fit.chain, fit.states, fit.weights)
-    wheels = vehicle_speeds(fit, own, samples, asked=fit.chain.settings.vehicle)
-    still, unmoved = stops(fit, own, samples)
+    own, _ = _covariances(fit.chain, fit.states, fit.weights)
+    wheels = _vehicle_speeds(fit, own, samples, asked=fit.chain.settings.vehicle)
+    still, unmoved = _stops(fit, own, samples)
     speeds = still if wheels is None else (wheels, *still)
     return replace(fit.chain, speeds=speeds, relative=(*lidar, *unmoved))
 
@@ -193,7 +1214,7 @@ def _chain(drive: _Measurements, settings: SmootherSettings) -> tuple[Chain, Flo
             samples.timestamps_ns, samples.values, knots, biases=biases, densities=densities
         )
     carried = carried_fixes(fixes, knots, measured, samples, biases=biases, gravity=drive.gravity)
-    relative = () if lidar is None else (lidar_steps(lidar, knots),)
+    relative = () if lidar is None else (_lidar_steps(lidar, knots),)
     return Chain(knots, measured, inertial, carried, drive.gravity, settings, relative), densities
 
 
@@ -261,7 +1282,7 @@ class _Wander:
         return found
 
 
-def _wandering(fit: Fit) -> tuple[_Wander | None, _Wander | None]:
+def _wandering(fit: _Fit) -> tuple[_Wander | None, _Wander | None]:
     """Find the slow error across and in height, where residuals of neighbouring fixes are alike."""
     fixes = fit.chain.fixes
     rows = np.flatnonzero(fit.weights > 0)

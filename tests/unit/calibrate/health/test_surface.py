@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sceneloom.calibrate.search import Surface, coefficients
+from sceneloom.calibrate.health import Surface, coefficients
 
 
 def test_the_top_of_a_quadratic_is_found():

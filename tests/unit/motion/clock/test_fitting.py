@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.motion.clock.fitting import Linearised, fit, misfit_of
+from sceneloom.motion.clock.comparison import Linearised, fit, misfit_of
 
 ROWS, WINDOWS = 60, 3
 SIGMA = 0.3

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.motion.clock.comparison import compare_turnings
-from sceneloom.motion.clock.estimate import ClockVerdict
+from sceneloom.motion.clock.comparison import ClockVerdict, compare_turnings
 from sceneloom.motion.clock.signals import Rotating, RotationCurve
 
 NOISE = 0.002

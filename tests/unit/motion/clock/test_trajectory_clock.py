@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.clock.estimate import ClockVerdict
+from sceneloom.motion.clock.comparison import ClockVerdict
 from sceneloom.motion.clock.streams import Method, compare_streams, streams_of
 from sceneloom.scene import Trajectory
 from sceneloom.simulate import GnssSpec, LidarSpec, simulate_street

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.motion.clock.comparison import compare_trajectories
-from sceneloom.motion.clock.estimate import ClockVerdict
+from sceneloom.motion.clock.comparison import ClockVerdict, compare_trajectories
 from sceneloom.motion.clock.signals import DeadReckonedTrajectory, Fixes, Unit
 from sceneloom.scene import VectorSamples
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
-from sceneloom.motion.gnss_imu.chain import (
+from sceneloom.motion.gnss_imu.measurements import Fixes, SmootherSettings, preintegrated
+from sceneloom.motion.gnss_imu.smoother import (
     BodySpeeds,
     Chain,
     RelativePoses,
@@ -15,7 +16,6 @@ from sceneloom.motion.gnss_imu.chain import (
     inertial_residuals,
     step,
 )
-from sceneloom.motion.gnss_imu.measurements import Fixes, SmootherSettings, preintegrated
 
 COUNT = 5
 WEIGHTS = np.array([1.0, 0.5, 1.0])

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import ArrayError, OptionError
-from sceneloom.motion.odometry.lidar_odometry import LidarOdometry, Outcome, PoseEstimate
-from sceneloom.motion.odometry.registration import OdometryConfiguration
+from sceneloom.motion.odometry import LidarOdometry, OdometryConfiguration, Outcome, PoseEstimate
 from sceneloom.simulate import LidarSpec, PathSpec, Stop, TrafficSpec, simulate_street
 
 SPEC = LidarSpec(beams=24, elevations_deg=(-24.0, 10.0), steps=900)

@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.errors import DataError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.odometry.run import SceneSweeps, lidar_odometry
+from sceneloom.motion.odometry import SceneSweeps, lidar_odometry
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Scene
 from sceneloom.simulate import LidarSpec, simulate_street
 

@@ -18,8 +18,7 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.annotations_at import cuboid_at
 from sceneloom.simulate import CameraSpec, LidarSpec, RadarSpec, TrafficSpec, simulate_street
-from sceneloom.tracking.label_paths import FlagKind
-from sceneloom.tracking.labels import label_tracks
+from sceneloom.tracking.labels import FlagKind, label_tracks
 from sceneloom.tracking.settings import LabelSettings
 
 FRAMES = 10

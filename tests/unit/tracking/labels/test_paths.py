@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.scene import CuboidAnnotation, CuboidPath, Support
 from sceneloom.scene.annotations_at import CuboidAngles, cuboid_at
-from sceneloom.tracking.label_paths import boxed_part, label_path, usual_heading, weighted_medians
+from sceneloom.tracking.labels import boxed_part, label_path, usual_heading, weighted_medians
 from sceneloom.tracking.settings import LabelSettings
 
 DEGREES = CuboidAngles()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.scene import Support
-from sceneloom.tracking.label_paths import FlagKind, flags_of, overlap_flags
+from sceneloom.tracking.labels import FlagKind, flags_of, overlap_flags
 
 
 def kinds(track):

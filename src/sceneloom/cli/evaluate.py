@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         DetectionScores,
     )
     from sceneloom.evaluate.tracking import ClassTracking, TrackingReport, TrackingScores
-    from sceneloom.evaluate.trajectory_errors import (
+    from sceneloom.evaluate.trajectory import (
         ErrorStatistics,
         KittiErrors,
         RelativeErrors,

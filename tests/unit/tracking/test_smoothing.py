@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.tracking import TrackerSettings, states
+from sceneloom.tracking import TrackerSettings, tracker
 from sceneloom.tracking.smoother import smoothed, smoothed_walk
 
 COUNT, STEP = 6, 0.1
@@ -13,7 +13,7 @@ def filtered_drive():
     """A person who walks, filtered; and the boxes."""
     random = np.random.default_rng(3)
     person = np.array([False])
-    first, spread = np.zeros((1, states.SIZE)), np.eye(states.SIZE)[None] * 0.5
+    first, spread = np.zeros((1, tracker.SIZE)), np.eye(tracker.SIZE)[None] * 0.5
     first[0, 3:6] = 0.8, 0.6, 1.7
     boxes = first[0, :7] + np.column_stack(
         [0.12 * np.arange(COUNT)[:, None] + random.normal(scale=0.02, size=(COUNT, 2)), np.zeros((COUNT, 5))]
@@ -22,13 +22,13 @@ def filtered_drive():
     rows = {name: [] for name in ("means", "covariances", "predicted", "spreads", "slopes")}
     mean, covariance = first, spread
     for k in range(COUNT):
-        slopes = np.eye(states.SIZE)[None]
+        slopes = np.eye(tracker.SIZE)[None]
         if k:
-            mean, covariance, slopes = states.predicted(mean, covariance, person, STEP, TrackerSettings())
+            mean, covariance, slopes = tracker.predicted(mean, covariance, person, STEP, TrackerSettings())
         for name, value in (("predicted", mean), ("spreads", covariance), ("slopes", slopes)):
             rows[name].append(value[0])
         mean, covariance, only = mean.copy(), covariance.copy(), np.zeros(1, np.int64)
-        states.read(mean, covariance, only, boxes[k : k + 1].copy(), noise, only)
+        tracker.read(mean, covariance, only, boxes[k : k + 1].copy(), noise, only)
         rows["means"].append(mean[0])
         rows["covariances"].append(covariance[0])
     return {name: np.array(values) for name, values in rows.items()}, boxes, noise[0], first[0], spread[0]
@@ -40,7 +40,7 @@ def test_states_are_those_of_all_boxes_at_once():
         rows["means"], rows["covariances"], rows["predicted"], rows["spreads"], rows["slopes"]
     )
     # information of all states together: the first one, the steps between them, the boxes
-    size = states.SIZE
+    size = tracker.SIZE
     information, pull = np.zeros((COUNT * size, COUNT * size)), np.zeros(COUNT * size)
     information[:size, :size] += np.linalg.inv(spread)
     pull[:size] += np.linalg.inv(spread) @ first
@@ -69,13 +69,13 @@ def test_states_are_those_of_all_boxes_at_once():
 def test_a_heading_that_was_reversed_on_the_way_is_the_last_one_all_along():
     rows, *_ = filtered_drive()
     for name in ("means", "predicted"):
-        rows[name][:, states.YAW] = 0.0
-    rows["means"][3:, states.YAW] = np.pi - 1e-3
-    rows["predicted"][4:, states.YAW] = np.pi - 1e-3
+        rows[name][:, tracker.YAW] = 0.0
+    rows["means"][3:, tracker.YAW] = np.pi - 1e-3
+    rows["predicted"][4:, tracker.YAW] = np.pi - 1e-3
     later, _ = smoothed(
         rows["means"], rows["covariances"], rows["predicted"], rows["spreads"], rows["slopes"]
     )
-    assert np.abs(states.wrapped(later[:, states.YAW] - np.pi)).max() < 0.01
+    assert np.abs(tracker.wrapped(later[:, tracker.YAW] - np.pi)).max() < 0.01
 
 
 def test_a_walk_is_that_of_all_numbers_at_once():

@@ -32,7 +32,7 @@ def hook(monkeypatch):
 def test_every_command_has_a_page_with_all_of_its_options(hook):
     pages = hook("commands").command_pages(command_line, "sceneloom")
     blur = pages["commands/edit-blur.md"]
-    assert blur.startswith("# sceneloom edit blur\n\nHide faces")
+    assert blur.startswith("# sceneloom edit blur\n\nRedact faces")
     assert "sceneloom edit blur PATH [OPTIONS]" in blur
     assert "| `--fill [blur|pixelate|black]` |" in blur
     assert "[default: 0.1]" in blur

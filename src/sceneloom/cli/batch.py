@@ -16,6 +16,7 @@ import click
 
 from sceneloom.batch.jobs import READING, FileOption
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import SHOWN, print_json, print_table, several
 from sceneloom.errors import OptionError
 
@@ -123,53 +124,38 @@ def target(text: str) -> "Path | str":
 
 _options = options.stacked(
     click.argument("inputs", nargs=-1, metavar="DRIVES..."),
-    click.option(
-        "-o",
-        "--output",
-        type=target,
-        required=True,
-        metavar="OUT",
-        help="Folder of all outputs, or its URL in a store.",
-    ),
-    click.option(
-        "--record",
-        type=click.Path(path_type=Path, file_okay=False),
-        metavar="DIR",
-        help="Folder of the run's record where OUT is a URL. [default: one in ~/.local/state/sceneloom]",
+    option("-o --output=OUT", "Folder of all outputs, or its URL in a store.", target, required=True),
+    option(
+        "--record=DIR",
+        "Folder of the run's record where OUT is a URL. [default: one in ~/.local/state/sceneloom]",
+        click.Path(path_type=Path, file_okay=False),
     ),
     options.lists('a path, or {"path": …, "start": …, "stop": …, OPTION: FILE}'),
-    click.option(
-        "--workers",
-        type=click.IntRange(1, 1024),
-        metavar="N",
-        help="Processes on this machine, each with one thread. [default: one for each processor]",
+    option(
+        "--workers=N",
+        "Processes on this machine, each with one thread. [default: one for each processor]",
+        click.IntRange(1, 1024),
     ),
-    click.option(
-        "--cluster",
-        metavar="ADDRESS",
-        help="Workers of dask instead: `local`, or those of the scheduler at an address such as tcp://HOST:8786.",
+    option(
+        "--cluster=ADDRESS",
+        "Workers of dask instead: `local`, or those of the scheduler at an address such as tcp://HOST:8786.",
     ),
-    click.option(
-        "--resume", is_flag=True, help="Continue an earlier run; what is done and unchanged is skipped."
-    ),
-    click.option(
-        "--retries",
-        type=click.IntRange(0, 100),
+    option("--resume", "Continue an earlier run; what is done and unchanged is skipped."),
+    option(
+        "--retries=N",
+        "Tries again after errors that may pass: a lost worker, a network.",
+        click.IntRange(0, 100),
         default=2,
-        show_default=True,
-        metavar="N",
-        help="Tries again after errors that may pass: a lost worker, a network.",
     ),
-    click.option(
-        "--metrics",
-        type=options.target,
-        metavar="FILE",
-        help="Progress of the run as text for Prometheus, rewritten every few seconds.",
+    option(
+        "--metrics=FILE",
+        "Progress of the run as text for Prometheus, rewritten every few seconds.",
+        options.target,
     ),
-    click.option("--suffix", metavar="TEXT", help="Suffix of the outputs. [default: that of the verb]"),
-    click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
-    click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings."),
-    click.option("-v", "--verbose", is_flag=True, help="Every failure, not only the first ones."),
+    option("--suffix=TEXT", "Suffix of the outputs. [default: that of the verb]"),
+    option("--json as_json", "Print the result as JSON."),
+    option("-q --quiet", "No progress, no warnings."),
+    option("-v --verbose", "Every failure, not only the first ones."),
 )
 
 
@@ -494,17 +480,16 @@ def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
 
 @batch.command()
 @click.argument("output", type=options.location)
-@click.option(
-    "--record",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Folder of the record of a run into a store, if it is not where it is by default.",
+@option(
+    "--record=DIR",
+    "Folder of the record of a run into a store, if it is not where it is by default.",
+    click.Path(path_type=Path, file_okay=False),
 )
-@click.option("--html", type=options.target, metavar="FILE", help="Write a page about the run as well.")
-@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-@click.option("-q", "--quiet", is_flag=True, help="Only how many, no failures.")
-@click.option("-v", "--verbose", is_flag=True, help="Every drive, not only the failures.")
+@option("--html=FILE", "Write a page about the run as well.", options.target)
+@option("--overwrite", "Replace outputs that exist.")
+@option("--json as_json", "Print the result as JSON.")
+@option("-q --quiet", "Only how many, no failures.")
+@option("-v --verbose", "Every drive, not only the failures.")
 def status(
     output: Path | str,
     record: Path | None,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import detection_options, options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_table, several
 from sceneloom.cli.running import reading_verb
 
@@ -32,67 +33,38 @@ _BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences", "motion")
 
 @click.command()
 @click.argument("path", type=options.location)
-@click.option("--check", is_flag=True, help="Report whether the calibration is right. The default.")
-@click.option(
+@option("--check", "Report whether the calibration is right. The default.")
+@option(
     "--conventions",
-    is_flag=True,
-    help="Report what the extrinsics of PATH mean, a drive or a file of numbers: direction, layout, order, unit, axes.",
+    "Report what the extrinsics of PATH mean, a drive or a file of numbers: direction, layout, order, unit, axes.",
 )
-@click.option(
-    "--drive",
-    type=options.location,
-    metavar="DRIVE",
-    help="With --conventions of a file: the drive to compare it with.",
-)
-@click.option("--refine", is_flag=True, help="Refine the calibration of a camera against a lidar.")
-@click.option(
-    "--hand-eye",
-    is_flag=True,
-    help="Estimate a lidar's extrinsics on the ego from its odometry and a trajectory.",
-)
-@click.option(
-    "--lidar-to-lidar", is_flag=True, help="Estimate the transform from --lidar to --onto by their clouds."
-)
-@click.option(
-    "--target",
-    metavar="BOARD",
-    help="Estimate the transform from a camera to a lidar by a checkerboard of COLUMNSxROWS inner corners with squares "
+@option("--drive=DRIVE", "With --conventions of a file: the drive to compare it with.", options.location)
+@option("--refine", "Refine the calibration of a camera against a lidar.")
+@option("--hand-eye", "Estimate a lidar's extrinsics on the ego from its odometry and a trajectory.")
+@option("--lidar-to-lidar", "Estimate the transform from --lidar to --onto by their clouds.")
+@option(
+    "--target=BOARD",
+    "Estimate the transform from a camera to a lidar by a checkerboard of COLUMNSxROWS inner corners with squares "
     "of SQUARE metres on a board of WIDTHxHEIGHT metres: COLUMNSxROWS:SQUARE[:WIDTHxHEIGHT].",
 )
-@click.option("--onto", metavar="ID", help="With --lidar-to-lidar: the other lidar. [default: the first]")
+@option("--onto=ID", "With --lidar-to-lidar: the other lidar. [default: the first]")
 @options.output(
     "What to write the repaired calibration to: NAME.sfs (annotation), calibration.json (recording) or NAME.json "
     "(table 3).",
     required=False,
 )
-@click.option(
-    "--form",
-    type=click.Choice(["sfs", "table-3", "recording"]),
-    help="Format of the output, where its ending is ambiguous.",
+@option("--form", "Format of the output, where its ending is ambiguous.", ("sfs", "table-3", "recording"))
+@option(
+    "--parameters=LIST",
+    "With --refine: what may change, of rotation,translation,time,focal. [default: rotation,translation,time]",
 )
-@click.option(
-    "--parameters",
-    metavar="LIST",
-    help="With --refine: what may change, of rotation,translation,time,focal. [default: rotation,translation,time]",
-)
-@click.option("--camera", metavar="ID", help="The camera. [default: the first with images]")
-@click.option("--lidar", metavar="ID", help="The lidar. [default: the first with sweeps]")
-@click.option(
-    "--most",
-    type=click.IntRange(min=1),
-    default=20,
-    show_default=True,
-    metavar="N",
-    help="Use N images at most, spread over the drive.",
-)
+@option("--camera=ID", "The camera. [default: the first with images]")
+@option("--lidar=ID", "The lidar. [default: the first with sweeps]")
+@option("--most=N", "Use N images at most, spread over the drive.", click.IntRange(min=1), default=20)
 @options.visualize("Draw points and edges over images into DIR.")
 @options.overwrite
 @detection_options.compared
-@click.option(
-    "--motion",
-    is_flag=True,
-    help="With --check: compare the rotations of camera and lidar, too; takes longer.",
-)
+@option("--motion", "With --check: compare the rotations of camera and lidar, too; takes longer.")
 @options.part
 @reading_verb
 def calibrate(

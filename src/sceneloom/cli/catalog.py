@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_json, print_lines, print_table, several
 from sceneloom.cli.running import reading_verb, verb
 
@@ -21,18 +22,16 @@ def catalog() -> None:
 
 
 _building = options.stacked(
-    click.option(
+    option(
         "--checks",
-        type=click.Choice(["none", "quick", "full"]),
+        "Which rules fill the table of findings; `full` reads every frame.",
+        ("none", "quick", "full"),
         default="quick",
-        show_default=True,
-        help="Which rules fill the table of findings; `full` reads every frame.",
     ),
-    click.option(
-        "--workers",
-        type=click.IntRange(1, 1024),
-        metavar="N",
-        help="Processes that read drives, each with one thread. [default: one per processor, if drives are many]",
+    option(
+        "--workers=N",
+        "Processes that read drives, each with one thread. [default: one per processor, if drives are many]",
+        click.IntRange(1, 1024),
     ),
 )
 _lists = options.lists('a path, or {"path": …, "reading": {"sequence": …}}')
@@ -40,11 +39,9 @@ _lists = options.lists('a path, or {"path": …, "reading": {"sequence": …}}')
 
 @catalog.command()
 @click.argument("drives", nargs=-1, metavar="DRIVES...")
-@click.option(
-    "-o", "--output", type=options.target, required=True, metavar="OUT", help="Folder of the catalogue."
-)
+@option("-o --output=OUT", "Folder of the catalogue.", options.target, required=True)
 @_lists
-@click.option("--overwrite", is_flag=True, help="Replace a catalogue that exists.")
+@option("--overwrite", "Replace a catalogue that exists.")
 @_building
 @reading_verb
 def build(
@@ -73,7 +70,7 @@ def build(
 @click.argument("catalogue", type=click.Path(path_type=Path))
 @click.argument("drives", nargs=-1, metavar="[DRIVES...]")
 @_lists
-@click.option("--prune", is_flag=True, help="Remove drives that are not there any more.")
+@option("--prune", "Remove drives that are not there any more.")
 @_building
 @reading_verb
 def update(
@@ -138,77 +135,48 @@ def _reported(failure: "Failure") -> str:
 
 @catalog.command()
 @click.argument("catalogue", type=click.Path(path_type=Path))
-@click.option("--sql", metavar="TEXT", help="One statement that reads, instead of filters.")
-@click.option(
-    "--label",
-    "labels",
-    multiple=True,
-    metavar="NAME",
-    help="Boxes of this class, `*` allowed; may be repeated.",
-)
-@click.option(
-    "--type", "types", type=click.Choice(["cuboid", "box_2d"]), multiple=True, help="Boxes of this type."
-)
-@click.option(
-    "--after",
-    "start",
-    metavar="T",
-    help="Not before T: seconds of the drive, or a date and time (UTC unless stated).",
-)
-@click.option("--before", "stop", metavar="T", help="Before T.")
-@click.option(
+@option("--sql=TEXT", "One statement that reads, instead of filters.")
+@option("--label=NAME… labels", "Boxes of this class, `*` allowed; may be repeated.")
+@option("--type… types", "Boxes of this type.", ("cuboid", "box_2d"))
+@option("--after=T start", "Not before T: seconds of the drive, or a date and time (UTC unless stated).")
+@option("--before=T stop", "Before T.")
+@option(
     "--near",
-    type=(options.finite, options.finite, options.not_negative),
+    "The ego no farther from a location.",
+    (options.finite, options.finite, options.not_negative),
     metavar="LAT LON METRES",
-    help="The ego no farther from a location.",
 )
-@click.option(
+@option(
     "--speed",
-    type=(options.not_negative, options.not_negative),
+    "The ego so fast, in m/s; `inf` for no bound.",
+    (options.not_negative, options.not_negative),
     metavar="MIN MAX",
-    help="The ego so fast, in m/s; `inf` for no bound.",
 )
-@click.option(
+@option(
     "--distance",
-    type=(options.not_negative, options.not_negative),
+    "Boxes so far from the ego, in metres.",
+    (options.not_negative, options.not_negative),
     metavar="MIN MAX",
-    help="Boxes so far from the ego, in metres.",
 )
-@click.option("--count", type=click.IntRange(1), metavar="N", help="At least N such boxes at one time.")
-@click.option(
-    "--attribute",
-    "attributes",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="An attribute of the scene, a sensor or the box has this value then; may be repeated.",
+@option("--count=N", "At least N such boxes at one time.", click.IntRange(1))
+@option(
+    "--attribute=NAME=VALUE… attributes",
+    "An attribute of the scene, a sensor or the box has this value then; may be repeated.",
 )
-@click.option(
-    "--finding", "findings", multiple=True, metavar="RULE", help="`validate` found this; may be repeated."
-)
-@click.option(
+@option("--finding=RULE… findings", "`validate` found this; may be repeated.")
+@option(
     "--show",
-    type=click.Choice(["spans", "drives", "rows"]),
+    "Time spans in which all filters hold, drives that have such, or each box (or frame).",
+    ("spans", "drives", "rows"),
     default="spans",
-    show_default=True,
-    help="Time spans in which all filters hold, drives that have such, or each box (or frame).",
 )
-@click.option(
-    "--gap",
-    type=options.not_negative,
-    default=1.0,
-    show_default=True,
-    metavar="S",
-    help="Join spans so near.",
-)
-@click.option(
-    "--margin", type=options.not_negative, default=0.0, show_default=True, metavar="S", help="Widen spans."
-)
-@click.option("--limit", type=click.IntRange(1), metavar="N", help="At most N rows.")
-@click.option(
-    "--as",
-    "form",
-    type=click.Choice(["table", "json", "csv", "list"]),
-    help="`list`: drives and spans as lines that the verbs of `sceneloom batch` take with --list. [default: table]",
+@option("--gap=S", "Join spans so near.", options.not_negative, default=1.0)
+@option("--margin=S", "Widen spans.", options.not_negative, default=0.0)
+@option("--limit=N", "At most N rows.", click.IntRange(1))
+@option(
+    "--as form",
+    "`list`: drives and spans as lines that the verbs of `sceneloom batch` take with --list. [default: table]",
+    ("table", "json", "csv", "list"),
 )
 @verb
 def query(

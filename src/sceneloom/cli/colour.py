@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_outputs, print_table, several
 from sceneloom.cli.running import reading_verb
 
@@ -16,41 +17,29 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @click.command()
 @click.argument("path", type=options.location)
 @options.output("The map: .las, .laz, .ply, .pcd or .sfs.", required=False)
-@click.option(
-    "--voxel", type=options.positive, metavar="M", help="Keep one point per cube of M metres. [default: all]"
-)
-@click.option(
+@option("--voxel=M", "Keep one point per cube of M metres. [default: all]", options.positive)
+@option(
     "--blend",
-    type=click.Choice(["nearest", "best", "weighted"]),
-    help="The pixel nearest to an image's centre; the most trusted colour, interpolated between pixels; or the mean of "
+    "The pixel nearest to an image's centre; the most trusted colour, interpolated between pixels; or the mean of "
     "those that agree with it. [default: weighted]",
+    ("nearest", "best", "weighted"),
 )
-@click.option("--no-exposure", is_flag=True, help="Do not correct differences in exposure between images.")
-@click.option(
-    "--remove-moving", is_flag=True, help="Remove points that other rays pass through, or in moving boxes."
+@option("--no-exposure", "Do not correct differences in exposure between images.")
+@option("--remove-moving", "Remove points that other rays pass through, or in moving boxes.")
+@option("--only-coloured", "Remove points that no image shows.")
+@option("--provenance", "Add camera, image, pixel and weight of each point.")
+@option("--labels=DIR", "Label images to transfer to points.", options.source())
+@option(
+    "--project-labels=DIR",
+    "Folder for label images projected from the drive's labelled points.",
+    options.target,
 )
-@click.option("--only-coloured", is_flag=True, help="Remove points that no image shows.")
-@click.option("--provenance", is_flag=True, help="Add camera, image, pixel and weight of each point.")
-@click.option("--labels", type=options.source(), metavar="DIR", help="Label images to transfer to points.")
-@click.option(
-    "--project-labels",
-    type=options.target,
-    metavar="DIR",
-    help="Folder for label images projected from the drive's labelled points.",
+@option(
+    "--label-radius=PX label_radius_px",
+    "Pixels that a point fills beside its own in projected label images. [default: 0]",
+    click.IntRange(0, 100),
 )
-@click.option(
-    "--label-radius",
-    "label_radius_px",
-    type=click.IntRange(0, 100),
-    metavar="PX",
-    help="Pixels that a point fills beside its own in projected label images. [default: 0]",
-)
-@click.option(
-    "--per-sweep",
-    type=options.target,
-    metavar="DIR",
-    help="Folder for a cloud of each sweep, or an .sfs file of the drive.",
-)
+@option("--per-sweep=DIR", "Folder for a cloud of each sweep, or an .sfs file of the drive.", options.target)
 @options.visualize()
 @options.trajectory(options.STATIONARY)
 @options.threads

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import SHOWN, Printer, print_table, several
 from sceneloom.cli.running import reading_verb
 
@@ -17,57 +18,40 @@ if TYPE_CHECKING:
 @click.argument("source", type=options.location)
 @click.argument("target", type=options.target)
 @options.writing_scenes
-@click.option(
+@option(
     "--images",
-    type=click.Choice(["copy", "lossless", "h264", "ffv1", "png"]),
-    help="How a recording's folder keeps images: `copy` a camera's own video packet by packet, and encode H.264 "
+    "How a recording's folder keeps images: `copy` a camera's own video packet by packet, and encode H.264 "
     "where there is none (`lossless`: FFV1); `h264`: the own video only if it is that; `ffv1` (video) and "
     "`png` (files) lose nothing. [default: copy]",
+    ("copy", "lossless", "h264", "ffv1", "png"),
 )
-@click.option(
-    "--trajectory",
-    metavar="NAME",
-    help="Trajectory to write to a file of its own. `lidar`, `gnss`: computed; `fixes`: as received. For COLMAP, "
+@option(
+    "--trajectory=NAME",
+    "Trajectory to write to a file of its own. `lidar`, `gnss`: computed; `fixes`: as received. For COLMAP, "
     "nerfstudio, nuScenes and clouds in another frame: the one to transform by; `identity`: stationary. "
     "[default: the drive's first one, else `gnss`, else `lidar`, else `identity`]",
 )
-@click.option(
-    "--to",
-    metavar="NAME",
-    help="Format of TARGET, where its suffix is ambiguous: a name from `sceneloom formats`.",
-)
-@click.option(
+@option("--to=NAME", "Format of TARGET, where its suffix is ambiguous: a name from `sceneloom formats`.")
+@option(
     "--strict",
-    is_flag=True,
-    help="Refuse to lose anything; values in another representation, such as times in other units, pass.",
+    "Refuse to lose anything; values in another representation, such as times in other units, pass.",
 )
-@click.option(
-    "--loss",
-    type=options.target,
-    metavar="FILE",
-    help="Write what becomes of every field to FILE: .json, .md or .txt.",
+@option("--loss=FILE", "Write what becomes of every field to FILE: .json, .md or .txt.", options.target)
+@option(
+    "--output-option=NAME=VALUE… output_options",
+    "An option of TARGET's format, such as `frame=world` for clouds; each format's page lists its own.",
 )
-@click.option(
-    "--output-option",
-    "output_options",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="An option of TARGET's format, such as `frame=world` for clouds; each format's page lists its own.",
-)
-@click.option(
-    "--channel",
-    multiple=True,
-    metavar="SENSOR=CHANNEL",
-    help="The channel of a sensor in nuScenes, such as `lidar=LIDAR_TOP`; may be repeated. [default: those that its "
+@option(
+    "--channel=SENSOR=CHANNEL…",
+    "The channel of a sensor in nuScenes, such as `lidar=LIDAR_TOP`; may be repeated. [default: those that its "
     "development kit knows, else the sensors' ids]",
 )
-@click.option("--to-optical", "optical", is_flag=True, help="Write poses as a camera's: z forward, y down.")
-@click.option(
-    "--origin",
-    "origin_lla",
-    type=(options.finite, options.finite, options.finite),
+@option("--to-optical optical", "Write poses as a camera's: z forward, y down.")
+@option(
+    "--origin origin_lla",
+    "Where on earth the world's origin is, for `--to gnss`. [default: that of GNSS, where it is known]",
+    (options.finite, options.finite, options.finite),
     metavar="LAT LON ALT",
-    help="Where on earth the world's origin is, for `--to gnss`. [default: that of GNSS, where it is known]",
 )
 @options.trajectory_file("from", "SOURCE")
 @options.part

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_table, several
 from sceneloom.cli.running import reading_verb
 
@@ -16,19 +17,19 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("path", type=options.location)
 @options.output("Folder for the depth images.")
-@click.option(
+@option(
     "--method",
-    type=click.Choice(["sparse", "fast", "quality"]),
-    help="`sparse`: measured points only; `fast`: gaps between scan lines filled; `quality`: surfaces, with "
+    "`sparse`: measured points only; `fast`: gaps between scan lines filled; `quality`: surfaces, with "
     "discontinuities at edges of the image. [default: quality]",
+    ("sparse", "fast", "quality"),
 )
-@click.option(
+@option(
     "--form",
-    type=click.Choice(["png", "npz"]),
-    help="16-bit PNG (metres times 256) or NPZ (float32 metres and confidence). [default: png]",
+    "16-bit PNG (metres times 256) or NPZ (float32 metres and confidence). [default: png]",
+    ("png", "npz"),
 )
-@click.option("--camera", "cameras", multiple=True, metavar="ID", help="The only cameras. [default: all]")
-@click.option("--confidence", is_flag=True, help="Write the confidence beside PNG images: 8 bit, 255 for 1.")
+@option("--camera=ID… cameras", "The only cameras. [default: all]")
+@option("--confidence", "Write the confidence beside PNG images: 8 bit, 255 for 1.")
 @options.visualize()
 @options.trajectory(options.STATIONARY)
 @options.threads

@@ -2,54 +2,41 @@
 
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 
 if TYPE_CHECKING:
     from sceneloom.pipeline.detection_jobs import DetectionInput
 
 _BOXES = (
-    click.option(
-        "--boxes3d",
-        multiple=True,
-        type=options.source(),
-        metavar="FILE",
-        help="Boxes detected in sweeps: JSON lines of table 7, nuScenes' JSON, KITTI's text; may be repeated.",
+    option(
+        "--boxes3d=FILE…",
+        "Boxes detected in sweeps: JSON lines of table 7, nuScenes' JSON, KITTI's text; may be repeated.",
+        options.source(),
     ),
-    click.option(
-        "--boxes2d",
-        multiple=True,
-        type=options.source(),
-        metavar="FILE",
-        help="Boxes detected in images: JSON lines of table 8, KITTI's text; may be repeated.",
+    option(
+        "--boxes2d=FILE…",
+        "Boxes detected in images: JSON lines of table 8, KITTI's text; may be repeated.",
+        options.source(),
     ),
 )
 _SENSORS = (
-    click.option(
-        "--lidar", metavar="ID", help="Lidar that --boxes3d refers to; required if there are several."
-    ),
-    click.option(
-        "--camera",
-        "cameras",
-        multiple=True,
-        metavar="ID",
-        help="Camera that --boxes2d refers to, one for each file; required if there are several.",
+    option("--lidar=ID", "Lidar that --boxes3d refers to; required if there are several."),
+    option(
+        "--camera=ID… cameras",
+        "Camera that --boxes2d refers to, one for each file; required if there are several.",
     ),
 )
 _KITTI = (
-    click.option("--det2d", metavar="NAME", help="Which of several folders det2d_* to read."),
-    click.option("--det3d", metavar="NAME", help="Which of several folders det3d_* to read."),
-    click.option(
-        "--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; may be repeated."
-    ),
+    option("--det2d=NAME", "Which of several folders det2d_* to read."),
+    option("--det3d=NAME", "Which of several folders det3d_* to read."),
+    option("--sequence=NAME… sequences", "Only this sequence; may be repeated."),
 )
 """Choices in a folder laid out like KITTI's tracking benchmark."""
 
-_DETECTORS = click.option(
-    "--detectors",
-    metavar="NAME",
-    help="Error model of the detectors: a name, or a TOML file. [default: in KITTI's folders those of KITTI, else "
+_DETECTORS = option(
+    "--detectors=NAME",
+    "Error model of the detectors: a name, or a TOML file. [default: in KITTI's folders those of KITTI, else "
     "simulated ones]",
 )
 

@@ -1,13 +1,12 @@
 """`sceneloom diff`: what differs between two drives."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from sceneloom.cli import options
-from sceneloom.cli.options import Command
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import SHOWN, Printer, print_json, several
 from sceneloom.cli.running import reading_verb
 
@@ -19,23 +18,19 @@ _MOST = 10 * SHOWN
 """Differences shown unless `--verbose` is stated."""
 
 
-def _tolerance(flag: str, metavar: str, help: str) -> Callable[[Command], Command]:  # noqa: A002 - click's word
-    return click.option(flag, type=options.not_negative, default=0.0, metavar=metavar, help=help)
-
-
 @click.command()
 @click.argument("first", type=options.location)
 @click.argument("second", type=options.location)
-@_tolerance("--tolerance-m", "M", "Ignore distances up to this.")
-@_tolerance("--tolerance-deg", "DEG", "Ignore rotations up to this.")
-@_tolerance("--tolerance-ns", "NS", "Ignore differences of timestamps up to this.")
-@_tolerance("--tolerance-px", "PX", "Ignore distances of pixels up to this.")
-@click.option(
-    "--other-timestamps",
-    is_flag=True,
-    help="Take paths that are sampled at other timestamps for equal if their positions are.",
+@option("--tolerance-m=M", "Ignore distances up to this.", options.not_negative, default=0.0)
+@option("--tolerance-deg=DEG", "Ignore rotations up to this.", options.not_negative, default=0.0)
+@option(
+    "--tolerance-ns=NS", "Ignore differences of timestamps up to this.", options.not_negative, default=0.0
 )
-@click.option("--pixels", is_flag=True, help="Decode images whose bytes differ, and compare their pixels.")
+@option("--tolerance-px=PX", "Ignore distances of pixels up to this.", options.not_negative, default=0.0)
+@option(
+    "--other-timestamps", "Take paths that are sampled at other timestamps for equal if their positions are."
+)
+@option("--pixels", "Decode images whose bytes differ, and compare their pixels.")
 @reading_verb
 def diff(
     first: Path | str, second: Path | str, printer: Printer, reading: dict[str, Any], **given: Any

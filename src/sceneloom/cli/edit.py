@@ -10,6 +10,7 @@ import click
 from msgspec import structs
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_json, print_table, several
 from sceneloom.cli.running import rewriting_verb
 from sceneloom.lazy import imported
@@ -48,28 +49,8 @@ class _Edit:
     joins: bool = False
 
 
-def _ids(flag: str, name: str, help: str) -> Callable[[Any], Any]:  # noqa: A002 - click's word
-    return click.option(flag, name, multiple=True, metavar="ID", help=help)
-
-
 _IDS = ("sensors", "without", "cameras", "lidars")
 """Options whose values are ids of sensors."""
-
-
-def _bounded(flag: str, default: float, metavar: str, help: str) -> Callable[[Any], Any]:  # noqa: A002
-    return click.option(
-        *flag.split(),
-        type=options.not_negative,
-        default=default,
-        show_default=True,
-        metavar=metavar,
-        help=help,
-    )
-
-
-def _choice(flag: str, choices: Sequence[str], help: str) -> Callable[[Any], Any]:  # noqa: A002 - click's word
-    """A choice whose first one is the default."""
-    return click.option(flag, type=click.Choice(choices), default=choices[0], show_default=True, help=help)
 
 
 def _box(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, ...] | None:
@@ -94,11 +75,11 @@ def _size(_context: click.Context, _option: click.Parameter, text: str | None) -
 _PATHS = ("cuboids", "keypoints", "poses")
 _KEEP = {"valid": 0.0, "all": 1.0}
 _TRAJECTORY = options.trajectory()
-_CAMERAS = _ids("--camera", "cameras", "The only cameras to change. [default: all]")
-_ANNOTATIONS_IN = click.option(
+_CAMERAS = option("--camera=ID… cameras", "The only cameras to change. [default: all]")
+_ANNOTATIONS_IN = option(
     "--annotations-in",
-    type=click.Choice(["world", "ego"]),
-    help="The frame of the annotations in a scene that does not state it. [default: world]",
+    "The frame of the annotations in a scene that does not state it. [default: world]",
+    ("world", "ego"),
 )
 
 _EDITS: Mapping[str, _Edit] = {
@@ -107,29 +88,21 @@ _EDITS: Mapping[str, _Edit] = {
         "Keep a part of a scene: in time, in space, of some sensors or labels.",
         (
             options.part,
-            click.option(
-                "--box",
-                callback=_box,
-                metavar="BOX",
-                help="Keep what is in xmin,ymin,zmin,xmax,ymax,zmax [m].",
+            option("--box=BOX", "Keep what is in xmin,ymin,zmin,xmax,ymax,zmax [m].", callback=_box),
+            option(
+                "--frame",
+                "The frame along whose axes the box lies.",
+                ("world", "ego", "sensor"),
+                default="world",
             ),
-            _choice("--frame", ["world", "ego", "sensor"], "The frame along whose axes the box lies."),
-            click.option(
-                "--range",
-                "reach",
-                type=float,
-                metavar="M",
-                help="Keep what is within this distance of the sensor; of the ego with `--frame ego`.",
+            option(
+                "--range=M reach",
+                "Keep what is within this distance of the sensor; of the ego with `--frame ego`.",
+                float,
             ),
-            _ids("--sensor", "sensors", "The only sensors to keep. [default: all]"),
-            _ids("--without", "without", "Sensors to leave out."),
-            click.option(
-                "--label",
-                "labels",
-                multiple=True,
-                metavar="LABEL",
-                help="The only labels to keep. [default: all]",
-            ),
+            option("--sensor=ID… sensors", "The only sensors to keep. [default: all]"),
+            option("--without=ID…", "Sensors to leave out."),
+            option("--label=LABEL… labels", "The only labels to keep. [default: all]"),
             _TRAJECTORY,
         ),
         counts_points=True,
@@ -138,19 +111,9 @@ _EDITS: Mapping[str, _Edit] = {
         "sceneloom.editing.merge:merge_scenes",
         "Make one scene of several scenes of one drive on one clock.",
         (
-            click.option(
-                "--rename", is_flag=True, help="Give new ids to sensors and annotations whose ids are taken."
-            ),
-            click.option(
-                "--join",
-                is_flag=True,
-                help="Treat sensors and annotations of equal ids as consecutive parts of one.",
-            ),
-            click.option(
-                "--force",
-                is_flag=True,
-                help="Also merge scenes of different drives by city, time, fixes or ego poses.",
-            ),
+            option("--rename", "Give new ids to sensors and annotations whose ids are taken."),
+            option("--join", "Treat sensors and annotations of equal ids as consecutive parts of one."),
+            option("--force", "Also merge scenes of different drives by city, time, fixes or ego poses."),
         ),
         joins=True,
     ),
@@ -158,34 +121,17 @@ _EDITS: Mapping[str, _Edit] = {
         "sceneloom.editing.thin:thin_scene",
         "Keep fewer points, or fewer frames; labelled points follow.",
         (
-            click.option(
-                "--voxel", type=float, metavar="M", help="Keep one point of each cube of this side."
-            ),
-            _choice(
+            option("--voxel=M", "Keep one point of each cube of this side.", float),
+            option(
                 "--keep",
-                ["nearest", "first"],
                 "Which point of a cube to keep: the one nearest to their mean, or the first.",
+                ("nearest", "first"),
+                default="nearest",
             ),
-            click.option(
-                "--share",
-                type=float,
-                metavar="S",
-                help="Keep this share of the points, 0 to 1, evenly spread.",
-            ),
-            click.option(
-                "--points",
-                type=int,
-                metavar="N",
-                help="Keep at most N points of each frame, evenly spread.",
-            ),
-            click.option(
-                "--every",
-                type=int,
-                default=1,
-                metavar="N",
-                help="Keep every Nth frame of each lidar, radar and camera.",
-            ),
-            _ids("--sensor", "sensors", "The only sensors to thin. [default: all]"),
+            option("--share=S", "Keep this share of the points, 0 to 1, evenly spread.", float),
+            option("--points=N", "Keep at most N points of each frame, evenly spread.", int),
+            option("--every=N", "Keep every Nth frame of each lidar, radar and camera.", int, default=1),
+            option("--sensor=ID… sensors", "The only sensors to thin. [default: all]"),
         ),
         counts_points=True,
     ),
@@ -209,21 +155,16 @@ _EDITS: Mapping[str, _Edit] = {
         "Count the points in each cuboid: an attribute `points` per lidar, and labelled points on request.",
         (
             _TRAJECTORY,
-            _ids("--lidar", "lidars", "The only lidars whose points to count. [default: all]"),
-            _choice(
+            option("--lidar=ID… lidars", "The only lidars whose points to count. [default: all]"),
+            option(
                 "--at",
-                ["frame", "points"],
                 "Interpolate cuboids at the time of the frame (deskewed sweeps), or of each point (as measured).",
+                ("frame", "points"),
+                default="frame",
             ),
-            click.option(
-                "--margin", type=float, default=0.0, metavar="M", help="Count points so far outside, too."
-            ),
-            click.option(
-                "--activations", is_flag=True, help="Also report when each lidar has points of each cuboid."
-            ),
-            click.option(
-                "--labeled-points", is_flag=True, help="Add an annotation of labelled points for each cuboid."
-            ),
+            option("--margin=M", "Count points so far outside, too.", float, default=0.0),
+            option("--activations", "Also report when each lidar has points of each cuboid."),
+            option("--labeled-points", "Add an annotation of labelled points for each cuboid."),
         ),
     ),
     "project": _Edit(
@@ -231,41 +172,46 @@ _EDITS: Mapping[str, _Edit] = {
         "Project the cuboids into the cameras: boxes in each image, shares truncated and occluded.",
         (
             _TRAJECTORY,
-            _ids("--camera", "cameras", "The only cameras to project into. [default: all]"),
-            _bounded("--min-pixels", 1.0, "N", "Ignore what is narrower or lower than this in an image."),
-            click.option(
-                "--see-through",
-                multiple=True,
-                metavar="LABEL",
-                help="Labels that fill little of their cuboids, such as trees, and occlude nothing.",
+            option("--camera=ID… cameras", "The only cameras to project into. [default: all]"),
+            option(
+                "--min-pixels=N",
+                "Ignore what is narrower or lower than this in an image.",
+                options.not_negative,
+                default=1.0,
             ),
-            click.option("--lidar", metavar="ID", help="Also use the points of this lidar for occlusion."),
-            click.option(
-                "--activations", is_flag=True, help="Also report when each camera sees each cuboid."
+            option(
+                "--see-through=LABEL…",
+                "Labels that fill little of their cuboids, such as trees, and occlude nothing.",
             ),
+            option("--lidar=ID", "Also use the points of this lidar for occlusion."),
+            option("--activations", "Also report when each camera sees each cuboid."),
         ),
     ),
     "simplify": _Edit(
         "sceneloom.cli.edit:_simplified",
         "Keep only those timestamps of paths that the others do not give within the tolerances.",
         (
-            _bounded("--tolerance-m", 0.01, "M", "Error of interpolated positions and sizes at most."),
-            _bounded("--tolerance-deg", 0.1, "DEG", "Error of interpolated rotations at most."),
-            click.option(
-                "--only",
-                multiple=True,
-                type=click.Choice(_PATHS),
-                help="The only paths to simplify. [default: all]",
+            option(
+                "--tolerance-m=M",
+                "Error of interpolated positions and sizes at most.",
+                options.not_negative,
+                default=0.01,
             ),
+            option(
+                "--tolerance-deg=DEG",
+                "Error of interpolated rotations at most.",
+                options.not_negative,
+                default=0.1,
+            ),
+            option("--only…", "The only paths to simplify. [default: all]", _PATHS),
         ),
     ),
     "apply": _Edit(
         "sceneloom.cli.edit:_applied",
         "Apply localization adjustments and camera calibrations, and remove them.",
         (
-            _ids(
-                "--only",
-                "only",
+            option(
+                "--only=ID…",
                 "The only annotations to apply. [default: all adjustments and calibrations]",
             ),
             _ANNOTATIONS_IN,
@@ -275,15 +221,17 @@ _EDITS: Mapping[str, _Edit] = {
         "sceneloom.editing.anonymise:anonymised_scene",
         "Remove where a drive was, by whom, and on request when.",
         (
-            _choice(
+            option(
                 "--fixes",
-                ["drop", "shift"],
                 "Satellite fixes: left out, or moved to latitude 0, longitude 0.",
+                ("drop", "shift"),
+                default="drop",
             ),
-            _choice(
+            option(
                 "--dates",
-                ["keep", "shift"],
                 "Time of day: kept, or counted from the drive's first timestamp.",
+                ("keep", "shift"),
+                default="keep",
             ),
         ),
     ),
@@ -292,35 +240,32 @@ _EDITS: Mapping[str, _Edit] = {
         "Resample images for pinhole camera models; what is drawn into them follows.",
         (
             _CAMERAS,
-            _choice(
+            option(
                 "--keep",
-                list(_KEEP),
                 "Show only what fills the image, or all that the old one shows, with black where it shows nothing.",
+                list(_KEEP),
+                default="valid",
             ),
-            click.option(
-                "--size", callback=_size, metavar="WxH", help="Size of the new images. [default: as before]"
-            ),
+            option("--size=WxH", "Size of the new images. [default: as before]", callback=_size),
         ),
     ),
     "camera-model": _Edit(
         "sceneloom.editing.cameras:convert_camera_models",
         "Replace the camera models by the closest fits of another model; images stay as they are.",
         (
-            click.option(
-                "--model", required=True, metavar="NAME", help="Projection model of the new camera models."
-            ),
+            option("--model=NAME", "Projection model of the new camera models.", required=True),
             _CAMERAS,
-            _bounded(
-                "--limit limit_px",
-                1.0,
-                "PX",
+            option(
+                "--limit=PX limit_px",
                 "Refuse a camera model that deviates more than so many pixels anywhere in the image.",
+                options.not_negative,
+                default=1.0,
             ),
-            _bounded(
-                "--share",
-                0.99,
-                "S",
+            option(
+                "--share=S",
                 "Refuse a camera model that covers less than this share of the image, 0 to 1.",
+                options.not_negative,
+                default=0.99,
             ),
         ),
     ),
@@ -497,14 +442,10 @@ for _name, _row in _EDITS.items():
 @click.argument("path", type=options.location)
 @_OUTPUT
 @options.trajectory("`imu`: only the rotation measured by the IMU")
-@click.option(
-    "--at",
-    type=click.Choice(["start", "middle", "end"]),
-    default="middle",
-    show_default=True,
-    help="The moment of each sweep to move its points to.",
+@option(
+    "--at", "The moment of each sweep to move its points to.", ("start", "middle", "end"), default="middle"
 )
-@click.option("--lidar", metavar="ID", help="The only lidar to deskew. [default: all]")
+@option("--lidar=ID", "The only lidar to deskew. [default: all]")
 @options.part
 @rewriting_verb
 def deskew(
@@ -560,34 +501,31 @@ def _print_deskewing(report: "DeskewReport", printer: Printer) -> None:
 @edit.command()
 @click.argument("path", type=options.location)
 @_OUTPUT
-@click.option(
-    "--boxes",
-    "box_file",
-    type=options.source(),
-    metavar="FILE",
-    help="CSV or JSON of what to redact: camera, number or time of the image, x1, y1, x2, y2, track.",
+@option(
+    "--boxes=FILE box_file",
+    "CSV or JSON of what to redact: camera, number or time of the image, x1, y1, x2, y2, track.",
+    options.source(),
 )
-@click.option(
-    "--label",
-    "labels",
-    multiple=True,
-    metavar="LABEL",
-    help="Redact the drive's own boxes and outlines in images with this label.",
-)
-@_choice(
+@option("--label=LABEL… labels", "Redact the drive's own boxes and outlines in images with this label.")
+@option(
     "--fill",
-    ["blur", "pixelate", "black"],
     "What replaces the pixels: at most 4 x 4 mean colours, smooth or in squares, or black.",
+    ("blur", "pixelate", "black"),
+    default="blur",
 )
-@_bounded("--margin", 0.1, "S", "Share of its width and height by which a box grows on each side.")
-@click.option(
-    "--hold",
-    type=options.not_negative,
+@option(
+    "--margin=S",
+    "Share of its width and height by which a box grows on each side.",
+    options.not_negative,
+    default=0.1,
+)
+@option(
+    "--hold=S",
+    "Redact tracks and annotations S seconds before their first and after their last image.",
+    options.not_negative,
     default=0.0,
-    metavar="S",
-    help="Redact tracks and annotations S seconds before their first and after their last image.",
 )
-@click.option("--drop-colours", is_flag=True, help="Remove the colours of points that cameras gave them.")
+@option("--drop-colours", "Remove the colours of points that cameras gave them.")
 @rewriting_verb
 def blur(
     path: Path | str,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_table, seconds, several
 from sceneloom.cli.running import reading_verb, verb
 from sceneloom.errors import SceneloomError
@@ -37,31 +38,21 @@ def _share(text: str | float) -> float:
     return options.number(text, lambda value: 0.0 < value <= 1.0, "a number above 0, at most 1")
 
 
-_overwrite = click.option("--overwrite", is_flag=True, help="Replace an image that exists.")
+_overwrite = option("--overwrite", "Replace an image that exists.")
 
 _objects = options.stacked(
     click.argument("results", type=options.location, metavar="RESULTS"),
     click.argument("truth", type=options.location, metavar="TRUTH"),
-    click.option(
-        "--class",
-        "classes",
-        multiple=True,
-        metavar="NAME",
-        help="A class to evaluate; may be repeated. [default: KITTI's of the truth; of scenes all]",
+    option(
+        "--class=NAME… classes",
+        "A class to evaluate; may be repeated. [default: KITTI's of the truth; of scenes all]",
     ),
-    click.option(
-        "--sequence",
-        "sequences",
-        multiple=True,
-        metavar="NAME",
-        help="A sequence to take, such as 0003; may be repeated for KITTI's text. [default: all of the truth]",
+    option(
+        "--sequence=NAME… sequences",
+        "A sequence to take, such as 0003; may be repeated for KITTI's text. [default: all of the truth]",
     ),
-    click.option(
-        "-o",
-        "--plot",
-        type=options.target,
-        metavar="OUT.png",
-        help="Plot the curves (.png, .svg, .pdf; needs sceneloom[report]).",
+    option(
+        "-o --plot=OUT.png", "Plot the curves (.png, .svg, .pdf; needs sceneloom[report]).", options.target
     ),
     _overwrite,
     click.option(
@@ -82,37 +73,29 @@ _objects = options.stacked(
 
 @evaluate.command()
 @_objects
-@click.option(
-    "--similarity",
-    "similarities",
-    type=click.Choice(["2d", "bev", "3d"]),
-    multiple=True,
-    help="Overlap in the image, from above, in space; may be repeated. [default: all that both sides have]",
+@option(
+    "--similarity… similarities",
+    "Overlap in the image, from above, in space; may be repeated. [default: all that both sides have]",
+    ("2d", "bev", "3d"),
 )
-@click.option(
-    "--threshold",
-    "least_overlap",
-    type=_share,
-    metavar="S",
-    help="Overlap from which a detection matches an object. [default: 0.7 for cars, else 0.5]",
+@option(
+    "--threshold=S least_overlap",
+    "Overlap from which a detection matches an object. [default: 0.7 for cars, else 0.5]",
+    _share,
 )
-@click.option(
-    "--difficulty",
-    "difficulties",
-    type=click.Choice(["easy", "moderate", "hard", "all"]),
-    multiple=True,
-    help="Which objects must be found; may be repeated. [default: easy moderate hard; all without images]",
+@option(
+    "--difficulty… difficulties",
+    "Which objects must be found; may be repeated. [default: easy moderate hard; all without images]",
+    ("easy", "moderate", "hard", "all"),
 )
-@click.option(
+@option(
     "--regions-in-space",
-    is_flag=True,
-    help="Ignore detections in regions of DontCare also where boxes in space are compared, which KITTI does not.",
+    "Ignore detections in regions of DontCare also where boxes in space are compared, which KITTI does not.",
 )
-@click.option(
-    "--degrees-of-freedom",
-    type=options.positive,
-    metavar="NU",
-    help="Of the Student distribution of errors, for regions of covariances; more than 2. [default: Gaussian]",
+@option(
+    "--degrees-of-freedom=NU",
+    "Of the Student distribution of errors, for regions of covariances; more than 2. [default: Gaussian]",
+    options.positive,
 )
 @verb
 def detection(
@@ -193,18 +176,16 @@ def _covariance_row(name: str, part: "CovarianceScores") -> tuple[str, ...]:
 
 @evaluate.command()
 @_objects
-@click.option(
+@option(
     "--similarity",
-    type=click.Choice(["2d", "bev", "3d", "distance"]),
-    help="Similarity of two boxes: overlap in the image, from above, in space; distance of centres (0 at 4 m). "
+    "Similarity of two boxes: overlap in the image, from above, in space; distance of centres (0 at 4 m). "
     "[default: 2d, else 3d]",
+    ("2d", "bev", "3d", "distance"),
 )
-@click.option(
-    "--threshold",
-    "least_similarity",
-    type=_share,
-    metavar="S",
-    help="Similarity from which CLEAR and identity metrics match two boxes. [default: 0.5]",
+@option(
+    "--threshold=S least_similarity",
+    "Similarity from which CLEAR and identity metrics match two boxes. [default: 0.5]",
+    _share,
 )
 @verb
 def tracking(
@@ -272,47 +253,30 @@ def _tracking_cells(scores: "TrackingScores", family: str) -> list[str]:
 @evaluate.command()
 @click.argument("estimate", type=options.location, metavar="EST")
 @click.argument("reference", type=options.location, metavar="REF")
-@click.option(
+@option(
     "--align",
-    type=click.Choice(["none", "origin", "yaw", "se3", "sim3"]),
+    "Align EST to REF first: by the first pose; translation and yaw; rigid; with scale.",
+    ("none", "origin", "yaw", "se3", "sim3"),
     default="se3",
-    show_default=True,
-    help="Align EST to REF first: by the first pose; translation and yaw; rigid; with scale.",
 )
-@click.option(
-    "--align-first",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Align by the first N pairs only. [default: all]",
-)
-@click.option(
+@option("--align-first=N", "Align by the first N pairs only. [default: all]", click.IntRange(min=1))
+@option(
     "--associate",
-    type=click.Choice(["interpolate", "nearest"]),
+    "Interpolate REF at the times of EST, or take its nearest poses.",
+    ("interpolate", "nearest"),
     default="interpolate",
-    show_default=True,
-    help="Interpolate REF at the times of EST, or take its nearest poses.",
 )
-@click.option(
-    "--tolerance",
-    type=float,
-    metavar="S",
-    help="Time to the nearest pose of REF at most. [default: 0.1, 0.01 for `nearest`]",
-)
-@click.option("--offset", metavar="S", default="0", help="Seconds added to the times of EST.")
+@option("--tolerance=S", "Time to the nearest pose of REF at most. [default: 0.1, 0.01 for `nearest`]", float)
+@option("--offset=S", "Seconds added to the times of EST.", default="0")
 @options.part
-@click.option(
-    "--rpe-delta",
-    "rpe_deltas",
-    multiple=True,
-    metavar="STEP",
-    help="Compare motions over steps such as 1s, 10m, 1f (poses); may be repeated. [default: 1s 5m 10m 50m]",
+@option(
+    "--rpe-delta=STEP… rpe_deltas",
+    "Compare motions over steps such as 1s, 10m, 1f (poses); may be repeated. [default: 1s 5m 10m 50m]",
 )
-@click.option(
-    "--plot", type=options.target, metavar="OUT.png", help="Plot the trajectories from above and the errors."
-)
+@option("--plot=OUT.png", "Plot the trajectories from above and the errors.", options.target)
 @_overwrite
-@click.option("--est-name", metavar="NAME", help="Which trajectory of EST.")
-@click.option("--ref-name", metavar="NAME", help="Which trajectory of REF.")
+@option("--est-name=NAME", "Which trajectory of EST.")
+@option("--ref-name=NAME", "Which trajectory of REF.")
 @options.trajectory_file("est", "EST")
 @options.trajectory_file("ref", "REF")
 @reading_verb

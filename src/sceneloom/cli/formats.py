@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_table
 from sceneloom.cli.running import verb
 
@@ -17,20 +18,13 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("name", required=False)
-@click.option(
-    "--template",
-    type=click.Path(path_type=Path),
-    metavar="rig.toml",
-    help="Write a manifest to fill in, for a folder of your own clouds and images; `-` prints it.",
+@option(
+    "--template=rig.toml",
+    "Write a manifest to fill in, for a folder of your own clouds and images; `-` prints it.",
+    click.Path(path_type=Path),
 )
-@click.option(
-    "--from",
-    "folder",
-    type=options.source(),
-    metavar="FOLDER",
-    help="Write the template for what is in this folder.",
-)
-@click.option("--overwrite", is_flag=True, help="Replace a template that exists.")
+@option("--from=FOLDER folder", "Write the template for what is in this folder.", options.source())
+@option("--overwrite", "Replace a template that exists.")
 @verb
 def formats(
     name: str | None, template: Path | None, folder: Path | None, overwrite: bool, printer: Printer

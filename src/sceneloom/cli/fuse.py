@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import detection_options, options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_outputs, print_table, several
 from sceneloom.cli.running import rewriting_verb, verb
 
@@ -19,39 +20,32 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @click.command()
 @click.argument("path", type=options.location)
 @options.output("The .sfs file to write; for detections, the .jsonl file.", required=False)
-@click.option(
-    "--type",
-    "fusion_type",
-    type=click.Choice(["sensor", "detection"]),
-    help="Fuse clouds and images, or detections in them. [default: sensor]",
+@option(
+    "--type fusion_type",
+    "Fuse clouds and images, or detections in them. [default: sensor]",
+    ("sensor", "detection"),
 )
-@click.option(
-    "--format",
-    "form",
-    type=click.Choice(["jsonl", "kitti"]),
-    help="For detections: JSON lines, or for KITTI's folders its text, without tracks. [default: jsonl]",
+@option(
+    "--format form",
+    "For detections: JSON lines, or for KITTI's folders its text, without tracks. [default: jsonl]",
+    ("jsonl", "kitti"),
 )
 @detection_options.fused
 @options.trajectory(options.STATIONARY)
-@click.option(
-    "--algorithm",
-    metavar="NAME|FILE.py:FUNCTION",
-    help="`projection`: colours of nearest pixels; `blending`: of all images, by weight; one that a package brings, "
+@option(
+    "--algorithm=NAME|FILE.py:FUNCTION",
+    "`projection`: colours of nearest pixels; `blending`: of all images, by weight; one that a package brings, "
     "or a function of a Python file, which is executed. [default: projection]",
 )
-@click.option("--depth", type=options.target, metavar="DIR", help="Folder for depth images.")
-@click.option(
-    "--depth-format",
-    type=click.Choice(["png", "npz"]),
-    help="16-bit PNG (metres times 256) or NPZ (float32 metres). [default: png]",
+@option("--depth=DIR", "Folder for depth images.", options.target)
+@option(
+    "--depth-format", "16-bit PNG (metres times 256) or NPZ (float32 metres). [default: png]", ("png", "npz")
 )
 @options.visualize()
-@click.option(
-    "--visualize-every",
-    "images_every",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Draw every Nth sweep. [default: eight spread over the drive]",
+@option(
+    "--visualize-every=N images_every",
+    "Draw every Nth sweep. [default: eight spread over the drive]",
+    click.IntRange(min=1),
 )
 @options.threads
 @options.part
@@ -229,26 +223,16 @@ def _print_detections(report: "DetectionFusionReport", printer: Printer) -> None
 
 
 @click.command()
-@click.option(
-    "--keep",
-    type=options.target,
+@option(
+    "--keep=DIR",
+    "Folder for the drive, the scene and the images.",
+    options.target,
     default=Path("sceneloom-demo"),
-    show_default=True,
-    metavar="DIR",
-    help="Folder for the drive, the scene and the images.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Random seed of the street.")
-@click.option(
-    "--frames", type=click.IntRange(min=2), default=30, show_default=True, help="Lidar sweeps at 10 Hz."
-)
-@click.option(
-    "--video",
-    type=click.Choice(["h264", "png"]),
-    default="h264",
-    show_default=True,
-    help="Format of the drive's images.",
-)
-@click.option("--overwrite", is_flag=True, help="Replace an earlier demo.")
+@option("--seed", "Random seed of the street.", int, default=0)
+@option("--frames", "Lidar sweeps at 10 Hz.", click.IntRange(min=2), default=30)
+@option("--video", "Format of the drive's images.", ("h264", "png"), default="h264")
+@option("--overwrite", "Replace an earlier demo.")
 @verb
 def demo(keep: Path, seed: int, frames: int, video: str, overwrite: bool, printer: Printer) -> None:
     """Simulate a small drive through a street, fuse it, and show the result."""

@@ -10,6 +10,7 @@ from msgspec import structs
 
 from sceneloom.arrays import Float64Array
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, amount, print_json, print_table, seconds, several
 from sceneloom.cli.running import reading_verb
 from sceneloom.geometry.rigid import RigidTransform
@@ -36,7 +37,7 @@ _STANDARD = EgoAxes(np.eye(3), known=True)
 @options.visualize(
     "Draw the annotations into DIR: in the images, from above, over time, and each type by itself."
 )
-@click.option("--at", type=float, metavar="S", help="When to draw them. [default: the middle of the scene]")
+@option("--at=S", "When to draw them. [default: the middle of the scene]", float)
 @options.overwrite
 @reading_verb
 def info(

@@ -27,6 +27,45 @@ def stacked(*options: Callable[[Any], Any]) -> Callable[[Command], Command]:
     return lambda command: reduce(lambda inner, option: option(inner), reversed(options), command)
 
 
+def option(
+    flags: str,
+    help: str,  # noqa: A002 - click's word
+    kind: Any = None,
+    *,
+    default: Any = None,
+    metavar: str | None = None,
+    **more: Any,
+) -> Callable[[Command], Command]:
+    """An option of a verb.
+
+    Args:
+        flags: as `--camera=ID… cameras`: flags, what their value is called, `…` where they may be repeated, and the
+            name of the parameter where it is another one.
+        help: what it does.
+        kind: type of the value: a function, or the words to choose from; None for text, or for a switch where the value
+            has no name.
+        default: what it is without; shown in the help.
+        metavar: what the value is called, where that has spaces or commas.
+    """
+    words = flags.split()
+    named = [word.rstrip("…").partition("=") for word in words if word.startswith("-")]
+    metavar = metavar or next((value for _, _, value in named if value), None)
+    is_switch = kind is None and metavar is None and "callback" not in more
+    choices = isinstance(kind, Sequence) and isinstance(kind[0], str)
+    return click.option(
+        *(flag for flag, _, _ in named),
+        *(word for word in words if not word.startswith("-")),
+        help=help,
+        type=click.Choice(kind) if choices else kind,
+        is_flag=is_switch,
+        multiple=any(word.endswith("…") for word in words),
+        metavar=metavar,
+        default=False if is_switch else default,
+        show_default=default not in (None, ""),
+        **more,
+    )
+
+
 # types of arguments and options
 
 
@@ -127,14 +166,12 @@ no_corrections = click.option(
     "written. [default: apply them]",
 )
 
-lenient = click.option("--lenient", is_flag=True, help="Skip what is broken, count it, and go on.")
+lenient = option("--lenient", "Skip what is broken, count it, and go on.")
 
 reading = stacked(
-    click.option(
-        "--input-format",
-        "format",
-        metavar="NAME",
-        help="Format of the drive, where its content is ambiguous: a name from `sceneloom formats`.",
+    option(
+        "--input-format=NAME format",
+        "Format of the drive, where its content is ambiguous: a name from `sceneloom formats`.",
     ),
     click.option(
         "--input-option",
@@ -144,65 +181,59 @@ reading = stacked(
         help="An option of the drive's format, such as `world=odom` for bags; each format's page lists its own.",
     ),
     lenient,
-    click.option(
+    option(
         "--points-frame",
-        type=click.Choice(["world", "ego", "sensor"]),
-        help="Frame of the lidar points of a scene file that does not state it. [default: that of its coordinates]",
+        "Frame of the lidar points of a scene file that does not state it. [default: that of its coordinates]",
+        ("world", "ego", "sensor"),
     ),
-    click.option(
+    option(
         "--euler-unit",
-        type=click.Choice(["degrees", "radians"]),
-        help="Unit of the boxes' angles in a scene file that does not state it. [default: degrees]",
+        "Unit of the boxes' angles in a scene file that does not state it. [default: degrees]",
+        ("degrees", "radians"),
     ),
-    click.option(
-        "--euler-order",
-        metavar="ORDER",
-        help="Order of the boxes' rotations in a scene file that does not state it. [default: xyz]",
+    option(
+        "--euler-order=ORDER",
+        "Order of the boxes' rotations in a scene file that does not state it. [default: xyz]",
     ),
-    click.option(
+    option(
         "--tangential",
-        type=click.Choice(["opencv", "brown"]),
-        help="What p1 and p2 of `brown_conrady` camera models mean in a scene file that does not state it: `brown` "
+        "What p1 and p2 of `brown_conrady` camera models mean in a scene file that does not state it: `brown` "
         "exchanges them. [default: opencv]",
+        ("opencv", "brown"),
     ),
-    click.option(
+    option(
         "--vertices",
-        type=click.Choice(["pairs", "triples"]),
-        help="How a scene file writes polygons and polylines in space: x, y pairs or x, y, z triples. "
+        "How a scene file writes polygons and polylines in space: x, y pairs or x, y, z triples. "
         "[default: triples where they fit]",
+        ("pairs", "triples"),
     ),
-    click.option(
+    option(
         "--assume-model",
-        is_flag=True,
-        help="Compute with camera models whose formulas are not confirmed: `ftheta`, `fisheye_radial_custom`.",
+        "Compute with camera models whose formulas are not confirmed: `ftheta`, `fisheye_radial_custom`.",
     ),
-    click.option(
+    option(
         "--altitude",
-        type=click.Choice(["wgs84", "msl"]),
-        help="What a recording's altitudes are above: the ellipsoid or mean sea level. [default: wgs84]",
+        "What a recording's altitudes are above: the ellipsoid or mean sea level. [default: wgs84]",
+        ("wgs84", "msl"),
     ),
-    click.option(
+    option(
         "--image-index",
-        type=click.Choice(["auto", "number", "first", "line"]),
-        help="Which image of a video a recording's `frames` line means: its `number`, that less the first number, or "
+        "Which image of a video a recording's `frames` line means: its `number`, that less the first number, or "
         "each line the next. [default: auto: by the counts, if they agree]",
+        ("auto", "number", "first", "line"),
     ),
-    click.option(
+    option(
         "--camera-shift",
-        type=click.Choice(["ignore", "apply", "subtract"]),
-        help="How to use a recording's `imuToCameraShiftSeconds`: `apply` adds it to the timestamps of the camera's "
+        "How to use a recording's `imuToCameraShiftSeconds`: `apply` adds it to the timestamps of the camera's "
         "images, `subtract` subtracts it. [default: ignore]",
+        ("ignore", "apply", "subtract"),
     ),
-    click.option(
-        "--sequence",
-        multiple=True,
+    option(
+        "--sequence=NAME…",
+        "Which drive of a data set that has several.",
         callback=lambda _context, _parameter, given: one_sequence(given),
-        metavar="NAME",
-        help="Which drive of a data set that has several.",
     ),
-    click.option(
-        "--keyframes", is_flag=True, help="Read only the samples of nuScenes, not the sweeps between."
-    ),
+    option("--keyframes", "Read only the samples of nuScenes, not the sweeps between."),
     no_corrections,
 )
 """On every verb that reads a drive; it is then called with the stated ones as `reading`."""
@@ -211,53 +242,48 @@ READING_OPTIONS = click.command()(reading(lambda: None)).params
 
 READING = frozenset(str(option.name) for option in READING_OPTIONS)
 
-overwrite = click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
+overwrite = option("--overwrite", "Replace outputs that exist.")
 
 writing_scenes = stacked(
     overwrite,
-    click.option(
+    option(
         "--profile",
-        type=click.Choice(["sfs", "scale"]),
-        help="`scale`: a scene file that Scale's own library loads and validates. [default: sfs]",
+        "`scale`: a scene file that Scale's own library loads and validates. [default: sfs]",
+        ("sfs", "scale"),
     ),
-    click.option(
+    option(
         "--time-unit",
-        type=click.Choice(["microseconds", "nanoseconds"]),
-        help="Unit of all times in a scene file. [default: microseconds]",
+        "Unit of all times in a scene file. [default: microseconds]",
+        ("microseconds", "nanoseconds"),
     ),
 )
 """On every verb that writes `.sfs`."""
 
 part = stacked(
-    click.option(
-        "--start", type=not_negative, metavar="S", help="Begin S seconds after the first timestamp."
-    ),
-    click.option("--stop", type=not_negative, metavar="S", help="End before S seconds after it."),
+    option("--start=S", "Begin S seconds after the first timestamp.", not_negative),
+    option("--stop=S", "End before S seconds after it.", not_negative),
 )
 """On every verb that can take a part of a drive."""
 
-threads = click.option(
-    "--threads",
-    type=click.IntRange(1, 256),
-    metavar="N",
-    help="Size of the thread pool for per-cloud kernels; results do not depend on it. [default: 1]",
+threads = option(
+    "--threads=N",
+    "Size of the thread pool for per-cloud kernels; results do not depend on it. [default: 1]",
+    click.IntRange(1, 256),
 )
 
 
 def trajectory(more: str = "") -> Callable[[Command], Command]:
     """On every verb that moves something along the ego trajectory: which one it is; `more` names one more choice."""
     return stacked(
-        click.option(
-            "--trajectory",
-            metavar="NAME",
-            help="Trajectory to use. `gnss`: GNSS/IMU smoothing; `lidar`: lidar odometry"
+        option(
+            "--trajectory=NAME",
+            "Trajectory to use. `gnss`: GNSS/IMU smoothing; `lidar`: lidar odometry"
             f"{more and '; '}{more}. [default: the drive's first, else `gnss`, else `lidar`]",
         ),
-        click.option(
-            "--orientation-from",
-            "heading",
-            type=click.Choice(["motion"]),
-            help="Derive orientations where the trajectory has positions only.",
+        option(
+            "--orientation-from heading",
+            "Derive orientations where the trajectory has positions only.",
+            ("motion",),
         ),
     )
 
@@ -268,58 +294,37 @@ STATIONARY = "`identity`: stationary"
 
 def trajectory_file(side: str, path: str) -> Callable[[Command], Command]:
     """On every verb that reads a trajectory: how to read that of one argument; the names begin with `side`."""
+    units = ("seconds", "milliseconds", "microseconds", "nanoseconds")
     return stacked(
-        click.option(
-            f"--{side}-form", metavar="FORM", help=f"Format of {path}: tum, kitti, euroc, gnss, csv, jsonl."
+        option(f"--{side}-form=FORM", f"Format of {path}: tum, kitti, euroc, gnss, csv, jsonl."),
+        option(
+            f"--{side}-times=FILE", f"Times of the poses of {path}, one per line, for KITTI files.", source()
         ),
-        click.option(
-            f"--{side}-times",
-            type=source(),
-            metavar="FILE",
-            help=f"Times of the poses of {path}, one per line, for KITTI files.",
-        ),
-        click.option(
-            f"--{side}-rate",
-            f"{side}_rate_hz",
-            type=positive,
-            metavar="HZ",
-            help="Poses per second instead of times.",
-        ),
-        click.option(
-            f"--{side}-unit",
-            type=click.Choice(["seconds", "milliseconds", "microseconds", "nanoseconds"]),
-            help=f"Unit of the times in {path}. [default: that of its format]",
-        ),
-        click.option(
+        option(f"--{side}-rate=HZ {side}_rate_hz", "Poses per second instead of times.", positive),
+        option(f"--{side}-unit", f"Unit of the times in {path}. [default: that of its format]", units),
+        option(
             f"--{side}-optical",
-            is_flag=True,
-            help=f"{path} has a camera's poses: rotate z forward, y down to x forward, z up.",
+            f"{path} has a camera's poses: rotate z forward, y down to x forward, z up.",
         ),
     )
 
 
 def output(help: str, *, required: bool = True) -> Callable[[Command], Command]:  # noqa: A002 - click's word
     """The output of a verb."""
-    return click.option("-o", "--output", type=target, required=required, help=help)
+    return option("-o --output", help, target, required=required)
 
 
 def visualize(
     help: str = "Draw images to look at into DIR.",  # noqa: A002 - click's word
 ) -> Callable[[Command], Command]:
     """On every verb that can draw what it did."""
-    return click.option("--visualize", "images", type=target, metavar="DIR", help=help)
+    return option("--visualize=DIR images", help, target)
 
 
 def lists(lines: str) -> Callable[[Command], Command]:
     """Lists of drives in files (`sceneloom.batch.jobs`); `lines` states what they hold."""
-    return click.option(
-        "--list",
-        "lists",
-        type=source(exists=True, dir_okay=False),
-        multiple=True,
-        metavar="FILE",
-        help=f"A list of drives, one per line: {lines}; may be repeated.",
-    )
+    text = f"A list of drives, one per line: {lines}; may be repeated."
+    return option("--list=FILE… lists", text, source(exists=True, dir_okay=False))
 
 
 # from options to arguments

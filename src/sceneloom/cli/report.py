@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, several
 from sceneloom.cli.running import reading_verb
 
@@ -15,43 +16,31 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("path", type=options.location)
-@click.option(
-    "-o",
-    "--output",
-    type=options.target,
-    metavar="FILE",
-    help="The page, one file that ends in .html. [default: report.html, unless --json or --numbers is stated]",
+@option(
+    "-o --output=FILE",
+    "The page, one file that ends in .html. [default: report.html, unless --json or --numbers is stated]",
+    options.target,
 )
-@click.option("--numbers", type=options.target, metavar="FILE", help="Also write all its metrics as JSON.")
-@click.option("--title", metavar="TEXT", help="Title of the page. [default: the drive's name]")
+@option("--numbers=FILE", "Also write all its metrics as JSON.", options.target)
+@option("--title=TEXT", "Title of the page. [default: the drive's name]")
 @options.trajectory()
-@click.option(
-    "--truth",
-    type=options.source(),
-    metavar="FILE",
-    help="Reference to compare the drive with: a trajectory, a scene, or KITTI's text.",
+@option(
+    "--truth=FILE",
+    "Reference to compare the drive with: a trajectory, a scene, or KITTI's text.",
+    options.source(),
 )
-@click.option(
-    "--compare",
-    type=click.Choice(["lidar", "gnss"]),
-    multiple=True,
-    help="Also estimate the trajectory from this, and compare the drive's own with it; may be repeated.",
+@option(
+    "--compare…",
+    "Also estimate the trajectory from this, and compare the drive's own with it; may be repeated.",
+    ("lidar", "gnss"),
 )
-@click.option(
-    "--losses",
-    type=options.source(),
-    metavar="FILE",
-    help="Loss report of writing the drive to show with it, as JSON of `sceneloom convert`.",
+@option(
+    "--losses=FILE",
+    "Loss report of writing the drive to show with it, as JSON of `sceneloom convert`.",
+    options.source(),
 )
-@click.option("--quick", is_flag=True, help="Read a few frames only; no check of the calibration.")
-@click.option(
-    "--images",
-    type=click.IntRange(min=0),
-    default=24,
-    show_default=True,
-    metavar="N",
-    help="Most images on the page.",
-)
+@option("--quick", "Read a few frames only; no check of the calibration.")
+@option("--images=N", "Most images on the page.", click.IntRange(min=0), default=24)
 @options.overwrite
 @options.part
 @reading_verb

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer
 from sceneloom.errors import DataError, OptionError, SceneloomError, UnknownFormatError, UnknownOptionError
 
@@ -41,9 +42,9 @@ def verb(command: Command) -> Command:
 
 
 _printing = options.stacked(
-    click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
-    click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings."),
-    click.option("-v", "--verbose", is_flag=True, help="Every warning and loss, not only the first ones."),
+    option("--json as_json", "Print the result as JSON."),
+    option("-q --quiet", "No progress, no warnings."),
+    option("-v --verbose", "Every warning and loss, not only the first ones."),
 )
 
 

@@ -14,6 +14,7 @@ import click
 import msgspec
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_json
 from sceneloom.cli.running import reading_verb, verb
 from sceneloom.errors import OptionError
@@ -35,33 +36,25 @@ _PORT = click.IntRange(0, 65535)
 
 
 @click.command()
-@click.option(
-    "--config", type=_FILE, help="TOML file: properties, sensors and calibrations of new sessions, limits."
-)
-@click.option("--host", default="127.0.0.1", show_default=True, help="Address; others need TLS and a token.")
-@click.option("--port", type=_PORT, default=0, help="Port; 0 for a free one. [default: 0]")
-@click.option("--tls-cert", type=_FILE, help="PEM file: the server's certificate.")
-@click.option("--tls-key", type=_FILE, help="PEM file: its key.")
-@click.option(
-    "--tls-client-ca", type=_FILE, help="PEM file: who signs the certificates that clients must show."
-)
-@click.option("--token-file", type=_FILE, help="File with the token that clients must show.")
-@click.option(
-    "--metrics-port", type=_PORT, help="Answer `GET /metrics` here, for Prometheus on this machine."
-)
-@click.option("--max-sessions", type=click.IntRange(min=1), help="Sessions at once. [default: 16]")
-@click.option(
-    "--idle-minutes", type=options.positive, help="End sessions that were unused for so long. [default: 30]"
-)
-@click.option(
+@option("--config", "TOML file: properties, sensors and calibrations of new sessions, limits.", _FILE)
+@option("--host=ADDRESS", "Address; others need TLS and a token.", default="127.0.0.1")
+@option("--port", "Port; 0 for a free one.", _PORT, default=0)
+@option("--tls-cert", "PEM file: the server's certificate.", _FILE)
+@option("--tls-key", "PEM file: its key.", _FILE)
+@option("--tls-client-ca", "PEM file: who signs the certificates that clients must show.", _FILE)
+@option("--token-file", "File with the token that clients must show.", _FILE)
+@option("--metrics-port", "Answer `GET /metrics` here, for Prometheus on this machine.", _PORT)
+@option("--max-sessions", "Sessions at once. [default: 16]", click.IntRange(min=1))
+@option("--idle-minutes", "End sessions that were unused for so long. [default: 30]", options.positive)
+@option(
     "--log",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="MCAP file for the session log: all that comes in and goes out.",
+    "MCAP file for the session log: all that comes in and goes out.",
+    click.Path(path_type=Path, dir_okay=False),
 )
-@click.option("--overwrite", is_flag=True, help="Replace the log if it exists.")
-@click.option("--json", "as_json", is_flag=True, help="Print the address as JSON.")
-@click.option("-q", "--quiet", is_flag=True, help="Log warnings only.")
-@click.option("-v", "--verbose", is_flag=True, help="Also log what helps to find faults.")
+@option("--overwrite", "Replace the log if it exists.")
+@option("--json as_json", "Print the address as JSON.")
+@option("-q --quiet", "Log warnings only.")
+@option("-v --verbose", "Also log what helps to find faults.")
 def serve(
     config: Path | None,
     host: str,
@@ -158,18 +151,16 @@ def _host_and_port(text: str) -> str:
 
 
 _access = options.stacked(
-    click.option("--token-file", type=_FILE, help="File with the token that the service asks for."),
-    click.option("--ca", type=_FILE, help="PEM file: who signed the service's certificate; for TLS."),
-    click.option("--client-cert", type=_FILE, help="PEM file: a certificate to show, where it is asked for."),
-    click.option("--client-key", type=_FILE, help="PEM file: its key."),
+    option("--token-file", "File with the token that the service asks for.", _FILE),
+    option("--ca", "PEM file: who signed the service's certificate; for TLS.", _FILE),
+    option("--client-cert", "PEM file: a certificate to show, where it is asked for.", _FILE),
+    option("--client-key", "PEM file: its key.", _FILE),
 )
 """On every verb that reaches a service."""
 
 _calling = options.stacked(
     _access,
-    click.option(
-        "--session", default="", metavar="NAME", help="The session. [default: the service's default one]"
-    ),
+    option("--session=NAME", "The session. [default: the service's default one]", default=""),
 )
 _CALLING = ("session", "token_file", "ca", "client_cert", "client_key")
 """The parameters that `_connected` takes."""
@@ -220,13 +211,11 @@ def _connected(
 @click.command()
 @click.argument("path", type=options.location)
 @click.argument("address", type=_host_and_port, metavar="HOST:PORT")
-@click.option(
-    "--rate",
-    type=options.not_negative,
+@option(
+    "--rate=N",
+    "Speed: 1 for real time, 2 for twice that, 0 for as fast as the service accepts it.",
+    options.not_negative,
     default=1.0,
-    show_default=True,
-    metavar="N",
-    help="Speed: 1 for real time, 2 for twice that, 0 for as fast as the service accepts it.",
 )
 @options.trajectory(options.STATIONARY)
 @options.part
@@ -287,25 +276,18 @@ _TYPES = {"sensor": 0, "detection": 1}
 
 @click.command()
 @click.argument("address", type=_host_and_port, metavar="HOST:PORT")
-@click.option("--type", "kind", type=click.Choice(list(_TYPES)), required=True, help="Which fusion.")
-@click.option(
-    "-o",
-    "--output",
-    type=options.target,
-    help="Of detections a file of JSON lines; of sensor data a folder for depth images, images and points, or a "
+@option("--type kind", "Which fusion.", list(_TYPES), required=True)
+@option(
+    "-o --output",
+    "Of detections a file of JSON lines; of sensor data a folder for depth images, images and points, or a "
     "scene file (.sfs) for the coloured points. [default: a line each on standard output]",
+    options.target,
 )
-@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N results.")
-@click.option("--follow", is_flag=True, help="Go on until the session ends, or Ctrl-C.")
-@click.option("--track", is_flag=True, help="With --follow: follow objects from sweep to sweep, by id.")
-@click.option(
-    "--wait",
-    type=options.not_negative,
-    default=0.0,
-    metavar="S",
-    help="Wait up to S seconds for each result.",
-)
+@option("--overwrite", "Replace outputs that exist.")
+@option("--count=N", "End after N results.", click.IntRange(min=1))
+@option("--follow", "Go on until the session ends, or Ctrl-C.")
+@option("--track", "With --follow: follow objects from sweep to sweep, by id.")
+@option("--wait=S", "Wait up to S seconds for each result.", options.not_negative, default=0.0)
 @_calling
 @verb
 def get(
@@ -391,20 +373,14 @@ def _results(
 
 @click.command()
 @click.argument("address", type=_host_and_port, metavar="HOST:PORT", required=False)
-@click.option(
-    "--report",
-    type=options.target,
-    metavar="FILE",
-    help="Write all that was sent, expected and found to a .json, .md or .html file.",
+@option(
+    "--report=FILE",
+    "Write all that was sent, expected and found to a .json, .md or .html file.",
+    options.target,
 )
 @options.overwrite
-@click.option(
-    "--only",
-    multiple=True,
-    metavar="ID",
-    help="Run this check (5.4-3), or those of a clause or table (5.4, T9); may be repeated.",
-)
-@click.option("--checks", "list_checks", is_flag=True, help="List the checks and stop.")
+@option("--only=ID…", "Run this check (5.4-3), or those of a clause or table (5.4, T9); may be repeated.")
+@option("--checks list_checks", "List the checks and stop.")
 @_access
 @verb
 def conformance(

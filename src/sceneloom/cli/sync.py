@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_table, several
 from sceneloom.cli.running import rewriting_verb
 
@@ -16,28 +17,16 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("path", type=options.location)
-@click.option("--reference", metavar="STREAM", help="The stream of reference. [default: the IMU, else …]")
-@click.option("--streams", metavar="NAMES", help="The only streams to compare, with commas. [default: all]")
-@click.option(
-    "--reach",
-    type=options.positive,
-    default=5.0,
-    show_default=True,
-    metavar="S",
-    help="Search for offsets up to S seconds.",
-)
-@click.option(
-    "--lever",
-    "lever_sigma",
-    type=options.not_negative,
+@option("--reference=STREAM", "The stream of reference. [default: the IMU, else …]")
+@option("--streams=NAMES", "The only streams to compare, with commas. [default: all]")
+@option("--reach=S", "Search for offsets up to S seconds.", options.positive, default=5.0)
+@option(
+    "--lever=M lever_sigma",
+    "Standard deviation of a receiver's antenna's distance from the ego's origin.",
+    options.not_negative,
     default=1.0,
-    show_default=True,
-    metavar="M",
-    help="Standard deviation of a receiver's antenna's distance from the ego's origin.",
 )
-@click.option(
-    "--apply", "output", type=options.target, metavar="OUT", help="Write the drive with clocks corrected."
-)
+@option("--apply=OUT output", "Write the drive with clocks corrected.", options.target)
 @options.part
 @rewriting_verb
 def sync(

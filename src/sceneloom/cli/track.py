@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import detection_options, options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_table, several
 from sceneloom.cli.running import rewriting_verb
 
@@ -16,24 +17,22 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @click.command()
 @click.argument("path", type=options.location)
 @options.output("The file or folder to write.")
-@click.option(
-    "--format",
-    "form",
-    type=click.Choice(["kitti", "sfs", "jsonl"]),
-    help="KITTI's text of results, a scene with labels, or JSON lines. [default: by the suffix, else kitti]",
+@option(
+    "--format form",
+    "KITTI's text of results, a scene with labels, or JSON lines. [default: by the suffix, else kitti]",
+    ("kitti", "sfs", "jsonl"),
 )
-@click.option("--offline", is_flag=True, help="Smooth states over the drive, and fill gaps.")
-@click.option(
+@option("--offline", "Smooth states over the drive, and fill gaps.")
+@option(
     "--box2d",
-    type=click.Choice(["image", "projected"]),
-    help="Boxes in images: those detected there, or outlines of the boxes in space. [default: image]",
+    "Boxes in images: those detected there, or outlines of the boxes in space. [default: image]",
+    ("image", "projected"),
 )
 @detection_options.fused
 @options.trajectory(options.STATIONARY)
-@click.option(
-    "--algorithm",
-    metavar="NAME|FILE.py:FUNCTION",
-    help="Algorithm of detection fusion, or a function of a Python file. [default: projection]",
+@option(
+    "--algorithm=NAME|FILE.py:FUNCTION",
+    "Algorithm of detection fusion, or a function of a Python file. [default: projection]",
 )
 @options.visualize("Draw a dozen moments into DIR: over images and from above.")
 @options.part

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, amount, print_table, several, times
 from sceneloom.cli.running import reading_verb, verb
 
@@ -20,23 +21,18 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("path", type=options.location, required=False)
-@click.option(
+@option(
     "--profile",
-    type=click.Choice(["sfs", "scale"]),
-    help="`scale`: also what Scale's own library refuses. Default: sfs, of a recording its lines and files.",
+    "`scale`: also what Scale's own library refuses. Default: sfs, of a recording its lines and files.",
+    ("sfs", "scale"),
 )
-@click.option("--strict", is_flag=True, help="Treat warnings as errors.")
-@click.option("--quick", is_flag=True, help="Do not read frames and images.")
-@click.option(
-    "--fix",
-    type=options.target,
-    metavar="OUT",
-    help="Write the scene to OUT with all safe fixes applied.",
-)
+@option("--strict", "Treat warnings as errors.")
+@option("--quick", "Do not read frames and images.")
+@option("--fix=OUT", "Write the scene to OUT with all safe fixes applied.", options.target)
 @options.overwrite
-@click.option("--rule", "rules", multiple=True, metavar="ID", help="Run this rule only; may be repeated.")
-@click.option("--ignore", multiple=True, metavar="ID", help="Do not run this rule; may be repeated.")
-@click.option("--rules", "list_rules", is_flag=True, help="List the rules and stop.")
+@option("--rule=ID… rules", "Run this rule only; may be repeated.")
+@option("--ignore=ID…", "Do not run this rule; may be repeated.")
+@option("--rules list_rules", "List the rules and stop.")
 @options.part
 @reading_verb
 def validate(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, amount, several
 from sceneloom.cli.running import reading_verb
 
@@ -19,45 +20,27 @@ _FILE = options.source(exists=True, dir_okay=False)
 @click.command()
 @click.argument("paths", nargs=-1, metavar="PATH...", type=options.location)
 @options.lists('a path, or {"path": …, "start": …, "stop": …}, as `sceneloom catalog query --as list` writes')
-@click.option(
-    "--save", type=options.target, metavar="F.rrd", help="Save the view to a file that `rerun F.rrd` opens."
-)
-@click.option("--web", is_flag=True, help="Show it in a browser on this machine, until Ctrl-C.")
+@option("--save=F.rrd", "Save the view to a file that `rerun F.rrd` opens.", options.target)
+@option("--web", "Show it in a browser on this machine, until Ctrl-C.")
 @options.overwrite
-@click.option(
+@option(
     "--colour-by",
-    type=click.Choice(["colour", "intensity", "height", "ring", "time"]),
-    help="What to colour points by. [default: their own colours, else intensity, else height]",
+    "What to colour points by. [default: their own colours, else intensity, else height]",
+    ("colour", "intensity", "height", "ring", "time"),
 )
-@click.option(
-    "--start", type=options.not_negative, metavar="S", help="Begin S seconds after the first timestamp."
-)
-@click.option(
-    "--stop", "--end", "stop", type=options.positive, metavar="S", help="End before S seconds after it."
-)
-@click.option(
-    "--every",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Every Nth sweep, image, … of each sensor. [default: 1]",
-)
-@click.option(
-    "--sensor", "--sensors", "sensors", metavar="ID,…", help="The only sensors to show. [default: all]"
-)
+@option("--start=S", "Begin S seconds after the first timestamp.", options.not_negative)
+@option("--stop --end=S stop", "End before S seconds after it.", options.positive)
+@option("--every=N", "Every Nth sweep, image, … of each sensor. [default: 1]", click.IntRange(min=1))
+@option("--sensor --sensors sensors", "The only sensors to show. [default: all]", metavar="ID,…")
 @options.trajectory(options.STATIONARY)
-@click.option("--as-measured", is_flag=True, help="Do not undo the motion of the sensor during a sweep.")
-@click.option("--detections", type=_FILE, metavar="F", help="Fused objects of `fuse --type detection`.")
-@click.option("--tracks", type=_FILE, metavar="F", help="Tracked objects of `track`, as JSON lines.")
-@click.option(
-    "--depth",
-    type=options.source(exists=True, file_okay=False),
-    metavar="DIR",
-    help="Depth images of `fuse --depth` or `depth`.",
+@option("--as-measured", "Do not undo the motion of the sensor during a sweep.")
+@option("--detections=F", "Fused objects of `fuse --type detection`.", _FILE)
+@option("--tracks=F", "Tracked objects of `track`, as JSON lines.", _FILE)
+@option(
+    "--depth=DIR", "Depth images of `fuse --depth` or `depth`.", options.source(exists=True, file_okay=False)
 )
-@click.option("--no-findings", is_flag=True, help="Do not show the findings of `validate`.")
-@click.option(
-    "--map-tiles", is_flag=True, help="Let the viewer fetch a map from OpenStreetMap to show behind fixes."
-)
+@option("--no-findings", "Do not show the findings of `validate`.")
+@option("--map-tiles", "Let the viewer fetch a map from OpenStreetMap to show behind fixes.")
 @reading_verb
 def view(
     paths: tuple[Path | str, ...],

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Int64Array, UInt32Array, finite_rows
+from sceneloom.arrays import Float32Array, Int64Array, finite_rows
 from sceneloom.editing.cameras import undistort_scene
 from sceneloom.editing.move_points import chosen_points, points_change
 from sceneloom.errors import CalibrationError, DataError, PoseError
@@ -586,11 +586,6 @@ class SweepFiles:
         self.losses.append(
             Loss(field=f"sensors.lidar.frames.points.{name}", what=what, count=count, support=support)
         )
-
-
-def write_point_labels(values: UInt32Array, path: Path) -> None:
-    """Write SemanticKITTI's labels of a sweep, (N,) uint32."""
-    path.write_bytes(values.astype("<u4").tobytes())
 
 
 _Name = Callable[[int], str]

@@ -13,12 +13,40 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, check_array, read_only
-from sceneloom.errors import ArrayError, DataError, OptionError
+from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.output import filling, replacing
-from sceneloom.formats.kitti.text import Line, Parser, as_table, read_lines, sound_rows
+from sceneloom.formats.kitti.text import Line, as_table, read_lines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.warnings import WarningKind
+
+
+class _Parser:
+    """Takes lines of one layout apart: how many values they have, and what each is called."""
+
+    def __init__(self, names: Sequence[str], *, whole: Sequence[str] = ()) -> None:
+        """Remember the layout.
+
+        Args:
+            names: of the values, in their order.
+            whole: which of them are whole numbers of 0 or more.
+        """
+        self._names = tuple(names)
+        self._whole = {names.index(name): name for name in whole}
+        self._meaning = ",".join(names)
+
+    def __call__(self, line: Line) -> list[float]:
+        """The numbers of a line.
+
+        Raises:
+            DataError: there are more or fewer, or one is none.
+        """
+        line.check_count((len(self._names),), self._meaning)
+        row = line.floats(0, self._names)
+        for column, name in self._whole.items():
+            line.whole_at(column, name)
+        return row
+
 
 NUMBERS = (
     *("truncated", "occluded", "alpha", "x1", "y1", "x2", "y2"),
@@ -402,9 +430,9 @@ def read_boxes_2d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
     Raises:
         DataError: a line has another number of values, one is no number, or a score is no probability.
     """
-    parse = Parser(COLUMNS_2D, whole=("frame",))
+    parse = _Parser(COLUMNS_2D, whole=("frame",))
     rows = []
-    for line, row in sound_rows(read_lines(path, separator=","), parse, ledger, "faulty-detections"):
+    for line, row in _sound_rows(read_lines(path, separator=","), parse, ledger, "faulty-detections"):
         if not -_BEYOND <= row[5] <= 1 + _BEYOND:
             problem = f"score {row[5]:g}; expected a probability from 0 to 1"
             ledger.fault("faulty-detections", line.fault(problem))
@@ -434,9 +462,9 @@ def read_boxes_3d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
         DataError: a line has another number of values, one is no number, a size is not above 0, or the type is unknown,
             or another one than the class.
     """
-    parse = Parser(COLUMNS_3D, whole=("frame", "type"))
+    parse = _Parser(COLUMNS_3D, whole=("frame", "type"))
     rows, labels = [], []
-    for line, row in sound_rows(read_lines(path, separator=","), parse, ledger, "faulty-detections"):
+    for line, row in _sound_rows(read_lines(path, separator=","), parse, ledger, "faulty-detections"):
         try:
             labels.append(_checked_label(line, row, label))
         except DataError as error:
@@ -484,28 +512,23 @@ def class_word(name: str) -> str:
     return next((word for word in _CLASSES if word.lower() == name.lower()), name)
 
 
-def find_detector(folder: Path, prefix: str, chosen: str | None) -> Path | None:
-    """Find the folder of a detector's lists.
+def _sound_rows(
+    lines: Sequence[Line], parse: "_Parser", ledger: Ledger, code: str
+) -> Iterator[tuple[Line, list[float]]]:
+    """Take each line apart into numbers; a faulty one raises, or is left out in a lenient reading.
 
     Args:
-        folder: of all sequences.
-        prefix: with which the names of such folders begin, "det2d_" or "det3d_".
-        chosen: name of the folder, with or without the prefix; None for the only one.
-
-    Returns:
-        The folder; None where there is none.
+        parse: gives the numbers of a line.
+        ledger: reported faults.
+        code: of the warning about them.
 
     Raises:
-        OptionError: there are several and none was chosen, or the chosen one is not there.
+        DataError: a line is faulty, and the reading is not lenient.
     """
-    found = sorted(path for path in folder.glob(f"{prefix}*") if path.is_dir())
-    names = ", ".join(path.name for path in found) or "none"
-    if chosen is not None:
-        for path in found:
-            if chosen in (path.name, path.name.removeprefix(prefix)):
-                return path
-        raise OptionError(f"detector {chosen!r}; {folder} has {names} of the kind {prefix}*")
-    if len(found) > 1:
-        kind = prefix.rstrip("_")
-        raise OptionError(f"{folder} has several detectors: {names}; choose one with `--{kind} NAME`")
-    return found[0] if found else None
+    for line in lines:
+        try:
+            row = parse(line)
+        except DataError as error:
+            ledger.fault(code, error)
+            continue
+        yield line, row

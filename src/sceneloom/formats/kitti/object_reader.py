@@ -1,6 +1,6 @@
 """Read frames of KITTI's object benchmark, each with its own calibration."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -11,11 +11,10 @@ from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
-from sceneloom.formats.base.images import images_image_size
+from sceneloom.formats.base.images import ImageFile, images_image_size, is_jpeg
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
 from sceneloom.formats.kitti.labels import KittiLabels, joined_labels, read_labels
 from sceneloom.formats.kitti.sensors import (
-    FramedImages,
     LabelLocations,
     camera_id,
     kitti_metadata,
@@ -31,6 +30,44 @@ from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import Poses, PoseSamples, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.warnings import WarningKind
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FramedImages:
+    """Makes images whose camera models and mountings stand in a file of each frame.
+
+    None is decoded before it is asked for.
+
+    Attributes:
+        files: of each image.
+        names: of the files, seen from the folder above theirs.
+        timestamps_ns: (N,) int64 [ns].
+        camera: the number of the camera.
+        calibrations: those that occur.
+        chosen: which of them each image has.
+    """
+
+    files: tuple[Path, ...]
+    names: tuple[str, ...]
+    timestamps_ns: Int64Array
+    camera: int
+    calibrations: tuple[KittiCalibration, ...]
+    chosen: tuple[int, ...]
+
+    def __call__(self, k: int) -> CameraImage:
+        """Make image `k`, whose size its file reports.
+
+        Raises:
+            DataError: the file is missing, or no image.
+        """
+        calibration, path = self.calibrations[self.chosen[k]], self.files[k]
+        camera_model = calibration.camera(self.camera, images_image_size(path))
+        file = ImageFile(path, camera_model.width, camera_model.height)
+        extras: Mapping[str, str] = MappingProxyType({"file": self.names[k]})
+        mount = calibration.camera_from_lidar(self.camera).inverse()
+        encoded = file.encoded if is_jpeg(path) else None
+        return CameraImage(int(self.timestamps_ns[k]), camera_model, file, mount, extras, encoded)
+
 
 FRAME_NS = 1_000_000_000
 """From frame to frame: so far that none is taken for its neighbour's moment."""
@@ -196,7 +233,7 @@ def _camera(
         ledger.note(WarningKind.ASSUMED, "image-size", str(folder), message)
     timestamps = read_only(times.of(files.numbers))
     chosen = tuple(calibrations.chosen[frame] for frame in files.numbers.tolist())
-    reader = FramedImages(files.paths, files.names, timestamps, number, calibrations.different, chosen)
+    reader = _FramedImages(files.paths, files.names, timestamps, number, calibrations.different, chosen)
     images: LazyFrames[CameraImage] = LazyFrames(timestamps, reader)
     return CameraSensor(
         camera_id(number),

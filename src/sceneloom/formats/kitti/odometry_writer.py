@@ -26,7 +26,6 @@ from sceneloom.formats.kitti.frames_writer import (
     point_time_loss,
     timeline_of,
     write_frames,
-    write_point_labels,
 )
 from sceneloom.formats.kitti.odometry_reader import CLASS_BITS, CLASS_NAMES, UNLABELED
 from sceneloom.formats.kitti.spec import ODOMETRY_CAMERAS, OdometrySequence
@@ -194,7 +193,7 @@ def write_odometry(
             if labels:
                 values = labels.values(int(timeline.sweeps[k]), len(frame.points))
                 written = finite_rows(frame.points.positions)
-                write_point_labels(values[written], folder / "labels" / f"{k:06d}.label")
+                _write_point_labels(values[written], folder / "labels" / f"{k:06d}.label")
 
         if labels:
             (folder / "labels").mkdir()
@@ -262,3 +261,8 @@ def _poses(
             Loss(field="trajectories.positions", what=what, count=len(egos), support=Support.CONVERTED)
         )
     return "".join(f"{line}\n" for line in lines), losses
+
+
+def _write_point_labels(values: UInt32Array, path: Path) -> None:
+    """Write SemanticKITTI's labels of a sweep, (N,) uint32."""
+    path.write_bytes(values.astype("<u4").tobytes())

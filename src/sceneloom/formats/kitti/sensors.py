@@ -17,8 +17,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
-from sceneloom.formats.base.images import ImageFile, ImageReader, images_image_size, is_jpeg
-from sceneloom.formats.kitti.calibration import KittiCalibration
+from sceneloom.formats.base.images import ImageReader
 from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, NO_TRACK, KittiLabels
 from sceneloom.formats.kitti.text import NumberedFiles
 from sceneloom.formats.points.cloud import KITTI, parse_rows
@@ -265,43 +264,6 @@ def kitti_metadata(benchmark: str, **reported: Any) -> Mapping[str, Any]:
     """
     about = {"benchmark": benchmark, **{name: value for name, value in reported.items() if value is not None}}
     return MappingProxyType({"sceneloom": dict(_ANGLES), "kitti": about})
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FramedImages:
-    """Makes images whose camera models and mountings stand in a file of each frame.
-
-    None is decoded before it is asked for.
-
-    Attributes:
-        files: of each image.
-        names: of the files, seen from the folder above theirs.
-        timestamps_ns: (N,) int64 [ns].
-        camera: the number of the camera.
-        calibrations: those that occur.
-        chosen: which of them each image has.
-    """
-
-    files: tuple[Path, ...]
-    names: tuple[str, ...]
-    timestamps_ns: Int64Array
-    camera: int
-    calibrations: tuple[KittiCalibration, ...]
-    chosen: tuple[int, ...]
-
-    def __call__(self, k: int) -> CameraImage:
-        """Make image `k`, whose size its file reports.
-
-        Raises:
-            DataError: the file is missing, or no image.
-        """
-        calibration, path = self.calibrations[self.chosen[k]], self.files[k]
-        camera_model = calibration.camera(self.camera, images_image_size(path))
-        file = ImageFile(path, camera_model.width, camera_model.height)
-        extras: Mapping[str, str] = MappingProxyType({"file": self.names[k]})
-        mount = calibration.camera_from_lidar(self.camera).inverse()
-        encoded = file.encoded if is_jpeg(path) else None
-        return CameraImage(int(self.timestamps_ns[k]), camera_model, file, mount, extras, encoded)
 
 
 _ANGLES = {"euler_unit": "degrees", "euler_order": "xyz"}

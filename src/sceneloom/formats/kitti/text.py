@@ -4,7 +4,7 @@ And the choice of one of several sequences.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -113,55 +113,6 @@ def read_lines(path: Path, *, separator: str | None = None) -> list[Line]:
         Line(path, number, tuple(word.strip() for word in row.split(separator)) if row.strip() else ())
         for number, row in enumerate(rows, 1)
     ]
-
-
-def sound_rows(
-    lines: Sequence[Line], parse: "Parser", ledger: Ledger, code: str
-) -> Iterator[tuple[Line, list[float]]]:
-    """Take each line apart into numbers; a faulty one raises, or is left out in a lenient reading.
-
-    Args:
-        parse: gives the numbers of a line.
-        ledger: reported faults.
-        code: of the warning about them.
-
-    Raises:
-        DataError: a line is faulty, and the reading is not lenient.
-    """
-    for line in lines:
-        try:
-            row = parse(line)
-        except DataError as error:
-            ledger.fault(code, error)
-            continue
-        yield line, row
-
-
-class Parser:
-    """Takes lines of one layout apart: how many values they have, and what each is called."""
-
-    def __init__(self, names: Sequence[str], *, whole: Sequence[str] = ()) -> None:
-        """Remember the layout.
-
-        Args:
-            names: of the values, in their order.
-            whole: which of them are whole numbers of 0 or more.
-        """
-        self._names = tuple(names)
-        self._whole = {names.index(name): name for name in whole}
-        self._meaning = ",".join(names)
-
-    def __call__(self, line: Line) -> list[float]:
-        """The numbers of a line.
-
-        Raises:
-            DataError: there are more or fewer, or one is none.
-        """
-        line.check_count((len(self._names),), self._meaning)
-        row = line.floats(0, self._names)
-        for column, name in self._whole.items():
-            line.whole_at(column, name)
-        return row
 
 
 def as_table(rows: Sequence[Sequence[float]], columns: int) -> Float64Array:

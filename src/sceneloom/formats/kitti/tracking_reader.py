@@ -24,7 +24,6 @@ from sceneloom.formats.kitti.labels import (
     DetectionList,
     KittiLabels,
     class_word,
-    find_detector,
     joined,
     lidar_boxes,
     read_boxes_2d_list,
@@ -203,7 +202,7 @@ def open_tracking_folder(
         )
     ledger = Ledger(lenient=lenient)
     found = {
-        prefix: find_detector(folder, prefix, chosen)
+        prefix: _find_detector(folder, prefix, chosen)
         for prefix, chosen in (("det2d_", detector_2d), ("det3d_", detector_3d))
     }
     if not any(found.values()):
@@ -592,3 +591,30 @@ def sequence_scene(sequence: KittiSequence, *, source: str = "kitti") -> Scene:
         parent_id=_EGO_ID,
     )
     return Scene((OdometrySensor(_EGO_ID, path), camera), source=source, format="kitti")
+
+
+def _find_detector(folder: Path, prefix: str, chosen: str | None) -> Path | None:
+    """Find the folder of a detector's lists.
+
+    Args:
+        folder: of all sequences.
+        prefix: with which the names of such folders begin, "det2d_" or "det3d_".
+        chosen: name of the folder, with or without the prefix; None for the only one.
+
+    Returns:
+        The folder; None where there is none.
+
+    Raises:
+        OptionError: there are several and none was chosen, or the chosen one is not there.
+    """
+    found = sorted(path for path in folder.glob(f"{prefix}*") if path.is_dir())
+    names = ", ".join(path.name for path in found) or "none"
+    if chosen is not None:
+        for path in found:
+            if chosen in (path.name, path.name.removeprefix(prefix)):
+                return path
+        raise OptionError(f"detector {chosen!r}; {folder} has {names} of the kind {prefix}*")
+    if len(found) > 1:
+        kind = prefix.rstrip("_")
+        raise OptionError(f"{folder} has several detectors: {names}; choose one with `--{kind} NAME`")
+    return found[0] if found else None

@@ -1,9 +1,8 @@
 """The cameras of a log: raw and compressed images, depth, videos of one image a message, and camera models."""
 
 import io
-import json
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
@@ -26,7 +25,7 @@ from sceneloom.formats.messages.records import (
     Topic,
     TopicLog,
 )
-from sceneloom.formats.messages.survey import Survey, in_order, nearest
+from sceneloom.formats.messages.survey import Survey, in_order
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, VideoContent
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.warnings import WarningKind
@@ -295,19 +294,6 @@ def _fitted(camera: Camera, size: tuple[int, int], location: str, ledger: Ledger
     )
     ledger.note(WarningKind.REPAIRED, "camera-model-scaled", location, message)
     return replace(_no_camera_model(*size)) if camera.model == _UNKNOWN else camera.resized(*size)
-
-
-def camera_model_text(camera: Camera) -> str:
-    """A camera model as JSON, for notes of ours."""
-    numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
-    return json.dumps([camera.model, camera.width, camera.height, numbers, list(camera.coefficients)])
-
-
-def camera_model_from_text(text: str) -> Camera:
-    """The camera model of `camera_model_text`."""
-    model, width, height, numbers, coefficients = json.loads(text)
-    fx, fy, cx, cy = numbers
-    return Camera(model, width, height, fx, fy, cx, cy, tuple(coefficients))
 
 
 _CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
@@ -689,10 +675,3 @@ def _same(a: CameraModelRecord, b: CameraModelRecord) -> bool:
         b.coefficients,
         b.k,
     )
-
-
-def camera_model_topic_of(topic: Topic, camera_model_topics: Sequence[Topic]) -> Topic | None:
-    """The topic of camera models that stands beside a topic of images."""
-    by_name: Mapping[str, Topic] = MappingProxyType({other.name: other for other in camera_model_topics})
-    name = nearest(topic.name, by_name)
-    return None if name is None else by_name[name]

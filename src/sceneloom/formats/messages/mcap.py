@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import BinaryIO
+from urllib.parse import quote
 
 import msgspec
 import numpy as np
@@ -32,16 +33,21 @@ from sceneloom.formats.messages.foxglove import (
 from sceneloom.formats.messages.mcap_files import McapIndex, McapWriter, read_index
 from sceneloom.formats.messages.reader import scene_from_topics
 from sceneloom.formats.messages.records import AnyRecord, Dialect, Kind, Topic, merged
-from sceneloom.formats.messages.survey import topic_part
 from sceneloom.formats.messages.writer import SceneStreams, check_images
 from sceneloom.scene.scene import Scene, with_assumed_models
 from sceneloom.version import __version__
+
+
+def _topic_part(identifier: str | int) -> str:
+    """An id as one part of a topic's name; `_id_of_part` is its inverse for texts."""
+    return quote(str(identifier), safe="") or "%"
+
 
 _DIALECT = Dialect(
     name="MCAP",
     world="world",
     ego="ego",
-    part=topic_part,
+    part=_topic_part,
     fisheye="kannala_brandt",
     camera_model_topic="calibration",
     sample_topics=MappingProxyType({"": "imu"}),

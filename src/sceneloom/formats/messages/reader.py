@@ -1,5 +1,6 @@
 """A log of messages as a scene: topics become sensors, frames become extrinsics and the ego trajectory."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -8,16 +9,12 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, read_only
+from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.messages.annotations import read_annotations
-from sceneloom.formats.messages.cameras import (
-    CameraDraft,
-    camera_model_from_text,
-    camera_model_topic_of,
-    draft_camera,
-)
+from sceneloom.formats.messages.cameras import CameraDraft, draft_camera
 from sceneloom.formats.messages.frames import FrameTree, Locations, choose_roles
 from sceneloom.formats.messages.points import CloudDraft, draft_cloud
 from sceneloom.formats.messages.records import (
@@ -25,10 +22,19 @@ from sceneloom.formats.messages.records import (
     Kind,
     PoseRecord,
     SampleRecord,
+    Topic,
     TopicLog,
     TransformRecord,
 )
-from sceneloom.formats.messages.survey import Notes, Survey, attributes_from, in_order, sensor_names, survey
+from sceneloom.formats.messages.survey import (
+    Notes,
+    Survey,
+    attributes_from,
+    in_order,
+    nearest,
+    sensor_names,
+    survey,
+)
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
@@ -320,7 +326,7 @@ class _Noted:
             kind: type[Any] = CameraSensor if note["type"] == "camera" else DepthCameraSensor
             nothing: LazyFrames[Any] = LazyFrames.of([], [])
             further = self.posed(note, nothing.timestamps_ns) | {"fps": note.get("fps")}
-            made: Sensor = kind(note["id"], camera_model_from_text(note["camera_model"]), nothing, **further)
+            made: Sensor = kind(note["id"], _camera_model_from_text(note["camera_model"]), nothing, **further)
             return made
         times = draft.frames.timestamps_ns
         if note.get("mounts") == "each":
@@ -527,7 +533,7 @@ def _draft_all(found: Survey, drafts: Drafts) -> None:
             if topic.kind is Kind.CLOUD:
                 drafts.clouds.append(draft_cloud(found, topic))
                 continue
-            camera_model = camera_model_topic_of(topic, camera_model_topics)
+            camera_model = _camera_model_topic_of(topic, camera_model_topics)
             if topic.name in noted:
                 camera_model = next(
                     (other for other in camera_model_topics if other.name == noted[topic.name]), None
@@ -650,3 +656,17 @@ def _foreign_sensors(
 
 def _topics_of(note: Mapping[str, Any]) -> list[str]:
     return [note["topic"]] if "topic" in note else list(note.get("topics", ()))
+
+
+def _camera_model_from_text(text: str) -> Camera:
+    """The camera model of `camera_model_text`."""
+    model, width, height, numbers, coefficients = json.loads(text)
+    fx, fy, cx, cy = numbers
+    return Camera(model, width, height, fx, fy, cx, cy, tuple(coefficients))
+
+
+def _camera_model_topic_of(topic: Topic, camera_model_topics: Sequence[Topic]) -> Topic | None:
+    """The topic of camera models that stands beside a topic of images."""
+    by_name: Mapping[str, Topic] = MappingProxyType({other.name: other for other in camera_model_topics})
+    name = nearest(topic.name, by_name)
+    return None if name is None else by_name[name]

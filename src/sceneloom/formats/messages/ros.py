@@ -29,7 +29,6 @@ from sceneloom.formats.messages.records import (
 )
 from sceneloom.formats.messages.ros_bags import Bag, Connection, open_bags
 from sceneloom.formats.messages.ros_messages import NOT_READ, READERS, Messages, distro_store, store_of
-from sceneloom.formats.messages.survey import ros_part
 from sceneloom.formats.messages.writer import FIXED_FRAMES_TOPIC, SceneStreams, check_images
 from sceneloom.scene.scene import Scene, with_assumed_models
 from sceneloom.warnings import WarningKind
@@ -251,7 +250,7 @@ def _dialect(*, videos: bool) -> Dialect:
         name="ROS",
         world="map",
         ego="base_link",
-        part=ros_part,
+        part=_ros_part,
         fisheye="equidistant",
         camera_model_topic="camera_info",
         sample_topics=MappingProxyType(
@@ -396,3 +395,9 @@ def _latched() -> Any:
         never,
         avoid_ros_namespace_conventions=False,
     )
+
+
+def _ros_part(identifier: str | int) -> str:
+    """An id as one part of a ROS topic's name, of letters, digits and underscores; several ids may become one."""
+    part = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in str(identifier)) or "_"
+    return f"_{part}" if part[0].isdigit() else part

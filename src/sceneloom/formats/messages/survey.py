@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, TypeVar, cast
-from urllib.parse import quote, unquote
+from urllib.parse import unquote
 
 import msgspec
 import numpy as np
@@ -95,30 +95,9 @@ def _bare(topic: str) -> list[str]:
     return parts
 
 
-def topic_part(identifier: str | int) -> str:
-    """An id as one part of a topic's name; `_id_of_part` is its inverse for texts."""
-    return quote(str(identifier), safe="") or "%"
-
-
 def _id_of_part(part: str) -> str:
     """The id of `topic_part`."""
     return "" if part == "%" else unquote(part)
-
-
-def ros_part(identifier: str | int) -> str:
-    """An id as one part of a ROS topic's name, of letters, digits and underscores; several ids may become one."""
-    part = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in str(identifier)) or "_"
-    return f"_{part}" if part[0].isdigit() else part
-
-
-def unique_parts(parts: Iterable[str]) -> list[str]:
-    """The same parts, numbered where one is there twice."""
-    taken: Counter[str] = Counter()
-    found = []
-    for part in parts:
-        taken[part] += 1
-        found.append(part if taken[part] == 1 else f"{part}_{taken[part]}")
-    return found
 
 
 VERSION = 1

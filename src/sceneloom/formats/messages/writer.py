@@ -1,7 +1,9 @@
 """A scene as streams of records: sensors, trajectories, annotations, and notes of what messages cannot hold."""
 
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -12,7 +14,7 @@ from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.formats.messages.annotations import box_2d_stream, cuboid_stream, keys_of
-from sceneloom.formats.messages.cameras import MILLIMETRE, camera_model_record, camera_model_text, is_foreign
+from sceneloom.formats.messages.cameras import MILLIMETRE, camera_model_record, is_foreign
 from sceneloom.formats.messages.points import CloudWriter
 from sceneloom.formats.messages.records import (
     CompressedImageRecord,
@@ -26,7 +28,7 @@ from sceneloom.formats.messages.records import (
     Stream,
     TransformRecord,
 )
-from sceneloom.formats.messages.survey import VERSION, attribute_notes, sayable, unique_parts
+from sceneloom.formats.messages.survey import VERSION, attribute_notes, sayable
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import Annotation, Box2DAnnotation, CuboidAnnotation
 from sceneloom.scene.annotations_at import CuboidAngles
@@ -55,7 +57,7 @@ def _trajectory_streams(
     scene: Scene, dialect: Dialect, losses: Losses
 ) -> tuple[list[Stream], list[dict[str, Any]]]:
     """Report each trajectory on a topic of its own; give the streams and the notes of them."""
-    parts = unique_parts([dialect.part(name) for name in scene.trajectories])
+    parts = _unique_parts([dialect.part(name) for name in scene.trajectories])
     streams, notes = [], []
     for (name, trajectory), part in zip(scene.trajectories.items(), parts, strict=True):
         topic = f"/trajectories/{part}"
@@ -403,7 +405,7 @@ class _SensorStreams:
             note["fps"] = sensor.fps
         note["topic"] = f"/{note['part']}/{tail}"
         note["camera_model_topic"] = f"/{note['part']}/{self.dialect.camera_model_topic}"
-        note["camera_model"] = camera_model_text(sensor.camera)
+        note["camera_model"] = _camera_model_text(sensor.camera)
         location = f"sensors.{sensor.type}"
         if is_foreign(sensor.camera):
             what = f"model {sensor.camera.model}, which other programs do not know"
@@ -562,7 +564,7 @@ class SceneStreams:
         self.losses = Losses()
         self.streams: list[Stream] = []
         self._scene, self._dialect = scene, dialect
-        parts = unique_parts([dialect.part(sensor.id) for sensor in scene.sensors])
+        parts = _unique_parts([dialect.part(sensor.id) for sensor in scene.sensors])
         held = [
             (sensor, part)
             for sensor, part in zip(scene.sensors, parts, strict=True)
@@ -718,3 +720,19 @@ def _transforms(parent: str, child: str, path: Any) -> Callable[[int], Iterator[
         )
 
     return make
+
+
+def _camera_model_text(camera: Camera) -> str:
+    """A camera model as JSON, for notes of ours."""
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
+    return json.dumps([camera.model, camera.width, camera.height, numbers, list(camera.coefficients)])
+
+
+def _unique_parts(parts: Iterable[str]) -> list[str]:
+    """The same parts, numbered where one is there twice."""
+    taken: Counter[str] = Counter()
+    found = []
+    for part in parts:
+        taken[part] += 1
+        found.append(part if taken[part] == 1 else f"{part}_{taken[part]}")
+    return found

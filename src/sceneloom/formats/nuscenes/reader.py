@@ -9,15 +9,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
+from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError, OptionError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
-from sceneloom.formats.base.images import images_image_size
+from sceneloom.formats.base.images import ImageFile, images_image_size, is_jpeg
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import as_flag
-from sceneloom.formats.nuscenes.sensor_files import CycleFiles, FrameFiles, ImageFiles, SweepFiles
 from sceneloom.formats.nuscenes.spec import table_folders
 from sceneloom.formats.nuscenes.tables import (
     KEY_FRAMES,
@@ -36,7 +35,9 @@ from sceneloom.formats.nuscenes.tables import (
     SensorRow,
     iter_rows,
 )
-from sceneloom.formats.points.cloud import NUSCENES
+from sceneloom.formats.points.cloud import NUSCENES, Cloud
+from sceneloom.formats.points.npz import read_bin
+from sceneloom.formats.points.pcd import read_pcd
 from sceneloom.geometry.euler import AngleUnit
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
@@ -49,13 +50,105 @@ from sceneloom.scene.annotations import (
     LabeledPointsAnnotation,
 )
 from sceneloom.scene.annotations_at import CuboidAngles
-from sceneloom.scene.cameras import CameraSensor
-from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.cameras import CameraImage, CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor, RadarFrame, RadarPoints, RadarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import key_of
 from sceneloom.warnings import WarningKind
+
+_Facts = tuple[tuple[str, Any], ...]
+"""What the tables state about a file, as pairs of name and value."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FrameFiles:
+    """The files of one sensor.
+
+    Attributes:
+        files: of each frame.
+        timestamps_ns: (N,) int64 [ns].
+        facts: of each frame, for its `extras`.
+    """
+
+    files: tuple[Path, ...]
+    timestamps_ns: Int64Array
+    facts: tuple[_Facts, ...]
+
+    def timestamp(self, k: int) -> int:
+        """The time of frame `k` [ns]."""
+        return int(self.timestamps_ns[k])
+
+    def extras(self, k: int) -> MappingProxyType[str, Any]:
+        """What the tables state about frame `k`."""
+        return MappingProxyType(dict(self.facts[k]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SweepFiles:
+    """Reads the sweeps of a lidar; every row of a file stays a point, since labels count the rows."""
+
+    frames: _FrameFiles
+
+    def __call__(self, k: int) -> LidarFrame:
+        """Read sweep `k`.
+
+        Raises:
+            DataError: the file is missing, cut off or no cloud.
+        """
+        return LidarFrame(
+            self.frames.timestamp(k), _lidar_points(self.frames.files[k]), self.frames.extras(k)
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CycleFiles:
+    """Reads the cycles of a radar."""
+
+    frames: _FrameFiles
+
+    def __call__(self, k: int) -> RadarFrame:
+        """Read cycle `k`.
+
+        Raises:
+            DataError: the file is missing, cut off or no cloud.
+        """
+        cloud = _returns(read_pcd(self.frames.files[k]))
+        positions = _positions(cloud)
+        directions, lengths = _velocities(cloud, positions)
+        further = {name: read_only(c) for name, c in cloud.columns.items() if name not in "xyz"}
+        points = RadarPoints(positions, directions, lengths, extras=MappingProxyType(further))
+        return RadarFrame(self.frames.timestamp(k), points, self.frames.extras(k))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ImageFiles:
+    """Reads the images of a camera.
+
+    Attributes:
+        cameras: camera model of each image.
+        mounts: `ego_from_camera` of each image, None where it is the camera's.
+    """
+
+    frames: _FrameFiles
+    cameras: tuple[Camera, ...]
+    mounts: tuple[RigidTransform | None, ...]
+
+    def __call__(self, k: int) -> CameraImage:
+        """Make image `k` without decoding it."""
+        camera = self.cameras[k]
+        file = ImageFile(self.frames.files[k], camera.width, camera.height)
+        encoded = file.encoded if is_jpeg(file.path) else None
+        return CameraImage(
+            self.frames.timestamp(k),
+            camera,
+            file,
+            self.mounts[k],
+            extras=self.frames.extras(k),
+            encoded=encoded,
+        )
+
 
 _MOST_NAMES = 20
 
@@ -398,9 +491,9 @@ def _mounts(tables: _SceneTables, data: _SensorData) -> dict[str, RigidTransform
     return {token: _mount(tables, row) for token, row in rows.items()}
 
 
-def _files(tables: _SceneTables, data: _SensorData) -> FrameFiles:
+def _files(tables: _SceneTables, data: _SensorData) -> _FrameFiles:
     location = tables.location
-    return FrameFiles(
+    return _FrameFiles(
         tuple(_file_of(location, "sample_data", row.token, row.filename) for row in data.rows),
         _timestamps(data),
         tuple(
@@ -438,7 +531,7 @@ def _build_lidar(tables: _SceneTables, data: _SensorData) -> Sensor:
     mounts, files = _mounts(tables, data), _files(tables, data)
     return LidarSensor(
         id=data.sensor.id,
-        frames=LazyFrames(files.timestamps_ns, SweepFiles(files)),
+        frames=LazyFrames(files.timestamps_ns, _SweepFiles(files)),
         poses=_poses(tables, data, mounts),
         mount=mounts[data.calibrations[0].token],
         extras=_about(data),
@@ -449,7 +542,7 @@ def _build_radar(tables: _SceneTables, data: _SensorData) -> Sensor:
     mounts, files = _mounts(tables, data), _files(tables, data)
     return RadarSensor(
         id=data.sensor.id,
-        frames=LazyFrames(files.timestamps_ns, CycleFiles(files)),
+        frames=LazyFrames(files.timestamps_ns, _CycleFiles(files)),
         poses=_poses(tables, data, mounts),
         mount=mounts[data.calibrations[0].token],
         extras=_about(data),
@@ -461,7 +554,7 @@ def _build_camera(tables: _SceneTables, data: _SensorData) -> Sensor:
     camera_models = _camera_models(tables, data, files)
     common = mounts[data.calibrations[0].token]
     own = [mounts[row.token] for row in data.calibrations]
-    reader = ImageFiles(files, camera_models, tuple(None if mount is common else mount for mount in own))
+    reader = _ImageFiles(files, camera_models, tuple(None if mount is common else mount for mount in own))
     return CameraSensor(
         id=data.sensor.id,
         camera=camera_models[0],
@@ -483,7 +576,7 @@ def _about(data: _SensorData) -> Mapping[str, Any]:
     )
 
 
-def _camera_models(tables: _SceneTables, data: _SensorData, files: FrameFiles) -> tuple[Camera, ...]:
+def _camera_models(tables: _SceneTables, data: _SensorData, files: _FrameFiles) -> tuple[Camera, ...]:
     """The camera model of each image; all images of nuScenes are undistorted."""
     known: dict[tuple[str, int, int], Camera] = {}
     camera_models = []
@@ -760,3 +853,64 @@ def _scene_from_tables_about(tables: _SceneTables) -> MappingProxyType[str, Any]
     }
     angles = {"euler_unit": str(AngleUnit.DEGREES), "euler_order": "xyz"}
     return MappingProxyType({"nuscenes": about, "sceneloom": angles})
+
+
+def _lidar_points(file: Path) -> LidarPoints:
+    is_pcd = file.suffix.lower() == ".pcd"
+    cloud = read_pcd(file) if is_pcd else read_bin(file, layout=NUSCENES)
+    extras: dict[str, AnyArray] = {}
+    return LidarPoints(
+        positions=_positions(cloud),
+        intensities=_whole(cloud, "intensity", np.uint8, extras),
+        rings=_whole(cloud, "ring", np.uint16, extras),
+        extras=MappingProxyType(extras),
+    )
+
+
+def _positions(cloud: Cloud) -> Float32Array:
+    missing = [axis for axis in "xyz" if axis not in cloud.columns]
+    if missing:
+        problem = f"no column {' or '.join(missing)}; it has {' '.join(cloud.columns) or 'none'}"
+        raise DataError(cloud.file, "", problem)
+    return read_only(np.stack([cloud.columns[axis] for axis in "xyz"], axis=1), np.float32)
+
+
+def _whole(cloud: Cloud, name: str, dtype: type[Any], extras: dict[str, AnyArray]) -> Any:
+    """A column as whole numbers; what that changes of it is kept beside it."""
+    column = cloud.columns.get(name)
+    if column is None:
+        return None
+    limit = np.iinfo(dtype)
+    rounded = np.clip(np.rint(np.nan_to_num(column, nan=0.0)), limit.min, limit.max)
+    if not np.array_equal(rounded, column):
+        extras[name] = read_only(column)
+    return read_only(rounded, dtype)
+
+
+def _returns(cloud: Cloud) -> Cloud:
+    """The returns of a cycle: one without any has a single row that is no number.
+
+    Source: class RadarPointCloud of the development kit.
+    """
+    first = [cloud.columns[axis][:1] for axis in "xyz" if axis in cloud.columns]
+    if not any(np.isnan(value).any() for value in first):
+        return cloud
+    return Cloud(cloud.file, 0, {name: column[:0] for name, column in cloud.columns.items()})
+
+
+def _velocities(cloud: Cloud, positions: Float32Array) -> tuple[Float32Array | None, Float32Array | None]:
+    """Direction and length of `vx`, `vy`; what does not move points along the line of sight.
+
+    Source: class RadarPointCloud of the development kit: vx and vy are measured, vx_comp and vy_comp compensated.
+    """
+    if not {"vx", "vy"} <= cloud.columns.keys():
+        return None, None
+    velocities = np.zeros((cloud.count, 3))
+    velocities[:, 0], velocities[:, 1] = cloud.columns["vx"], cloud.columns["vy"]
+    lengths = np.linalg.norm(velocities, axis=1)
+    distances = np.linalg.norm(positions.astype(np.float64), axis=1)
+    directions = np.tile([1.0, 0.0, 0.0], (cloud.count, 1))
+    placed, moving = distances > 0, lengths > 0
+    directions[placed] = positions[placed] / distances[placed, None]
+    directions[moving] = velocities[moving] / lengths[moving, None]
+    return read_only(directions, np.float32), read_only(lengths, np.float32)

@@ -3,22 +3,19 @@
 And which moments are samples.
 """
 
-import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
-from types import TracebackType
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.arrays import BoolArray, Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import open_file, read_bytes
-from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.scene import Scene
@@ -267,57 +264,9 @@ def _decoded(path: Path, decoder: "msgspec.json.Decoder[list[Any]]", content: by
         raise DataError(path, "", f"is no JSON: {error}") from error
 
 
-WrittenTablesRow = Mapping[str, Any]
-
-
 def token_of(*parts: object) -> str:
     """A token of 32 hexadecimal digits, as nuScenes has them."""
     return blake2b("\0".join(map(str, parts)).encode(), digest_size=16).hexdigest()
-
-
-def wxyz(quaternion_xyzw: Float64Array) -> list[float]:
-    """A rotation as the tables have it."""
-    x, y, z, w = quaternion_xyzw.tolist()
-    return [w, x, y, z]
-
-
-def placed(transform: RigidTransform) -> dict[str, list[float]]:
-    """A transform as two fields of a row."""
-    return {
-        "translation": transform.translation.tolist(),
-        "rotation": wxyz(transform.quaternion_xyzw),
-    }
-
-
-class TableWriter:
-    """An open table; its rows are on the disk as soon as they are added."""
-
-    def __init__(self, folder: Path, name: str) -> None:
-        """Begin a table."""
-        self._file = (folder / f"{name}.json").open("x", encoding="utf-8", newline="\n")
-        self._file.write("[")
-        self._between = "\n"
-
-    def add(self, **row: Any) -> None:
-        """Write a row."""
-        self._file.write(self._between + json.dumps(row, allow_nan=False))
-        self._between = ",\n"
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.write("\n]\n")
-        self._file.close()
-
-
-def write_table(folder: Path, name: str, rows: Iterable[WrittenTablesRow]) -> None:
-    """Write a whole table."""
-    with TableWriter(folder, name) as table:
-        for row in rows:
-            table.add(**row)
 
 
 _RATE_HZ = 2.0

@@ -1,17 +1,21 @@
 """Write a scene as a data set in the nuScenes schema."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Int64Array, UInt32Array, finite_rows
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt32Array, finite_rows
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.formats.base.losses import LossReport, Support
+from sceneloom.formats.base.images import ImageFile
+from sceneloom.formats.base.losses import Loss, LossReport, Support
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.spec import as_positive
 from sceneloom.formats.nuscenes.plan import (
@@ -24,25 +28,8 @@ from sceneloom.formats.nuscenes.plan import (
     reported,
     sensor_key,
 )
-from sceneloom.formats.nuscenes.sensor_files import (
-    FrameLosses,
-    in_sensor_frame,
-    write_cycle,
-    write_image,
-    write_sweep,
-)
-from sceneloom.formats.nuscenes.tables import (
-    TABLES,
-    Samples,
-    TableWriter,
-    WrittenTablesRow,
-    microseconds,
-    placed,
-    timestamps_of,
-    token_of,
-    write_table,
-    wxyz,
-)
+from sceneloom.formats.nuscenes.tables import TABLES, Samples, microseconds, timestamps_of, token_of
+from sceneloom.formats.points.cloud import NUSCENES
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
 from sceneloom.scene.annotations import CuboidAnnotation, LabeledPointsAnnotation
@@ -51,6 +38,82 @@ from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Key, PointsFrame, key_of
+
+_WrittenTablesRow = Mapping[str, Any]
+
+
+class _TableWriter:
+    """An open table; its rows are on the disk as soon as they are added."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        """Begin a table."""
+        self._file = (folder / f"{name}.json").open("x", encoding="utf-8", newline="\n")
+        self._file.write("[")
+        self._between = "\n"
+
+    def add(self, **row: Any) -> None:
+        """Write a row."""
+        self._file.write(self._between + json.dumps(row, allow_nan=False))
+        self._between = ",\n"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.write("\n]\n")
+        self._file.close()
+
+
+_JPEG_QUALITY = 95
+"""Of images that come from a video or from memory."""
+
+
+_RADAR = (
+    *((name, "F", 4) for name in ("x", "y", "z")),
+    *(("dyn_prop", "I", 1), ("id", "I", 2), ("rcs", "F", 4)),
+    *((name, "F", 4) for name in ("vx", "vy", "vx_comp", "vy_comp")),
+    *((name, "I", 1) for name in ("is_quality_valid", "ambig_state", "x_rms", "y_rms")),
+    *((name, "I", 1) for name in ("invalid_state", "pdh0", "vx_rms", "vy_rms")),
+)
+"""Name, type and size of the columns of radar files. Source: class RadarPointCloud of the development kit."""
+
+
+_RADAR_ROW = np.dtype([(name, f"<{letter.lower()}{size}") for name, letter, size in _RADAR])
+
+
+_USUAL = {"is_quality_valid": 1, "ambig_state": 3}
+"""What a return has to state for the development kit to show it; all other numbers are 0."""
+
+
+@dataclass(slots=True)
+class _FrameLosses:
+    """What is lost of frames, counted."""
+
+    counts: Counter[tuple[str, str, Support]] = field(default_factory=Counter)
+    largest: dict[tuple[str, str, Support], float] = field(default_factory=dict)
+
+    def add(
+        self,
+        name: str,
+        what: str,
+        count: int,
+        support: Support = Support.DROPPED,
+        *,
+        error: float | None = None,
+    ) -> None:
+        """Count a loss; a count of 0 is none."""
+        if count:
+            self.counts[name, what, support] += count
+            if error is not None:
+                self.largest[name, what, support] = max(error, self.largest.get((name, what, support), 0.0))
+
+    def __iter__(self) -> Iterator[Loss]:
+        for (name, what, support), count in self.counts.items():
+            worst = self.largest.get((name, what, support))
+            yield Loss(field=name, what=what, count=count, support=support, largest_error=worst)
+
 
 _VISIBILITIES = {"v0-40": "1", "v40-60": "2", "v60-80": "3", "v80-100": "4"}
 """Tokens of the levels, by name. Source: "visibility" of the schema."""
@@ -123,11 +186,11 @@ def _write_boxes(
     boxes: _Boxes,
     samples: Samples,
     categories: Mapping[str, str],
-    losses: FrameLosses,
+    losses: _FrameLosses,
 ) -> None:
     """Write the tables instance, sample_annotation, attribute and visibility."""
     known: dict[str, str] = {}
-    with TableWriter(folder, "instance") as instances, TableWriter(folder, "sample_annotation") as rows:
+    with _TableWriter(folder, "instance") as instances, _TableWriter(folder, "sample_annotation") as rows:
         for number, cuboid in enumerate(boxes.cuboids):
             poses = boxes.poses[number]
             finite = finite_rows(np.hstack([poses.centers_world, poses.sizes_lwh, poses.quaternions_xyzw]))
@@ -152,9 +215,9 @@ def _write_boxes(
             stated = _stated(cuboid, samples.timestamps_ns[there])
             for k, sample in enumerate(there):
                 rows.add(**_row(boxes, number, sample, samples, token, tokens, k, stated[k], known))
-    write_table(folder, "attribute", ({"token": t, "name": n, "description": ""} for n, t in known.items()))
+    _write_table(folder, "attribute", ({"token": t, "name": n, "description": ""} for n, t in known.items()))
     levels = ({"token": t, "level": n, "description": ""} for n, t in _VISIBILITIES.items())
-    write_table(folder, "visibility", levels)
+    _write_table(folder, "visibility", levels)
 
 
 def _instance_token(cuboid: CuboidAnnotation, name: str) -> str:
@@ -201,7 +264,7 @@ def _row(
         "attribute_tokens": [known[name] for name in listed],
         "translation": box.centers_world[sample].tolist(),
         "size": [width, length, height],
-        "rotation": wxyz(box.quaternions_xyzw[sample]),
+        "rotation": _wxyz(box.quaternions_xyzw[sample]),
         "prev": tokens[k - 1] if k else "",
         "next": tokens[k + 1] if k + 1 < len(tokens) else "",
         **counts,
@@ -216,7 +279,7 @@ def _listed(names: Any) -> list[str]:
 
 
 def _report_losses(
-    cuboid: CuboidAnnotation, samples: Samples, there: Sequence[int], losses: FrameLosses
+    cuboid: CuboidAnnotation, samples: Samples, there: Sequence[int], losses: _FrameLosses
 ) -> None:
     location = "annotations.cuboid"
     losses.add(
@@ -264,7 +327,7 @@ class _PointClasses:
     rows: list[dict[str, str]] = field(default_factory=list)
 
     @classmethod
-    def of(cls, scene: Scene, losses: FrameLosses) -> "_PointClasses":
+    def of(cls, scene: Scene, losses: _FrameLosses) -> "_PointClasses":
         """Gather the labelled points that are classes; those of single objects are left out."""
         found = [a for a in scene.annotations if isinstance(a, LabeledPointsAnnotation)]
         classes = [a for a in found if a.label is not None and a.is_instance is not True]
@@ -280,7 +343,7 @@ class _PointClasses:
                 made._add(annotation, numbers[str(annotation.label)], losses)
         return made
 
-    def _add(self, annotation: LabeledPointsAnnotation, number: int, losses: FrameLosses) -> None:
+    def _add(self, annotation: LabeledPointsAnnotation, number: int, losses: _FrameLosses) -> None:
         for entry in annotation.labeled_points:
             if entry.sensor_frame is None:
                 losses.add(_LOCATION, "points of a sensor without frames are left out", len(entry.point_ids))
@@ -289,7 +352,7 @@ class _PointClasses:
             self.entries.setdefault(key, []).append((number, entry.point_ids))
 
     def write(
-        self, root: Path, version: str, token: str, frame: tuple[Key, int], count: int, losses: FrameLosses
+        self, root: Path, version: str, token: str, frame: tuple[Key, int], count: int, losses: _FrameLosses
     ) -> None:
         """Write the classes of a key frame, if there are any.
 
@@ -440,20 +503,20 @@ class _Writer:
     plan: WritingPlan
     root: Path
     images: str
-    losses: FrameLosses = field(default_factory=FrameLosses)
+    losses: _FrameLosses = field(default_factory=_FrameLosses)
     calibrations: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def tables(self) -> Path:
         return self.root / self.plan.version
 
-    def write(self) -> FrameLosses:
+    def write(self) -> _FrameLosses:
         """Write all files; give what was lost."""
         plan = self.plan
         self.tables.mkdir()
         boxes = _Boxes.of(plan.scene, plan.samples)
         classes = _PointClasses.of(plan.scene, self.losses)
-        with TableWriter(self.tables, "sample_data") as rows, TableWriter(self.tables, "ego_pose") as poses:
+        with _TableWriter(self.tables, "sample_data") as rows, _TableWriter(self.tables, "ego_pose") as poses:
             for channel in plan.channels:
                 self._write_channel(channel, rows, poses, boxes, classes)
         self.losses.add(
@@ -461,15 +524,15 @@ class _Writer:
         )
         categories = _categories_of(plan.scene)
         _write_boxes(self.tables, plan.about[0].name, boxes, plan.samples, categories, self.losses)
-        write_table(self.tables, "category", _category_rows(categories, classes))
+        _write_table(self.tables, "category", _category_rows(categories, classes))
         if classes.rows:
-            write_table(self.tables, "lidarseg", classes.rows)
+            _write_table(self.tables, "lidarseg", classes.rows)
         self._write_sensors()
         self._write_samples()
         return self.losses
 
     def _write_channel(
-        self, channel: Channel, rows: TableWriter, poses: TableWriter, boxes: _Boxes, classes: _PointClasses
+        self, channel: Channel, rows: _TableWriter, poses: _TableWriter, boxes: _Boxes, classes: _PointClasses
     ) -> None:
         plan, sensor = self.plan, channel.sensor
         timestamps = timestamps_of(sensor)
@@ -489,7 +552,7 @@ class _Writer:
                 boxes.count(name, int(samples[k]), written.points_world)
                 if isinstance(sensor, LidarSensor):
                     self._write_classes(classes, channel, k, token, len(written.points_world))
-            poses.add(token=token, timestamp=int(timestamps_us[k]), **placed(egos[k]))
+            poses.add(token=token, timestamp=int(timestamps_us[k]), **_placed(egos[k]))
             rows.add(
                 token=token,
                 sample_token=plan.samples.tokens[int(samples[k])],
@@ -512,7 +575,7 @@ class _Writer:
         for loss in reported(_extras_of(channel), frame.extras, OF_FRAMES):
             self.losses.add(loss.field, loss.what, 1)
         if isinstance(frame, CameraImage):
-            path = write_image(stem, frame, self.images, self.losses)
+            path = _write_image(stem, frame, self.images, self.losses)
             return _Frame(path, frame.mount or channel.mount, frame.camera)
         return self._write_points(channel, frame, stem, ego, sensor.points_frame)  # type: ignore[union-attr]
 
@@ -524,13 +587,13 @@ class _Writer:
         ego: RigidTransform,
         points_frame: PointsFrame,
     ) -> "_Frame":
-        positions = in_sensor_frame(frame.points.positions, points_frame, channel.mount, ego)
+        positions = _in_sensor_frame(frame.points.positions, points_frame, channel.mount, ego)
         if isinstance(frame, LidarFrame):
             path = stem.with_name(f"{stem.name}.pcd.bin")
-            write_sweep(path, frame, positions, self.losses)
+            _write_sweep(path, frame, positions, self.losses)
         else:
             path = stem.with_name(f"{stem.name}.pcd")
-            write_cycle(path, frame, positions, self.losses)
+            _write_cycle(path, frame, positions, self.losses)
         world = (ego @ channel.mount).apply(np.asarray(positions, np.float32))
         return _Frame(path, channel.mount, points_world=world)
 
@@ -545,7 +608,7 @@ class _Writer:
         numbers = [] if camera_model is None else camera_model.matrix.tolist()
         token = token_of("calibrated_sensor", channel.name, mount.matrix.tolist(), numbers)
         if token not in self.calibrations:
-            row = {"sensor_token": channel.token, **placed(mount), "camera_intrinsic": numbers}
+            row = {"sensor_token": channel.token, **_placed(mount), "camera_intrinsic": numbers}
             self.calibrations[token] = row
         return token
 
@@ -560,19 +623,19 @@ class _Writer:
         self.losses.add("trajectories.positions", what, beyond, Support.APPROXIMATED)
 
     def _write_sensors(self) -> None:
-        sensors: Iterable[WrittenTablesRow] = (
+        sensors: Iterable[_WrittenTablesRow] = (
             {"token": channel.token, "channel": channel.name, "modality": channel.modality}
             | ({} if channel.name == channel.sensor.id else {"sensor_id": channel.sensor.id})
             for channel in self.plan.channels
         )
-        write_table(self.tables, "sensor", sensors)
+        _write_table(self.tables, "sensor", sensors)
         rows = ({"token": token, **row} for token, row in self.calibrations.items())
-        write_table(self.tables, "calibrated_sensor", rows)
+        _write_table(self.tables, "calibrated_sensor", rows)
 
     def _write_samples(self) -> None:
         scene, log = self.plan.about
         tokens, times = self.plan.samples.tokens, microseconds(self.plan.samples.timestamps_ns).tolist()
-        with TableWriter(self.tables, "sample") as table:
+        with _TableWriter(self.tables, "sample") as table:
             for k, token in enumerate(tokens):
                 table.add(
                     token=token,
@@ -586,8 +649,8 @@ class _Writer:
             tokens[0],
             tokens[-1],
         )
-        write_table(self.tables, "scene", [msgspec.structs.asdict(scene)])
-        write_table(self.tables, "log", [msgspec.structs.asdict(log)])
+        _write_table(self.tables, "scene", [msgspec.structs.asdict(scene)])
+        _write_table(self.tables, "log", [msgspec.structs.asdict(log)])
         self._write_map(log.token)
 
     def _write_map(self, log_token: str) -> None:
@@ -601,7 +664,7 @@ class _Writer:
             "filename": _MAP,
             "log_tokens": [log_token],
         }
-        write_table(self.tables, "map", [row])
+        _write_table(self.tables, "map", [row])
 
 
 def _extras_of(channel: Channel) -> str:
@@ -630,3 +693,159 @@ def _stems(name: str, channel: Channel, timestamps_us: Sequence[int]) -> list[st
         again = "" if number == 1 else f"~{number}"
         stems.append(f"{file_stem(name)}__{channel.folder}__{time}{again}")
     return stems
+
+
+def _in_sensor_frame(
+    positions: AnyArray, points_frame: PointsFrame, mount: RigidTransform, world_from_ego: RigidTransform
+) -> Float64Array | AnyArray:
+    """Points (N, 3) [m] in the sensor's frame, by the pose and mounting that are written beside them."""
+    if points_frame is PointsFrame.SENSOR:
+        return positions
+    here = mount if points_frame is PointsFrame.EGO else world_from_ego @ mount
+    return here.inverse().apply(positions)
+
+
+def _write_sweep(path: Path, frame: LidarFrame, positions: AnyArray, losses: _FrameLosses) -> None:
+    """Write a sweep as rows of x, y, z, intensity and ring."""
+    points = frame.points
+    rows = np.zeros(len(points), NUSCENES.dtype)
+    rows["x"], rows["y"], rows["z"] = np.asarray(positions).T
+    for name, column in (("intensity", points.intensities), ("ring", points.rings)):
+        if column is not None:
+            rows[name] = column
+    location = "sensors.lidar.frames.points"
+    count = len(points)
+    if points.timestamps_ns is not None:
+        losses.add(f"{location}.timestamps_ns", "points have no times", count)
+    for name in ("colors", "camera_index"):
+        if getattr(points, name) is not None:
+            losses.add(f"{location}.{name}", "points have x, y, z, intensity and ring", count)
+    if points.extras:
+        losses.add(f"{location}.extras", "points have x, y, z, intensity and ring", count)
+    path.write_bytes(rows.tobytes())
+
+
+def _write_cycle(path: Path, frame: RadarFrame, positions: AnyArray, losses: _FrameLosses) -> None:
+    """Write a radar cycle as a PCD file; one without returns has a return that is no number, as nuScenes has it."""
+    points = frame.points
+    count = len(points)
+    rows = np.zeros(max(count, 1), _RADAR_ROW)
+    rows["x"] = np.nan if count == 0 else 0.0
+    location = "sensors.radar.frames.points"
+    if count:
+        for axis, column in zip("xyz", np.asarray(positions).T, strict=True):
+            rows[axis] = column
+        _fill_radar(rows, points.extras)
+        _fill_velocities(rows, frame, losses)
+    known = set(_RADAR_ROW.names or ())
+    if set(points.extras) - known:
+        losses.add(f"{location}.extras", "returns have the columns of nuScenes' radars", count)
+    if points.timestamps_ns is not None:
+        losses.add(f"{location}.timestamps_ns", "points have no times", count)
+    # the development kit wants a byte after the last row, as nuScenes' own files have one
+    path.write_bytes(_pcd_head(len(rows)) + rows.tobytes() + b"\n")
+
+
+def _fill_radar(rows: AnyArray, extras: Any) -> None:
+    for name, _, _ in _RADAR[3:]:
+        column = extras.get(name)
+        usable = column is not None and column.shape == rows.shape and column.dtype.kind in "fiub"
+        rows[name] = column if usable else _USUAL.get(name, 0)
+    if "id" not in extras:
+        rows["id"] = np.arange(len(rows)) % (1 << 15)
+
+
+def _fill_velocities(rows: AnyArray, frame: RadarFrame, losses: _FrameLosses) -> None:
+    points, location = frame.points, "sensors.radar.frames.points"
+    if points.directions is None or points.lengths is None:
+        return
+    velocities = points.directions * points.lengths[:, None]
+    if "vx" not in points.extras or "vy" not in points.extras:
+        rows["vx"], rows["vy"] = velocities[:, 0], velocities[:, 1]
+        upright = np.abs(velocities[:, 2])
+        what = "the part of the speed along the sensor's z is left out [m/s]"
+        error = float(upright.max(initial=0.0))
+        losses.add(
+            f"{location}.directions", what, int((upright > 0).sum()), Support.APPROXIMATED, error=error
+        )
+    if "vx_comp" not in points.extras:
+        rows["vx_comp"], rows["vy_comp"] = rows["vx"], rows["vy"]
+
+
+def _pcd_head(count: int) -> bytes:
+    lines = (
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(name for name, _, _ in _RADAR)}",
+        f"SIZE {' '.join(str(size) for _, _, size in _RADAR)}",
+        f"TYPE {' '.join(letter for _, letter, _ in _RADAR)}",
+        f"COUNT {' '.join('1' for _ in _RADAR)}",
+        f"WIDTH {count}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {count}",
+        "DATA binary",
+    )
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _write_image(stem: Path, image: CameraImage, form: str, losses: _FrameLosses) -> Path:
+    """Write an image: a JPEG or PNG file as it is, else anew; gives its path, with its suffix.
+
+    Args:
+        stem: the path without suffix.
+        image: what is written.
+        form: "copy" writes anew what is no such file as JPEG, "png" everything that is no PNG as PNG.
+        losses: takes what is lost.
+
+    Raises:
+        DataError: it cannot be decoded.
+    """
+    source = image.decode
+    is_png = isinstance(source, ImageFile) and source.path.suffix.lower() == ".png"
+    if is_png or form == "png":
+        path = stem.with_name(f"{stem.name}.png")
+        path.write_bytes(source.encoded() if isinstance(source, ImageFile) and is_png else _png(image))
+        return path
+    path = stem.with_name(f"{stem.name}.jpg")
+    if image.encoded is not None:
+        path.write_bytes(image.encoded())
+        return path
+    from simplejpeg import encode_jpeg
+
+    rgb = np.ascontiguousarray(image.rgb)
+    path.write_bytes(encode_jpeg(rgb, _JPEG_QUALITY, "RGB", colorsubsampling="444"))
+    what = f"encoded as JPEG of quality {_JPEG_QUALITY}"
+    losses.add("sensors.camera.images.rgb", what, 1, Support.APPROXIMATED)
+    return path
+
+
+def _png(image: CameraImage) -> bytes:
+    from io import BytesIO
+
+    from PIL import Image
+
+    content = BytesIO()
+    Image.fromarray(image.rgb).save(content, "PNG", compress_level=1)
+    return content.getvalue()
+
+
+def _wxyz(quaternion_xyzw: Float64Array) -> list[float]:
+    """A rotation as the tables have it."""
+    x, y, z, w = quaternion_xyzw.tolist()
+    return [w, x, y, z]
+
+
+def _placed(transform: RigidTransform) -> dict[str, list[float]]:
+    """A transform as two fields of a row."""
+    return {
+        "translation": transform.translation.tolist(),
+        "rotation": _wxyz(transform.quaternion_xyzw),
+    }
+
+
+def _write_table(folder: Path, name: str, rows: Iterable[_WrittenTablesRow]) -> None:
+    """Write a whole table."""
+    with _TableWriter(folder, name) as table:
+        for row in rows:
+            table.add(**row)

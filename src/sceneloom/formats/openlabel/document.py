@@ -10,12 +10,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError, SceneloomError
-from sceneloom.formats.base.files import read_bytes
 from sceneloom.scene.annotations import (
     Activation,
     Annotation,
@@ -165,21 +163,6 @@ class Part:
             listed = " or ".join(map(str, counts or ()))
             raise self.fault(f"a list of {listed + ' ' if listed else ''}numbers")
         return [*map(float, values)]
-
-
-def read_document(path: Path) -> Part:
-    """Read a file.
-
-    Raises:
-        DataError: it is no JSON, or has no member `openlabel`.
-    """
-    try:
-        value = msgspec.json.decode(read_bytes(path))
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-        raise DataError(path, "", f"is no JSON: {error}") from error
-    if not isinstance(value, Mapping) or not isinstance(value.get("openlabel"), dict):
-        raise DataError(path, "", "has no object `openlabel`; expected a file of ASAM OpenLABEL")
-    return Part(path, "openlabel", value["openlabel"])
 
 
 _ID, _NUMBER = (str, int), (int, float)
@@ -338,38 +321,6 @@ def _path(stated: Mapping[str, Any]) -> PointPath:
     return PointPath(times, values.reshape(len(times), -1), stated.get("id"), further)
 
 
-def _seen_fields(seen: Activation | Projection | PointProjection) -> dict[str, Any]:
-    return {
-        "sensor_id": seen.sensor_id,
-        "timestamps_ns": seen.timestamps_ns.tolist(),
-        **({"extras": dict(seen.extras)} if seen.extras else {}),
-    }
-
-
-def _rows(values: Float64Array | None) -> list[list[float]] | None:
-    return None if values is None else values.tolist()
-
-
-def activation_fields(seen: Activation) -> dict[str, Any]:
-    """Report when a sensor sees a cuboid."""
-    durations = None if seen.durations_ns is None else list(seen.durations_ns)
-    return {**_seen_fields(seen), "durations_ns": durations, "cuboids": _rows(seen.cuboids)}
-
-
-def projection_fields(seen: Projection) -> dict[str, Any]:
-    """Report where a camera sees a cuboid, and what was confirmed of that."""
-    confirmed = None if seen.confirmed is None else list(seen.confirmed)
-    stated = {"boxes": _rows(seen.boxes), "confirmed": confirmed, "cuboids": _rows(seen.cuboids)}
-    return {**_seen_fields(seen), **stated}
-
-
-def point_projection_fields(seen: PointProjection) -> dict[str, Any]:
-    """Report where a camera sees a named point, and what was confirmed of that."""
-    confirmed = None if seen.confirmed is None else list(seen.confirmed)
-    stated = {"points": _rows(seen.points), "confirmed": confirmed, "positions": _rows(seen.positions)}
-    return {**_seen_fields(seen), **stated}
-
-
 def _seen(stated: Mapping[str, Any]) -> dict[str, Any]:
     """The fields that all have that report when a sensor sees something."""
     if not isinstance(stated["sensor_id"], _ID):
@@ -421,14 +372,6 @@ def _point_projection(stated: Mapping[str, Any]) -> PointProjection:
     confirmed = _flags(stated.get("confirmed"))
     points, positions = _table(stated.get("points"), 2), _table(stated.get("positions"), 3)
     return PointProjection(**_seen(stated), points=points, confirmed=confirmed, positions=positions)
-
-
-def is_json(value: Any) -> bool:
-    """Whether JSON says a value as it is."""
-    try:
-        return bool(msgspec.json.decode(msgspec.json.encode(value)) == value)
-    except (TypeError, ValueError, OverflowError, msgspec.MsgspecError, RecursionError):
-        return False
 
 
 def _attribute_of(stated: Mapping[str, Any]) -> AttributePath:

@@ -6,11 +6,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.spec import as_positive
 from sceneloom.formats.openlabel.document import (
     ABSOLUTE,
@@ -26,7 +28,6 @@ from sceneloom.formats.openlabel.document import (
     Ours,
     Part,
     SeenBoxes,
-    read_document,
     restored_from,
 )
 from sceneloom.formats.openlabel.streams import ego_path, read_streams
@@ -668,7 +669,7 @@ def read_openlabel(path: Path, *, lenient: bool = False, rate_hz: float | str | 
         OptionError: the rate is no number above 0.
     """
     rate = None if rate_hz is None else as_positive("rate_hz", rate_hz)
-    document, ledger = read_document(path), Ledger(lenient=lenient)
+    document, ledger = _read_document(path), Ledger(lenient=lenient)
     with ledger.telling():
         return _scene(document, ledger, rate)
 
@@ -742,3 +743,18 @@ def _metadata(document: Part) -> dict[str, Any]:
     if isinstance(further, dict):
         metadata = {**further, OURS: {**further.get(OURS, {}), **metadata[OURS]}}
     return {**metadata, **({"openlabel": kept} if kept else {})}
+
+
+def _read_document(path: Path) -> Part:
+    """Read a file.
+
+    Raises:
+        DataError: it is no JSON, or has no member `openlabel`.
+    """
+    try:
+        value = msgspec.json.decode(read_bytes(path))
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+        raise DataError(path, "", f"is no JSON: {error}") from error
+    if not isinstance(value, Mapping) or not isinstance(value.get("openlabel"), dict):
+        raise DataError(path, "", "has no object `openlabel`; expected a file of ASAM OpenLABEL")
+    return Part(path, "openlabel", value["openlabel"])

@@ -10,7 +10,7 @@ from uuid import NAMESPACE_URL, uuid5
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.formats.base.losses import Loss, LossReport, Support, field_losses
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.base.text_tables import seconds_text
@@ -23,17 +23,14 @@ from sceneloom.formats.openlabel.document import (
     SCHEMA_VERSION,
     UID,
     WORLD,
-    activation_fields,
     annotation_fields,
     attribute_fields,
-    is_json,
-    point_projection_fields,
-    projection_fields,
 )
 from sceneloom.formats.openlabel.reader import KEPT, KIND, RBBOX, TYPE
 from sceneloom.formats.openlabel.spec import SUPPORTS
 from sceneloom.formats.openlabel.streams import Streams
 from sceneloom.scene.annotations import (
+    Activation,
     Annotation,
     AttributePath,
     Box2DAnnotation,
@@ -46,6 +43,7 @@ from sceneloom.scene.annotations import (
     LocalizationAdjustment,
     ObjectAnnotation,
     PlainAnnotation,
+    PointProjection,
     PointsAnnotation,
     Projection,
     ShapeAnnotation,
@@ -461,7 +459,7 @@ class _Writer:
         names = list(self.scene.trajectories)
         found.update({"trajectory": names[0]} if names and self.streams.trajectory is not None else {})
         own = {name: value for name, value in self.scene.metadata.items() if name != "openlabel"}
-        metadata = {name: value for name, value in own.items() if is_json(value)}
+        metadata = {name: value for name, value in own.items() if _is_json(value)}
         for name in own.keys() - metadata.keys():
             self.losses.append(Loss(field=f"metadata.{name}", what="left out: JSON cannot state it"))
         return {**found, **({"metadata": metadata} if metadata else {})}
@@ -531,7 +529,7 @@ class _Writer:
         fields.update({"own": renamed} if renamed else {})
         fields.update(self._seen(kind, uid, annotation))
         fields.update(self._path_extras(annotation))
-        if is_json(dict(annotation.extras)):
+        if _is_json(dict(annotation.extras)):
             fields["extras"] = dict(annotation.extras)
         else:
             field = f"annotations[{annotation.id}].extras"
@@ -543,7 +541,7 @@ class _Writer:
         found: dict[str, Any] = {}
         if isinstance(annotation, PointsAnnotation) and annotation.projections:
             points = annotation.projections
-            seen = [[self._sound(annotation, point_projection_fields(one)) for one in row] for row in points]
+            seen = [[self._sound(annotation, _point_projection_fields(one)) for one in row] for row in points]
             return {"projections": seen}
         if not isinstance(annotation, CuboidAnnotation):
             return found
@@ -553,11 +551,11 @@ class _Writer:
                     field = f"annotations[{annotation.id}].{name}"
                     self.losses.append(Loss(field=field, what=_NO_POSITION, count=count))
             return found
-        rows = [self._sound(annotation, activation_fields(one)) for one in annotation.activations]
+        rows = [self._sound(annotation, _activation_fields(one)) for one in annotation.activations]
         found.update({"activations": rows} if rows else {})
         rows = []
         for projection in annotation.projections:
-            fields = self._sound(annotation, projection_fields(projection))
+            fields = self._sound(annotation, _projection_fields(projection))
             system = self._camera(projection.sensor_id)
             data = list(_projection_data(projection, f"projection:{system}", system))
             if len({time_ns for time_ns, _, _ in data}) == len(data) and data:
@@ -570,7 +568,7 @@ class _Writer:
 
     def _sound(self, annotation: Annotation, fields: dict[str, Any]) -> dict[str, Any]:
         """Leave out further fields that JSON cannot state, and report it."""
-        if is_json(fields.get("extras")):
+        if _is_json(fields.get("extras")):
             return fields
         field, count = f"annotations[{annotation.id}].extras", len(fields["extras"])
         self.losses.append(Loss(field=field, what="left out: JSON cannot state it", count=count))
@@ -581,7 +579,7 @@ class _Writer:
         further = {} if path is None else {name: path.extras[name] for name in path.extras if name != RBBOX}
         if not further:
             return {}
-        if is_json(further):
+        if _is_json(further):
             return {"path_extras": further}
         field = f"annotations[{annotation.id}].path.extras"
         self.losses.append(Loss(field=field, what="left out: JSON cannot state it", count=len(further)))
@@ -630,7 +628,7 @@ class _Writer:
                     what = "an attribute without times is read back as one that holds always"
                     field = f"annotations[{annotation.id}].attributes"
                     self.losses.append(Loss(field=field, what=what, support=Support.CONVERTED))
-            elif is_json([*attribute.values, dict(attribute.extras)]):
+            elif _is_json([*attribute.values, dict(attribute.extras)]):
                 unsaid.append(attribute_fields(attribute))
             else:
                 field = f"annotations[{annotation.id}].attributes.{attribute.name}"
@@ -660,7 +658,7 @@ class _Writer:
 
     def _keep(self, kind: str, uid: str, annotation: Any, fields: dict[str, Any]) -> None:
         """Keep the fields that only we understand, and the further ones that JSON can state."""
-        if is_json(dict(annotation.extras)):
+        if _is_json(dict(annotation.extras)):
             fields["extras"] = dict(annotation.extras)
         else:
             field = f"annotations[{annotation.id}].extras"
@@ -720,7 +718,7 @@ def _labeled_points(annotation: LabeledPointsAnnotation) -> dict[str, Any]:
                 "sensor_id": one.sensor_id,
                 "point_ids": one.point_ids.tolist(),
                 **({} if one.sensor_frame is None else {"sensor_frame": one.sensor_frame}),
-                **({"extras": dict(one.extras)} if one.extras and is_json(dict(one.extras)) else {}),
+                **({"extras": dict(one.extras)} if one.extras and _is_json(dict(one.extras)) else {}),
             }
             for one in annotation.labeled_points
         ],
@@ -736,7 +734,7 @@ def _points(annotation: PointsAnnotation) -> dict[str, Any]:
                 "timestamps_ns": one.timestamps_ns.tolist(),
                 "values": one.values.tolist(),
                 "id": one.id,
-                **({"extras": dict(one.extras)} if one.extras and is_json(dict(one.extras)) else {}),
+                **({"extras": dict(one.extras)} if one.extras and _is_json(dict(one.extras)) else {}),
             }
             for one in annotation.paths
         ],
@@ -782,3 +780,43 @@ def _frame_times(scene: Scene) -> Int64Array:
     if not any(len(times) for times in found):
         found = [trajectory.timestamps_ns for trajectory in list(scene.trajectories.values())[:1]]
     return np.unique(np.concatenate(found)) if found else np.zeros(0, np.int64)
+
+
+def _seen_fields(seen: Activation | Projection | PointProjection) -> dict[str, Any]:
+    return {
+        "sensor_id": seen.sensor_id,
+        "timestamps_ns": seen.timestamps_ns.tolist(),
+        **({"extras": dict(seen.extras)} if seen.extras else {}),
+    }
+
+
+def _rows(values: Float64Array | None) -> list[list[float]] | None:
+    return None if values is None else values.tolist()
+
+
+def _activation_fields(seen: Activation) -> dict[str, Any]:
+    """Report when a sensor sees a cuboid."""
+    durations = None if seen.durations_ns is None else list(seen.durations_ns)
+    return {**_seen_fields(seen), "durations_ns": durations, "cuboids": _rows(seen.cuboids)}
+
+
+def _projection_fields(seen: Projection) -> dict[str, Any]:
+    """Report where a camera sees a cuboid, and what was confirmed of that."""
+    confirmed = None if seen.confirmed is None else list(seen.confirmed)
+    stated = {"boxes": _rows(seen.boxes), "confirmed": confirmed, "cuboids": _rows(seen.cuboids)}
+    return {**_seen_fields(seen), **stated}
+
+
+def _point_projection_fields(seen: PointProjection) -> dict[str, Any]:
+    """Report where a camera sees a named point, and what was confirmed of that."""
+    confirmed = None if seen.confirmed is None else list(seen.confirmed)
+    stated = {"points": _rows(seen.points), "confirmed": confirmed, "positions": _rows(seen.positions)}
+    return {**_seen_fields(seen), **stated}
+
+
+def _is_json(value: Any) -> bool:
+    """Whether JSON says a value as it is."""
+    try:
+        return bool(msgspec.json.decode(msgspec.json.encode(value)) == value)
+    except (TypeError, ValueError, OverflowError, msgspec.MsgspecError, RecursionError):
+        return False

@@ -1,5 +1,6 @@
 """Read a drive of PandaSet: two lidars in one file, cameras, satellite fixes, cuboids and classes of points."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -19,7 +20,7 @@ from sceneloom.formats.base.images import ImageReader, images_image_size
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import choose_drive, drives_in
 from sceneloom.formats.pandaset.pickles import PickledFrame, read_pickled_frame
-from sceneloom.formats.pandaset.spec import is_drive, numbered_files
+from sceneloom.formats.pandaset.spec import is_drive
 from sceneloom.formats.rig.lidars import FARTHEST_WORLD
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion
@@ -187,7 +188,7 @@ def _read_sweeps(drive: Path) -> _Sweeps:
         DataError: there is none, or times or poses are missing or wrong.
     """
     folder = drive / "lidar"
-    files = tuple(numbered_files(folder, r"\.pkl(\.gz)?"))
+    files = tuple(_numbered_files(folder, r"\.pkl(\.gz)?"))
     if not files:
         raise DataError(folder, "", "no sweep; expected files such as 00.pkl.gz")
     timestamps_ns = _read_times(folder / "timestamps.json", len(files))
@@ -290,7 +291,7 @@ def _build_cameras(drive: Path, ledger: Ledger) -> list[Sensor]:
 
 
 def _camera(folder: Path) -> CameraSensor:
-    files = tuple(numbered_files(folder, r"\.jpg"))
+    files = tuple(_numbered_files(folder, r"\.jpg"))
     if not files:
         raise DataError(folder, "", "no image; expected files such as 00.jpg")
     timestamps_ns = _read_times(folder / "timestamps.json", len(files))
@@ -388,7 +389,7 @@ def _timestamps_of(folder: Path, sweeps: _Sweeps) -> dict[Path, int]:
         DataError: a file has no sweep.
     """
     times = {_number(file): int(t) for file, t in zip(sweeps.files, sweeps.timestamps_ns, strict=True)}
-    files = numbered_files(folder, r"\.pkl(\.gz)?")
+    files = _numbered_files(folder, r"\.pkl(\.gz)?")
     lost = [file for file in files if _number(file) not in times]
     if lost:
         raise DataError(lost[0], "", f"there is no sweep of this number in {sweeps.folder}")
@@ -611,3 +612,17 @@ def open_pandaset(path: Path, *, sequence: str | None = None, lenient: bool = Fa
         format="pandaset",
         warnings=ledger.warnings,
     )
+
+
+def _numbered_files(folder: Path, pattern: str) -> list[Path]:
+    """The files of a folder that are named by numbers, in their order.
+
+    Args:
+        folder: may be missing.
+        pattern: of the whole name, after the number.
+    """
+    if not folder.is_dir():
+        return []
+    name = re.compile(rf"\d+{pattern}")
+    found = [file for file in folder.iterdir() if name.fullmatch(file.name)]
+    return sorted(found, key=lambda file: int(file.name.partition(".")[0]))

@@ -11,20 +11,6 @@ _FRAME = re.compile(r"\d+\.pkl(\.gz)?")
 _MOST_LOOKED_AT = 50
 
 
-def numbered_files(folder: Path, pattern: str) -> list[Path]:
-    """The files of a folder that are named by numbers, in their order.
-
-    Args:
-        folder: may be missing.
-        pattern: of the whole name, after the number.
-    """
-    if not folder.is_dir():
-        return []
-    name = re.compile(rf"\d+{pattern}")
-    found = [file for file in folder.iterdir() if name.fullmatch(file.name)]
-    return sorted(found, key=lambda file: int(file.name.partition(".")[0]))
-
-
 def is_drive(path: Path) -> bool:
     """Whether a folder holds a drive, be it half a one: pickled sweeps, or pickled cuboids."""
     return any(

@@ -7,6 +7,7 @@ from decimal import Decimal
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -26,13 +27,14 @@ from sceneloom.formats.points.mapping import (
 )
 from sceneloom.formats.points.npz import default_layout
 from sceneloom.formats.points.spec import (
+    BESIDE,
+    DEFAULT_ID,
     EGO_POSES,
     SENSOR_POSES,
     TIME_FILES,
-    CloudFolder,
     CloudKind,
     CloudReading,
-    find_folders,
+    entries,
 )
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, white_where_unseen
@@ -41,6 +43,24 @@ from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import PointsFrame
 from sceneloom.warnings import WarningKind
+
+
+@dataclass(frozen=True, slots=True)
+class _CloudFolder:
+    """The files of one lidar, in the order of their names.
+
+    Attributes:
+        sensor_id: what the lidar is called.
+        location: the folder, or the only file.
+        files: at least one.
+        beside: files that state more about them, by name.
+    """
+
+    sensor_id: str
+    location: Path
+    files: tuple[Path, ...]
+    beside: dict[str, Path]
+
 
 _LOOKED_AT = 10
 """Files that are looked through for one that is bright enough to report the scale of brightness."""
@@ -339,7 +359,7 @@ def open_clouds(path: Path, *, kind: CloudKind, options: CloudReading) -> Scene:
     trajectories: dict[str, Trajectory] = {}
     with ledger.telling():
         sensors = tuple(
-            _lidar(folder, kind, options, ledger, trajectories) for folder in find_folders(path, kind)
+            _lidar(folder, kind, options, ledger, trajectories) for folder in _find_folders(path, kind)
         )
     return Scene(
         sensors, trajectories=trajectories, source=str(path), format=kind.name, warnings=ledger.warnings
@@ -347,7 +367,7 @@ def open_clouds(path: Path, *, kind: CloudKind, options: CloudReading) -> Scene:
 
 
 def _lidar(
-    folder: CloudFolder,
+    folder: _CloudFolder,
     kind: CloudKind,
     reading: CloudReading,
     ledger: Ledger,
@@ -385,7 +405,7 @@ def _lidar(
 
 def _placed(
     sensor: LidarSensor,
-    folder: CloudFolder,
+    folder: _CloudFolder,
     reading: CloudReading,
     ledger: Ledger,
     trajectories: dict[str, Trajectory],
@@ -431,7 +451,7 @@ def _sound(frames: _CloudFrames, ledger: Ledger) -> _CloudFrames:
     )
 
 
-def _frames(folder: CloudFolder, reading: CloudReading, ledger: Ledger) -> _CloudFrames:
+def _frames(folder: _CloudFolder, reading: CloudReading, ledger: Ledger) -> _CloudFrames:
     """The files in the order of their times."""
     times, files = _times(folder, reading, ledger)
     order = np.argsort(times, kind="stable")
@@ -447,7 +467,9 @@ def _frames(folder: CloudFolder, reading: CloudReading, ledger: Ledger) -> _Clou
     return _CloudFrames(tuple(files[k] for k in order.tolist()), read_only(times))
 
 
-def _times(folder: CloudFolder, reading: CloudReading, ledger: Ledger) -> tuple[Int64Array, tuple[Path, ...]]:
+def _times(
+    folder: _CloudFolder, reading: CloudReading, ledger: Ledger
+) -> tuple[Int64Array, tuple[Path, ...]]:
     stems = [stem_of(path.name) for path in folder.files]
     listed = next((folder.beside[name] for name in TIME_FILES if name in folder.beside), None)
     numbers = numbers_of_names(stems)
@@ -474,7 +496,7 @@ def _times(folder: CloudFolder, reading: CloudReading, ledger: Ledger) -> tuple[
     return np.zeros(1, np.int64), files
 
 
-def _counted_times(folder: CloudFolder, numbers: list[int], rate_hz: float) -> Int64Array:
+def _counted_times(folder: _CloudFolder, numbers: list[int], rate_hz: float) -> Int64Array:
     if max(numbers) / rate_hz > 9e9:
         raise DataError(
             folder.location, "", f"number {max(numbers)} at {rate_hz:g} Hz is a time beyond the year 2255"
@@ -498,7 +520,7 @@ def _listed_times(
 
 
 def _with_mapping(
-    folder: CloudFolder, kind: CloudKind, frames: _CloudFrames, ledger: Ledger
+    folder: _CloudFolder, kind: CloudKind, frames: _CloudFrames, ledger: Ledger
 ) -> tuple[_CloudFrames, float | None]:
     """Settle what brightness and times mean, by the first files."""
     scale, name = _scale_of(frames)
@@ -519,7 +541,7 @@ def _with_mapping(
     return settled, None if scale is None else scale.maximum
 
 
-def _note_first(folder: CloudFolder, frames: _CloudFrames, ledger: Ledger) -> None:
+def _note_first(folder: _CloudFolder, frames: _CloudFrames, ledger: Ledger) -> None:
     """Look at the first frame, and state what was left out of it."""
     frame = frames(0)
     notes: dict[str, tuple[str, Callable[[Any], int]]] = {
@@ -551,3 +573,38 @@ def _note_first(folder: CloudFolder, frames: _CloudFrames, ledger: Ledger) -> No
         listed = ", ".join(f"{count} {name}" for name, count in others.items())
         reported = f"only vertices are points: {listed} left out of the first file"
         ledger.note(WarningKind.SKIPPED, "elements-left-out", str(folder.location), reported)
+
+
+def _find_folders(path: Path, kind: CloudKind) -> list[_CloudFolder]:
+    """Find the files of each lidar.
+
+    Raises:
+        DataError: there are none.
+    """
+    if path.is_file():
+        return [_CloudFolder(DEFAULT_ID, path, (path,), {})]
+    try:
+        folders = sorted(path / entry.name for entry in entries(path) if entry.is_dir())
+        own = _files(path, kind)
+        found = [] if own is None else [own]
+        if own is None:
+            found = [one for folder in folders if (one := _files(folder, kind)) is not None]
+    except OSError as error:
+        raise DataError(path, "", f"cannot be read: {error.strerror or error}") from error
+    if not found:
+        raise DataError(path, "", f"has no files of points; expected {kind.reported}")
+    if len(found) == 1 and found[0].location == path:
+        return found
+    return [_CloudFolder(unquote(one.location.name), one.location, one.files, one.beside) for one in found]
+
+
+def _files(folder: Path, kind: CloudKind) -> _CloudFolder | None:
+    found = [entry for entry in entries(folder) if entry.is_file()]
+    files = tuple(
+        folder / entry.name for entry in sorted(found, key=lambda one: one.name) if kind.has_name(entry.name)
+    )
+    beside = {entry.name: folder / entry.name for entry in found if entry.name in BESIDE}
+    if folder.name == "data" and not beside:
+        # KITTI's raw data have the times beside the folder of the files
+        beside = {name: there for name in TIME_FILES if (there := folder.parent / name).is_file()}
+    return _CloudFolder(DEFAULT_ID, folder, files, beside) if files else None

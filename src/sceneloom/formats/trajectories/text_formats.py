@@ -30,10 +30,7 @@ from sceneloom.formats.trajectories.trajectory_file import (
     Reading,
     TrajectoryFile,
     TrajectoryForm,
-    first_names,
-    first_values,
     further_losses,
-    numbers_text,
     ordered,
     oriented,
 )
@@ -47,7 +44,7 @@ _HEADER = "# timestamp tx ty tz qx qy qz qw\n"
 
 
 def _recognises(text: str) -> bool:
-    values = first_values(text, None)
+    values = _first_values(text, None)
     return values is not None and len(values) == 8
 
 
@@ -72,7 +69,7 @@ def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
             strict=True,
         )
         for time_ns, position, quaternion in rows:
-            file.write(f"{seconds_text(time_ns)} {numbers_text((*position, *quaternion), ' ')}\n")
+            file.write(f"{seconds_text(time_ns)} {_numbers_text((*position, *quaternion), ' ')}\n")
     return further_losses(content)
 
 
@@ -87,7 +84,7 @@ def _times_beside(path: Path) -> Path:
 
 
 def _kitti_recognises(text: str) -> bool:
-    values = first_values(text, None)
+    values = _first_values(text, None)
     return values is not None and len(values) == 12
 
 
@@ -165,7 +162,7 @@ def _kitti_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[
     trajectory, quaternions = oriented(content, target, KITTI.name)
     matrices = np.concatenate([matrix_from_quaternion(quaternions), trajectory.positions[:, :, None]], axis=2)
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.writelines(f"{numbers_text(matrix, ' ')}\n" for matrix in matrices.reshape(-1, 12).tolist())
+        file.writelines(f"{_numbers_text(matrix, ' ')}\n" for matrix in matrices.reshape(-1, 12).tolist())
     with _times_beside(path).open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{seconds_text(time_ns)}\n" for time_ns in trajectory.timestamps_ns.tolist())
     return further_losses(content)
@@ -207,7 +204,7 @@ _EARLIEST_NS = 1e12
 def _euroc_recognises(text: str) -> bool:
     if "p_RS_R_x" in text.split("\n", 1)[0]:
         return True
-    values = first_values(text, ",")
+    values = _first_values(text, ",")
     return (
         values is not None and len(values) in _WIDTHS and values[0].is_integer() and values[0] > _EARLIEST_NS
     )
@@ -248,7 +245,7 @@ def _euroc_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[
         file.write(", ".join(names) + "\n")
         values = np.concatenate(parts, axis=1).tolist()
         for time_ns, row in zip(trajectory.timestamps_ns.tolist(), values, strict=True):
-            file.write(f"{time_ns},{numbers_text(row, ',')}\n")
+            file.write(f"{time_ns},{_numbers_text(row, ',')}\n")
     return further_losses(content, kept=further)
 
 
@@ -265,7 +262,7 @@ _LOCATION, _ROTATION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 
 
 def _named_columns_recognises(text: str) -> bool:
-    names = set(first_names(text) or ())
+    names = set(_first_names(text) or ())
     wanted = [POSE_COLUMNS[role] for role in _LOCATION]
     return bool(names & set(TIME_COLUMNS)) and all(names & set(known) for known in wanted)
 
@@ -297,7 +294,7 @@ def _named_columns_write(content: TrajectoryFile, path: Path, target: Path) -> I
         file.write(",".join(("timestamp_ns", *_LOCATION, *(_ROTATION if rotated else ()))) + "\n")
         values = np.concatenate(parts, axis=1).tolist()
         for time_ns, row in zip(trajectory.timestamps_ns.tolist(), values, strict=True):
-            file.write(f"{time_ns},{numbers_text(row, ',')}\n")
+            file.write(f"{time_ns},{_numbers_text(row, ',')}\n")
     return further_losses(content)
 
 
@@ -314,7 +311,7 @@ _GNSS_LOCATION = ("latitude", "longitude", "altitude")
 
 
 def _gnss_recognises(text: str) -> bool:
-    names = set(first_names(text) or ())
+    names = set(_first_names(text) or ())
     wanted = [GNSS_COLUMNS[role] for role in ("latitude", "longitude")]
     return bool(names & set(TIME_COLUMNS)) and all(names & set(known) for known in wanted)
 
@@ -418,3 +415,27 @@ GNSS = TrajectoryForm(
     supports=LOCATIONS,
     fix_supports=FIXES,
 )
+
+
+def _numbers_text(values: Iterable[float], separator: str) -> str:
+    """Write numbers with all their digits: the shortest texts that are read back as the same numbers."""
+    return separator.join(map(repr, values))
+
+
+def _first_values(text: str, delimiter: str | None) -> list[float] | None:
+    """The numbers of the first line that is no comment; None where it holds anything else."""
+    line = next(
+        (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")), ""
+    )
+    try:
+        return [float(cell) for cell in line.split(delimiter)]
+    except ValueError:
+        return None
+
+
+def _first_names(text: str) -> list[str] | None:
+    """The names of columns in the first line, in lower case; None where it holds none."""
+    line = next((line for line in text.splitlines() if line.strip()), "").lstrip("# \t")
+    delimiter = next((sign for sign in ",;\t" if sign in line), None)
+    names = [name.strip().strip('"').lower() for name in line.split(delimiter)]
+    return None if any(not name or name[0] in "0123456789.-+{[" for name in names) else names

@@ -226,11 +226,6 @@ def oriented(content: TrajectoryFile, target: Path, form: str) -> tuple[Trajecto
     return trajectory, trajectory.quaternions_xyzw
 
 
-def numbers_text(values: Iterable[float], separator: str) -> str:
-    """Write numbers with all their digits: the shortest texts that are read back as the same numbers."""
-    return separator.join(map(repr, values))
-
-
 def further_losses(content: TrajectoryFile, *, kept: Iterable[str] = ()) -> list[Loss]:
     """What poses bear besides, and a form of plain poses has no field for."""
     trajectory = content.trajectory
@@ -269,22 +264,3 @@ def beginning(path: Path) -> str | None:
         return whole.decode("utf-8-sig")
     except UnicodeDecodeError:
         return None
-
-
-def first_values(text: str, delimiter: str | None) -> list[float] | None:
-    """The numbers of the first line that is no comment; None where it holds anything else."""
-    line = next(
-        (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")), ""
-    )
-    try:
-        return [float(cell) for cell in line.split(delimiter)]
-    except ValueError:
-        return None
-
-
-def first_names(text: str) -> list[str] | None:
-    """The names of columns in the first line, in lower case; None where it holds none."""
-    line = next((line for line in text.splitlines() if line.strip()), "").lstrip("# \t")
-    delimiter = next((sign for sign in ",;\t" if sign in line), None)
-    names = [name.strip().strip('"').lower() for name in line.split(delimiter)]
-    return None if any(not name or name[0] in "0123456789.-+{[" for name in names) else names

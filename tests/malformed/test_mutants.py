@@ -5,10 +5,10 @@ import sys
 import pytest
 from tests.malformed.mutants import ALL_DRIVES, DRIVES, OTHER_DRIVES, STRANGERS, try_mutants
 
-from sceneloom.db34t.interface import read_configuration_file
 from sceneloom.detections.detectors import read_detectors
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats import open_scene
+from sceneloom.service.running import read_configuration_file
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="memory of processes is bounded on Linux only"

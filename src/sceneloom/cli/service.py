@@ -22,7 +22,7 @@ from sceneloom.errors import OptionError
 if TYPE_CHECKING:
     from sceneloom.db34t.conformance.catalogue import Check
     from sceneloom.db34t.conformance.examination import Examination, Finding
-    from sceneloom.db34t.queues import Result
+    from sceneloom.db34t.events import Result
     from sceneloom.service.client import FusionClient
     from sceneloom.service.sending import SendReport
     from sceneloom.service.server import FusionServer
@@ -401,7 +401,7 @@ def conformance(
     which is ended after it.
     """
     from sceneloom.db34t.conformance.examination import check_report, chosen, examine
-    from sceneloom.db34t.transport import Access, GrpcTransport
+    from sceneloom.db34t.conformance.examination import Access, GrpcTransport
     from sceneloom.formats.base.output import check_output
 
     checks = chosen(only)

@@ -1,16 +1,19 @@
-"""The records of DB34/T 4101-2022, tables 1 and 3 to 10, and the forms in which they travel."""
+"""The data fusion interface of DB34/T 4101-2022: its records, and the formats in which they are sent."""
 
 from typing import TYPE_CHECKING
 
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.db34t.boxes import Box2d, Box3d, Boxes2d, Boxes3d
     from sceneloom.db34t.records import (
         DEPTH_KINDS,
         ENCODINGS,
         POINT_FRAMES,
         RECORD_KINDS,
+        Box2d,
+        Box3d,
+        Boxes2d,
+        Boxes3d,
         CalibrationData,
         DetectionRecord,
         Encoding,
@@ -40,10 +43,10 @@ else:
             "RECORD_KINDS": "sceneloom.db34t.records:RECORD_KINDS",
             "TABLES": "sceneloom.db34t.tables:TABLES",
             "BasicType": "sceneloom.db34t.types:BasicType",
-            "Box2d": "sceneloom.db34t.boxes:Box2d",
-            "Box3d": "sceneloom.db34t.boxes:Box3d",
-            "Boxes2d": "sceneloom.db34t.boxes:Boxes2d",
-            "Boxes3d": "sceneloom.db34t.boxes:Boxes3d",
+            "Box2d": "sceneloom.db34t.records:Box2d",
+            "Box3d": "sceneloom.db34t.records:Box3d",
+            "Boxes2d": "sceneloom.db34t.records:Boxes2d",
+            "Boxes3d": "sceneloom.db34t.records:Boxes3d",
             "CalibrationData": "sceneloom.db34t.records:CalibrationData",
             "DetectionRecord": "sceneloom.db34t.records:DetectionRecord",
             "Encoding": "sceneloom.db34t.records:Encoding",

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, read_only
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.camera import Camera
 from sceneloom.db34t.records import CalibrationData
 from sceneloom.db34t.tables import CALIBRATION
 from sceneloom.errors import CalibrationError, DataError
@@ -390,11 +390,6 @@ def _off_forward_deg(rotation: Float64Array) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def axes_of(words: str, triple: Sequence[int], *, left_handed: bool) -> DeclaredAxes:
-    """Give the declared axes: those in plain words where they are stated, else those of the triple."""
-    return DeclaredAxes.of_words(words) if words else DeclaredAxes.of_triple(triple, left_handed=left_handed)
-
-
 MOST_PAIRS = 1024
 """Cameras and lidars that one system may relate: every change of a calibration looks at all of them."""
 
@@ -479,43 +474,6 @@ def format_calibrations(entries: tuple[CalibrationEntry, ...]) -> str:
 CAMERA_MODELS = "camera_models"
 """Name of the property, a string that a session adds where it needs it."""
 
-_NUMBERS = ("fx", "fy", "cx", "cy")
-
-
-def parse_camera_models(text: str) -> Mapping[int, Camera]:
-    """Read `{"1": {"model": "fisheye", "image_size": [w, h], "fx": …, "coefficients": […]}}`; empty: none.
-
-    Raises:
-        DataError: it is no JSON object of camera models.
-        CalibrationError: a camera model cannot be.
-    """
-    found = read_by_sensor(text, CAMERA_MODELS, '{"1": {"model": "fisheye", …}}')
-    return {camera_id: _camera_model(entry, str(camera_id)) for camera_id, entry in found.items()}
-
-
-def _camera_model(entry: Any, location: str) -> Camera:
-    try:
-        model, (width, height) = entry["model"], entry["image_size"]
-        fx, fy, cx, cy = (float(entry[name]) for name in _NUMBERS)
-        coefficients = tuple(float(value) for value in entry.get("coefficients", ()))
-        if model not in MODELS or not all(isinstance(size, int) for size in (width, height)):
-            raise DataError(
-                CAMERA_MODELS,
-                location,
-                f"{entry!r}; expected a model out of {', '.join(MODELS)} and whole sizes",
-            )
-    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
-        raise DataError(
-            CAMERA_MODELS, location, f"{entry!r}; expected model, image_size, fx, fy, cx, cy, coefficients"
-        ) from error
-    wanted = len(MODELS[model].coefficient_names)
-    if len(coefficients) > wanted:
-        raise CalibrationError(
-            f"{CAMERA_MODELS}.{location}: {len(coefficients)} coefficients; {model} has {wanted}"
-        )
-    padded = (*coefficients, *[0.0] * (wanted - len(coefficients)))
-    return Camera(model, width, height, fx, fy, cx, cy, padded)
-
 
 @dataclass(frozen=True, slots=True)
 class CalibrationTable:
@@ -541,36 +499,3 @@ class CalibrationTable:
     def lidar_ids(self) -> tuple[int, ...]:
         """All lidars, ascending."""
         return tuple(sorted({lidar_id for _, lidar_id in self.entries}))
-
-
-@dataclass(frozen=True, slots=True)
-class DeclaredFrames:
-    """The axes of the frames that sensors give their data in.
-
-    Attributes:
-        camera, lidar: axes of forward, right and up.
-    """
-
-    camera: DeclaredAxes
-    lidar: DeclaredAxes
-
-
-def resolve_pair(
-    table: CalibrationTable,
-    camera_id: int,
-    lidar_id: int,
-    frames: DeclaredFrames,
-    camera_models: Mapping[int, Camera],
-) -> CalibratedPair:
-    """Give the camera model and mounting of a camera and a lidar.
-
-    Raises:
-        CalibrationError: none is known, or it contradicts the declared axes.
-    """
-    entry = table.entries.get((camera_id, lidar_id))
-    if entry is None:
-        known = ", ".join(f"({camera}, {lidar})" for camera, lidar in table.entries) or "none"
-        raise CalibrationError(
-            f"no calibration of camera {camera_id} and lidar {lidar_id}; known pairs (camera, lidar): {known}"
-        )
-    return calibrated_pair(entry.data, frames.camera, frames.lidar, camera_model=camera_models.get(camera_id))

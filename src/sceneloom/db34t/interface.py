@@ -1,62 +1,58 @@
-"""The data fusion interface of DB34/T 4101-2022, clause 5, in one process: properties, calibration, ego trajectory.
+"""The data fusion interface of DB34/T 4101-2022, clause 5, in one process.
 
-Received records, results.
-
-Its configuration can be read from a TOML file.
+Properties, calibration and the ego trajectory are set, records are sent, results are fetched.
 """
 
 import math
 import threading
-import tomllib
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from types import MappingProxyType, TracebackType
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import TracebackType
 from typing import Any, Self
 
-import msgspec
 import numpy as np
 
-from sceneloom.db34t.boxes import Box2d, Box3d, Boxes2d, Boxes3d
 from sceneloom.db34t.calibration import (
     MOST_PAIRS,
     CalibrationEntry,
     CalibrationTable,
     check_calibration,
-    entry_of,
     format_calibrations,
     parse_calibrations,
 )
-from sceneloom.db34t.properties import Property, PropertyStore, parse_sensors
-from sceneloom.db34t.queues import (
-    QUEUE_PROPERTIES,
+from sceneloom.db34t.events import (
+    CLOCK_JUMP_NS,
+    Accepted,
     Announcer,
+    Counters,
     Flushed,
+    FrameRecord,
     Moved,
     Observer,
-    QueueLimits,
     Refused,
     Result,
     Task,
 )
-from sceneloom.db34t.received_records import (
-    CLOCK_JUMP_NS,
-    Accepted,
-    Collection,
-    Counters,
-    Ledger,
-    ReceivedRecords,
-    RefusedError,
-    Setting,
-    WholeRecord,
-    check_headings,
+from sceneloom.db34t.properties import Property, PropertyStore
+from sceneloom.db34t.received_records import ReceivedRecords, RefusedError
+from sceneloom.db34t.records import (
+    Box2d,
+    Box3d,
+    Boxes2d,
+    Boxes3d,
+    CalibrationData,
+    PointCloudData,
+    RawData,
+    SentRecord,
+    kind_of,
 )
-from sceneloom.db34t.records import CalibrationData, SentRecord, kind_of
+from sceneloom.db34t.setting import Setting
 from sceneloom.db34t.types import DONE, Cause, Outcome, refused
 from sceneloom.db34t.worker import ResultsQueue, Worker
-from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError
-from sceneloom.formats.base.files import read_settings
+from sceneloom.errors import CalibrationError, OptionError, PoseError, SceneloomError
+from sceneloom.formats.recording.lidars import XYZIRT
 from sceneloom.fusion.algorithms import FusionType, algorithm
+from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.poses import Poses
 
 _KEPT_NS = 60_000_000_000
@@ -68,15 +64,15 @@ _MOST_POSES = 100_000
 
 @dataclass(slots=True)
 class RecentTrajectory:
-    """Puts together poses that come piece by piece."""
+    """Joins poses that arrive in chunks."""
 
     _path: Poses | None = None
 
     def extended(self, path: Poses) -> Poses:
         """Add newer poses, and give the trajectory of the last minute.
 
-        Poses that are very much older begin another way: a clock was set back. Positions are counted from the newest
-        one, so that points far from a map's origin keep their digits.
+        Poses that are very much older begin another trajectory: a clock was set back. Positions are relative to the
+        newest one, so that points far from a map's origin keep their digits.
 
         Raises:
             PoseError: they are not newer than those that came before, or too many.
@@ -107,6 +103,32 @@ _MOST_MOVES = 100
 """Chunks of the vehicle's trajectory that may wait for the thread that fuses."""
 
 
+_PIXEL_BYTES = 7
+"""What a pixel takes while its image is fused: red, green, blue, and a depth of 32 bits."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QueueLimits:
+    """What waits in one system at most, whatever its properties state.
+
+    Attributes:
+        most_length: what the properties queue_length and result_queue_length can be set to.
+        most_bytes: of records that are not fused yet; and of results of each type that wait to be fetched.
+    """
+
+    most_length: int = 2**32 - 1
+    most_bytes: int = 2**63
+
+    @property
+    def most_pixels(self) -> int:
+        """How many pixels all cameras may have together: a sweep is fused with an image of each at once."""
+        return self.most_bytes // _PIXEL_BYTES
+
+
+_QUEUE_PROPERTIES = ("queue_length", "result_queue_length")
+"""Those that `QueueLimits.most_length` bounds."""
+
+
 class FusionInterface:
     """Receives records, fuses them, and gives results: the standard's interface, for callers in several threads.
 
@@ -133,7 +155,7 @@ class FusionInterface:
 
         Args:
             inline: whether the threads that send also fuse.
-            observer: reported all that is taken, refused and given, one call at a time.
+            observer: called with all that is accepted, refused and given, one call at a time.
             on_result: called as soon as a result can be fetched.
             limits: of what waits, whatever the properties state; None for none.
         """
@@ -147,16 +169,13 @@ class FusionInterface:
         self._making_room: Flushed | None = None
         self._remarked: set[tuple[tuple[int, int], str]] = set()
         self._closed = False
-        self._ledger = Ledger(self.counters)
         self._announcer = Announcer(observer, self.counters)
-        self._received_records = ReceivedRecords()
-        self._collection = Collection(self._received_records, self._hand_in)
+        self._received = ReceivedRecords(self._hand_in)
         self._results_queue = ResultsQueue(
             self.counters, self._announcer, on_result=on_result, most_bytes=self._limits.most_bytes
         )
         self._worker = Worker(
             self.counters,
-            self._ledger,
             self._announcer,
             self._results_queue.give,
             inline=inline,
@@ -181,7 +200,7 @@ class FusionInterface:
         `calibration` replaces all calibrations.
         """
         most = self._limits.most_length
-        if name in QUEUE_PROPERTIES and isinstance(value, int) and value > most:
+        if name in _QUEUE_PROPERTIES and isinstance(value, int) and value > most:
             return refused(Cause.OUT_OF_RANGE, f"{name}: {value}; expected at most {most} here")
         with self._lock:
             outcome = self.properties.set(name, value)
@@ -299,7 +318,7 @@ class FusionInterface:
         with self._lock:
             if self._closed:
                 return
-            self._collection.close()
+            self._received.close_frames()
             flushed = Flushed()
             self._worker.do(flushed)
         flushed.done.wait()
@@ -314,7 +333,7 @@ class FusionInterface:
             raise OptionError("a session with a thread of its own; expected one that was made with `inline`")
         with self._lock:
             if isinstance(task, Accepted):
-                self._ledger.issue(task.ticket)
+                self.counters.issue(task.ticket)
             self._worker.do(task)
 
     def close(self) -> None:
@@ -322,7 +341,7 @@ class FusionInterface:
         with self._lock:
             if self._closed:
                 return
-            self._collection.close()
+            self._received.close_frames()
             self._closed = True
             self._worker.close()
         self._worker.join()
@@ -336,13 +355,13 @@ class FusionInterface:
     @property
     def waiting_records(self) -> int:
         """How many records were taken and are not done with, those that boxes alone are gathered in not counted."""
-        return self._ledger.waiting()
+        return self.counters.waiting()
 
     @property
     def waiting_boxes(self) -> int:
         """How many boxes that came alone wait for others of their frame."""
         with self._lock:
-            return len(self._collection)
+            return self._received.waiting_boxes
 
     def _refuse(self, record: SentRecord, outcome: Outcome) -> Outcome:
         self.counters.add(f"refused.{outcome.cause}")
@@ -365,26 +384,26 @@ class FusionInterface:
     def _too_many_pixels(self, count: int) -> str:
         return f"the cameras have {count} pixels together; expected at most {self._limits.most_pixels} here"
 
-    def _admit(self, record: WholeRecord, setting: Setting, verb: str) -> Outcome:
+    def _admit(self, record: FrameRecord, setting: Setting, verb: str) -> Outcome:
         """Take a record of a whole frame, and count it as one that was received or gathered."""
-        accepted = self._received_records.admit(record, setting)
+        accepted = self._received.accept(record, setting)
         most, policy = setting.properties["queue_length"], setting.properties["queue_policy"]
-        if policy == "refuse" and self._ledger.waiting(accepted.stream) >= most:
+        if policy == "refuse" and self.counters.waiting(accepted.stream) >= most:
             reason = f"{most} records of {accepted.kind} {accepted.sensor_id} wait already (queue_length)"
             raise RefusedError(refused(Cause.QUEUE_FULL, reason))
         self._check_room(accepted.ticket.size)
-        jump = self._received_records.note(accepted)
+        jump = self._received.note(accepted)
         if jump:
             self.counters.add(f"clock.{jump}")
         self.counters.add(f"{verb}.{accepted.stream[0]}")
-        self.counters.add("left-out.points", accepted.left_out)
-        self._ledger.issue(accepted.ticket)
+        self.counters.add("left-out.points", _points_left_out(accepted))
+        self.counters.issue(accepted.ticket)
         self._worker.do(accepted, most=most)
         return self._notes(accepted)
 
     def _check_room(self, size: int) -> None:
         """Refuse what there is no room for, and see to it that there will be: let go of what waits for partners."""
-        waiting, most = self._ledger.waiting_bytes, self._limits.most_bytes
+        waiting, most = self.counters.waiting_bytes, self._limits.most_bytes
         if waiting + size <= most:
             return
         if self._making_room is None or self._making_room.done.is_set():
@@ -411,9 +430,7 @@ class FusionInterface:
 
     def _gather(self, box: Box3d | Box2d, setting: Setting) -> Outcome:
         """Keep a box that came alone until its frame is whole."""
-        if isinstance(box, Box3d):
-            check_headings(np.array([box.direction]), "", setting)
-        begins = self._collection.add(box, setting)
+        begins = self._received.add_box(box, setting)
         self.counters.add(f"received.{kind_of(box).name}")
         if begins:
             self._worker.wake()
@@ -429,154 +446,23 @@ class FusionInterface:
 
     def _close_overdue(self, now_s: float) -> float | None:
         """Take frames for whole that no box came for since a while, and state when the next one may be."""
-        setting, oldest_s = self._setting, self._collection.oldest_s()
+        setting, oldest_s = self._setting, self._received.oldest_frame_s()
         if setting is None or oldest_s is None:
             return None
         if oldest_s + setting.timeout_s <= now_s:
             with self._lock:
-                self._collection.close(older_than_s=now_s - setting.timeout_s)
-            oldest_s = self._collection.oldest_s()
+                self._received.close_frames(older_than_s=now_s - setting.timeout_s)
+            oldest_s = self._received.oldest_frame_s()
         return None if oldest_s is None else oldest_s + setting.timeout_s
 
 
 _FUSION_TYPES = tuple(FusionType)
 
-_TABLES = ("properties", "added", "sensors", "calibrations")
 
-_ADDED = ("name", "description", "type", "value")
-
-_IN_TABLES_OF_THEIR_OWN = ("sensors", "calibration")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ConfigurationFile:
-    """What a file says; read and tried by `read_configuration_file`.
-
-    Attributes:
-        path: of the file.
-        properties: values of predefined properties, in the file's order.
-        added: properties of clause 5.3: name, description, type and perhaps value.
-        sensors: the text of the property `sensors`, "" for none.
-        calibrations: the records of table 3.
-        further: tables that are not of the fusion system.
-    """
-
-    path: Path
-    properties: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-    added: tuple[Mapping[str, Any], ...] = ()
-    sensors: str = ""
-    calibrations: tuple[CalibrationEntry, ...] = ()
-    further: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
-
-    def apply(self, fusion: FusionInterface) -> None:
-        """Set what the file says.
-
-        Raises:
-            DataError: something is refused.
-        """
-        for k, row in enumerate(self.added):
-            location = f"added[{k}]"
-            self._check(location, fusion.add_property(row["name"], row.get("description", ""), row["type"]))
-            if "value" in row:
-                self._check(f"{location}.value", fusion.set_property(row["name"], row["value"]))
-        for name, value in self.properties.items():
-            self._check(f"properties.{name}", fusion.set_property(name, value))
-        if self.sensors:
-            self._check("sensors", fusion.set_property("sensors", self.sensors))
-        for k, entry in enumerate(self.calibrations):
-            outcome = fusion.set_calibration(entry.data, camera_id=entry.camera_id, lidar_id=entry.lidar_id)
-            self._check(f"calibrations[{k}]", outcome)
-
-    def _check(self, location: str, outcome: Outcome) -> None:
-        if not outcome:
-            raise DataError(self.path, location, outcome.reason)
-
-
-def read_configuration_file(path: Path | str, *, further: tuple[str, ...] = ()) -> ConfigurationFile:
-    """Read a file and try whether a fusion system takes what it says.
-
-    Args:
-        path: of the TOML file.
-        further: names of tables that others read.
-
-    Raises:
-        DataError: it is no TOML, has something unknown in it, or a value is refused.
-        OSError: it cannot be read.
-
-    Source: DB34/T 4101-2022, clause 5.2, tables 2 and 3.
-    """
-    path = Path(path)
-    content = _tables(path)
-    for name, table in content.items():
-        if name not in (*_TABLES, *further):
-            raise DataError(path, name, f"unknown; expected one of {', '.join((*_TABLES, *further))}")
-        if not isinstance(table, list if name in ("added", "calibrations") else dict):
-            wanted = f"[[{name}]]" if name in ("added", "calibrations") else f"[{name}]"
-            raise DataError(path, name, f"{table!r}; expected a table {wanted}")
-    found = ConfigurationFile(
-        path=path,
-        properties=MappingProxyType(_properties(path, content.get("properties", {}))),
-        added=tuple(_added(path, k, row) for k, row in enumerate(content.get("added", ()))),
-        sensors=_sensors(path, content.get("sensors", {})),
-        calibrations=_calibrations(path, content.get("calibrations", ())),
-        further=MappingProxyType({name: content[name] for name in further if name in content}),
-    )
-    with FusionInterface(inline=True) as tried:
-        found.apply(tried)
-    return found
-
-
-def _tables(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(read_settings(path).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise DataError(path, "", f"no TOML: {error}") from error
-
-
-def _properties(path: Path, table: dict[str, Any]) -> dict[str, Any]:
-    for name in _IN_TABLES_OF_THEIR_OWN:
-        if name in table:
-            own = "[sensors.ID]" if name == "sensors" else "[[calibrations]]"
-            raise DataError(path, f"properties.{name}", f"a property with tables of its own; expected {own}")
-    return table
-
-
-def _added(path: Path, k: int, row: Any) -> Mapping[str, Any]:
-    location = f"added[{k}]"
-    if not isinstance(row, dict):
-        raise DataError(path, location, f"{row!r}; expected a table")
-    for name in row:
-        if name not in _ADDED:
-            raise DataError(path, f"{location}.{name}", f"unknown; expected one of {', '.join(_ADDED)}")
-    for name in ("name", "type"):
-        if name not in row:
-            raise DataError(path, f"{location}.{name}", "missing; expected as clause 5.3 has it")
-    for name in ("name", "description", "type"):
-        if not isinstance(row.get(name, ""), str):
-            raise DataError(path, f"{location}.{name}", f"{row[name]!r}; expected a string")
-    return MappingProxyType(row)
-
-
-def _sensors(path: Path, table: dict[str, Any]) -> str:
-    text = msgspec.json.encode(table, enc_hook=str).decode() if table else ""
-    try:
-        parse_sensors(text)
-    except DataError as error:
-        raise DataError(path, ".".join(filter(None, ("sensors", error.location))), error.problem) from error
-    return text
-
-
-def _calibrations(path: Path, rows: Any) -> tuple[CalibrationEntry, ...]:
-    entries: list[CalibrationEntry] = []
-    for k, row in enumerate(rows):
-        try:
-            entry = entry_of(row, f"[{k}]")
-        except DataError as error:
-            raise DataError(path, f"calibrations{error.location}", error.problem) from error
-        except CalibrationError as error:
-            raise DataError(path, f"calibrations[{k}]", str(error)) from error
-        if any((entry.camera_id, entry.lidar_id) == (known.camera_id, known.lidar_id) for known in entries):
-            pair = f"camera {entry.camera_id} and lidar {entry.lidar_id}"
-            raise DataError(path, f"calibrations[{k}]", f"{pair} again; expected each pair once")
-        entries.append(entry)
-    return tuple(entries)
+def _points_left_out(accepted: Accepted) -> int:
+    """How many points of a cloud are not fused, because a number of theirs is not finite."""
+    record, frame = accepted.record, accepted.measurement
+    if not isinstance(frame, LidarFrame):
+        return 0
+    sent = record.length // XYZIRT.itemsize if isinstance(record, RawData) else 0
+    return (record.number if isinstance(record, PointCloudData) else sent) - len(frame.points)

@@ -5,9 +5,11 @@ Properties that users add, and the property `sensors` with the extrinsics of lid
 
 import re
 import threading
-from collections.abc import Callable, Mapping
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
 
@@ -15,12 +17,10 @@ import numpy as np
 
 from sceneloom.db34t.calibration import DeclaredAxes, SensorKind, parse_calibrations, read_by_sensor
 from sceneloom.db34t.types import DONE, BasicType, Cause, Outcome, ValueForm, ValueType, refused, shown
-from sceneloom.detections.detectors import DEFAULT, detector_names
+from sceneloom.detections.detectors import detector_names
 from sceneloom.errors import ArrayError, CalibrationError, DataError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
 from sceneloom.scene.cameras import GLOBAL, LONGEST_ROLL_S, Shutter
-from sceneloom.scene.poses import Poses
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
@@ -33,7 +33,7 @@ _PARTS = {"position": 3, "quaternion_xyzw": 4}
 
 
 def _parse_mounting(found: Any, owner: str, location: str) -> RigidTransform:
-    """Read `{"position": [x, y, z], "quaternion_xyzw": [x, y, z, w]}`: the lidar's location [m] and switch on the body.
+    """Read `{"position": [x, y, z], "quaternion_xyzw": [x, y, z, w]}`: the lidar's position [m] and rotation.
 
     The rotation is none where it is left out.
 
@@ -63,18 +63,6 @@ def _parse_mounting(found: Any, owner: str, location: str) -> RigidTransform:
         )
     except (ArrayError, CalibrationError) as error:
         raise DataError(owner, location, str(error)) from error
-
-
-def trajectory_of_mounted(path: Poses, body_from_lidar: RigidTransform | None) -> Poses:
-    """Give the trajectory of a lidar (`world_from_lidar`) on a body that moves along a path (`world_from_body`)."""
-    if body_from_lidar is None:
-        return path
-    return Poses(
-        path.timestamps_ns,
-        path.positions + rotate_vectors(path.quaternions_xyzw, body_from_lidar.translation),
-        multiply_quaternions(path.quaternions_xyzw, body_from_lidar.quaternion_xyzw),
-        static=path.static,
-    )
 
 
 def _is_number(value: Any) -> bool:
@@ -117,8 +105,7 @@ class DeclaredSensor:
         sensor_id: 0 to 255.
         kind: camera or lidar.
         raw: what its raw data hold, or None where it sends none.
-        body_from_lidar: of a lidar, how it is mounted on the body whose trajectory is reported; None: the trajectory is
-            its own.
+        body_from_lidar: of a lidar, its extrinsics on the body whose trajectory is sent; None: its own.
         shutter: of a camera, when the lines of its images are taken.
     """
 
@@ -214,12 +201,9 @@ class PredefinedProperty:
     source: str = "extension"
 
 
-def _at_least(lowest: int) -> _Check:
-    def check(value: int) -> None:
-        if value < lowest:
-            raise DataError("", "", f"{value}; expected {lowest} or more")
-
-    return check
+def _positive(value: int) -> None:
+    if value < 1:
+        raise DataError("", "", f"{value}; expected 1 or more")
 
 
 def _not_negative(value: float) -> None:
@@ -253,160 +237,31 @@ def _detectors(value: str) -> None:
     _one_of(*detector_names())(value)
 
 
-PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType(
-    {
-        row.name: row
-        for row in (
-            PredefinedProperty(
-                "fusion_type",
-                "which fusion a get without a type returns and a set of fusion_algorithm concerns: "
-                "0 sensor data, 1 detections; both run whenever their inputs come",
-                "bool",
-                0,
-                source="table 2, row 1",
-            ),
-            PredefinedProperty(
-                "chirality",
-                "0: the declared frames are right-handed, 1: left-handed",
-                "bool",
-                0,
-                source="table 2, row 2",
-            ),
-            PredefinedProperty(
-                "camera_coordinate",
-                "axes of the camera frame that point forward, right and up: 0, 1, 2 for x, y, z, negative for the "
-                "opposite direction; the direction of axis 0 follows from chirality",
-                "(int8, int8, int8)",
-                (2, 0, -1),
-                check=_triple,
-                source="table 2, row 3",
-            ),
-            PredefinedProperty(
-                "lidar_coordinate",
-                "the same of the lidar frame",
-                "(int8, int8, int8)",
-                (0, -1, 2),
-                check=_triple,
-                source="table 2, row 4",
-            ),
-            PredefinedProperty(
-                "camera_frequency",
-                "images a second",
-                "uint32",
-                10,
-                unit="Hz",
-                check=_at_least(1),
-                source="table 2, row 5",
-            ),
-            PredefinedProperty(
-                "lidar_frequency",
-                "sweeps a second",
-                "uint32",
-                10,
-                unit="Hz",
-                check=_at_least(1),
-                source="table 2, row 6",
-            ),
-            PredefinedProperty(
-                "fusion_algorithm",
-                "name of the algorithm of the fusion that fusion_type says; each type keeps its own",
-                "string",
-                "projection",
-                check=_filled,
-                source="table 2, row 7",
-            ),
-            PredefinedProperty(
-                "camera_axes",
-                "axes of the camera frame that point forward, right and up, in plain words as +z,+x,-y; "
-                "counts before camera_coordinate and chirality unless empty",
-                "string",
-                "",
-                check=_words,
-            ),
-            PredefinedProperty("lidar_axes", "the same of the lidar frame", "string", "", check=_words),
-            PredefinedProperty(
-                "sensors",
-                'what each sensor_id is and what its raw data (table 4) hold, as JSON: {"0": {"kind": "lidar", '
-                '"raw": "records"}, "1": {"kind": "camera", "raw": "jpeg"}}; of a lidar also body_from_lidar, its '
-                "mounting on the body whose trajectory SendMotion reports; of a camera shutter_roll_s and "
-                "shutter_left_to_right, its rolling shutter; empty: reported by what is sent",
-                "string",
-                "",
-                check=parse_sensors,
-            ),
-            PredefinedProperty(
-                "calibration",
-                "all calibrations, as a JSON list of the records of table 3, each with its camera_id and lidar_id; "
-                "setting it replaces them all",
-                "string",
-                "",
-                check=parse_calibrations,
-            ),
-            PredefinedProperty(
-                "reference_frame", "frame of the points in results of table 9: 0 camera, 1 lidar", "bool", 1
-            ),
-            PredefinedProperty(
-                "depth_kind",
-                "what image_depth holds: z along the optical axis, or range along the ray",
-                "string",
-                "z",
-                check=_one_of("z", "range"),
-            ),
-            PredefinedProperty(
-                "motion_compensation",
-                "1: the vehicle's motion is taken into account where it is known, 0: never",
-                "bool",
-                1,
-            ),
-            PredefinedProperty(
-                "pairing_tolerance_ms",
-                "how far an image may be from a sweep; 0: half a period of lidar_frequency and half a period of "
-                "camera_frequency",
-                "double",
-                0.0,
-                unit="ms",
-                check=_not_negative,
-            ),
-            PredefinedProperty(
-                "pairing_timeout_ms",
-                "how late an image may come and still be waited for, on the clock of the data, and how long a box "
-                "that came alone waits for others of its frame",
-                "uint32",
-                100,
-                unit="ms",
-            ),
-            PredefinedProperty(
-                "queue_length",
-                "records of one kind and one sensor that may wait to be fused, and for their partners",
-                "uint32",
-                32,
-                check=_at_least(1),
-            ),
-            PredefinedProperty(
-                "queue_policy",
-                "what happens to a record that finds its queue full: drop-oldest makes room, refuse answers 0",
-                "string",
-                "drop-oldest",
-                check=_one_of("drop-oldest", "refuse"),
-            ),
-            PredefinedProperty(
-                "result_queue_length",
-                "results that may wait to be fetched, of each fusion type; the oldest are dropped and counted",
-                "uint32",
-                32,
-                check=_at_least(1),
-            ),
-            PredefinedProperty(
-                "detectors",
-                "how sure and how exact the detectors are taken to be, by the name of a set that comes with the "
-                "package; of the algorithm projection of detections",
-                "string",
-                DEFAULT,
-                check=_detectors,
-            ),
-        )
-    }
-)
+_PROPERTY_CHECKS: Mapping[str, _Check] = {
+    **dict.fromkeys(("camera_coordinate", "lidar_coordinate"), _triple),
+    **dict.fromkeys(("camera_axes", "lidar_axes"), _words),
+    **dict.fromkeys(
+        ("camera_frequency", "lidar_frequency", "queue_length", "result_queue_length"), _positive
+    ),
+    "fusion_algorithm": _filled,
+    "sensors": parse_sensors,
+    "calibration": parse_calibrations,
+    "depth_kind": _one_of("z", "range"),
+    "pairing_tolerance_ms": _not_negative,
+    "queue_policy": _one_of("drop-oldest", "refuse"),
+    "detectors": _detectors,
+}
+
+
+def _read_predefined() -> Iterator[PredefinedProperty]:
+    content = tomllib.loads(files(__package__).joinpath("properties.toml").read_text("utf-8"))
+    for name, row in content.items():
+        default = tuple(row["default"]) if isinstance(row["default"], list) else row["default"]
+        check = _PROPERTY_CHECKS.get(name)
+        yield PredefinedProperty(name=name, **(row | {"default": default, "check": check}))
+
+
+PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType({row.name: row for row in _read_predefined()})
 """By name, those of table 2 first, in its order.
 
 Source: DB34/T 4101-2022, table 2; defaults are its examples, but for the algorithm, which names one that is built in.
@@ -486,8 +341,8 @@ class PropertyStore:
     """Holds the properties; each call is whole before the next one is, whoever calls.
 
     Attributes:
-        check_algorithm: reported a fusion type and a name before it is set; raises OptionError for one that is not
-            there.
+        check_algorithm: called with a fusion type and a name before it is set; raises OptionError if there is no
+            such algorithm.
 
     Source: DB34/T 4101-2022, clauses 5.2 to 5.5.
     """

@@ -1,6 +1,7 @@
-"""Records as protobuf messages: field k of a message is row k of its table, arrays are little-endian bytes.
+"""Records, properties, poses and configurations as protobuf messages.
 
-Lists of boxes are read from and written to the bytes directly where nothing is unusual.
+Field k of a record's message is row k of its table, arrays are little-endian bytes. Lists of boxes are read from and
+written to the bytes directly where nothing is unusual.
 """
 
 import math
@@ -8,27 +9,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array, UInt8Array, UInt32Array, read_only
-from sceneloom.db34t.boxes import Column
-from sceneloom.db34t.records import RECORD_KINDS, ListLayout, Record, RecordKind, SentRecord, kind_of
+from sceneloom.arrays import AnyArray, Int64Array, UInt8Array, UInt32Array, read_only
+from sceneloom.db34t.properties import Property, Snapshot
+from sceneloom.db34t.records import RECORD_KINDS, Column, ListLayout, Record, RecordKind, SentRecord, kind_of
 from sceneloom.db34t.tables import ARRAY_DTYPES, STREAM, TIME, Row
-from sceneloom.db34t.types import (
-    NANOSECONDS,
-    Timestamp,
-    ValueForm,
-    array_of,
-    array_within,
-    bytes_of,
-    bytes_view,
-    shown,
-)
+from sceneloom.db34t.types import NANOSECONDS, Timestamp, ValueForm, ValueType, array_of, bytes_of, shown
 from sceneloom.errors import DataError, MissingExtraError, how_to_install
 from sceneloom.formats.base.protobuf import LENGTH_TYPE, WireField, enclosed, field_head, wire_fields
 from sceneloom.kernels import packed
+from sceneloom.scene.poses import Poses
 
 try:
     from google.protobuf.message import DecodeError, Message
@@ -169,18 +163,55 @@ class _Plan:
 
     Attributes:
         heads: numbers of the fields of the list: sensor, seq, timestamp, and its records.
-        fields: (KNOWN, 4) int64 of `wire_reading.read_list`.
+        fields: (KNOWN, 4) int64 of `packed.read_list`.
+        written: (K, 5) int64 of `packed.write_list`, in the order of the field numbers.
         width: words of a record.
         columns: each with where it begins among the words of a record, how many it has, and the number of the field
             without which it is not there: that of a vector, else None.
-        group: the number of the field of the records.
     """
 
     heads: tuple[int, int, int, int]
     fields: Int64Array
+    written: Int64Array
     width: int
     columns: tuple[tuple[Column, int, int, int | None], ...]
-    group: int
+
+
+@cache
+def _plan_of(kind_name: str) -> _Plan:
+    kind = RECORD_KINDS[kind_name]
+    layout: Any = kind.layout
+    descriptor = getattr(fusion_pb2, kind.message_name).DESCRIPTOR
+    numbers = {field.name: field.number for field in descriptor.fields}
+    message = descriptor.fields_by_name[layout.group].message_type
+    fields = np.zeros((packed.KNOWN, 4), np.int64)
+    for field in message.fields:
+        fields[field.number, 0] = _form(field, layout)
+    columns, first = [], 0
+    for column in layout.columns:
+        size = math.prod(column.shape)
+        for k, name in enumerate(column.names):
+            fields[message.fields_by_name[name].number, 1:] = first, size, k
+        is_vector = len(column.names) == 1 and bool(column.shape)
+        vector = message.fields_by_name[column.names[0]].number if is_vector else None
+        columns.append((column, first, size, vector))
+        first += size
+    written = {number: (number, *fields[number].tolist()) for number in np.flatnonzero(fields[:, 0]).tolist()}
+    for k, name in enumerate(layout.ids):
+        number = message.fields_by_name[name].number
+        written[number] = (number, packed.OPTIONAL, first + k, 1, k)
+    heads = tuple(numbers.get(name, 0) for name in ("sensor_id", "seq", "timestamp", layout.group))
+    rows = read_only([written[number] for number in sorted(written)], np.int64)
+    return _Plan(heads, read_only(fields), rows, first, tuple(columns))
+
+
+def _form(field: Any, layout: ListLayout) -> int:
+    """What a field of a record holds."""
+    if layout.shared.get(field.name) == "seq":
+        return packed.SEQ
+    kinds = {field.TYPE_FLOAT: "float", field.TYPE_UINT32: "uint32", field.TYPE_SINT32: "sint32"}
+    kinds |= {field.TYPE_STRING: "string", field.TYPE_MESSAGE: "message"}
+    return _FORMS[kinds[field.type], field.is_repeated]
 
 
 def read_usual_list(content: bytes, start: int, stop: int, kind: RecordKind) -> Any | None:
@@ -231,7 +262,8 @@ def _list_bytes(record: Any, kind: RecordKind) -> bytes:
     """Give the records of a list as the bytes of the repeated field that they are in a message."""
     layout: Any = kind.layout
     plan, count = _plan_of(kind.name), len(record)
-    columns, absent = [], []
+    columns: list[Any] = []
+    absent: list[Any] = []
     for column, _, size, vector in plan.columns:
         values = getattr(record, column.attribute)
         if values is None:
@@ -244,9 +276,9 @@ def _list_bytes(record: Any, kind: RecordKind) -> bytes:
     texts, letters = _texts(record.class_names)
     common = (getattr(record, "seq", 0), record.timestamp.s, record.timestamp.ns)
     written: Any = packed.write_list(
-        plan.group,
+        plan.heads[3],
         count,
-        _fields_without(kind.name, tuple(absent)),
+        plan.written[~np.isin(plan.written[:, 0], absent)] if absent else plan.written,
         np.concatenate(columns),
         texts,
         letters,
@@ -268,65 +300,6 @@ def _texts(names: tuple[str, ...]) -> tuple[Int64Array, UInt8Array]:
         np.array([locations[name] for name in names], np.int64).reshape(len(names), 2),
         np.frombuffer(bytes(letters), np.uint8),
     )
-
-
-@cache
-def _fields_without(kind_name: str, absent: tuple[int, ...]) -> Int64Array:
-    """The fields of a record as `wire_writing.write_list` takes them, in the order of their numbers."""
-    kind, plan = RECORD_KINDS[kind_name], _plan_of(kind_name)
-    numbers = _record_message(kind).fields_by_name
-    rows = [
-        (number, *plan.fields[number].tolist())
-        for number in range(packed.KNOWN)
-        if plan.fields[number, 0] and number not in absent
-    ]
-    optional = {numbers[name].number: k for k, name in enumerate(kind.layout.ids if kind.layout else ())}
-    return read_only(
-        [
-            (row[0], packed.OPTIONAL, plan.width + optional[row[0]], 1, optional[row[0]])
-            if row[0] in optional
-            else row
-            for row in rows
-        ],
-        np.int64,
-    )
-
-
-def _record_message(kind: RecordKind) -> Any:
-    """The descriptor of one record of a list."""
-    group = "" if kind.layout is None else kind.layout.group
-    return getattr(fusion_pb2, kind.message_name).DESCRIPTOR.fields_by_name[group].message_type
-
-
-@cache
-def _plan_of(kind_name: str) -> _Plan:
-    kind = RECORD_KINDS[kind_name]
-    layout: Any = kind.layout
-    numbers = {field.name: field.number for field in getattr(fusion_pb2, kind.message_name).DESCRIPTOR.fields}
-    message = _record_message(kind)
-    fields = np.zeros((packed.KNOWN, 4), np.int64)
-    for field in message.fields:
-        fields[field.number, 0] = _form(field, layout)
-    columns, first = [], 0
-    for column in layout.columns:
-        size = math.prod(column.shape)
-        for k, name in enumerate(column.names):
-            fields[message.fields_by_name[name].number, 1:] = first, size, k
-        is_vector = len(column.names) == 1 and bool(column.shape)
-        vector = message.fields_by_name[column.names[0]].number if is_vector else None
-        columns.append((column, first, size, vector))
-        first += size
-    heads = tuple(numbers.get(name, 0) for name in ("sensor_id", "seq", "timestamp", layout.group))
-    return _Plan(heads, read_only(fields), first, tuple(columns), numbers[layout.group])
-
-
-def _form(field: Any, layout: ListLayout) -> int:
-    """What a field of a record holds."""
-    if layout.shared.get(field.name) == "seq":
-        return packed.SEQ
-    kinds = {field.TYPE_FLOAT: "float", field.TYPE_UINT32: "uint32", field.TYPE_SINT32: "sint32"}
-    kinds |= {field.TYPE_STRING: "string", field.TYPE_MESSAGE: "message"}
-    return _FORMS[kinds[field.type], field.is_repeated]
 
 
 _KIND_OF_MESSAGE: Mapping[str, RecordKind] = {kind.message_name: kind for kind in RECORD_KINDS.values()}
@@ -410,7 +383,7 @@ def encoded_parts(record: Record) -> list[bytes | memoryview]:
         if not _is_array(row):
             _write_field(message, row, value)
             continue
-        view = memoryview(value) if isinstance(value, bytes) else bytes_view(value)
+        view = memoryview(value) if isinstance(value, bytes) else _bytes_view(value)
         if len(view):
             parts += [message.SerializeToString(deterministic=True), field_head(row.number, len(view)), view]
             message = message_type()
@@ -585,7 +558,7 @@ def _large_record(content: bytes, field: WireField) -> tuple[RecordKind, Any, di
     arrays = {
         number: content[field.start : field.stop]
         if large[number].type == STREAM
-        else array_within(
+        else _array_within(
             content,
             (field.start, field.stop),
             ARRAY_DTYPES[large[number].type],
@@ -595,3 +568,171 @@ def _large_record(content: bytes, field: WireField) -> tuple[RecordKind, Any, di
         for number, field in found.items()
     }
     return kind, message, arrays
+
+
+_INT64 = range(-(2**63), 2**63)
+
+
+def value_to_protobuf(value: Any) -> fusion_pb2.Value:
+    """Give the message of a value.
+
+    Raises:
+        DataError: it is none of table 1, nor a list of such.
+    """
+    message = fusion_pb2.Value()
+    if isinstance(value, bool | np.bool_):
+        message.bool_value = bool(value)
+    elif isinstance(value, int | np.integer) and int(value) in _INT64:
+        message.integer_value = int(value)
+    elif isinstance(value, float | np.floating):
+        message.number_value = float(value)
+    elif isinstance(value, str):
+        message.string_value = value
+    elif isinstance(value, list | tuple | np.ndarray):
+        message.list_value.SetInParent()
+        message.list_value.values.extend(value_to_protobuf(item) for item in value)
+    else:
+        raise DataError("value", "", f"{shown(value)}; expected a value of table 1 or a list of such")
+    return message
+
+
+def value_from_protobuf(message: fusion_pb2.Value) -> Any:
+    """Give the value of a message.
+
+    Raises:
+        DataError: it holds none.
+    """
+    kind = message.WhichOneof("kind")
+    if kind is None:
+        raise DataError("value", "", "missing; expected a value of table 1 or a list of such")
+    if kind == "list_value":
+        return [value_from_protobuf(item) for item in message.list_value.values]
+    return getattr(message, kind)
+
+
+def property_to_protobuf(found: Property) -> fusion_pb2.Property:
+    """Give the message of a property; without a value where it was added and not set yet."""
+    return fusion_pb2.Property(
+        name=found.name,
+        description=found.description,
+        type=str(found.type),
+        unit=found.unit,
+        value=None if found.value is None else value_to_protobuf(found.value),
+        predefined=found.predefined,
+    )
+
+
+def motion_request(path: Poses, *, session: str = "") -> fusion_pb2.SendMotionRequest:
+    """Give the message of a trajectory.
+
+    Raises:
+        DataError: it has no times, or one that a timestamp cannot state.
+    """
+    if path.static:
+        raise DataError("motion", "poses", "a location without times; expected poses with times")
+    poses = [
+        fusion_pb2.Pose(
+            timestamp=timestamp_to_protobuf(Timestamp.of(timestamp_ns)),
+            position=position,
+            quaternion_xyzw=quaternion,
+        )
+        for timestamp_ns, position, quaternion in zip(
+            path.timestamps_ns.tolist(), path.positions.tolist(), path.quaternions_xyzw.tolist(), strict=True
+        )
+    ]
+    return fusion_pb2.SendMotionRequest(poses=poses, session=session)
+
+
+def path_of(request: fusion_pb2.SendMotionRequest) -> Poses:
+    """Give the trajectory of a message.
+
+    Raises:
+        DataError: a pose has more or fewer numbers.
+        ArrayError: the poses are no path.
+    """
+    poses = request.poses
+    for k, pose in enumerate(poses):
+        found = len(pose.position), len(pose.quaternion_xyzw)
+        if found != (3, 4):
+            problem = f"{found[0]} and {found[1]} numbers; expected a position of 3 and a quaternion of 4"
+            raise DataError("motion", f"poses[{k}]", problem)
+    times = [
+        timestamp_from_protobuf(pose.timestamp, "motion", f"poses[{k}].timestamp").nanoseconds
+        for k, pose in enumerate(poses)
+    ]
+    return Poses(
+        np.array(times, np.int64),
+        np.array([list(pose.position) for pose in poses], np.float64).reshape(-1, 3),
+        np.array([list(pose.quaternion_xyzw) for pose in poses], np.float64).reshape(-1, 4),
+    )
+
+
+def properties_message(snapshot: Snapshot) -> fusion_pb2.Properties:
+    """Give the message of a configuration."""
+    return fusion_pb2.Properties(
+        properties=map(property_to_protobuf, snapshot.properties.values()), revision=snapshot.revision
+    )
+
+
+def property_of(message: fusion_pb2.Property) -> Property:
+    """Give the property of a message.
+
+    Raises:
+        DataError: its type is none, or its value is not of it.
+    """
+    kind = ValueType.parse(message.type)
+    value = None
+    if message.HasField("value"):
+        value = kind.check(value_from_protobuf(message.value), owner=message.name)
+    return Property(message.name, message.description, kind, value, message.unit, message.predefined)
+
+
+def snapshot_of(message: fusion_pb2.Properties, algorithms: tuple[str, str] | None = None) -> Snapshot:
+    """Give the configuration of a message.
+
+    Args:
+        algorithms: of both types; None for what the message says: that of its fusion_type, "" for the other one.
+
+    Raises:
+        DataError: a property is faulty.
+    """
+    properties = {found.name: found for found in map(property_of, message.properties)}
+    if algorithms is None:
+        algorithms = _shown_algorithms(properties)
+    return Snapshot(message.revision, MappingProxyType(properties), algorithms)
+
+
+def _shown_algorithms(properties: dict[str, Property]) -> tuple[str, str]:
+    shown, kind = properties.get("fusion_algorithm"), properties.get("fusion_type")
+    name = "" if shown is None else str(shown.value)
+    detections = kind is not None and kind.value == 1
+    return ("", name) if detections else (name, "")
+
+
+def _array_within(
+    content: bytes, span: tuple[int, int], dtype: np.dtype[Any], owner: str, location: str
+) -> AnyArray:
+    """Give the flat array that a part of bytes holds: a read-only view of it, a copy where numbers are not aligned.
+
+    Args:
+        span: where the part begins and ends.
+        owner: what it belongs to, for the message.
+        location: the field, for the message.
+
+    Raises:
+        DataError: it is no whole number of values.
+    """
+    start, stop = span
+    length = stop - start
+    if length % dtype.itemsize or not length:
+        return array_of(content[start:stop], dtype, owner, location)
+    flat = np.frombuffer(content, dtype.newbyteorder("<"), length // dtype.itemsize, start)
+    if not flat.flags.aligned:
+        return array_of(content[start:stop], dtype, owner, location)
+    return flat.astype(dtype, copy=False)
+
+
+def _bytes_view(array: AnyArray) -> memoryview:
+    """Give the bytes of an array in C order, without a copy where it has this order and is little-endian."""
+    plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+    return plain.reshape(-1).view(np.uint8).data

@@ -9,11 +9,10 @@ from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array,
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.blending import NO_CAMERA, colour_points
 from sceneloom.colouring.results import FusedFrame, FusedView
-from sceneloom.db34t.boxes import Boxes2d, Boxes3d
 from sceneloom.db34t.calibration import SensorKind
-from sceneloom.db34t.received_records import Setting
-from sceneloom.db34t.records import FusedDetections, ImageData, SensorFusionData
+from sceneloom.db34t.records import Boxes2d, Boxes3d, FusedDetections, ImageData, SensorFusionData
 from sceneloom.db34t.scene_objects import COLOR_NAMES, result_fields, sensor_fusion_of
+from sceneloom.db34t.setting import Setting
 from sceneloom.db34t.types import Timestamp
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType

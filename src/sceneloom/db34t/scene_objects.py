@@ -20,10 +20,11 @@ from sceneloom.arrays import (
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
 from sceneloom.colouring.results import FusedFrame, FusedView
-from sceneloom.db34t.boxes import Boxes2d, Boxes3d
 from sceneloom.db34t.records import (
     DEPTH_KINDS,
     ENCODINGS,
+    Boxes2d,
+    Boxes3d,
     ImageData,
     PointCloudData,
     RawData,
@@ -489,12 +490,7 @@ def image_of(record: ImageData, camera: Camera) -> CameraImage:
     return CameraImage(timestamp_ns, camera, file, extras=extras, encoded=encoded)
 
 
-def pixels_of_raw(record: RawData, camera: Camera, encoding: str) -> CameraImage:
-    """Give the image of raw data; see `image_of_raw`."""
-    return image_of(image_of_raw(record, camera, encoding), camera)
-
-
-def image_of_raw(record: RawData, camera: Camera, encoding: str) -> ImageData:
+def image_record_of_raw(record: RawData, camera: Camera, encoding: str) -> ImageData:
     """Give the image record of raw data.
 
     Args:

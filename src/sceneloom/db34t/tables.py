@@ -4,8 +4,10 @@ Records, encodings, documentation and the conformance kit are derived from them.
 """
 
 import math
-from collections.abc import Callable, Mapping
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib.resources import files
 from types import MappingProxyType
 from typing import Any, cast
 
@@ -58,6 +60,7 @@ class Row:
         example: the standard's.
         attribute: of the record in Python; "" for `name`.
         aliases: names that are read, too: those of the same field in other tables.
+        quote: description, type and note as the standard prints them.
         value_type: what `type` means; None for a timestamp.
         whole: smallest and largest value of a whole number, else None.
         bounds: `low`, `high` and `above`.
@@ -78,6 +81,7 @@ class Row:
     example: Any = None
     attribute: str = ""
     aliases: tuple[str, ...] = ()
+    quote: str = ""
     value_type: ValueType | None = field(init=False)
     whole: tuple[int, int] | None = field(init=False)
     bounds: tuple[float | None, float | None, bool] = field(init=False)
@@ -282,7 +286,7 @@ class Table:
         return self._by_name[name]
 
     def settle(self, record: Any) -> None:
-        """Check all fields of a record that is being made, and put what they come to in their locations.
+        """Check all fields of a record that is being made, and replace each by its checked value.
 
         Raises:
             DataError: a field is missing, of another type or out of range.
@@ -297,318 +301,27 @@ class Table:
         return DataError(self.owner, name, problem)
 
 
-_TIMESTAMP = Timestamp(1595682678, 715705367)
+def _read_tables() -> Iterator[Table]:
+    """Read the tables, in the order of the file."""
+    content = tomllib.loads(files(__package__).joinpath("tables.toml").read_text("utf-8"))
+    for table in content.values():
+        rows = [_read_row(k + 1, row) for k, row in enumerate(table.pop("rows"))]
+        yield Table(**table, rows=tuple(rows))
 
-_UINT8, _UINT32, _INT32 = "uint8", "uint32", "int32"
 
-_VELOCITY_VECTOR = Row(
-    100, "velocity_vector", "float[3]", "velocity along x, y, z of the lidar frame", "m/s", required=False
-)
+def _read_row(number: int, values: dict[str, Any]) -> Row:
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    if values["type"] == TIME and "example" in values:
+        values["example"] = Timestamp.parse(values["example"])
+    return Row(**{"number": number, **values})
 
-_SENSOR = ("camera_id", "lidar_id")
 
-_SEQ = ("image_seq", "points_seq")
+_ALL = tuple(_read_tables())
 
-CALIBRATION = Table(
-    3,
-    "6.1",
-    "calibration data",
-    (
-        Row(1, "image_size", "uint32[2]", "width and height of the image", "px", low=1, example=(640, 480)),
-        Row(
-            2,
-            "distortion_coeffs",
-            "double[5]",
-            "k1 k2 p1 p2 k3 of the pinhole model; all 0 where they are missing",
-            required=False,
-            default=(0.0, 0.0, 0.0, 0.0, 0.0),
-            example=(-0.3995, 0.1803, 0, 0, 0.0429),
-        ),
-        Row(
-            3,
-            "intrinsic_matrix",
-            "double[9]",
-            "3x3, row-major: takes the camera frame to the image",
-            "px",
-            example=(468.3708, 0.0, 339.7596, 0.0, 470.2517, 235.6143, 0.0, 0.0, 1.0),
-        ),
-        Row(4, "reference_frame", "bool", "the frame mapped into: 0 camera, 1 lidar", example=0),
-        Row(
-            5,
-            "extrinsic_matrix",
-            "double[16]",
-            "4x4, column-major: takes points of one declared frame into the other",
-            "m",
-            example=(
-                *(0.0070, 1e-06, 0.9999, 0, -0.9999, -0.0016, 0.0070, 0),
-                *(0.0016, -0.9999, -1e-06, 0, -0.0062, 0.0756, 0.0337, 1),
-            ),
-        ),
-    ),
-)
+CALIBRATION, RAW, IMAGE, POINT_CLOUD, BOX_3D, BOX_2D, SENSOR_FUSION, FUSED_DETECTION = _ALL[:8]
 
-RAW = Table(
-    4,
-    "6.2",
-    "raw data",
-    (
-        Row(1, "sensor_id", _UINT8, "the sensor that measured", example=1, aliases=_SENSOR),
-        Row(2, "timestamp", TIME, "when the data were made", "s. ns", example=_TIMESTAMP),
-        Row(3, "seq", _UINT32, "number in the sequence", example=1, aliases=_SEQ),
-        Row(4, "length", _UINT32, "how many bytes", "byte", example=1),
-        Row(5, "data", STREAM, "the bytes", size="length"),
-    ),
-)
+BOXES_3D, BOXES_2D, FUSED_DETECTIONS = _ALL[8:]
+"""What the boxes of one frame, or the detections of one pair, have in common."""
 
-IMAGE = Table(
-    5,
-    "6.3",
-    "image data",
-    (
-        Row(1, "sensor_id", _UINT8, "the camera", example=1, aliases=("camera_id",)),
-        Row(2, "timestamp", TIME, "when the image was made", "s. ns", example=_TIMESTAMP),
-        Row(3, "seq", _UINT32, "number in the sequence", example=1, aliases=("image_seq",)),
-        Row(4, "height", _UINT32, "rows of pixels", "px", low=1, example=480),
-        Row(5, "width", _UINT32, "columns of pixels", "px", low=1, example=360),
-        Row(6, "encoding", "string", "how the pixels are written", example="rgb8"),
-        Row(7, "channel", _UINT8, "values per pixel", low=1, example=3, aliases=("image_channel",)),
-        Row(8, "data", "uint8[]", "the pixels", size="width * height * channel", aliases=("image_data",)),
-    ),
-)
-
-POINT_CLOUD = Table(
-    6,
-    "6.4",
-    "point cloud data",
-    (
-        Row(1, "sensor_id", _UINT8, "the lidar", example=0, aliases=("lidar_id",)),
-        Row(2, "timestamp", TIME, "when the cloud was measured", "s. ns", example=_TIMESTAMP),
-        Row(3, "seq", _UINT32, "number in the sequence, growing by one", example=1, aliases=("points_seq",)),
-        Row(4, "number", _UINT32, "how many points", example=1000, aliases=("point_num",)),
-        Row(
-            5,
-            "fields",
-            "string[]",
-            "what each point has: x, y, z and others such as reflectivity",
-            example=("x", "y", "z", "reflectivity"),
-            aliases=("point_fields",),
-        ),
-        Row(6, "fields_number", _UINT8, "how many fields", low=3, example=3),
-        Row(
-            7,
-            "data",
-            "float[]",
-            "the points one after the other; one with a number that is not finite is left out",
-            size="number * fields_number",
-            finite=False,
-            aliases=("point_data",),
-        ),
-        Row(8, "sensor_type", "bool", "0 mechanical lidar, 1 solid-state lidar", example=0),
-        Row(9, "beam", _UINT32, "beams of a mechanical lidar", required=False, example=32),
-        Row(10, "ring", _UINT32, "the beam of all points, of a mechanical lidar", required=False, example=0),
-    ),
-)
-
-BOX_3D = Table(
-    7,
-    "6.5",
-    "3D box",
-    (
-        Row(1, "id", _INT32, "number of the box", example=1),
-        Row(2, "class", "enum", "class of the object", example="Car", attribute="class_name"),
-        Row(3, "points_seq", _UINT32, "seq of its point cloud", example=2, aliases=("seq",)),
-        Row(4, "confidence", "float", "probability that the object exists", low=0, high=1, example=0.8),
-        Row(5, "timestamp", TIME, "time of the box", "s. ns", example=_TIMESTAMP),
-        Row(6, "X", "float", "middle of the box, lidar frame", "m", example=1.0, aliases=("x",)),
-        Row(7, "Y", "float", "middle of the box, lidar frame", "m", example=1.0, aliases=("y",)),
-        Row(8, "Z", "float", "middle of the box, lidar frame", "m", example=1.0, aliases=("z",)),
-        Row(9, "length", "float", "length of the box", "m", low=0, above=True, example=1.0),
-        Row(10, "width", "float", "width of the box", "m", low=0, above=True, example=1.0),
-        Row(11, "height", "float", "height of the box", "m", low=0, above=True, example=1.0),
-        Row(
-            12,
-            "direction",
-            "float[3]",
-            "where it heads, lidar frame; of any length but 0",
-            example=(2.0, 3.0, 0.0),
-        ),
-        Row(13, "velocity", "float", "speed along the direction, negative for reversing", "m/s", example=1),
-        _VELOCITY_VECTOR,
-    ),
-)
-
-BOX_2D = Table(
-    8,
-    "6.6",
-    "2D box",
-    (
-        Row(1, "id", _INT32, "number of the box", example=1),
-        Row(2, "class", "enum", "class of the object", example="Car", attribute="class_name"),
-        Row(3, "image_seq", _UINT32, "seq of its image", example=1, aliases=("seq",)),
-        Row(4, "confidence", "float", "probability that the object exists", low=0, high=1, example=0.8),
-        Row(5, "timestamp", TIME, "time of the box", "s. ns", example=_TIMESTAMP),
-        Row(6, "x1", _UINT32, "left edge", "px", example=103),
-        Row(7, "y1", _UINT32, "upper edge", "px", example=103),
-        Row(8, "x2", _UINT32, "right edge, beyond the left one", "px", example=204),
-        Row(9, "y2", _UINT32, "lower edge, below the upper one", "px", example=204),
-    ),
-)
-
-SENSOR_FUSION = Table(
-    9,
-    "6.7",
-    "fused sensor data",
-    (
-        Row(1, "timestamp", TIME, "time of the point cloud", "s. ns", example=_TIMESTAMP),
-        Row(
-            2,
-            "class",
-            "enum",
-            "empty: sensor data have no class",
-            required=False,
-            default="",
-            example="Car",
-            attribute="class_name",
-        ),
-        Row(3, "image_seq", _UINT32, "seq of the image", example=1),
-        Row(4, "points_seq", _UINT32, "seq of the point cloud", example=1),
-        Row(5, "camera_id", _UINT8, "the camera", example=1),
-        Row(6, "lidar_id", _UINT8, "the lidar", example=1),
-        Row(7, "height", _UINT32, "rows of pixels", "px", low=1, example=480),
-        Row(8, "width", _UINT32, "columns of pixels", "px", low=1, example=360),
-        Row(9, "encoding", "string", "how the pixels are written", example="rgb8"),
-        Row(10, "image_channel", _UINT8, "values per pixel", low=1, example=3, aliases=("channel",)),
-        Row(11, "image_data", "uint8[]", "the pixels", size="width * height * image_channel"),
-        Row(
-            12,
-            "image_depth",
-            "float[]",
-            "how far what each pixel shows is from the camera; 0 where no point is seen",
-            "m",
-            low=0,
-            size="width * height",
-        ),
-        Row(13, "point_num", _UINT32, "how many points", example=10000, aliases=("number",)),
-        Row(
-            14,
-            "point_fields",
-            "string[]",
-            "what each point has",
-            example=("x", "y", "z"),
-            aliases=("fields",),
-        ),
-        Row(15, "fields_number", _UINT8, "how many fields", low=3, example=3),
-        Row(16, "point_data", "float[]", "the points one after the other", size="point_num * fields_number"),
-        Row(
-            100,
-            "depth_kind",
-            "string",
-            'what image_depth holds: "z" along the optical axis, "range" along the ray',
-            required=False,
-        ),
-        Row(101, "point_frame", "string", 'frame of point_data: "lidar" or "camera"', required=False),
-        Row(
-            102,
-            "motion_compensated",
-            "bool",
-            "whether the ego trajectory was taken into account",
-            required=False,
-            default=0,
-        ),
-        Row(103, "image_timestamp", TIME, "when the image was made", "s. ns", required=False),
-    ),
-)
-
-FUSED_DETECTION = Table(
-    10,
-    "6.8",
-    "fused detection",
-    (
-        Row(1, "id", _INT32, "number of the detection", example=1),
-        Row(2, "confidence", "float", "probability that the object exists", low=0, high=1, example=0.8),
-        Row(3, "timestamp", TIME, "time of the detection", "s. ns", example=_TIMESTAMP),
-        Row(4, "class", "enum", "class of the object", example="Car", attribute="class_name"),
-        Row(5, "X", "float", "middle of the box, lidar frame", "m", example=1.0, aliases=("x",)),
-        Row(6, "Y", "float", "middle of the box, lidar frame", "m", example=1.0, aliases=("y",)),
-        Row(7, "Z", "float", "middle of the box, lidar frame", "m", example=1.0, aliases=("z",)),
-        Row(
-            8,
-            "center_cov",
-            "float[9]",
-            "3x3, row-major: covariance of the middle, lidar frame",
-            "m²",
-            example=(0.2, 0.01, 0.01, 0.01, 0.2, 0.01, 0.01, 0.01, 0.2),
-        ),
-        Row(9, "length", "float", "length of the box", "m", low=0, example=1.0),
-        Row(10, "width", "float", "width of the box", "m", low=0, example=1.0),
-        Row(11, "height", "float", "height of the box", "m", low=0, example=1.0),
-        Row(
-            12,
-            "size_cov",
-            "float[9]",
-            "3x3, row-major: covariance of length, width and height",
-            "m²",
-            example=(0.2, 0.01, 0.01, 0.01, 0.2, 0.01, 0.01, 0.01, 0.2),
-        ),
-        Row(13, "direction", "float[3]", "where it heads, lidar frame", example=(2.0, 3.0, 0.0)),
-        Row(14, "velocity", "float", "speed along the direction, negative for reversing", "m/s", example=1),
-        Row(15, "x1", _UINT32, "left edge; all four 0 where the image does not show it", "px", example=103),
-        Row(16, "y1", _UINT32, "upper edge", "px", example=103),
-        Row(17, "x2", _UINT32, "right edge, beyond the left one", "px", example=204),
-        Row(18, "y2", _UINT32, "lower edge, below the upper one", "px", example=204),
-        _VELOCITY_VECTOR,
-        Row(101, "box_3d_id", _INT32, "id of the 3D box, where there was one", required=False),
-        Row(102, "box_2d_id", _INT32, "id of the 2D box, where there was one", required=False),
-    ),
-)
-
-BOXES_3D = Table(
-    7,
-    "6.5",
-    "3D boxes",
-    (
-        Row(1, "sensor_id", _UINT8, "the lidar", aliases=("lidar_id",)),
-        Row(2, "seq", _UINT32, "seq of the point cloud", aliases=("points_seq",)),
-        Row(3, "timestamp", TIME, "time of the point cloud", "s. ns"),
-    ),
-)
-"""What the boxes of one point cloud have in common."""
-
-BOXES_2D = Table(
-    8,
-    "6.6",
-    "2D boxes",
-    (
-        Row(1, "sensor_id", _UINT8, "the camera", aliases=("camera_id",)),
-        Row(2, "seq", _UINT32, "seq of the image", aliases=("image_seq",)),
-        Row(3, "timestamp", TIME, "time of the image", "s. ns"),
-    ),
-)
-"""What the boxes of one image have in common."""
-
-FUSED_DETECTIONS = Table(
-    10,
-    "6.8",
-    "fused detections",
-    (
-        Row(2, "image_seq", _UINT32, "seq of the image"),
-        Row(3, "points_seq", _UINT32, "seq of the point cloud"),
-        Row(4, "camera_id", _UINT8, "the camera"),
-        Row(5, "lidar_id", _UINT8, "the lidar"),
-        Row(6, "timestamp", TIME, "time of the point cloud", "s. ns"),
-        SENSOR_FUSION.row("motion_compensated"),
-        SENSOR_FUSION.row("image_timestamp"),
-    ),
-)
-"""What the detections of one pair have in common."""
-
-TABLES: Mapping[int, Table] = MappingProxyType(
-    {
-        table.number: table
-        for table in (
-            *(CALIBRATION, RAW, IMAGE, POINT_CLOUD),
-            *(BOX_3D, BOX_2D, SENSOR_FUSION, FUSED_DETECTION),
-        )
-    }
-)
+TABLES: Mapping[int, Table] = MappingProxyType({table.number: table for table in _ALL[:8]})
 """By number."""

@@ -306,12 +306,6 @@ def bytes_of(array: AnyArray) -> bytes:
     return array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
 
 
-def bytes_view(array: AnyArray) -> memoryview:
-    """Give the bytes of an array in C order, without a copy where it has this order and is little-endian."""
-    plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
-    return plain.reshape(-1).view(np.uint8).data
-
-
 def array_of(content: bytes, dtype: np.dtype[Any], owner: str, location: str) -> AnyArray:
     """Give the flat array that bytes hold, a read-only view of them.
 
@@ -326,29 +320,6 @@ def array_of(content: bytes, dtype: np.dtype[Any], owner: str, location: str) ->
         problem = f"{len(content)} bytes; expected a multiple of {dtype.itemsize}"
         raise DataError(owner, location, problem)
     return np.frombuffer(content, dtype.newbyteorder("<")).astype(dtype, copy=False)
-
-
-def array_within(
-    content: bytes, span: tuple[int, int], dtype: np.dtype[Any], owner: str, location: str
-) -> AnyArray:
-    """Give the flat array that a part of bytes holds: a read-only view of it, a copy where numbers are not aligned.
-
-    Args:
-        span: where the part begins and ends.
-        owner: what it belongs to, for the message.
-        location: the field, for the message.
-
-    Raises:
-        DataError: it is no whole number of values.
-    """
-    start, stop = span
-    length = stop - start
-    if length % dtype.itemsize or not length:
-        return array_of(content[start:stop], dtype, owner, location)
-    flat = np.frombuffer(content, dtype.newbyteorder("<"), length // dtype.itemsize, start)
-    if not flat.flags.aligned:
-        return array_of(content[start:stop], dtype, owner, location)
-    return flat.astype(dtype, copy=False)
 
 
 class Cause(StrEnum):

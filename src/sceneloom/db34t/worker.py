@@ -5,33 +5,34 @@ Results are numbered and queued.
 
 import threading
 import time
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, read_only
 from sceneloom.colouring.results import FusedFrame
-from sceneloom.db34t.boxes import Boxes2d, Boxes3d
 from sceneloom.db34t.calibration import SensorKind
-from sceneloom.db34t.properties import trajectory_of_mounted
-from sceneloom.db34t.queues import Announcer, Dropped, Flushed, Moved, Result, ResultQueue, Task, TaskQueue
-from sceneloom.db34t.received_records import (
+from sceneloom.db34t.events import (
     CLOCK_JUMP_NS,
     Accepted,
+    Announcer,
     Counters,
-    Ledger,
-    Received,
-    Setting,
+    Dropped,
+    Flushed,
+    Moved,
+    Result,
     Stream,
+    Task,
     Ticket,
-    WholeRecord,
 )
-from sceneloom.db34t.records import FusedDetections, ImageData, RawData, ResultRecord, size_of
+from sceneloom.db34t.records import Boxes2d, Boxes3d, FusedDetections, ImageData, ResultRecord, size_of
 from sceneloom.db34t.results import FoundObjects, fused_detections_record, sensor_fusion_record
-from sceneloom.db34t.scene_objects import boxes_2d_of, boxes_3d_of, image_of_raw
+from sceneloom.db34t.scene_objects import boxes_2d_of, boxes_3d_of
+from sceneloom.db34t.setting import Setting
 from sceneloom.errors import DataError
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType
 from sceneloom.fusion.box_fusion import FusedDetectionFrame, SeenBoxes
@@ -39,6 +40,7 @@ from sceneloom.fusion.pairing import STILL, Leave
 from sceneloom.fusion.system import FusionSystem
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
 from sceneloom.scene.cameras import GLOBAL, CameraImage
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.poses import Poses, PoseSource
@@ -98,29 +100,6 @@ class _RigResult:
     found: FoundObjects | None = None
 
 
-class _Sent(NamedTuple):
-    """What a result has to state of what was sent: rides along with it through the fusion system."""
-
-    record: Any
-    seq: int
-    setting: Setting
-    ticket: Ticket
-    source: WholeRecord
-
-    @property
-    def extras(self) -> Mapping[str, Any]:
-        return MappingProxyType({"sent": self})
-
-    @property
-    def image(self) -> ImageData:
-        """The image as it was sent; it was checked when it came."""
-        source = self.source
-        if not isinstance(source, RawData):
-            return cast("ImageData", source)
-        encoding = str(self.setting.sensors[source.sensor_id].raw)
-        return image_of_raw(source, self.setting.camera(source.sensor_id), encoding)
-
-
 @dataclass(slots=True)
 class Rig:
     """What a session's worker feeds: not for several threads at once.
@@ -129,12 +108,10 @@ class Rig:
     two lidars need not agree on where a camera is. An image goes to all that its camera is calibrated with.
 
     Attributes:
-        counters: where what goes wrong is counted.
-        ledger: reported what became of each record.
+        counters: told what became of each record, and what went wrong.
     """
 
     counters: Counters
-    ledger: Ledger
     _setting: Setting | None = None
     _systems: dict[int, FusionSystem] = field(default_factory=dict)
     _cameras: set[tuple[int, int]] = field(default_factory=set)
@@ -144,24 +121,23 @@ class Rig:
     _newest_ns: dict[Stream, int] = field(default_factory=dict)
     _left: list[tuple[Ticket, Leave]] = field(default_factory=list)
 
-    def feed(self, accepted: Accepted, ticket: Ticket) -> Iterator[_RigResult]:
+    def feed(self, accepted: Accepted) -> Iterator[_RigResult]:
         """Take what a sensor sent, and give what could be fused with it."""
-        sensor_id, received, setting = accepted.sensor_id, accepted.received, accepted.setting
+        setting, of_lidar = accepted.setting, accepted.kind is SensorKind.LIDAR
         yield from self._adopt(setting)
         yield from self._follow_clock(accepted.stream, accepted.timestamp_ns)
-        of_lidar = isinstance(received, LidarFrame | Boxes3d)
-        kind = SensorKind.LIDAR if of_lidar else SensorKind.CAMERA
-        pairs = setting.pairs_of(kind, sensor_id)
-        lidar_ids = (sensor_id,) if of_lidar and pairs else tuple(sorted(lidar_id for _, lidar_id in pairs))
-        self.ledger.share(ticket, len(lidar_ids))
-        sent = _Sent(received, accepted.record.seq, setting, ticket, accepted.record)
+        pairs = setting.pairs_of(accepted.kind, accepted.sensor_id)
+        lidar_ids = (
+            (accepted.sensor_id,) if of_lidar and pairs else tuple(sorted(lidar for _, lidar in pairs))
+        )
+        self.counters.share(accepted.ticket, len(lidar_ids))
         for lidar_id in lidar_ids:
             system = self._systems[lidar_id]
             try:
-                self._send(system, lidar_id, sensor_id, sent)
+                self._send(system, lidar_id, accepted)
             except Exception as error:  # noqa: BLE001 - one record must not end the session
-                self._failed(sent.extras, error)
-                self.ledger.settle(ticket, "failed")
+                self._failed({"sent": accepted}, error)
+                self.counters.settle(accepted.ticket, "failed")
             yield from self._fetch(lidar_id, system)
 
     def flush(self) -> Iterator[_RigResult]:
@@ -188,11 +164,13 @@ class Rig:
             self._move(lidar_id)
 
     def _move(self, lidar_id: int) -> None:
-        """Let a lidar ride on the body whose trajectory is reported, by the mounting in force."""
+        """Derive the trajectory of a lidar from that of the vehicle, by the mounting in force."""
         if self._path is None or self._setting is None:
             return
         declared = self._setting.sensors.get(lidar_id)
-        trajectory = trajectory_of_mounted(self._path, None if declared is None else declared.body_from_lidar)
+        trajectory = _trajectory_of_mounted(
+            self._path, None if declared is None else declared.body_from_lidar
+        )
         self._trajectories[lidar_id] = trajectory
         self._systems[lidar_id].move(trajectory, reach_ns=_REACH_NS)
 
@@ -207,24 +185,22 @@ class Rig:
             system.restart(time_ns)
             yield from self._fetch(lidar_id, system)
 
-    def _send(self, system: FusionSystem, lidar_id: int, sensor_id: int, sent: _Sent) -> None:
-        axes = sent.setting.standard_from_lidar
-        received: Received = sent.record
-        extras = sent.extras
-        if isinstance(received, LidarFrame):
-            system.send(f"lidar{sensor_id}", replace(_standard_frame(received, axes), extras=extras))
-        elif isinstance(received, Boxes3d):
-            boxes = boxes_3d_of(_standard_boxes(received, axes), sensor_id=f"lidar{sensor_id}")
-            system.send(f"lidar{sensor_id}", boxes, extras=extras)
-        else:
-            pair = sent.setting.pairs[sensor_id, lidar_id]
-            mount = pair.lidar_from_camera
-            if isinstance(received, CameraImage):
-                image = replace(received, camera=pair.camera, mount=mount, extras=extras)
-                system.send(f"camera{sensor_id}", image)
-            else:
-                seen = boxes_2d_of(received, sensor_id=f"camera{sensor_id}")
-                system.send(f"camera{sensor_id}", SeenBoxes(seen, pair.camera, mount, extras))
+    def _send(self, system: FusionSystem, lidar_id: int, accepted: Accepted) -> None:
+        axes, extras = accepted.setting.standard_from_lidar, MappingProxyType({"sent": accepted})
+        name = f"{accepted.kind}{accepted.sensor_id}"
+        match accepted.measurement:
+            case LidarFrame() as frame:
+                system.send(name, replace(_standard_frame(frame, axes), extras=extras))
+            case Boxes3d() as boxes:
+                system.send(name, boxes_3d_of(_standard_boxes(boxes, axes), sensor_id=name), extras=extras)
+            case CameraImage() as image:
+                pair = accepted.setting.pairs[accepted.sensor_id, lidar_id]
+                mount = pair.lidar_from_camera
+                system.send(name, replace(image, camera=pair.camera, mount=mount, extras=extras))
+            case Boxes2d() as boxes:
+                pair = accepted.setting.pairs[accepted.sensor_id, lidar_id]
+                seen = boxes_2d_of(boxes, sensor_id=name)
+                system.send(name, SeenBoxes(seen, pair.camera, pair.lidar_from_camera, extras))
 
     def _fetch(self, lidar_id: int, system: FusionSystem) -> Iterator[_RigResult]:
         """Give what a system has fused, and settle what it does not keep any more."""
@@ -234,28 +210,26 @@ class Rig:
             yield from self._detections(lidar_id, found)
         left, self._left = self._left, []
         for ticket, leave in left:
-            self.ledger.settle(ticket, leave.value)
+            self.counters.settle(ticket, leave.value)
 
     def _sensor_data(self, lidar_id: int, fused: FusedFrame) -> Iterator[_RigResult]:
-        sweep: _Sent = fused.extras["sent"]
-        compensated = self._path is not None and not fused.stationary
+        sweep: Accepted = fused.extras["sent"]
+        compensated = self._is_compensated(sweep.setting, stationary=fused.stationary)
         world_from_lidar = self._world_from_lidar(lidar_id, fused.reference_ns) if compensated else _HERE
-        if self._path is not None and fused.stationary and sweep.setting.configuration.motion_compensation:
-            self.counters.add("motion.beyond-reach")
         for view in fused.views:
-            image: _Sent = fused.image_extras[view.camera_id]["sent"]
+            image: Accepted = fused.image_extras[view.camera_id]["sent"]
             try:
                 record = sensor_fusion_record(
                     fused,
                     view,
                     world_from_lidar,
                     sweep.setting,
-                    sent=sweep.record,
-                    image=image.image,
+                    sent=cast("LidarFrame", sweep.measurement),
+                    image=cast("ImageData", image.image),
                     camera_id=_number(view.camera_id),
                     lidar_id=lidar_id,
-                    image_seq=image.seq,
-                    points_seq=sweep.seq,
+                    image_seq=image.record.seq,
+                    points_seq=sweep.record.seq,
                     motion_compensated=compensated,
                 )
             except Exception as error:  # noqa: BLE001 - an algorithm may be anyone's, and give anything
@@ -265,19 +239,18 @@ class Rig:
             yield _RigResult(record, sweep.setting)
 
     def _detections(self, lidar_id: int, found: FusedDetectionFrame) -> Iterator[_RigResult]:
-        boxes_3d: _Sent = found.sweep_extras["sent"]
-        boxes_2d: _Sent = found.image_extras["sent"]
+        sweep: Accepted = found.sweep_extras["sent"]
+        image: Accepted = found.image_extras["sent"]
+        boxes_3d, boxes_2d = cast("Boxes3d", sweep.measurement), cast("Boxes2d", image.measurement)
         camera_id = _number(found.camera_id)
-        compensated = self._path is not None and not found.stationary
-        if self._path is not None and found.stationary and boxes_3d.setting.configuration.motion_compensation:
-            self.counters.add("motion.beyond-reach")
+        compensated = self._is_compensated(sweep.setting, stationary=found.stationary)
         try:
             record = fused_detections_record(
                 found,
-                boxes_3d.record,
-                boxes_2d.record,
-                boxes_3d.setting,
-                camera=boxes_2d.setting.pairs[camera_id, lidar_id].camera,
+                boxes_3d,
+                boxes_2d,
+                sweep.setting,
+                camera=image.setting.pairs[camera_id, lidar_id].camera,
                 lidar_id=lidar_id,
                 camera_id=camera_id,
                 motion_compensated=compensated,
@@ -285,18 +258,20 @@ class Rig:
         except Exception as error:  # noqa: BLE001 - an algorithm may be anyone's, and give anything
             self._failed(found.sweep_extras, error)
             return
-        boxes_3d.ticket.fused = boxes_2d.ticket.fused = True
-        for kind, sent, used in (
-            ("boxes_3d", boxes_3d, record.box_3d_ids),
-            ("boxes_2d", boxes_2d, record.box_2d_ids),
-        ):
+        sweep.ticket.fused = image.ticket.fused = True
+        used = (("boxes_3d", boxes_3d, record.box_3d_ids), ("boxes_2d", boxes_2d, record.box_2d_ids))
+        for kind, boxes, ids in used:
             # several objects may be made of one box, and a box may have the id of another
-            self.counters.add(f"left-out.{kind}", max(len(sent.record) - len(used) + used.count(None), 0))
+            self.counters.add(f"left-out.{kind}", max(len(boxes) - len(ids) + ids.count(None), 0))
         world_from_lidar = self._world_from_lidar(lidar_id, found.timestamp_ns) if compensated else _HERE
         origin = self._origin if compensated else _HERE.translation
-        yield _RigResult(
-            record, boxes_3d.setting, FoundObjects(found, world_from_lidar, origin, boxes_3d.setting)
-        )
+        yield _RigResult(record, sweep.setting, FoundObjects(found, world_from_lidar, origin, sweep.setting))
+
+    def _is_compensated(self, setting: Setting, *, stationary: bool) -> bool:
+        """Whether the ego trajectory counts for a result; counts where it should and is not known."""
+        if self._path is not None and stationary and setting.configuration.motion_compensation:
+            self.counters.add("motion.beyond-reach")
+        return self._path is not None and not stationary
 
     def _adopt(self, setting: Setting) -> Iterator[_RigResult]:
         """Go by another configuration from this record on; gives what waited only for cameras that are gone."""
@@ -331,11 +306,11 @@ class Rig:
 
     def _failed(self, extras: Mapping[str, Any], error: Exception) -> None:
         self.counters.add(f"errors.{type(error).__name__}")
-        sent: _Sent = extras["sent"]
-        sent.ticket.support = sent.ticket.support or "failed"
+        sent: Accepted = extras["sent"]
+        sent.ticket.outcome = sent.ticket.outcome or "failed"
 
     def _leave(self, extras: Mapping[str, Any], leave: Leave) -> None:
-        sent: _Sent = extras["sent"]
+        sent: Accepted = extras["sent"]
         self._left.append((sent.ticket, leave))
 
     def _world_from_lidar(self, lidar_id: int, time_ns: int) -> RigidTransform:
@@ -351,6 +326,18 @@ class Rig:
 
 def _number(camera_id: object) -> int:
     return int(str(camera_id).removeprefix("camera"))
+
+
+def _trajectory_of_mounted(path: Poses, body_from_lidar: RigidTransform | None) -> Poses:
+    """Give the trajectory of a lidar (`world_from_lidar`) on a body that moves along a path (`world_from_body`)."""
+    if body_from_lidar is None:
+        return path
+    return Poses(
+        path.timestamps_ns,
+        path.positions + rotate_vectors(path.quaternions_xyzw, body_from_lidar.translation),
+        multiply_quaternions(path.quaternions_xyzw, body_from_lidar.quaternion_xyzw),
+        static=path.static,
+    )
 
 
 _HERE = RigidTransform.identity()
@@ -373,7 +360,7 @@ class ResultsQueue:
 
         Args:
             counters: where results are counted.
-            announcer: reported each result.
+            announcer: notified of each result.
             on_result: called as soon as a result can be fetched.
             most_bytes: how large the results of one type that wait may be together.
         """
@@ -382,49 +369,150 @@ class ResultsQueue:
         self._on_result = on_result
         self._most_bytes = most_bytes
         self._given = dict.fromkeys(FusionType, 0)
-        self._queues: dict[FusionType, ResultQueue[Result]] = {kind: ResultQueue() for kind in FusionType}
+        self._bytes = dict.fromkeys(FusionType, 0)
+        self._waiting: dict[FusionType, deque[Result]] = {kind: deque() for kind in FusionType}
+        self._changed = threading.Condition()
+        self._closed = False
 
     def __len__(self) -> int:
         """How many results wait to be fetched."""
-        return sum(len(queue) for queue in self._queues.values())
+        return sum(len(waiting) for waiting in self._waiting.values())
 
     def give(self, found: _RigResult) -> None:
-        """Let a result be fetched."""
-        kind, record, properties = _type_of(found.record), found.record, found.setting.properties
-        result = Result(self._given[kind], record, properties, found.found)
+        """Let a result be fetched; the oldest ones beyond the limits are dropped and counted."""
+        kind, properties = _type_of(found.record), found.setting.properties
+        result = Result(self._given[kind], found.record, properties, found.found)
         self._given[kind] += 1
-        self._counters.add(_COUNTED[kind])
+        self._counters.add(f"results.{kind.name.lower()}")
         self._announcer.notify(result)
-        dropped = self._queues[kind].put(
-            result, size=size_of(record), most=properties["result_queue_length"], most_bytes=self._most_bytes
-        )
+        waiting, most, dropped = self._waiting[kind], properties["result_queue_length"], 0
+        with self._changed:
+            self._keep(kind, len(waiting), result)
+            while len(waiting) > 1 and (len(waiting) > most or self._bytes[kind] > self._most_bytes):
+                self._take(kind)
+                dropped += 1
         self._counters.add("dropped.results", dropped)
         if self._on_result is not None:
             self._on_result()
 
     def get(self, kind: FusionType, timeout_s: float) -> Result | None:
-        """Fetch the oldest result, waiting for one; None where none came in time."""
-        return self._queues[kind].get(timeout_s)
+        """Fetch the oldest result, waiting for one up to `timeout_s`; None where none came or the queue is closed."""
+        waiting = self._waiting[kind]
+        with self._changed:
+            if not waiting and timeout_s > 0.0:
+                self._changed.wait_for(lambda: waiting or self._closed, timeout_s)
+            return self._take(kind) if waiting else None
 
     def put_back(self, result: Result) -> None:
-        """Take back a result that could not be delivered; it is the next one again."""
-        self._queues[_type_of(result.record)].put_back(
-            result, size=size_of(result.record), before=lambda other: result.number < other.number
-        )
+        """Take back a result that could not be delivered, in front of all that came after it."""
+        kind = _type_of(result.record)
+        waiting = self._waiting[kind]
+        with self._changed:
+            later = (k for k, other in enumerate(waiting) if result.number < other.number)
+            self._keep(kind, next(later, len(waiting)), result)
         if self._on_result is not None:
             self._on_result()
 
     def close(self) -> None:
-        """Let all who wait for results go."""
-        for queue in self._queues.values():
-            queue.close()
+        """Let all who wait go; what is there can still be fetched."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
 
+    def _keep(self, kind: FusionType, k: int, result: Result) -> None:
+        self._waiting[kind].insert(k, result)
+        self._bytes[kind] += size_of(result.record)
+        self._changed.notify_all()
 
-_COUNTED = {kind: f"results.{kind.name.lower()}" for kind in FusionType}
+    def _take(self, kind: FusionType) -> Result:
+        result = self._waiting[kind].popleft()
+        self._bytes[kind] -= size_of(result.record)
+        return result
 
 
 def _type_of(record: ResultRecord) -> FusionType:
     return FusionType.DETECTIONS if isinstance(record, FusedDetections) else FusionType.SENSOR_DATA
+
+
+@dataclass(slots=True)
+class _TaskQueue:
+    """Tasks in the order in which they came; of each sensor's records only so many wait.
+
+    Attributes:
+        closed: whether the worker may end.
+        busy: whether the worker does a task that it took; the worker says when it does not any more.
+        moves: how many chunks of the vehicle's trajectory wait.
+    """
+
+    _tasks: deque[Task] = field(default_factory=deque)
+    _waiting: Counter[Stream] = field(default_factory=Counter)
+    _changed: threading.Condition = field(default_factory=threading.Condition)
+    closed: bool = False
+    busy: bool = False
+    moves: int = 0
+    _woken: bool = False
+
+    def __len__(self) -> int:
+        return len(self._tasks)
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is being done or to be done."""
+        return not self._tasks and not self.busy
+
+    def put(self, task: Task, *, most: int) -> list[Accepted]:
+        """Append a task; gives the older records of the same stream that were dropped to make room.
+
+        Args:
+            most: how many records of one stream may wait.
+        """
+        dropped: list[Accepted] = []
+        with self._changed:
+            if isinstance(task, Accepted):
+                while self._waiting[task.stream] >= most:
+                    dropped.append(self._drop_oldest(task.stream))
+                self._waiting[task.stream] += 1
+            self.moves += isinstance(task, Moved)
+            self._tasks.append(task)
+            self._changed.notify()
+        return dropped
+
+    def get(self, timeout_s: float) -> Task | None:
+        """Take the oldest task, waiting for one; None where none came, it was woken, or it is closed and empty."""
+        with self._changed:
+            if not self._tasks:
+                self._changed.wait_for(lambda: self._tasks or self.closed or self._woken, timeout_s)
+            self._woken = False
+            if not self._tasks:
+                return None
+            self.busy = True  # before the queue is empty: whoever looks at both never finds it idle
+            task = self._tasks.popleft()
+            if isinstance(task, Accepted):
+                self._waiting[task.stream] -= 1
+            self.moves -= isinstance(task, Moved)
+            return task
+
+    def wake(self) -> None:
+        """Let the worker look at the time: something other than a task waits now."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Let the worker end once it has done what is there."""
+        with self._changed:
+            self.closed = True
+            self._changed.notify_all()
+
+    def _drop_oldest(self, stream: Stream) -> Accepted:
+        k, oldest = next(
+            (k, task)
+            for k, task in enumerate(self._tasks)
+            if isinstance(task, Accepted) and task.stream == stream
+        )
+        del self._tasks[k]
+        self._waiting[stream] -= 1
+        return oldest
 
 
 _LONGEST_IDLE_S = 3600.0
@@ -454,7 +542,6 @@ class Worker:
     def __init__(
         self,
         counters: Counters,
-        ledger: Ledger,
         announcer: Announcer,
         give: Callable[[_RigResult], None],
         *,
@@ -464,20 +551,18 @@ class Worker:
         """Begin.
 
         Args:
-            counters: where failures are counted.
-            ledger: reported what became of each record.
-            announcer: reported each task before it is done, and what was dropped.
-            give: reported each result.
+            counters: where records and failures are counted.
+            announcer: notified of each task before it is done, and of what was dropped.
+            give: takes each result.
             inline: whether there is no thread.
             overdue: what the thread does while no task comes.
         """
         self._counters = counters
-        self._ledger = ledger
         self._announcer = announcer
         self._give = give
         self._overdue = overdue
-        self._rig = Rig(counters, ledger)
-        self._tasks = TaskQueue()
+        self._rig = Rig(counters)
+        self._tasks = _TaskQueue()
         self._fusing = threading.Lock()
         self._latest_s = time.monotonic()
         self._idle_s = _LONGEST_IDLE_S
@@ -512,7 +597,7 @@ class Worker:
         elif not self._done_at_once(task):
             for accepted in self._tasks.put(task, most=most):
                 self._announcer.notify(Dropped(accepted))
-                self._ledger.settle(accepted.ticket, "dropped.queue-full")
+                self._counters.settle(accepted.ticket, "dropped.queue-full")
 
     def close(self) -> None:
         """Do what is there, fuse what waits, and take nothing more; the thread goes on until that is done."""
@@ -587,7 +672,7 @@ class Worker:
     def _results(self, task: Task) -> Iterator[_RigResult]:
         if isinstance(task, Accepted):
             self._idle_s = task.setting.idle_s
-            return self._rig.feed(task, task.ticket)
+            return self._rig.feed(task)
         if isinstance(task, Moved):
             self._rig.move(task.path, origin=task.sent.positions[-1])
             return iter(())

@@ -149,7 +149,7 @@ class TimedQueue(Generic[_Partner]):
         camera_id: the camera.
         most: how many are kept, the oldest are dropped; None for as many as come.
         items: what is kept.
-        on_left: reported what is not kept any more.
+        on_left: called with what is not kept any more.
     """
 
     camera_id: Identifier
@@ -228,7 +228,7 @@ class Pairing(Generic[_Frame, _Partner]):
         most_waiting: sweeps that may wait; None for as many as come.
         queues: the images of each camera.
         waiting: the sweeps, oldest first.
-        on_left: reported what is not kept any more, but for sweeps that became ready.
+        on_left: called with what is not kept any more, but for sweeps that became ready.
     """
 
     lateness_ns: int = 0

@@ -61,7 +61,7 @@ class SweepFusion:
 
     Attributes:
         lidars, cameras: what is known of the sensors.
-        on_unreadable: reported an image that cannot be decoded, which then counts as unpaired; None: it raises.
+        on_unreadable: called for an image that cannot be decoded, which then counts as unpaired; None: it raises.
     """
 
     lidars: Mapping[Identifier, KnownLidar]

@@ -27,7 +27,7 @@ Measurement = LidarFrame | CameraImage | Boxes3D | SeenBoxes
 """What can be sent: sweeps and images, and what detectors saw in them."""
 
 OnFailed = Callable[[Mapping[str, Any], Exception], None]
-"""Reported the further fields of a sweep that could not be fused, and why."""
+"""Receives the extra fields of a sweep that could not be fused, and why."""
 
 
 @dataclass(slots=True)
@@ -39,10 +39,10 @@ class FusionSystem:
 
     Attributes:
         configuration: the settings.
-        on_unreadable: reported an image that cannot be decoded, which then counts as unpaired; None: it raises.
-        on_failed: reported a sweep, or its boxes, whose fusion raised, which then has no result; None: it raises.
+        on_unreadable: called for an image that cannot be decoded, which then counts as unpaired; None: it raises.
+        on_failed: called for a sweep, or its boxes, whose fusion raised, which then has no result; None: it raises.
         detect: fuses boxes instead of the algorithm that the configuration names; None for that one.
-        on_left: reported what is not kept any more, used or not; the results that it took part in can be fetched then.
+        on_left: called with what is not kept any more, used or not; results that it took part in can be fetched then.
         dropped: how many sweeps, images and lists of boxes were dropped because too many waited.
 
     Raises:

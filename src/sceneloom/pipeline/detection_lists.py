@@ -13,10 +13,8 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.db34t.boxes import Box2d, Box3d, Boxes2d, Boxes3d
 from sceneloom.db34t.json import from_json
-from sceneloom.db34t.received_records import joined
-from sceneloom.db34t.records import RECORD_KINDS
+from sceneloom.db34t.records import RECORD_KINDS, Box2d, Box3d, Boxes2d, Boxes3d, join_boxes
 from sceneloom.db34t.scene_objects import boxes_2d_of, boxes_3d_of
 from sceneloom.errors import DataError, OptionError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
@@ -191,7 +189,7 @@ def _records(
         ledger.note(WarningKind.SKIPPED, "other-sensors", str(path), message, count=others)
     lone.sort(key=_frame_of)  # stable: within a frame, the order of the file
     for _, same in groupby(lone, key=_frame_of):
-        yield joined([box.alone(context.number or 0) for box in same])
+        yield join_boxes([box.alone(context.number or 0) for box in same])
 
 
 def _frame_of(box: Box3d | Box2d) -> tuple[Any, int]:

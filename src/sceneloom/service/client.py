@@ -1,48 +1,107 @@
 """A client of the service: the fusion interface of another process."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
 import grpc
 from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 
+from sceneloom.db34t.events import Result
 from sceneloom.db34t.properties import Property
-from sceneloom.db34t.protobuf import encode_in, fill_message
-from sceneloom.db34t.queues import Result
-from sceneloom.db34t.records import CalibrationData, SentRecord
-from sceneloom.db34t.transport import (
-    code_of,
-    details_of,
-    is_local,
-    read_certificates,
-    read_pair,
-    reader_of,
-    service_error,
-)
-from sceneloom.db34t.types import Cause, Outcome, refused
-from sceneloom.db34t.wire import fusion_pb2
-from sceneloom.errors import DataError, OptionError
-from sceneloom.scene.poses import Poses
-from sceneloom.service.messages import (
-    Sent,
+from sceneloom.db34t.protobuf import (
+    encode_in,
+    fill_message,
+    from_protobuf,
     motion_request,
-    outcome_of,
     property_of,
-    result_of,
-    sent_of,
+    snapshot_of,
     value_to_protobuf,
 )
+from sceneloom.db34t.records import CalibrationData, SentRecord
+from sceneloom.db34t.transport import SERVICE, details_of, open_channel, reader_of
+from sceneloom.db34t.types import DONE, Cause, Outcome, refused
+from sceneloom.db34t.wire import fusion_pb2
+from sceneloom.errors import DataError, OptionError, SceneloomError
+from sceneloom.scene.poses import Poses
+
+
+class ServiceError(SceneloomError):
+    """The service did not answer, or answered that it cannot.
+
+    Attributes:
+        address: of the service.
+        problem: what happened, for people.
+    """
+
+    advice = ""
+    """What the caller can do about it."""
+
+    def __init__(self, address: str, problem: str) -> None:
+        super().__init__(address, problem)
+        self.address, self.problem = address, problem
+
+    def __str__(self) -> str:
+        return f"{self.address}: {self.problem}" + (f"; {self.advice}" if self.advice else "")
+
+
+class UnreachableError(ServiceError):
+    """Nobody answers at the address, or the connection broke."""
+
+    advice = "is the service there, and are both sides with or both without TLS?"
+
+
+class UnauthenticatedError(ServiceError):
+    """The token is missing or wrong."""
+
+    advice = "state the token that the service was started with"
+
+
+class TooLargeError(ServiceError):
+    """A message is larger than one side takes."""
+
+    advice = "send smaller images or clouds, or raise the limit of the service"
+
+
+class DeadlineError(ServiceError):
+    """The answer did not come in time; whether the call was done is not known."""
+
+
+_TOO_LARGE = "larger than max"
+"""What gRPC says of a message beyond either side's limit; its status is also that of other limits."""
+
+
+_ERRORS: Mapping[grpc.StatusCode, type[ServiceError]] = MappingProxyType(
+    {
+        grpc.StatusCode.UNAVAILABLE: UnreachableError,
+        grpc.StatusCode.UNAUTHENTICATED: UnauthenticatedError,
+        grpc.StatusCode.PERMISSION_DENIED: UnauthenticatedError,
+        grpc.StatusCode.DEADLINE_EXCEEDED: DeadlineError,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """What became of a stream of records.
+
+    Attributes:
+        accepted: how many were taken.
+        refused: how many were not.
+        refusals: number in the stream and answer of the first of these.
+    """
+
+    accepted: int
+    refused: int
+    refusals: tuple[tuple[int, Outcome], ...] = ()
+
 
 _DEADLINE_S = 30.0
 """How long an answer may take, beyond what a call itself waits for."""
 
-_LARGEST_MESSAGE = 1 << 29
-"""Of an answer [byte]."""
-
-_SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 
 _LONGEST_WAIT_MS = 2**32 - 1
 
@@ -85,14 +144,13 @@ class FusionClient:
             session: name of the rig.
             deadline_s: how long an answer may take [s].
         """
-        if token is not None and ca is None and not is_local(address):
-            raise OptionError(
-                f"a token for {address} without TLS; expected `ca`, the file that reports its certificate"
-            )
         self.address, self.session, self.deadline_s = address, session, deadline_s
         self._metadata = () if token is None else (("authorization", f"Bearer {token}"),)
-        self._channel = _channel(address, ca, certificate)
-        self._calls = {method.name: self._call(method) for method in _SERVICE.methods}
+        pair = None if certificate is None else (Path(certificate[0]), Path(certificate[1]))
+        self._channel = open_channel(
+            address, ca=None if ca is None else Path(ca), certificate=pair, token=token
+        )
+        self._calls = {method.name: self._call(method) for method in SERVICE.methods}
 
     def __enter__(self) -> Self:
         return self
@@ -187,8 +245,8 @@ class FusionClient:
         except grpc.RpcError as error:
             if failures:
                 raise failures[0] from None
-            raise service_error(self.address, error) from error
-        return sent_of(answer)
+            raise _service_error(self.address, error) from error
+        return _sent_of(answer)
 
     def get(self, fusion_type: int | None = None, timeout_s: float = 0.0) -> Result | None:
         """Fetch the oldest result that nobody has fetched, clause 5.7; None where there is none.
@@ -204,7 +262,7 @@ class FusionClient:
         request = fusion_pb2.GetRequest(
             fusion_type=_type_or_none(fusion_type), wait_ms=wait_ms, session=self.session
         )
-        return result_of(self._ask("Get", request, wait_s=wait_ms / 1e3))
+        return _result_of(self._ask("Get", request, wait_s=wait_ms / 1e3))
 
     def results(self, fusion_type: int | None = None) -> Iterator[Result]:
         """Fetch all results that are there."""
@@ -229,7 +287,7 @@ class FusionClient:
         call = self._calls["Subscribe"](request, metadata=self._metadata)
         try:
             for reply in call:
-                found = result_of(reply)
+                found = _result_of(reply)
                 if found is not None:
                     yield found
         except grpc.RpcError as error:
@@ -251,7 +309,7 @@ class FusionClient:
         reply_type = GetMessageClass(method.output_type)
         kind = f"{_ARITY[method.client_streaming]}_{_ARITY[method.server_streaming]}"
         made: Callable[..., Any] = getattr(self._channel, kind)(
-            f"/{_SERVICE.full_name}/{method.name}",
+            f"/{SERVICE.full_name}/{method.name}",
             request_serializer=_serialised,
             response_deserializer=reader_of(reply_type),
         )
@@ -267,35 +325,18 @@ class FusionClient:
             raise self._failure(error) from error
 
     def _status(self, name: str, request: Message | bytes) -> Outcome:
-        return outcome_of(self._ask(name, request))
+        return _outcome_of(self._ask(name, request))
 
     def _failure(self, error: grpc.RpcError) -> Exception:
-        if code_of(error) in _OF_THE_CALLER:
-            return OptionError(details_of(error) or f"{self.address}: {code_of(error).name.lower()}")
-        return service_error(self.address, error)
+        if _code_of(error) in _OF_THE_CALLER:
+            return OptionError(details_of(error) or f"{self.address}: {_code_of(error).name.lower()}")
+        return _service_error(self.address, error)
 
 
 _ARITY = {False: "unary", True: "stream"}
 
 _OF_THE_CALLER = (grpc.StatusCode.NOT_FOUND, grpc.StatusCode.INVALID_ARGUMENT)
 """What is answered to a value that cannot be followed."""
-
-
-def _channel(
-    address: str, ca: str | Path | None, certificate: tuple[str | Path, str | Path] | None
-) -> grpc.Channel:
-    options = [
-        ("grpc.max_receive_message_length", _LARGEST_MESSAGE),
-        ("grpc.max_send_message_length", _LARGEST_MESSAGE),
-        ("grpc.enable_http_proxy", 0),
-    ]
-    if ca is None:
-        if certificate is not None:
-            raise OptionError("a certificate of the client without `ca`; expected both, or none")
-        return grpc.insecure_channel(address, options)
-    chain, key = (None, None) if certificate is None else read_pair(*map(Path, certificate))
-    credentials = grpc.ssl_channel_credentials(read_certificates(Path(ca)), key, chain)
-    return grpc.secure_channel(address, credentials, options)
 
 
 def _serialised(request: Message | bytes) -> bytes:
@@ -306,3 +347,46 @@ def _type_or_none(fusion_type: int | None) -> int | None:
     if fusion_type is None or (not isinstance(fusion_type, bool) and fusion_type in (0, 1)):
         return fusion_type
     raise OptionError(f"fusion type {fusion_type!r}; expected 0 (sensor data) or 1 (detections)")
+
+
+def _outcome_of(message: fusion_pb2.Status) -> Outcome:
+    """Give the answer of a message; a cause that is none of ours is left to the reason."""
+    if message.status == 1 and not message.cause:
+        return DONE
+    known = {str(cause) for cause in Cause}
+    cause = Cause(message.cause) if message.cause in known else Cause.NONE
+    return Outcome(message.status, cause, message.reason)
+
+
+def _sent_of(message: fusion_pb2.SendSummary) -> Sent:
+    """Give the answer to a stream of records."""
+    refusals = tuple((refusal.number, _outcome_of(refusal.status)) for refusal in message.refusals)
+    return Sent(message.accepted, message.refused, refusals)
+
+
+def _result_of(message: fusion_pb2.GetReply) -> Result | None:
+    """Give the result of an answer of clause 5.7; None where it says that there is none.
+
+    Raises:
+        DataError: it says nothing, or the result is faulty.
+    """
+    name = message.WhichOneof("result")
+    if name is None:
+        raise DataError("reply", "result", "missing; expected sensor_data, detections or no_data")
+    if name == "no_data":
+        return None
+    return Result(message.number, from_protobuf(getattr(message, name)), snapshot_of(message.configuration))
+
+
+def _service_error(address: str, error: grpc.RpcError) -> ServiceError:
+    """Give the error of a call that failed."""
+    code, details = _code_of(error), details_of(error)
+    kind = TooLargeError if _TOO_LARGE in details else _ERRORS.get(code, ServiceError)
+    problem = f"{code.name.lower().replace('_', ' ')}: {details}" if details else code.name.lower()
+    return kind(address, problem)
+
+
+def _code_of(error: grpc.RpcError) -> grpc.StatusCode:
+    """The status that a call ended with."""
+    code = getattr(error, "code", lambda: None)()
+    return code if isinstance(code, grpc.StatusCode) else grpc.StatusCode.UNKNOWN

@@ -1,12 +1,7 @@
-"""The methods of the service: what each call does with the interface of its session, tracking of fused results.
-
-Bytes in and out beside the event loop, and metrics for Prometheus.
-"""
+"""The methods of the service: what each call does with the interface of its session, and tracking of fused results."""
 
 import asyncio
-from bisect import bisect_left
-from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from time import perf_counter
@@ -21,11 +16,20 @@ from google.protobuf.message_factory import GetMessageClass
 from grpc.aio import ServicerContext
 
 from sceneloom.arrays import Float64Array
+from sceneloom.db34t.events import Result
 from sceneloom.db34t.interface import FusionInterface
-from sceneloom.db34t.protobuf import decode_send_request, from_protobuf, parse_message
-from sceneloom.db34t.queues import Result
+from sceneloom.db34t.protobuf import (
+    decode_send_request,
+    from_protobuf,
+    parse_message,
+    path_of,
+    properties_message,
+    property_to_protobuf,
+    value_from_protobuf,
+)
 from sceneloom.db34t.records import FusedDetections, kind_of
 from sceneloom.db34t.results import FoundObjects, tracked_detections_record
+from sceneloom.db34t.transport import SERVICE
 from sceneloom.db34t.types import DONE, Cause, Outcome, refused
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.detections.results import NO_BOX, FusedBoxes
@@ -35,20 +39,9 @@ from sceneloom.fusion.algorithms import FusionType
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.types import Identifier
-from sceneloom.service.messages import (
-    NO_DATA,
-    path_of,
-    properties_message,
-    property_to_protobuf,
-    status_bytes,
-    value_from_protobuf,
-)
 from sceneloom.service.sessions import DEFAULT_SESSION, CallError, Session, SessionTable
 from sceneloom.tracking.settings import TrackerSettings
 from sceneloom.tracking.tracker import Observation, Tracker, View
-
-SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
-"""The descriptor of the service."""
 
 
 def _add_property(fusion: FusionInterface, request: fusion_pb2.AddPropertyRequest) -> Outcome:
@@ -204,7 +197,7 @@ class _Method:
             raise
         except SceneloomError as error:
             raise self.fault(error) from error
-        return status_bytes(answer) if isinstance(answer, Outcome) else answer.SerializeToString()
+        return _status_bytes(answer) if isinstance(answer, Outcome) else answer.SerializeToString()
 
     def fault(self, reason: object) -> CallError:
         """What a request that is none ends with."""
@@ -335,141 +328,6 @@ def _boxes_of(objects: TrackedObjects, camera_id: Identifier, lidar_from_world: 
     )
 
 
-BOUNDS_S = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
-"""Upper bounds of the classes of durations [s]."""
-
-_LONGEST_REQUEST = 8192
-
-_PATIENCE_S = 5.0
-
-
-@dataclass(slots=True)
-class Histogram:
-    """How many durations fell into each class.
-
-    Attributes:
-        counts: for each of `BOUNDS_S`, and of those beyond.
-        total_s: their sum.
-    """
-
-    counts: list[int] = field(default_factory=lambda: [0] * (len(BOUNDS_S) + 1))
-    total_s: float = 0.0
-
-    def add(self, duration_s: float) -> None:
-        """Count a duration; a bound belongs to the class below it."""
-        self.counts[bisect_left(BOUNDS_S, duration_s)] += 1
-        self.total_s += duration_s
-
-
-class Metrics:
-    """What the service counts. For the event loop's thread."""
-
-    def __init__(self) -> None:
-        """Begin at 0."""
-        self._calls: Counter[tuple[str, str]] = Counter()
-        self._durations: dict[str, Histogram] = {}
-
-    def called(self, method: str, outcome: str, duration_s: float) -> None:
-        """Count a call that was answered."""
-        self._calls[method, outcome] += 1
-        histogram = self._durations.get(method)
-        if histogram is None:
-            histogram = self._durations[method] = Histogram()
-        histogram.add(duration_s)
-
-    def text(self, sessions: SessionTable) -> str:
-        """Give all numbers.
-
-        Source: prometheus.io, "Exposition formats", text-based format, version 0.0.4.
-        """
-        return "\n".join([*self._of_calls(), *_of_sessions(sessions)]) + "\n"
-
-    def _of_calls(self) -> Iterator[str]:
-        yield from _head("sceneloom_calls_total", "counter", "Calls by method and how they ended.")
-        for (method, outcome), count in sorted(self._calls.items()):
-            yield _line("sceneloom_calls_total", count, method=method, outcome=outcome)
-        name = "sceneloom_call_seconds"
-        yield from _head(name, "histogram", "How long calls took, waiting for results included.")
-        for method, histogram in sorted(self._durations.items()):
-            below = 0
-            for bound, count in zip((*map(str, BOUNDS_S), "+Inf"), histogram.counts, strict=True):
-                below += count
-                yield _line(f"{name}_bucket", below, method=method, le=bound)
-            yield _line(f"{name}_sum", histogram.total_s, method=method)
-            yield _line(f"{name}_count", below, method=method)
-
-
-def _of_sessions(sessions: SessionTable) -> Iterator[str]:
-    yield from _head("sceneloom_sessions", "gauge", "Sessions that are there.")
-    yield _line("sceneloom_sessions", len(sessions))
-    yield from _head("sceneloom_waiting_results", "gauge", "Results that wait to be fetched.")
-    for session in sessions:
-        yield _line("sceneloom_waiting_results", session.fusion.waiting_results, session=session.name)
-    yield from _head("sceneloom_open_requests", "gauge", "Requests that are being answered.")
-    for session in sessions:
-        yield _line("sceneloom_open_requests", session.open_requests, session=session.name)
-    name = "sceneloom_session_events_total"
-    yield from _head(name, "counter", "What came in, what was left out and why, by the names of GetCounters.")
-    for session in sessions:
-        for event, count in session.fusion.counters.counts().items():
-            yield _line(name, count, session=session.name, event=event)
-
-
-def _head(name: str, kind: str, meaning: str) -> Iterable[str]:
-    return f"# HELP {name} {meaning}", f"# TYPE {name} {kind}"
-
-
-def _line(name: str, value: float, **labels: str) -> str:
-    quoted = ",".join(f'{label}="{_escaped(text)}"' for label, text in labels.items())
-    return f"{name}{{{quoted}}} {value}" if quoted else f"{name} {value}"
-
-
-def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-
-
-async def serve_metrics(metrics: Metrics, sessions: SessionTable, port: int) -> asyncio.Server:
-    """Answer `GET /metrics` over HTTP, for this machine alone.
-
-    Args:
-        port: 0 for a free one.
-
-    Raises:
-        OSError: the port cannot be had.
-    """
-
-    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        try:
-            async with asyncio.timeout(_PATIENCE_S):
-                head = await reader.readuntil(b"\r\n\r\n")
-                writer.write(_response(head, metrics, sessions))
-                await writer.drain()
-        except (TimeoutError, OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
-            pass  # no request came, or nobody is there for the answer
-        finally:
-            writer.close()
-
-    return await asyncio.start_server(answer, "127.0.0.1", port, limit=_LONGEST_REQUEST)
-
-
-def _response(head: bytes, metrics: Metrics, sessions: SessionTable) -> bytes:
-    words = head.split(b"\r\n", 1)[0].split(b" ")
-    if len(words) != 3 or words[0] not in (b"GET", b"HEAD"):
-        return _http("405 Method Not Allowed", b"expected GET /metrics\n")
-    if words[1].split(b"?")[0] != b"/metrics":
-        return _http("404 Not Found", b"expected /metrics\n")
-    body = metrics.text(sessions).encode()
-    return _http("200 OK", body, with_body=words[0] == b"GET")
-
-
-def _http(status: str, body: bytes, *, with_body: bool = True) -> bytes:
-    head = (
-        f"HTTP/1.1 {status}\r\nContent-Type: text/plain; version=0.0.4; charset=utf-8\r\n"
-        f"Content-Length: {len(body)}\r\nConnection: close\r\n\r\n"
-    )
-    return head.encode() + (body if with_body else b"")
-
-
 _Context: TypeAlias = "ServicerContext[bytes, bytes]"
 
 _SMALL = 32_768
@@ -484,14 +342,18 @@ _REFUSALS_REPORTED = 100
 class Handlers:
     """Answers the methods of the service for the sessions of a table."""
 
-    def __init__(self, sessions: SessionTable, metrics: Metrics) -> None:
-        """Answer for these sessions, and count how."""
+    def __init__(self, sessions: SessionTable, count: Callable[[str, str, float], None]) -> None:
+        """Answer for these sessions.
+
+        Args:
+            count: called after each call with its method, how it ended, and how long it took [s].
+        """
         self.sessions = sessions
-        self.metrics = metrics
+        self._count = count
         self.draining = False
 
     def generic_handler(self) -> grpc.GenericRpcHandler:
-        """Give what a gRPC server is reported, from the table of methods."""
+        """Make the handlers that a gRPC server is given, from the table of methods."""
         special: dict[str, grpc.RpcMethodHandler[Any, Any]] = {
             "SendStream": grpc.stream_unary_rpc_method_handler(self.send_stream),
             # one message, whose writing can fail before the call has ended
@@ -513,7 +375,7 @@ class Handlers:
                 except CallError as error:
                     ended.append(error.code.name)
                     if method.answers_status:
-                        return status_bytes(refused(error.cause, error.reason))
+                        return _status_bytes(refused(error.cause, error.reason))
                     await context.abort(error.code, error.reason)
 
         return answer
@@ -532,7 +394,7 @@ class Handlers:
             ended.append("INTERNAL")
             raise
         finally:
-            self.metrics.called(method, ended[0] if ended else "OK", perf_counter() - begun_s)
+            self._count(method, ended[0] if ended else "OK", perf_counter() - begun_s)
 
     async def _answer(self, method: _Method, request: bytes) -> bytes:
         session = self._session_of(method, request)
@@ -617,7 +479,7 @@ class Handlers:
                 raise
             delivered += 1
         if once and not delivered:
-            await context.write(NO_DATA)
+            await context.write(_NO_DATA)
 
     async def _deliver_tracks(self, session: Session, asked: Any, context: _Context) -> None:
         """Write results of detection fusion as they come, their objects followed from one to the next."""
@@ -658,11 +520,26 @@ class Handlers:
         try:
             name: str = METHODS["CloseSession"].parse(request).session
         except DataError as error:
-            return status_bytes(refused(Cause.ILL_TYPED, error))
+            return _status_bytes(refused(Cause.ILL_TYPED, error))
         session = self.sessions.take(name)
         if session is None:
-            return status_bytes(
+            return _status_bytes(
                 refused(Cause.UNKNOWN_NAME, f"session {(name or DEFAULT_SESSION)[:80]!r} is not there")
             )
         await session.end()
-        return status_bytes(DONE)
+        return _status_bytes(DONE)
+
+
+_NO_DATA = fusion_pb2.GetReply(no_data=fusion_pb2.NoData()).SerializeToString()
+
+
+def _status_bytes(outcome: Outcome) -> bytes:
+    """Give the bytes of a `Status`."""
+    if outcome is DONE:
+        return _DONE
+    return fusion_pb2.Status(
+        status=outcome.status, cause=str(outcome.cause), reason=outcome.reason
+    ).SerializeToString()
+
+
+_DONE = fusion_pb2.Status(status=1).SerializeToString()

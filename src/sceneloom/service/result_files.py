@@ -11,8 +11,8 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import msgspec
 import numpy as np
 
+from sceneloom.db34t.events import Result
 from sceneloom.db34t.json import to_json
-from sceneloom.db34t.queues import Result
 from sceneloom.db34t.records import ENCODINGS, FusedDetections, SensorFusionData
 from sceneloom.db34t.scene_objects import lidar_frame_of_result, rgb_of_pixels
 from sceneloom.db34t.types import bytes_of

@@ -1,4 +1,4 @@
-"""Runs a server until the process is asked to end, or in a thread.
+"""Runs a server until the process is asked to end, or in a thread; reads its configuration file.
 
 Kernels are compiled and loaded before it listens.
 """
@@ -11,20 +11,27 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from sceneloom.cameras.camera import MODELS
-from sceneloom.db34t.boxes import Boxes2d, Boxes3d
-from sceneloom.db34t.interface import FusionInterface, read_configuration_file
-from sceneloom.db34t.records import CalibrationData, ImageData, PointCloudData, SentRecord
-from sceneloom.db34t.types import Timestamp
+from sceneloom.db34t.calibration import CalibrationEntry, entry_of
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.properties import parse_sensors
+from sceneloom.db34t.records import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, SentRecord
+from sceneloom.db34t.types import Outcome, Timestamp
+from sceneloom.errors import CalibrationError, DataError
+from sceneloom.formats.base.files import read_settings
 from sceneloom.kernels.cache import compile_kernels, declaring_modules, find_kernel_cache, lacks_kernels
 from sceneloom.service.server import FusionServer, ServerSettings
 from sceneloom.service.startup import ServiceLimits, log_to_standard_error
@@ -125,8 +132,6 @@ def _records() -> list[SentRecord]:
     ]
 
 
-_RUNNING_LOG = logging.getLogger(__name__)
-
 _ENDING = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -161,7 +166,7 @@ def serve_until_ended(
     """Serve until SIGTERM or Ctrl-C; then fuse what waits, deliver it, and return. A second signal ends at once.
 
     Args:
-        started: reported the server once it listens.
+        started: called with the server once it listens.
         quiet: log warnings only.
         verbose: log what helps to find faults, too.
 
@@ -203,7 +208,7 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
         loop.add_signal_handler(number, ended.set)
     server = FusionServer(settings)
     server.check_ports()  # before the seconds that warming takes
-    _RUNNING_LOG.info("loading what requests need; the port is closed until then")
+    _LOG.info("loading what requests need; the port is closed until then")
     if not await _warmed_up(ended):
         return ()
     gc.freeze()  # what is there now stays: looking through it again and again would stop all sessions
@@ -216,7 +221,7 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
 
 
 async def _warmed_up(ended: asyncio.Event) -> bool:
-    """Load what requests need; False if the server is reported to end meanwhile, which it does at once."""
+    """Load what requests need; False if the server has to end meanwhile, which it does at once."""
     loop = asyncio.get_running_loop()
     done: asyncio.Future[None] = loop.create_future()
     processes: list[subprocess.Popen[str]] = []
@@ -249,3 +254,146 @@ async def _warmed_up(ended: asyncio.Event) -> bool:
     for process in processes:
         process.kill()
     return False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConfigurationFile:
+    """What a file says; read and tried by `read_configuration_file`.
+
+    Attributes:
+        path: of the file.
+        properties: values of predefined properties, in the file's order.
+        added: properties of clause 5.3: name, description, type and perhaps value.
+        sensors: the text of the property `sensors`, "" for none.
+        calibrations: the records of table 3.
+        further: tables that are not of the fusion system.
+    """
+
+    path: Path
+    properties: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    added: tuple[Mapping[str, Any], ...] = ()
+    sensors: str = ""
+    calibrations: tuple[CalibrationEntry, ...] = ()
+    further: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
+
+    def apply(self, fusion: FusionInterface) -> None:
+        """Set what the file says.
+
+        Raises:
+            DataError: something is refused.
+        """
+        for k, row in enumerate(self.added):
+            location = f"added[{k}]"
+            self._check(location, fusion.add_property(row["name"], row.get("description", ""), row["type"]))
+            if "value" in row:
+                self._check(f"{location}.value", fusion.set_property(row["name"], row["value"]))
+        for name, value in self.properties.items():
+            self._check(f"properties.{name}", fusion.set_property(name, value))
+        if self.sensors:
+            self._check("sensors", fusion.set_property("sensors", self.sensors))
+        for k, entry in enumerate(self.calibrations):
+            outcome = fusion.set_calibration(entry.data, camera_id=entry.camera_id, lidar_id=entry.lidar_id)
+            self._check(f"calibrations[{k}]", outcome)
+
+    def _check(self, location: str, outcome: Outcome) -> None:
+        if not outcome:
+            raise DataError(self.path, location, outcome.reason)
+
+
+def read_configuration_file(path: Path | str, *, further: tuple[str, ...] = ()) -> ConfigurationFile:
+    """Read a file and try whether a fusion system takes what it says.
+
+    Args:
+        path: of the TOML file.
+        further: names of tables that others read.
+
+    Raises:
+        DataError: it is no TOML, has something unknown in it, or a value is refused.
+        OSError: it cannot be read.
+
+    Source: DB34/T 4101-2022, clause 5.2, tables 2 and 3.
+    """
+    path = Path(path)
+    content = _tables(path)
+    for name, table in content.items():
+        if name not in (*_TABLES, *further):
+            raise DataError(path, name, f"unknown; expected one of {', '.join((*_TABLES, *further))}")
+        if not isinstance(table, list if name in ("added", "calibrations") else dict):
+            wanted = f"[[{name}]]" if name in ("added", "calibrations") else f"[{name}]"
+            raise DataError(path, name, f"{table!r}; expected a table {wanted}")
+    found = ConfigurationFile(
+        path=path,
+        properties=MappingProxyType(_properties(path, content.get("properties", {}))),
+        added=tuple(_added(path, k, row) for k, row in enumerate(content.get("added", ()))),
+        sensors=_sensors(path, content.get("sensors", {})),
+        calibrations=_calibrations(path, content.get("calibrations", ())),
+        further=MappingProxyType({name: content[name] for name in further if name in content}),
+    )
+    with FusionInterface(inline=True) as tried:
+        found.apply(tried)
+    return found
+
+
+_TABLES = ("properties", "added", "sensors", "calibrations")
+
+
+_ADDED = ("name", "description", "type", "value")
+
+
+_IN_TABLES_OF_THEIR_OWN = ("sensors", "calibration")
+
+
+def _tables(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(read_settings(path).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise DataError(path, "", f"no TOML: {error}") from error
+
+
+def _properties(path: Path, table: dict[str, Any]) -> dict[str, Any]:
+    for name in _IN_TABLES_OF_THEIR_OWN:
+        if name in table:
+            own = "[sensors.ID]" if name == "sensors" else "[[calibrations]]"
+            raise DataError(path, f"properties.{name}", f"a property with tables of its own; expected {own}")
+    return table
+
+
+def _added(path: Path, k: int, row: Any) -> Mapping[str, Any]:
+    location = f"added[{k}]"
+    if not isinstance(row, dict):
+        raise DataError(path, location, f"{row!r}; expected a table")
+    for name in row:
+        if name not in _ADDED:
+            raise DataError(path, f"{location}.{name}", f"unknown; expected one of {', '.join(_ADDED)}")
+    for name in ("name", "type"):
+        if name not in row:
+            raise DataError(path, f"{location}.{name}", "missing; expected as clause 5.3 has it")
+    for name in ("name", "description", "type"):
+        if not isinstance(row.get(name, ""), str):
+            raise DataError(path, f"{location}.{name}", f"{row[name]!r}; expected a string")
+    return MappingProxyType(row)
+
+
+def _sensors(path: Path, table: dict[str, Any]) -> str:
+    text = msgspec.json.encode(table, enc_hook=str).decode() if table else ""
+    try:
+        parse_sensors(text)
+    except DataError as error:
+        raise DataError(path, ".".join(filter(None, ("sensors", error.location))), error.problem) from error
+    return text
+
+
+def _calibrations(path: Path, rows: Any) -> tuple[CalibrationEntry, ...]:
+    entries: list[CalibrationEntry] = []
+    for k, row in enumerate(rows):
+        try:
+            entry = entry_of(row, f"[{k}]")
+        except DataError as error:
+            raise DataError(path, f"calibrations{error.location}", error.problem) from error
+        except CalibrationError as error:
+            raise DataError(path, f"calibrations[{k}]", str(error)) from error
+        if any((entry.camera_id, entry.lidar_id) == (known.camera_id, known.lidar_id) for known in entries):
+            pair = f"camera {entry.camera_id} and lidar {entry.lidar_id}"
+            raise DataError(path, f"calibrations[{k}]", f"{pair} again; expected each pair once")
+        entries.append(entry)
+    return tuple(entries)

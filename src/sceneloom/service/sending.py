@@ -1,6 +1,6 @@
-"""Sends a drive to a service as its sensors would: sensor ids, calibrations of table 3 and the ego trajectory first.
+"""Sends a drive to a service as its sensors would, or a session log once more.
 
-Then records in time order, at a rate.
+Sensor ids and calibrations of table 3 first, then records and the ego trajectory in time order, at a rate.
 """
 
 import math
@@ -19,18 +19,17 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.cameras.fitting import fit
-from sceneloom.db34t.boxes import Boxes2d, Boxes3d
 from sceneloom.db34t.calibration import CAMERA_MODELS, CalibrationEntry, DeclaredAxes, calibration_data
 from sceneloom.db34t.properties import Property
-from sceneloom.db34t.protobuf import from_protobuf
-from sceneloom.db34t.records import CalibrationData, SentRecord, kind_of
+from sceneloom.db34t.protobuf import from_protobuf, path_of, property_of, value_from_protobuf
+from sceneloom.db34t.records import Boxes2d, Boxes3d, CalibrationData, SentRecord, kind_of
 from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record, image_data_of, point_cloud_of
 from sceneloom.db34t.types import Cause, Outcome
 from sceneloom.editing.move_world import to_sensor
 from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import find_ego_motion
-from sceneloom.pipeline.play import Reader, in_time_order
+from sceneloom.pipeline.play import in_time_order
 from sceneloom.scene.annotations import Box2DAnnotation, CuboidAnnotation
 from sceneloom.scene.annotations_at import BoxTable
 from sceneloom.scene.cameras import CameraImage, CameraSensor, Shutter
@@ -41,7 +40,6 @@ from sceneloom.scene.point_times import RawTimes, timed_frame
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns, time_span, usual_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
-from sceneloom.service.messages import path_of, property_of, value_from_protobuf
 from sceneloom.service.session_log import LogEntry, read_log
 from sceneloom.warnings import DataWarning, WarningKind
 
@@ -156,31 +154,13 @@ def _nearest(camera_model: Camera) -> tuple[Camera, str]:
     try:
         found = fit(camera_model, "brown_conrady", fixed=fixed)
     except CalibrationError as error:
-        plain = Camera(
-            "pinhole",
-            camera_model.width,
-            camera_model.height,
-            camera_model.fx,
-            camera_model.fy,
-            camera_model.cx,
-            camera_model.cy,
-        )
-        return (
-            plain,
-            f"a {camera_model.model} camera model, which table 3 cannot hold nearly ({error}); {exactly}",
-        )
-    held = (*found.camera.coefficients[:5], *[0.0] * (len(found.camera.coefficients) - 5))
-    kept = Camera(
-        "brown_conrady",
-        camera_model.width,
-        camera_model.height,
-        found.camera.fx,
-        found.camera.fy,
-        found.camera.cx,
-        found.camera.cy,
-        held,
-    )
-    return kept, f"{found.message(camera_model)}, for table 3; {exactly}"
+        pinhole = replace(camera_model, model="pinhole", coefficients=())
+        beyond = f"a {camera_model.model} camera model, which table 3 cannot hold nearly ({error})"
+        return pinhole, f"{beyond}; {exactly}"
+    coefficients = found.camera.coefficients
+    held = (*coefficients[:5], *[0.0] * (len(coefficients) - 5))
+    message = f"{found.message(camera_model)}, for table 3; {exactly}"
+    return replace(found.camera, coefficients=held), message
 
 
 def _format_camera_models(camera_models: Mapping[int, Camera]) -> str:
@@ -321,79 +301,15 @@ _UNNAMED = "object"
 
 
 @dataclass(slots=True)
-class _Piece:
-    """What a sensor measured at one time, and the ego trajectory until then.
+class _Maker:
+    """Makes records of frames, and numbers them; cuts the ego trajectory into parts.
 
-    Attributes:
-        timestamp_ns: when, on the scene's clock.
-        motion: poses that were not sent before; None where there are none.
+    Times before 0 are moved by whole seconds (`shift_ns`), for a timestamp cannot state them.
     """
 
-    timestamp_ns: int
-    motion: Poses | None
-    _maker: "_Maker"
-    _sensor_id: Identifier
-    _read: Reader
-
-    def records(self) -> list[SentRecord]:
-        """Read the frame and give its records: the frame itself, then the boxes in it.
-
-        Raises:
-            DataError: it cannot be read, or something in it cannot stand in a record.
-        """
-        return self._maker.records(self._sensor_id, self._read())
-
-
-def _chunks_of(rig: _SentRig) -> Iterator[_Piece]:
-    """Give all that is to be sent, without reading it."""
-    span = time_span(rig.scene)
-    first_ns = 0 if span is None else span[0]
-    if rig.path is not None:
-        first_ns = min(first_ns, rig.path.start_ns)
-    shift_ns = max(-(first_ns // _SECOND), 0) * _SECOND
-    maker = _Maker(rig, shift_ns)
-    motion = _Motion(rig, shift_ns)
-    for timestamp_ns, sensor_id, read in in_time_order(rig.scene):
-        if sensor_id in rig.numbers:
-            yield _Piece(timestamp_ns, motion.until(timestamp_ns), maker, sensor_id, read)
-
-
-@dataclass(slots=True)
-class _Motion:
-    """Cuts the ego trajectory into chunks; each reaches a sweep beyond what it is sent before."""
-
     rig: _SentRig
-    shift_ns: int
-    _sent: int = 0
-
-    def until(self, timestamp_ns: int) -> Poses | None:
-        path = self.rig.path
-        if path is None:
-            return None
-        reach_ns = 2 * scene_period_ns(self.rig.scene)
-        start = self._sent
-        self._sent = int(
-            np.searchsorted(path.timestamps_ns, min(timestamp_ns + reach_ns, 2**63 - 1), side="right")
-        )
-        if self._sent <= start:
-            self._sent = start
-            return None
-        rows = slice(start, self._sent)
-        if int(path.timestamps_ns[start]) + self.shift_ns >= 2**63 or self.shift_ns >= 2**63:
-            raise OptionError(
-                f"times from {int(path.timestamps_ns[0])} ns; messages hold {2**63 / 1e9:.0f} s from the first"
-            )
-        return Poses(
-            path.timestamps_ns[rows] + self.shift_ns, path.positions[rows], path.quaternions_xyzw[rows]
-        )
-
-
-@dataclass(slots=True)
-class _Maker:
-    """Makes records of frames, and numbers them."""
-
-    rig: _SentRig
-    shift_ns: int
+    shift_ns: int = field(init=False)
+    _sent_poses: int = 0
     _seqs: dict[Identifier, int] = field(default_factory=dict)
     _raw_times: dict[Identifier, RawTimes | None] = field(default_factory=dict)
     _tracks: "dict[Identifier, list[_Track]]" = field(default_factory=dict)
@@ -403,8 +319,32 @@ class _Maker:
     def __post_init__(self) -> None:
         self._boxes = BoxTable(self.rig.scene)
         self._lidars = {lidar.id: lidar for lidar in self.rig.scene.lidars}
+        span = time_span(self.rig.scene)
+        first_ns = 0 if span is None else span[0]
+        if self.rig.path is not None:
+            first_ns = min(first_ns, self.rig.path.start_ns)
+        self.shift_ns = max(-(first_ns // _SECOND), 0) * _SECOND
+
+    def motion_until(self, timestamp_ns: int) -> Poses | None:
+        """Give the poses that were not sent before, to two periods beyond a time; None where there are none."""
+        path = self.rig.path
+        if path is None:
+            return None
+        until_ns = min(timestamp_ns + 2 * scene_period_ns(self.rig.scene), 2**63 - 1)
+        stop = int(np.searchsorted(path.timestamps_ns, until_ns, side="right"))
+        rows = slice(self._sent_poses, stop)
+        if stop <= self._sent_poses:
+            return None
+        if int(path.timestamps_ns[rows.start]) + self.shift_ns >= 2**63 or self.shift_ns >= 2**63:
+            first_ns, most_s = int(path.timestamps_ns[0]), 2**63 / 1e9
+            raise OptionError(f"times from {first_ns} ns; messages hold {most_s:.0f} s from the first")
+        self._sent_poses = stop
+        return Poses(
+            path.timestamps_ns[rows] + self.shift_ns, path.positions[rows], path.quaternions_xyzw[rows]
+        )
 
     def records(self, sensor_id: Identifier, frame: LidarFrame | CameraImage) -> list[SentRecord]:
+        """Give the records of a frame: the frame itself, then the boxes in it."""
         number = self.rig.numbers[sensor_id]
         seq = self._seqs.get(sensor_id, -1) + 1
         self._seqs[sensor_id] = seq
@@ -671,7 +611,7 @@ def send_scene(
         trajectory: the ego trajectory by name; None for the one that the scene has, if any.
         heading: "motion" to derive orientations where it has positions only.
         lenient: pass over frames that cannot be read.
-        progress: reported after each record.
+        progress: called after each frame.
         pace: holds records back; None for one of that rate.
 
     Raises:
@@ -685,34 +625,41 @@ def send_scene(
     _configure(receiver, rig)
     skipped: list[DataWarning] = []
     with _refusing(receiver, statistics.pace.rate):
-        _send_chunks(rig, statistics, skipped if lenient else None, progress)
+        _send_frames(rig, statistics, skipped if lenient else None, progress)
     receiver.flush()
-    return SendReport(
-        source=rig.scene.source,
-        sensors={str(sensor_id): number for sensor_id, number in rig.numbers.items()},
-        sent=dict(sorted(statistics.sent.items())),
-        refused=dict(sorted(statistics.refused.items())),
-        seconds=time.perf_counter() - begun,
-        warnings=(*rig.scene.warnings, *rig.warnings, *skipped),
-    )
+    report = _reported(rig.scene.source, begun, [statistics])
+    numbers = {str(sensor_id): number for sensor_id, number in rig.numbers.items()}
+    return replace(report, sensors=numbers, warnings=(*rig.scene.warnings, *rig.warnings, *skipped))
 
 
-def _send_chunks(
+def _reported(source: str, begun: float, sessions: Iterable[Statistics]) -> SendReport:
+    sent, refused = Counter[str](), Counter[str]()
+    for statistics in sessions:
+        sent += statistics.sent
+        refused += statistics.refused
+    seconds = time.perf_counter() - begun
+    return SendReport(source, {}, dict(sorted(sent.items())), dict(sorted(refused.items())), seconds)
+
+
+def _send_frames(
     rig: _SentRig, statistics: Statistics, skipped: list[DataWarning] | None, progress: Progress | None
 ) -> None:
     total = sum(len(lidar.frames) for lidar in rig.scene.lidars)
     total += sum(len(camera.images) for camera in rig.scene.cameras)
-    for done, piece in enumerate(_chunks_of(rig), start=1):
-        statistics.pace.until(piece.timestamp_ns)
+    maker = _Maker(rig)
+    frames = (frame for frame in in_time_order(rig.scene) if frame[1] in rig.numbers)
+    for done, (timestamp_ns, sensor_id, read) in enumerate(frames, start=1):
+        motion = maker.motion_until(timestamp_ns)
+        statistics.pace.until(timestamp_ns)
         try:
-            records = piece.records()
+            records = maker.records(sensor_id, read())
         except DataError as error:
             if skipped is None:
                 raise
             skipped.append(_unreadable(error))
             records = []
-        if piece.motion is not None:
-            statistics.send_motion(piece.motion)
+        if motion is not None:
+            statistics.send_motion(motion)
         for record in records:
             statistics.send(record)
         if progress is not None:
@@ -816,15 +763,7 @@ def send_log(
         sessions[entry.session].take(entry)
     for session in sessions.values():
         session.end()
-    sent: Counter[str] = sum((session.statistics.sent for session in sessions.values()), Counter())
-    refused: Counter[str] = sum((session.statistics.refused for session in sessions.values()), Counter())
-    return SendReport(
-        source=str(path),
-        sensors={},
-        sent=dict(sorted(sent.items())),
-        refused=dict(sorted(refused.items())),
-        seconds=time.perf_counter() - begun,
-    )
+    return _reported(str(path), begun, [session.statistics for session in sessions.values()])
 
 
 @dataclass(slots=True)

@@ -1,10 +1,12 @@
-"""The gRPC server: access control (TLS, tokens), sessions, health, reflection, and a shutdown that loses nothing."""
+"""The gRPC server: access control (TLS, tokens), sessions, health, metrics, and a shutdown that loses nothing."""
 
 import asyncio
 import hmac
 import logging
 import time
-from collections.abc import Awaitable, Callable
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -16,11 +18,11 @@ from grpc.aio import ServerInterceptor, ServicerContext
 from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
-from sceneloom.db34t.interface import FusionInterface
-from sceneloom.db34t.queues import Event, QueueLimits
-from sceneloom.db34t.transport import is_local, read_certificates, read_pair
+from sceneloom.db34t.events import Event
+from sceneloom.db34t.interface import FusionInterface, QueueLimits
+from sceneloom.db34t.transport import SERVICE, is_local, read_certificates, read_pair
 from sceneloom.errors import OptionError
-from sceneloom.service.methods import SERVICE, Handlers, Metrics, serve_metrics
+from sceneloom.service.methods import Handlers
 from sceneloom.service.sessions import Session, SessionTable
 from sceneloom.service.startup import ServiceLimits, check_port
 
@@ -144,8 +146,8 @@ class ServerSettings:
         metrics_port: where to answer `GET /metrics` over HTTP, 0 for a free one; None for nowhere.
         limits: of the service and its sessions.
         security: what callers have to prove.
-        configure: reported each new session's interface, to set properties and calibrations.
-        observe: given a session's name, gives who is reported what happens in it; None for nobody.
+        configure: called with each new session's interface, to set properties and calibrations.
+        observe: gives the observer of the events of a session, by its name; None for none.
         clock: seconds, by which sessions grow idle.
     """
 
@@ -188,8 +190,8 @@ class FusionServer:
         )
         self.port = 0
         self.metrics_port = 0
-        self._metrics = Metrics()
-        self._handlers = Handlers(self.sessions, self._metrics)
+        self._metrics = _Metrics()
+        self._handlers = Handlers(self.sessions, self._metrics.called)
         self._health = health.aio.HealthServicer()
         self._server: grpc.aio.Server | None = None
         self._sweeper: asyncio.Task[None] | None = None
@@ -258,7 +260,7 @@ class FusionServer:
         if port is None:
             return
         try:
-            self._metrics_server = await serve_metrics(self._metrics, self.sessions, port)
+            self._metrics_server = await _serve_metrics(self._metrics, self.sessions, port)
         except OSError as error:
             await self.drain(0.0)
             raise OptionError(f"cannot answer /metrics at port {port}: {error.strerror}") from error
@@ -344,3 +346,140 @@ def _channel_options(limits: ServiceLimits) -> list[tuple[str, int]]:
         ("grpc.keepalive_permit_without_calls", 1),
         ("grpc.http2.min_ping_interval_without_data_ms", 5_000),
     ]
+
+
+BOUNDS_S = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+"""Upper bounds of the classes of durations [s]."""
+
+
+_LONGEST_REQUEST = 8192
+
+
+_PATIENCE_S = 5.0
+
+
+@dataclass(slots=True)
+class Histogram:
+    """How many durations fell into each class.
+
+    Attributes:
+        counts: for each of `BOUNDS_S`, and of those beyond.
+        total_s: their sum.
+    """
+
+    counts: list[int] = field(default_factory=lambda: [0] * (len(BOUNDS_S) + 1))
+    total_s: float = 0.0
+
+    def add(self, duration_s: float) -> None:
+        """Count a duration; a bound belongs to the class below it."""
+        self.counts[bisect_left(BOUNDS_S, duration_s)] += 1
+        self.total_s += duration_s
+
+
+class _Metrics:
+    """What the service counts. For the event loop's thread."""
+
+    def __init__(self) -> None:
+        """Begin at 0."""
+        self._calls: Counter[tuple[str, str]] = Counter()
+        self._durations: dict[str, Histogram] = {}
+
+    def called(self, method: str, outcome: str, duration_s: float) -> None:
+        """Count a call that was answered."""
+        self._calls[method, outcome] += 1
+        histogram = self._durations.get(method)
+        if histogram is None:
+            histogram = self._durations[method] = Histogram()
+        histogram.add(duration_s)
+
+    def text(self, sessions: SessionTable) -> str:
+        """Give all numbers.
+
+        Source: prometheus.io, "Exposition formats", text-based format, version 0.0.4.
+        """
+        return "\n".join([*self._of_calls(), *_of_sessions(sessions)]) + "\n"
+
+    def _of_calls(self) -> Iterator[str]:
+        yield from _head("sceneloom_calls_total", "counter", "Calls by method and how they ended.")
+        for (method, outcome), count in sorted(self._calls.items()):
+            yield _line("sceneloom_calls_total", count, method=method, outcome=outcome)
+        name = "sceneloom_call_seconds"
+        yield from _head(name, "histogram", "How long calls took, waiting for results included.")
+        for method, histogram in sorted(self._durations.items()):
+            below = 0
+            for bound, count in zip((*map(str, BOUNDS_S), "+Inf"), histogram.counts, strict=True):
+                below += count
+                yield _line(f"{name}_bucket", below, method=method, le=bound)
+            yield _line(f"{name}_sum", histogram.total_s, method=method)
+            yield _line(f"{name}_count", below, method=method)
+
+
+def _of_sessions(sessions: SessionTable) -> Iterator[str]:
+    yield from _head("sceneloom_sessions", "gauge", "Sessions that are there.")
+    yield _line("sceneloom_sessions", len(sessions))
+    yield from _head("sceneloom_waiting_results", "gauge", "Results that wait to be fetched.")
+    for session in sessions:
+        yield _line("sceneloom_waiting_results", session.fusion.waiting_results, session=session.name)
+    yield from _head("sceneloom_open_requests", "gauge", "Requests that are being answered.")
+    for session in sessions:
+        yield _line("sceneloom_open_requests", session.open_requests, session=session.name)
+    name = "sceneloom_session_events_total"
+    yield from _head(name, "counter", "What came in, what was left out and why, by the names of GetCounters.")
+    for session in sessions:
+        for event, count in session.fusion.counters.counts().items():
+            yield _line(name, count, session=session.name, event=event)
+
+
+def _head(name: str, kind: str, meaning: str) -> Iterable[str]:
+    return f"# HELP {name} {meaning}", f"# TYPE {name} {kind}"
+
+
+def _line(name: str, value: float, **labels: str) -> str:
+    quoted = ",".join(f'{label}="{_escaped(text)}"' for label, text in labels.items())
+    return f"{name}{{{quoted}}} {value}" if quoted else f"{name} {value}"
+
+
+def _escaped(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+
+
+async def _serve_metrics(metrics: _Metrics, sessions: SessionTable, port: int) -> asyncio.Server:
+    """Answer `GET /metrics` over HTTP, for this machine alone.
+
+    Args:
+        port: 0 for a free one.
+
+    Raises:
+        OSError: the port cannot be had.
+    """
+
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            async with asyncio.timeout(_PATIENCE_S):
+                head = await reader.readuntil(b"\r\n\r\n")
+                writer.write(_response(head, metrics, sessions))
+                await writer.drain()
+        except (TimeoutError, OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+            pass  # no request came, or nobody is there for the answer
+        finally:
+            writer.close()
+
+    return await asyncio.start_server(answer, "127.0.0.1", port, limit=_LONGEST_REQUEST)
+
+
+def _response(head: bytes, metrics: _Metrics, sessions: SessionTable) -> bytes:
+    words = head.split(b"\r\n", 1)[0].split(b" ")
+    if len(words) != 3 or words[0] not in (b"GET", b"HEAD"):
+        return _http("405 Method Not Allowed", b"expected GET /metrics\n")
+    if words[1].split(b"?")[0] != b"/metrics":
+        return _http("404 Not Found", b"expected /metrics\n")
+    body = metrics.text(sessions).encode()
+    return _http("200 OK", body, with_body=words[0] == b"GET")
+
+
+def _http(status: str, body: bytes, *, with_body: bool = True) -> bytes:
+    head = (
+        f"HTTP/1.1 {status}\r\nContent-Type: text/plain; version=0.0.4; charset=utf-8\r\n"
+        f"Content-Length: {len(body)}\r\nConnection: close\r\n\r\n"
+    )
+    return head.encode() + (body if with_body else b"")

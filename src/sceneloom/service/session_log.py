@@ -21,24 +21,29 @@ from typing import Any, BinaryIO, NamedTuple, Self
 from google.protobuf.message import Message
 
 from sceneloom.db34t.calibration import CalibrationEntry, CalibrationTable
+from sceneloom.db34t.events import Accepted, Dropped, Event, Flushed, Moved, Refused, Result
 from sceneloom.db34t.interface import FusionInterface, RecentTrajectory
-from sceneloom.db34t.protobuf import encode, encode_in, fill_message, from_protobuf, parse_message
-from sceneloom.db34t.queues import Dropped, Event, Flushed, Moved, Refused, Result
-from sceneloom.db34t.received_records import Accepted, Setting, accepted_alone
-from sceneloom.db34t.records import Record, ResultRecord, SentRecord, kind_of, size_of
-from sceneloom.db34t.wire import fusion_pb2
-from sceneloom.errors import DataError, OutputError, SceneloomError
-from sceneloom.formats.base.files import open_file
-from sceneloom.formats.base.output import check_output
-from sceneloom.formats.messages.foxglove import schema_bytes, serialised
-from sceneloom.service.messages import (
+from sceneloom.db34t.protobuf import (
+    encode,
+    encode_in,
+    fill_message,
+    from_protobuf,
     motion_request,
+    parse_message,
     path_of,
     properties_message,
     snapshot_of,
     value_from_protobuf,
     value_to_protobuf,
 )
+from sceneloom.db34t.received_records import accepted_alone
+from sceneloom.db34t.records import Record, ResultRecord, SentRecord, kind_of, size_of
+from sceneloom.db34t.setting import Setting
+from sceneloom.db34t.wire import fusion_pb2
+from sceneloom.errors import DataError, OutputError, SceneloomError
+from sceneloom.formats.base.files import open_file
+from sceneloom.formats.base.output import check_output
+from sceneloom.formats.messages.foxglove import schema_bytes, serialised
 from sceneloom.version import __version__
 
 _LOG = logging.getLogger(__name__)

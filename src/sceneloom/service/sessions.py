@@ -11,11 +11,15 @@ from typing import ParamSpec, Protocol, TypeVar
 
 import grpc
 
+from sceneloom.db34t.events import Result
 from sceneloom.db34t.interface import FusionInterface
-from sceneloom.db34t.queues import Result
+from sceneloom.db34t.properties import Snapshot
+from sceneloom.db34t.protobuf import encoded_parts, properties_message
+from sceneloom.db34t.records import kind_of
 from sceneloom.db34t.types import Cause
+from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import SceneloomError
-from sceneloom.service.messages import Replies
+from sceneloom.formats.base.protobuf import enclosed
 from sceneloom.service.startup import ServiceLimits
 
 
@@ -115,7 +119,7 @@ class Session:
         last_used_s: when the last request began or ended.
         last_fetched_s: when the last result was delivered.
         ended: whether its results were the last ones.
-        observed: whether somebody is reported what happens, which takes its time.
+        observed: whether events have an observer, which takes time.
     """
 
     def __init__(
@@ -130,7 +134,7 @@ class Session:
         self.name = name
         self.bell = _Bell(asyncio.get_running_loop())
         self.fusion = make_interface(name, self.bell.ring)
-        self.replies = Replies()
+        self.replies = _Replies()
         self.open_requests = 0
         self.fetching = 0
         self.last_used_s = now_s
@@ -320,3 +324,37 @@ class SessionTable:
 
 def _exhausted(reason: str) -> CallError:
     return CallError(grpc.StatusCode.RESOURCE_EXHAUSTED, Cause.TOO_MANY, reason)
+
+
+class _Replies:
+    """Makes the answers of clause 5.7 of one session; for several threads.
+
+    The bytes of a configuration are kept, for most results have that of the one before.
+    """
+
+    def __init__(self) -> None:
+        """Know no configuration yet."""
+        self._latest: tuple[Snapshot, bytes] | None = None
+
+    def reply(self, result: Result) -> bytes:
+        """Give the bytes of the answer that carries a result; large arrays are copied once."""
+        field = _REPLY.fields_by_name[kind_of(result.record).name]
+        return b"".join(
+            [
+                *enclosed(field.number, encoded_parts(result.record)),
+                fusion_pb2.GetReply(number=result.number).SerializeToString(),
+                *enclosed(_CONFIGURATION, [self._configuration(result.configuration)]),
+            ]
+        )
+
+    def _configuration(self, snapshot: Snapshot) -> bytes:
+        latest = self._latest
+        if latest is None or latest[0] is not snapshot:
+            latest = self._latest = snapshot, properties_message(snapshot).SerializeToString()
+        return latest[1]
+
+
+_REPLY = fusion_pb2.GetReply.DESCRIPTOR
+
+
+_CONFIGURATION = _REPLY.fields_by_name["configuration"].number

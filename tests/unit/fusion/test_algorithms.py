@@ -1,4 +1,4 @@
-"""Algorithms by name: those built in, those that installed packages bring, and those that are only known by name."""
+"""Algorithms of other packages, and sets of detector settings."""
 
 import sys
 import tomllib
@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.unit.db34t.sending import box_2d, box_3d, boxes_2d, boxes_3d, calibration, cloud, image
 
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.types import Cause
+from sceneloom.detections.detectors import detector_names
 from sceneloom.errors import OptionError
 from sceneloom.fusion.algorithms import FusionType, algorithm, names
-
-from .sending import box_2d, box_3d, boxes_2d, boxes_3d, calibration, cloud, image
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "algorithm_package"
 
@@ -113,3 +113,28 @@ def test_a_package_that_cannot_be_loaded_is_a_0_that_names_it(fusion, tmp_path, 
 def test_an_unknown_one_is_reported_with_those_that_are_there():
     with pytest.raises(OptionError, match="'magic'; there are projection"):
         algorithm(FusionType.DETECTIONS, "magic")
+
+
+def confidence_with(detectors):
+    with FusionInterface(inline=True) as fusion:
+        assert fusion.set_calibration(calibration(), camera_id=1)
+        assert fusion.set_property("detectors", detectors)
+        assert fusion.send(boxes_2d(0, 0))
+        assert fusion.send(boxes_3d(0, 0))
+        fusion.flush()
+        return fusion.get(1).record.confidence[0]
+
+
+def test_confidence_is_that_of_the_detectors_that_are_named():
+    found = {name: float(confidence_with(name)) for name in detector_names()}
+    assert len(set(found.values())) == len(found) >= 3
+    assert all(0.5 < confidence <= 1.0 for confidence in found.values())
+
+
+@pytest.mark.parametrize("name", ["nobody", "", "/etc/passwd", "other.toml"])
+def test_detectors_that_do_not_come_with_the_package_are_refused(name):
+    with FusionInterface(inline=True) as fusion:
+        outcome = fusion.set_property("detectors", name)
+        assert outcome.cause is Cause.OUT_OF_RANGE
+        assert "simulated" in outcome.reason
+        assert fusion.get_property("detectors") == "simulated"

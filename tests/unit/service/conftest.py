@@ -1,22 +1,20 @@
 """A server on a free port of this machine, and a caller that knows no more than the descriptor of the service."""
 
 import contextlib
+from functools import partial
 
 import grpc
-import numpy as np
 import pytest
 from google.protobuf.message_factory import GetMessageClass
+from tests.unit.db34t import sending
+from tests.unit.db34t.sending import calibration, image, timestamp
 
-from sceneloom.db34t import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.protobuf import fill_message, to_send_request
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.service.running import running_server
 from sceneloom.service.server import ServerSettings
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
-WIDTH, HEIGHT = 64, 48
-FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
-"""extrinsic_matrix, by columns, of a camera that looks forward from where the lidar is."""
 
 DEADLINE_S = 30
 """For calls that end at once: far more than they take on a busy machine."""
@@ -100,46 +98,7 @@ def call(serve, connect):
     return caller
 
 
-def calibration(**changed):
-    return CalibrationData(
-        **{
-            "image_size": (WIDTH, HEIGHT),
-            "intrinsic_matrix": (50.0, 0, 31.5, 0, 50.0, 23.5, 0, 0, 1),
-            "reference_frame": 0,
-            "extrinsic_matrix": FORWARD,
-            **changed,
-        }
-    )
-
-
-def timestamp(milliseconds):
-    return Timestamp.of(1_595_682_678_000_000_000 + milliseconds * 1_000_000)
-
-
-def image(milliseconds, seq, level=7, sensor_id=1):
-    return ImageData(
-        sensor_id=sensor_id,
-        timestamp=timestamp(milliseconds),
-        seq=seq,
-        height=HEIGHT,
-        width=WIDTH,
-        encoding="rgb8",
-        channel=3,
-        data=np.full(HEIGHT * WIDTH * 3, level, np.uint8),
-    )
-
-
-def cloud(milliseconds, seq, points=((10.0, 0.0, 0.0), (-10.0, 0.0, 0.0)), sensor_id=0):
-    data = np.array(points, np.float32)
-    return PointCloudData(
-        sensor_id=sensor_id,
-        timestamp=timestamp(milliseconds),
-        seq=seq,
-        number=len(data),
-        fields=("x", "y", "z"),
-        fields_number=3,
-        data=data,
-    )
+cloud = partial(sending.cloud, points=((10.0, 0.0, 0.0), (-10.0, 0.0, 0.0)))
 
 
 @pytest.fixture

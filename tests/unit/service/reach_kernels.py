@@ -136,8 +136,7 @@ def sessions():
 
 
 def conformance():
-    from sceneloom.db34t.conformance.examination import examine
-    from sceneloom.db34t.transport import Access, GrpcTransport
+    from sceneloom.db34t.conformance.examination import Access, GrpcTransport, examine
 
     with running_server() as server, GrpcTransport.connected(server.address, Access()) as transport:
         assert examine(transport, address=server.address).failed_ids == ()

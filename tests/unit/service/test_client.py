@@ -4,30 +4,30 @@ import asyncio
 import socket
 import threading
 from contextlib import contextmanager
+from functools import partial
 
 import grpc
 import numpy as np
 import pytest
+from tests.unit.db34t import sending
 
-from sceneloom.db34t import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode
-from sceneloom.db34t.transport import (
+from sceneloom.db34t.types import Cause, Outcome
+from sceneloom.errors import OptionError
+from sceneloom.scene.poses import Poses
+from sceneloom.service.client import (
     DeadlineError,
+    FusionClient,
     ServiceError,
     TooLargeError,
     UnauthenticatedError,
     UnreachableError,
 )
-from sceneloom.db34t.types import Cause, Outcome
-from sceneloom.errors import OptionError
-from sceneloom.scene.poses import Poses
-from sceneloom.service.client import FusionClient
 from sceneloom.service.server import FusionServer, Security, ServerSettings
 from sceneloom.service.startup import ServiceLimits
 
 WIDTH, HEIGHT = 32, 24
-FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
 TOKEN = "a token of sixteen or more".replace(" ", "-")
 
 
@@ -67,43 +67,15 @@ def client(running, request):
         made.end_session()
 
 
-def calibration():
-    return CalibrationData(
-        image_size=(WIDTH, HEIGHT),
-        intrinsic_matrix=(30.0, 0, 15.5, 0, 30.0, 11.5, 0, 0, 1),
-        reference_frame=0,
-        extrinsic_matrix=FORWARD,
-    )
-
-
-def timestamp(milliseconds):
-    return Timestamp.of(1_595_682_678_000_000_000 + milliseconds * 1_000_000)
-
-
-def image(milliseconds, seq):
-    return ImageData(
-        sensor_id=1,
-        timestamp=timestamp(milliseconds),
-        seq=seq,
-        height=HEIGHT,
-        width=WIDTH,
-        encoding="rgb8",
-        channel=3,
-        data=np.full(HEIGHT * WIDTH * 3, 9, np.uint8),
-    )
+calibration = partial(
+    sending.calibration, image_size=(WIDTH, HEIGHT), intrinsic_matrix=(30.0, 0, 15.5, 0, 30.0, 11.5, 0, 0, 1)
+)
+image = partial(sending.image, level=9, width=WIDTH, height=HEIGHT)
 
 
 def cloud(milliseconds, seq, *, count=20):
-    data = np.random.default_rng(seq).uniform((2, -1, -1), (9, 1, 1), (count, 3)).astype(np.float32)
-    return PointCloudData(
-        sensor_id=0,
-        timestamp=timestamp(milliseconds),
-        seq=seq,
-        number=count,
-        fields=("x", "y", "z"),
-        fields_number=3,
-        data=data,
-    )
+    points = np.random.default_rng(seq).uniform((2, -1, -1), (9, 1, 1), (count, 3))
+    return sending.cloud(milliseconds, seq, points)
 
 
 def used(fusion):

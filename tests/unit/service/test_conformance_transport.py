@@ -7,8 +7,9 @@ import pytest
 from grpc_reflection.v1alpha import reflection_pb2
 from grpc_reflection.v1alpha.reflection import ReflectionServicer
 
-from sceneloom.db34t.conformance.examination import examine
-from sceneloom.db34t.transport import SERVICE, Access, CallFailedError, GrpcTransport, NobodyAnswersError
+from sceneloom.db34t.conformance.catalogue import CallFailedError
+from sceneloom.db34t.conformance.examination import Access, GrpcTransport, NobodyAnswersError, examine
+from sceneloom.db34t.transport import SERVICE, open_channel
 from sceneloom.errors import OptionError
 from sceneloom.service.server import Security
 
@@ -39,10 +40,10 @@ def test_a_token_is_not_sent_over_an_open_connection_to_another_machine(tmp_path
     token = tmp_path / "token"
     token.write_text(TOKEN)
     for address in ("192.0.2.7:1", "fusion.example:1", "[2001:db8::1]:1"):
-        with pytest.raises(OptionError, match="not encrypted"):
-            Access(token_file=token).channel(address)
+        with pytest.raises(OptionError, match="without TLS"):
+            GrpcTransport.connected(address, Access(token_file=token))
     for address in ("127.0.0.1:1", "localhost:1", "[::1]:1"):
-        Access(token_file=token).channel(address).close()
+        open_channel(address, ca=None, certificate=None, token=TOKEN).close()
 
 
 def test_a_call_that_ends_with_an_error_is_reported_with_its_code(serve):

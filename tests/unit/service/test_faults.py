@@ -13,8 +13,8 @@ import grpc
 import numpy as np
 import pytest
 
+from sceneloom.db34t.events import Refused
 from sceneloom.db34t.protobuf import to_send_request
-from sceneloom.db34t.queues import Refused
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
 from sceneloom.service.session_log import compare, is_complete, read_log, unfinished_path

@@ -9,9 +9,9 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.cuboid_projection import project_cuboids
 from sceneloom.db34t import Boxes2d, Boxes3d, ImageData, PointCloudData, Timestamp
+from sceneloom.db34t.events import Dropped
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode
-from sceneloom.db34t.queues import Dropped
 from sceneloom.db34t.types import DONE, Cause, refused
 from sceneloom.errors import DataError, OptionError
 from sceneloom.geometry.rigid import RigidTransform

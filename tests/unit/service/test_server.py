@@ -1,12 +1,29 @@
-"""Each method of the service, called over the network by the descriptor alone."""
+"""The server: calls and their answers, sessions, numbers for Prometheus, reflection, tracks of fused results."""
+
+import asyncio
+import contextlib
+import http.client
+import re
+import socket
 
 import grpc
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+from grpc_reflection.v1alpha.proto_reflection_descriptor_database import ProtoReflectionDescriptorDatabase
+from tests.unit.db34t.sending import boxes_3d, no_boxes_2d
 
+from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import to_send_request
 from sceneloom.db34t.wire import fusion_pb2
+from sceneloom.errors import DataError
+from sceneloom.service.client import FusionClient
 from sceneloom.service.methods import CALLS, METHODS, SERVICE
+from sceneloom.service.server import BOUNDS_S, Histogram
+from sceneloom.service.sessions import CallError, SessionTable
+from sceneloom.service.startup import ServiceLimits
 
 
 def failure(function, *arguments, **options):
@@ -160,3 +177,270 @@ def test_sessions_know_nothing_of_each_other(serve, connect):
     assert other("Get").WhichOneof("result") == "no_data"
     assert dict(other("GetCounters").counts) == {}
     assert one("Get").WhichOneof("result") == "sensor_data"
+
+
+class Clock:
+    """Seconds that go on when they are reported to."""
+
+    now_s = 1000.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def with_table(examine, clock, **limits):
+    """Run a coroutine that examines a table of sessions."""
+
+    async def run():
+        table = SessionTable(
+            lambda name, on_result: FusionInterface(on_result=on_result), ServiceLimits(**limits), clock=clock
+        )
+        try:
+            await examine(table)
+        finally:
+            await table.end_all(30)
+            table.close()
+
+    asyncio.run(run())
+
+
+def test_a_session_that_nobody_uses_ends_after_its_time_and_not_before(clock):
+    async def examine(table):
+        idle, used, waiting = (table.named(name) for name in ("idle", "used", "waiting"))
+        with waiting.request(0, clock):
+            clock.now_s += 119.9
+            with used.request(0, clock):
+                pass
+            assert table.end_idle() == []
+            clock.now_s += 0.1
+            assert table.end_idle() == ["idle"]
+            clock.now_s += 1000
+            assert table.end_idle() == ["used"]
+        assert table.end_idle() == []  # its request has just ended
+        clock.now_s += 120
+        assert table.end_idle() == ["waiting"]
+        assert len(table) == 0
+        assert table.named("idle") is not idle
+
+    with_table(examine, clock, idle_minutes=2)
+
+
+def test_sessions_that_are_ending_count_until_they_have_ended(clock):
+    async def examine(table):
+        table.named("a")
+        clock.now_s += 10_000
+        assert table.end_idle() == ["a"]
+        with pytest.raises(CallError, match="as many as there may be"):
+            table.named("b")
+
+    with_table(examine, clock, most_sessions=1)
+
+
+def test_a_session_that_names_none_is_the_default_one(clock):
+    async def examine(table):
+        assert table.named("") is table.named("default")
+        assert table.take("").name == "default"
+        assert table.take("") is None
+
+    with_table(examine, clock)
+
+
+def test_requests_that_wait_may_hold_so_many_bytes(clock):
+    async def examine(table):
+        session = table.named("a")
+        with session.request(60, clock):
+            with pytest.raises(CallError, match="60 bytes of session 'a' wait; expected at most 100"):
+                session.request(41, clock).__enter__()
+            with session.request(40, clock):
+                pass
+        with session.request(100, clock):
+            pass
+
+    with_table(examine, clock, most_bytes_waiting=100)
+
+
+def test_a_result_wakes_those_who_wait_for_it_and_an_end_all_of_them(clock):
+    async def examine(table):
+        session = table.named("a")
+        waiting = [asyncio.ensure_future(session.next_result(kind, None)) for kind in (0, 1)]
+        await asyncio.sleep(0)
+        assert not any(one.done() for one in waiting)
+        await session.end()
+        assert await asyncio.gather(*waiting) == [None, None]
+
+    with_table(examine, clock)
+
+
+@pytest.mark.parametrize(
+    ("table", "location", "words"),
+    [
+        ({"sessions": 3}, "service.sessions", "unknown; expected one of most_sessions"),
+        ({"most_sessions": 0}, "service.most_sessions", "0; expected a whole number above 0"),
+        ({"most_sessions": 1.5}, "service.most_sessions", "1.5; expected a whole number above 0"),
+        ({"most_sessions": True}, "service.most_sessions", "True; expected a whole number"),
+        ({"idle_minutes": float("nan")}, "service.idle_minutes", "nan; expected a number above 0"),
+        ({"idle_minutes": "1"}, "service.idle_minutes", "'1'; expected a number above 0"),
+    ],
+)
+def test_a_limit_that_is_none_is_reported_with_its_location(table, location, words):
+    with pytest.raises(DataError, match=f"rig.toml: {location}: {words}"):
+        ServiceLimits.of(table, file="rig.toml", location="service")
+
+
+def test_limits_are_read_from_a_table():
+    assert ServiceLimits.of({"most_sessions": 3, "idle_minutes": 1}) == ServiceLimits(
+        most_sessions=3, idle_minutes=1
+    )
+
+
+LINE = re.compile(r'(?P<name>[a-z_]+)(?:\{(?P<labels>(?:[a-z]+="(?:[^"\\]|\\.)*",?)*)\})? (?P<value>\S+)')
+
+
+def samples(text):
+    """A reader of the text format, from its description: values by name and labels."""
+    found = {}
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            match = LINE.fullmatch(line)
+            assert match, line
+            found[match["name"], match["labels"] or ""] = float(match["value"])
+    return found
+
+
+@pytest.fixture
+def server(serve):
+    return serve(metrics_port=0)
+
+
+def ask(port, path="/metrics", method="GET"):
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
+    try:
+        connection.request(method, path)
+        answer = connection.getresponse()
+        return answer.status, answer.read().decode(), answer.headers
+    finally:
+        connection.close()
+
+
+def test_calls_and_what_sessions_count_are_reported(server, connect):
+    call = connect(server, session="rig")
+    call.calibrate()
+    call.send_pair(0)
+    call("Flush")
+    call("AddProperty", name="chirality", description="", type="bool")
+    status, text, headers = ask(server.metrics_port)
+    assert status == 200
+    assert headers["Content-Type"].startswith("text/plain; version=0.0.4")
+    found = samples(text)
+    assert found["sceneloom_calls_total", 'method="Send",outcome="OK"'] == 2
+    assert found["sceneloom_call_seconds_count", 'method="Send"'] == 2
+    assert found["sceneloom_call_seconds_bucket", 'method="Send",le="+Inf"'] == 2
+    assert found["sceneloom_sessions", ""] == 1
+    assert found["sceneloom_waiting_results", 'session="rig"'] == 1
+    assert found["sceneloom_session_events_total", 'session="rig",event="received.image"'] == 1
+    assert text.count("# TYPE sceneloom_call_seconds histogram") == 1
+
+
+def test_a_duration_is_counted_in_the_class_that_it_is_at_most():
+    histogram = Histogram()
+    for duration_s in (0.0, 0.0005, 0.0006, 10.0, 11.0):
+        histogram.add(duration_s)
+    assert histogram.counts == [2, 1, *[0] * (len(BOUNDS_S) - 3), 1, 1]
+
+
+@pytest.mark.parametrize(("path", "method", "status"), [("/", "GET", 404), ("/metrics", "POST", 405)])
+def test_nothing_else_is_answered(server, path, method, status):
+    assert ask(server.metrics_port, path, method)[0] == status
+
+
+@pytest.mark.parametrize("garbage", [b"\r\n\r\n", b"\xff" * 100 + b"\r\n\r\n", b"x" * 100_000, b""])
+def test_garbage_ends_a_connection_and_nothing_else(server, garbage):
+    with socket.create_connection(("127.0.0.1", server.metrics_port), timeout=30) as connection:
+        connection.sendall(garbage)
+        connection.shutdown(socket.SHUT_WR)
+        with contextlib.suppress(ConnectionResetError):
+            connection.recv(100)
+    assert ask(server.metrics_port)[0] == 200
+
+
+def test_the_port_is_of_this_machine_alone(server):
+    (address,) = {found.getsockname()[0] for found in server._metrics_server.sockets}
+    assert address == "127.0.0.1"
+
+
+def test_the_service_reports_its_methods_and_messages(serve):
+    with grpc.insecure_channel(serve().address) as channel:
+        database = ProtoReflectionDescriptorDatabase(channel)
+        assert set(database.get_services()) == {
+            "sceneloom.db34t4101.v1.DataFusion",
+            "grpc.health.v1.Health",
+            "grpc.reflection.v1alpha.ServerReflection",
+        }
+        service = DescriptorPool(database).FindServiceByName("sceneloom.db34t4101.v1.DataFusion")
+        method = service.FindMethodByName("GetProperty")
+        request, reply = GetMessageClass(method.input_type), GetMessageClass(method.output_type)
+        call = channel.unary_unary(
+            f"/{service.full_name}/{method.name}",
+            request_serializer=request.SerializeToString,
+            response_deserializer=reply.FromString,
+        )
+        assert call(request(name="lidar_frequency"), timeout=30).value.integer_value == 10
+
+
+def test_the_service_says_that_it_is_well(serve):
+    with grpc.insecure_channel(serve().address) as channel:
+        health = health_pb2_grpc.HealthStub(channel)
+        for name in ("", "sceneloom.db34t4101.v1.DataFusion"):
+            answer = health.Check(health_pb2.HealthCheckRequest(service=name), timeout=30)
+            assert answer.status == health_pb2.HealthCheckResponse.SERVING
+
+
+def send_boxes(call, seqs, *, cameras=(1,)):
+    for seq in seqs:
+        for camera in cameras:
+            assert call.send(no_boxes_2d(100 * seq, seq, sensor_id=camera)).status == 1
+        assert call.send(boxes_3d(100 * seq, seq, id=40 + seq, X=12.0 + seq)).status == 1
+    assert call("Flush").status == 1
+
+
+def test_a_subscriber_that_asks_for_tracks_gets_them_with_one_number_each(call):
+    replies = call("Subscribe", track=True, most=5, timeout=60)
+    send_boxes(call, range(5))
+    reported = list(replies)
+    assert [reply.number for reply in reported] == [0, 1, 2, 3, 4]
+    assert [[one.id for one in reply.detections.detections] for reply in reported] == [[1]] * 5
+    speed = reported[-1].detections.detections[0].velocity_vector[0]
+    assert speed == pytest.approx(10.0, abs=2.0)  # 1 m in 0.1 s, after five looks
+
+
+def test_the_client_asks_for_tracks(serve, connect):
+    server = serve()
+    call = connect(server)
+    call.calibrate()
+    send_boxes(call, range(3))
+    with FusionClient(server.address) as client:
+        reported = list(client.subscribe(1, most=3, track=True))
+    assert [result.record.id.tolist() for result in reported] == [[1], [1], [1]]
+
+
+def test_tracks_of_sensor_data_are_refused(call):
+    with pytest.raises(grpc.RpcError) as caught:
+        list(call("Subscribe", track=True, fusion_type=0))
+    assert caught.value.code() is grpc.StatusCode.INVALID_ARGUMENT
+    assert "expected 1, detections" in caught.value.details()
+
+
+def test_results_after_a_tracking_subscriber_has_left_are_as_they_were_sent(call):
+    subscription = call("Subscribe", track=True, timeout=60)
+    send_boxes(call, range(1))
+    assert [one.id for one in next(subscription).detections.detections] == [1]
+    subscription.cancel()
+    send_boxes(call, range(1, 4))
+    left = [call("Get", fusion_type=1, wait_ms=5000) for _ in range(2)]
+    assert [reply.detections.detections[0].box_3d_id for reply in left][-1] in (42, 43)
+    assert all(reply.detections.detections[0].id == 0 for reply in left)

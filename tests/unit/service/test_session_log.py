@@ -5,6 +5,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,14 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
+from tests.unit.db34t import sending
+from tests.unit.db34t.sending import HEIGHT, WIDTH, calibration, timestamp
 
-from sceneloom.db34t import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
+from sceneloom.db34t import Boxes2d, Boxes3d
 from sceneloom.db34t.calibration import CalibrationEntry, format_calibrations
+from sceneloom.db34t.events import Flushed, Result
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode
-from sceneloom.db34t.queues import Flushed, Result
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.db34t.worker import Rig
 from sceneloom.errors import DataError, OptionError, OutputError
@@ -25,48 +28,15 @@ from sceneloom.formats.messages.mcap_files import McapWriter
 from sceneloom.scene.poses import Poses
 from sceneloom.service.session_log import SessionLog, compare, is_complete, read_log, replay, unfinished_path
 
-WIDTH, HEIGHT = 64, 48
-FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
-
-
-def calibration(focal=50.0):
-    return CalibrationData(
-        image_size=(WIDTH, HEIGHT),
-        intrinsic_matrix=(focal, 0, 31.5, 0, focal, 23.5, 0, 0, 1),
-        reference_frame=0,
-        extrinsic_matrix=FORWARD,
-    )
-
-
-def timestamp(milliseconds):
-    return Timestamp.of(1_595_682_678_000_000_000 + milliseconds * 1_000_000)
-
 
 def image(milliseconds, seq, sensor_id=1):
     pixels = np.random.default_rng(seq).integers(0, 256, HEIGHT * WIDTH * 3, np.uint8)
-    return ImageData(
-        sensor_id=sensor_id,
-        timestamp=timestamp(milliseconds),
-        seq=seq,
-        height=HEIGHT,
-        width=WIDTH,
-        encoding="rgb8",
-        channel=3,
-        data=pixels,
-    )
+    return replace(sending.image(milliseconds, seq, sensor_id=sensor_id), data=pixels)
 
 
 def cloud(milliseconds, seq, sensor_id=0):
-    points = np.random.default_rng(seq).uniform((2, -3, -2), (30, 3, 2), (200, 3)).astype(np.float32)
-    return PointCloudData(
-        sensor_id=sensor_id,
-        timestamp=timestamp(milliseconds),
-        seq=seq,
-        number=len(points),
-        fields=("x", "y", "z"),
-        fields_number=3,
-        data=points,
-    )
+    points = np.random.default_rng(seq).uniform((2, -3, -2), (30, 3, 2), (200, 3))
+    return sending.cloud(milliseconds, seq, points, sensor_id=sensor_id)
 
 
 def boxes_3d(milliseconds, seq):
@@ -102,7 +72,9 @@ def drive(fusion, frames=4, *, start=0):
     for seq in range(start, start + frames):
         at = 100 * seq
         if seq == start + frames // 2:
-            fusion.set_calibration(calibration(80.0), camera_id=1, lidar_id=0)
+            fusion.set_calibration(
+                calibration(intrinsic_matrix=(80.0, 0, 31.5, 0, 80.0, 23.5, 0, 0, 1)), camera_id=1, lidar_id=0
+            )
             fusion.set_property("depth_kind", "range")
         times = np.array([timestamp(at).nanoseconds, timestamp(at + 50).nanoseconds])
         locations = np.array([[500_000.0 + seq, 0, 0], [500_000.5 + seq, 0, 0]])
@@ -255,7 +227,7 @@ def test_a_live_session_with_drops_idle_flushes_and_hot_calibration_can_be_playe
 
 def test_calibrations_that_were_replaced_altogether_are_played_so(tmp_path):
     path = tmp_path / "session.mcap"
-    other = CalibrationEntry(1, 0, calibration(70.0))
+    other = CalibrationEntry(1, 0, calibration(intrinsic_matrix=(70.0, 0, 31.5, 0, 70.0, 23.5, 0, 0, 1)))
     with SessionLog(path) as log, begun(log, inline=True) as fusion:
         assert fusion.set_calibration(calibration(), camera_id=2, lidar_id=0)
         fusion.send(image(0, 0, sensor_id=2))
@@ -292,7 +264,7 @@ def test_several_sessions_stand_side_by_side_in_one_file(tmp_path):
 CRASHING = """
 import os, signal, sys
 sys.path.insert(0, {folder!r})
-from test_session_log import SessionLog, begun, drive
+from tests.unit.service.test_session_log import SessionLog, begun, drive
 log = SessionLog({path!r}, kept_back_s=0)
 drive(begun(log.session("rig"), inline=True), 3)
 os.kill(os.getpid(), signal.SIGKILL)
@@ -302,7 +274,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 @pytest.mark.slow
 def test_what_was_written_before_a_kill_can_be_read_and_played(tmp_path):
     path = tmp_path / "session.mcap"
-    program = textwrap.dedent(CRASHING).format(folder=str(Path(__file__).parent), path=str(path))
+    program = textwrap.dedent(CRASHING).format(folder=str(Path(__file__).parents[3]), path=str(path))
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == -signal.SIGKILL, done.stderr
     assert not path.exists()

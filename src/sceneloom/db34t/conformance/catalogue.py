@@ -8,15 +8,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from google.protobuf.message import Message
 
 from sceneloom.db34t.conformance import scene
 from sceneloom.db34t.tables import TABLES
-from sceneloom.db34t.transport import SERVICE, CallFailedError, Transport
+from sceneloom.db34t.transport import SERVICE
 from sceneloom.db34t.wire import fusion_pb2
+from sceneloom.errors import SceneloomError
 
 
 class _Quote(NamedTuple):
@@ -34,7 +35,7 @@ class _Quote(NamedTuple):
 QUOTES: Mapping[str, Mapping[str, Any]] = tomllib.loads(
     files(__package__).joinpath("quotes.toml").read_text("utf-8")
 )
-"""`clauses`, `table_1` and `table_2` by name: English and Chinese; `table_3` to `table_10` by row: Chinese."""
+"""`clauses`, and rows of `table_1` and `table_2`, by name: English and Chinese."""
 
 _Made = TypeVar("_Made")
 
@@ -48,6 +49,50 @@ RESULT_NAMES = ("sensor_data", "detections")
 """What a reply calls the result of each fusion type."""
 
 _INPUTS = {method.name: getattr(fusion_pb2, method.input_type.name) for method in SERVICE.methods}
+
+
+class CallFailedError(SceneloomError):
+    """A call ended with an error instead of an answer.
+
+    Attributes:
+        code: as gRPC calls it, such as NOT_FOUND.
+        details: what the server says of it.
+    """
+
+    def __init__(self, code: str, details: str) -> None:
+        super().__init__(code, details)
+        self.code, self.details = code, details
+
+    def __str__(self) -> str:
+        return f"error {self.code}: {self.details}"
+
+
+class Transport(Protocol):
+    """Carries calls to a server and answers back; errors are `CallFailedError`."""
+
+    def call(self, method: str, request: Message) -> Any:
+        """Call a method that takes one message and gives one."""
+        ...
+
+    def send_stream(self, requests: Iterable[Message]) -> Any:
+        """Call SendStream."""
+        ...
+
+    def subscribe(self, request: Message) -> Iterator[Any]:
+        """Call Subscribe."""
+        ...
+
+    def health(self, service: str) -> str:
+        """Ask the health service how a service is, by its full name, or "" for all: SERVING and so on."""
+        ...
+
+    def services(self) -> set[str]:
+        """Ask by reflection for the full names of the services."""
+        ...
+
+    def files_with(self, symbol: str) -> list[bytes]:
+        """Ask by reflection for the descriptors of the file that describes a symbol, perhaps with its imports."""
+        ...
 
 
 class NoResultError(Exception):
@@ -365,12 +410,12 @@ _BASES = {False: Basis.TEXT, True: Basis.READING}
 
 
 def _row(table: int, name: str) -> tuple[int, _Quote]:
-    quotes = QUOTES[f"table_{table}"]
     if table <= 2:
+        quotes = QUOTES[f"table_{table}"]
         return list(quotes).index(name) + 1, _Quote(*quotes[name])
     row = TABLES[table].row(name)
     unit = f" [{row.unit}]" if row.unit else ""
-    return row.number, _Quote(f"{name}: {row.type}{unit}: {row.meaning}", quotes[name])
+    return row.number, _Quote(f"{name}: {row.type}{unit}: {row.meaning}", row.quote)
 
 
 def same(sent: str, expected: Any, found: Any) -> Seen:

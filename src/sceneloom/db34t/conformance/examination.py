@@ -8,7 +8,12 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
+
+import grpc
+from google.protobuf.message import Message
+from grpc_health.v1 import health_pb2
+from grpc_reflection.v1alpha import reflection_pb2
 
 from sceneloom.db34t.conformance import (
     calibration_checks,
@@ -17,9 +22,17 @@ from sceneloom.db34t.conformance import (
     record_checks,
     result_checks,
 )
-from sceneloom.db34t.conformance.catalogue import Bench, Check, NoResultError, Seen
-from sceneloom.db34t.transport import CallFailedError, Transport
-from sceneloom.errors import OptionError
+from sceneloom.db34t.conformance.catalogue import (
+    Bench,
+    CallFailedError,
+    Check,
+    NoResultError,
+    Seen,
+    Transport,
+)
+from sceneloom.db34t.transport import SERVICE, details_of, open_channel, read_token, reader_of
+from sceneloom.db34t.wire import fusion_pb2
+from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.formats.base.output import replacing
 
 CHECKS: tuple[Check, ...] = tuple(
@@ -286,3 +299,186 @@ _FORMATS: Mapping[str, Callable[[Examination], str]] = {
     ".html": _as_html,
 }
 """By the suffix of the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """How a server lets one in.
+
+    Attributes:
+        ca: file of the certificate (PEM) that the server's is signed with; None for a connection that is not encrypted.
+        token_file: file of the bearer token; None for none.
+        certificate: files (PEM) of the certificate and the key that the kit shows to servers that ask; None for none.
+    """
+
+    ca: Path | None = None
+    token_file: Path | None = None
+    certificate: tuple[Path, Path] | None = None
+
+    def token(self) -> str | None:
+        """What every call carries.
+
+        Raises:
+            DataError: the file holds no token.
+            OSError: it cannot be read.
+        """
+        return None if self.token_file is None else read_token(self.token_file)
+
+
+class GrpcTransport:
+    """Calls over a gRPC channel, with stubs made from the service's descriptor. Use it in `with`, or close it.
+
+    Attributes:
+        channel: the connection.
+    """
+
+    def __init__(self, channel: grpc.Channel, *, metadata: tuple[tuple[str, str], ...] = ()) -> None:
+        """Make the stubs; nothing is sent yet.
+
+        Args:
+            metadata: what every call carries.
+        """
+        self.channel = channel
+        self._metadata = metadata
+        self._stubs: Mapping[str, Any] = {method.name: _stub(channel, method) for method in SERVICE.methods}
+
+    @classmethod
+    def connected(cls, address: str, access: Access) -> "GrpcTransport":
+        """Connect to a server.
+
+        Raises:
+            NobodyAnswersError: no server answers there, or it does not let the kit in.
+            OptionError: there is a token, but no encryption to keep it secret on the way to another machine.
+            DataError: a file holds no token, or no certificate.
+            OSError: a file cannot be read.
+        """
+        token = access.token()
+        channel = open_channel(address, ca=access.ca, certificate=access.certificate, token=token)
+        try:
+            grpc.channel_ready_future(channel).result(timeout=_PATIENCE_S / 3)
+        except grpc.FutureTimeoutError:
+            channel.close()
+            advice = "is it running, and are both sides with or both without TLS (--ca)?"
+            raise NobodyAnswersError(f"{address}: no server answers there; {advice}") from None
+        metadata = () if token is None else (("authorization", f"Bearer {token}"),)
+        transport = cls(channel, metadata=metadata)
+        try:
+            transport.call("CloseSession", fusion_pb2.CloseSessionRequest(session="conformance-knocks"))
+        except CallFailedError as error:
+            if error.code in _SHUT:
+                channel.close()
+                reported = "state the token that it was started with (--token-file)"
+                raise NobodyAnswersError(f"{address}: {error.code}: {error.details}; {reported}") from None
+        return transport
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.channel.close()
+
+    def call(self, method: str, request: Message) -> Any:
+        """Call a method that takes one message and gives one."""
+        return self._answered(method, request)
+
+    def send_stream(self, requests: Iterable[Message]) -> Any:
+        """Call SendStream."""
+        return self._answered("SendStream", iter(list(requests)))
+
+    def subscribe(self, request: Message) -> Iterator[Any]:
+        """Call Subscribe."""
+        try:
+            yield from self._stubs["Subscribe"](request, timeout=_PATIENCE_S, metadata=self._metadata)
+        except grpc.RpcError as error:
+            raise _reported(error) from error
+
+    def health(self, service: str) -> str:
+        """Ask the health service how a service is, by its full name, or "" for all: SERVING and so on.
+
+        Source: the gRPC health checking protocol, github.com/grpc/grpc/blob/master/doc/health-checking.md.
+        """
+        call = self.channel.unary_unary(
+            "/grpc.health.v1.Health/Check",
+            request_serializer=health_pb2.HealthCheckRequest.SerializeToString,
+            response_deserializer=reader_of(health_pb2.HealthCheckResponse),
+        )
+        request = health_pb2.HealthCheckRequest(service=service)
+        try:
+            reply = call(request, timeout=_PATIENCE_S, metadata=self._metadata)
+        except grpc.RpcError as error:
+            raise _reported(error) from error
+        name: str = health_pb2.HealthCheckResponse.ServingStatus.Name(reply.status)
+        return name
+
+    def services(self) -> set[str]:
+        """Ask by reflection for the full names of the services."""
+        reply = self._reflected(reflection_pb2.ServerReflectionRequest(list_services=""))
+        return {service.name for service in reply.list_services_response.service}
+
+    def files_with(self, symbol: str) -> list[bytes]:
+        """Ask by reflection for the descriptors of the file that describes a symbol, perhaps with its imports."""
+        reply = self._reflected(reflection_pb2.ServerReflectionRequest(file_containing_symbol=symbol))
+        return list(reply.file_descriptor_response.file_descriptor_proto)
+
+    def _reflected(self, request: Message) -> Any:
+        """Ask the reflection service, of whichever of its two versions there is.
+
+        Source: github.com/grpc/grpc/blob/master/doc/server-reflection.md; both versions have the same messages.
+        """
+        failed: CallFailedError | None = None
+        for version in ("v1", "v1alpha"):
+            call = self.channel.stream_stream(
+                f"/grpc.reflection.{version}.ServerReflection/ServerReflectionInfo",
+                request_serializer=reflection_pb2.ServerReflectionRequest.SerializeToString,
+                response_deserializer=reader_of(reflection_pb2.ServerReflectionResponse),
+            )
+            try:
+                replies = list(call(iter([request]), timeout=_PATIENCE_S, metadata=self._metadata))
+            except grpc.RpcError as error:
+                failed = _reported(error)
+                if failed.code != "UNIMPLEMENTED":
+                    break
+            else:
+                return _only(replies)
+        raise failed or CallFailedError("UNIMPLEMENTED", "")
+
+    def _answered(self, method: str, request: Any) -> Any:
+        try:
+            return self._stubs[method](request, timeout=_PATIENCE_S, metadata=self._metadata)
+        except grpc.RpcError as error:
+            raise _reported(error) from error
+
+
+def _stub(channel: grpc.Channel, method: Any) -> Any:
+    kinds = {(False, False): "unary_unary", (True, False): "stream_unary", (False, True): "unary_stream"}
+    make = getattr(channel, kinds[method.client_streaming, method.server_streaming])
+    return make(
+        f"/{SERVICE.full_name}/{method.name}",
+        request_serializer=getattr(fusion_pb2, method.input_type.name).SerializeToString,
+        response_deserializer=reader_of(getattr(fusion_pb2, method.output_type.name)),
+    )
+
+
+def _reported(error: Any) -> CallFailedError:
+    return CallFailedError(error.code().name, details_of(error))
+
+
+def _only(replies: list[Any]) -> Any:
+    if len(replies) != 1:
+        raise CallFailedError("INTERNAL", f"{len(replies)} answers to one question of reflection")
+    if replies[0].HasField("error_response"):
+        error = replies[0].error_response
+        raise CallFailedError(f"code {error.error_code}", error.error_message)
+    return replies[0]
+
+
+_SHUT = ("UNAUTHENTICATED", "PERMISSION_DENIED")
+"""Answered to who does not show the token: it would fail every check alike."""
+
+
+class NobodyAnswersError(SceneloomError):
+    """No server answers at an address, or it does not let the kit in."""
+
+
+_PATIENCE_S = 30.0
+"""How long an answer may take."""

@@ -15,6 +15,7 @@ from sceneloom.db34t.conformance.catalogue import (
     QUOTES,
     SENSOR_DATA,
     Bench,
+    CallFailedError,
     Catalogue,
     Seen,
     added,
@@ -33,7 +34,7 @@ from sceneloom.db34t.conformance.catalogue import (
     taken,
     true,
 )
-from sceneloom.db34t.transport import SERVICE, CallFailedError
+from sceneloom.db34t.transport import SERVICE
 from sceneloom.db34t.wire import fusion_pb2
 
 CHECKS = Catalogue()

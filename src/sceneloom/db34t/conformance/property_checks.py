@@ -8,6 +8,7 @@ import numpy as np
 
 from sceneloom.db34t.conformance.catalogue import (
     Bench,
+    CallFailedError,
     Catalogue,
     Look,
     Peer,
@@ -18,7 +19,6 @@ from sceneloom.db34t.conformance.catalogue import (
     same,
     true,
 )
-from sceneloom.db34t.transport import CallFailedError
 
 CHECKS = Catalogue()
 

@@ -12,6 +12,7 @@ from sceneloom.db34t.conformance.catalogue import (
     RESULT_NAMES,
     SENSOR_DATA,
     Bench,
+    CallFailedError,
     Catalogue,
     Look,
     Peer,
@@ -26,7 +27,6 @@ from sceneloom.db34t.conformance.catalogue import (
     true,
 )
 from sceneloom.db34t.tables import TABLES
-from sceneloom.db34t.transport import CallFailedError
 from sceneloom.db34t.wire import fusion_pb2
 
 CHECKS = Catalogue()
@@ -98,7 +98,7 @@ def _bare(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     peer.set(
         "pairing_timeout_ms", 10_000
-    )  # nothing but the next number closes a frame, however slow the trajectory is
+    )  # only the next number closes a frame, however slow the connection is
     later = scene.PERIOD_NS + scene.IMAGE_LATER_NS
     for box in (scene.box_2d(), scene.box_2d(2, later)):
         yield taken(f"Send box_2d of image {box.image_seq}", peer.send(fusion_pb2.SendRequest(box_2d=box)))

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from google.protobuf.descriptor_pb2 import FileDescriptorProto
 
-from sceneloom.db34t.transport import SERVICE, CallFailedError
+from sceneloom.db34t.conformance.catalogue import CallFailedError
+from sceneloom.db34t.transport import SERVICE
 from sceneloom.db34t.wire import fusion_pb2
 
 

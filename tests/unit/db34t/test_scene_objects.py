@@ -18,10 +18,10 @@ from sceneloom.db34t.scene_objects import (
     image_data_of,
     image_of,
     image_of_result,
+    image_record_of_raw,
     lidar_frame_of,
     lidar_frame_of_raw,
     lidar_frame_of_result,
-    pixels_of_raw,
     point_cloud_of,
     sensor_fusion_of,
 )
@@ -244,14 +244,16 @@ def test_raw_pixels_that_cannot_be_shown_are_refused():
 
 def test_raw_bytes_of_a_camera_are_what_the_encoding_says():
     raw = RawData(sensor_id=1, timestamp=TIME, seq=1, length=36, data=RGB.tobytes())
-    np.testing.assert_array_equal(pixels_of_raw(raw, CAMERA, "bgr8").rgb, RGB[:, :, ::-1])
+    np.testing.assert_array_equal(
+        image_of(image_record_of_raw(raw, CAMERA, "bgr8"), CAMERA).rgb, RGB[:, :, ::-1]
+    )
     with pytest.raises(DataError, match="length: 36; expected 12, as 4x3 pixels of mono8 have"):
-        pixels_of_raw(raw, CAMERA, "mono8")
+        image_of(image_record_of_raw(raw, CAMERA, "mono8"), CAMERA)
     with pytest.raises(OptionError, match="expected one of rgb8"):
-        pixels_of_raw(raw, CAMERA, "raw")
+        image_of(image_record_of_raw(raw, CAMERA, "raw"), CAMERA)
     content = file_of(RGB, "PNG").tobytes()
     png = RawData(sensor_id=1, timestamp=TIME, seq=1, length=len(content), data=content)
-    np.testing.assert_array_equal(pixels_of_raw(png, CAMERA, "png").rgb, RGB)
+    np.testing.assert_array_equal(image_of(image_record_of_raw(png, CAMERA, "png"), CAMERA).rgb, RGB)
 
 
 def test_the_speed_along_a_direction_of_any_length_becomes_a_velocity():

@@ -2,13 +2,13 @@
 
 from collections import defaultdict
 
+from sceneloom.db34t.conformance.catalogue import CallFailedError
 from sceneloom.db34t.interface import FusionInterface
-from sceneloom.db34t.protobuf import fill_message
+from sceneloom.db34t.protobuf import fill_message, property_to_protobuf
 from sceneloom.db34t.records import kind_of
-from sceneloom.db34t.transport import SERVICE, CallFailedError
+from sceneloom.db34t.transport import SERVICE
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import OptionError
-from sceneloom.service.messages import property_to_protobuf
 from sceneloom.service.methods import METHODS
 from sceneloom.service.sessions import CallError
 

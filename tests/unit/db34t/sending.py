@@ -36,7 +36,7 @@ def timestamp(milliseconds):
     return Timestamp.of(START_NS + round(milliseconds * 1_000_000))
 
 
-def image(milliseconds, seq, *, level=7, sensor_id=1, width=WIDTH, height=HEIGHT):
+def image(milliseconds, seq, level=7, *, sensor_id=1, width=WIDTH, height=HEIGHT):
     return ImageData(
         sensor_id=sensor_id,
         timestamp=timestamp(milliseconds),

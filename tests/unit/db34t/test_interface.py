@@ -1,7 +1,8 @@
-"""What goes wrong has one defined answer: a 0 with a cause, or a counter; and the session lives on."""
+"""Clause 5 in one process: what is sent comes back fused; what goes wrong has one answer, a 0 or a counter."""
 
 import io
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,12 +10,14 @@ from PIL import Image
 
 from sceneloom.db34t import Boxes2d, Boxes3d, PointCloudData
 from sceneloom.db34t.calibration import MOST_PAIRS, CalibrationEntry, format_calibrations
-from sceneloom.db34t.interface import FusionInterface
-from sceneloom.db34t.queues import QueueLimits
+from sceneloom.db34t.interface import FusionInterface, QueueLimits
 from sceneloom.db34t.types import Cause
+from sceneloom.errors import OptionError
 
 from .sending import (
     FORWARD,
+    HEIGHT,
+    WIDTH,
     box_2d,
     box_3d,
     boxes_2d,
@@ -27,6 +30,262 @@ from .sending import (
     raw,
     timestamp,
 )
+
+
+@pytest.fixture(params=[True, False], ids=["inline", "threaded"])
+def both(request):
+    with FusionInterface(inline=request.param) as interface:
+        assert interface.set_calibration(calibration(), camera_id=1, lidar_id=0)
+        yield interface
+
+
+def test_a_pair_comes_back_as_a_record_of_table_9(both):
+    assert both.send(image(0, 5))
+    assert both.send(cloud(0, 9, [(10, 0, 0), (-10, 0, 0)]))
+    both.flush()
+    result = both.get(0)
+    record = result.record
+    assert (result.number, record.image_seq, record.points_seq) == (0, 5, 9)
+    assert (record.camera_id, record.lidar_id) == (1, 0)
+    assert record.timestamp == timestamp(0)
+    assert record.point_fields == ("x", "y", "z", "r", "g", "b")
+    np.testing.assert_array_equal(record.points, [[10, 0, 0, 7, 7, 7], [-10, 0, 0, 128, 128, 128]])
+    assert (
+        record.depths[23, 31] == 10.0 or record.depths[24, 32] == 10.0
+    )  # the axis meets the corner of four pixels
+    assert np.count_nonzero(record.depths) == 1
+    assert result.configuration["fusion_type"] == 0
+    assert both.get(0) is None
+
+
+def test_axes_that_were_declared_rotate_points_on_the_way_in_and_back(both):
+    assert both.set_property("lidar_coordinate", (1, 0, 2))  # y forward, x right, z up
+    by_columns = (1, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1)
+    assert both.set_calibration(calibration(extrinsic_matrix=by_columns), camera_id=1, lidar_id=0)
+    assert both.send(image(0, 1))
+    assert both.send(cloud(0, 1, points=[(0.0, 10.0, 0.0), (10.0, 0.0, 0.0)]))
+    both.flush()
+    points = both.get(0).record.points
+    np.testing.assert_array_equal(points, [[0, 10, 0, 7, 7, 7], [10, 0, 0, 128, 128, 128]])
+
+
+def test_results_of_points_can_be_in_the_camera_frame_and_depths_ranges(both):
+    assert both.set_property("reference_frame", 0)
+    assert both.set_property("depth_kind", "range")
+    assert both.send(image(0, 1))
+    assert both.send(cloud(0, 1, points=[(3.0, 0.0, -1.0)]))
+    both.flush()
+    record = both.get(0).record
+    np.testing.assert_allclose(record.points[:, :3], [[0, 1, 3]], atol=1e-6)
+    assert record.depths.max() == pytest.approx(10**0.5)
+    assert (record.point_frame, record.depth_kind) == ("camera", "range")
+
+
+def test_a_calibration_that_is_replaced_counts_for_what_comes_after(both):
+    longer = calibration(intrinsic_matrix=(100.0, 0, 31.5, 0, 100.0, 23.5, 0, 0, 1))
+    point = [(10.0, -2.0, 0.0)]
+    for seq in range(4):
+        if seq == 2:
+            assert both.set_calibration(longer, camera_id=1, lidar_id=0)
+        assert both.send(image(100 * seq, seq))
+        assert both.send(cloud(100 * seq, seq, points=point))
+    both.flush()
+    columns = [int(np.nonzero(result.record.depths)[1][0]) for result in both.results(0)]
+    assert columns == [42, 42, 52, 52]  # 31.5 + f * 2 / 10, to the pixel that it falls into
+
+
+@pytest.mark.parametrize(
+    ("record", "cause"),
+    [
+        (image(0, 1, sensor_id=3), Cause.NO_CALIBRATION),
+        (cloud(0, 1, sensor_id=3), Cause.NO_CALIBRATION),
+        (calibration(), Cause.BAD_RECORD),
+        ("text", Cause.BAD_RECORD),
+    ],
+)
+def test_what_cannot_be_taken_gets_0_and_the_reason(both, record, cause):
+    outcome = both.send(record)
+    assert (outcome.status, outcome.cause) == (0, cause)
+    assert outcome.reason
+    assert both.counters.counts() == {f"refused.{cause}": 1}
+
+
+def test_the_same_number_again_is_refused(both):
+    assert both.send(cloud(0, 1))
+    assert both.send(cloud(0, 1)).cause is Cause.DUPLICATE
+
+
+def test_an_algorithm_that_is_not_installed_is_refused_with_what_it_needs(both):
+    outcome = both.set_property("fusion_algorithm", "MV3d")
+    assert (outcome.status, outcome.cause) == (0, Cause.UNKNOWN_ALGORITHM)
+    assert "trained network" in outcome.reason
+
+
+def test_an_unknown_fusion_type_is_an_error(both):
+    with pytest.raises(OptionError, match="fusion type 2"):
+        both.get(2)
+
+
+def test_after_the_end_nothing_is_taken(both):
+    both.close()
+    assert both.send(cloud(0, 1)).cause is Cause.CLOSED
+
+
+def test_points_have_the_colours_of_the_image_in_the_result_however_many_images_there_are():
+    points = ((10.0, 0.0, 0.0), (10.0, 1.0, 0.5), (-10.0, 0.0, 0.0))
+    for cameras in ((1,), (1, 2)):
+        with FusionInterface(inline=True) as fusion:
+            for camera in cameras:
+                assert fusion.set_calibration(calibration(), camera_id=camera, lidar_id=0)
+                assert fusion.send(image(0, 5, level=20 * camera, sensor_id=camera))
+            assert fusion.send(cloud(0, 5, points))
+            fusion.flush()
+            results = {result.record.camera_id: result.record for result in fusion.results(0)}
+        assert set(results) == set(cameras)
+        for camera, record in results.items():
+            colors = [record.point_fields.index(name) for name in "rgb"]
+            seen, other = [20.0 * camera] * 3, [128.0] * 3
+            assert record.points[:, colors].tolist() == [seen, seen, other]
+
+
+_LAYOUTS = {
+    "plain": ("x", "y", "z"),
+    "reflectivity": ("x", "y", "z", "reflectivity"),
+    "both": ("intensity", "x", "reflectivity", "y", "z", "ring"),
+    "colours first": ("b", "g", "r", "x", "y", "z", "time", "azimuth"),
+    "a third of a colour": ("x", "y", "z", "r", "echo"),
+}
+
+
+_VALUES = {
+    "whole": lambda rng, shape: rng.integers(0, 100, shape),
+    "shares": lambda rng, shape: rng.random(shape),
+    "negative": lambda rng, shape: -rng.random(shape) * 1000,
+    "large": lambda rng, shape: rng.random(shape) * 1e6,
+    "none": lambda rng, shape: np.zeros((0, shape[1])),
+}
+
+
+@pytest.mark.parametrize("fields", _LAYOUTS.values(), ids=_LAYOUTS)
+def test_point_fields_go_by_the_names_that_were_sent_and_never_by_the_values(both, fields):
+    others = tuple(name for name in fields if name not in ("x", "y", "z", "r", "g", "b"))
+    expected = ("x", "y", "z", *others, "r", "g", "b")
+    rng = np.random.default_rng(3)
+    for seq, draw in enumerate(_VALUES.values()):
+        data = draw(rng, (4, len(fields))).astype(np.float32)
+        for axis, value in zip("xyz", (10.0, 0.0, 0.0), strict=True):
+            data[:, fields.index(axis)] = value
+        if "time" in fields:  # images are paired by it
+            data[:, fields.index("time")] *= 1e-8
+        sent = PointCloudData(
+            sensor_id=0,
+            timestamp=timestamp(100 * seq),
+            seq=seq,
+            number=len(data),
+            fields=fields,
+            fields_number=len(fields),
+            data=data,
+        )
+        assert both.send(image(100 * seq, seq, level=9))
+        assert both.send(sent)
+        both.flush()
+        record = both.get(0).record
+        assert record.point_fields == expected
+        columns = dict(zip(record.point_fields, record.points.T, strict=True))
+        for name in (*"xyz", *others):
+            np.testing.assert_array_equal(columns[name], data[:, fields.index(name)])
+        for name in "rgb":
+            np.testing.assert_array_equal(columns[name], 9.0)
+
+
+_PIXELS = {
+    "rgb8": (200, 100, 50),
+    "bgr8": (50, 100, 200),
+    "rgba8": (200, 100, 50, 7),
+    "bgra8": (50, 100, 200, 7),
+    "mono8": (90,),
+    "raw": (200, 100, 50),
+}
+
+
+@pytest.mark.parametrize("encoding", [*_PIXELS, "jpeg", "png"])
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_an_image_comes_back_in_the_encoding_in_which_it_was_sent(encoding, cameras):
+    pixel = _PIXELS.get(encoding, (200, 100, 50))
+    pixels = np.tile(np.array(pixel, np.uint8), (HEIGHT, WIDTH, 1))
+    data = pixels.reshape(-1)
+    if encoding in ("jpeg", "png"):
+        file = io.BytesIO()
+        Image.fromarray(pixels).save(file, encoding, **({"quality": 100} if encoding == "jpeg" else {}))
+        data = np.frombuffer(file.getvalue(), np.uint8)
+    with FusionInterface(inline=True) as fusion:
+        for camera_id in range(cameras):
+            assert fusion.set_calibration(calibration(), camera_id=camera_id, lidar_id=0)
+            sent = replace(image(0, 1, sensor_id=camera_id), encoding=encoding, channel=len(pixel), data=data)
+            assert fusion.send(sent)
+        assert fusion.send(cloud(0, 1))
+        fusion.flush()
+        records = [result.record for result in fusion.results(0)]
+    assert len(records) == cameras
+    for record in records:
+        assert (record.encoding, record.image_channel) == (encoding, len(pixel))
+        np.testing.assert_array_equal(record.image_data, data)
+        expected = (90, 90, 90) if encoding == "mono8" else (200, 100, 50)
+        np.testing.assert_allclose(record.points[0, 3:], expected, atol=3 if encoding == "jpeg" else 0)
+
+
+def many_boxes_2d(milliseconds, seq, count=0):
+    return Boxes2d(
+        sensor_id=1,
+        seq=seq,
+        timestamp=timestamp(milliseconds),
+        id=np.arange(count, dtype=np.int32),
+        class_names=("car",) * count,
+        confidence=np.full(count, 0.5, np.float32),
+        corners_xyxy=np.tile(np.array([5, 5, 15, 15], np.uint32), (count, 1)),
+    )
+
+
+def test_boxes_that_wait_are_fused_after_a_while_though_nothing_more_comes():
+    with FusionInterface() as fusion:
+        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+        for seq in range(3):
+            # an image shortly before the sweep: one after it could be nearer
+            assert fusion.send(many_boxes_2d(1000 * seq, seq))
+            assert fusion.send(no_boxes_3d(1000 * seq + 10, seq))
+            result = fusion.get(1, timeout_s=30.0)
+            assert result is not None
+            assert (result.number, result.record.image_seq, result.record.points_seq) == (seq, seq, seq)
+
+
+def test_results_keep_the_order_of_what_came_whoever_fuses_it():
+    count = 150
+    with FusionInterface() as fusion:
+        assert fusion.set_property("queue_length", 1000)
+        assert fusion.set_property("result_queue_length", 1000)
+        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+
+        def send_frames():
+            for seq in range(20):
+                assert fusion.send(image(100 * seq, seq))
+                assert fusion.send(cloud(100 * seq, seq))
+
+        other = threading.Thread(target=send_frames)
+        for seq in range(count):
+            if seq == count // 2:
+                other.start()
+            # a long list goes to the thread, and so do those after it
+            assert fusion.send(many_boxes_2d(100 * seq, seq, 120 if seq == count // 4 else 1))
+            assert fusion.send(no_boxes_3d(100 * seq, seq))
+        other.join()
+        fusion.flush()
+        for fusion_type, number in ((1, count), (0, 20)):
+            results = list(fusion.results(fusion_type))
+            assert [result.number for result in results] == list(range(number))
+            assert [result.record.points_seq for result in results] == list(range(number))
+    counts = fusion.counters.counts()
+    for kind, number in (("boxes_2d", count), ("boxes_3d", count), ("image", 20), ("points", 20)):
+        assert counts[f"received.{kind}"] == counts[f"fused.{kind}"] == number
 
 
 @pytest.fixture

@@ -400,8 +400,7 @@ def conformance(
     Any server of the project's .proto can be checked, whoever wrote it. Each check works in a session of its own,
     which is ended after it.
     """
-    from sceneloom.db34t.conformance.examination import check_report, chosen, examine
-    from sceneloom.db34t.conformance.examination import Access, GrpcTransport
+    from sceneloom.db34t.conformance.examination import Access, GrpcTransport, check_report, chosen, examine
     from sceneloom.formats.base.output import check_output
 
     checks = chosen(only)

@@ -5,11 +5,11 @@ And the columns that are written.
 
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 
@@ -303,37 +303,84 @@ class CloudWriter(Protocol):
         ...
 
 
-Column = tuple[str, str, Callable[[WrittenPoints], AnyArray | None]]
-"""Name, dtype and values of a column; None where the points do not have it."""
-
-
-def seconds(points: WrittenPoints) -> Float64Array | None:
-    """Times of points [s]; a float64 holds those of today's epoch to a quarter of a microsecond."""
-    return None if points.timestamps_ns is None else points.timestamps_ns.astype(np.float64) * 1e-9
-
-
-def _color(channel: int) -> Callable[[WrittenPoints], AnyArray | None]:
-    return lambda points: None if points.colors is None else points.colors[:, channel]
-
-
-COLORS: tuple[Column, ...] = (
-    ("red", "u1", _color(0)),
-    ("green", "u1", _color(1)),
-    ("blue", "u1", _color(2)),
-)
-
-MEASURED: tuple[Column, ...] = (
-    ("intensity", "u1", lambda points: points.intensities),
-    ("time", "f8", seconds),
-    ("label", "u2", lambda points: points.labels),
-)
-
-
-def records_of(points: WrittenPoints, columns: tuple[Column, ...]) -> AnyArray:
-    """Lay the columns that points have side by side, packed, little-endian; those of `extras` come last."""
-    found = [(name, kind, values) for name, kind, take in columns if (values := take(points)) is not None]
-    found += [(name, column.dtype.str[1:], column) for name, column in points.extras.items()]
-    records = np.empty(len(points), [(name, f"<{kind}") for name, kind, _ in found])
-    for name, _, values in found:
+def pack_records(columns: Mapping[str, AnyArray], count: int) -> AnyArray:
+    """Lay columns side by side, packed, little-endian."""
+    kinds = [(name, f"<{values.dtype.str[1:]}", values.shape[1:]) for name, values in columns.items()]
+    records = np.empty(count, kinds)
+    for name, values in columns.items():
         records[name] = values
     return records
+
+
+def axis_columns(positions: AnyArray) -> dict[str, AnyArray]:
+    """Positions (N, 3) as columns x, y, z."""
+    return {axis: positions[:, k] for k, axis in enumerate("xyz")}
+
+
+def color_columns(colors: AnyArray | None) -> dict[str, AnyArray]:
+    """Colours (N, 3) as columns red, green, blue; none where there are no colours."""
+    return {} if colors is None else {name: colors[:, k] for k, name in enumerate(("red", "green", "blue"))}
+
+
+def packed_colors(colors: AnyArray | None) -> dict[str, AnyArray]:
+    """Colours as the bytes of a float, as PCL has them: blue, green, red, and one that is 0."""
+    if colors is None:
+        return {}
+    whole = colors.astype(np.uint32)
+    return {"rgb": ((whole[:, 0] << 16) | (whole[:, 1] << 8) | whole[:, 2]).view(np.float32)}
+
+
+def measured_columns(points: WrittenPoints) -> dict[str, AnyArray]:
+    """What points have besides positions and colours; times [s], which float64 holds to a quarter of a microsecond."""
+    times = None if points.timestamps_ns is None else points.timestamps_ns.astype(np.float64) * 1e-9
+    found = {"intensity": points.intensities, "time": times, "label": points.labels}
+    return {name: values for name, values in found.items() if values is not None} | dict(points.extras)
+
+
+class RecordLayout(Protocol):
+    """How a kind of file lays out the points of a cloud."""
+
+    def columns(self, points: WrittenPoints, /) -> dict[str, AnyArray]:
+        """The columns of some points; the first are asked for before the head is."""
+        ...
+
+    def head(self, dtype: np.dtype[np.void], count: str, /) -> bytes:
+        """The head of a file of `count` records."""
+        ...
+
+
+_DIGITS = 12
+"""Room for the number of points, which is known at the end."""
+
+
+class RecordWriter:
+    """An open file of packed records. The head is written again at the end, when the number of points is known."""
+
+    def __init__(self, path: Path, layout: RecordLayout) -> None:
+        """Begin a file, which must not be there."""
+        self._file: BinaryIO = path.open("xb")
+        self._layout = layout
+        self._dtype: np.dtype[np.void] | None = None
+        self._count = 0
+
+    def add(self, points: WrittenPoints) -> None:
+        """Write some more points."""
+        records = pack_records(self._layout.columns(points), len(points))
+        if self._dtype is None:
+            self._dtype = records.dtype
+            self._write_head(records.dtype)
+        self._file.write(records.tobytes())
+        self._count += len(points)
+
+    def close(self) -> None:
+        """Complete the file."""
+        if self._dtype is None:
+            self.add(WrittenPoints(np.zeros((0, 3))))
+        else:
+            self._file.seek(0)
+            self._write_head(self._dtype)
+        self._file.close()
+
+    def _write_head(self, dtype: np.dtype[np.void]) -> None:
+        # zeros before a number: blanks behind it would be words to strict readers
+        self._file.write(self._layout.head(dtype, f"{self._count:0{_DIGITS}d}"))

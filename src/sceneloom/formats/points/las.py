@@ -1,30 +1,40 @@
 """LAS and LAZ, by laspy: read, and written chunk by chunk."""
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import check_length, check_unpacked, file_faults, open_file
-from sceneloom.formats.points.cloud import NO_LABEL, Cloud, WrittenPoints, check_count, check_end, seconds
+from sceneloom.formats.points.cloud import (
+    NO_LABEL,
+    Cloud,
+    WrittenPoints,
+    check_count,
+    check_end,
+    color_columns,
+    measured_columns,
+)
 
-STEP = 0.001
+_STEP = 0.001
 """Positions are whole multiples of this [m] from an offset: finer than any lidar measures."""
 
-_POINT_FORMAT = 7
-"""Positions, intensity, classification, time and colour. Source: section 2.6, "Point Data Record Format 7"."""
+_PLAIN, _COLORED = 6, 7
+"""Point formats: positions, intensity, classification and time; and with colours. Source: section 2.6."""
 
 _FULL_SCALE = 257
 """From 8 to 16 bits: 255 becomes 65535. Source: "Red, Green, Blue" and "Intensity", to be normalised to 16 bits."""
 
 _LARGEST_CLASS = 255
 
-_REACH = 2**31 - 1
+MOST_STEPS = 2**31 - 1
+"""Steps between a position and the offset at most."""
 
 _LOCATIONS = ("x", "y", "z")
 
@@ -50,8 +60,92 @@ _KNOWN_RECORDS = (4, 22204)
 """Numbers of the records that describe further dimensions and how LAZ is packed. Source: section 2.8, "Extra Bytes"."""
 
 
+class LasFile:
+    """A LAS file that is being written, or LAZ, by the ending of its name."""
+
+    def __init__(
+        self,
+        path: Path,
+        positions: Float64Array,
+        step: float,
+        further: Mapping[str, AnyArray],
+        *,
+        colored: bool,
+    ) -> None:
+        """Begin a file.
+
+        Args:
+            path: of the file.
+            positions: (N, 3) float64 [m], the first points; positions count from their mean.
+            step: positions are whole multiples of it [m].
+            further: columns that LAS has no dimensions for.
+            colored: whether the points have colours.
+        """
+        import laspy
+
+        header = laspy.LasHeader(version="1.4", point_format=_COLORED if colored else _PLAIN)
+        header.generating_software = "sceneloom"
+        header.scales, header.offsets = np.full(3, step), las_offsets(positions)
+        header.add_extra_dims(
+            [laspy.ExtraBytesParams(name, values.dtype) for name, values in further.items()]
+        )
+        self._path = path
+        self._file = laspy.open(str(path), mode="w", header=header)
+
+    def add(self, positions: Float64Array, dimensions: Mapping[str, AnyArray]) -> float:
+        """Write some more points; give how far a coordinate was moved at most [m].
+
+        Raises:
+            DataError: they lie too far from the first ones for the steps of such a file.
+        """
+        import laspy
+
+        header = self._file.header
+        steps = (positions - header.offsets) / header.scales
+        most = float(np.abs(steps).max(initial=0.0))
+        if most >= MOST_STEPS:
+            problem = f"points {most * header.scales[0] / 1000:.0f} km apart; expected 2147"
+            raise DataError(self._path, "", problem)
+        record = laspy.ScaleAwarePointRecord.zeros(len(positions), header=header)
+        steps = np.rint(steps)
+        for axis, name in enumerate(("X", "Y", "Z")):
+            record[name] = steps[:, axis].astype(np.int32)
+        for name, values in dimensions.items():
+            record[name] = values
+        self._file.write_points(record)
+        return float(np.abs(steps * header.scales + header.offsets - positions).max(initial=0.0))
+
+    def close(self) -> None:
+        """Complete the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def las_offsets(positions: Float64Array) -> Float64Array:
+    """What positions count from, (3,) float64 [m]: whole metres at the mean of the first points."""
+    return np.floor(positions.mean(axis=0)) if len(positions) else np.zeros(3)
+
+
+def las_dimensions(colors: AnyArray | None) -> frozenset[str]:
+    """Names of LAS's own dimensions, which further columns cannot have."""
+    import laspy
+
+    known = laspy.PointFormat(_PLAIN if colors is None else _COLORED).dimension_names
+    return frozenset({*known, *_LOCATIONS})
+
+
+def colors_16(colors: AnyArray | None) -> dict[str, AnyArray]:
+    """Colours of 16 bits by channel."""
+    return {name: values.astype(np.uint16) * _FULL_SCALE for name, values in color_columns(colors).items()}
+
+
 class LasWriter:
-    """An open LAS file, or LAZ, by the ending of its name.
+    """An open LAS file of a cloud.
 
     The numbers of labels become classifications, as far as these go, to 255; all stand in the further dimension
     `label`. Times are the seconds of the scene's clock.
@@ -60,73 +154,36 @@ class LasWriter:
     def __init__(self, path: Path) -> None:
         """Begin a file, which must not be there."""
         self._path = path
-        self._file: Any = None
+        self._file: LasFile | None = None
 
     def add(self, points: WrittenPoints) -> None:
-        """Write some more points; those that are not finite have no location in such a file and are left out.
+        """Write some more points; those that are not finite have no position in such a file and are left out.
 
         Raises:
             DataError: they lie too far from the first ones for the steps of such a file.
         """
-        import laspy
-
         finite = np.isfinite(points.positions_world).all(axis=1)
+        positions = points.positions_world[finite]
+        measured = measured_columns(points)
         if self._file is None:
-            self._begin(points, points.positions_world[finite])
-        header = self._file.header
-        record = laspy.ScaleAwarePointRecord.zeros(int(finite.sum()), header=header)
-        offsets = (points.positions_world[finite] - header.offsets) / STEP
-        if len(offsets) and np.abs(offsets).max() >= _REACH:
-            raise DataError(
-                self._path, "", f"points {np.abs(offsets).max() * STEP / 1000:.0f} km apart; expected 2147"
-            )
-        for axis, name in enumerate(("X", "Y", "Z")):
-            record[name] = np.rint(offsets[:, axis]).astype(np.int32)
-        for name, values in _dimensions(points).items():
-            record[name] = values[finite]
-        self._file.write_points(record)
-
-    def _begin(self, points: WrittenPoints, positions_world: Float64Array) -> None:
-        import laspy
-
-        header = laspy.LasHeader(version="1.4", point_format=_POINT_FORMAT)
-        header.generating_software = "sceneloom"
-        header.scales = np.full(3, STEP)
-        header.offsets = np.floor(positions_world.mean(axis=0)) if len(positions_world) else np.zeros(3)
-        header.add_extra_dims(
-            [
-                laspy.ExtraBytesParams(name, values.dtype)
-                for name, values in (*_labels(points), *points.extras.items())
-            ]
-        )
-        self._file = laspy.open(str(self._path), mode="w", header=header)
+            further = {name: values for name, values in measured.items() if name not in {"intensity", "time"}}
+            self._file = LasFile(self._path, positions, _STEP, further, colored=True)
+        dimensions = {**measured, **colors_16(points.colors)}
+        if points.intensities is not None:
+            dimensions["intensity"] = points.intensities.astype(np.uint16) * _FULL_SCALE
+        if points.timestamps_ns is not None:
+            dimensions["gps_time"] = dimensions.pop("time")
+        if points.labels is not None:
+            known = (points.labels <= _LARGEST_CLASS) & (points.labels != NO_LABEL)
+            dimensions["classification"] = np.where(known, points.labels, 0).astype(np.uint8)
+        self._file.add(positions, {name: values[finite] for name, values in dimensions.items()})
 
     def close(self) -> None:
         """Complete the file."""
         if self._file is None:
             self.add(WrittenPoints(np.zeros((0, 3))))
-        self._file.close()
-
-
-def _labels(points: WrittenPoints) -> list[tuple[str, AnyArray]]:
-    return [] if points.labels is None else [("label", points.labels)]
-
-
-def _dimensions(points: WrittenPoints) -> dict[str, AnyArray]:
-    """What the points have, by the names of dimensions."""
-    found: dict[str, AnyArray] = {**dict(_labels(points)), **points.extras}
-    if points.colors is not None:
-        for k, name in enumerate(("red", "green", "blue")):
-            found[name] = points.colors[:, k].astype(np.uint16) * _FULL_SCALE
-    if points.intensities is not None:
-        found["intensity"] = points.intensities.astype(np.uint16) * _FULL_SCALE
-    times = seconds(points)
-    if times is not None:
-        found["gps_time"] = times
-    if points.labels is not None:
-        known = (points.labels <= _LARGEST_CLASS) & (points.labels != NO_LABEL)
-        found["classification"] = np.where(known, points.labels, 0).astype(np.uint8)
-    return found
+        if self._file is not None:
+            self._file.close()
 
 
 def read_las(path: Path) -> Cloud:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -13,14 +13,14 @@ from sceneloom.errors import DataError
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.points.cloud import (
     Cloud,
-    Column,
     WrittenPoints,
+    axis_columns,
     check_count,
     check_end,
     columns_of,
+    measured_columns,
+    packed_colors,
     parse_rows,
-    records_of,
-    seconds,
     unique_names,
 )
 
@@ -241,92 +241,84 @@ _READERS = {"ascii": _read_text, "binary": _read_binary, "binary_compressed": _r
 _FARTHEST_EXACT = 4000.0
 """Farther from 0 than this [m], float32 is coarser than a quarter of a millimetre: positions count from an origin."""
 
-_PCD_WRITING_LETTERS = {"u": "U", "i": "I", "f": "F"}
 
-_DIGITS = 12
-
-
-def _packed(points: WrittenPoints) -> AnyArray | None:
-    """Colours as the bytes of a float: blue, green, red, and one that is 0."""
-    if points.colors is None:
-        return None
-    whole = points.colors.astype(np.uint32)
-    return ((whole[:, 0] << 16) | (whole[:, 1] << 8) | whole[:, 2]).view(np.float32)
-
-
-class PcdWriter:
-    """An open PCD file. The number of its points is written into the room that its head has for it at the end.
+class PcdLayout:
+    """PCD files of clouds.
 
     Attributes:
         origin_world: (3,) float64 [m], what positions count from: 0, unless the first points lie far from it; whole
-            metres. It stands in a comment of the head.
+            metres. The head names it in a comment.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Begin a file, which must not be there."""
-        self._file: BinaryIO = path.open("xb")
-        self._count = 0
-        self._locations: tuple[int, ...] = ()
-        self.origin_world: Float64Array = np.zeros(3)
+    def __init__(self) -> None:
+        """Begin without an origin."""
+        self.origin_world: Float64Array | None = None
 
-    def add(self, points: WrittenPoints) -> None:
-        """Write some more points."""
-        if not self._locations:
-            self._choose_origin(points)
-        records = records_of(points, self._columns)
-        if not self._locations:
-            self._begin(records)
-        self._file.write(records.tobytes())
-        self._count += len(points)
+    def columns(self, points: WrittenPoints) -> dict[str, AnyArray]:
+        """Positions and intensities as float32, packed colours, labels as uint32."""
+        if self.origin_world is None:
+            finite = points.positions_world[np.isfinite(points.positions_world).all(axis=1)]
+            far = len(finite) and np.abs(finite).max() > _FARTHEST_EXACT
+            self.origin_world = np.rint(finite.mean(axis=0)) if far else np.zeros(3)
+        measured = measured_columns(points)
+        for name, kind in (("intensity", np.float32), ("label", np.uint32)):
+            if name in measured:
+                measured[name] = measured[name].astype(kind)
+        positions = (points.positions_world - self.origin_world).astype(np.float32)
+        return {**axis_columns(positions), **packed_colors(points.colors), **measured}
 
-    @property
-    def _columns(self) -> tuple[Column, ...]:
-        def position(axis: int) -> Column:
-            return (
-                "xyz"[axis],
-                "f4",
-                lambda points: points.positions_world[:, axis] - self.origin_world[axis],
-            )
+    def head(self, dtype: np.dtype[np.void], count: str) -> bytes:
+        """A head with the origin."""
+        x, y, z = np.zeros(3) if self.origin_world is None else self.origin_world.tolist()
+        comment = f"# world coordinates in metres from {x:.0f} {y:.0f} {z:.0f}, times in seconds"
+        return pcd_head(dtype, count, "binary", comment)
 
-        return (
-            position(0),
-            position(1),
-            position(2),
-            ("rgb", "f4", _packed),
-            ("intensity", "f4", lambda points: points.intensities),
-            ("time", "f8", seconds),
-            ("label", "u4", lambda points: points.labels),
-        )
 
-    def _choose_origin(self, points: WrittenPoints) -> None:
-        finite = points.positions_world[np.isfinite(points.positions_world).all(axis=1)]
-        if len(finite) and np.abs(finite).max() > _FARTHEST_EXACT:
-            self.origin_world = np.rint(finite.mean(axis=0))
+def pcd_head(dtype: np.dtype[np.void], count: str, data: str, *comments: str) -> bytes:
+    """The head of a PCD file of `count` records."""
+    kinds = [dtype[name] for name in dtype.names or ()]
+    letters = {letter: name for name, letter in _LETTERS.items()}
+    lines = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        *comments,
+        "VERSION 0.7",
+        f"FIELDS {' '.join(dtype.names or ())}",
+        f"SIZE {' '.join(str(kind.base.itemsize) for kind in kinds)}",
+        f"TYPE {' '.join(letters[kind.base.kind] for kind in kinds)}",
+        f"COUNT {' '.join(str(kind.shape[0] if kind.shape else 1) for kind in kinds)}",
+        f"WIDTH {count}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {count}",
+        f"DATA {data}",
+        "",
+    ]
+    return "\n".join(lines).encode()
 
-    def _begin(self, records: AnyArray) -> None:
-        names = records.dtype.names or ()
-        kinds = [records.dtype[name] for name in names]
-        x, y, z = self.origin_world.tolist()
-        lines = [
-            "# .PCD v0.7 - Point Cloud Data file format",
-            f"# world coordinates in metres from {x:.0f} {y:.0f} {z:.0f}, times in seconds",
-            "VERSION 0.7",
-            f"FIELDS {' '.join(names)}",
-            f"SIZE {' '.join(str(kind.itemsize) for kind in kinds)}",
-            f"TYPE {' '.join(_PCD_WRITING_LETTERS[kind.kind] for kind in kinds)}",
-            f"COUNT {' '.join('1' for _ in names)}",
-        ]
-        self._file.write("\n".join([*lines, "WIDTH "]).encode())
-        width = self._file.tell()
-        self._file.write(b"0" * _DIGITS + b"\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS ")
-        self._locations = (width, self._file.tell())
-        self._file.write(b"0" * _DIGITS + b"\nDATA binary\n")
 
-    def close(self) -> None:
-        """Complete the file."""
-        if not self._locations:
-            self.add(WrittenPoints(np.zeros((0, 3))))
-        for location in self._locations:
-            self._file.seek(location)
-            self._file.write(f"{self._count:0{_DIGITS}d}".encode())
-        self._file.close()
+def pcd_body(records: AnyArray, encoding: str) -> bytes:
+    """Records as the bytes behind a head: "binary", "ascii" or "binary_compressed"."""
+    if encoding == "binary":
+        return bytes(records.tobytes())
+    return _text(records) if encoding == "ascii" else _compressed(records)
+
+
+def _text(records: AnyArray) -> bytes:
+    """Numbers with all their digits; packed colours as their float, which is what readers of text expect."""
+    names = records.dtype.names or ()
+    columns: list[list[str]] = []
+    for name in names:
+        values = records[name].reshape(len(records), -1)
+        columns += [[str(value) for value in values[:, k]] for k in range(values.shape[1])]
+    return "".join(" ".join(row) + "\n" for row in zip(*columns, strict=True)).encode()
+
+
+def _compressed(records: AnyArray) -> bytes:
+    from sceneloom.kernels.packed import fold, longest_fold
+
+    plain = b"".join(np.ascontiguousarray(records[name]).tobytes() for name in records.dtype.names or ())
+    if not plain:
+        return np.zeros(2, "<u4").tobytes()
+    packed = np.empty(longest_fold(len(plain)), np.uint8)
+    size = fold(np.frombuffer(plain, np.uint8), packed)
+    return np.array([size, len(plain)], "<u4").tobytes() + packed[:size].tobytes()

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -12,16 +12,15 @@ from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.points.cloud import (
-    COLORS,
-    MEASURED,
     Cloud,
-    Column,
     WrittenPoints,
+    axis_columns,
     check_count,
     check_end,
+    color_columns,
     columns_of,
+    measured_columns,
     parse_rows,
-    records_of,
     unique_names,
 )
 
@@ -283,53 +282,26 @@ def _without_lists(path: Path, number: int, line: str, element: Element) -> str:
     return " ".join(kept)
 
 
-_PLY_WRITING_TYPES = {
-    "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int",
-    "f4": "float", "f8": "double",
-}  # fmt: skip
+class PlyLayout:
+    """PLY files of clouds: positions in the world as float64."""
 
-_COLUMNS: tuple[Column, ...] = (
-    ("x", "f8", lambda points: points.positions_world[:, 0]),
-    ("y", "f8", lambda points: points.positions_world[:, 1]),
-    ("z", "f8", lambda points: points.positions_world[:, 2]),
-    *COLORS,
-    *MEASURED,
-)
+    def columns(self, points: WrittenPoints) -> dict[str, AnyArray]:
+        """All columns in their own types."""
+        return {
+            **axis_columns(points.positions_world),
+            **color_columns(points.colors),
+            **measured_columns(points),
+        }
 
-_DIGITS = 12
+    def head(self, dtype: np.dtype[np.void], count: str) -> bytes:
+        """A head that says what the numbers are."""
+        return ply_head(dtype, count, "comment world coordinates in metres, times in seconds")
 
 
-class PlyWriter:
-    """An open PLY file. The number of its points is written into the room that its head has for it at the end."""
-
-    def __init__(self, path: Path) -> None:
-        """Begin a file, which must not be there."""
-        self._file: BinaryIO = path.open("xb")
-        self._count, self._location = 0, 0
-
-    def add(self, points: WrittenPoints) -> None:
-        """Write some more points."""
-        records = records_of(points, _COLUMNS)
-        if not self._location:
-            self._begin(records)
-        self._file.write(records.tobytes())
-        self._count += len(points)
-
-    def _begin(self, records: AnyArray) -> None:
-        head = (
-            b"ply\nformat binary_little_endian 1.0\ncomment world coordinates in metres, times in seconds\n"
-        )
-        self._file.write(head + b"element vertex ")
-        self._location = self._file.tell()
-        names = records.dtype.names or ()
-        lines = [f"property {_PLY_WRITING_TYPES[records.dtype[name].str[1:]]} {name}" for name in names]
-        self._file.write(b"0" * _DIGITS + "\n".join(["", *lines, "end_header", ""]).encode())
-
-    def close(self) -> None:
-        """Complete the file."""
-        if not self._location:
-            self.add(WrittenPoints(np.zeros((0, 3))))
-        self._file.seek(self._location)
-        # blanks behind the number would be words to strict readers, zeros before it are not
-        self._file.write(f"{self._count:0{_DIGITS}d}".encode())
-        self._file.close()
+def ply_head(dtype: np.dtype[np.void], count: str, *comments: str) -> bytes:
+    """The head of a binary PLY file of `count` vertices."""
+    # of several names for a type the first is the one that every program knows
+    types = {kind: name for name, kind in reversed([*_TYPES.items()])}
+    lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {count}"]
+    lines += [f"property {types[dtype[name].str[1:]]} {name}" for name in dtype.names or ()]
+    return "\n".join([*lines, "end_header", ""]).encode()

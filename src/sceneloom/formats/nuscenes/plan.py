@@ -36,7 +36,6 @@ from sceneloom.scene.contents import KINDS
 from sceneloom.scene.ego import EgoAxes, check_one_ego, ego_axes
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.types import key_of
 
 _OF_SENSORS = frozenset({"token", "calibrated_sensor_token", KEY_FRAMES})
 
@@ -371,13 +370,3 @@ def _about(scene: Scene, path: Path) -> tuple[SceneRow, LogRow]:
     )
     fields = {key: str(log.get(key) or "") for key in ("vehicle", "date_captured", "location")}
     return row, LogRow(token=row.log_token, logfile=str(log.get("logfile") or name), **fields)
-
-
-def sensor_key(sensor: Written) -> Any:
-    """What labelled points call a sensor by."""
-    return key_of(sensor.id)
-
-
-def differences_us(timestamps_ns: Int64Array, timestamps_us: Int64Array) -> float:
-    """How far times are off by being whole microseconds, at most [ns]."""
-    return float(np.abs(timestamps_ns - timestamps_us * 1000).max(initial=0))

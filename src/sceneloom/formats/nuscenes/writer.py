@@ -18,17 +18,8 @@ from sceneloom.formats.base.images import ImageFile
 from sceneloom.formats.base.losses import Loss, LossReport, Support
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.spec import as_positive
-from sceneloom.formats.nuscenes.plan import (
-    OF_FRAMES,
-    Channel,
-    WritingPlan,
-    channels_of,
-    differences_us,
-    is_version,
-    reported,
-    sensor_key,
-)
-from sceneloom.formats.nuscenes.tables import TABLES, Samples, microseconds, timestamps_of, token_of
+from sceneloom.formats.nuscenes.plan import OF_FRAMES, Channel, WritingPlan, channels_of, is_version, reported
+from sceneloom.formats.nuscenes.tables import TABLES, Samples, Written, microseconds, timestamps_of, token_of
 from sceneloom.formats.points.cloud import NUSCENES
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
@@ -600,7 +591,7 @@ class _Writer:
     def _write_classes(
         self, classes: _PointClasses, channel: Channel, k: int, token: str, count: int
     ) -> None:
-        frame = (sensor_key(channel.sensor), k)
+        frame = (_sensor_key(channel.sensor), k)
         classes.write(self.root, self.plan.version, token, frame, count, self.losses)
 
     def _calibration(self, channel: Channel, mount: RigidTransform, camera_model: Camera | None) -> str:
@@ -613,7 +604,7 @@ class _Writer:
         return token
 
     def _report_times(self, channel: Channel, timestamps: AnyArray, timestamps_us: AnyArray) -> None:
-        off = differences_us(timestamps, timestamps_us)
+        off = _differences_us(timestamps, timestamps_us)
         location = f"sensors.{channel.modality}.{'images' if channel.modality == 'camera' else 'frames'}"
         count = int((timestamps != timestamps_us * 1000).sum())
         what = "rounded to microseconds [ns]"
@@ -849,3 +840,13 @@ def _write_table(folder: Path, name: str, rows: Iterable[_WrittenTablesRow]) -> 
     with _TableWriter(folder, name) as table:
         for row in rows:
             table.add(**row)
+
+
+def _sensor_key(sensor: Written) -> Any:
+    """What labelled points call a sensor by."""
+    return key_of(sensor.id)
+
+
+def _differences_us(timestamps_ns: Int64Array, timestamps_us: Int64Array) -> float:
+    """How far times are off by being whole microseconds, at most [ns]."""
+    return float(np.abs(timestamps_ns - timestamps_us * 1000).max(initial=0))

@@ -21,8 +21,7 @@ from benchmarks.detector_fits import KITTI, kitti_examples
 from sceneloom.detections.fitting import FitSettings, columns_of, fit_columns
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.formats.kitti.tracking_reader import KittiTracking, open_tracking_folder
-from sceneloom.pipeline.tracked_drive import TrackingSettings
-from sceneloom.pipeline.tracking import track_folder
+from sceneloom.pipeline.tracking import TrackingSettings, track_folder
 from sceneloom.tracking import ImageBox
 
 FITTED = ("0000", "0002", "0003", "0006", "0010")

@@ -39,9 +39,10 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.converting import convert
     from sceneloom.pipeline.depth_images import write_depth_images
     from sceneloom.pipeline.deskewing import deskew
-    from sceneloom.pipeline.detection_jobs import fuse_detections, track_objects
     from sceneloom.pipeline.fusing import fuse, iter_fused
+    from sceneloom.pipeline.fusing_detections import fuse_detections
     from sceneloom.pipeline.syncing import sync
+    from sceneloom.pipeline.tracking import track_objects
     from sceneloom.scene.poses import Poses
     from sceneloom.scene.scene import Scene
     from sceneloom.service.client import FusionClient
@@ -66,7 +67,7 @@ else:
             "evaluate_trajectory": "sceneloom.evaluate.trajectory:evaluate_trajectory",
             "find_ego_motion": "sceneloom.motion.ego_trajectory:find_ego_motion",
             "fuse": "sceneloom.pipeline.fusing:fuse",
-            "fuse_detections": "sceneloom.pipeline.detection_jobs:fuse_detections",
+            "fuse_detections": "sceneloom.pipeline.fusing_detections:fuse_detections",
             "iter_fused": "sceneloom.pipeline.fusing:iter_fused",
             "merge_scenes": "sceneloom.editing.merge:merge_scenes",
             "open": "sceneloom.formats.base.registry:open_scene",
@@ -79,7 +80,7 @@ else:
             "to_ego": "sceneloom.editing.move_world:to_ego",
             "to_sensor": "sceneloom.editing.move_world:to_sensor",
             "to_world": "sceneloom.editing.move_world:to_world",
-            "track_objects": "sceneloom.pipeline.detection_jobs:track_objects",
+            "track_objects": "sceneloom.pipeline.tracking:track_objects",
             "validate": "sceneloom.checks.validation:validate",
             "write": "sceneloom.formats.base.registry:write_scene",
             "write_depth_images": "sceneloom.pipeline.depth_images:write_depth_images",

@@ -68,7 +68,7 @@ BATCHED: Mapping[str, Batched] = MappingProxyType(
             *("path", "", ".json", ("sceneloom.cli.validate", "sceneloom.checks.validation")), files=("fix",)
         ),
         "track": Batched(
-            *("path", "output", ".sfs", ("sceneloom.cli.track", "sceneloom.pipeline.detection_jobs")),
+            *("path", "output", ".sfs", ("sceneloom.cli.track", "sceneloom.pipeline.tracking")),
             folders=("images",),
             beside=("boxes3d", "boxes2d", "detectors"),
         ),

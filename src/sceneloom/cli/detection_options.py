@@ -6,7 +6,7 @@ from sceneloom.cli import options
 from sceneloom.cli.options import option
 
 if TYPE_CHECKING:
-    from sceneloom.pipeline.detection_jobs import DetectionInput
+    from sceneloom.pipeline.detection_lists import DetectionInput
 
 _BOXES = (
     option(
@@ -63,7 +63,7 @@ def _added(command: Any, *added: Any) -> Any:
 
 def detection_input(given: dict[str, Any]) -> "DetectionInput":
     """What of a path is fused or tracked; taken out of `given`."""
-    from sceneloom.pipeline.detection_jobs import DetectionInput
+    from sceneloom.pipeline.detection_lists import DetectionInput
     from sceneloom.pipeline.detection_lists import DetectionFiles
 
     files = options.take(DetectionFiles, given, boxes_3d=given.pop("boxes3d"), boxes_2d=given.pop("boxes2d"))

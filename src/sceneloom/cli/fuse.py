@@ -187,7 +187,7 @@ def _fuse_detections(
         )
     from sceneloom.detections.settings import ProjectionSettings
     from sceneloom.fusion.configuration import FusionConfiguration
-    from sceneloom.pipeline.detection_jobs import fuse_detections
+    from sceneloom.pipeline.fusing_detections import fuse_detections
 
     chosen = detection_options.detection_input(given)
     detectors = given["detectors"]

@@ -11,7 +11,7 @@ from sceneloom.cli.printing import Printer, print_table, several
 from sceneloom.cli.running import rewriting_verb
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.tracked_drive import TrackReport
+    from sceneloom.pipeline.tracking import TrackReport
 
 
 @click.command()
@@ -46,8 +46,7 @@ def track(
     fuse --type detection` wrote.
     """
     from sceneloom.detections.settings import ProjectionSettings
-    from sceneloom.pipeline.detection_jobs import track_objects
-    from sceneloom.pipeline.tracked_drive import TrackingSettings
+    from sceneloom.pipeline.tracking import TrackingSettings, track_objects
     from sceneloom.tracking.settings import ImageBox
 
     chosen, detectors = detection_options.detection_input(given), given["detectors"]

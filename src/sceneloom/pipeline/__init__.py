@@ -13,12 +13,11 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.converting import ConversionReport, convert
     from sceneloom.pipeline.depth_images import DepthReport, write_depth_images
     from sceneloom.pipeline.deskewing import DeskewReport, deskew, deskewed_scene
-    from sceneloom.pipeline.detection_jobs import DetectionInput, fuse_detections, track_objects
-    from sceneloom.pipeline.detection_lists import DetectionFiles
+    from sceneloom.pipeline.detection_lists import DetectionFiles, DetectionInput
     from sceneloom.pipeline.fusing import CameraReport, FusionOutputs, FusionReport, fuse, iter_fused
-    from sceneloom.pipeline.fusing_detections import DetectionFusionReport
+    from sceneloom.pipeline.fusing_detections import DetectionFusionReport, fuse_detections
     from sceneloom.pipeline.syncing import SyncReport, sync
-    from sceneloom.pipeline.tracked_drive import TrackingSettings, TrackReport
+    from sceneloom.pipeline.tracking import TrackingSettings, TrackOutputs, TrackReport, track_objects
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
@@ -32,21 +31,22 @@ else:
             "DeskewReport": "sceneloom.pipeline.deskewing:DeskewReport",
             "DetectionFiles": "sceneloom.pipeline.detection_lists:DetectionFiles",
             "DetectionFusionReport": "sceneloom.pipeline.fusing_detections:DetectionFusionReport",
-            "DetectionInput": "sceneloom.pipeline.detection_jobs:DetectionInput",
+            "DetectionInput": "sceneloom.pipeline.detection_lists:DetectionInput",
             "FusionOutputs": "sceneloom.pipeline.fusing:FusionOutputs",
             "FusionReport": "sceneloom.pipeline.fusing:FusionReport",
             "SyncReport": "sceneloom.pipeline.syncing:SyncReport",
-            "TrackReport": "sceneloom.pipeline.tracked_drive:TrackReport",
-            "TrackingSettings": "sceneloom.pipeline.tracked_drive:TrackingSettings",
+            "TrackOutputs": "sceneloom.pipeline.tracking:TrackOutputs",
+            "TrackReport": "sceneloom.pipeline.tracking:TrackReport",
+            "TrackingSettings": "sceneloom.pipeline.tracking:TrackingSettings",
             "colour": "sceneloom.pipeline.colouring:colour",
             "convert": "sceneloom.pipeline.converting:convert",
             "deskew": "sceneloom.pipeline.deskewing:deskew",
             "deskewed_scene": "sceneloom.pipeline.deskewing:deskewed_scene",
             "fuse": "sceneloom.pipeline.fusing:fuse",
-            "fuse_detections": "sceneloom.pipeline.detection_jobs:fuse_detections",
+            "fuse_detections": "sceneloom.pipeline.fusing_detections:fuse_detections",
             "iter_fused": "sceneloom.pipeline.fusing:iter_fused",
             "sync": "sceneloom.pipeline.syncing:sync",
-            "track_objects": "sceneloom.pipeline.detection_jobs:track_objects",
+            "track_objects": "sceneloom.pipeline.tracking:track_objects",
             "write_depth_images": "sceneloom.pipeline.depth_images:write_depth_images",
         },
     )
@@ -65,6 +65,7 @@ __all__ = [
     "FusionOutputs",
     "FusionReport",
     "SyncReport",
+    "TrackOutputs",
     "TrackReport",
     "TrackingSettings",
     "colour",

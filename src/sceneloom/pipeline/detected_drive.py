@@ -4,19 +4,20 @@ And which sweeps and images belong together.
 """
 
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self, TypeVar
+from typing import NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Int64Array
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.detectors import detector_names
 from sceneloom.detections.residuals import BoxResiduals
 from sceneloom.detections.results import DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import PoseError
+from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, KittiLabels, observation_angles, rectified_boxes
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.tracking_reader import CAMERA_ID, LIDAR_ID, KittiSequence
 from sceneloom.geometry.interpolation import OUT_OF_REACH
@@ -129,6 +130,11 @@ class DetectedDrive:
     warnings: tuple[DataWarning, ...] = field(default=())
 
     @property
+    def all_warnings(self) -> tuple[DataWarning, ...]:
+        """Its warnings, and what the boxes of images and sweeps say of the calibration of each camera."""
+        return (*self.warnings, *calibration_warnings(self))
+
+    @property
     def timestamps_ns(self) -> Int64Array:
         """Of the sweeps, (N,) int64 [ns]."""
         return np.array([boxes.timestamp_ns for boxes in self.boxes], np.int64)
@@ -232,7 +238,7 @@ def moments(drive: DetectedDrive) -> Iterator[Moment]:
 
 
 def calibration_warnings(drive: DetectedDrive) -> tuple[DataWarning, ...]:
-    """What the boxes of images and sweeps state of the calibration of each camera: nothing where they come together."""
+    """What the boxes of images and sweeps say of the calibration of each camera: nothing where they agree."""
     residuals = {camera_id: BoxResiduals() for camera_id in drive.cameras}
     for moment in moments(drive):
         for camera_id, pair in moment.pairs.items():
@@ -242,20 +248,17 @@ def calibration_warnings(drive: DetectedDrive) -> tuple[DataWarning, ...]:
     )
 
 
-_NONE = -1
-
-
 def _nearest(drive: DetectedDrive, camera: DetectedCamera) -> list[int]:
-    """For each sweep the row of the nearest image, `_NONE` where none is near; of two the earlier one."""
+    """For each sweep the row of the nearest image, -1 where none is near; of two the earlier one."""
     times = np.array([boxes.timestamp_ns for boxes in camera.boxes], np.int64)
     sweeps = drive.timestamps_ns
     if not len(times):
-        return [_NONE] * len(sweeps)
+        return [-1] * len(sweeps)
     after = np.searchsorted(times, sweeps).clip(0, len(times) - 1)
     before = (after - 1).clip(0)
     rows = np.where(sweeps - times[before] <= np.abs(times[after] - sweeps), before, after)
     near = np.abs(times[rows] - sweeps) <= drive.period_ns // 2
-    found: list[int] = np.where(near, rows, _NONE).tolist()
+    found: list[int] = np.where(near, rows, -1).tolist()
     return found
 
 
@@ -274,7 +277,7 @@ def poses_at(source: PoseSource, times_ns: Int64Array) -> tuple[RigidTransform, 
     )
 
 
-def kitti_detectors() -> str | None:
+def _kitti_detectors() -> str | None:
     """The name of what is known of detectors on KITTI's drives; None where the package has none."""
     return next((name for name in detector_names() if name.startswith("kitti")), None)
 
@@ -303,7 +306,7 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
     else:
         ego_from_lidar = sequence.lidar_from_imu.inverse()
     known = path is not None and sequence.lidar_from_imu is not None
-    detectors = kitti_detectors()
+    detectors = _kitti_detectors()
     if detectors is not None:
         message = (
             f"boxes are taken to be as sure and exact as those of {detectors}; `--detectors` says otherwise"
@@ -328,4 +331,65 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
         detectors=detectors,
         trajectory_known=known,
         warnings=tuple(warnings),
+    )
+
+
+class KittiObjects(NamedTuple):
+    """The objects of one frame, as KITTI's text has them.
+
+    Attributes:
+        frame: its number.
+        ids: (N,) int64.
+        labels, scores: their classes, (N,) float64.
+        corners_xyxy: (N, 4) float64 [px] in the corner convention.
+        boxes: centres (N, 3), sizes (N, 3) and yaws (N,) in the lidar's frame.
+        camera: of the image.
+    """
+
+    frame: int
+    ids: Int64Array
+    labels: tuple[str, ...]
+    scores: Float64Array
+    corners_xyxy: Float64Array
+    boxes: tuple[Float64Array, Float64Array, Float64Array]
+    camera: Camera
+
+
+def kitti_labels(found: Iterable[KittiObjects], rectified_from_lidar: RigidTransform) -> KittiLabels:
+    """Give the rows of a sequence; what the image does not show has none.
+
+    Args:
+        found: by frame.
+        rectified_from_lidar: into the frame of KITTI's boxes in space.
+    """
+    frames, ids, rows, types = (
+        [np.zeros(0, np.int64)],
+        [np.zeros(0, np.int64)],
+        [np.zeros((0, 12))],
+        list[str](),
+    )
+    for one in found:
+        size = np.tile([float(one.camera.width), float(one.camera.height)], 2)
+        corners = np.clip(one.corners_xyxy, 0.0, size)
+        shown = np.flatnonzero((corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))
+        pixels = np.clip(corners[shown] - CENTRE_TO_CORNER, 0.0, size - 1.0)
+        centers, sizes, yaws = (values[shown] for values in one.boxes)
+        placed = rectified_boxes(centers, sizes, yaws, rectified_from_lidar)
+        rows.append(np.column_stack([pixels, *placed, one.scores[shown]]))
+        frames.append(np.full(len(shown), one.frame))
+        ids.append(one.ids[shown])
+        types += [one.labels[k] for k in shown.tolist()]
+    values, count = np.concatenate(rows), len(types)
+    return KittiLabels(
+        frames=np.concatenate(frames),
+        track_ids=np.concatenate(ids),
+        types=tuple(types),
+        truncations=np.full(count, -1.0),
+        occlusions=np.full(count, -1),
+        alphas=observation_angles(values[:, 7:10], values[:, 10]),
+        corners_xyxy=values[:, :4].copy(),
+        sizes_hwl=values[:, 4:7].copy(),
+        bottoms=values[:, 7:10].copy(),
+        rotations_y=values[:, 10].copy(),
+        scores=values[:, 11].copy(),
     )

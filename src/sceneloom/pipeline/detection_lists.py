@@ -1,13 +1,14 @@
-"""Detection files beside a drive: JSON lines of the standard, KITTI text, nuScenes JSON.
+"""Detection files beside a drive: JSON lines of the standard, KITTI text, nuScenes JSON; and the drive they make.
 
-And the detected drive that a scene and such files make.
+In this order: a reader for each form; the table of forms; which files and sensors; the drive.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -16,9 +17,11 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.db34t.json import from_json
 from sceneloom.db34t.records import RECORD_KINDS, Box2d, Box3d, Boxes2d, Boxes3d, join_boxes
 from sceneloom.db34t.scene_objects import boxes_2d_of, boxes_3d_of
+from sceneloom.editing.crop import crop_scene
 from sceneloom.errors import DataError, OptionError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import file_faults, open_file, read_bytes
+from sceneloom.formats.base.registry import PART, open_scene
 from sceneloom.formats.base.text_tables import read_lines
 from sceneloom.formats.kitti.labels import (
     CENTRE_TO_CORNER,
@@ -26,13 +29,14 @@ from sceneloom.formats.kitti.labels import (
     COLUMNS_3D,
     DONT_CARE,
     TYPES,
-    KittiLabels,
+    DetectionList,
     class_word,
     lidar_boxes,
     read_boxes_2d_list,
     read_boxes_3d_list,
     read_labels,
 )
+from sceneloom.formats.kitti.tracking_reader import KittiTracking, is_tracking_folder, open_tracking_folder
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.motion.ego_trajectory import find_ego_motion
@@ -98,14 +102,14 @@ class _ListForm:
         name: of the form.
         looks_like: what a person knows it by.
         recognises: whether the beginning of a file, its blanks taken off, is of this form.
-        read_3d: reads boxes in space; None where the form has none.
+        read_3d: reads boxes in space.
         read_2d: reads boxes in images; None where the form has none.
     """
 
     name: str
     looks_like: str
     recognises: Callable[[str], bool]
-    read_3d: _Read3D | None = None
+    read_3d: _Read3D
     read_2d: _Read2D | None = None
 
 
@@ -116,11 +120,11 @@ def _sorted_by_time(lists: Sequence[Boxes3D] | Sequence[Boxes2D]) -> list[int]:
     return order
 
 
-def _recognises(head: str) -> bool:
+def _is_json_lines(head: str) -> bool:
     return head.startswith("{") and '"results"' not in head[:20_000].split("[", 1)[0]
 
 
-def _read_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
+def _read_json_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
     lists = [
         replace(boxes_3d_of(record, sensor_id=context.sensor_id), ids=None)
         for record in _records(path, context, ledger, (Boxes3d, Box3d))
@@ -128,7 +132,7 @@ def _read_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes
     return _complete(lists, context, Boxes3D.empty)
 
 
-def _read_2d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
+def _read_json_2d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
     lists = [
         replace(boxes_2d_of(record, sensor_id=context.sensor_id), ids=None)
         for record in _records(path, context, ledger, (Boxes2d, Box2d))
@@ -229,15 +233,6 @@ def _any_record(line: str) -> Any:
     return from_json("box_3d" if space else "box_2d", content)
 
 
-_FORM = _ListForm(
-    "json-lines",
-    "lines of JSON, each a record of table 7 or 8 of DB34/T 4101, or a frame's list of them",
-    _recognises,
-    _read_3d,
-    _read_2d,
-)
-
-
 def _has_commas(head: str) -> bool:
     words = head.split("\n", 1)[0].split(",")
     return len(words) in (len(COLUMNS_2D), len(COLUMNS_3D)) and words[0].strip().lstrip("-").isdigit()
@@ -248,107 +243,73 @@ def _has_blanks(head: str) -> bool:
     return len(words) in (15, 16, 17, 18) and any(word[:1].isalpha() for word in words[:3])
 
 
-def _lists_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
-    label = context.label or (_folder_label(path) if path.parent.name in TYPES.values() else None)
-    found = read_boxes_3d_list(path, label, ledger)
+class _KittiRows(NamedTuple):
+    """Boxes of KITTI's text, whichever form it has.
+
+    Attributes:
+        frames: (N,) int64, the number of each box's frame.
+        labels, scores, score_form: classes, and how sure they are.
+        corners_xyxy: (N, 4) float64 [px], pixels counted from the centre of the first one; of boxes in images.
+        placed: sizes (N, 3), bottoms (N, 3) and rotations (N,), as KITTI has them; of boxes in space.
+    """
+
+    frames: Int64Array
+    labels: Sequence[str]
+    scores: Float64Array
+    score_form: ScoreForm
+    corners_xyxy: Float64Array
+    placed: tuple[Float64Array, Float64Array, Float64Array]
+
+
+def _list_rows(found: DetectionList, *, in_space: bool) -> _KittiRows:
     values = found.values
-    centers, sizes, yaws = _in_sensor(path, context, ledger, values[:, 7:10], values[:, 10:13], values[:, 13])
-    rows = _rows_by_frame(found.frames, context, path)
-    return [
-        Boxes3D(
-            time_ns,
-            centers[kept],
-            sizes[kept],
-            yaws[kept],
-            values[kept, 6],
-            tuple(found.labels[k] for k in kept.tolist()),
-            score_form=ScoreForm.LOGIT,
-            sensor_id=context.sensor_id,
-        )
-        for time_ns, kept in rows
-    ]
+    score_form, score = (ScoreForm.LOGIT, 6) if in_space else (ScoreForm.PROBABILITY, 5)
+    placed = values[:, 7:10], values[:, 10:13], values[:, 13:14].reshape(-1)
+    return _KittiRows(found.frames, found.labels, values[:, score], score_form, values[:, 1:5], placed)
 
 
-def _lists_2d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
+def _result_rows(path: Path, *, in_space: bool) -> _KittiRows:
+    """Labels or results; without scores they are certain, and scores beyond 0 to 1 are logits."""
+    results = read_labels(path)
+    results = results.select(np.array([word != DONT_CARE for word in results.types], np.bool_))
+    if in_space:
+        results = results.select(results.have_position)
+    scores = np.ones(len(results)) if results.scores is None else results.scores
+    placed = results.sizes_hwl, results.bottoms, results.rotations_y
+    return _KittiRows(
+        results.frames, results.types, scores, _score_form(scores), results.corners_xyxy, placed
+    )
+
+
+def _read_lists_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
+    label = context.label or (_folder_label(path) if path.parent.name in TYPES.values() else None)
+    rows = _list_rows(read_boxes_3d_list(path, label, ledger), in_space=True)
+    return _kitti_boxes_3d(rows, path, context, ledger)
+
+
+def _read_lists_2d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
     found = read_boxes_2d_list(path, context.label or _folder_label(path), ledger)
-    return [
-        Boxes2D(
-            time_ns,
-            found.values[kept, 1:5] + CENTRE_TO_CORNER,
-            found.values[kept, 5],
-            tuple(found.labels[k] for k in kept.tolist()),
-            sensor_id=context.sensor_id,
-        )
-        for time_ns, kept in _rows_by_frame(found.frames, context, path)
-    ]
+    return _kitti_boxes_2d(_list_rows(found, in_space=False), path, context)
 
 
 def _folder_label(path: Path) -> str:
     return class_word(path.resolve().parent.name)
 
 
-def _results_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
-    results = _results(path)
-    results = results.select(results.have_position)
-    placed = _in_sensor(path, context, ledger, results.sizes_hwl, results.bottoms, results.rotations_y)
-    centers, sizes, yaws = placed
-    scores, form = _scores(results)
-    return [
-        Boxes3D(
-            time_ns,
-            centers[kept],
-            sizes[kept],
-            yaws[kept],
-            scores[kept],
-            tuple(results.types[k] for k in kept.tolist()),
-            score_form=form,
-            sensor_id=context.sensor_id,
-        )
-        for time_ns, kept in _rows_by_frame(results.frames, context, path)
-    ]
+def _read_results_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
+    return _kitti_boxes_3d(_result_rows(path, in_space=True), path, context, ledger)
 
 
-def _results_2d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
+def _read_results_2d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
     del ledger
-    results = _results(path)
-    scores, form = _scores(results)
-    return [
-        Boxes2D(
-            time_ns,
-            results.corners_xyxy[kept] + CENTRE_TO_CORNER,
-            scores[kept],
-            tuple(results.types[k] for k in kept.tolist()),
-            score_form=form,
-            sensor_id=context.sensor_id,
-        )
-        for time_ns, kept in _rows_by_frame(results.frames, context, path)
-    ]
+    return _kitti_boxes_2d(_result_rows(path, in_space=False), path, context)
 
 
-def _results(path: Path) -> KittiLabels:
-    labels = read_labels(path)
-    return labels.select(np.array([word != DONT_CARE for word in labels.types], np.bool_))
-
-
-def _scores(results: KittiLabels) -> tuple[Float64Array, ScoreForm]:
-    """Labels without scores are certain; scores beyond 0 to 1 are logits."""
-    if results.scores is None:
-        return np.ones(len(results)), ScoreForm.PROBABILITY
-    within = len(results) == 0 or (results.scores.min() >= 0.0 and results.scores.max() <= 1.0)
-    return results.scores, ScoreForm.PROBABILITY if within else ScoreForm.LOGIT
-
-
-def _in_sensor(
-    path: Path,
-    context: ListContext,
-    ledger: Ledger,
-    sizes_hwl: Float64Array,
-    bottoms: Float64Array,
-    rotations_y: Float64Array,
-) -> tuple[Float64Array, Float64Array, Float64Array]:
+def _kitti_boxes_3d(rows: _KittiRows, path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
+    """Boxes of the camera's frame, brought into the sensor's."""
     sensor_from_camera = context.sensor_from_camera
     if sensor_from_camera is None:
-        if len(bottoms):
+        if len(rows.frames):
             problem = (
                 "its boxes are in the camera's frame, and no camera is known; expected one, or `--camera ID`"
             )
@@ -356,7 +317,34 @@ def _in_sensor(
         sensor_from_camera = RigidTransform.identity()
     message = "its boxes are taken to be in the frame of the camera that was chosen"
     ledger.note(WarningKind.ASSUMED, "boxes-in-camera-frame", str(path), message)
-    return lidar_boxes(sizes_hwl, bottoms, rotations_y, sensor_from_camera.inverse())
+    centers, sizes, yaws = lidar_boxes(*rows.placed, sensor_from_camera.inverse())
+    return [
+        Boxes3D(
+            time_ns,
+            centers[kept],
+            sizes[kept],
+            yaws[kept],
+            rows.scores[kept],
+            tuple(rows.labels[k] for k in kept.tolist()),
+            score_form=rows.score_form,
+            sensor_id=context.sensor_id,
+        )
+        for time_ns, kept in _rows_by_frame(rows.frames, context, path)
+    ]
+
+
+def _kitti_boxes_2d(rows: _KittiRows, path: Path, context: ListContext) -> Sequence[Boxes2D]:
+    return [
+        Boxes2D(
+            time_ns,
+            rows.corners_xyxy[kept] + CENTRE_TO_CORNER,
+            rows.scores[kept],
+            tuple(rows.labels[k] for k in kept.tolist()),
+            score_form=rows.score_form,
+            sensor_id=context.sensor_id,
+        )
+        for time_ns, kept in _rows_by_frame(rows.frames, context, path)
+    ]
 
 
 def _rows_by_frame(frames: Int64Array, context: ListContext, path: Path) -> list[tuple[int, Int64Array]]:
@@ -374,30 +362,13 @@ def _rows_by_frame(frames: Int64Array, context: ListContext, path: Path) -> list
     ]
 
 
-_LISTS = _ListForm(
-    "kitti-lists",
-    "lines of 6 or 15 numbers with commas, a frame's number first",
-    _has_commas,
-    _lists_3d,
-    _lists_2d,
-)
-
-_RESULTS = _ListForm(
-    "kitti-results",
-    "KITTI's text of labels or results, 15 to 18 words a line",
-    _has_blanks,
-    _results_3d,
-    _results_2d,
-)
-
-_WORD = '"results"'
-
-_NAMES = ("sample.json",)
-"""Where the times of samples are reported, beside the file or above it."""
+def _score_form(scores: Float64Array) -> ScoreForm:
+    within = len(scores) == 0 or (scores.min() >= 0.0 and scores.max() <= 1.0)
+    return ScoreForm.PROBABILITY if within else ScoreForm.LOGIT
 
 
-def _nuscenes_recognises(head: str) -> bool:
-    return head.startswith("{") and _WORD in head
+def _is_nuscenes(head: str) -> bool:
+    return head.startswith("{") and '"results"' in head
 
 
 def _nuscenes_read_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
@@ -447,8 +418,8 @@ def _sample_times(path: Path, results: Mapping[str, Any], context: ListContext) 
     if all(token.isascii() and token.isdigit() for token in results):
         micros = {token: int(token) * 1000 for token in results}
         return {token: t for token, t in micros.items() if _in_drive(t, context)}
-    folders = (path.parent, path.parent.parent)
-    table = next((folder / name for folder in folders for name in _NAMES if (folder / name).is_file()), None)
+    beside = (path.parent / "sample.json", path.parent.parent / "sample.json")
+    table = next((file for file in beside if file.is_file()), None)
     if table is None:
         problem = "the times of its samples are not known; put nuScenes' table sample.json (token, timestamp) beside it"
         raise DataError(path, "", problem)
@@ -532,19 +503,35 @@ def _boxes(
     return boxes.moved(world_from_sensor.inverse(), PointsFrame.SENSOR)
 
 
-def _score_form(scores: Float64Array) -> ScoreForm:
-    within = len(scores) == 0 or (scores.min() >= 0.0 and scores.max() <= 1.0)
-    return ScoreForm.PROBABILITY if within else ScoreForm.LOGIT
-
-
-_NUSCENES_FORM = _ListForm(
-    "nuscenes",
-    'a JSON object with "results" by sample, as nuScenes has detections',
-    _nuscenes_recognises,
-    _nuscenes_read_3d,
+_FORMS: tuple[_ListForm, ...] = (
+    _ListForm(
+        "json-lines",
+        "lines of JSON, each a record of table 7 or 8 of DB34/T 4101, or a frame's list of them",
+        _is_json_lines,
+        _read_json_3d,
+        _read_json_2d,
+    ),
+    _ListForm(
+        "nuscenes",
+        'a JSON object with "results" by sample, as nuScenes has detections',
+        _is_nuscenes,
+        _nuscenes_read_3d,
+    ),
+    _ListForm(
+        "kitti-lists",
+        "lines of 6 or 15 numbers with commas, a frame's number first",
+        _has_commas,
+        _read_lists_3d,
+        _read_lists_2d,
+    ),
+    _ListForm(
+        "kitti-results",
+        "KITTI's text of labels or results, 15 to 18 words a line",
+        _has_blanks,
+        _read_results_3d,
+        _read_results_2d,
+    ),
 )
-
-_FORMS: tuple[_ListForm, ...] = (_FORM, _NUSCENES_FORM, _LISTS, _RESULTS)
 """All forms; at most one of them recognises a file."""
 
 _HEAD = 65536
@@ -579,14 +566,13 @@ def read_boxes_3d(path: Path | str, context: ListContext, ledger: Ledger) -> Seq
         ledger: reported what was assumed, and in a lenient reading of faults.
 
     Raises:
-        DataError: the file cannot be read, is of no form that has such boxes, or is faulty.
+        DataError: the file cannot be read, or is faulty.
+        UnknownFormatError: no form recognises it.
     """
     path = Path(path)
     form = form_of(path)
     if form is None:
         return [Boxes3D.empty(t, sensor_id=context.sensor_id) for t in context.timestamps_ns.tolist()]
-    if form.read_3d is None:
-        raise DataError(path, "", f"is of the form {form.name}, which has no boxes in space")
     return form.read_3d(path, context, ledger)
 
 
@@ -631,6 +617,105 @@ class DetectionFiles:
     whole: Scene | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectionInput:
+    """What of a path is fused or tracked.
+
+    Attributes:
+        files: lists of boxes beside a drive.
+        detector_2d, detector_3d: which folders of lists, in one laid out like KITTI's tracking benchmark.
+        sequences: which of its sequences, empty for all; with lists, the one drive of a data set that they are of.
+    """
+
+    files: DetectionFiles = field(default_factory=DetectionFiles)
+    detector_2d: str | None = None
+    detector_3d: str | None = None
+    sequences: Sequence[str] = ()
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether there are lists of boxes beside a drive."""
+        return bool(self.files.boxes_3d or self.files.boxes_2d)
+
+    def tracking_folder(
+        self, path: str | Path, *, lenient: bool, reading: Mapping[str, Any] | None
+    ) -> KittiTracking | None:
+        """The folder laid out like KITTI's tracking benchmark that a path is; None for anything else.
+
+        Raises:
+            OptionError: an option does not concern such a path.
+        """
+        if self.has_lists or not is_tracking_folder(Path(path)):
+            for flag, stated in (("--det2d", self.detector_2d), ("--det3d", self.detector_3d)):
+                if stated:
+                    why = (
+                        "the boxes come from the lists of --boxes3d and --boxes2d"
+                        if self.has_lists
+                        else "it is no folder of KITTI's sequences"
+                    )
+                    raise OptionError(f"{path}: {flag} {stated} does not count here: {why}")
+            return None
+        useless = {
+            "--lidar": self.files.lidar is not None,
+            "--camera": self.files.cameras,
+            "--trajectory": self.files.trajectory,
+            "--orientation-from": self.files.heading,
+        }
+        for flag in [flag for flag, stated in useless.items() if stated]:
+            raise OptionError(
+                f"{path}: {flag} does not count here: it is a folder of KITTI's sequences, whose sensors and "
+                "trajectory are known"
+            )
+        refuse_part(path, reading)
+        return open_tracking_folder(
+            path, detector_2d=self.detector_2d, detector_3d=self.detector_3d, lenient=lenient
+        )
+
+    @contextmanager
+    def open_drive(
+        self, path: str | Path, *, lenient: bool, reading: Mapping[str, Any] | None
+    ) -> Iterator[tuple[DetectedDrive, Scene]]:
+        """Open a drive, or the chosen part of it, with its lists of boxes, which are of the whole."""
+        if len(self.sequences) > 1:
+            raise OptionError(
+                f"{path}: --sequence {' --sequence '.join(self.sequences)}: one drive is opened at a time; state one"
+            )
+        options = {**(reading or {}), **({"lenient": True} if lenient else {})}
+        if self.sequences:
+            options["sequence"] = self.sequences[0]
+        part = {name: options.pop(name) for name in PART if name in options}
+        with open_scene(path, **options) as opened:
+            scene = opened.corrected()
+            files = _with_known_ids(scene, self.files)
+            if part:
+                scene, files = crop_scene(scene, **part), replace(files, whole=scene)
+            yield scene_drive(scene, files, lenient=lenient), scene
+
+
+def refuse_part(path: str | Path, reading: Mapping[str, Any] | None) -> None:
+    """Refuse reading options for a part of a drive whose files number frames from the beginning.
+
+    Raises:
+        OptionError: there is one.
+    """
+    if not (reading or {}).keys().isdisjoint(PART):
+        raise OptionError(
+            f"{path}: its files number frames from the beginning, so that it is done whole; --start and --stop take a "
+            "part of drives with lists of boxes beside them, --boxes3d and --boxes2d"
+        )
+
+
+def _with_known_ids(scene: Scene, files: DetectionFiles) -> DetectionFiles:
+    """The same files, with ids of sensors as the scene has them: `7` may be a number there, but a text here."""
+
+    def known(stated: Identifier) -> Identifier:
+        ids = [sensor.id for sensor in scene.sensors]
+        return next((found for found in ids if stated not in ids and str(found) == stated), stated)
+
+    lidar = None if files.lidar is None else known(files.lidar)
+    return replace(files, lidar=lidar, cameras=tuple(map(known, files.cameras)))
+
+
 def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -> DetectedDrive:
     """Read the boxes of a scene's detectors; of a part of a drive those of its time.
 
@@ -667,7 +752,9 @@ def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -
         )
         lists = [read_boxes_3d(path, context, ledger) for path in files.boxes_3d]
         boxes = (
-            _together_3d(lists) if lists else [Boxes3D.empty(t, sensor_id=lidar.id) for t in sweeps.tolist()]
+            _together(lists, _joined_3d)
+            if lists
+            else [Boxes3D.empty(t, sensor_id=lidar.id) for t in sweeps.tolist()]
         )
         drive = DetectedDrive(
             name=Path(scene.source).stem or "drive",
@@ -701,10 +788,7 @@ def _chosen(scene: Scene, chosen: Identifier | None) -> LidarSensor:
 
 
 def _reference_times(lidar: LidarSensor) -> Int64Array:
-    """When the boxes of each sweep hold: at the middle of its points.
-
-    As far after its timestamp as in the first sweep.
-    """
+    """The times of each sweep's boxes: the middle of its points, as far after its timestamp as in the first sweep."""
     times = lidar.frames.timestamps_ns
     if not len(times):
         return times
@@ -733,7 +817,7 @@ def _cameras(
         context = ListContext(camera.id, whole.images.timestamps_ns, number=number, others=_numbers(scene))
         lists.setdefault(camera.id, []).append(read_boxes_2d(path, context, ledger))
     return {
-        camera_id: _detected(scene, _camera(scene, camera_id), _together_2d(found), ego)
+        camera_id: _detected(scene, _camera(scene, camera_id), _together(found, _joined_2d), ego)
         for camera_id, found in lists.items()
     }
 
@@ -789,19 +873,20 @@ def _sensor_from_camera(
     return world_from_lidar.inverse() @ world_from_camera
 
 
-def _together_3d(lists: Sequence[Sequence[Boxes3D]]) -> list[Boxes3D]:
+_Boxes = TypeVar("_Boxes", Boxes2D, Boxes3D)
+
+
+def _together(lists: Iterable[Sequence[_Boxes]], join: Callable[[list[_Boxes]], _Boxes]) -> list[_Boxes]:
     """The boxes of several files by time."""
-    by_time: dict[int, list[Boxes3D]] = {}
+    by_time: dict[int, list[_Boxes]] = {}
     for found in lists:
         for boxes in found:
             by_time.setdefault(boxes.timestamp_ns, []).append(boxes)
-    return [_joined_3d(by_time[t]) for t in sorted(by_time)]
+    return [same[0] if len(same) == 1 else join(same) for _, same in sorted(by_time.items())]
 
 
 def _joined_3d(parts: Sequence[Boxes3D]) -> Boxes3D:
     """Boxes of one time put together; what only some of them have is left out."""
-    if len(parts) == 1:
-        return parts[0]
     parts = [boxes for boxes in parts if len(boxes)] or parts[:1]
     if len({boxes.score_form for boxes in parts}) > 1:
         raise DataError(
@@ -825,18 +910,8 @@ def _joined_3d(parts: Sequence[Boxes3D]) -> Boxes3D:
     )
 
 
-def _together_2d(lists: Sequence[Sequence[Boxes2D]]) -> list[Boxes2D]:
-    by_time: dict[int, list[Boxes2D]] = {}
-    for found in lists:
-        for boxes in found:
-            by_time.setdefault(boxes.timestamp_ns, []).append(boxes)
-    return [_joined_2d(by_time[t]) for t in sorted(by_time)]
-
-
 def _joined_2d(parts: Sequence[Boxes2D]) -> Boxes2D:
     """Boxes of one image put together."""
-    if len(parts) == 1:
-        return parts[0]
     first = parts[0]
     return Boxes2D(
         first.timestamp_ns,

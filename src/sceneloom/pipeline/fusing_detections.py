@@ -29,14 +29,7 @@ from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats.base.files import file_faults, open_file
 from sceneloom.formats.base.output import filling, replacing_together
 from sceneloom.formats.base.text_tables import read_lines
-from sceneloom.formats.kitti.labels import (
-    CENTRE_TO_CORNER,
-    NO_TRACK,
-    KittiLabels,
-    observation_angles,
-    rectified_boxes,
-    write_labels,
-)
+from sceneloom.formats.kitti.labels import NO_TRACK, write_labels
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.tracking_reader import KittiTracking
 from sceneloom.fusion.algorithms import FusionType, algorithm, chosen_algorithm
@@ -47,12 +40,14 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detected_drive import (
     DetectedCamera,
     DetectedDrive,
+    KittiObjects,
     SweepPoints,
-    calibration_warnings,
     kitti_drive,
+    kitti_labels,
     poses_at,
     projection_settings,
 )
+from sceneloom.pipeline.detection_lists import DetectionInput
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import usual_period_ns
@@ -65,8 +60,8 @@ _Classes = frozenset[str] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoveringFusion:
-    """Fusion by projection for detectors that do not look for the same classes.
+class _CoveringFusion:
+    """Fusion by projection for detectors that look for different classes.
 
     Attributes:
         classes_2d, classes_3d: that the detectors of images and of sweeps look for.
@@ -132,7 +127,7 @@ def _fusion_for(
     """Give the fusion for detectors of some classes; None where both look for all that was found."""
     if all(classes is None or found <= classes for classes in (classes_2d, classes_3d)):
         return None
-    return CoveringFusion(classes_2d, classes_3d, settings)
+    return _CoveringFusion(classes_2d, classes_3d, settings)
 
 
 def iter_fused_detections(
@@ -362,132 +357,108 @@ class _DetectionStatistics:
         self.by_class.update(fused.labels)
 
 
-def _kitti_objects(
-    frames: Sequence[FusedDetectionFrame], rectified_from_lidar: RigidTransform
-) -> KittiLabels:
-    """Give the rows of a sequence's objects; what the image does not show has none.
-
-    Args:
-        frames: of one lidar and one camera; the number of the sweep is that of the frame.
-        rectified_from_lidar: into the frame of the boxes in space.
-    """
-    numbers, rows, types = [np.zeros(0, np.int64)], [np.zeros((0, 12))], list[str]()
-    for frame in frames:
-        fused, camera_model = frame.fused, frame.camera
-        corners = np.clip(
-            fused.corners_xyxy, 0.0, np.tile([float(camera_model.width), float(camera_model.height)], 2)
-        )
-        shown = np.flatnonzero((corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))
-        limits = np.tile([camera_model.width - 1.0, camera_model.height - 1.0], 2)
-        pixels = np.clip(corners[shown] - CENTRE_TO_CORNER, 0.0, limits)
-        placed = rectified_boxes(
-            fused.centers[shown], fused.sizes_lwh[shown], fused.yaws[shown], rectified_from_lidar
-        )
-        rows.append(np.column_stack([pixels, *placed, fused.scores[shown]]))
-        numbers.append(np.full(len(shown), frame.index))
-        types += [fused.labels[k] for k in shown.tolist()]
-    values, count = np.concatenate(rows), len(types)
-    return KittiLabels(
-        frames=np.concatenate(numbers),
-        track_ids=np.full(count, NO_TRACK),
-        types=tuple(types),
-        truncations=np.full(count, -1.0),
-        occlusions=np.full(count, -1),
-        alphas=observation_angles(values[:, 7:10], values[:, 10]),
-        corners_xyxy=values[:, :4].copy(),
-        sizes_hwl=values[:, 4:7].copy(),
-        bottoms=values[:, 7:10].copy(),
-        rotations_y=values[:, 10].copy(),
-        scores=values[:, 11].copy(),
+def _kitti_objects(frame: FusedDetectionFrame) -> KittiObjects:
+    fused = frame.fused
+    return KittiObjects(
+        frame.index,
+        np.full(len(fused), NO_TRACK),
+        fused.labels,
+        fused.scores,
+        fused.corners_xyxy,
+        (fused.centers, fused.sizes_lwh, fused.yaws),
+        frame.camera,
     )
 
 
+_Fuse = Callable[[DetectedDrive], Iterator[FusedDetectionFrame]]
+
 _SIDE_SUFFIX = ".frames.jsonl"
-"""How the file is called that says of each line of results where lidar and camera were."""
+"""The name of the file that says for each line of results where lidar and camera were ends in this."""
 
 
-def fuse_folder_detections(
-    tracking: KittiTracking,
+def fuse_detections(
+    path: str | Path,
     output: str | Path,
     *,
-    sequences: Iterable[str] = (),
+    chosen: DetectionInput | None = None,
+    form: str = "jsonl",
     configuration: FusionConfiguration | None = None,
     settings: ProjectionSettings | None = None,
-    form: str = "jsonl",
+    lenient: bool = False,
+    reading: Mapping[str, Any] | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> DetectionFusionReport:
-    """Fuse the detections of a folder laid out like KITTI's tracking benchmark; two files for each sequence.
+    """Fuse what detectors found in a drive, or in each sequence of a folder, into records of table 10.
+
+    Beside each file of lines of JSON a second one, `.frames.jsonl`, says where lidar and camera were.
 
     Args:
-        tracking: the folder.
-        output: the folder to write.
-        sequences: which ones; none for all.
+        path: a folder laid out like KITTI's tracking benchmark, or a drive.
+        output: the folder of files, or the file of lines of JSON.
+        chosen: what of it.
+        form: "jsonl", or of KITTI's folders "kitti" for its text, `NNNN.txt`, without tracks.
         configuration: settings of the fusion system.
         settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
-        form: "jsonl", or "kitti" for one file of KITTI's text, `NNNN.txt`, without tracks.
+        lenient: leave out what is faulty, and count it.
+        reading: further options of opening a drive, `start` and `stop` of a part among them.
         overwrite: whether files that exist may be replaced.
-        progress: reported after each pair.
+        progress: reported after each pair, or each sequence.
 
     Raises:
+        OptionError: an option does not concern such a path, or a value is not one that can be followed.
         DataError: a file is faulty, or a sequence is not there.
-        OutputError: the folder has something in it, or cannot be written.
-        OptionError: a value is not one that can be followed.
+        OutputError: the output exists, or cannot be written.
+        PoseError: it is not known where a sensor was.
     """
-    begun = time.perf_counter()
+    begun, output, wanted = time.perf_counter(), Path(output), chosen or DetectionInput()
+    fuse = partial(iter_fused_detections, configuration=configuration, settings=settings)
+    tracking = wanted.tracking_folder(path, lenient=lenient, reading=reading)
+    if tracking is not None:
+        reports = _fuse_sequences(
+            tracking, wanted.sequences, output, form, fuse, progress, overwrite=overwrite
+        )
+        return _report(str(tracking.path), output, reports, tracking.warnings, begun)
+    if form != "jsonl":
+        raise OptionError(
+            f"format {form!r} is written for folders laid out like KITTI's only; expected 'jsonl' for {path}"
+        )
+    with wanted.open_drive(path, lenient=lenient, reading=reading) as (drive, _):
+        begun = time.perf_counter()
+        with replacing_together((output, _side_file(output)), overwrite=overwrite) as (draft, side):
+            report = _fuse_into(drive, draft, side, output, fuse, progress)
+        return _report(drive.name, output, [report], (), begun)
+
+
+def _fuse_sequences(
+    tracking: KittiTracking,
+    sequences: Sequence[str],
+    output: Path,
+    form: str,
+    fuse: _Fuse,
+    progress: Progress | None,
+    *,
+    overwrite: bool,
+) -> list[_FusedDriveReport]:
+    """Fuse some or all sequences of a folder; one or two files each."""
     if form not in {"jsonl", "kitti"}:
         raise OptionError(f"format {form!r}; expected 'jsonl' or 'kitti'")
-    output, names = Path(output), tracking.chosen(sequences)
-    reports = []
+    names, reports = tracking.chosen(sequences), list[_FusedDriveReport]()
     with filling(output, overwrite=overwrite) as folder:
         for k, name in enumerate(names):
             sequence = tracking.sequence(name)
             drive = kitti_drive(sequence)
             if form == "kitti":
-                file = folder / f"{name}.txt"
-                fused = list(iter_fused_detections(drive, configuration=configuration, settings=settings))
-                write_labels(_kitti_objects(fused, sequence.rectified_from_lidar), file)
-                reports.append(_drive_report(drive, output / file.name, _DetectionStatistics.of(fused)))
+                fused = list(fuse(drive))
+                labels = kitti_labels(map(_kitti_objects, fused), sequence.rectified_from_lidar)
+                write_labels(labels, folder / f"{name}.txt")
+                reports.append(_drive_report(drive, output / f"{name}.txt", _DetectionStatistics.of(fused)))
             else:
                 draft = folder / f"{name}.jsonl"
-                report = _fuse_into(
-                    drive, draft, _side_file(draft), output / draft.name, configuration, settings
-                )
-                reports.append(report)
+                reports.append(_fuse_into(drive, draft, _side_file(draft), output / draft.name, fuse))
             if progress is not None:
                 progress(k + 1, len(names))
-    return _report(str(tracking.path), output, reports, tracking.warnings, begun)
-
-
-def fuse_drive_detections(
-    drive: DetectedDrive,
-    output: str | Path,
-    *,
-    configuration: FusionConfiguration | None = None,
-    settings: ProjectionSettings | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> DetectionFusionReport:
-    """Fuse the detections of a drive into lines of JSON, and write beside them where lidar and camera were.
-
-    Args:
-        drive: what detectors found.
-        output: the file of lines; the other one has its name with `.frames.jsonl`.
-        configuration: settings of the fusion system.
-        settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
-        overwrite: whether files that exist may be replaced.
-        progress: reported after each pair.
-
-    Raises:
-        OutputError: a file exists, or cannot be written.
-        OptionError: a value is not one that can be followed.
-        DataError: a time cannot stand in a record.
-    """
-    begun = time.perf_counter()
-    output = Path(output)
-    with replacing_together((output, _side_file(output)), overwrite=overwrite) as (draft, side):
-        report = _fuse_into(drive, draft, side, output, configuration, settings, progress)
-    return _report(drive.name, output, [report], (), begun)
+    return reports
 
 
 def _side_file(path: Path) -> Path:
@@ -500,14 +471,13 @@ def _fuse_into(
     draft: Path,
     side: Path,
     output: Path,
-    configuration: FusionConfiguration | None,
-    settings: ProjectionSettings | None,
+    fuse: _Fuse,
     progress: Progress | None = None,
 ) -> _FusedDriveReport:
     statistics = _DetectionStatistics()
     numbers = {camera_id: k for k, camera_id in enumerate(drive.cameras, start=1)}
     with draft.open("w", encoding="utf-8", newline="\n") as lines, side.open("wb") as sides:
-        for frame in iter_fused_detections(drive, configuration=configuration, settings=settings):
+        for frame in fuse(drive):
             statistics.add(frame)
             if progress is not None:
                 progress(frame.index + 1, len(drive.boxes))
@@ -529,7 +499,7 @@ def _drive_report(drive: DetectedDrive, output: Path, statistics: _DetectionStat
         sweeps_only=statistics.sweeps_only,
         images_only=statistics.images_only,
         by_class=dict(statistics.by_class),
-        warnings=(*drive.warnings, *calibration_warnings(drive)),
+        warnings=drive.all_warnings,
     )
 
 

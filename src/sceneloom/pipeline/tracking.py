@@ -1,12 +1,14 @@
-"""The track job: tracks of whole drives as KITTI results, JSON lines or scenes with annotations.
+"""The track job: what detectors found becomes tracks, written as KITTI results, JSON lines or scenes with annotations.
 
-And their visualisation.
+In this order: settings and report; tracking; annotations; the files of results; visualisations; the job.
 """
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -14,105 +16,537 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.box_outlines import FINE, box_extents
+from sceneloom.detections.projection import fuse_by_projection
+from sceneloom.detections.results import DetectionAlgorithm, DetectionPair
+from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import check_output, file_stem, filling, replacing
 from sceneloom.formats.base.registry import write_scene
-from sceneloom.formats.kitti.labels import (
-    CENTRE_TO_CORNER,
-    KittiLabels,
-    observation_angles,
-    rectified_boxes,
-    write_labels,
-)
+from sceneloom.formats.kitti.labels import write_labels
 from sceneloom.formats.kitti.tracking_reader import KittiSequence, KittiTracking, sequence_scene
+from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm, chosen_algorithm
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detected_drive import (
     DetectedDrive,
+    KittiObjects,
+    Moment,
     SweepPoints,
-    calibration_warnings,
     kitti_drive,
+    kitti_labels,
+    moments,
     poses_at,
+    projection_settings,
 )
-from sceneloom.pipeline.fusing_detections import read_fused
-from sceneloom.pipeline.tracked_drive import (
-    TrackedDrive,
-    TrackedReport,
-    TrackingSettings,
-    TrackReport,
-    label_drive,
-    track,
-    track_observations,
-)
-from sceneloom.scene.detections import Boxes3D, Support, TrackedObjects
+from sceneloom.pipeline.detection_lists import DetectionInput, refuse_part
+from sceneloom.pipeline.fusing_detections import fused_files, read_fused
+from sceneloom.scene.detections import Boxes2D, Boxes3D, Support, Track, TrackedObjects, Tracks
+from sceneloom.scene.ego import EgoMotion, needs_ego
+from sceneloom.scene.poses import Poses, Trajectory, same_direction
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
-from sceneloom.stages import stage
-from sceneloom.tracking.settings import ImageBox
-from sceneloom.tracking.tracker import Observation
+from sceneloom.stages import stage, timed
+from sceneloom.tracking.labels import Labelled, label_tracks
+
+from sceneloom.tracking.settings import ImageBox, TrackerSettings
+from sceneloom.tracking.smoother import gathered, track_drive
+from sceneloom.tracking.tracker import Observation, Tracker
 from sceneloom.visualization.canvas import PilImage, counting_left_out
 from sceneloom.visualization.clouds import EgoPosition
 from sceneloom.visualization.fused_frames import save_image
 from sceneloom.visualization.objects import draw_objects_above, draw_objects_in_image
 from sceneloom.warnings import DataWarning
 
-_NEAR = 0.1
-"""What has a corner less far in front of the camera than this is not reported to have an outline [m]."""
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackingSettings:
+    """How a drive is tracked.
+
+    Attributes:
+        offline: whether states may look ahead: smoothed over the drive, gaps filled.
+        algorithm: the algorithm of detection fusion: its name, "file.py:function", or a function that is called as
+            `detections.DetectionAlgorithm`.
+        fusion: what fusion by projection takes for granted; None for what is known of the drive's detectors.
+        tracker: what the tracker takes for granted.
+    """
+
+    offline: bool = False
+    algorithm: AlgorithmChoice = "projection"
+    fusion: ProjectionSettings | None = None
+    tracker: TrackerSettings = field(default_factory=TrackerSettings)
 
 
-def _kitti_results(
-    tracked: TrackedDrive,
-    camera_id: Identifier,
-    rectified_from_lidar: RigidTransform,
-    *,
-    box2d: ImageBox = ImageBox.IMAGE,
-) -> KittiLabels:
-    """Give the rows of a sequence's results; what the image does not show has none.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackOutputs:
+    """What tracks are written as.
+
+    Attributes:
+        form: "kitti", "jsonl" or "sfs"; None for the form of the output's suffix, else KITTI's results.
+        box2d: which boxes in the image are written.
+        images: folder into which some moments are drawn, below it one for each of several drives; None for none.
+        overwrite: whether files that exist may be replaced.
+        scene_options: how scenes are written, `profile` and `time_unit` as of `write_scene`; of "sfs" only.
+    """
+
+    form: str | None = None
+    box2d: ImageBox = ImageBox.IMAGE
+    images: Path | None = None
+    overwrite: bool = False
+    scene_options: Mapping[str, Any] = field(default_factory=dict)
+
+    def form_of(self, output: Path) -> str:
+        """The form that was asked for, else the one of the output's suffix, else KITTI's.
+
+        Raises:
+            OptionError: there is no such form, a suffix belongs to none, or there are options of another form.
+        """
+        form = self.form or ("kitti" if not output.suffix else _form_of_suffix(output))
+        if form is None:
+            known = ", ".join(f"{suffix} ({name})" for name, (suffix, _) in _FORMS.items())
+            raise OptionError(
+                f"{output}: suffix {output.suffix!r} belongs to no form of tracks; expected one of: {known}"
+            )
+        if form not in _FORMS:
+            raise OptionError(f"format {form!r}; expected one of {', '.join(_FORMS)}")
+        if self.scene_options and form != "sfs":
+            flags = " and ".join(f"--{name.replace('_', '-')}" for name in self.scene_options)
+            raise OptionError(f"{flags}: only of scenes, but {form!r} is written; state --format sfs with it")
+        return form
+
+
+class _TrackedReport(msgspec.Struct, frozen=True, kw_only=True):
+    """One drive or sequence.
+
+    Attributes:
+        name: of it.
+        file: where its objects are.
+        frames: sweeps.
+        tracks: objects, by class.
+        states: how often one was reported.
+        seconds: of the processor, for fusing and tracking.
+        warnings: what was assumed or is missing.
+    """
+
+    name: str
+    file: str
+    frames: int
+    tracks: Mapping[str, int]
+    states: int
+    seconds: float
+    warnings: tuple[DataWarning, ...] = ()
+
+    @property
+    def ms_per_frame(self) -> float:
+        """What a sweep takes [ms]."""
+        return self.seconds * 1e3 / self.frames if self.frames else 0.0
+
+
+class TrackReport(msgspec.Struct, frozen=True, kw_only=True):
+    """All drives or sequences of one call.
+
+    Attributes:
+        source: what was read.
+        output: the file, or the folder of files.
+        form: "kitti", "sfs" or "jsonl".
+        drives: one by one.
+        ms_per_frame: what a sweep takes, over all of them [ms].
+        seconds: the whole call.
+        stages: how much of that by stage: reading, tracking, writing …
+        warnings: of all of them.
+        losses: what the form has no field for.
+    """
+
+    source: str
+    output: str
+    form: str
+    drives: tuple[_TrackedReport, ...]
+    ms_per_frame: float
+    seconds: float
+    warnings: tuple[DataWarning, ...] = ()
+    losses: LossReport = LossReport()
+    stages: Mapping[str, float] = msgspec.field(default_factory=dict)
+
+
+_COLUMNS = tuple(
+    f.name for f in fields(TrackedObjects) if f.name not in ("timestamp_ns", "ids", "labels", "corners_xyxy")
+)
+"""The columns of states that tracks and objects of a moment share, without boxes in images."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TrackedDrive:
+    """The objects of a drive.
+
+    Attributes:
+        drive: what they were found in.
+        moments: the objects at each sweep.
+        seconds: of the processor, for fusing and tracking.
+    """
+
+    drive: DetectedDrive
+    moments: tuple[TrackedObjects, ...]
+    seconds: float
+
+    @property
+    def tracks(self) -> Tracks:
+        """The same by object."""
+        return gathered(list(self.moments))
+
+
+def _moments_of(tracks: Iterable[Track], timestamps_ns: Int64Array) -> tuple[TrackedObjects, ...]:
+    """Give the objects at each time; states of tracks at other times are left out.
 
     Args:
-        tracked: the objects.
-        camera_id: the camera in whose images boxes are reported.
-        rectified_from_lidar: into the frame of the boxes in space.
-        box2d: which boxes in the image; where the tracker reports none, the outline of the box in space.
+        tracks: of a drive.
+        timestamps_ns: (N,) int64 [ns], rising.
     """
-    drive = tracked.drive
-    camera = drive.cameras[camera_id]
-    locations = drive.locations()
-    seen_from = poses_at(camera.source, drive.timestamps_ns)
-    rows, frames, ids, types = [_NO_ROWS], [_NO_NUMBERS], [_NO_NUMBERS], list[str]()
-    for frame, objects in enumerate(tracked.moments):
-        boxes = _in_lidar(objects, locations[frame])
-        camera_from_lidar = seen_from[frame].inverse() @ locations[frame]
-        corners = _image_boxes(objects, boxes, camera_id, camera.camera_model, camera_from_lidar, box2d)
-        shown = np.flatnonzero((corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))
-        sizes, bottoms, rotations = rectified_boxes(
-            boxes.centers[shown], boxes.sizes_lwh[shown], boxes.yaws[shown], rectified_from_lidar
+    tracks = tuple(tracks)
+    counts = [len(track) for track in tracks]
+    times = _joined([track.timestamps_ns for track in tracks], (0,), np.int64)
+    ids = np.repeat(np.array([track.id for track in tracks], np.int64), counts)
+    labels = [track.label for track in tracks for _ in range(len(track))]
+    empty = _NOBODY
+    columns = {
+        name: _joined(
+            [getattr(track, name) for track in tracks], getattr(empty, name).shape, getattr(empty, name).dtype
         )
-        rows.append(np.column_stack([corners[shown], sizes, bottoms, rotations, objects.scores[shown]]))
-        frames.append(np.full(len(shown), frame))
-        ids.append(objects.ids[shown])
-        types += [objects.labels[k] for k in shown.tolist()]
-    limits = np.tile([camera.camera_model.width - 1.0, camera.camera_model.height - 1.0], 2)
-    values, count = np.concatenate(rows), len(types)
-    return KittiLabels(
-        frames=np.concatenate(frames),
-        track_ids=np.concatenate(ids),
-        types=tuple(types),
-        truncations=np.full(count, -1.0),
-        occlusions=np.full(count, -1),
-        alphas=observation_angles(values[:, 7:10], values[:, 10]),
-        corners_xyxy=np.clip(values[:, :4] - CENTRE_TO_CORNER, 0.0, limits),
-        sizes_hwl=values[:, 4:7].copy(),
-        bottoms=values[:, 7:10].copy(),
-        rotations_y=values[:, 10].copy(),
-        scores=values[:, 11].copy(),
+        for name in _COLUMNS
+    }
+    cameras = dict.fromkeys(camera_id for track in tracks for camera_id in track.corners_xyxy)
+    corners = {
+        camera_id: _joined([_corners(track, camera_id, len(track)) for track in tracks], (0, 4), np.float64)
+        for camera_id in cameras
+    }
+    order = np.lexsort((ids, times))
+    first, stop = (np.searchsorted(times[order], timestamps_ns, side=side) for side in ("left", "right"))
+    found = []
+    for k, time_ns in enumerate(timestamps_ns.tolist()):
+        rows = order[first[k] : stop[k]]
+        states: dict[str, Any] = {name: values[rows] for name, values in columns.items()}
+        boxes = {camera_id: values[rows] for camera_id, values in corners.items()}
+        words = tuple(labels[row] for row in rows.tolist())
+        found.append(TrackedObjects(time_ns, ids[rows], words, corners_xyxy=boxes, **states))
+    return tuple(found)
+
+
+def _joined_moments(parts: Sequence[Sequence[TrackedObjects]]) -> tuple[TrackedObjects, ...]:
+    """Put the objects of several trackers of the same moments together; ids of later ones begin behind the others'."""
+    if len(parts) == 1:
+        return tuple(parts[0])
+    shifts, next_id = [], 0
+    for part in parts:
+        largest = max((int(m.ids.max()) for m in part if len(m)), default=-1)
+        shifts.append(next_id)
+        next_id += largest + 1
+    return tuple(_together(same, shifts) for same in zip(*parts, strict=True))
+
+
+def _together(same: Sequence[TrackedObjects], shifts: Sequence[int]) -> TrackedObjects:
+    columns: dict[str, Any] = {name: np.concatenate([getattr(m, name) for m in same]) for name in _COLUMNS}
+    cameras = dict.fromkeys(camera_id for m in same for camera_id in m.corners_xyxy)
+    return TrackedObjects(
+        same[0].timestamp_ns,
+        np.concatenate([m.ids + shift for m, shift in zip(same, shifts, strict=True)]),
+        tuple(label for m in same for label in m.labels),
+        corners_xyxy={
+            camera_id: np.concatenate([_corners(m, camera_id, len(m)) for m in same]) for camera_id in cameras
+        },
+        **columns,
     )
 
 
-_NO_ROWS, _NO_NUMBERS = np.zeros((0, 12)), np.zeros(0, np.int64)
+def _corners(states: Track | TrackedObjects, camera_id: Identifier, count: int) -> Float64Array:
+    found: Mapping[Identifier, Float64Array] = states.corners_xyxy
+    return found[camera_id] if camera_id in found else np.full((count, 4), np.nan)
+
+
+def _joined(parts: Sequence[AnyArray], shape: tuple[int, ...], dtype: Any) -> Any:
+    return np.concatenate(parts) if parts else np.zeros(shape, dtype)
+
+
+_NOBODY = TrackedObjects(
+    0, np.zeros(0, np.int64), (), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)), np.zeros(0),
+    np.zeros((0, 10, 10)), np.zeros(0), np.zeros(0, np.uint8),
+)  # fmt: skip
+"""A moment without objects."""
+
+
+def track(
+    drive: DetectedDrive, *, settings: TrackingSettings | None = None, progress: Progress | None = None
+) -> _TrackedDrive:
+    """Follow the objects of a drive.
+
+    Classes that only one of both detectors looks for are followed on their own, so that the other one's silence does
+    not count against them.
+
+    Args:
+        settings: how.
+        progress: reported after each sweep.
+
+    Raises:
+        OptionError: no algorithm of detection fusion has that name.
+        CalibrationError: a camera model is unknown.
+    """
+    wanted = settings or TrackingSettings()
+    fusion = projection_settings(drive, wanted.fusion)
+    parts, seconds = [], 0.0
+    groups = tuple(_groups(drive))
+    for k, (of_group, recalls) in enumerate(groups):
+        own = replace(wanted, fusion=replace(fusion, **recalls), tracker=replace(wanted.tracker, **recalls))
+        steps = _Steps(progress, k, len(groups), len(of_group.boxes))
+        found, spent = _track_group(of_group, own, steps)
+        parts.append(found)
+        seconds += spent
+    return _TrackedDrive(drive, _joined_moments(parts), seconds)
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """Reports of the work of several groups of classes as of one."""
+
+    reported: Progress | None
+    group: int
+    groups: int
+    total: int
+
+    def done(self, count: int) -> None:
+        if self.reported is not None:
+            self.reported(self.group * self.total + count, self.groups * self.total)
+
+
+def _groups(drive: DetectedDrive) -> Iterator[tuple[DetectedDrive, dict[str, Any]]]:
+    """The drive by classes that the same detectors look for, and which of them find nothing of it at all."""
+    in_sweeps, in_images = drive.classes, drive.classes_2d
+    found = frozenset(drive.labels) | (in_sweeps or frozenset()) | (in_images or frozenset())
+    only_sweeps = frozenset() if in_images is None else found - in_images
+    only_images = frozenset() if in_sweeps is None else found - in_sweeps - only_sweeps
+    parts: tuple[tuple[frozenset[str], dict[str, Any]], ...] = (
+        (found - only_sweeps - only_images, {}),
+        (only_sweeps, {"recall_2d": 0.0}),
+        (only_images, {"recall_3d": 0.0}),
+    )
+    for classes, recalls in parts:
+        if classes == found:  # also where nothing was found at all, once
+            yield drive, recalls
+            return
+        if classes:
+            yield drive.of_classes(classes), recalls
+
+
+def _track_observations(
+    drive: DetectedDrive,
+    observations: Sequence[Observation],
+    *,
+    settings: TrackingSettings | None = None,
+    progress: Progress | None = None,
+) -> _TrackedDrive:
+    """Follow the objects of a drive whose detections were fused before.
+
+    Args:
+        drive: where the sensors were; of each observation's time.
+        observations: in the order of time.
+        settings: how.
+        progress: reported after each sweep.
+    """
+    steps = _Steps(progress, 0, 1, len(observations))
+    found, seconds = _track_all(drive, observations, settings or TrackingSettings(), steps)
+    return _TrackedDrive(drive, found, seconds)
+
+
+def _track_group(
+    drive: DetectedDrive, settings: TrackingSettings, steps: _Steps
+) -> tuple[tuple[TrackedObjects, ...], float]:
+    known = projection_settings(drive, settings.fusion)
+    fuse = _fusion(settings.algorithm, known)
+    lonely = partial(fuse_by_projection, settings=replace(known, recall_2d=0.0))
+    prepared = tuple(moments(drive))
+    seen = (_observation(drive, moment, fuse, lonely) for moment in prepared)
+    return _track_all(drive, seen, settings, steps)
+
+
+def _track_all(
+    drive: DetectedDrive, observations: Iterable[Observation], settings: TrackingSettings, steps: _Steps
+) -> tuple[tuple[TrackedObjects, ...], float]:
+    """Track; and the time of the processor for that and for fusing, without what progress takes [s]."""
+    tracker, seconds = Tracker(settings.tracker), 0.0
+    online, seen = list[TrackedObjects](), list[Observation]()
+    begun = time.thread_time()
+    for count, observation in enumerate(observations, start=1):
+        if settings.offline:
+            seen.append(observation)
+        else:
+            online.append(tracker.step(observation))
+        seconds += time.thread_time() - begun
+        steps.done(count)
+        begun = time.thread_time()
+    if not settings.offline:
+        return tuple(online), seconds
+    tracks = track_drive(seen, settings=settings.tracker, offline=True)
+    seconds += time.thread_time() - begun
+    return _moments_of(tracks, drive.timestamps_ns), seconds
+
+
+def _fusion(chosen: AlgorithmChoice, known: ProjectionSettings) -> DetectionAlgorithm:
+    if chosen == "projection":
+        return partial(fuse_by_projection, settings=known)
+    named = chosen_algorithm(FusionType.DETECTIONS, chosen)
+    found: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, named)
+    return found
+
+
+def _observation(
+    drive: DetectedDrive, moment: Moment, fuse: DetectionAlgorithm, lonely: DetectionAlgorithm
+) -> Observation:
+    """What is seen at a moment; a sweep to which no image belongs counts as it is."""
+    if moment.pairs:
+        return Observation.of_pairs(moment.pairs_with_points(), moment.world_from_lidar, fuse=fuse)
+    camera_id, camera = next(iter(drive.cameras.items()), (None, None))
+    camera_model = _NO_CAMERA_MODEL if camera is None else camera.camera_model
+    none = Boxes2D.empty(moment.timestamp_ns)
+    fused = lonely(DetectionPair(moment.boxes_3d, none, camera_model, RigidTransform.identity()))
+    return Observation(moment.timestamp_ns, moment.world_from_lidar, {camera_id or "": fused})
+
+
+_NO_CAMERA_MODEL = Camera("pinhole", 1, 1, 1.0, 1.0, 0.0, 0.0)
+"""Stands for a camera where there is none: nothing is found in its images, and nothing is expected."""
+
+FOLLOWED = "tracking"
+"""Name of an ego trajectory that tracking used and the scene does not have itself."""
+
+
+def label_drive(scene: Scene, drive: DetectedDrive, tracks: Tracks) -> Labelled:
+    """Put the tracks of a drive into its scene.
+
+    The trajectory that tracking used becomes the scene's default one, so that the labels are in the world of the file
+    that is written.
+
+    Args:
+        scene: the drive's.
+        drive: as it was tracked.
+        tracks: in its world.
+
+    Raises:
+        OptionError: the scene's annotations are in the ego's frame, or have the ids of labels.
+        DataError: a sensor's frame cannot be read.
+    """
+    if not needs_ego(scene) or drive.source.own:
+        return label_tracks(scene, tracks)
+    ego = EgoMotion(FOLLOWED, drive.source.path)
+    return label_tracks(_following(scene, ego.path), tracks, trajectory=ego)
+
+
+def _following(scene: Scene, path: Poses) -> Scene:
+    """The scene with this ego trajectory as its default one; an ego that is stationary has none."""
+    if path.static:
+        return scene
+    known = next(
+        (name for name, trajectory in scene.trajectories.items() if same_direction(trajectory, path)), None
+    )
+    followed = Trajectory(FOLLOWED, path.timestamps_ns, path.positions, path.quaternions_xyzw)
+    first = {FOLLOWED: followed} if known is None else {known: scene.trajectories[known]}
+    return replace(scene, trajectories=MappingProxyType({**first, **scene.trajectories}))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TrackableDrive:
+    """A drive with all that its files of results need.
+
+    Attributes:
+        drive: what detectors found.
+        scene: what labels are put into.
+        rectified_from_lidar: into the frame of KITTI's boxes; None for that of the camera.
+        observations: what was fused before, of each sweep; None where it has to be fused.
+    """
+
+    drive: DetectedDrive
+    scene: Scene
+    rectified_from_lidar: RigidTransform | None = None
+    observations: tuple[Observation, ...] | None = None
+
+    @classmethod
+    def of_fused(cls, path: Path) -> "_TrackableDrive":
+        """A file that `fuse_detections` wrote; its scene has no sensors.
+
+        Raises:
+            DataError: a file is missing or faulty.
+        """
+        drive, observations = read_fused(path)
+        return cls(drive, Scene((), source=str(path), format="detections"), observations=observations)
+
+    @classmethod
+    def of_sequence(cls, sequence: KittiSequence, source: str) -> "_TrackableDrive":
+        """A sequence of KITTI's tracking benchmark; its scene has the ego trajectory and the camera, without images."""
+        scene = sequence_scene(sequence, source=f"{source}/{sequence.name}")
+        return cls(kitti_drive(sequence), scene, sequence.rectified_from_lidar)
+
+
+_Write = Callable[[_TrackedDrive, _TrackableDrive, Path, TrackOutputs], LossReport]
+
+
+def _write_kitti(
+    tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs
+) -> LossReport:
+    drive = source.drive
+    if len(drive.cameras) != 1:
+        raise OptionError(
+            f"{drive.name}: {len(drive.cameras)} cameras ({', '.join(map(str, drive.cameras))}); KITTI's results are "
+            "of one: choose it with `--camera`"
+        )
+    ((camera_id, camera),) = drive.cameras.items()
+    rectified_from_lidar = source.rectified_from_lidar
+    if rectified_from_lidar is None:
+        rectified_from_lidar = camera.source.mount.inverse() @ drive.source.mount
+    poses = zip(drive.locations(), poses_at(camera.source, drive.timestamps_ns), strict=True)
+    found = []
+    for frame, (objects, (world_from_lidar, world_from_camera)) in enumerate(
+        zip(tracked.moments, poses, strict=True)
+    ):
+        boxes = _in_lidar(objects, world_from_lidar)
+        camera_from_lidar = world_from_camera.inverse() @ world_from_lidar
+        corners = _image_boxes(
+            objects, boxes, camera_id, camera.camera_model, camera_from_lidar, outputs.box2d
+        )
+        placed = boxes.centers, boxes.sizes_lwh, boxes.yaws
+        found.append(
+            KittiObjects(
+                frame, objects.ids, objects.labels, objects.scores, corners, placed, camera.camera_model
+            )
+        )
+    write_labels(kitti_labels(found, rectified_from_lidar), path)
+    return LossReport()
+
+
+def _write_lines(
+    tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs
+) -> LossReport:
+    del source, outputs
+    with path.open("wb") as file:
+        file.writelines(line + b"\n" for line in track_lines(tracked.moments))
+    return LossReport()
+
+
+def _write_scene(
+    tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs
+) -> LossReport:
+    labelled = label_drive(source.scene, source.drive, tracked.tracks)
+    return write_scene(labelled.scene, path, format="sfs", **outputs.scene_options)
+
+
+_FORMS: Mapping[str, tuple[str, _Write]] = MappingProxyType(
+    {"kitti": (".txt", _write_kitti), "jsonl": (".jsonl", _write_lines), "sfs": (".sfs", _write_scene)}
+)
+"""The suffix of each form's files, and what writes one."""
+
+
+def _form_of_suffix(path: Path) -> str | None:
+    return next((name for name, (suffix, _) in _FORMS.items() if suffix == path.suffix.lower()), None)
+
+
+_NEAR = 0.1
+"""Boxes all of whose corners are nearer than this in front of the camera have no outline [m]."""
 
 
 def _in_lidar(objects: TrackedObjects, world_from_lidar: RigidTransform) -> Boxes3D:
@@ -143,7 +577,7 @@ def _image_boxes(
     if box2d is ImageBox.IMAGE and own is not None:
         reported = np.isfinite(own).all(axis=1)
         corners[reported] = own[reported]
-    return np.clip(corners, 0.0, np.tile([float(camera_model.width), float(camera_model.height)], 2))
+    return corners
 
 
 def projected_boxes(boxes: Boxes3D, camera_model: Camera, camera_from_lidar: RigidTransform) -> Float64Array:
@@ -282,141 +716,59 @@ def _trails(moments: Sequence[TrackedObjects]) -> dict[int, Float64Array]:
     return {number: np.array(found) for number, found in locations.items()}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TrackableDrive:
-    """A drive with all that its files of results need.
+def track_objects(
+    path: str | Path,
+    output: str | Path,
+    *,
+    chosen: DetectionInput | None = None,
+    settings: TrackingSettings | None = None,
+    lenient: bool = False,
+    reading: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+    **outputs: Any,
+) -> TrackReport:
+    """Follow objects through a drive, or through each sequence of a folder.
 
-    Attributes:
-        drive: what detectors found.
-        scene: what labels are put into.
-        rectified_from_lidar: into the frame of KITTI's boxes; None for that of the camera.
-        observations: what was fused before, of each sweep; None where it has to be fused.
-    """
-
-    drive: DetectedDrive
-    scene: Scene
-    rectified_from_lidar: RigidTransform | None = None
-    observations: tuple[Observation, ...] | None = None
-
-    @classmethod
-    def of_fused(cls, path: Path) -> "TrackableDrive":
-        """A file that `fuse_detections` wrote; its scene has no sensors.
-
-        Raises:
-            DataError: a file is missing or faulty.
-        """
-        drive, observations = read_fused(path)
-        return cls(drive, Scene((), source=str(path), format="detections"), observations=observations)
-
-    @classmethod
-    def of_sequence(cls, sequence: KittiSequence, source: str) -> "TrackableDrive":
-        """A sequence of KITTI's tracking benchmark; its scene has the ego trajectory and the camera, without images."""
-        scene = sequence_scene(sequence, source=f"{source}/{sequence.name}")
-        return cls(kitti_drive(sequence), scene, sequence.rectified_from_lidar)
-
-
-_Write = Callable[[TrackedDrive, TrackableDrive, Path, ImageBox, Mapping[str, Any]], LossReport]
-
-
-def _write_kitti(
-    tracked: TrackedDrive,
-    source: TrackableDrive,
-    path: Path,
-    box2d: ImageBox,
-    scene_options: Mapping[str, Any],
-) -> LossReport:
-    del scene_options
-    cameras = list(source.drive.cameras)
-    if len(cameras) != 1:
-        raise OptionError(
-            f"{source.drive.name}: {len(cameras)} cameras ({', '.join(map(str, cameras))}); KITTI's results are of "
-            "one: choose it with `--camera`"
-        )
-    rectified_from_lidar = source.rectified_from_lidar
-    if rectified_from_lidar is None:
-        rectified_from_lidar = (
-            source.drive.cameras[cameras[0]].source.mount.inverse() @ source.drive.source.mount
-        )
-    write_labels(_kitti_results(tracked, cameras[0], rectified_from_lidar, box2d=box2d), path)
-    return LossReport()
-
-
-def _write_lines(
-    tracked: TrackedDrive,
-    source: TrackableDrive,
-    path: Path,
-    box2d: ImageBox,
-    scene_options: Mapping[str, Any],
-) -> LossReport:
-    del source, box2d, scene_options
-    with path.open("wb") as file:
-        file.writelines(line + b"\n" for line in track_lines(tracked.moments))
-    return LossReport()
-
-
-def _write_scene(
-    tracked: TrackedDrive,
-    source: TrackableDrive,
-    path: Path,
-    box2d: ImageBox,
-    scene_options: Mapping[str, Any],
-) -> LossReport:
-    del box2d
-    labelled = label_drive(source.scene, source.drive, tracked.tracks)
-    return write_scene(labelled.scene, path, format="sfs", **scene_options)
-
-
-_FORMS: Mapping[str, tuple[str, _Write]] = MappingProxyType(
-    {"kitti": (".txt", _write_kitti), "jsonl": (".jsonl", _write_lines), "sfs": (".sfs", _write_scene)}
-)
-"""The suffix of each form's files, and what writes one."""
-
-
-def _form_of(output: Path, form: str | None) -> str:
-    """The form that was asked for, else the one of the output's suffix, else KITTI's.
+    Args:
+        path: a folder laid out like KITTI's tracking benchmark, a drive, or what `fuse_detections` wrote.
+        output: the folder of files, or the file.
+        chosen: what of it.
+        settings: how to track.
+        lenient: leave out what is faulty, and count it.
+        reading: further options of opening a drive, `start` and `stop` of a part among them.
+        progress: reported after each sweep.
+        outputs: the fields of `TrackOutputs`.
 
     Raises:
-        OptionError: there is no such form, or a suffix belongs to none.
+        OptionError: an option does not concern such a path, or a value is not one that can be followed.
+        DataError: a file is faulty.
+        OutputError: the output exists, or cannot be written.
+        PoseError: it is not known where a sensor was.
     """
-    if form is not None:
-        if form not in _FORMS:
-            raise OptionError(f"format {form!r}; expected one of {', '.join(_FORMS)}")
-        return form
-    if not output.suffix:
-        return "kitti"
-    found = next((name for name, (suffix, _) in _FORMS.items() if suffix == output.suffix.lower()), None)
-    if found is None:
-        known = ", ".join(f"{suffix} ({name})" for name, (suffix, _) in _FORMS.items())
-        raise OptionError(
-            f"{output}: suffix {output.suffix!r} belongs to no form of tracks; expected one of: {known}"
-        )
-    return found
+    wanted = chosen or DetectionInput()
+    job = _Job(Path(output), TrackOutputs(**outputs), settings or TrackingSettings(), progress)
+    with timed() as stages:
+        report = _track_objects(job, path, wanted, lenient=lenient, reading=reading)
+    return msgspec.structs.replace(report, stages=dict(stages))
 
 
-def _scene_options(stated: Mapping[str, Any] | None, form: str) -> Mapping[str, Any]:
-    """How scenes are written; refused where none is.
-
-    Raises:
-        OptionError: something was stated of scenes, but another form is written.
-    """
-    if stated and form != "sfs":
-        flags = " and ".join(f"--{name.replace('_', '-')}" for name in stated)
-        raise OptionError(f"{flags}: only of scenes, but {form!r} is written; state --format sfs with it")
-    return stated or {}
-
-
-def _check_folder(output: Path, form: str | None) -> None:
-    """Refuse a folder called like a file of another form, which a reader would take for that file.
-
-    Raises:
-        OptionError: the name has the suffix of a form.
-    """
-    known = next((name for name, (suffix, _) in _FORMS.items() if suffix == output.suffix.lower()), None)
-    if known is not None and known != form:
-        raise OptionError(
-            f"{output}: a folder is written, a file for each drive; expected a name without {output.suffix!r}, and "
-            f"--format {known} for such files"
-        )
+def _track_objects(
+    job: "_Job", path: str | Path, wanted: DetectionInput, *, lenient: bool, reading: Mapping[str, Any] | None
+) -> TrackReport:
+    tracking = wanted.tracking_folder(path, lenient=lenient, reading=reading)
+    if tracking is not None:
+        return job.track_folder(tracking, wanted.sequences)
+    found = () if wanted.has_lists else fused_files(Path(path))
+    if found:
+        refuse_part(path, reading)
+        if wanted.sequences:
+            raise OptionError(f"{path}: --sequence does not count here: all that was fused is followed")
+    if found and Path(path).is_dir():
+        return job.track_many(lambda k: _TrackableDrive.of_fused(found[k]), len(found), str(path))
+    if found:
+        return job.track_one(_TrackableDrive.of_fused(found[0]))
+    with wanted.open_drive(path, lenient=lenient, reading=reading) as (drive, scene):
+        return job.track_one(_TrackableDrive(drive, scene))
 
 
 def track_folder(
@@ -424,13 +776,9 @@ def track_folder(
     output: str | Path,
     *,
     sequences: Sequence[str] = (),
-    form: str | None = None,
-    box2d: ImageBox = ImageBox.IMAGE,
     settings: TrackingSettings | None = None,
-    images: Path | None = None,
-    overwrite: bool = False,
-    scene_options: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
+    **outputs: Any,
 ) -> TrackReport:
     """Track the sequences of a folder laid out like KITTI's tracking benchmark; a file each, named after it.
 
@@ -440,195 +788,132 @@ def track_folder(
         tracking: the folder.
         output: the folder to write.
         sequences: which ones; none for all.
-        form: "kitti", "jsonl" or "sfs"; None for KITTI's results.
-        box2d: which boxes in the image are reported.
-        settings: how.
-        images: folder into which some moments are drawn, one in it for each sequence; None for none.
-        overwrite: whether files that exist may be replaced.
-        scene_options: how scenes are written, `profile` and `time_unit` as of `write_scene`; of "sfs" only.
-        progress: reported after each sweep.
+        settings, progress, outputs: as of `track_objects`.
 
     Raises:
         DataError: a file is faulty, or a sequence is not there.
         OutputError: the folder has something in it, or cannot be written.
         OptionError: a value is not one that can be followed.
     """
-    names = tracking.chosen(sequences)
-
-    def read(k: int) -> TrackableDrive:
-        return TrackableDrive.of_sequence(tracking.sequence(names[k]), str(tracking.path))
-
-    report = track_many(
-        read,
-        len(names),
-        output,
-        source=str(tracking.path),
-        form=form,
-        box2d=box2d,
-        settings=settings,
-        images=images,
-        overwrite=overwrite,
-        scene_options=scene_options,
-        progress=progress,
-    )
-    return msgspec.structs.replace(report, warnings=(*tracking.warnings, *report.warnings))
+    job = _Job(Path(output), TrackOutputs(**outputs), settings or TrackingSettings(), progress)
+    return job.track_folder(tracking, sequences)
 
 
-def track_many(
-    read: Callable[[int], TrackableDrive],
-    count: int,
-    output: str | Path,
-    *,
-    source: str,
-    form: str | None = None,
-    box2d: ImageBox = ImageBox.IMAGE,
-    settings: TrackingSettings | None = None,
-    images: Path | None = None,
-    overwrite: bool = False,
-    scene_options: Mapping[str, Any] | None = None,
-    progress: Progress | None = None,
-) -> TrackReport:
-    """Track several drives, a file each, named after it.
+@dataclass(slots=True)
+class _Job:
+    """One call: where tracks go, what is written, and how it is tracked."""
 
-    Args:
-        read: gives one by its number.
-        count: how many there are.
-        output: the folder to write.
-        source: what is read, for the report.
-        form, box2d, settings, images, overwrite, scene_options, progress: as of `track_folder`.
+    output: Path
+    outputs: TrackOutputs
+    settings: TrackingSettings
+    progress: Progress | None
+    begun: float = field(default_factory=time.perf_counter)
+    drives: list[_TrackedReport] = field(default_factory=list)
+    losses: LossReport = field(default_factory=LossReport)
 
-    Raises:
-        OutputError: the folder has something in it, or cannot be written.
-        OptionError: a value is not one that can be followed.
-    """
-    begun = time.perf_counter()
-    output, wanted = Path(output), form or "kitti"
-    _form_of(output, wanted)
-    _check_folder(output, form)
-    reported = _scene_options(scene_options, wanted)
-    reports, losses = [], LossReport()
-    with ExitStack() as stack:
-        folder = stack.enter_context(filling(output, overwrite=overwrite))
-        drawn = None if images is None else stack.enter_context(filling(images, overwrite=overwrite))
-        for k in range(count):
-            steps = None if progress is None else _of_many(progress, k, count)
-            one = read(k)
-            own = None if drawn is None else drawn / one.drive.name
-            report, loss = _track_into(
-                folder, output, one, wanted, box2d, settings, reported, steps, images=own
+    def __post_init__(self) -> None:
+        tracker = replace(self.settings.tracker, image_box=self.outputs.box2d)
+        self.settings = replace(self.settings, tracker=tracker)
+
+    def track_folder(self, tracking: KittiTracking, sequences: Sequence[str]) -> TrackReport:
+        """Track sequences of KITTI's tracking benchmark, a file each."""
+        names = tracking.chosen(sequences)
+
+        def read(k: int) -> _TrackableDrive:
+            return _TrackableDrive.of_sequence(tracking.sequence(names[k]), str(tracking.path))
+
+        report = self.track_many(read, len(names), str(tracking.path))
+        return msgspec.structs.replace(report, warnings=(*tracking.warnings, *report.warnings))
+
+    def track_many(self, read: Callable[[int], _TrackableDrive], count: int, source: str) -> TrackReport:
+        """Track several drives, each read by its number, a file each, named after it."""
+        outputs, output = self.outputs, self.output
+        form = replace(outputs, form=outputs.form or "kitti").form_of(output)
+        named = _form_of_suffix(output)
+        if named is not None and named != outputs.form:
+            raise OptionError(
+                f"{output}: a folder is written, a file for each drive; expected a name without {output.suffix!r}, and "
+                f"--format {named} for such files"
             )
-            reports.append(report)
-            losses = LossReport.of([*losses, *loss])
-    return _report(source, output, wanted, reports, (), begun, losses)
+        with ExitStack() as stack:
+            folder = stack.enter_context(filling(output, overwrite=outputs.overwrite))
+            drawn = None
+            if outputs.images is not None:
+                drawn = stack.enter_context(filling(outputs.images, overwrite=outputs.overwrite))
+            for k in range(count):
+                drive = read(k)
+                name = f"{drive.drive.name}{_FORMS[form][0]}"
+                images = None if drawn is None else drawn / drive.drive.name
+                self._track(drive, form, folder / name, output / name, images, self._share(k, count))
+        return self._report(source, form)
 
+    def track_one(self, drive: _TrackableDrive) -> TrackReport:
+        """Track one drive into a file."""
+        outputs, output = self.outputs, self.output
+        form = outputs.form_of(output)
+        check_output(output, overwrite=outputs.overwrite)
+        with ExitStack() as stack:
+            draft = stack.enter_context(replacing(output, overwrite=outputs.overwrite))
+            images = None
+            if outputs.images is not None:
+                images = stack.enter_context(filling(outputs.images, overwrite=outputs.overwrite))
+            self._track(drive, form, draft, output, images, self.progress)
+        return self._report(drive.scene.source, form)
 
-def track_into(
-    source: TrackableDrive,
-    output: str | Path,
-    *,
-    form: str | None = None,
-    box2d: ImageBox = ImageBox.IMAGE,
-    settings: TrackingSettings | None = None,
-    images: Path | None = None,
-    overwrite: bool = False,
-    scene_options: Mapping[str, Any] | None = None,
-    progress: Progress | None = None,
-) -> TrackReport:
-    """Track one drive into a file.
+    def _share(self, k: int, count: int) -> Progress | None:
+        """Progress of one drive of many, which count alike."""
+        progress = self.progress
+        if progress is None:
+            return None
+        return lambda done, total: progress(k * 1000 + done * 1000 // max(total, 1), count * 1000)
 
-    Args:
-        source: the drive.
-        output: the file; its suffix reports the form where `form` does not.
-        form, box2d, settings, images, overwrite, scene_options, progress: as of `track_folder`.
-
-    Raises:
-        OutputError: the file exists, or cannot be written.
-        OptionError: a value is not one that can be followed.
-    """
-    begun = time.perf_counter()
-    output = Path(output)
-    wanted = _form_of(output, form)
-    reported = _scene_options(scene_options, wanted)
-    check_output(output, overwrite=overwrite)
-    with ExitStack() as stack:
-        draft = stack.enter_context(replacing(output, overwrite=overwrite))
-        drawn = None if images is None else stack.enter_context(filling(images, overwrite=overwrite))
-        report, loss = _track_into(
-            *(draft.parent, output, source, wanted, box2d, settings, reported, progress),
-            name=draft.name,
-            images=drawn,
+    def _track(
+        self,
+        source: _TrackableDrive,
+        form: str,
+        draft: Path,
+        file: Path,
+        images: Path | None,
+        progress: Progress | None,
+    ) -> None:
+        with stage("tracking"):
+            if source.observations is None:
+                tracked = track(source.drive, settings=self.settings, progress=progress)
+            else:
+                tracked = _track_observations(
+                    source.drive, source.observations, settings=self.settings, progress=progress
+                )
+        with stage("writing"):
+            losses = _FORMS[form][1](tracked, source, draft, self.outputs)
+        with counting_left_out() as left:
+            if images is not None:
+                save_tracking_images(source.scene, source.drive, tracked.moments, images)
+        labels = {
+            number: label
+            for m in tracked.moments
+            for number, label in zip(m.ids.tolist(), m.labels, strict=True)
+        }
+        report = _TrackedReport(
+            name=source.drive.name,
+            file=str(file),
+            frames=len(tracked.moments),
+            tracks=dict(sorted(Counter(labels.values()).items())),
+            states=sum(map(len, tracked.moments)),
+            seconds=tracked.seconds,
+            warnings=(*source.drive.all_warnings, *left.warnings),
         )
-    return _report(source.scene.source, output, wanted, [report], (), begun, loss)
+        self.drives.append(report)
+        self.losses = LossReport.of([*self.losses, *losses])
 
-
-def _track_into(
-    folder: Path,
-    output: Path,
-    source: TrackableDrive,
-    form: str,
-    box2d: ImageBox,
-    settings: TrackingSettings | None,
-    scene_options: Mapping[str, Any],
-    progress: Progress | None,
-    *,
-    name: str | None = None,
-    images: Path | None = None,
-) -> tuple[TrackedReport, LossReport]:
-    chosen = settings or TrackingSettings()
-    chosen = replace(chosen, tracker=replace(chosen.tracker, image_box=box2d))
-    with stage("tracking"):
-        if source.observations is None:
-            tracked = track(source.drive, settings=chosen, progress=progress)
-        else:
-            tracked = track_observations(
-                source.drive, source.observations, settings=chosen, progress=progress
-            )
-    suffix, write = _FORMS[form]
-    location = folder / (name or f"{source.drive.name}{suffix}")
-    with stage("writing"):
-        losses = write(tracked, source, location, box2d, scene_options)
-    with counting_left_out() as left:
-        if images is not None:
-            save_tracking_images(source.scene, source.drive, tracked.moments, images)
-    labels = {
-        number: label for m in tracked.moments for number, label in zip(m.ids.tolist(), m.labels, strict=True)
-    }
-    counts = dict(zip(*np.unique(list(labels.values()), return_counts=True), strict=True)) if labels else {}
-    report = TrackedReport(
-        name=source.drive.name,
-        file=str(output if name else output / location.name),
-        frames=len(tracked.moments),
-        tracks={str(label): int(count) for label, count in counts.items()},
-        states=sum(map(len, tracked.moments)),
-        seconds=tracked.seconds,
-        warnings=(*source.drive.warnings, *calibration_warnings(source.drive), *left.warnings),
-    )
-    return report, losses
-
-
-def _of_many(progress: Progress, k: int, count: int) -> Progress:
-    """Reports of one drive of many; all count the same."""
-    return lambda done, total: progress(k * 1000 + done * 1000 // max(total, 1), count * 1000)
-
-
-def _report(
-    source: str,
-    output: Path,
-    form: str,
-    reports: Iterable[TrackedReport],
-    warnings: Iterable[DataWarning],
-    begun: float,
-    losses: LossReport,
-) -> TrackReport:
-    drives = tuple(reports)
-    frames = sum(one.frames for one in drives)
-    return TrackReport(
-        source=source,
-        output=str(output),
-        form=form,
-        drives=drives,
-        ms_per_frame=sum(one.seconds for one in drives) * 1e3 / frames if frames else 0.0,
-        seconds=time.perf_counter() - begun,
-        warnings=tuple(dict.fromkeys([*warnings, *(warning for one in drives for warning in one.warnings)])),
-        losses=losses,
-    )
+    def _report(self, source: str, form: str) -> TrackReport:
+        frames = sum(one.frames for one in self.drives)
+        return TrackReport(
+            source=source,
+            output=str(self.output),
+            form=form,
+            drives=tuple(self.drives),
+            ms_per_frame=sum(one.seconds for one in self.drives) * 1e3 / frames if frames else 0.0,
+            seconds=time.perf_counter() - self.begun,
+            warnings=tuple(dict.fromkeys(warning for one in self.drives for warning in one.warnings)),
+            losses=self.losses,
+        )

@@ -1,18 +1,23 @@
-"""Annotations of every type, at the timestamps that they are about: keypoints, labelled points, links, events.
+"""Annotations of every type, at the timestamps that they are about.
 
-Attributes, corrections.
+Cuboids with their trails, shapes, keypoints, labelled points, links and events; boxes, shapes and projections in camera
+images; attributes; corrections. Annotations of one class and kind are a layer, logged for many moments at once.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import compress
 from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt16Array
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt16Array
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.scene.annotations import (
+    Activation,
     Annotation,
     AttributePath,
     Box2DAnnotation,
@@ -26,17 +31,22 @@ from sceneloom.scene.annotations import (
     LocalizationAdjustment,
     ObjectAnnotation,
     PointPath,
+    PointProjection,
     PointsAnnotation,
     Projection,
     ShapeAnnotation,
+    ShapeType,
     VertexPath,
     locations_of,
 )
 from sceneloom.scene.annotations_at import (
     Bracket,
     CuboidAngles,
+    CuboidPoses,
     active_at,
     annotations_frame,
+    attribute_at,
+    box_2d_at,
     cuboid_poses,
     points_at,
     shape_at,
@@ -46,69 +56,322 @@ from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 from sceneloom.view.images import camera_path, image_path, pinhole, straight_camera_model
 from sceneloom.view.points import WORLD, colour_of_name, one_packed
 from sceneloom.view.poses import Locations, transform_columns
-from sceneloom.view.shapes import (
-    BoxLayer,
-    CuboidLayer,
-    Group,
-    Layer,
-    PointProjectionLayer,
-    ProjectionLayer,
-    ShapeLayer,
-    attribute_name,
-    attribute_text,
-    attributes_at,
-    by_camera,
-    grouped,
-    label_of,
-    name_of,
-    show_stationary,
-    stands,
-)
-from sceneloom.view.stream import Report, Stream, fits, sdk
+from sceneloom.view.stream import EDGES, Report, Stream, escaped, fits, sdk
 
-_MARK = -4.0
+_SHORT = 12
 
-_LABELLED = -2.4
-
-_CLASSES = 65_535
+_SHOWN = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _PointsLayer:
-    """Shows named points of annotations of one class.
+class _Group:
+    """What is logged to one entity.
+
+    Attributes:
+        stream: where to.
+        path: of the entity.
+        annotations: all that are drawn there.
+        colour: 0xRRGGBBAA.
+        links: texts on the links of annotations, by id.
+    """
+
+    stream: Stream
+    path: str
+    annotations: tuple[Any, ...]
+    colour: int
+    links: Mapping[Identifier, str]
+
+    def details(self, there: BoolArray, times_ns: Int64Array) -> Iterable[Any]:
+        """What is stated for each object that is there, as columns; one row for each in each moment.
+
+        Args:
+            there: (A, M) bool, which annotation is there when.
+            times_ns: (M,) int64 [ns].
+        """
+        if not there.any():
+            return ()
+        rows = np.argwhere(there.T)
+        stated = [_attributes_at(annotation, times_ns) for annotation in self.annotations]
+        seen = [_seen_by(annotation, times_ns) for annotation in self.annotations]
+        values = {
+            "id": [str(self.annotations[a].id) for _, a in rows.tolist()],
+            "attributes": [stated[a][m] for m, a in rows.tolist()],
+            "parent": [str(self.annotations[a].parent_id or "") for _, a in rows.tolist()],
+            "links": [self.links.get(self.annotations[a].id, "") for _, a in rows.tolist()],
+            "seen_by": [seen[a][m] for m, a in rows.tolist()],
+        }
+        kept = {name: column for name, column in values.items() if name == "id" or any(column)}
+        columns: Iterable[Any] = sdk().AnyValues.columns(**kept).partition(there.sum(axis=0))
+        return columns
+
+    def lasting_details(self) -> Any:
+        """What is stated for annotations that hold at all times."""
+        first = np.zeros(1, np.int64)
+        return sdk().AnyValues(
+            id=[str(one.id) for one in self.annotations],
+            attributes=[_attributes_at(one, first)[0] for one in self.annotations],
+            links=[self.links.get(one.id, "") for one in self.annotations],
+        )
+
+
+def _by_moment(values: AnyArray, there: BoolArray) -> AnyArray:
+    """Take the rows of objects that are there, moment after moment: (A, M, …) to (R, …)."""
+    rows: AnyArray = np.swapaxes(values, 0, 1)[there.T]
+    return rows
+
+
+def _chosen_by_moment(values: Sequence[Any], there: BoolArray) -> list[Any]:
+    """Repeat what is stated for each of A objects for the moments in which it is there."""
+    return [values[a] for _, a in np.argwhere(there.T).tolist()]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Drawn:
+    """What a layer logs for some moments.
+
+    Attributes:
+        columns: of an archetype, its objects moment after moment.
+        counts: (M,) int64, how many objects each moment has.
+        there: (A, M) bool, which annotation is there when, for details; None: none are logged.
+    """
+
+    columns: Any
+    counts: Int64Array
+    there: BoolArray | None = None
+
+    @classmethod
+    def of(cls, archetype: Any, there: BoolArray, group: _Group, **values: Any) -> "_Drawn":
+        """One object for each annotation that is there, in the group's colour."""
+        counts = there.sum(axis=0)
+        colours = np.full(int(counts.sum()), group.colour, np.uint32)
+        return cls(archetype.columns(colors=colours, **values), counts, there)
+
+
+@dataclass(frozen=True, slots=True)
+class _Layer:
+    """Annotations of one class and kind.
 
     Attributes:
         group: the annotations and their entity.
-        origin: (3,) float64 [m], what is taken off locations.
+        draw: draws them at times (M,) int64 [ns], ascending.
+        kind: under which moments are counted, and what is left out.
+        counted: whether moments are counted.
     """
 
-    group: Group
-    origin: Float64Array
+    group: _Group
+    draw: Callable[[_Group, Int64Array, str], _Drawn]
+    kind: str
+    counted: bool = True
 
     def log(self, times_ns: Int64Array) -> None:
-        """Log the points at times (M,) [ns]."""
-        locations: list[list[Float64Array]] = [[] for _ in range(len(times_ns))]
-        names: list[list[str]] = [[] for _ in range(len(times_ns))]
-        for annotation in self.group.annotations:
-            for k, path in enumerate(annotation.paths):
-                found = Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
-                if len(path.timestamps_ns) == 0:
-                    continue
-                rows = found.blend(locations_of(path.values))
-                held = fits(rows - self.origin).all(axis=1)
-                self.group.stream.leave_out("named points", np.count_nonzero(found.there & ~held))
-                for m in np.flatnonzero(found.there & held).tolist():
-                    locations[m].append(rows[m])
-                    names[m] += [_point_name(annotation, k)] * len(rows[m])
-        counts = np.array([len(one) for one in names], np.int64)
-        positions = np.concatenate([np.zeros((0, 3)), *(rows for moment in locations for rows in moment)])
-        columns = sdk().Points3D.columns(
-            positions=positions - self.origin,
-            colors=np.full(len(positions), self.group.colour, np.uint32),
-            radii=np.full(len(positions), _MARK, np.float32),
-            labels=[name for moment in names for name in moment],
-        )
-        self.group.stream.columns(times_ns, self.group.path, columns.partition(counts), kind="named points")
+        """Log them at times (M,) [ns], ascending."""
+        group, drawn = self.group, self.draw(self.group, times_ns, self.kind)
+        details = () if drawn.there is None else group.details(drawn.there, times_ns)
+        columns = drawn.columns.partition(drawn.counts)
+        kind = self.kind if self.counted else None
+        group.stream.columns(times_ns, group.path, columns, details, kind=kind)
+
+
+def _grouped(annotations: Iterable[Annotation], name: Callable[[Any], str]) -> dict[str, tuple[Any, ...]]:
+    """Put annotations of one name together, in their order."""
+    groups: dict[str, list[Annotation]] = {}
+    for annotation in annotations:
+        groups.setdefault(name(annotation), []).append(annotation)
+    return {key: tuple(members) for key, members in groups.items()}
+
+
+def _label_of(annotation: Any) -> str:
+    """The class of an annotation, or its type."""
+    return str(getattr(annotation, "label", None) or annotation.type)
+
+
+def _name_of(annotation: Any) -> str:
+    """The class and the id, whose beginning is enough where it is long; the id alone where it begins with the class."""
+    label, identifier = _label_of(annotation), str(annotation.id)
+    if len(label) < len(identifier) <= len(label) + _SHORT and identifier.startswith(label):
+        return identifier
+    return f"{label} {identifier if len(identifier) <= _SHORT else identifier[:_SHOWN]}"
+
+
+def _attributes_at(annotation: Any, times_ns: Int64Array) -> list[str]:
+    """What the attributes of an annotation state at times (M,) [ns], each time in a line."""
+    attributes: tuple[AttributePath, ...] = getattr(annotation, "attributes", ())
+    if not attributes:
+        return [""] * len(times_ns)
+    values = {_attribute_name(attribute): attribute_at(attribute, times_ns) for attribute in attributes}
+    return [
+        _attribute_text({name: column[m] for name, column in values.items() if column[m] is not None})
+        for m in range(len(times_ns))
+    ]
+
+
+def _seen_by(annotation: Any, times_ns: Int64Array) -> list[str]:
+    """The sensors whose activations state that they see an annotation at times (M,) [ns]."""
+    activations: tuple[Activation, ...] = getattr(annotation, "activations", ())
+    sensors: list[list[str]] = [[] for _ in times_ns]
+    for activation in activations:
+        starts = activation.timestamps_ns
+        lasts = (0,) * len(starts) if activation.durations_ns is None else activation.durations_ns
+        stops = starts.astype(np.float64) + np.array(lasts, np.float64)  # may lie beyond int64
+        active = (starts[:, None] <= times_ns) & (times_ns <= stops[:, None])
+        for m in np.flatnonzero(active.any(axis=0)).tolist():
+            sensors[m].append(str(activation.sensor_id))
+    return [", ".join(found) for found in sensors]
+
+
+def _attribute_name(attribute: AttributePath) -> str:
+    """The name of an attribute, with what it is limited to."""
+    limits = [str(limit) for limit in (attribute.sensor_id, attribute.point_index) if limit is not None]
+    return f"{attribute.name} ({', '.join(limits)})" if limits else attribute.name
+
+
+def _attribute_text(values: Mapping[str, Any]) -> str:
+    """Attributes in a line: `colour red, doors 4`."""
+    return ", ".join(
+        f"{name} {value if isinstance(value, str) else json.dumps(value, default=str)}"
+        for name, value in values.items()
+    )
+
+
+_HISTORY_NS = 3_000_000_000
+"""So much of an object's trajectory trails behind it [ns]."""
+
+_TRAIL_WIDTH, _LINK_WIDTH, _LINE_WIDTH = -1.5, -2.0, -1.0
+"""Negative widths and radii are points of the screen, not metres."""
+
+_KEYPOINT, _LABELLED, _MARK = -4.0, -2.4, -3.0
+
+_MOVED = 0.5
+"""What moved less than that in all has no trail [m]."""
+
+_POINTS_OF_TRAIL = 24
+
+
+def _draw_cuboids(
+    group: _Group, times_ns: Int64Array, kind: str, *, angles: CuboidAngles, origin: Float64Array
+) -> _Drawn:
+    """Cuboids that are there for a time; their trails are logged beside them."""
+    poses = [cuboid_poses(one, times_ns, angles=angles) for one in group.annotations]
+    held = np.array([_held(p, origin) for p in poses])
+    there = np.array([p.there for p in poses])
+    group.stream.leave_out(kind, np.count_nonzero(there & ~held))
+    there &= held
+    # boxes are drawn as their edges: what is in them stays in view
+    group.stream.static(group.path, sdk().Boxes3D.from_fields(fill_mode=EDGES))
+    _log_trails(group, times_ns, there, origin)
+    return _Drawn.of(
+        sdk().Boxes3D,
+        there,
+        group,
+        centers=_by_moment(np.array([p.centers_world for p in poses]) - origin, there),
+        half_sizes=_by_moment(np.array([p.sizes_lwh for p in poses]), there) / 2,
+        quaternions=_by_moment(np.array([p.quaternions_xyzw for p in poses]), there),
+        labels=_chosen_by_moment([_name_of(one) for one in group.annotations], there),
+    )
+
+
+def _log_trails(group: _Group, times_ns: Int64Array, there: BoolArray, origin: Float64Array) -> None:
+    moving = [a for a, one in enumerate(group.annotations) if _moves(one)]
+    if not moving:
+        return
+    strips: list[Float64Array] = []
+    counts = np.zeros(len(times_ns), np.int64)
+    for m, time_ns in enumerate(times_ns.tolist()):
+        paths = [group.annotations[a].path for a in moving if there[a, m]]
+        lines = [_trail(path.timestamps_ns, path.values[:, 3:6], time_ns) - origin for path in paths]
+        long = [line for line in (line[fits(line)] for line in lines) if len(line) > 1]
+        strips += long
+        counts[m] = len(long)
+    drawn = sdk().LineStrips3D.columns(
+        strips=strips,
+        colors=np.full(len(strips), group.colour, np.uint32),
+        radii=np.full(len(strips), _TRAIL_WIDTH, np.float32),
+    )
+    group.stream.columns(times_ns, f"{group.path}/trails", drawn.partition(counts))
+
+
+def _held(poses: CuboidPoses, origin: Float64Array) -> BoolArray:
+    """Which moments the viewer can hold, (M,)."""
+    rotated = fits(poses.quaternions_xyzw)
+    return np.asarray(fits(poses.centers_world - origin) & fits(poses.sizes_lwh) & rotated, np.bool_)
+
+
+def _moves(annotation: CuboidAnnotation) -> bool:
+    locations = annotation.path.values[:, 3:6]
+    finite = locations[np.isfinite(locations).all(axis=1)]
+    return len(finite) > 1 and bool(np.ptp(finite, axis=0).max() > _MOVED)
+
+
+def _trail(timestamps_ns: Int64Array, locations: Float64Array, time_ns: int) -> Float64Array:
+    """The last part (K, 3) [m] of a trajectory up to a time [ns], thinned to what shows.
+
+    Args:
+        timestamps_ns: (N,) int64 [ns], ascending.
+        locations: (N, 3) [m].
+        time_ns: the end.
+    """
+    start, stop = np.searchsorted(timestamps_ns, [time_ns - _HISTORY_NS, time_ns + 1])
+    count = min(_POINTS_OF_TRAIL, int(stop - start))
+    rows = np.unique(np.linspace(start, stop - 1, max(count, 0)).astype(np.int64))
+    part = locations[rows]
+    return part[np.isfinite(part).all(axis=1)]
+
+
+def _stands(annotation: CuboidAnnotation) -> bool:
+    """Whether a cuboid is there at all times in one location, with attributes that do not change."""
+    fixed = all(not attribute.is_timed for attribute in annotation.attributes)
+    return bool(annotation.stationary) and len(annotation.path.timestamps_ns) == 1 and fixed
+
+
+def _show_stationary(group: _Group, angles: CuboidAngles, origin: Float64Array) -> None:
+    """Show cuboids that stand."""
+    timestamps = [one.path.timestamps_ns[:1] for one in group.annotations]
+    poses = [
+        cuboid_poses(one, t, angles=angles) for one, t in zip(group.annotations, timestamps, strict=True)
+    ]
+    held = [bool(_held(p, origin).all()) for p in poses]
+    group.stream.leave_out("stationary cuboids", held.count(False))
+    group = replace(group, annotations=tuple(compress(group.annotations, held)))
+    poses = list(compress(poses, held))
+    if not poses:
+        return
+    boxes = sdk().Boxes3D(
+        centers=np.concatenate([p.centers_world for p in poses]) - origin,
+        half_sizes=np.concatenate([p.sizes_lwh for p in poses]) / 2,
+        quaternions=np.concatenate([p.quaternions_xyzw for p in poses]),
+        colors=np.full(len(poses), group.colour, np.uint32),
+        labels=[_name_of(one) for one in group.annotations],
+        show_labels=False,
+        fill_mode=EDGES,
+    )
+    group.stream.static(group.path, boxes, group.lasting_details())
+    group.stream.count("stationary cuboids", len(poses))
+
+
+def _draw_keypoints(group: _Group, times_ns: Int64Array, kind: str, *, origin: Float64Array) -> _Drawn:
+    """Named points in space."""
+    positions: list[list[Float64Array]] = [[] for _ in times_ns]
+    names: list[list[str]] = [[] for _ in times_ns]
+    for annotation in group.annotations:
+        for k, path in enumerate(annotation.paths):
+            if len(path.timestamps_ns) == 0:
+                continue
+            found = Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
+            rows = found.blend(locations_of(path.values))
+            held = fits(rows - origin).all(axis=1)
+            group.stream.leave_out(kind, np.count_nonzero(found.there & ~held))
+            for m in np.flatnonzero(found.there & held).tolist():
+                positions[m].append(rows[m])
+                names[m] += [_point_name(annotation, k)] * len(rows[m])
+    counts = np.array([len(one) for one in names], np.int64)
+    points = np.concatenate([np.zeros((0, 3)), *(rows for moment in positions for rows in moment)])
+    columns = sdk().Points3D.columns(
+        positions=points - origin,
+        colors=np.full(len(points), group.colour, np.uint32),
+        radii=np.full(len(points), _KEYPOINT, np.float32),
+        labels=[name for moment in names for name in moment],
+    )
+    return _Drawn(columns, counts)
 
 
 def _point_name(annotation: PointsAnnotation, k: int) -> str:
@@ -116,11 +379,194 @@ def _point_name(annotation: PointsAnnotation, k: int) -> str:
     if annotation.labels is not None and k < len(annotation.labels):
         return annotation.labels[k]
     path = annotation.paths[k]
-    return name_of(annotation) if path.id is None else f"{name_of(annotation)}: {path.id}"
+    return _name_of(annotation) if path.id is None else f"{_name_of(annotation)}: {path.id}"
+
+
+def _draw_links(
+    group: _Group,
+    times_ns: Int64Array,
+    kind: str,
+    *,
+    ends: Mapping[Key, Annotation],
+    angles: CuboidAngles,
+    origin: Float64Array,
+) -> _Drawn:
+    """Links as arrows between what they join, at times at which both ends, found by id in `ends`, are there."""
+    starts, stops = (
+        np.array([_middles(ends.get(key_of(identifier)), times_ns, angles) for identifier in identifiers])
+        for identifiers in (
+            [one.from_id for one in group.annotations],
+            [one.to_id for one in group.annotations],
+        )
+    )
+    known = ~(np.isnan(starts) | np.isnan(stops)).any(axis=2)
+    there = fits(starts - origin) & fits(stops - origin) & fits(stops - starts)
+    group.stream.leave_out(kind, np.count_nonzero(known & ~there))
+    origins = _by_moment(starts, there) - origin
+    return _Drawn.of(
+        sdk().Arrows3D,
+        there,
+        group,
+        origins=origins,
+        vectors=_by_moment(stops, there) - origin - origins,
+        radii=np.full(len(origins), _LINK_WIDTH, np.float32),
+        labels=_chosen_by_moment([_label_of(one) for one in group.annotations], there),
+    )
+
+
+def _middles(annotation: Annotation | None, times_ns: Int64Array, angles: CuboidAngles) -> Float64Array:
+    """The middle of an annotation at each time, (M, 3) [m], NaN where it is not there."""
+    if isinstance(annotation, CuboidAnnotation):
+        return cuboid_poses(annotation, times_ns, angles=angles).centers_world
+    nowhere = np.full((len(times_ns), 3), np.nan)
+    if isinstance(annotation, ShapeAnnotation):
+        shapes = shape_at(annotation, times_ns)
+        return np.array([nowhere[0] if one is None else one.mean(axis=0) for one in shapes])
+    if isinstance(annotation, PointsAnnotation) and annotation.paths:
+        rows, _ = points_at(annotation, times_ns)[0]
+        return rows[:, :3]
+    return nowhere
+
+
+def _link_texts(annotations: Sequence[Annotation]) -> Mapping[Identifier, str]:
+    """What is stated for the links of each annotation, in a line: `tows: trailer 7`."""
+    names = {key_of(one.id): _name_of(one) for one in annotations}
+    texts: dict[Identifier, list[str]] = {}
+    for link in annotations:
+        if isinstance(link, LinkAnnotation):
+            other = names.get(key_of(link.to_id), str(link.to_id))
+            back = names.get(key_of(link.from_id), str(link.from_id))
+            texts.setdefault(link.from_id, []).append(f"{_label_of(link)}: {other}")
+            texts.setdefault(link.to_id, []).append(f"{_label_of(link)} of {back}")
+    return {identifier: "; ".join(stated) for identifier, stated in texts.items()}
+
+
+def _draw_boxes(group: _Group, times_ns: Int64Array, kind: str) -> _Drawn:
+    """Boxes in the images of a camera."""
+    return _drawn_boxes(group, kind, [box_2d_at(one, times_ns)[0] for one in group.annotations])
+
+
+def _draw_projections(
+    group: _Group, times_ns: Int64Array, kind: str, *, projections: Sequence[Projection]
+) -> _Drawn:
+    """Where a camera sees cuboids: one entry of the group for each projection."""
+    boxes = [_rows_at(one.timestamps_ns, one.boxes, times_ns) for one in projections]
+    return _drawn_boxes(group, kind, boxes)
+
+
+def _drawn_boxes(group: _Group, kind: str, boxes: Sequence[Float64Array]) -> _Drawn:
+    """Boxes of each annotation, (M, 4) `left top width height` [px], NaN where it is not there."""
+    values = np.array(boxes)
+    half_sizes = values[..., 2:] / 2
+    there = fits(values) & fits(values[..., :2] + half_sizes)
+    group.stream.leave_out(kind, np.count_nonzero(~there & ~np.isnan(values).any(axis=2)))
+    rows = _by_moment(values, there)
+    return _Drawn.of(
+        sdk().Boxes2D,
+        there,
+        group,
+        centers=rows[:, :2] + rows[:, 2:] / 2,
+        half_sizes=rows[:, 2:] / 2,
+        labels=_chosen_by_moment([_name_of(one) for one in group.annotations], there),
+    )
+
+
+def _draw_point_projections(
+    group: _Group,
+    times_ns: Int64Array,
+    kind: str,
+    *,
+    projections: Sequence[PointProjection],
+    names: Sequence[str],
+) -> _Drawn:
+    """Where a camera sees named points: one entry of the group for each point."""
+    values = np.array([_rows_at(one.timestamps_ns, one.points, times_ns) for one in projections])
+    there = fits(values)
+    group.stream.leave_out(kind, np.count_nonzero(~there & ~np.isnan(values).any(axis=2)))
+    rows = _by_moment(values, there)
+    radii = np.full(len(rows), _MARK, np.float32)
+    labels = _chosen_by_moment(names, there)
+    drawn = _Drawn.of(sdk().Points2D, there, group, positions=rows, radii=radii, labels=labels)
+    return replace(drawn, there=None)
+
+
+_SAME_NS = 1_000
+"""A position in an image belongs to the image of that timestamp, which a file in microseconds may have rounded [ns]."""
+
+
+def _rows_at(timestamps_ns: Int64Array, values: Float64Array | None, times_ns: Int64Array) -> Float64Array:
+    """The rows of values (N, D) at times (M,), NaN where no timestamp is at that time; (M, D)."""
+    width = 4 if values is None else values.shape[1]
+    found = np.full((len(times_ns), width), np.nan)
+    if values is None or len(timestamps_ns) == 0:
+        return found
+    order = np.argsort(timestamps_ns, kind="stable")
+    ordered = timestamps_ns[order]
+    at = np.clip(np.searchsorted(ordered, times_ns), 1, max(len(ordered) - 1, 1))
+    before = np.abs(times_ns - ordered[at - 1]) <= np.abs(
+        ordered[np.minimum(at, len(ordered) - 1)] - times_ns
+    )
+    rows = order[np.where(before, at - 1, np.minimum(at, len(ordered) - 1))]
+    same = np.abs(timestamps_ns[rows] - times_ns) <= _SAME_NS
+    found[same] = values[rows[same]]
+    return found
+
+
+def _draw_shapes(group: _Group, times_ns: Int64Array, kind: str, *, origin: Float64Array) -> _Drawn:
+    """Shapes of one kind, in images or in space: all have vertices of as many numbers as `origin`."""
+    rr, flat = sdk(), len(origin) == 2
+    found = [shape_at(one, times_ns) for one in group.annotations]
+    stated = np.array([[vertices is not None and len(vertices) > 0 for vertices in one] for one in found])
+    there = np.array([[_is_whole(vertices, origin) for vertices in one] for one in found])
+    group.stream.leave_out(kind, np.count_nonzero(stated & ~there))
+    chosen = [found[a][m] - origin for m, a in np.argwhere(there.T).tolist()]  # type: ignore[operator]
+    owners = _chosen_by_moment(group.annotations, there)
+    if not _is_mark(group.annotations[0].type):
+        return _Drawn.of(
+            rr.LineStrips2D if flat else rr.LineStrips3D,
+            there,
+            group,
+            strips=[_closed(owner, line) for owner, line in zip(owners, chosen, strict=True)],
+            radii=np.full(len(chosen), _LINE_WIDTH, np.float32),
+            labels=[_name_of(owner) for owner in owners],
+        )
+    positions = np.concatenate([*chosen, np.zeros((0, len(origin)))])
+    columns = (rr.Points2D if flat else rr.Points3D).columns(
+        positions=positions,
+        radii=np.full(len(positions), _MARK, np.float32),
+        colors=np.full(len(positions), group.colour, np.uint32),
+    )
+    return _Drawn(columns, _sums([len(vertices) for vertices in chosen], there.sum(axis=0)), there)
+
+
+def _is_mark(kind: ShapeType) -> bool:
+    """Whether a shape is points alone."""
+    return kind in {ShapeType.POINT, ShapeType.POINT_2D, ShapeType.POINT_TOPDOWN}
+
+
+def _closed(annotation: ShapeAnnotation, vertices: Float64Array) -> Float64Array:
+    """The outline of an area, or a line, from its vertices (V, D)."""
+    if annotation.is_closed or annotation.type.value.startswith("polygon"):
+        return np.concatenate([vertices, vertices[:1]])
+    return vertices
+
+
+def _is_whole(vertices: Float64Array | None, origin: Float64Array) -> bool:
+    return vertices is not None and len(vertices) > 0 and bool(fits(vertices - origin).all())
+
+
+def _sums(sizes: Sequence[int], counts: Int64Array) -> Int64Array:
+    """How many vertices each moment has, of as many shapes as `counts` says."""
+    stops = np.concatenate([[0], np.cumsum(sizes)])[np.concatenate([[0], np.cumsum(counts)])]
+    return np.asarray(np.diff(stops), np.int64)
+
+
+_CLASSES = 65_535
+"""So many labelled points annotations the viewer can tell apart."""
 
 
 @dataclass(slots=True, eq=False)
-class LabelledPoints:
+class _LabelledPoints:
     """The labelled points of a scene, by the frames that they are of.
 
     Attributes:
@@ -133,7 +579,7 @@ class LabelledPoints:
     _names: dict[int, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, stream: Stream, annotations: Sequence[Annotation]) -> "LabelledPoints":
+    def of(cls, stream: Stream, annotations: Sequence[Annotation]) -> "_LabelledPoints":
         """Collect them; each annotation is a class of its own for the viewer, with a colour and a name."""
         rr = sdk()
         labelled = [one for one in annotations if isinstance(one, LabeledPointsAnnotation)][:_CLASSES]
@@ -187,87 +633,20 @@ class LabelledPoints:
 
 
 def _class_name(annotation: LabeledPointsAnnotation) -> str:
-    return name_of(annotation) if annotation.is_instance else label_of(annotation)
+    return _name_of(annotation) if annotation.is_instance else _label_of(annotation)
 
 
 def _class_colour(annotation: LabeledPointsAnnotation) -> Any:
-    reported = annotation.id if annotation.is_instance else label_of(annotation)
+    reported = annotation.id if annotation.is_instance else _label_of(annotation)
     return colour_of_name(reported)
 
-
-_WIDTH = -2.0
 
 _MOST_NODES = 400
 
 RELATIONS = "relations"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _LinkLayer:
-    """Shows links of one class as arrows between what they join.
-
-    Attributes:
-        group: the links and their entity.
-        ends: the annotations that have locations, by id.
-        angles: how angles of cuboids are meant.
-        origin: (3,) float64 [m], what is taken off locations.
-    """
-
-    group: Group
-    ends: Mapping[Key, Annotation]
-    angles: CuboidAngles
-    origin: Float64Array
-
-    def log(self, times_ns: Int64Array) -> None:
-        """Log the links at times (M,) [ns] at which both ends are there."""
-        starts = np.array([self._locations(one.from_id, times_ns) for one in self.group.annotations])
-        stops = np.array([self._locations(one.to_id, times_ns) for one in self.group.annotations])
-        known = ~(np.isnan(starts) | np.isnan(stops)).any(axis=2)
-        there = fits(starts - self.origin) & fits(stops - self.origin) & fits(stops - starts)
-        self.group.stream.leave_out("links", np.count_nonzero(known & ~there))
-        origins = np.swapaxes(starts, 0, 1)[there.T] - self.origin
-        arrows = sdk().Arrows3D.columns(
-            origins=origins,
-            vectors=np.swapaxes(stops, 0, 1)[there.T] - self.origin - origins,
-            colors=np.full(len(origins), self.group.colour, np.uint32),
-            radii=np.full(len(origins), _WIDTH, np.float32),
-            labels=[label_of(self.group.annotations[a]) for _, a in np.argwhere(there.T).tolist()],
-        )
-        cut = arrows.partition(there.sum(axis=0))
-        self.group.stream.columns(
-            times_ns, self.group.path, cut, self.group.details(there, times_ns), kind="links"
-        )
-
-    def _locations(self, identifier: Identifier, times_ns: Int64Array) -> Float64Array:
-        """The middle of an annotation at each time, (M, 3) [m], NaN where it is not there."""
-        annotation = self.ends.get(key_of(identifier))
-        if isinstance(annotation, CuboidAnnotation):
-            return cuboid_poses(annotation, times_ns, angles=self.angles).centers_world
-        nowhere = np.full((len(times_ns), 3), np.nan)
-        if isinstance(annotation, ShapeAnnotation):
-            return np.array(
-                [nowhere[0] if one is None else one.mean(axis=0) for one in shape_at(annotation, times_ns)]
-            )
-        if isinstance(annotation, PointsAnnotation) and annotation.paths:
-            rows, _ = points_at(annotation, times_ns)[0]
-            return rows[:, :3]
-        return nowhere
-
-
-def _link_texts(annotations: Sequence[Annotation]) -> Mapping[Identifier, str]:
-    """What is stated for the links of each annotation, in a line: `tows: trailer 7`."""
-    names = {key_of(one.id): name_of(one) for one in annotations}
-    texts: dict[Identifier, list[str]] = {}
-    for link in annotations:
-        if isinstance(link, LinkAnnotation):
-            other = names.get(key_of(link.to_id), str(link.to_id))
-            back = names.get(key_of(link.from_id), str(link.from_id))
-            texts.setdefault(link.from_id, []).append(f"{label_of(link)}: {other}")
-            texts.setdefault(link.to_id, []).append(f"{label_of(link)} of {back}")
-    return {identifier: "; ".join(stated) for identifier, stated in texts.items()}
-
-
-def show_graph(stream: Stream, annotations: Sequence[Annotation], notify: Report) -> bool:
+def _show_graph(stream: Stream, annotations: Sequence[Annotation], notify: Report) -> bool:
     """Show parents, groups and links as a graph; report whether there is one."""
     edges = [(str(one.parent_id), str(one.id)) for one in annotations if one.parent_id is not None]
     edges += [(str(one.from_id), str(one.to_id)) for one in annotations if isinstance(one, LinkAnnotation)]
@@ -287,8 +666,8 @@ def show_graph(stream: Stream, annotations: Sequence[Annotation], notify: Report
     rr = sdk()
     drawn = rr.GraphNodes(
         list(nodes),
-        labels=[name_of(one) for one in nodes.values()],
-        colors=np.array([one_packed(colour_of_name(label_of(one))) for one in nodes.values()], np.uint32),
+        labels=[_name_of(one) for one in nodes.values()],
+        colors=np.array([one_packed(colour_of_name(_label_of(one))) for one in nodes.values()], np.uint32),
     )
     kept = [edge for edge in edges if edge[0] in nodes and edge[1] in nodes]
     lines = (rr.GraphEdges(kept, graph_type="directed"),) if kept else ()
@@ -301,28 +680,28 @@ EVENTS, ATTRIBUTES, LIST = "events", "attributes", "annotations"
 _MOST_ROWS = 1_000
 
 
-def show_events(stream: Stream, annotations: Sequence[Annotation]) -> int:
+def _show_events(stream: Stream, annotations: Sequence[Annotation]) -> int:
     """Show events as lines of a log and as states that last; give their number."""
     events = [one for one in annotations if isinstance(one, EventAnnotation)]
     for event in events:
         start_ns = event.start_ns
-        stated = attributes_at(event, np.array([start_ns], np.int64))[0]
+        stated = _attributes_at(event, np.array([start_ns], np.int64))[0]
         where = "" if event.sensor_id is None else f" (sensor {event.sensor_id})"
-        text = f"{name_of(event)}{where}{': ' if stated else ''}{stated}"
-        line = sdk().TextLog(text, level="INFO", color=colour_of_name(label_of(event)))
+        text = f"{_name_of(event)}{where}{': ' if stated else ''}{stated}"
+        line = sdk().TextLog(text, level="INFO", color=colour_of_name(_label_of(event)))
         path = stream.path(EVENTS, event.id)
-        state = sdk().StateChange(state=label_of(event))
+        state = sdk().StateChange(state=_label_of(event))
         stream.log(start_ns, path, line, state, kind="events")
         if event.duration_ns:
             stream.log(start_ns + round(event.duration_ns), path, sdk().StateChange(state=""))
     return len(events)
 
 
-def show_attributes(stream: Stream, scene: Scene) -> int:
+def _show_attributes(stream: Stream, scene: Scene) -> int:
     """Show attributes of the scene and its sensors: numbers as curves, words as states; give how many have times."""
     timed = [attribute for attribute in scene.attributes if attribute.is_timed and attribute.values]
     for attribute in timed:
-        path = stream.path(ATTRIBUTES, attribute_name(attribute))
+        path = stream.path(ATTRIBUTES, _attribute_name(attribute))
         timestamps = np.asarray(attribute.timestamps_ns, np.int64)
         numbers = _numbers(attribute)
         columns: Iterable[Any]
@@ -344,10 +723,10 @@ def _word(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, tuple | list) else str(value)
 
 
-def list_annotations(stream: Stream, scene: Scene) -> bool:
+def _list_annotations(stream: Stream, scene: Scene) -> bool:
     """Show a table of all annotations with their attributes, and of those that hold for the scene; whether any."""
     fixed = [one for one in scene.attributes if not one.is_timed]
-    rows = [f"| {kind} | {text} |" for kind, text in ((attribute_name(a), _word(a.values)) for a in fixed)]
+    rows = [f"| {kind} | {text} |" for kind, text in ((_attribute_name(a), _word(a.values)) for a in fixed)]
     parts = (
         ["# Attributes of the scene\n| attribute | value |\n| --- | --- |\n" + "\n".join(rows)]
         if rows
@@ -366,13 +745,13 @@ def list_annotations(stream: Stream, scene: Scene) -> bool:
 
 def _row(annotation: Any) -> str:
     attributes: tuple[AttributePath, ...] = getattr(annotation, "attributes", ())
-    stated = attribute_text({attribute_name(one): _word(one.values) for one in attributes[:8]})
+    stated = _attribute_text({_attribute_name(one): _word(one.values) for one in attributes[:8]})
     parent = "" if annotation.parent_id is None else str(annotation.parent_id)
     cells = (annotation.type, getattr(annotation, "label", None) or "", annotation.id, parent, stated)
     return "| " + " | ".join(str(cell).replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
 
 
-def show_corrections(
+def _show_corrections(
     stream: Stream, locations: Locations, annotations: tuple[Annotation, ...], notify: Report
 ) -> None:
     """Show each correction as what it leads to: the corrected ego trajectory, the corrected frustum of a camera."""
@@ -400,7 +779,7 @@ def _show_adjustment(stream: Stream, locations: Locations, annotation: Localizat
     line = sdk().LineStrips3D(
         [shifted[shown]],
         colors=np.array([colour], np.uint32),
-        radii=np.array([_WIDTH], np.float32),
+        radii=np.array([_LINK_WIDTH], np.float32),
         labels=["corrected trajectory"],
     )
     stream.static(stream.path(WORLD, "corrected ways", annotation.id), line)
@@ -440,20 +819,39 @@ _AT_ONCE = 128
 
 
 @dataclass(slots=True, eq=False)
-class AnnotationLayers:
-    """Annotations in space, and in the images of each camera.
+class AnnotationView:
+    """The annotations of a drive: what holds at all times is logged by `of`, the rest while frames are played.
 
     Attributes:
         in_space: logged at the moments of sweeps, and at the timestamps of their own paths.
         in_images: by camera, logged at the times of its images and at the timestamps of their own paths.
         timestamps_ns: of the paths of annotations in space, (N,) int64 [ns], ascending.
+        labelled: labelled points, which follow their clouds.
     """
 
-    in_space: tuple[Layer, ...]
-    in_images: dict[Identifier, tuple[Layer, ...]]
+    in_space: tuple[_Layer, ...]
+    in_images: dict[Identifier, tuple[_Layer, ...]]
     timestamps_ns: Int64Array
+    labelled: _LabelledPoints
     _waiting: list[int] = field(default_factory=list)
     _done_until: int = 0
+
+    @classmethod
+    def of(cls, stream: Stream, locations: Locations, scene: Scene, notify: Report) -> "AnnotationView":
+        """Make the layers of a scene, and log what holds at all times."""
+        _show_corrections(stream, locations, scene.annotations, notify)
+        _show_events(stream, scene.annotations)
+        _show_attributes(stream, scene)
+        _show_graph(stream, scene.annotations, notify)
+        _list_annotations(stream, scene)
+        maker = _Maker(stream, locations, scene)
+        timestamps = [path.timestamps_ns for path in _paths_in_space(scene.annotations)]
+        return cls(
+            (*maker.cuboids(), *maker.shapes(), *maker.points(), *maker.links()),
+            {camera.id: tuple(maker.drawn(camera.id)) for camera in scene.cameras},
+            np.unique(np.concatenate([np.zeros(0, np.int64), *timestamps])),
+            _LabelledPoints.of(stream, scene.annotations),
+        )
 
     def note(self, time_ns: int) -> None:
         """Take a moment at which a sweep is shown [ns], in ascending order."""
@@ -486,27 +884,15 @@ class AnnotationLayers:
         _log_in_parts(self.in_images.get(camera_id, ()), times_ns)
 
 
-def _log_in_parts(layers: Sequence[Layer], times_ns: Int64Array) -> None:
+def _log_in_parts(layers: Sequence[_Layer], times_ns: Int64Array) -> None:
     for start in range(0, len(times_ns), _AT_ONCE):
         for layer in layers:
             layer.log(times_ns[start : start + _AT_ONCE])
 
 
-def annotation_layers(stream: Stream, locations: Locations, scene: Scene) -> AnnotationLayers:
-    """Make the layers of a scene, and log what holds at all times."""
-    maker = _Maker(stream, locations, scene)
-    in_space = [*maker.cuboids(), *maker.shapes(), *maker.points(), *maker.links()]
-    timestamps = [path.timestamps_ns for path in _paths_in_space(scene.annotations)]
-    return AnnotationLayers(
-        tuple(in_space),
-        {camera.id: tuple(maker.drawn(camera.id)) for camera in scene.cameras},
-        np.unique(np.concatenate([np.zeros(0, np.int64), *timestamps])),
-    )
-
-
 def _paths_in_space(annotations: Iterable[Annotation]) -> Iterable[CuboidPath | VertexPath | PointPath]:
     for annotation in annotations:
-        if (isinstance(annotation, CuboidAnnotation) and not stands(annotation)) or (
+        if (isinstance(annotation, CuboidAnnotation) and not _stands(annotation)) or (
             isinstance(annotation, ShapeAnnotation) and annotation.dimensions == 3
         ):
             yield annotation.path
@@ -525,102 +911,84 @@ class _Maker:
         self._base = stream.path(WORLD, _EGO, _ANNOTATIONS) if on_ego else stream.path(WORLD, _ANNOTATIONS)
         self._origin: Float64Array = np.zeros(3) if on_ego else locations.origin_world
 
-    def _group(self, base: str, label: str, members: Sequence[Annotation]) -> Group:
+    def _group(self, base: str, label: str, members: Sequence[Annotation]) -> _Group:
         colour = one_packed(colour_of_name(label))
-        path = "/".join([base, _part(label)])
-        return Group(self._stream, path, tuple(members), colour, self._links)
+        return _Group(self._stream, f"{base}/{escaped(label)}", tuple(members), colour, self._links)
 
-    def cuboids(self) -> Iterable[Layer]:
-        """Those that come and go; those that stand are logged now."""
-        found = [
-            one
-            for one in self._scene.annotations
-            if isinstance(one, CuboidAnnotation) and len(one.path.timestamps_ns)
-        ]
-        for label, members in grouped(found, label_of).items():
-            base = f"{self._base}/cuboids"
-            stationary = [one for one in members if stands(one)]
-            passing = [one for one in members if not stands(one)]
+    def _groups(self, base: str, annotations: Iterable[Annotation]) -> Iterator[_Group]:
+        """One for each class."""
+        for label, members in _grouped(annotations, _label_of).items():
+            yield self._group(base, label, members)
+
+    def _of(self, kind: type[Any]) -> list[Any]:
+        return [one for one in self._scene.annotations if isinstance(one, kind)]
+
+    def cuboids(self) -> Iterator[_Layer]:
+        """Those that come and go; stationary ones are logged now."""
+        draw = partial(_draw_cuboids, angles=self._angles, origin=self._origin)
+        found = [one for one in self._of(CuboidAnnotation) if len(one.path.timestamps_ns)]
+        for group in self._groups(f"{self._base}/cuboids", found):
+            stationary = tuple(one for one in group.annotations if _stands(one))
+            passing = tuple(one for one in group.annotations if not _stands(one))
             if stationary:
-                group = self._group(base, label, stationary)
-                show_stationary(_within(group, "stationary"), self._angles, self._origin)
+                below = replace(group, path=f"{group.path}/stationary", annotations=stationary)
+                _show_stationary(below, self._angles, self._origin)
             if passing:
-                yield CuboidLayer(self._group(base, label, passing), self._angles, self._origin)
+                yield _Layer(replace(group, annotations=passing), draw, "cuboid moments")
 
-    def shapes(self) -> Iterable[Layer]:
+    def _shapes(self, base: str, shapes: Iterable[ShapeAnnotation], origin: Float64Array) -> Iterator[_Layer]:
+        draw = partial(_draw_shapes, origin=origin)
+        for kind, alike in _grouped(shapes, lambda one: one.type.value).items():
+            for group in self._groups(f"{base}/{kind}", alike):
+                yield _Layer(group, draw, "shapes")
+
+    def shapes(self) -> Iterator[_Layer]:
         """Shapes in space."""
-        found = [one for one in self._scene.annotations if isinstance(one, ShapeAnnotation)]
-        solid = [one for one in found if one.dimensions == 3]
-        for kind, alike in grouped(solid, lambda one: one.type.value).items():
-            for label, members in grouped(alike, label_of).items():
-                yield ShapeLayer(self._group(f"{self._base}/{kind}", label, members), self._origin)
+        solid = [one for one in self._of(ShapeAnnotation) if one.dimensions == 3]
+        yield from self._shapes(self._base, solid, self._origin)
 
-    def points(self) -> Iterable[Layer]:
+    def points(self) -> Iterator[_Layer]:
         """Named points."""
-        found = [one for one in self._scene.annotations if isinstance(one, PointsAnnotation)]
-        for label, members in grouped(found, label_of).items():
-            yield _PointsLayer(self._group(f"{self._base}/points", label, members), self._origin)
+        draw = partial(_draw_keypoints, origin=self._origin)
+        for group in self._groups(f"{self._base}/points", self._of(PointsAnnotation)):
+            yield _Layer(group, draw, "named points")
 
-    def links(self) -> Iterable[Layer]:
+    def links(self) -> Iterator[_Layer]:
         """Links between what has locations."""
-        found = [one for one in self._scene.annotations if isinstance(one, LinkAnnotation)]
         ends = {key_of(one.id): one for one in self._scene.annotations}
-        for label, members in grouped(found, label_of).items():
-            yield _LinkLayer(
-                self._group(f"{self._base}/links", label, members), ends, self._angles, self._origin
-            )
+        draw = partial(_draw_links, ends=ends, angles=self._angles, origin=self._origin)
+        for group in self._groups(f"{self._base}/links", self._of(LinkAnnotation)):
+            yield _Layer(group, draw, "links")
 
-    def drawn(self, camera_id: Identifier) -> Iterable[Layer]:
+    def drawn(self, camera_id: Identifier) -> Iterator[_Layer]:
         """What is drawn into the images of one camera."""
-        base, annotations = image_path(self._stream, camera_id), self._scene.annotations
-        boxes = [
-            one for one in annotations if isinstance(one, Box2DAnnotation) and one.sensor_id == camera_id
-        ]
-        for label, members in grouped(boxes, label_of).items():
-            yield BoxLayer(self._group(f"{base}/boxes", label, members))
-        shapes = [
-            one for one in annotations if isinstance(one, ShapeAnnotation) and one.sensor_id == camera_id
-        ]
-        flat = [one for one in shapes if one.dimensions == 2]
-        for kind, alike in grouped(flat, lambda one: one.type.value).items():
-            for label, members in grouped(alike, label_of).items():
-                yield ShapeLayer(self._group(f"{base}/{kind}", label, members), np.zeros(2))
-        yield from self._projections(base, camera_id)
-
-    def _projections(self, base: str, camera_id: Identifier) -> Iterable[Layer]:
-        seen = [
-            (one, entry)
-            for one in self._scene.annotations
-            if isinstance(one, CuboidAnnotation)
-            for entry in one.projections
-        ]
-        pairs = by_camera(seen).get(camera_id, [])
-        for label in dict.fromkeys(label_of(one) for one, _ in pairs):
-            alike = [(one, entry) for one, entry in pairs if label_of(one) == label]
-            group = self._group(f"{base}/projections", label, [one for one, _ in alike])
-            yield ProjectionLayer(group, tuple(_active(one, entry) for one, entry in alike))
+        base = image_path(self._stream, camera_id)
+        boxes = [one for one in self._of(Box2DAnnotation) if one.sensor_id == camera_id]
+        for group in self._groups(f"{base}/boxes", boxes):
+            yield _Layer(group, _draw_boxes, "boxes in images")
+        shapes = [one for one in self._of(ShapeAnnotation) if one.sensor_id == camera_id]
+        yield from self._shapes(base, [one for one in shapes if one.dimensions == 2], np.zeros(2))
+        seen: dict[str, list[tuple[CuboidAnnotation, Projection]]] = {}
+        for one in self._of(CuboidAnnotation):
+            for entry in one.projections:
+                if entry.sensor_id == camera_id:
+                    seen.setdefault(_label_of(one), []).append((one, _active(one, entry)))
+        for label, pairs in seen.items():
+            draw = partial(_draw_projections, projections=[entry for _, entry in pairs])
+            yield _Layer(
+                self._group(f"{base}/projections", label, [one for one, _ in pairs]), draw, "projections"
+            )
         named = [
-            (one, k, entry)
-            for one in self._scene.annotations
-            if isinstance(one, PointsAnnotation)
+            (one, _point_name(one, k), entry)
+            for one in self._of(PointsAnnotation)
             for k, entries in enumerate(one.projections)
             for entry in entries
             if entry.sensor_id == camera_id
         ]
         if named:
-            group = self._group(base, "points", [one for one, _, _ in named])
-            names = tuple(_point_name(one, k) for one, k, _ in named)
-            yield PointProjectionLayer(group, tuple(entry for _, _, entry in named), names)
-
-
-def _within(group: Group, name: str) -> Group:
-    return Group(group.stream, f"{group.path}/{name}", group.annotations, group.colour, group.links)
-
-
-def _part(label: str) -> str:
-    from sceneloom.view.stream import escaped
-
-    return escaped(label)
+            owners, names, entries = zip(*named, strict=True)
+            draw_points = partial(_draw_point_projections, projections=entries, names=names)
+            yield _Layer(self._group(base, "points", owners), draw_points, "points in images", counted=False)
 
 
 def _active(annotation: CuboidAnnotation, entry: Projection) -> Projection:

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from types import MappingProxyType
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from sceneloom.arrays import Int64Array
 from sceneloom.checks.validation import validate
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError
 from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
 from sceneloom.scene.annotations import EventAnnotation, PlainAnnotation
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
@@ -20,36 +20,22 @@ from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor
 from sceneloom.scene.scene import Scene, time_span
 from sceneloom.scene.time_range import cut_scene
 from sceneloom.scene.types import Identifier, Key, Progress, key_of
-from sceneloom.view.annotations import (
-    ATTRIBUTES,
-    EVENTS,
-    LIST,
-    RELATIONS,
-    AnnotationLayers,
-    LabelledPoints,
-    annotation_layers,
-    list_annotations,
-    show_attributes,
-    show_corrections,
-    show_events,
-    show_graph,
-)
+from sceneloom.view.annotations import ATTRIBUTES, EVENTS, LIST, RELATIONS, AnnotationView
 from sceneloom.view.images import (
     DEPTH,
     IMAGE,
     CameraView,
     PlacedCamera,
-    ShownImage,
     depth_feed,
     fused_depth_feed,
     with_straight_camera_models,
 )
 from sceneloom.view.motion import EARTH, EGO, GNSS, IMU, MAP, show_motion
-from sceneloom.view.objects import ObjectsView, by_camera, read_detections, read_tracks
-from sceneloom.view.points import SENSORS, WORLD, LidarView, RadarView, lidar_view, show_map
-from sceneloom.view.poses import Locations, find_locations
+from sceneloom.view.objects import detection_feeds, track_feed
+from sceneloom.view.points import SENSORS, WORLD, LidarView, RadarView, show_map
+from sceneloom.view.poses import Locations
 from sceneloom.view.settings import DriveShown, ViewSettings
-from sceneloom.view.stream import TIME, Feed, Stream, blueprint_sdk, escaped, play, sdk
+from sceneloom.view.stream import TIME, Feed, Stream, escaped, play, sdk
 from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
 
 _NOTES = "notes"
@@ -92,11 +78,6 @@ class _Reported:
         )
 
 
-def _find_mistakes(scene: Scene) -> tuple[Finding, ...]:
-    """What the rules of `validate` find that need no frames."""
-    return validate(scene, frames=False).findings
-
-
 def _log_notes(
     stream: Stream, time_ns: int, warnings: Sequence[DataWarning], findings: Sequence[Finding]
 ) -> None:
@@ -123,7 +104,7 @@ _BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0
 """Where the eye stands behind the ego, and where it looks [m]."""
 
 _MOVED = 2.0
-"""How far the ego must have come for its trajectory to notify where forward is [m]."""
+"""How far the ego must have moved before its trajectory tells where forward is [m]."""
 
 _IN_IMAGES = ("annotations", "tracks/boxes", "tracks/history")
 """What has a location in the world and is shown through the camera models, too."""
@@ -162,39 +143,31 @@ class _Facts:
     listed: bool
 
     @classmethod
-    def of(
-        cls,
-        name: str,
-        scene: Scene,
-        locations: Locations,
-        cameras: tuple[Identifier, ...],
-        settings: ViewSettings,
-    ) -> "_Facts":
+    def of(cls, view: "DriveView") -> "_Facts":
         """Look at what a scene has."""
-        eye, target = _eye(locations)
+        scene, path = view.scene, view.locations.path
+        eye, target = _eye(view.locations)
         gnss = any(isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns) for sensor in scene.sensors)
-        joined = any(
-            one.parent_id is not None or one.type in {"link", "group", "object"} for one in scene.annotations
-        )
+        kinds = CameraSensor | DepthCameraSensor
+        imus = [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor) and sensor.streams]
         return cls(
-            root=f"/{escaped(name)}",
-            title=name,
-            cameras=cameras,
+            root=f"/{escaped(view.name)}",
+            title=view.name,
+            cameras=tuple(sensor.id for sensor in scene.sensors if isinstance(sensor, kinds)),
             eye=eye,
             target=target,
-            follows=locations.path is not None,
-            curves=tuple(
-                (one.id, tuple(one.streams))
-                for one in scene.sensors
-                if isinstance(one, ImuSensor) and one.streams
-            ),
-            depths=settings.depth is not None,
+            follows=path is not None,
+            curves=tuple((imu.id, tuple(imu.streams)) for imu in imus),
+            depths=view.settings.depth is not None,
             gnss=gnss,
-            plan=gnss or locations.path is not None,
-            earth=gnss and settings.map_tiles,
+            plan=gnss or path is not None,
+            earth=gnss and view.settings.map_tiles,
             events=any(isinstance(one, EventAnnotation) for one in scene.annotations),
             attributes=any(one.is_timed and one.values for one in scene.attributes),
-            relations=joined,
+            relations=any(
+                one.parent_id is not None or one.type in {"link", "group", "object"}
+                for one in scene.annotations
+            ),
             listed=bool(scene.annotations) or any(not one.is_timed for one in scene.attributes),
         )
 
@@ -217,29 +190,21 @@ def _eye(locations: Locations) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return tuple(eye.tolist()), tuple((_AHEAD * forward).tolist())
 
 
-def layout(drives: Sequence[_Facts]) -> Any:
-    """Make the layout: of one drive, or of several, each under a tab of its own, with all worlds over each other."""
-    rrb = blueprint_sdk()
-    parts = [_drive(facts) for facts in drives]
-    if len(drives) == 1:
-        content = parts[0]
-    else:
-        together = rrb.Spatial3DView(
-            origin="/", contents=[f"+ {facts.root}/{WORLD}/**" for facts in drives], name="together"
-        )
-        content = rrb.Tabs(*parts, together, active_tab=0)
-    return rrb.Blueprint(
-        content,
-        rrb.BlueprintPanel(state="expanded"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIME),
-        auto_layout=False,
-        auto_views=False,
-    )
+@cache
+def _blueprint_sdk() -> Any:
+    """Import `rerun.blueprint`, of which layouts are made.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    sdk()
+    import rerun.blueprint
+
+    return rerun.blueprint
 
 
 def _drive(facts: _Facts) -> Any:
-    rrb = blueprint_sdk()
+    rrb = _blueprint_sdk()
     worlds = [_world(facts, "world", follows=facts.follows)]
     if facts.follows:
         worlds.append(_world(facts, "from afar", follows=False))
@@ -256,7 +221,7 @@ def _drive(facts: _Facts) -> Any:
 
 def _world(facts: _Facts, name: str, *, follows: bool) -> Any:
     """The world with the eye behind the ego; or, of a drive that moves, all of it, the eye where the viewer puts it."""
-    rrb = blueprint_sdk()
+    rrb = _blueprint_sdk()
     world = f"{facts.root}/{WORLD}"
     eye = {"position": facts.eye, "look_target": facts.target} if follows or not facts.follows else {}
     return rrb.Spatial3DView(
@@ -270,7 +235,7 @@ def _world(facts: _Facts, name: str, *, follows: bool) -> Any:
 
 
 def _named(container: Any, facts: _Facts) -> Any:
-    return blueprint_sdk().Horizontal(container, name=facts.title)
+    return _blueprint_sdk().Horizontal(container, name=facts.title)
 
 
 def _camera(facts: _Facts, camera_id: Identifier) -> Any:
@@ -278,7 +243,7 @@ def _camera(facts: _Facts, camera_id: Identifier) -> Any:
 
     Its fused depths.
     """
-    rrb = blueprint_sdk()
+    rrb = _blueprint_sdk()
     path = f"{facts.root}/{WORLD}/{SENSORS}/{escaped(camera_id)}/{IMAGE}"
     through = [f"+ {facts.root}/{WORLD}/{name}/**" for name in _IN_IMAGES]
     images = rrb.Spatial2DView(
@@ -291,7 +256,7 @@ def _camera(facts: _Facts, camera_id: Identifier) -> Any:
 
 
 def _tabs(facts: _Facts) -> list[Any]:
-    rrb = blueprint_sdk()
+    rrb = _blueprint_sdk()
     root = facts.root
     views = [
         rrb.TextLogView(origin=root, contents=[f"+ {root}/{_NOTES}", f"+ {root}/{EVENTS}/**"], name="log")
@@ -350,39 +315,81 @@ class DriveView:
     settings: ViewSettings
     reported: _Reported
 
-    @property
-    def facts(self) -> _Facts:
-        """What its layout depends on."""
-        kinds = CameraSensor | DepthCameraSensor
-        cameras = tuple(sensor.id for sensor in self.scene.sensors if isinstance(sensor, kinds))
-        return _Facts.of(self.name, self.scene, self.locations, cameras, self.settings)
+    @classmethod
+    def of(
+        cls, scene: Scene, name: str, settings: ViewSettings, *, progress: Progress | None = None
+    ) -> "DriveView":
+        """Choose what of a scene is shown, and find where its sensors are.
 
+        Args:
+            scene: as it was read.
+            name: of its root entity.
+            settings: what of it is shown.
+            progress: reported while the ego trajectory is computed.
 
-def prepare_drive(
-    scene: Scene, name: str, settings: ViewSettings, *, progress: Progress | None = None
-) -> DriveView:
-    """Choose what of a scene is shown, and find where its sensors are.
+        Raises:
+            OptionError: a sensor or trajectory is not there, or no frame lies in the part.
+            PoseError: the named trajectory cannot be used.
+        """
+        reported = _Reported()
+        scene = scene.corrected()
+        chosen = _with_sensors(scene, settings.sensors)
+        part = cut_scene(chosen, start=settings.start, stop=settings.stop)
+        straight, bent = with_straight_camera_models(part, reported)
+        locations = Locations.of(
+            straight, trajectory=settings.trajectory, heading=settings.heading, progress=progress
+        )
+        return cls(name, straight, part, _reference_ns(scene), locations, bent, settings, reported)
 
-    Args:
-        scene: as it was read.
-        name: of its root entity.
-        settings: what of it is shown.
-        progress: reported while the ego trajectory is computed.
+    @staticmethod
+    def layout(views: "Sequence[DriveView]") -> Any:
+        """The layout of one drive, or of several, each under a tab of its own, with all worlds over each other."""
+        rrb, drives = _blueprint_sdk(), [_Facts.of(view) for view in views]
+        parts = [_drive(facts) for facts in drives]
+        content = parts[0]
+        if len(drives) > 1:
+            worlds = [f"+ {facts.root}/{WORLD}/**" for facts in drives]
+            together = rrb.Spatial3DView(origin="/", contents=worlds, name="together")
+            content = rrb.Tabs(*parts, together, active_tab=0)
+        return rrb.Blueprint(
+            content,
+            rrb.BlueprintPanel(state="expanded"),
+            rrb.SelectionPanel(state="collapsed"),
+            rrb.TimePanel(state="collapsed", timeline=TIME),
+            auto_layout=False,
+            auto_views=False,
+        )
 
-    Raises:
-        OptionError: a sensor or trajectory is not there, or no frame lies in the part.
-        PoseError: the named trajectory cannot be used.
-    """
-    reported = _Reported()
-    scene = scene.corrected()
-    reference_ns = _reference_ns(scene)
-    chosen = _with_sensors(scene, settings.sensors)
-    part = cut_scene(chosen, start=settings.start, stop=settings.stop)
-    straight, bent = with_straight_camera_models(part, reported)
-    locations = find_locations(
-        straight, trajectory=settings.trajectory, heading=settings.heading, progress=progress
-    )
-    return DriveView(name, straight, part, reference_ns, locations, bent, settings, reported)
+    def log(self, recording: Any, *, calendar: bool, progress: Progress | None = None) -> DriveShown:
+        """Log the drive to an open stream of Rerun's, frame by frame.
+
+        Args:
+            recording: the stream, which several drives share.
+            calendar: whether times are shown as times of day, else as seconds.
+            progress: reported after each frame.
+
+        Raises:
+            DataError: a frame cannot be read, and the reading is not lenient.
+            OptionError: angles of cuboids have a unit or order that is not known.
+        """
+        scene, reported = self.scene, self.reported
+        stream = Stream(recording, f"/{escaped(self.name)}", calendar, self.reference_ns)
+        show_motion(stream, self.locations, scene)
+        span_ns = time_span(scene) or (0, 0)
+        # the rules of `validate` that need no frames
+        findings = validate(self.measured, frames=False).findings if self.settings.findings else ()
+        _log_notes(stream, span_ns[0], (*scene.warnings, *self.locations.warnings), findings)
+        run = _Run(self, stream, AnnotationView.of(stream, self.locations, scene, reported))
+        run.log_maps()
+        feeds = run.feeds()
+        total = sum(map(len, feeds))
+        lenient = bool(self.settings.reading.get("lenient"))
+        for done, _ in enumerate(play(feeds, partial(_passed_over, reported, lenient)), start=1):
+            if progress is not None:
+                progress(done, total)
+        run.annotations.finish()
+        _log_notes(stream, span_ns[0], (*reported.warnings, *stream.warnings), ())
+        return run.shown(span_ns, findings)
 
 
 def _reference_ns(scene: Scene) -> Int64Array:
@@ -410,8 +417,7 @@ class _Run:
 
     view: DriveView
     stream: Stream
-    annotations: AnnotationLayers
-    labelled: LabelledPoints
+    annotations: AnnotationView
     lidars: list[LidarView] = field(default_factory=list)
 
     def feeds(self) -> list[Feed]:
@@ -430,20 +436,20 @@ class _Run:
 
     def _sweeps(self, lidar: LidarSensor, *, first: bool) -> Feed:
         settings = self.view.settings
-        shown = lidar_view(
+        shown = LidarView(
             self.stream,
             self.view.locations,
             lidar,
-            colour_by=settings.colour_by,
-            as_measured=settings.as_measured,
-            notify=self.view.reported,
+            settings.colour_by,
+            settings.as_measured,
+            self.view.reported,
         )
         self.lidars.append(shown)
 
         def log(k: int, _: None) -> None:
             time_ns, positions = shown.log(k)
             if positions is not None:
-                self.labelled.log(lidar.id, k, shown.path, time_ns, positions)
+                self.annotations.labelled.log(lidar.id, k, shown.path, time_ns, positions)
             if first:
                 self.annotations.note(time_ns)
 
@@ -458,7 +464,7 @@ class _Run:
         shown = CameraView(self._placed(sensor, times_ns, has_pinhole=has_pinhole), sensor.images)
         counts_moments = not view.scene.lidars and sensor is view.scene.cameras[0]
 
-        def log(k: int, prepared: ShownImage | None) -> None:
+        def log(k: int, prepared: Any) -> None:
             shown.log(shown.prepare(k) if prepared is None else prepared)
             if counts_moments:
                 self.annotations.note(int(times_ns[k]))
@@ -481,21 +487,58 @@ class _Run:
 
     def _accompanying(self) -> list[Feed]:
         """What files beside the drive hold."""
-        view, settings, feeds = self.view, self.view.settings, []
-        origin = view.locations.origin_world
+        view, settings, origin = self.view, self.view.settings, self.view.locations.origin_world
+        feeds: list[Feed] = []
         if settings.detections is not None:
-            for camera_id, moments in by_camera(read_detections(settings.detections)).items():
-                shown = ObjectsView(
-                    self.stream, ("detections", camera_id), moments, origin, has_history=False
-                )
-                feeds.append(shown.feed)
+            feeds += detection_feeds(self.stream, settings.detections, origin)
         if settings.tracks is not None:
-            moments = read_tracks(settings.tracks, view.scene)
-            feeds.append(ObjectsView(self.stream, ("tracks",), moments, origin, has_history=True).feed)
+            feeds.append(track_feed(self.stream, settings.tracks, view.scene, origin))
         if settings.depth is not None:
             feeds.append(fused_depth_feed(self.stream, settings.depth, view.measured, view.scene))
         span_ns = time_span(view.scene)
         return [_within(feed, span_ns) for feed in feeds]
+
+    def log_maps(self) -> None:
+        """Log clouds without time, and report what cannot be shown."""
+        view, stream, scene = self.view, self.stream, self.view.scene
+        for sensor in scene.sensors:
+            if isinstance(sensor, PointsSensor):
+                show_map(stream, view.locations, sensor)
+                path = stream.path("world", "clouds", sensor.id)
+                with np.errstate(over="ignore"):  # what overflows is left out
+                    positions = (sensor.positions - view.locations.origin_world).astype(np.float32)
+                self.annotations.labelled.log(sensor.id, None, path, None, positions)
+        for kind, things in (("sensors", scene.sensors), ("annotations", scene.annotations)):
+            for one in things:
+                if isinstance(one, PlainSensor | PlainAnnotation):
+                    problem = f"nothing is known of the type {one.type!r}"
+                    view.reported("not-shown", f"{kind}[{one.id!r}]", problem)
+
+    def shown(self, span_ns: tuple[int, int], findings: tuple[Finding, ...]) -> DriveShown:
+        """What was logged."""
+        view, stream = self.view, self.stream
+        colours = {str(one.lidar.id): one.painter.used for one in self.lidars}
+        wanted = view.settings.colour_by
+        for sensor_id, used in colours.items():
+            if wanted is not None and used is not None and used is not wanted:
+                problem = f"its points have no {wanted}; they show {used}"
+                view.reported("colours-missing", f"sensors[{sensor_id!r}]", problem)
+        return DriveShown(
+            source=view.scene.source,
+            format=view.scene.format,
+            root=stream.root,
+            origin=tuple(view.locations.origin_world.tolist()),
+            seconds=(span_ns[1] - span_ns[0]) / 1e9,
+            colours={sensor_id: used.value for sensor_id, used in colours.items() if used is not None},
+            logged=dict(sorted(stream.counts.items())),
+            findings=dict(Counter(str(finding.severity) for finding in findings)),
+            warnings=(
+                *view.scene.warnings,
+                *view.locations.warnings,
+                *view.reported.warnings,
+                *stream.warnings,
+            ),
+        )
 
 
 def _thinned(feed: Feed, every: int) -> Feed:
@@ -522,101 +565,9 @@ def _chosen(feed: Feed, rows: Int64Array) -> Feed:
     )
 
 
-def log_drive(view: DriveView, stream: Stream, *, progress: Progress | None = None) -> DriveShown:
-    """Log a drive, frame by frame.
-
-    Raises:
-        DataError: a frame cannot be read, and the reading is not lenient.
-        OptionError: angles of cuboids have a unit or order that is not known.
-    """
-    scene, reported = view.scene, view.reported
-    show_motion(stream, view.locations, scene)
-    span_ns = time_span(scene) or (0, 0)
-    findings = _find_mistakes(view.measured) if view.settings.findings else ()
-    _log_notes(stream, span_ns[0], (*scene.warnings, *view.locations.warnings), findings)
-    run = _Run(
-        view,
-        stream,
-        annotation_layers(stream, view.locations, scene),
-        LabelledPoints.of(stream, scene.annotations),
-    )
-    _log_lasting(run)
-    feeds = run.feeds()
-    total = sum(map(len, feeds))
-    lenient = bool(view.settings.reading.get("lenient"))
-    for done, _ in enumerate(play(feeds, partial(_passed_over, reported, lenient)), start=1):
-        if progress is not None:
-            progress(done, total)
-    run.annotations.finish()
-    _log_notes(stream, span_ns[0], (*reported.warnings, *stream.warnings), ())
-    return _shown(run, span_ns, findings)
-
-
-def _log_lasting(run: _Run) -> None:
-    """What holds at all times, or is stated over time by few values."""
-    view, stream, scene = run.view, run.stream, run.view.scene
-    for sensor in scene.sensors:
-        if isinstance(sensor, PointsSensor):
-            show_map(stream, view.locations, sensor)
-            path = stream.path("world", "clouds", sensor.id)
-            with np.errstate(over="ignore"):  # what overflows is left out
-                positions = (sensor.positions - view.locations.origin_world).astype(np.float32)
-            run.labelled.log(sensor.id, None, path, None, positions)
-    for kind, things in (("sensors", scene.sensors), ("annotations", scene.annotations)):
-        for one in things:
-            if isinstance(one, PlainSensor | PlainAnnotation):
-                view.reported(
-                    "not-shown", f"{kind}[{one.id!r}]", f"nothing is known of the type {one.type!r}"
-                )
-    show_corrections(stream, view.locations, scene.annotations, view.reported)
-    show_events(stream, scene.annotations)
-    show_attributes(stream, scene)
-    show_graph(stream, scene.annotations, view.reported)
-    list_annotations(stream, scene)
-
-
 def _passed_over(reported: _Reported, lenient: bool, error: Exception) -> bool:  # noqa: FBT001 - bound by `partial`
     """Whether to go on after a moment that cannot be read, and report it."""
     if not (lenient and isinstance(error, DataError)):
         return False
     reported("unreadable", error.location or error.file, error.problem)
     return True
-
-
-def _shown(run: _Run, span_ns: tuple[int, int], findings: tuple[Finding, ...]) -> DriveShown:
-    view = run.view
-    colours = {str(one.lidar.id): one.painter.used for one in run.lidars}
-    wanted = view.settings.colour_by
-    for sensor_id, used in colours.items():
-        if wanted is not None and used is not None and used is not wanted:
-            view.reported(
-                "colours-missing", f"sensors[{sensor_id!r}]", f"its points have no {wanted}; they show {used}"
-            )
-    return DriveShown(
-        source=view.scene.source,
-        format=view.scene.format,
-        root=run.stream.root,
-        origin=tuple(view.locations.origin_world.tolist()),
-        seconds=(span_ns[1] - span_ns[0]) / 1e9,
-        colours={sensor_id: used.value for sensor_id, used in colours.items() if used is not None},
-        logged=dict(sorted(run.stream.counts.items())),
-        findings=dict(Counter(str(finding.severity) for finding in findings)),
-        warnings=(
-            *view.scene.warnings,
-            *view.locations.warnings,
-            *view.reported.warnings,
-            *run.stream.warnings,
-        ),
-    )
-
-
-def check_single(count: int, settings: ViewSettings) -> None:
-    """Refuse files that belong to one drive where several are shown.
-
-    Raises:
-        OptionError: naming them.
-    """
-    if count > 1 and settings.accompanied:
-        raise OptionError(
-            f"detections, tracks and depth images belong to one drive; {count} drives are shown"
-        )

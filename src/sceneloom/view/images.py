@@ -40,7 +40,7 @@ _CORNER = 0.5
 """The viewer counts pixels from the image's corner, camera models from the centre of the first one."""
 
 _FRUSTUM, _HALF_WIDTH = 2.5, 1.2
-"""How far before the camera its camera_image hangs at most, and half of how wide it is at most [m]."""
+"""How far before the camera its image hangs at most, and half of how wide it is at most [m]."""
 
 _FINEST = 0.7
 """A straightened image magnifies its middle by this or more, of what one without empty borders would.
@@ -176,7 +176,7 @@ class PlacedCamera:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShownImage:
+class _ShownImage:
     """An image with the JPEG file that is shown."""
 
     image: CameraImage
@@ -190,12 +190,12 @@ class CameraView:
     camera: PlacedCamera
     images: LazyFrames[CameraImage]
 
-    def prepare(self, k: int) -> ShownImage:
+    def prepare(self, k: int) -> _ShownImage:
         """Read image `k`, and encode it where it is no JPEG yet."""
         camera_image = self.images[k]
-        return ShownImage(camera_image, _jpeg_of(camera_image))
+        return _ShownImage(camera_image, _jpeg_of(camera_image))
 
-    def log(self, shown: ShownImage) -> None:
+    def log(self, shown: _ShownImage) -> None:
         """Log an image."""
         stream, camera_image = self.camera.stream, shown.image
         self.camera.log(camera_image.timestamp_ns, camera_image.camera, camera_image.mount)
@@ -213,7 +213,7 @@ DEPTH = "depth"
 """The entity of fused depth images, below that of the images that they belong to."""
 
 
-def depth_image(depths: Float32Array) -> Any:
+def _depth_image(depths: Float32Array) -> Any:
     """An image of depths (H, W) [m], 0 for none, as the viewer takes it."""
     steps: UInt16Array = np.clip(np.rint(np.nan_to_num(depths) * _STEPS_PER_METRE), 0, _LARGEST).astype(
         np.uint16
@@ -225,7 +225,7 @@ def depth_image(depths: Float32Array) -> Any:
 
 
 @dataclass(slots=True, eq=False)
-class Straightener:
+class _Straightener:
     """Resamples depth images to a pinhole by the nearest pixel: no depth between two others is made up."""
 
     known: Undistortion | None = None
@@ -248,12 +248,12 @@ class Straightener:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DepthView:
+class _DepthView:
     """Shows the images of one depth camera."""
 
     camera: PlacedCamera
     frames: Any
-    straightener: Straightener
+    straightener: _Straightener
 
     def log(self, k: int, _: None) -> None:
         """Log image `k`."""
@@ -262,7 +262,7 @@ class DepthView:
         camera_model, depths = self.straightener.straight(frame.camera, frame.depth)
         self.camera.log(frame.timestamp_ns, camera_model, frame.mount)
         path = image_path(stream, self.camera.sensor.id)
-        stream.log(frame.timestamp_ns, path, depth_image(depths), kind="depth images", size=2 * depths.size)
+        stream.log(frame.timestamp_ns, path, _depth_image(depths), kind="depth images", size=2 * depths.size)
 
 
 def depth_feed(camera: PlacedCamera, sensor: DepthCameraSensor, notify: Report) -> Feed | None:
@@ -273,7 +273,7 @@ def depth_feed(camera: PlacedCamera, sensor: DepthCameraSensor, notify: Report) 
         except CalibrationError as error:
             notify("camera-model-left", f"sensors[{sensor.id!r}]", f"its depth images are not shown: {error}")
             return None
-    return Feed(sensor.frames.timestamps_ns, DepthView(camera, sensor.frames, Straightener()).log)
+    return Feed(sensor.frames.timestamps_ns, _DepthView(camera, sensor.frames, _Straightener()).log)
 
 
 class _Entry(msgspec.Struct, frozen=True):
@@ -285,7 +285,7 @@ class _Entry(msgspec.Struct, frozen=True):
     image_ns: int
 
 
-def written_depths(folder: Path) -> Iterator[_Entry]:
+def _written_depths(folder: Path) -> Iterator[_Entry]:
     """The images of a folder that `fuse --depth` or `depth` wrote, by its index.
 
     Raises:
@@ -303,7 +303,7 @@ def written_depths(folder: Path) -> Iterator[_Entry]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FusedDepthView:
+class _FusedDepthView:
     """Shows depth images of a folder over the images that they belong to.
 
     They are in the camera's own, distorted grid; a straightened camera takes them straightened the same way.
@@ -320,10 +320,10 @@ class FusedDepthView:
         depths = _read(self.folder / entry.file)
         undistortion = self.maps.get(entry.camera)
         if undistortion is not None:
-            depths = Straightener(undistortion).straight(undistortion.source, depths)[1]
+            depths = _Straightener(undistortion).straight(undistortion.source, depths)[1]
         path = f"{image_path(self.stream, entry.camera)}/{DEPTH}"
         self.stream.log(
-            entry.image_ns, path, depth_image(depths), kind="fused depth images", size=2 * depths.size
+            entry.image_ns, path, _depth_image(depths), kind="fused depth images", size=2 * depths.size
         )
 
 
@@ -348,10 +348,10 @@ def fused_depth_feed(stream: Stream, folder: Path, measured: Scene, shown: Scene
         for camera_id, camera_model in camera_models.items()
     }
     entries = sorted(
-        (e for e in written_depths(folder) if e.camera in camera_models), key=lambda e: e.image_ns
+        (e for e in _written_depths(folder) if e.camera in camera_models), key=lambda e: e.image_ns
     )
     times_ns = np.array([entry.image_ns for entry in entries], np.int64)
-    return Feed(times_ns, FusedDepthView(stream, folder, tuple(entries), maps).log)
+    return Feed(times_ns, _FusedDepthView(stream, folder, tuple(entries), maps).log)
 
 
 def _read(path: Path) -> Float32Array:

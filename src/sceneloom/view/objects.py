@@ -18,12 +18,43 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 from sceneloom.view.images import image_path
 from sceneloom.view.points import WORLD, colour_of_name, one_packed
-from sceneloom.view.shapes import EDGES
-from sceneloom.view.stream import Feed, Stream, sdk
+from sceneloom.view.stream import EDGES, Feed, Stream, sdk
 from sceneloom.visualization.objects import objects_of_fused
 
 
-def read_detections(path: Path) -> tuple[TrackedObjects, ...]:
+def detection_feeds(stream: Stream, path: Path, origin: Float64Array) -> list[Feed]:
+    """Show what `fuse --type detection` wrote, the objects of each camera below an entity of its own.
+
+    Args:
+        stream: where to.
+        path: the file.
+        origin: (3,) float64 [m], subtracted from positions.
+
+    Raises:
+        DataError: it is no such file, or faulty.
+    """
+    return [
+        _ObjectsView(stream, ("detections", camera_id), moments, origin, has_history=False).feed
+        for camera_id, moments in _by_camera(_read_detections(path)).items()
+    ]
+
+
+def track_feed(stream: Stream, path: Path, scene: Scene, origin: Float64Array) -> Feed:
+    """Show the lines of JSON that `track` wrote.
+
+    Args:
+        stream: where to.
+        path: the file.
+        scene: whose cameras the boxes in images are of.
+        origin: (3,) float64 [m], subtracted from positions.
+
+    Raises:
+        DataError: a line is none of these.
+    """
+    return _ObjectsView(stream, ("tracks",), _read_tracks(path, scene), origin, has_history=True).feed
+
+
+def _read_detections(path: Path) -> tuple[TrackedObjects, ...]:
     """Read what `fuse --type detection` wrote: the objects of each sweep and image, in the world.
 
     Raises:
@@ -47,7 +78,7 @@ _Nine = tuple[float, float, float, float, float, float, float, float, float]
 
 
 class _Object(msgspec.Struct, frozen=True):
-    """One object of a line, as `pipeline.tracking.lines` writes it."""
+    """One object of a line, as `pipeline.tracking` writes it."""
 
     id: int
     label: str = msgspec.field(name="class")
@@ -67,7 +98,7 @@ class _Line(msgspec.Struct, frozen=True):
     objects: tuple[_Object, ...]
 
 
-def read_tracks(path: Path, scene: Scene) -> tuple[TrackedObjects, ...]:
+def _read_tracks(path: Path, scene: Scene) -> tuple[TrackedObjects, ...]:
     """Read the lines of JSON that `track` wrote.
 
     Args:
@@ -151,7 +182,7 @@ def ellipsoid(
 
 
 @dataclass(slots=True, eq=False)
-class ObjectsView:
+class _ObjectsView:
     """Shows what was found at each moment.
 
     Attributes:
@@ -279,7 +310,7 @@ class ObjectsView:
         self.stream.log(moment.timestamp_ns, f"{base}/history", strips)
 
 
-def by_camera(moments: tuple[TrackedObjects, ...]) -> dict[Identifier, tuple[TrackedObjects, ...]]:
+def _by_camera(moments: tuple[TrackedObjects, ...]) -> dict[Identifier, tuple[TrackedObjects, ...]]:
     """Moments of single cameras, those of each camera together."""
     cameras = dict.fromkeys(camera_id for moment in moments for camera_id in moment.corners_xyxy)
     return {

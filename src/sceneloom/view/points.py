@@ -173,7 +173,7 @@ class LidarView:
         stream: where to.
         locations: of the drive's sensors.
         lidar: whose sweeps they are.
-        painter: gives the points their colours.
+        colour_by: what gives the points their colours; None: the best that there is.
         as_measured: leave the motion during a sweep in.
         notify: of what could not be shown.
     """
@@ -181,13 +181,15 @@ class LidarView:
     stream: Stream
     locations: Locations
     lidar: LidarSensor
-    painter: _CloudPainter
+    colour_by: ColourBy | None
     as_measured: bool
     notify: Report
+    painter: _CloudPainter = field(init=False)
     _sensor_source: PoseSource = field(init=False)
     _source: PoseSource = field(init=False)
 
     def __post_init__(self) -> None:
+        self.painter = _CloudPainter(self.colour_by)
         self._sensor_source, problem = self.locations.source(self.lidar)
         self._source = self._points_source()
         if problem is not None and self.lidar.points_frame is PointsFrame.SENSOR:
@@ -272,19 +274,6 @@ class _Heights:
         upwards = self.shown_from_points.rotation[2]
         heights: Float64Array = self.positions @ upwards + (self.shown_from_points.translation[2] - self.base)
         return heights
-
-
-def lidar_view(
-    stream: Stream,
-    locations: Locations,
-    lidar: LidarSensor,
-    *,
-    colour_by: ColourBy | None,
-    as_measured: bool,
-    notify: Report,
-) -> LidarView:
-    """Show the sweeps of a lidar."""
-    return LidarView(stream, locations, lidar, _CloudPainter(colour_by), as_measured, notify)
 
 
 @dataclass(slots=True, eq=False)

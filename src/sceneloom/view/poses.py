@@ -44,6 +44,32 @@ class Locations:
     origin_world: Float64Array
     warnings: tuple[DataWarning, ...] = field(default=())
 
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        *,
+        trajectory: str | None = None,
+        heading: str | None = None,
+        progress: Progress | None = None,
+    ) -> "Locations":
+        """Find where the sensors of a scene are.
+
+        Args:
+            scene: the scene.
+            trajectory: the ego trajectory by name, computed if it is "gnss" or "lidar"; None: the scene's first one
+                that has orientations, else an ego that is stationary.
+            heading: "motion" to derive orientations.
+            progress: reported while a trajectory is computed.
+
+        Raises:
+            OptionError: there is no such trajectory.
+            PoseError: the named one has no orientations, or cannot be found.
+        """
+        ego, warnings = _ego(scene, trajectory, heading, progress)
+        path = _drawn_path(scene, ego)
+        return cls(scene, ego, path, _origin(scene, path), warnings)
+
     def source(self, sensor: Posed) -> tuple[PoseSource, str | None]:
         """What gives `shown_from_sensor` over time, and why it is stationary where nothing else is known."""
         reach_ns = scene_period_ns(self.scene)
@@ -57,30 +83,6 @@ class Locations:
     def shown(self, source: PoseSource) -> PoseSource:
         """The same way, counted from the shown origin."""
         return replace(source, path=source.path.moved(self.origin_world))
-
-
-def find_locations(
-    scene: Scene,
-    *,
-    trajectory: str | None = None,
-    heading: str | None = None,
-    progress: Progress | None = None,
-) -> Locations:
-    """Find where the sensors of a scene are.
-
-    Args:
-        trajectory: the ego trajectory by name, computed if it is "gnss" or "lidar"; None: the scene's first one that
-            has orientations, else an ego that is stationary.
-        heading: "motion" to derive orientations.
-        progress: reported while a trajectory is computed.
-
-    Raises:
-        OptionError: there is no such trajectory.
-        PoseError: the named one has no orientations, or cannot be found.
-    """
-    ego, warnings = _ego(scene, trajectory, heading, progress)
-    path = _drawn_path(scene, ego)
-    return Locations(scene, ego, path, _origin(scene, path), warnings)
 
 
 def _ego(

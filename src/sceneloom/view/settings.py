@@ -69,10 +69,16 @@ class ViewSettings:
         if self.every < 1:
             raise OptionError(f"every {self.every}; expected 1 or more")
 
-    @property
-    def accompanied(self) -> bool:
-        """Whether files belong to the drive that state of which one it is theirs."""
-        return any(path is not None for path in (self.detections, self.tracks, self.depth))
+    def check_drives(self, count: int) -> None:
+        """Refuse files that belong to one drive where several are shown.
+
+        Raises:
+            OptionError: there are such files.
+        """
+        if count > 1 and any(path is not None for path in (self.detections, self.tracks, self.depth)):
+            raise OptionError(
+                f"detections, tracks and depth images belong to one drive; {count} drives are shown"
+            )
 
 
 @dataclass(frozen=True, slots=True)

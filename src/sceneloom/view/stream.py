@@ -3,16 +3,12 @@
 And the streams of a drive in time order.
 """
 
-import importlib.util
 import os
-import platform
-import subprocess
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from heapq import merge
-from pathlib import Path
 from typing import Any, SupportsInt
 
 import numpy as np
@@ -22,19 +18,6 @@ from sceneloom.arrays import AnyArray, BoolArray, Int64Array
 from sceneloom.errors import MissingExtraError, how_to_install
 from sceneloom.scene.types import Identifier
 from sceneloom.warnings import DataWarning, WarningKind
-
-_FOLDERS = ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME", "XDG_STATE_HOME")
-"""Where programs of a desktop keep what they remember.
-
-Source: XDG Base Directory Specification 0.8.
-"""
-
-_PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
-
-_NOBODY = "http://127.0.0.1:1"
-"""A proxy that is not there: what would go through it goes nowhere."""
-
-_NEAR = "127.0.0.1,localhost"
 
 
 @cache
@@ -51,86 +34,17 @@ def sdk() -> Any:
     return rerun
 
 
-@cache
-def blueprint_sdk() -> Any:
-    """Import `rerun.blueprint`, of which layouts are made.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
-    sdk()
-    import rerun.blueprint
-
-    return rerun.blueprint
-
-
-def viewer_command(*options: str) -> list[str]:
-    """The words that run Rerun's own program, which is installed with its SDK.
-
-    The program itself and not the Python module that starts it: a program that is ended would leave its child behind.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
-    sdk()
-    found = importlib.util.find_spec("rerun_cli")
-    if found is None or found.origin is None:
-        raise MissingExtraError(f"Rerun's viewer is missing: {how_to_install('view')}")
-    name = "rerun.exe" if platform.system() == "Windows" else "rerun"
-    return [str(Path(found.origin).with_name(name)), *options]
-
-
-def silent_environment(
-    folder: Path, given: Mapping[str, str] | None = None, *, offline: bool = True
-) -> dict[str, str]:
-    """Give an environment in which Rerun's program sends no usage data and writes to `folder` only.
-
-    The program sends none after its own command `analytics disable`, which it keeps in its folder of settings: that is
-    a folder of ours here, so that nothing is written to the home folder, and what a person has set there stays as is.
-    It would still ask for its newest version and for examples; that goes to a proxy that is not there.
-
-    Args:
-        folder: an empty folder that lives as long as the program.
-        given: the environment to begin with; None for this process's.
-        offline: let the program reach this machine only.
-    """
-    environment = {**(os.environ if given is None else given), **dict.fromkeys(_FOLDERS, str(folder))}
-    if offline:
-        # both spellings are in use, and the small one counts more
-        for name in _PROXIES:
-            environment |= {name: _NOBODY, name.lower(): _NOBODY}
-        environment |= {"NO_PROXY": _NEAR, "no_proxy": _NEAR}
-    if platform.system() == "Darwin":
-        environment["HOME"] = str(folder)
-    subprocess.run(  # noqa: S603 - our own words
-        viewer_command("analytics", "disable"),
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        check=True,
-    )
-    return environment
-
-
 TIME = "time"
 """The timeline of capture times [ns]."""
 
 _FRAME = "frame"
 """The timeline of frame numbers: which sweep of the first lidar (or image of the first camera) was the last one."""
 
-_SINCE_EPOCH_NS = 100_000_000_000_000_000
-"""Timestamps from here on (March 1973) count from 1970.
-
-Smaller ones are seconds of a clock that began with the drive.
-"""
-
 _PENDING_BYTES = 48_000_000
 """So much may wait to be written; then the writer is waited for, which bounds the memory of a long drive."""
 
-
-def is_calendar(first_ns: int | None) -> bool:
-    """Whether a drive's timestamps are times of day, by its first one [ns]."""
-    return first_ns is not None and first_ns >= _SINCE_EPOCH_NS
+EDGES = "majorwireframe"
+"""Boxes are drawn as their edges: what is in them stays in view."""
 
 
 @dataclass(slots=True)
@@ -263,7 +177,7 @@ class Feed:
     Attributes:
         times_ns: (N,) int64 [ns], ascending.
         log: logs moment `k`, with what was prepared for it.
-        prepare: does the work on moment `k` that may be done before its rotation, while other feeds are logged; one
+        prepare: does the work on moment `k` that may be done before it is logged, while other feeds are logged; one
             moment of a feed at a time, in their order.
     """
 
@@ -277,19 +191,19 @@ class Feed:
 
 @dataclass(slots=True)
 class _Ahead:
-    """Prepares the next moment of a feed while others have their rotation."""
+    """Prepares the next moment of a feed while others are logged."""
 
     feed: Feed
     pool: ThreadPoolExecutor
     coming: "Future[Any] | None" = None
 
     def begin(self, k: int) -> None:
-        """Set about moment `k`, if there is one."""
+        """Begin to prepare moment `k`, if there is one."""
         if self.feed.prepare is not None and k < len(self.feed):
             self.coming = self.pool.submit(self.feed.prepare, k)
 
     def log(self, k: int) -> None:
-        """Log moment `k`, and set about the next one."""
+        """Log moment `k`, and begin to prepare the next one."""
         coming, self.coming = self.coming, None
         try:
             prepared = None if coming is None else coming.result()

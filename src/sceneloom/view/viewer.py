@@ -1,6 +1,7 @@
 """Views saved to a file, shown in Rerun's window, or served to a browser on this machine."""
 
 import http.client
+import importlib.util
 import os
 import platform
 import socket
@@ -17,21 +18,24 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from sceneloom.errors import OptionError, OutputError
+from sceneloom.errors import MissingExtraError, OptionError, OutputError, how_to_install
 from sceneloom.formats.base.output import check_output, replacing
 from sceneloom.formats.base.registry import SharedOptions, open_scene
 from sceneloom.scene.scene import Scene, time_span
 from sceneloom.scene.types import Progress
-from sceneloom.view.drive import DriveView, check_single, layout, log_drive, prepare_drive
+from sceneloom.view.drive import DriveView
 from sceneloom.view.settings import DrivePart, DriveShown, Source, ViewReport, ViewSettings
-from sceneloom.view.stream import Stream, is_calendar, sdk, silent_environment, viewer_command
+from sceneloom.view.stream import sdk
 
 _APPLICATION = "sceneloom"
 
 _SUFFIX = ".rrd"
 
+_SINCE_EPOCH_NS = 100_000_000_000_000_000
+"""Timestamps from here on (March 1973) count from 1970; smaller ones from the beginning of the drive."""
+
 _MOST_DRIVES = 32
-"""So many have a tab each that can still be found."""
+"""More tabs would be hard to find."""
 
 
 @contextmanager
@@ -53,7 +57,7 @@ def _opened_drives(
             f"{len(sources)} drives, or parts of drives; expected no more than {_MOST_DRIVES} at once: choose some, as "
             f"`sceneloom catalog query … --limit {_MOST_DRIVES}` does"
         )
-    check_single(len(sources), settings)
+    settings.check_drives(len(sources))
     parts = [source if isinstance(source, DrivePart) else DrivePart(source) for source in sources]
     shared = SharedOptions(settings.reading)
     with ExitStack() as stack:
@@ -65,7 +69,7 @@ def _opened_drives(
         ]
         shared.check()
         yield tuple(
-            prepare_drive(scene, name, part.settings(settings), progress=progress)
+            DriveView.of(scene, name, part.settings(settings), progress=progress)
             for scene, name, part in zip(scenes, _roots(parts), parts, strict=True)
         )
 
@@ -103,11 +107,8 @@ def _log_drives(
         DataError: a frame cannot be read, and the reading is not lenient.
     """
     spans = [time_span(view.scene) for view in views]
-    calendar = all(is_calendar(None if span is None else span[0]) for span in spans)
-    return tuple(
-        log_drive(view, Stream(recording, view.facts.root, calendar, view.reference_ns), progress=progress)
-        for view in views
-    )
+    calendar = all(span is not None and span[0] >= _SINCE_EPOCH_NS for span in spans)
+    return tuple(view.log(recording, calendar=calendar, progress=progress) for view in views)
 
 
 def save_view(
@@ -145,7 +146,7 @@ def save_view(
         replacing(target, overwrite=overwrite) as draft,
     ):
         recording = _new_recording(views)
-        recording.save(draft, default_blueprint=layout([view.facts for view in views]))
+        recording.save(draft, default_blueprint=DriveView.layout(views))
         try:
             drives = _log_drives(views, recording, progress=progress)
             recording.flush()
@@ -246,6 +247,68 @@ def guarded_page(page_port: int, sink_port: int, *, map_tiles: bool = False) -> 
         thread.join()
 
 
+_FOLDERS = ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME", "XDG_STATE_HOME")
+"""Where programs of a desktop keep what they remember.
+
+Source: XDG Base Directory Specification 0.8.
+"""
+
+_PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
+
+_NOBODY = "http://127.0.0.1:1"
+"""A proxy that is not there: what would go through it goes nowhere."""
+
+_NEAR = "127.0.0.1,localhost"
+
+
+def _viewer_command(*options: str) -> list[str]:
+    """The words that run Rerun's own program, which is installed with its SDK.
+
+    The program itself and not the Python module that starts it: a program that is ended would leave its child behind.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    sdk()
+    found = importlib.util.find_spec("rerun_cli")
+    if found is None or found.origin is None:
+        raise MissingExtraError(f"Rerun's viewer is missing: {how_to_install('view')}")
+    name = "rerun.exe" if platform.system() == "Windows" else "rerun"
+    return [str(Path(found.origin).with_name(name)), *options]
+
+
+def _silent_environment(
+    folder: Path, given: Mapping[str, str] | None = None, *, offline: bool = True
+) -> dict[str, str]:
+    """Give an environment in which Rerun's program sends no usage data and writes to `folder` only.
+
+    The program sends none after its own command `analytics disable`, which it keeps in its folder of settings: that is
+    a folder of ours here, so that nothing is written to the home folder, and what a person has set there stays as is.
+    It would still ask for its newest version and for examples; that goes to a proxy that is not there.
+
+    Args:
+        folder: an empty folder that lives as long as the program.
+        given: the environment to begin with; None for this process's.
+        offline: let the program reach this machine only.
+    """
+    environment = {**(os.environ if given is None else given), **dict.fromkeys(_FOLDERS, str(folder))}
+    if offline:
+        # both spellings are in use, and the small one counts more
+        for name in _PROXIES:
+            environment |= {name: _NOBODY, name.lower(): _NOBODY}
+        environment |= {"NO_PROXY": _NEAR, "no_proxy": _NEAR}
+    if platform.system() == "Darwin":
+        environment["HOME"] = str(folder)
+    subprocess.run(  # noqa: S603 - our own words
+        _viewer_command("analytics", "disable"),
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=True,
+    )
+    return environment
+
+
 _SERVER_MEMORY = "2GiB"
 """What the browser's server holds for it; beyond that the earliest frames go."""
 
@@ -319,7 +382,7 @@ def show_view(
         if ready is not None:
             ready(viewer)
         recording = _new_recording(views)
-        recording.connect_grpc(viewer.sink, default_blueprint=layout([view.facts for view in views]))
+        recording.connect_grpc(viewer.sink, default_blueprint=DriveView.layout(views))
         try:
             drives = _log_drives(views, recording, progress=progress)
             recording.flush()
@@ -354,8 +417,8 @@ def _viewer(*, web: bool, map_tiles: bool) -> Iterator[Viewer]:
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="sceneloom-view-"))
         process = subprocess.Popen(  # noqa: S603 - our own words
-            viewer_command(*options),
-            env=silent_environment(Path(folder), offline=not map_tiles),
+            _viewer_command(*options),
+            env=_silent_environment(Path(folder), offline=not map_tiles),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -403,5 +466,5 @@ def _await_port(process: "subprocess.Popen[bytes]", port: int) -> None:
             return
     reported = "ended at once" if process.poll() is not None else f"did not listen within {_PATIENCE:.0f} s"
     raise OutputError(
-        f"Rerun's viewer {reported}; look at `{' '.join(viewer_command('--version'))}`, or state `--save`"
+        f"Rerun's viewer {reported}; look at `{' '.join(_viewer_command('--version'))}`, or state `--save`"
     )

@@ -30,7 +30,7 @@ from sceneloom.scene import (
 )
 from sceneloom.service.sending import sent_rig
 from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
-from sceneloom.view.drive import prepare_drive
+from sceneloom.view.drive import DriveView
 from sceneloom.view.settings import ViewSettings
 
 CAMERA_MODEL = Camera("brown_conrady", 160, 96, 90.0, 90.0, 79.5, 47.5, (-0.1, 0.02, 0.0, 0.0, 0.0))
@@ -254,7 +254,7 @@ def viewed(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str,
     del call, out
     with sceneloom.open(drive, **({"corrections": "ignore"} if further else {})) as scene:
         return figures_of_scene(
-            replace(prepare_drive(scene, "x", ViewSettings()).scene, annotations=(), on_close=lambda: None)
+            replace(DriveView.of(scene, "x", ViewSettings()).scene, annotations=(), on_close=lambda: None)
         )
 
 

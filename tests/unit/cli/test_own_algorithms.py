@@ -11,7 +11,7 @@ from sceneloom.colouring import fuse_by_projection
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.fusion.algorithms import FusionType, algorithm, chosen_algorithm
-from sceneloom.pipeline.tracked_drive import TrackingSettings
+from sceneloom.pipeline.tracking import TrackingSettings
 
 FILE = """
 from dataclasses import replace

@@ -7,7 +7,7 @@ import pytest
 
 import sceneloom
 from sceneloom.pipeline.detected_drive import DetectedDrive
-from sceneloom.pipeline.tracked_drive import FOLLOWED, label_drive
+from sceneloom.pipeline.tracking import FOLLOWED, label_drive
 from sceneloom.scene import CuboidAnnotation, Support, Track, Tracks
 from sceneloom.scene.ego import EgoMotion, sensor_source
 from sceneloom.simulate import LidarSpec, simulate_street

@@ -8,8 +8,7 @@ from PIL import Image
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.pipeline.detected_drive import DetectedCamera, DetectedDrive, SweepPoints, moments
-from sceneloom.pipeline.tracked_drive import track
-from sceneloom.pipeline.tracking import save_tracking_images
+from sceneloom.pipeline.tracking import save_tracking_images, track
 from sceneloom.scene import Boxes2D, Boxes3D, PointsFrame, Scene
 from sceneloom.scene.ego import EgoMotion, sensor_source
 from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street

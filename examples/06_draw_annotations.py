@@ -15,7 +15,7 @@ from PIL import Image
 import sceneloom
 from sceneloom.simulate import annotate, demo_drive
 from sceneloom.visualization import contact_sheet
-from sceneloom.visualization.annotation_sheets import save_annotation_images
+from sceneloom.visualization.annotations import save_annotation_images
 
 if __name__ == "__main__":
     where = Path(sys.argv[1] if len(sys.argv) > 1 else "annotated")

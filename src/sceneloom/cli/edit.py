@@ -539,8 +539,7 @@ def blur(
     **given: Any,
 ) -> None:
     """Redact faces, plates and other regions in videos and images for good."""
-    from sceneloom.pipeline.image_boxes import read_image_boxes
-    from sceneloom.pipeline.redacting import blur_files
+    from sceneloom.pipeline.redacting import blur_files, read_image_boxes
 
     boxes = () if box_file is None else read_image_boxes(box_file)
     names = tuple(name for label in labels for name in label.split(",") if name)

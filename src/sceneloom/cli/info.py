@@ -78,7 +78,7 @@ def _draw(
     scene: "Scene", folder: Path, at: float | None, *, overwrite: bool
 ) -> "tuple[list[Path], tuple[DataWarning, ...]]":
     """Draw the annotations; gives the files, and what is in none of them."""
-    from sceneloom.visualization.annotation_sheets import save_annotation_images
+    from sceneloom.visualization.annotations import save_annotation_images
     from sceneloom.visualization.canvas import counting_left_out
 
     with counting_left_out() as left:

@@ -1,10 +1,17 @@
-"""The redact job: hide regions of images for good, in videos and image files."""
+"""The redact job: hide regions of images for good, in videos and image files; and lists of boxes to hide.
 
-from collections.abc import Iterable, Mapping, Sequence
+Detectors of faces and licence plates write such lists as CSV with a header, or as JSON.
+"""
+
+import csv
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal, InvalidOperation
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -12,7 +19,7 @@ import msgspec
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.redact import HiddenRegions, Hiding, ImageBox, find_hidings, hide_in_images, regions_of
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.base.files import open_file
+from sceneloom.formats.base.files import open_file, read_bytes
 from sceneloom.formats.base.images import PNG_START, encode_png, without_metadata
 from sceneloom.formats.base.losses import Loss, LossReport, Support
 from sceneloom.formats.base.registry import check_scene_output
@@ -64,39 +71,30 @@ class _WithFiles:
         if old.encoded is None:
             return image
         if k not in self.pixels:
-            return replace(image, encoded=_Bare(old))
+            return replace(image, encoded=partial(_without_metadata, old))
         # a JPEG is made by the writer, which says so; PNG files stay what they are
         is_png = old.encoded().startswith(PNG_START)
-        return replace(image, encoded=_AsPng(image)) if is_png else image
+        return replace(image, encoded=partial(_as_png, image)) if is_png else image
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _AsPng:
-    image: CameraImage
-
-    def __call__(self) -> bytes:
-        return encode_png(self.image.rgb)
+def _as_png(image: CameraImage) -> bytes:
+    return encode_png(image.rgb)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bare:
-    """Gives an image's file without what it says besides the image."""
-
-    image: CameraImage
-
-    def __call__(self) -> bytes:
-        content = b"" if self.image.encoded is None else self.image.encoded()
-        try:
-            return without_metadata(content)[0]
-        except DataError:
-            # a file that cannot be taken apart is made anew from its pixels
-            return encode_png(self.image.rgb)
+def _without_metadata(image: CameraImage) -> bytes:
+    """The image's file without what it says besides the image."""
+    content = b"" if image.encoded is None else image.encoded()
+    try:
+        return without_metadata(content)[0]
+    except DataError:
+        # a file that cannot be taken apart is made anew from its pixels
+        return encode_png(image.rgb)
 
 
 _DEFAULT_FPS = 25.0
 
 
-class CameraBlur(msgspec.Struct, frozen=True, kw_only=True):
+class _CameraBlur(msgspec.Struct, frozen=True, kw_only=True):
     """What was hidden in the images of one camera.
 
     Attributes:
@@ -135,7 +133,7 @@ class BlurReport(msgspec.Struct, frozen=True, kw_only=True):
     edit: EditReport
     fill: str
     margin: float
-    cameras: tuple[CameraBlur, ...]
+    cameras: tuple[_CameraBlur, ...]
 
 
 def blur_files(
@@ -162,9 +160,9 @@ def blur_files(
     Args:
         source: a file or folder of any format.
         output: a file or a folder, by its suffix in any format that can be written.
-        boxes: what to hide, out of `formats.image_boxes.read_image_boxes` or from a detector.
+        boxes: what to hide, from `read_image_boxes` or a detector.
         labels: those of the drive's own boxes and outlines in images that are to be hidden.
-        fill, margin: see `editing.hiding.hide_in_images`.
+        fill, margin: see `editing.redact.hide_in_images`.
         hold: what a track or an annotation is hidden longer before its first and after its last image [s].
         drop_colours: whether points lose the colours that cameras gave them.
         reading: reading options.
@@ -184,7 +182,7 @@ def blur_files(
             "or labels of annotations (`--label NAME`)"
         )
     check_scene_output(Path(output), overwrite=overwrite)
-    reported: list[CameraBlur] = []
+    reported: list[_CameraBlur] = []
     losses: list[Loss] = []
     with TemporaryDirectory(dir=Path(output).parent, prefix=".sceneloom-blur-") as folder:
         settings = _Settings(tuple(boxes), chosen, fill, margin, hold, drop_colours)
@@ -219,7 +217,7 @@ class _Settings:
     hold: float
     drop_colours: bool
 
-    def hidden(self, scene: Scene, folder: Path, losses: list[Loss]) -> tuple[Scene, list[CameraBlur]]:
+    def hidden(self, scene: Scene, folder: Path, losses: list[Loss]) -> tuple[Scene, list[_CameraBlur]]:
         """Hide in a scene; its videos are written into a folder, and what they lose is added to `losses`."""
         hidings = find_hidings(scene, boxes=self.boxes, labels=self.labels, hold=self.hold)
         regions = regions_of(scene, hidings, margin=self.margin)
@@ -295,8 +293,8 @@ def _encode(camera: CameraSensor, target: Path, codec: str) -> None:
             writer.add(image.rgb, time)
 
 
-def _camera_blur(hiding: Hiding, regions: HiddenRegions, images: int, encoded: int | None) -> CameraBlur:
-    return CameraBlur(
+def _camera_blur(hiding: Hiding, regions: HiddenRegions, images: int, encoded: int | None) -> _CameraBlur:
+    return _CameraBlur(
         camera=hiding.camera_id,
         boxes=hiding.given,
         hidden=sum(map(len, regions.pixels.values())),
@@ -307,3 +305,174 @@ def _camera_blur(hiding: Hiding, regions: HiddenRegions, images: int, encoded: i
         cut=regions.cut,
         encoded=encoded,
     )
+
+
+_ALIASES: Mapping[str, str] = MappingProxyType(
+    {
+        alias: name
+        for name, aliases in {
+            "camera": "camera_id sensor sensor_id",
+            "number": "frame picture image",
+            "x1": "xmin left",
+            "y1": "ymin top",
+            "x2": "xmax right",
+            "y2": "ymax bottom",
+            "track": "id track_id",
+            "label": "class type",
+            "width": "w",
+            "height": "h",
+        }.items()
+        for alias in aliases.split()
+    }
+)
+"""Other words for the columns."""
+
+_COLUMNS = (
+    "camera, number or time or timestamp_ns, x1, y1, x2, y2 (or left, top, width, height), track, label"
+)
+
+_MOST_SECONDS = 9_000_000_000
+
+_MOST_DIGITS = 40
+"""What has more is no number or time of an image, and 1e99999999 would take hours to write out."""
+
+
+def read_image_boxes(path: str | Path) -> tuple[ImageBox, ...]:
+    """Read a list of boxes.
+
+    A row names the camera's id (not needed where there is one camera), the image by its `number` from 0, its `time`
+    [s] or its `timestamp_ns` on the scene's clock, and two corners [px], the image's own corner being (0, 0). Rows
+    of one `track` are one object. JSON holds such rows as objects in a list, or in a list named `boxes`.
+
+    Raises:
+        DataError: the file is neither, or a row of it cannot be followed.
+    """
+    location = Path(path)
+    if not location.is_file():
+        raise DataError(location, "", "no such file; expected a list of boxes as CSV or JSON")
+    try:
+        text = read_bytes(location).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(location, f"byte {error.start}", "is no UTF-8; expected CSV or JSON") from error
+    is_json = text.lstrip()[:1] in {"[", "{"}
+    rows = _json_rows(location, text) if is_json else _csv_rows(location, text)
+    return tuple(_Row(location, where, row).box() for where, row in rows)
+
+
+def _json_rows(path: Path, text: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise DataError(path, "", f"is no JSON: {error}") from error
+    rows = found.get("boxes") if isinstance(found, dict) else found
+    if not isinstance(rows, list):
+        raise DataError(path, "", "expected a list of boxes, or an object with such a list as `boxes`")
+    for k, row in enumerate(rows):
+        if not isinstance(row, dict):
+            raise DataError(path, f"boxes[{k}]", f"{row!r:.40}; expected an object with {_COLUMNS}")
+        yield f"boxes[{k}]", _named(row)
+
+
+def _csv_rows(path: Path, text: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    try:
+        columns = _named(dict.fromkeys(reader.fieldnames or ()))
+        if not _says_corners(columns):
+            raise DataError(path, "line 1", f"columns {', '.join(columns) or 'none'}; expected {_COLUMNS}")
+        for row in reader:
+            if None in row or None in row.values():
+                raise DataError(
+                    path, f"line {reader.line_num}", "has more or fewer values than there are columns"
+                )
+            yield f"line {reader.line_num}", _named(row)
+    except csv.Error as error:
+        raise DataError(path, f"line {reader.line_num}", f"is no CSV: {error}") from error
+
+
+def _named(row: Mapping[str, Any]) -> dict[str, Any]:
+    words = {str(name).strip().lower(): value for name, value in row.items()}
+    return {_ALIASES.get(name, name): value for name, value in words.items()}
+
+
+def _says_corners(row: Mapping[str, Any]) -> bool:
+    return {"x1", "y1"} <= row.keys() and ({"x2", "y2"} <= row.keys() or {"width", "height"} <= row.keys())
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """A row of a list of boxes, and where it stands."""
+
+    path: Path
+    where: str
+    values: Mapping[str, Any]
+
+    def box(self) -> ImageBox:
+        """The box.
+
+        Raises:
+            DataError: a value cannot be followed.
+        """
+        values = self.values
+        corners = values.get("box")
+        if isinstance(corners, Sequence) and len(corners) == 4 and not isinstance(corners, str):
+            named = dict(zip(("x1", "y1", "x2", "y2"), corners, strict=True))
+            return replace(self, values={**{k: v for k, v in values.items() if k != "box"}, **named}).box()
+        if not _says_corners(values):
+            raise self._fault(f"has {', '.join(values)}; expected {_COLUMNS}")
+        left, top = self._pixels("x1"), self._pixels("y1")
+        if self._has("x2"):
+            right, bottom = self._pixels("x2"), self._pixels("y2")
+        else:
+            right, bottom = left + self._pixels("width"), top + self._pixels("height")
+        if not (left <= right and top <= bottom):
+            raise self._fault(f"corners {left}, {top} and {right}, {bottom}; expected x1 <= x2 and y1 <= y2")
+        number, timestamp_ns = self._moment()
+        return ImageBox(
+            (left, top, right, bottom),
+            camera=self._text("camera"),
+            number=number,
+            timestamp_ns=timestamp_ns,
+            track=self._text("track"),
+            label=self._text("label"),
+        )
+
+    def _fault(self, problem: str) -> DataError:
+        return DataError(self.path, self.where, problem)
+
+    def _has(self, name: str) -> bool:
+        return self.values.get(name) not in (None, "")  # a cell of JSON may be a list, which no set can have
+
+    def _text(self, name: str) -> str | None:
+        return str(self.values[name]).strip() if self._has(name) else None
+
+    def _decimal(self, name: str) -> Decimal:
+        stated = self.values.get(name)
+        try:
+            value = Decimal(str(stated).strip())
+        except InvalidOperation as error:
+            raise self._fault(f"{name}: {stated!r}; expected a number") from error
+        if isinstance(stated, bool) or not value.is_finite() or value.adjusted() > _MOST_DIGITS:
+            raise self._fault(f"{name}: {stated!r}; expected a finite number")
+        return value
+
+    def _pixels(self, name: str) -> float:
+        value = self._decimal(name)
+        if abs(value) > _MOST_SECONDS:
+            raise self._fault(f"{name}: {self.values[name]!r}; expected pixels")
+        return float(value)
+
+    def _moment(self) -> tuple[int | None, int | None]:
+        """The image's number, or else its time [ns]."""
+        name = next((name for name in ("number", "time", "timestamp_ns") if self._has(name)), None)
+        if name is None:
+            raise self._fault("does not state which image; expected number, time or timestamp_ns")
+        value, stated = self._decimal(name), self.values[name]
+        if name == "time":
+            if abs(value) > _MOST_SECONDS:
+                raise self._fault(f"time: {stated!r}; expected seconds on the scene's clock")
+            return None, int((value * 1_000_000_000).to_integral_value())
+        if value != int(value):
+            raise self._fault(f"{name}: {stated!r}; expected a whole number")
+        if abs(value) > _MOST_SECONDS * 1_000_000_000:
+            raise self._fault(f"{name}: {stated!r}; expected one that an image of the scene can have")
+        return (int(value), None) if name == "number" else (None, int(value))

@@ -775,14 +775,14 @@ def _show_adjustment(stream: Stream, locations: Locations, annotation: Localizat
     colour = one_packed(colour_of_name(annotation.id))
     shifted = positions - locations.origin_world
     shown = fits(shifted)
-    stream.leave_out("poses of corrected ways", np.count_nonzero(~shown))
+    stream.leave_out("poses of corrected trajectories", np.count_nonzero(~shown))
     line = sdk().LineStrips3D(
         [shifted[shown]],
         colors=np.array([colour], np.uint32),
         radii=np.array([_LINK_WIDTH], np.float32),
         labels=["corrected trajectory"],
     )
-    stream.static(stream.path(WORLD, "corrected ways", annotation.id), line)
+    stream.static(stream.path(WORLD, "corrected trajectories", annotation.id), line)
     stream.count("localization adjustments", 1)
 
 

@@ -261,7 +261,7 @@ _NOBODY = "http://127.0.0.1:1"
 _NEAR = "127.0.0.1,localhost"
 
 
-def _viewer_command(*options: str) -> list[str]:
+def viewer_command(*options: str) -> list[str]:
     """The words that run Rerun's own program, which is installed with its SDK.
 
     The program itself and not the Python module that starts it: a program that is ended would leave its child behind.
@@ -277,7 +277,7 @@ def _viewer_command(*options: str) -> list[str]:
     return [str(Path(found.origin).with_name(name)), *options]
 
 
-def _silent_environment(
+def silent_environment(
     folder: Path, given: Mapping[str, str] | None = None, *, offline: bool = True
 ) -> dict[str, str]:
     """Give an environment in which Rerun's program sends no usage data and writes to `folder` only.
@@ -300,7 +300,7 @@ def _silent_environment(
     if platform.system() == "Darwin":
         environment["HOME"] = str(folder)
     subprocess.run(  # noqa: S603 - our own words
-        _viewer_command("analytics", "disable"),
+        viewer_command("analytics", "disable"),
         env=environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -417,8 +417,8 @@ def _viewer(*, web: bool, map_tiles: bool) -> Iterator[Viewer]:
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="sceneloom-view-"))
         process = subprocess.Popen(  # noqa: S603 - our own words
-            _viewer_command(*options),
-            env=_silent_environment(Path(folder), offline=not map_tiles),
+            viewer_command(*options),
+            env=silent_environment(Path(folder), offline=not map_tiles),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -466,5 +466,5 @@ def _await_port(process: "subprocess.Popen[bytes]", port: int) -> None:
             return
     reported = "ended at once" if process.poll() is not None else f"did not listen within {_PATIENCE:.0f} s"
     raise OutputError(
-        f"Rerun's viewer {reported}; look at `{' '.join(_viewer_command('--version'))}`, or state `--save`"
+        f"Rerun's viewer {reported}; look at `{' '.join(viewer_command('--version'))}`, or state `--save`"
     )

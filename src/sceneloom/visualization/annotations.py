@@ -1,8 +1,13 @@
-"""Annotations drawn into camera images and onto the map of a sweep: lines, areas, marks and names."""
+"""Annotations drawn into camera images, onto the map of a sweep and along time; corrections; one image per type.
 
+`save_annotation_images` draws all of a scene's annotations at one moment into a folder.
+"""
+
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 from zlib import crc32
@@ -10,18 +15,23 @@ from zlib import crc32
 import numpy as np
 
 from sceneloom.arrays import Float64Array, UInt8Array
-from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.projection import project_unbounded
+from sceneloom.cameras.projection import project_unbounded, unproject
+from sceneloom.errors import OptionError
+from sceneloom.formats.base.output import file_stem, filling
 from sceneloom.geometry.boxes import EDGES, box_corners
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
+    AttributePath,
     Box2DAnnotation,
+    CameraCalibration,
     CuboidAnnotation,
     EventAnnotation,
     GroupAnnotation,
     LabeledPointsAnnotation,
     LinkAnnotation,
+    LocalizationAdjustment,
     ObjectAnnotation,
     PointsAnnotation,
     ShapeAnnotation,
@@ -36,57 +46,47 @@ from sceneloom.scene.annotations_at import (
     points_at,
     shape_at,
 )
+from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.samples import Sample
-from sceneloom.scene.scene import Scene
+from sceneloom.scene.scene import Corrections, Scene, frame_times, time_span
 from sceneloom.scene.types import Identifier, key_of
 from sceneloom.visualization.canvas import (
     BACKGROUND,
+    FAINT_INK,
+    INK,
+    LINE,
     Canvas,
     Colour,
     PilImage,
     count_text,
     leave_out,
     seconds_text,
+    text_height,
 )
-from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above, sample_polyline
-from sceneloom.visualization.fused_frames import framed, image_canvas, subdued
-
-PALETTE: tuple[Colour, ...] = (
-    (255, 122, 69), (82, 196, 255), (138, 226, 52), (255, 206, 84), (214, 137, 255), (64, 224, 190),
-    (255, 110, 160), (168, 184, 255), (222, 222, 120), (255, 160, 122),
-)  # fmt: skip
-"""Colours that stand out from images and from each other."""
-
-CORNER_FROM_CENTRE = 0.5
-"""Boxes and vertices of files count from the image's corner, pixels that are drawn from the centre of the first."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Figure:
-    """One annotation at one time.
-
-    Attributes:
-        name: what is written beside it.
-        colour: what it is drawn in.
-        lines: (K, D) vertices each, joined in order: locations [m] in the world (D = 3), or pixels [px] (D = 2).
-        areas: (K, D) vertices each of areas to be tinted.
-        marks: (M, D) single points.
-        anchor: (D,) where its name goes, or None where there is nothing to see.
-    """
-
-    name: str
-    colour: Colour
-    lines: tuple[Float64Array, ...] = ()
-    areas: tuple[Float64Array, ...] = ()
-    marks: Float64Array | None = None
-    anchor: Float64Array | None = None
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether all of it has a location."""
-        parts = (*self.lines, *self.areas, *(() if self.marks is None else (self.marks,)))
-        return all(bool(np.isfinite(part).all()) for part in parts)
+from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
+from sceneloom.visualization.colour_scales import (
+    COARSE_DIGITS,
+    draw_caption,
+    draw_strip,
+    round_up,
+    strip_height,
+)
+from sceneloom.visualization.figures import (
+    CORNER_FROM_CENTRE,
+    PALETTE,
+    Figure,
+    Name,
+    draw_figure,
+    draw_marks,
+    on_map,
+    pixels_of,
+    through_camera_model,
+    write_names,
+)
+from sceneloom.visualization.fused_frames import framed, image_canvas, save_image, subdued
 
 
 def colour_of(annotation: Annotation) -> Colour:
@@ -191,14 +191,14 @@ def _keypoints(annotation: PointsAnnotation, timestamp_ns: int, _: CuboidAngles)
 
 
 def _shape_in_image(annotation: ShapeAnnotation, sensor_id: Identifier, timestamp_ns: int) -> Figure | None:
-    if not same_id(annotation.sensor_id, sensor_id):
+    if not _same_id(annotation.sensor_id, sensor_id):
         return None
     vertices = shape_at(annotation, [timestamp_ns])[0]
     return None if vertices is None else _shape(annotation, timestamp_ns, vertices - CORNER_FROM_CENTRE)
 
 
 def _box_in_image(annotation: Box2DAnnotation, sensor_id: Identifier, timestamp_ns: int) -> Figure | None:
-    if not same_id(annotation.sensor_id, sensor_id):
+    if not _same_id(annotation.sensor_id, sensor_id):
         return None
     rows, there = box_2d_at(annotation, [timestamp_ns])
     return _rectangle(annotation, timestamp_ns, rows[0]) if there[0] else None
@@ -211,7 +211,7 @@ def _projected_cuboid(
         return None
     for projection in annotation.projections:
         row = _nearest_row(projection.timestamps_ns, timestamp_ns)
-        if same_id(projection.sensor_id, sensor_id) and row is not None and projection.boxes is not None:
+        if _same_id(projection.sensor_id, sensor_id) and row is not None and projection.boxes is not None:
             box = projection.boxes[row]
             return _rectangle(annotation, timestamp_ns, box) if np.isfinite(box).all() else None
     return None
@@ -224,7 +224,11 @@ def _projected_points(
     for projections in annotation.projections:
         for projection in projections:
             row = _nearest_row(projection.timestamps_ns, timestamp_ns)
-            if same_id(projection.sensor_id, sensor_id) and row is not None and projection.points is not None:
+            if (
+                _same_id(projection.sensor_id, sensor_id)
+                and row is not None
+                and projection.points is not None
+            ):
                 seen.append(projection.points[row] - CORNER_FROM_CENTRE)
     marks = np.array([pixel for pixel in seen if np.isfinite(pixel).all()], np.float64).reshape(-1, 2)
     return None if len(marks) == 0 else _figure(annotation, timestamp_ns, marks=marks)
@@ -249,14 +253,14 @@ def _nearest_row(timestamps_ns: Any, timestamp_ns: int) -> int | None:
     return row if abs(int(timestamps_ns[row]) - timestamp_ns) <= _NEARBY_NS else None
 
 
-def same_id(one: Identifier | None, other: Identifier | None) -> bool:
+def _same_id(one: Identifier | None, other: Identifier | None) -> bool:
     """Whether two ids are the same; `1` is not `"1"`."""
     return one == other and type(one) is type(other)
 
 
 def _members_of(scene: Scene, parent_id: Identifier) -> Sequence[Annotation]:
     """The annotations that belong to another one."""
-    return [a for a in scene.annotations if same_id(getattr(a, "parent_id", None), parent_id)]
+    return [a for a in scene.annotations if _same_id(getattr(a, "parent_id", None), parent_id)]
 
 
 _SHAPES_2D = (ShapeType.POLYLINE_2D, ShapeType.POLYGON_2D, ShapeType.POINT_2D)
@@ -368,15 +372,7 @@ def _positions(scene: Scene, sample: Sample, sensor_id: Identifier, frame: int |
     return world_from_points.apply(sweep.points.positions.astype(np.float64))
 
 
-_TINT = 0.28
-
-_SMALL = 0.8
-
-Name = tuple[Figure, Float64Array]
-"""A figure, and the pixel at which its name goes."""
-
-
-def image(sample: Sample, camera_id: Identifier) -> Canvas:
+def _image(sample: Sample, camera_id: Identifier) -> Canvas:
     """Begin with a subdued image of a sample; with an empty one of its size where there is none.
 
     Raises:
@@ -386,62 +382,6 @@ def image(sample: Sample, camera_id: Identifier) -> Canvas:
     if image is None:
         return image_canvas(np.full((camera.height, camera.width, 3), BACKGROUND, np.uint8))
     return image_canvas(subdued(image.rgb))
-
-
-def draw_figure(canvas: Canvas, seen: Figure, *, thickness: int) -> list[Name]:
-    """Draw a figure whose vertices are pixels; gives the position of its name if anything of it lies on the canvas."""
-    size = canvas.image.size
-    parts = [*seen.lines, *seen.areas, *([] if seen.marks is None else [seen.marks])]
-    if not any(((part > -1) & (part < size)).all(axis=1).any() for part in parts):
-        return []
-    for area in seen.areas:
-        canvas.polygon(_tuples(_clamped(area, size)), seen.colour, opacity=_TINT)
-    for line in seen.lines:
-        canvas.line(_tuples(_clamped(line, size)), seen.colour, width=thickness)
-    if seen.marks is not None:
-        draw_marks(canvas, seen.marks, seen.colour, 1.2 + 1.6 * thickness)
-    anchor = seen.anchor
-    return [] if anchor is None or not np.isfinite(anchor).all() else [(seen, anchor)]
-
-
-def draw_marks(canvas: Canvas, pixels: Float64Array, colour: Colour, radius: float) -> int:
-    """Draw a disc of a radius [px] at each of (N, 2) pixels that are on the canvas; gives how many those are."""
-    finite = pixels[np.isfinite(pixels).all(axis=1)]
-    shown = finite[((finite >= 0) & (finite < canvas.image.size)).all(axis=1)]
-    for location in _tuples(shown):
-        canvas.disc(location, radius, colour)
-    return len(shown)
-
-
-def write_names(canvas: Canvas, names: list[Name]) -> None:
-    """Write names, lower ones first; one that would cover another is left out."""
-    taken: list[tuple[float, float, float]] = []
-    for figure, (column, row) in sorted(names, key=lambda item: -float(item[1][1])):
-        text = canvas.fitted(figure.name, 0.4 * canvas.image.width, scale=_SMALL)
-        half = canvas.text_width(text, scale=_SMALL) / 2 + 3
-        line = 1.1 * canvas.text_px
-        location = float(np.clip(column, half, max(canvas.image.width - half, half)))
-        level = float(np.clip(row - 0.7 * line, line, canvas.image.height - line))
-        if all(abs(location - p) > half + h or abs(level - v) > line for p, v, h in taken):
-            canvas.label((location, level), text, colour=figure.colour, scale=_SMALL)
-            taken.append((location, level, half))
-
-
-def _clamped(pixels: Float64Array, size: tuple[int, int]) -> Float64Array:
-    """Keep coordinates within what Pillow can draw."""
-    reach = 4.0 * max(size)
-    return np.clip(pixels, -reach, reach)
-
-
-def _tuples(pixels: Float64Array) -> list[tuple[float, float]]:
-    return [(float(column), float(row)) for column, row in pixels]
-
-
-_CHUNKS = 48
-"""A straight line of the world is bent by a camera model: it is drawn in so many chunks."""
-
-_JUMP_SHARE = 0.5
-"""Neighbouring chunks farther apart than this share of the image are not joined: a camera model may see both sides."""
 
 
 def draw_annotations_in_image(
@@ -462,7 +402,7 @@ def draw_annotations_in_image(
         DataError: the image cannot be decoded.
         CalibrationError: the camera model has no projection.
     """
-    camera, canvas = sample.cameras[camera_id], image(sample, camera_id)
+    camera, canvas = sample.cameras[camera_id], _image(sample, camera_id)
     timestamp_ns = sample.times_ns.get(camera_id, sample.timestamp_ns)
     names: list[Name] = []
     labelled = 0
@@ -470,7 +410,7 @@ def draw_annotations_in_image(
     if world_from_camera is not None:
         camera_from_world = world_from_camera.inverse()
         for positions, colour in _labelled_locations(scene, sample):
-            labelled += draw_marks(canvas, _pixels(camera, camera_from_world, positions), colour, 1.5) > 0
+            labelled += draw_marks(canvas, pixels_of(camera, camera_from_world, positions), colour, 1.5) > 0
         for _, figure in figures_in_world(scene, timestamp_ns, sensor_id=camera_id):
             names += draw_figure(canvas, through_camera_model(figure, camera, camera_from_world), thickness=2)
     for _, figure in figures_in_image(scene, camera_id, timestamp_ns):
@@ -483,39 +423,6 @@ def draw_annotations_in_image(
 def _caption(scene: Scene, shown: int, timestamp_ns: int) -> str:
     events = _active_events(scene, timestamp_ns)
     return count_text(shown, "annotation") + (f"; now: {', '.join(events)}" if events else "")
-
-
-def through_camera_model(figure: Figure, camera: Camera, camera_from_world: RigidTransform) -> Figure:
-    """The same figure as pixels; lines end where the camera model sees no further."""
-    lines = tuple(part for line in figure.lines for part in _projected_line(line, camera, camera_from_world))
-    areas = tuple(_pixels(camera, camera_from_world, _bent(area)) for area in figure.areas)
-    marks = None if figure.marks is None else _pixels(camera, camera_from_world, figure.marks)
-    anchor = None if figure.anchor is None else _pixels(camera, camera_from_world, figure.anchor[None])[0]
-    whole = tuple(area for area in areas if np.isfinite(area).all())
-    return Figure(figure.name, figure.colour, lines, whole, marks, anchor)
-
-
-def _bent(vertices: Float64Array) -> Float64Array:
-    closed = np.concatenate([vertices, vertices[:1]])
-    length = float(np.linalg.norm(np.diff(closed, axis=0), axis=1).sum())
-    return sample_polyline(closed, max(length / _CHUNKS, 1e-6))
-
-
-def _pixels(camera: Camera, camera_from_world: RigidTransform, positions: Float64Array) -> Float64Array:
-    return project_unbounded(camera, camera_from_world.apply(positions))
-
-
-def _projected_line(
-    line: Float64Array, camera: Camera, camera_from_world: RigidTransform
-) -> Iterator[Float64Array]:
-    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-    pixels = _pixels(camera, camera_from_world, sample_polyline(line, max(length / _CHUNKS, 1e-6)))
-    reach = _JUMP_SHARE * max(camera.width, camera.height)
-    jumps = np.abs(np.diff(pixels, axis=0)).max(axis=1, initial=0.0)
-    broken = np.flatnonzero(~(jumps <= reach)) + 1  # a NaN breaks the line, too
-    for part in np.split(pixels, broken):
-        if len(part) > 1 and np.isfinite(part).all():
-            yield part
 
 
 _MARK_PX = 2.2
@@ -590,13 +497,400 @@ def _draw_over(scene: Scene, sample: Sample, plot: Canvas, layout: MapLayout) ->
     write_names(plot, names)
 
 
-def on_map(figure: Figure, layout: MapLayout) -> Figure:
-    """The same figure as pixels of the map."""
-    return Figure(
-        figure.name,
-        figure.colour,
-        tuple(map(layout.pixels, figure.lines)),
-        tuple(map(layout.pixels, figure.areas)),
-        None if figure.marks is None else layout.pixels(figure.marks),
-        None if figure.anchor is None else layout.pixels(figure.anchor[None])[0],
+_WIDTH_PX = 1280
+
+_MOST_ROWS = 60
+
+_ROW_LETTERS = 1.5
+
+_NAME_SHARE = 0.3
+
+_TICKS = 8
+
+_SHORTEST_NS = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """One line of the image: spans [ns] with a text each, and single times."""
+
+    name: str
+    colour: Colour
+    spans: list[tuple[int, int, str]] = field(default_factory=list)
+    timestamps: list[int] = field(default_factory=list)
+    indented: bool = False
+
+
+def draw_timeline(
+    scene: Scene, *, title: str = "annotations over time", width_px: int = _WIDTH_PX
+) -> PilImage:
+    """Draw when annotations hold: paths with their key frames, events, activations, projections and attributes.
+
+    Types of which there are few come first. More than 60 lines are not drawn, but counted in the caption.
+    """
+    first_ns, last_ns = time_span(scene) or (0, 1)
+    common = Counter(str(annotation.type) for annotation in scene.annotations)
+    ordered = sorted(scene.annotations, key=lambda annotation: common[str(annotation.type)])
+    rows = [row for annotation in ordered for row in _rows(annotation, first_ns, last_ns)]
+    rows[:0] = [_attribute_row(attribute, last_ns, indented=False) for attribute in scene.attributes]
+    known = [
+        timestamp
+        for row in rows
+        for timestamp in (*row.timestamps, *(end for span in row.spans for end in span[:2]))
+    ]
+    first_ns, last_ns = min([first_ns, *known]), max([last_ns, *known, first_ns + _SHORTEST_NS])
+    text_px = text_height(width_px, 600)
+    line = round(_ROW_LETTERS * text_px)
+    shown = rows[:_MOST_ROWS]
+    height = line * (len(shown) + 2)
+    canvas = Canvas.blank(width_px, height + strip_height(text_px), text_px=text_px)
+    axis = _Axis(first_ns, last_ns, round(_NAME_SHARE * width_px), width_px - 2 * text_px)
+    _draw_ticks(canvas, axis, height - line)
+    for number, row in enumerate(shown):
+        _draw_row(canvas, axis, row, round((number + 1) * line), line)
+    draw_strip(canvas, height)
+    left = f"; {count_text(len(rows) - len(shown), 'more line')} not drawn" if len(rows) > len(shown) else ""
+    lines = [title, f"{count_text(len(scene.annotations), 'annotation')}{left}"]
+    draw_caption(canvas, height, width_px, lines)
+    return canvas.image
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """Times from `first_ns` to `last_ns` lie between two columns."""
+
+    first_ns: int
+    last_ns: int
+    left: int
+    right: int
+
+    def column(self, timestamp_ns: int) -> float:
+        share = (timestamp_ns - self.first_ns) / (self.last_ns - self.first_ns)
+        return self.left + share * (self.right - self.left)
+
+
+def _rows(annotation: Annotation, first_ns: int, last_ns: int) -> Iterator[_Row]:
+    colour = colour_of(annotation)
+    label = getattr(annotation, "label", None)
+    # the label comes first: a long id is cut off
+    name = f"{annotation.type} {label} · {annotation.id}" if label else f"{annotation.type} {annotation.id}"
+    if isinstance(annotation, EventAnnotation):
+        stop_ns = annotation.start_ns + round(annotation.duration_ns or 0)
+        yield _Row(name, colour, [(annotation.start_ns, stop_ns, "")], [annotation.start_ns])
+    else:
+        timestamps = _timestamps(annotation)
+        spans = [(min(timestamps), max(timestamps), "")] if timestamps else []
+        if not timestamps or getattr(annotation, "stationary", None):
+            spans = [(first_ns, last_ns, "")]
+        yield _Row(name, colour, spans, timestamps)
+    if isinstance(annotation, CuboidAnnotation):
+        for activation in annotation.activations:
+            starts = activation.timestamps_ns.tolist()
+            lengths = activation.durations_ns or (0,) * len(starts)
+            seen = [(a, a + round(d), "") for a, d in zip(starts, lengths, strict=True)]
+            yield _Row(f"active in {activation.sensor_id}", colour, seen, indented=True)
+        for projection in annotation.projections:
+            seen_ns = projection.timestamps_ns
+            if projection.boxes is not None:
+                seen_ns = seen_ns[np.isfinite(projection.boxes).all(axis=1)]
+            yield _Row(f"seen by {projection.sensor_id}", colour, timestamps=seen_ns.tolist(), indented=True)
+    for attribute in getattr(annotation, "attributes", ()):
+        yield _attribute_row(attribute, last_ns, indented=True)
+
+
+def _timestamps(annotation: Annotation) -> list[int]:
+    if isinstance(annotation, CuboidAnnotation | Box2DAnnotation | ShapeAnnotation):
+        found: list[int] = annotation.path.timestamps_ns.tolist()
+        return found
+    if isinstance(annotation, PointsAnnotation):
+        return sorted({timestamp for path in annotation.paths for timestamp in path.timestamps_ns.tolist()})
+    if isinstance(annotation, LocalizationAdjustment | CameraCalibration) and annotation.poses is not None:
+        return [] if annotation.poses.static else annotation.poses.timestamps_ns.tolist()
+    return []
+
+
+def _attribute_row(attribute: AttributePath, last_ns: int, *, indented: bool) -> _Row:
+    timestamps = [] if attribute.timestamps_ns is None else attribute.timestamps_ns.tolist()
+    texts = [", ".join(value) if isinstance(value, tuple) else str(value) for value in attribute.values]
+    stops = [*timestamps[1:], max([last_ns, *timestamps])]
+    spans = list(zip(timestamps, stops, texts, strict=False))
+    of_sensor = "" if attribute.sensor_id is None else f" ({attribute.sensor_id})"
+    return _Row(f"{attribute.name}{of_sensor}", PALETTE[1], spans, timestamps, indented=indented)
+
+
+def _draw_ticks(canvas: Canvas, axis: _Axis, bottom: int) -> None:
+    seconds = (axis.last_ns - axis.first_ns) / 1e9
+    step = round_up(seconds / _TICKS, COARSE_DIGITS)
+    for number in range(int(seconds / step) + 1):
+        column = axis.column(axis.first_ns + round(number * step * 1e9))
+        canvas.line([(column, canvas.text_px), (column, bottom)], LINE)
+        canvas.text(
+            (column, bottom + 0.8 * canvas.text_px),
+            f"{number * step:g} s",
+            anchor="mm",
+            colour=FAINT_INK,
+            scale=0.86,
+        )
+
+
+def _draw_row(canvas: Canvas, axis: _Axis, row: _Row, middle: int, line: int) -> None:
+    indent = canvas.text_px * (2 if row.indented else 1)
+    room = axis.left - indent - canvas.text_px
+    ink = FAINT_INK if row.indented else INK
+    canvas.text(
+        (indent, middle), canvas.fitted(row.name, room, scale=0.86), anchor="lm", colour=ink, scale=0.86
     )
+    half = 0.2 * line if row.indented else 0.3 * line
+    for start_ns, stop_ns, text in row.spans:
+        left, right = axis.column(start_ns), axis.column(stop_ns)
+        canvas.rectangle((left, middle - half, max(right, left + 1), middle + half), fill=_dimmed(row.colour))
+        if text:
+            written = canvas.fitted(text, right - left - 4, scale=0.7)
+            canvas.text((left + 3, middle), written, anchor="lm", scale=0.7)
+    for timestamp in row.timestamps:
+        column = axis.column(timestamp)
+        canvas.line([(column, middle - half), (column, middle + half)], row.colour, width=2)
+
+
+def _dimmed(colour: Colour) -> Colour:
+    r, g, b = (round(0.45 * c + 0.55 * d) for c, d in zip(colour, BACKGROUND, strict=True))
+    return r, g, b
+
+
+_GRID = (16, 9)
+
+_DISTANCE = 20.0
+"""How far away the things are whose pixels are compared [m]."""
+
+_BEFORE, _AFTER = FAINT_INK, (255, 206, 84)
+
+
+def draw_calibration(sample: Sample, calibration: CameraCalibration) -> PilImage:
+    """Draw where the pixels of a camera go by its calibration: things 20 m away, from where they were seen.
+
+    Raises:
+        DataError: the image cannot be decoded.
+        CalibrationError: a camera model has no projection.
+    """
+    camera = sample.cameras[calibration.sensor_id]
+    plot = _image(sample, calibration.sensor_id)
+    columns, rows = (
+        (np.arange(n) + 0.5) * size / n for n, size in zip(_GRID, (camera.width, camera.height), strict=True)
+    )
+    before = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    points = _DISTANCE * unproject(camera, before)
+    correction = _correction(calibration, sample.times_ns.get(calibration.sensor_id, sample.timestamp_ns))
+    after = project_unbounded(calibration.intrinsics or camera, correction.inverse().apply(points))
+    shifts = np.linalg.norm(after - before, axis=1)
+    for start, stop in zip(before, after, strict=True):
+        if np.isfinite(stop).all():
+            plot.line([(start[0], start[1]), (stop[0], stop[1])], _AFTER, width=2)
+    draw_marks(plot, before, _BEFORE, 1.5)
+    largest = float(np.nanmax(shifts)) if np.isfinite(shifts).any() else float("nan")
+    stated = f"things {_DISTANCE:g} m away move by {largest:.1f} px at most"
+    if calibration.time_offset_ns is not None:
+        stated += f"; times by {calibration.time_offset_ns / 1e6:g} ms"
+    return framed(plot, [f"{calibration.type} {calibration.id} of {calibration.sensor_id}", stated])
+
+
+def draw_adjustment(
+    scene: Scene, adjustment: LocalizationAdjustment, *, size_px: tuple[int, int] = SIZE_PX
+) -> PilImage:
+    """Draw the ego trajectory before and after a localisation adjustment, from above."""
+    trajectory = _some_trajectory(scene)
+    before = np.zeros((0, 3)) if trajectory is None else trajectory.positions
+    after = before if trajectory is None else _adjusted(trajectory, adjustment.poses)
+    both = np.concatenate([before, after]) if len(before) else np.zeros((1, 3))
+    middle = (both.min(axis=0) + both.max(axis=0)) / 2
+    reach = max(0.6 * float(np.ptp(both[:, :2], axis=0).max()), 1.0)
+
+    def over(plot: Canvas, layout: MapLayout) -> None:
+        for line, colour, width in ((before, _BEFORE, 2), (after, _AFTER, 3)):
+            pixels = [(float(u), float(v)) for u, v in layout.pixels(line)] if len(line) else []
+            if len(pixels) > 1:
+                plot.line(pixels, colour, width=width)
+
+    moved = float(np.nanmax(np.linalg.norm(after - before, axis=1))) if len(before) else 0.0
+    lines = [
+        f"{adjustment.type} {adjustment.id}",
+        f"the trajectory moves by {moved:.2f} m at most; grey before, yellow after",
+    ]
+    return draw_cloud_above(
+        middle[None], None, ego=EgoPosition(middle, np.array([1.0, 0.0, 0.0])), caption=lines, reach=reach,
+        size_px=size_px, over=over,
+    )  # fmt: skip
+
+
+def _correction(calibration: CameraCalibration, timestamp_ns: int) -> RigidTransform:
+    if calibration.poses is None:
+        return RigidTransform.identity()
+    pose = calibration.poses.held(np.array([timestamp_ns], np.int64))
+    return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
+
+
+def _some_trajectory(scene: Scene) -> Poses | None:
+    """Some way through the world: an odometry sensor's, else a trajectory's, else a lidar's."""
+    for sensor in scene.sensors:
+        if isinstance(sensor, OdometrySensor) and not sensor.poses.static:
+            return sensor.poses
+    for trajectory in scene.trajectories.values():
+        if trajectory.quaternions_xyzw is not None:
+            return trajectory.poses
+    lidars = [
+        s.poses for s in scene.sensors if isinstance(s, LidarSensor | CameraSensor) and s.poses is not None
+    ]
+    return lidars[0] if lidars else None
+
+
+def _adjusted(trajectory: Poses, adjustment: Poses) -> Float64Array:
+    """P' = A(t) p; beyond its ends the adjustment holds."""
+    at = adjustment.held(trajectory.timestamps_ns)
+    return rotate_vectors(at.quaternions_xyzw, trajectory.positions) + at.positions
+
+
+_Drawing = tuple[str, Callable[[], PilImage]]
+
+_Draw = Callable[[Scene, Sample | None, str], PilImage]
+
+_RELATIONS_REACH = 20.0
+"""From the ego to the upper edge of a map that shows how annotations belong together [m]."""
+
+
+def _plots_by_type(scene: Scene, sample: Sample | None) -> Iterator[_Drawing]:
+    """Name each type of annotation that the scene has, and state how to draw it: alone, and what it belongs to."""
+    for type_name in dict.fromkeys(str(annotation.type) for annotation in scene.annotations):
+        chosen = [a for a in scene.annotations if str(a.type) == type_name]
+        shown = replace(scene, annotations=(*chosen, *_related(scene, chosen)), attributes=())
+        draw = _VIEWS.get(type_name, _in_image)
+        yield type_name, partial(draw, shown, sample, type_name)
+
+
+def _related(scene: Scene, chosen: list[Annotation]) -> list[Annotation]:
+    """What links join and what belongs to groups and objects."""
+    ends: list[Identifier] = []
+    parents: list[Identifier] = []
+    for annotation in chosen:
+        if isinstance(annotation, LinkAnnotation):
+            ends += [annotation.from_id, annotation.to_id]
+        elif isinstance(annotation, GroupAnnotation | ObjectAnnotation):
+            parents.append(annotation.id)
+    return [
+        a
+        for a in scene.annotations
+        if not any(a is other for other in chosen)
+        and (
+            any(_same_id(a.id, end) for end in ends)
+            or any(_same_id(getattr(a, "parent_id", None), parent) for parent in parents)
+        )
+    ]
+
+
+def _in_image(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
+    """In the image of the camera that a shape in images names, else of the first one; else from above."""
+    seen = [] if sample is None else [key for key, image in sample.images.items() if image is not None]
+    if sample is None or not seen:
+        return _above(scene, sample, type_name)
+    named = [getattr(annotation, "sensor_id", None) for annotation in scene.annotations]
+    camera_id = next((key for key in seen if any(_same_id(key, name) for name in named)), seen[0])
+    return draw_annotations_in_image(scene, sample, camera_id, title=type_name)
+
+
+def _above(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
+    if sample is None:
+        return draw_timeline(scene, title=type_name)
+    return draw_annotations_above(scene, sample, title=type_name, reach=_RELATIONS_REACH)
+
+
+def _over_time(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
+    del sample
+    return draw_timeline(scene, title=type_name)
+
+
+def _adjustment(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
+    del sample, type_name
+    chosen = next(a for a in scene.annotations if isinstance(a, LocalizationAdjustment))
+    return draw_adjustment(scene, chosen)
+
+
+def _calibration(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
+    chosen = next(a for a in scene.annotations if isinstance(a, CameraCalibration))
+    if sample is None or chosen.sensor_id not in sample.cameras:
+        return draw_timeline(scene, title=type_name)
+    return draw_calibration(sample, chosen)
+
+
+_VIEWS: Mapping[str, _Draw] = MappingProxyType(
+    {
+        "link": _above,
+        "group": _above,
+        "object": _above,
+        "event": _over_time,
+        "attributes": _over_time,
+        "localization_adjustment": _adjustment,
+        "camera_calibration": _calibration,
+    }
+)
+"""What shows best from above, over time, or in a view of its own; everything else is shown in an image."""
+
+
+def save_annotation_images(
+    scene: Scene, folder: Path, *, at: float | None = None, overwrite: bool = False
+) -> list[Path]:
+    """Draw a scene's annotations at one moment into a folder, which is made where it is missing.
+
+    `timeline.png`, `above.png`, `camera_<id>.png` for each camera with images, and `type_<type>.png` for each type
+    of annotation that the scene has.
+
+    Args:
+        scene: what the annotations are of.
+        folder: where the images go.
+        at: seconds after the scene's first timestamp; None for its middle.
+        overwrite: replace files that are there.
+
+    Returns:
+        The paths written.
+
+    Raises:
+        OutputError: the folder has something in it and `overwrite` is not stated, or it cannot be written.
+        DataError: a sweep or image cannot be read.
+    """
+    corrected, pending = scene.corrected(), scene.pending_corrections
+    given = replace(scene, annotations=pending, corrections=Corrections.IGNORE)
+    with filling(folder, overwrite=overwrite) as drafts:
+        plots = list(_plots(corrected, at))
+        if len(corrected.pending_corrections) < len(
+            pending
+        ):  # what they change is seen before they are applied
+            plots += [drawing for drawing in _plots(given, at) if drawing[0].startswith("type_")]
+        for name, draw in plots:
+            save_image(draw(), drafts / f"{name}.png")
+    return [folder / f"{name}.png" for name, _ in plots]
+
+
+def _plots(scene: Scene, at: float | None) -> Iterator[_Drawing]:
+    yield "timeline", partial(draw_timeline, scene)
+    sample = _sample(scene, at)
+    if sample is not None:
+        yield "above", partial(draw_annotations_above, scene, sample)
+        for camera_id, image in sample.images.items():
+            if image is not None:
+                drawn = partial(draw_annotations_in_image, scene, sample, camera_id)
+                yield f"camera_{file_stem(camera_id)}", drawn
+    for type_name, draw in _plots_by_type(scene, sample):
+        yield f"type_{file_stem(type_name)}", draw
+
+
+def _sample(scene: Scene, at: float | None) -> Sample | None:
+    """The synchronised set nearest to the chosen time; None for a scene without sweeps and images."""
+    references = [lidar.id for lidar in scene.lidars if len(lidar.frames)]
+    references += [camera.id for camera in scene.cameras if len(camera.images)]
+    span_ns = time_span(scene)
+    if not references or span_ns is None:
+        return None
+    length = (span_ns[1] - span_ns[0]) / 1e9
+    if at is not None and not 0.0 <= at <= length:
+        raise OptionError(f"{at} s; expected a time within the scene, from 0 to {length:.3f} s")
+    time_ns = span_ns[0] + round((length / 2 if at is None else at) * 1e9)
+    samples = scene.samples(reference=references[0])
+    timestamps_ns = frame_times(scene.sensor(references[0]))
+    return samples[int(np.argmin(np.abs(timestamps_ns - time_ns)))]

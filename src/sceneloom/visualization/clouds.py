@@ -128,7 +128,7 @@ _MOST_SAMPLES = 200_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DrawnCloud:
+class _DrawnCloud:
     """The finite points of a cloud with the colours that they are drawn in.
 
     Attributes:
@@ -146,7 +146,7 @@ class DrawnCloud:
 
 def _drawn_cloud(
     points_world: FloatArray, colors: UInt8Array | None, camera_index: UInt8Array | None
-) -> DrawnCloud:
+) -> _DrawnCloud:
     """Give seen points their colours, and points that no camera saw a grey that grows lighter with height.
 
     Args:
@@ -171,7 +171,7 @@ def _drawn_cloud(
     drawn = _height_greys(points[:, 2])
     if colors is not None:
         drawn[seen] = _lifted(colors[finite][seen])
-    return DrawnCloud(points, drawn, int(seen.sum()), left_out)
+    return _DrawnCloud(points, drawn, int(seen.sum()), left_out)
 
 
 def _lifted(colors: UInt8Array) -> UInt8Array:
@@ -250,7 +250,7 @@ def sample_polyline(corners: FloatArray, step: float) -> Float64Array:
     return np.column_stack([np.interp(at, lengths, column) for column in known.T]) * unit
 
 
-def _cloud_caption(lines: Sequence[str], cloud: DrawnCloud) -> list[str]:
+def _cloud_caption(lines: Sequence[str], cloud: _DrawnCloud) -> list[str]:
     """Give the caption's title and what the cloud holds."""
     count = len(cloud.points_world)
     share = f"{100.0 * cloud.seen / count:.0f} % coloured, the others grey" if cloud.seen else "none coloured"
@@ -376,7 +376,7 @@ def draw_cloud_above(
         (float(location.position_world[0]), float(location.position_world[1])), chosen, size_px
     )
     spacing = round_up(_SPACING_LETTERS * text_px / layout.px_per_m, COARSE_DIGITS)
-    drawn = _timestamped(
+    drawn = _with_discs(
         _grid_image(layout, spacing), layout, cloud.points_world, cloud.colours, _radius(layout)
     )
     if ego_path is not None:
@@ -410,10 +410,10 @@ def _grid_image(layout: MapLayout, spacing: float) -> UInt8Array:
     return image
 
 
-def _timestamped(
+def _with_discs(
     image: UInt8Array, layout: MapLayout, points_world: Float64Array, colours: UInt8Array, radius: float
 ) -> UInt8Array:
-    """Timestamp points into the map, the higher over the lower; those far outside are passed over."""
+    """Draw points onto the map, the higher over the lower; those far outside are left out."""
     pixels = layout.pixels(points_world)
     near = (np.abs(pixels) < _FAR_PX).all(axis=1)
     return draw_discs(image, pixels[near], -points_world[near, 2], colours[near], radius)
@@ -422,7 +422,7 @@ def _timestamped(
 def _with_path(image: UInt8Array, layout: MapLayout, ego_path: FloatArray, text_px: int) -> UInt8Array:
     line = sample_polyline(ego_path, 0.5 / layout.px_per_m)
     colours: UInt8Array = np.full((len(line), 3), _PATH, np.uint8)
-    return _timestamped(image, layout, line, colours, max(1.0, text_px / 13))
+    return _with_discs(image, layout, line, colours, max(1.0, text_px / 13))
 
 
 def _draw_ego(plot: Canvas, layout: MapLayout, location: EgoPosition) -> None:
@@ -477,11 +477,11 @@ def _label_grid(canvas: Canvas, layout: MapLayout, spacing: float) -> None:
         canvas.text(beside, f"{at:g}", anchor="rm", colour=FAINT_INK, scale=_SMALL)
 
 
-_CLOUD_PERSPECTIVE_SIZE_PX = (1280, 780)
+_PERSPECTIVE_SIZE_PX = (1280, 780)
 
 _SKY, _HAZE = np.array([13.0, 15.0, 19.0]), np.array([44.0, 49.0, 58.0])
 
-_CLOUD_PERSPECTIVE_GRID, _CLOUD_PERSPECTIVE_PATH = (66, 73, 85), (255, 190, 92)
+_FAR_GRID = (66, 73, 85)
 
 _FIELD_OF_VIEW_DEG = 62.0
 
@@ -489,7 +489,7 @@ _POINT_RADIUS = 0.045
 
 _LEAST_RADIUS_PX, _MOST_RADIUS_PX = 0.9, 3.0
 
-_CLOUD_PERSPECTIVE_REACH_PERCENT, _CLOUD_PERSPECTIVE_FARTHEST_REACH = 85.0, 30.0
+_VIEW_PERCENT, _FARTHEST_VIEW = 85.0, 30.0
 
 _NEAREST_REACHES, _HAZE_REACHES = 0.02, 5.0
 
@@ -551,7 +551,7 @@ def draw_cloud_perspective(
     ego_path: FloatArray | None = None,
     caption: Sequence[str] = ("cloud from behind",),
     reach: float | None = None,
-    size_px: tuple[int, int] = _CLOUD_PERSPECTIVE_SIZE_PX,
+    size_px: tuple[int, int] = _PERSPECTIVE_SIZE_PX,
 ) -> PilImage:
     """Draw a cloud as seen from behind and above the ego, near points larger and over far ones.
 
@@ -578,15 +578,15 @@ def draw_cloud_perspective(
         reach,
         cloud.points_world,
         location,
-        percent=_CLOUD_PERSPECTIVE_REACH_PERCENT,
-        farthest=_CLOUD_PERSPECTIVE_FARTHEST_REACH,
+        percent=_VIEW_PERCENT,
+        farthest=_FARTHEST_VIEW,
     )
     ground = _ground_height(cloud.points_world, location, chosen)
     viewpoint = viewpoint_behind(location, chosen, width, height)
     layers = [
         _Layer(
             _grid_points(location, chosen, ground),
-            np.array([_CLOUD_PERSPECTIVE_GRID], np.uint8),
+            np.array([_FAR_GRID], np.uint8),
             0.5 * _POINT_RADIUS,
             1.01,
         ),
@@ -594,13 +594,11 @@ def draw_cloud_perspective(
     ]
     if ego_path is not None:
         trajectory = sample_polyline(ego_path, 0.002 * chosen)
-        layers.append(_Layer(trajectory, np.array([_CLOUD_PERSPECTIVE_PATH], np.uint8), 2.0 * _POINT_RADIUS))
-    plot = Canvas.of(
-        _cloud_perspective_timestamped(background(width, height), viewpoint, layers, chosen), text_px=text_px
-    )
+        layers.append(_Layer(trajectory, np.array([_PATH], np.uint8), 2.0 * _POINT_RADIUS))
+    plot = Canvas.of(_with_layers(background(width, height), viewpoint, layers, chosen), text_px=text_px)
     if ego is not None:
-        _cloud_perspective_draw_ego(plot, viewpoint, location, 0.07 * chosen)
-    return _cloud_perspective_framed(plot, size_px, _cloud_caption(caption, cloud))
+        _draw_ego_arrow(plot, viewpoint, location, 0.07 * chosen)
+    return _with_strip(plot, size_px, _cloud_caption(caption, cloud))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -641,10 +639,10 @@ def _grid_points(location: EgoPosition, reach: float, ground: float) -> Float64A
     return np.concatenate([across, np.column_stack([middle[0] + b, middle[1] + a, level])])
 
 
-def _cloud_perspective_timestamped(
+def _with_layers(
     image: UInt8Array, viewpoint: Viewpoint, layers: Sequence[_Layer], reach: float
 ) -> UInt8Array:
-    """Timestamp all layers at once, so that the nearest covers the others whatever layer it is of."""
+    """Draw all layers at once, so that the nearest point covers the others whatever layer it is of."""
     shown = [_shown(viewpoint, layer, reach) for layer in layers]
     pixels, depths, order, colours, radii_px = (np.concatenate(parts) for parts in zip(*shown, strict=True))
     return draw_discs(image, pixels, order, _hazed(colours, depths, reach), radii_px)
@@ -667,15 +665,13 @@ def _hazed(colours: UInt8Array, depths: Float64Array, reach: float) -> UInt8Arra
     return np.asarray(np.rint((1.0 - share) * colours + share * _HAZE), np.uint8)
 
 
-def _cloud_perspective_draw_ego(
-    plot: Canvas, viewpoint: Viewpoint, location: EgoPosition, length: float
-) -> None:
+def _draw_ego_arrow(plot: Canvas, viewpoint: Viewpoint, location: EgoPosition, length: float) -> None:
     pixels, depths = viewpoint.project(location.arrow(length))
     if (depths > 0).all():
         plot.polygon([(float(u), float(v)) for u, v in pixels], ACCENT)
 
 
-def _cloud_perspective_framed(plot: Canvas, size_px: tuple[int, int], caption: Sequence[str]) -> PilImage:
+def _with_strip(plot: Canvas, size_px: tuple[int, int], caption: Sequence[str]) -> PilImage:
     canvas = Canvas.blank(*size_px, text_px=plot.text_px)
     canvas.paste(plot, 0, 0)
     top = plot.image.height

@@ -86,12 +86,12 @@ def test_the_history_of_a_track_is_the_trajectory_that_it_has_come(save, injecte
 
 
 def test_fused_detections_are_shown_where_the_lidar_was(save, injected, tmp_path, monkeypatch):
-    from sceneloom.view import drive
+    from sceneloom.view import objects
 
     lidar = RigidTransform(Rotation.from_euler("z", 0.5).as_matrix(), np.array([3.0, 1.0, 0.0]))
     fused = fused_boxes()
     shown = objects_of_fused(fused, "left", world_from_lidar=lidar)
-    monkeypatch.setattr(drive, "read_detections", lambda path: (shown,))
+    monkeypatch.setattr(objects, "_read_detections", lambda path: (shown,))
     saved = save(injected, detections=tmp_path / "any")
     row = saved.timed("/injected/world/detections/left/boxes", "Boxes3D:centers")[0]
     assert np.allclose(

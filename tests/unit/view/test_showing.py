@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from sceneloom.errors import MissingExtraError, OptionError
-from sceneloom.view import save_view, show_view, stream
+from sceneloom.view import save_view, show_view, stream, viewer
 from sceneloom.view.viewer import guarded_page, has_screen, policy
 
 
@@ -68,8 +68,8 @@ def test_the_viewers_program_sends_no_usage_data_and_writes_to_its_folder_only(t
     home.mkdir()
     folder.mkdir()
     given = {"PATH": "/usr/bin:/bin", "HOME": str(home), "XDG_CONFIG_HOME": str(home / "mine")}
-    environment = stream.silent_environment(folder, given)
-    words = stream.viewer_command("analytics", "config")
+    environment = viewer.silent_environment(folder, given)
+    words = viewer.viewer_command("analytics", "config")
     reported = subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout
     settings = json.loads(reported)
     assert settings["analytics_enabled"] is False
@@ -80,13 +80,13 @@ def test_the_viewers_program_sends_no_usage_data_and_writes_to_its_folder_only(t
 @pytest.mark.parametrize("spelling", [str.upper, str.lower])
 def test_the_viewers_program_reaches_this_machine_alone(tmp_path, spelling):
     given = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "https_proxy": "http://proxy.example"}
-    environment = stream.silent_environment(tmp_path, given)
+    environment = viewer.silent_environment(tmp_path, given)
     for name in ("http_proxy", "https_proxy", "all_proxy"):
         assert urlsplit(environment[spelling(name)]).hostname == "127.0.0.1"
         with pytest.raises(OSError, match="refused"):
             socket.create_connection(("127.0.0.1", urlsplit(environment[spelling(name)]).port), timeout=5)
     assert "127.0.0.1" in environment[spelling("no_proxy")].split(",")
-    assert stream.silent_environment(tmp_path, given, offline=False)["https_proxy"] == "http://proxy.example"
+    assert viewer.silent_environment(tmp_path, given, offline=False)["https_proxy"] == "http://proxy.example"
 
 
 def test_without_a_screen_the_other_ways_are_named(injected, monkeypatch):

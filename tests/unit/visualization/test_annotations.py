@@ -17,18 +17,16 @@ from sceneloom.scene import (
     ShapeType,
 )
 from sceneloom.simulate import CameraSpec, LidarSpec, annotate, demo_drive, simulate_street
-from sceneloom.visualization.annotation_sheets import (
-    draw_adjustment,
-    draw_calibration,
-    draw_timeline,
-    save_annotation_images,
-)
 from sceneloom.visualization.annotations import (
     colour_of,
+    draw_adjustment,
     draw_annotations_above,
     draw_annotations_in_image,
+    draw_calibration,
+    draw_timeline,
     figures_in_image,
     figures_in_world,
+    save_annotation_images,
 )
 
 EVERY_TYPE = {

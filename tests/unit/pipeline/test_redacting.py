@@ -6,7 +6,7 @@ import pytest
 
 from sceneloom.editing.redact import ImageBox
 from sceneloom.errors import DataError
-from sceneloom.pipeline.image_boxes import read_image_boxes
+from sceneloom.pipeline.redacting import read_image_boxes
 
 
 def read(tmp_path, text, name="boxes.csv"):

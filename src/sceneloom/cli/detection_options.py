@@ -63,8 +63,7 @@ def _added(command: Any, *added: Any) -> Any:
 
 def detection_input(given: dict[str, Any]) -> "DetectionInput":
     """What of a path is fused or tracked; taken out of `given`."""
-    from sceneloom.pipeline.detection_lists import DetectionInput
-    from sceneloom.pipeline.detection_lists import DetectionFiles
+    from sceneloom.pipeline.detection_lists import DetectionFiles, DetectionInput
 
     files = options.take(DetectionFiles, given, boxes_3d=given.pop("boxes3d"), boxes_2d=given.pop("boxes2d"))
     return DetectionInput(

@@ -50,7 +50,6 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
 from sceneloom.stages import stage, timed
 from sceneloom.tracking.labels import Labelled, label_tracks
-
 from sceneloom.tracking.settings import ImageBox, TrackerSettings
 from sceneloom.tracking.smoother import gathered, track_drive
 from sceneloom.tracking.tracker import Observation, Tracker

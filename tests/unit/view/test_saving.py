@@ -244,7 +244,7 @@ def test_labelled_points_lie_on_their_cloud_and_have_their_class(injected_saved)
 
 def test_an_adjustment_leads_from_the_given_way_to_the_corrected_one(injected_saved):
     strip = np.array(
-        injected_saved.lasting(r"/injected/world/corrected\ ways/adjust-1", "LineStrips3D:strips")[0]
+        injected_saved.lasting(r"/injected/world/corrected\ trajectories/adjust-1", "LineStrips3D:strips")[0]
     )
     locations, rotations = ego_at(TRAJECTORY_TIMES)
     assert np.allclose(strip, rotations.apply(locations) + locations + 0.01, atol=SINGLE)

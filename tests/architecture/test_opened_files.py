@@ -32,7 +32,6 @@ ALLOWED = {
     ("sceneloom.formats.messages.ros_bags", "YAML"): "of a text",
     ("sceneloom.formats.points.cloud", "np.loadtxt"): "of lines in memory",
     ("sceneloom.formats.points.las", "laspy.open"): "of a stream, or for writing",
-    ("sceneloom.formats.points.files", "laspy.open"): "for writing",
     ("sceneloom.formats.points.npz", "np.load"): "of an open file",
     ("sceneloom.formats.points.spec", "zipfile.ZipFile"): "of an open file",
     ("sceneloom.formats.recording.zipped", "ZipFile"): "of an open file",

@@ -28,8 +28,8 @@ from sceneloom.simulate import (
 
 def make_inputs(folder: Path) -> None:
     """Write a drive with all kinds of sensors and boxes, its detections, a half of it, drives to calibrate, others."""
-    from tests.unit.formats.euroc_mav.test_euroc_mav import write_drive as write_euroc_mav
-    from tests.unit.formats.pandaset.test_read import write_drive as write_pandaset
+    from tests.unit.formats.euroc_mav.test_reader import write_drive as write_euroc_mav
+    from tests.unit.formats.pandaset.test_reader import write_drive as write_pandaset
     from tests.unit.formats.rig.conftest import write_folder
 
     camera = CameraSpec(Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5))

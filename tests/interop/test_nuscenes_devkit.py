@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.peers import python_with
 from tests.unit.formats.nuscenes.schema_folder import from_infos, street
-from tests.unit.formats.nuscenes.test_write import with_classes
+from tests.unit.formats.nuscenes.test_writer import with_classes
 
 import sceneloom
 from sceneloom.cameras import project

@@ -94,7 +94,7 @@ def _by_test(module: str, function: str, location: str = "drive") -> Callable[[P
 def _street(folder: Path) -> Path:
     """A folder of the nuScenes schema."""
     from tests.unit.formats.nuscenes.schema_folder import street
-    from tests.unit.formats.nuscenes.test_write import with_classes
+    from tests.unit.formats.nuscenes.test_writer import with_classes
 
     written: Path = with_classes(street(folder / "drive")).write()
     return written

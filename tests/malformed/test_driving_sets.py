@@ -5,11 +5,11 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from tests.unit.formats.argoverse2.test_read import write_log
+from tests.unit.formats.argoverse2.test_reader import write_log
 from tests.unit.formats.nuscenes.schema_folder import street
-from tests.unit.formats.nuscenes.test_write import with_classes
-from tests.unit.formats.pandaset.test_read import write_drive
-from tests.unit.formats.scale_toolkit.test_read import write_folder
+from tests.unit.formats.nuscenes.test_writer import with_classes
+from tests.unit.formats.pandaset.test_reader import write_drive
+from tests.unit.formats.scale_toolkit.test_reader import write_folder
 
 import sceneloom
 from sceneloom.errors import SceneloomError

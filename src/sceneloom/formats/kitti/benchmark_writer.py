@@ -437,7 +437,7 @@ def _number(attribute: AttributePath | None, time_ns: list[int]) -> float | None
 
 
 _HELD = frozenset({LidarSensor, CameraSensor, CuboidAnnotation, Box2DAnnotation})
-"""Kinds of sensors and annotations that frames have a location for."""
+"""Kinds of sensors and annotations that frames can hold."""
 
 _KIND = FolderKind(
     "folder of KITTI's object benchmark",
@@ -556,7 +556,7 @@ class _FrameLocations:
         return image.camera if image is not None and image.camera.model == "pinhole" else own
 
     def mounted(self, k: int) -> Mounted:
-        """How the sensors lie in a frame."""
+        """Calibration of a frame."""
         choice = self._choice
         camera_models, mounts = {}, {}
         for number, mount in choice.ego_from_camera.items():
@@ -605,7 +605,7 @@ def _write_labels(
 _WRITING_HELD = frozenset(
     {LidarSensor, CameraSensor, ImuSensor, GnssSensor, OdometrySensor, CuboidAnnotation, Box2DAnnotation}
 )
-"""Kinds of sensors and annotations that a sequence has a location for."""
+"""Kinds of sensors and annotations that a sequence can hold."""
 
 _WRITING_KIND = FolderKind(
     "folder of KITTI's tracking benchmark",

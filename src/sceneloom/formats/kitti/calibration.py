@@ -50,7 +50,7 @@ Source: the sizes of the benchmarks' own images.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KittiCalibration:
-    """How the sensors of a drive lie.
+    """Calibration of a drive.
 
     Attributes:
         projections: (3, 4) float64 by number of the camera: from the rectified frame to pixels.
@@ -294,7 +294,7 @@ def _rectified_if_same(path: Path, mounted: Mounted) -> RigidTransform | None:
 def files_lidar_from_lidar(
     camera_from_lidar: Mapping[int, RigidTransform], lidar_from_imu: RigidTransform | None, mounted: Mounted
 ) -> RigidTransform | None:
-    """Compare how sensors lie in files with how they lie in a scene.
+    """Compare the extrinsics in files with those of a scene.
 
     Returns:
         What takes the scene's lidar frame into that of the files, which differ only where the scene has no lidar; None

@@ -173,13 +173,13 @@ def _numbered(scene: Scene, slots: Sequence[int], losses: list[Loss]) -> dict[in
 def _keep_parallel(
     cameras: dict[int, CameraSensor], mounts: dict[int, RigidTransform], reference: int, losses: list[Loss]
 ) -> None:
-    """Leave out cameras that are rotated against the reference: rectified ones look the same way."""
+    """Leave out cameras that are rotated against the reference: rectified ones have one orientation."""
     for number, camera in list(cameras.items()):
         rotation = float(angle_between(mounts[number].quaternion_xyzw, mounts[reference].quaternion_xyzw))
         if rotation > PARALLEL_WITHIN:
             what = (
                 f"left out: rotated by {degrees(rotation):.3g}° against camera {cameras[reference].id!r}, and the "
-                "cameras of rectified folders look the same way"
+                "rectified cameras have one orientation"
             )
             _drop(camera, what, losses)
             del cameras[number], mounts[number]
@@ -432,7 +432,7 @@ _IDENTICAL = 1e-12
 
 
 def mounted_of(choice: Choice, *, with_imu: bool) -> Mounted:
-    """How the sensors lie: one calibration for all frames.
+    """One calibration for all frames.
 
     Args:
         choice: the sensors.
@@ -455,7 +455,7 @@ def is_lidar(choice: Choice) -> bool:
 
 
 def egos_at(choice: Choice, timestamps_ns: Int64Array) -> list[RigidTransform]:
-    """`world_from_ego` at each time; beyond the trajectory its end poses hold, and without one the ego stands."""
+    """`world_from_ego` at each time: end poses hold beyond the trajectory; without one the ego is stationary."""
     if choice.ego_path is None:
         return [RigidTransform.identity()] * len(timestamps_ns)
     held = choice.ego_path.held(timestamps_ns)

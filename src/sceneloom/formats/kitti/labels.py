@@ -1,7 +1,4 @@
-"""Label and result files of the tracking and object benchmarks, lists of detections of whole sequences.
-
-And boxes between the rectified camera frame and the lidar frame.
-"""
+"""Labels, results and lists of detections of the tracking and object benchmarks, and their boxes in other frames."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -350,7 +347,7 @@ def lidar_boxes(
 def rectified_boxes(
     centers: Float64Array, sizes_lwh: Float64Array, yaws: Float64Array, rectified_from_lidar: RigidTransform
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Give boxes of the lidar's frame as KITTI has them: the way back of `lidar_boxes`.
+    """Give boxes of the lidar's frame as KITTI has them: the inverse of `lidar_boxes`.
 
     Returns:
         sizes_hwl: (N, 3) float64 [m].
@@ -425,7 +422,7 @@ def read_boxes_2d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
 
     Args:
         label: class of all of them.
-        ledger: reported boxes without an area, which are left out, and in a lenient reading of faulty lines.
+        ledger: takes warnings of boxes without an area, which are left out, and in a lenient reading of faulty lines.
 
     Raises:
         DataError: a line has another number of values, one is no number, or a score is no probability.
@@ -456,7 +453,7 @@ def read_boxes_3d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
 
     Args:
         label: class of all of them; None, or no word of KITTI's, where the numbers in the lines report.
-        ledger: reported in a lenient reading of faulty lines.
+        ledger: takes warnings of in a lenient reading of faulty lines.
 
     Raises:
         DataError: a line has another number of values, one is no number, a size is not above 0, or the type is unknown,
@@ -519,7 +516,7 @@ def _sound_rows(
 
     Args:
         parse: gives the numbers of a line.
-        ledger: reported faults.
+        ledger: takes warnings of faults.
         code: of the warning about them.
 
     Raises:

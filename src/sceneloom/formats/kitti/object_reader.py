@@ -34,7 +34,7 @@ from sceneloom.warnings import WarningKind
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FramedImages:
-    """Makes images whose camera models and mountings stand in a file of each frame.
+    """Reads images with the camera model and extrinsics of their own frame.
 
     None is decoded before it is asked for.
 
@@ -205,7 +205,7 @@ class FrameTimes:
 
 
 def _still(count: int) -> tuple[Int64Array, Float64Array, Float64Array]:
-    """Times, locations and rotates of an ego that stands at the origin."""
+    """Times, positions and rotations of an ego that is stationary at the origin."""
     rotations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
     return (
         read_only(np.arange(count, dtype=np.int64) * FRAME_NS),

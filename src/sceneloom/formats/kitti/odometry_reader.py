@@ -107,7 +107,7 @@ def _point_annotations(
     Args:
         labels: files of labels.
         sweeps: files of the sweeps, in the order of the sensor's frames.
-        ledger: reported labels without a sweep, and of numbers without a name.
+        ledger: takes warnings of labels without a sweep, and of numbers without a name.
 
     Raises:
         DataError: a file has not one label for each point.
@@ -163,7 +163,7 @@ def _annotation(value: int, parts: tuple[LabeledPoints, ...]) -> LabeledPointsAn
 
 
 _TRUTH, _ESTIMATE = "groundTruth", "pose"
-"""The ways of `poses/NN.txt`, and of a `poses.txt` in the sequence's folder, which SemanticKITTI has."""
+"""The trajectories of `poses/NN.txt`, and of a `poses.txt` in the sequence's folder, which SemanticKITTI has."""
 
 _LABELS = ("read", "skip")
 

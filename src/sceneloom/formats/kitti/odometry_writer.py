@@ -142,7 +142,7 @@ _SLOTS = (2, 3, 0, 1)
 """Numbers of cameras, those of the coloured ones first."""
 
 _HELD = frozenset({LidarSensor, CameraSensor, OdometrySensor, LabeledPointsAnnotation})
-"""Kinds of sensors and annotations that a sequence has a location for."""
+"""Kinds of sensors and annotations that a sequence can hold."""
 
 _SEQUENCE = r"sequences/(?P<one>.+)"
 

@@ -37,7 +37,7 @@ def read_oxts(path: Path, timestamps_ns: Int64Array | None = None) -> Poses:
         timestamps_ns: of the lines [ns], at least as many; None for ten a second from 0 on.
 
     Raises:
-        DataError: a line has not 30 numbers, a location is none on earth, or there is no line.
+        DataError: a line has not 30 numbers, a position is not on earth, or there is no line.
 
     Source: `dataformat.txt` of KITTI's raw data: yaw is 0 to the east and counter-clockwise; the rotation is
     Rz(yaw) Ry(pitch) Rx(roll).
@@ -119,7 +119,7 @@ def oxts_sensors(
         values: (N, 30) float64, in the order of `_FIELDS`.
         timestamps_ns: (N,) int64 [ns], strictly rising.
         location: for messages.
-        ledger: reported columns that state nothing.
+        ledger: takes warnings of columns that state nothing.
     """
     timestamps = read_only(timestamps_ns)
     accuracies = _columns_of(values, ("pos_accuracy",))[:, 0]
@@ -267,10 +267,7 @@ def _put_locations(
 
 
 def _origin(scene: Scene, path: Poses, gnss: GnssSensor | None) -> tuple[Float64Array | None, float | None]:
-    """The world's origin on earth, (3,) latitude, longitude, altitude.
-
-    And how far fixes are from the trajectory it gives.
-    """
+    """The world's origin (latitude, longitude, altitude), and how far fixes are from the resulting trajectory."""
     stated = stated_origin(scene)
     if stated is not None:
         return np.array(stated), None
@@ -361,5 +358,5 @@ def _put_accuracies(table: _Table, gnss: GnssSensor | None) -> None:
     if np.isfinite(gnss.vertical_accuracies).any():
         table.lose("sensors.gnss.vertical_accuracies", "left out", len(gnss.timestamps_ns), Support.DROPPED)
     if not np.array_equal(gnss.timestamps_ns, table.timestamps_ns):
-        what = "fixes are left out: lines have the locations of the ego trajectory"
+        what = "fixes are left out: lines have the positions of the ego trajectory"
         table.lose("sensors.gnss.positions_lla", what, len(gnss.timestamps_ns), Support.APPROXIMATED)

@@ -126,7 +126,7 @@ class RawFile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RawCalibration:
-    """How the sensors of a drive lie.
+    """Calibration of a drive.
 
     Attributes:
         rectified: whether the camera models are those of rectified images.
@@ -323,9 +323,8 @@ FILE = "tracklet_labels.xml"
 POSE_FIELDS = ("tx", "ty", "tz", "rx", "ry", "rz", "state", "occlusion", "occlusion_kf", "truncation")
 
 FURTHER_FIELDS = ("amt_occlusion", "amt_occlusion_kf", "amt_border_l", "amt_border_r", "amt_border_kf")
-"""What stands in each pose: location of the bottom's middle and angles in the lidar's frame, and how it is seen; in
-further fields, what several annotators stated of it, which old files lack. Source: the development kit's
-tracklets.h."""
+"""Fields of a pose: position of the centre of the bottom face and angles in the lidar's frame, and its visibility;
+then what several annotators stated of it, which old files lack. Source: the development kit's tracklets.h."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -474,7 +473,7 @@ def _tracklet_annotations(
         times_ns: of the frames, by number [ns].
         trajectory: `world_from_ego`.
         ego_from_lidar: the mounting.
-        ledger: reported frames that are not there, and of such beyond the trajectory.
+        ledger: takes warnings of frames that are not there, and of such beyond the trajectory.
 
     Raises:
         DataError: a tracklet has a frame beyond the last one.

@@ -155,10 +155,7 @@ def _numbers(values: Any) -> str:
 
 
 _WELL_REPORTED = 0.05
-"""Times that directions report worse than this share of a rotation are not those of such a scanner.
-
-And are not reported.
-"""
+"""Largest error of point times from directions, as a share of a rotation; beyond it they are not written."""
 
 _NAMES = ("timestamps_start.txt", "timestamps.txt", "timestamps_end.txt")
 
@@ -270,7 +267,7 @@ class _RotationWriter:
 
 
 _LABELLED = 2.0
-"""The state of a pose that somebody labelled. Source: the development kit's tracklets.h."""
+"""The state of a pose that was labelled. Source: the development kit's tracklets.h."""
 
 
 def _tracklets_of(
@@ -413,7 +410,7 @@ _SLOTS = (2, 3, 0, 1)
 """Numbers of cameras, those of the coloured ones first."""
 
 _HELD = frozenset({LidarSensor, CameraSensor, ImuSensor, GnssSensor, OdometrySensor, CuboidAnnotation})
-"""Kinds of sensors and annotations that a drive has a location for."""
+"""Kinds of sensors and annotations that a drive can hold."""
 
 _MODELS = {"sync": frozenset({"pinhole"}), "extract": frozenset({"pinhole", "brown_conrady"})}
 

@@ -1,7 +1,4 @@
-"""What KITTI's readers share: sweeps with the time of each point, camera images, sensors along the ego trajectory.
-
-And labels as annotations.
-"""
+"""Shared by KITTI's readers: sweeps with point times, camera images, sensors on the ego, labels as annotations."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -184,7 +181,7 @@ def lidar_sensor(
         timestamps_ns: of each, (N,) int64 [ns].
         mount: `ego_from_lidar`.
         path: `world_from_ego`, or None.
-        ledger: reported if the reflectance has another scale.
+        ledger: takes a warning if the reflectance has another scale.
         rotations: when sweeps began and ended.
 
     Raises:
@@ -232,15 +229,13 @@ def camera_sensor(
 
 
 def stationary(timestamps_ns: Int64Array, location: Path | str, reason: str, ledger: Ledger) -> Trajectory:
-    """The trajectory of an ego that is stationary, with a warning: boxes need a world.
-
-    And nothing reports the ego trajectory in it.
+    """The trajectory of a stationary ego, with a warning: boxes need a world, and no ego trajectory is known.
 
     Args:
         timestamps_ns: (N,) int64 [ns], N >= 1, of all that is placed.
         location: for the warning.
         reason: why the trajectory is not known.
-        ledger: reported it.
+        ledger: takes the warning.
     """
     ledger.note(
         WarningKind.ASSUMED,

@@ -42,7 +42,7 @@ RAW_CAMERAS = tuple(f"image_{number:02d}" for number in range(4))
 """What the folders of the four cameras are called, by number."""
 
 CALIBRATION_FILES = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
-"""The day's files: how the cameras lie, where the lidar is among them, and where the OXTS unit is."""
+"""The day's files: calibration of the cameras, the lidar and the OXTS unit."""
 
 DRIVE_NAME = re.compile(r"(?P<date>\d{4}_\d\d_\d\d)_drive_(?P<number>\d{4})_(?P<kind>sync|extract)")
 _DATE = re.compile(r"\d{4}_\d\d_\d\d")
@@ -316,7 +316,7 @@ _MOTION: Supports = MappingProxyType(
         "sensors.imu.streams.gyroscope.file_seconds": _NO_POSITION,
         "sensors.gnss.id": converted("it is `gnss`"),
         "sensors.gnss.timestamps_ns": approximated("a fix for each line"),
-        "sensors.gnss.positions_lla": approximated("the locations of the ego trajectory"),
+        "sensors.gnss.positions_lla": approximated("the positions of the ego trajectory"),
         "sensors.gnss.accuracies": approximated("an accuracy for each line"),
         "sensors.odometry.poses": approximated("a pose for each line, where no trajectory is reported"),
         "trajectories.name": converted("it is `oxts`"),

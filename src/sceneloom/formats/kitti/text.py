@@ -1,7 +1,4 @@
-"""KITTI's text files, parsed line by line, the folders of files that are named by frame number.
-
-And the choice of one of several sequences.
-"""
+"""KITTI's text files line by line, folders of files named by frame number, and choosing one of several sequences."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -192,7 +189,7 @@ def frames_within(files: NumberedFiles, count: int, reported_by: Path, ledger: L
 
 
 def note_unread(folder: Path, known: Iterable[str], ledger: Ledger) -> None:
-    """Report of what lies in a folder beside what is read of it; hidden and explaining files are no matter."""
+    """Warn about files in a folder that are not read; hidden files and readmes are ignored."""
     names = set(known)
     with file_faults(folder):
         others = sorted(path.name for path in folder.iterdir() if path.name not in names)

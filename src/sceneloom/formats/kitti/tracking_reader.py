@@ -380,7 +380,7 @@ def _image_size(folder: Path, name: str, calibration: KittiCalibration, ledger: 
         return known
     p = calibration.projections[_CAMERA]
     size = max(round(2 * float(p[0, 2]) + 1), 1), max(round(2 * float(p[1, 2]) + 1), 1)
-    message = f"no image reports its size: taken as {size[0]}x{size[1]}, twice the way to the principal point"
+    message = f"no image reports its size: taken as {size[0]}x{size[1]}, twice the principal point"
     ledger.note(WarningKind.ASSUMED, "image-size", str(folder / "calib" / f"{name}.txt"), message)
     return size
 
@@ -521,7 +521,7 @@ def _camera(
 
 
 def _note_others(folder: Path, ledger: Ledger) -> None:
-    """Report of what lies beside the folders that are read."""
+    """Warn about files beside the folders that are read."""
     lists = sorted(path.name for path in folder.iterdir() if path.name.startswith(("det2d_", "det3d_")))
     if lists:
         message = f"{', '.join(lists)}: lists of detections, which `track` and `fuse --type detection` read"
@@ -571,7 +571,7 @@ def _no_image(number: int) -> CameraImage:
 def sequence_scene(sequence: KittiSequence, *, source: str = "kitti") -> Scene:
     """Give the ego trajectory and the camera model and mounting of the camera; lists of detections come without images.
 
-    Where the trajectory of the OXTS unit or its location is not known, the ego is the lidar, and stands at the origin.
+    Where trajectory or extrinsics of the OXTS unit are not known, the ego is the lidar, stationary at the origin.
 
     Args:
         sequence: what is known of it.

@@ -104,7 +104,7 @@ def _boxes_cuboid(
     sizes = np.array([box.size_lwh for box in boxes]).reshape(-1, 3)
     sound = ~lengths_of(rotations)[1]
     sound &= np.isfinite(np.hstack([centers, rotations, sizes])).all(axis=1)
-    _note(survey, sound, "boxes-at-fault", location, "boxes without a location, size or orientation")
+    _note(survey, sound, "boxes-at-fault", location, "boxes without position, size or orientation")
     placed = np.zeros(len(boxes), np.bool_)
     for frame in dict.fromkeys(box.frame_id for box in boxes):
         same = np.array([box.frame_id == frame for box in boxes]) & sound

@@ -98,7 +98,7 @@ class FileBytes:
         """Read bytes, fewer where the file ends before."""
         if start < 0 or length < 0:
             raise DataError(
-                self.path, f"byte {start}", f"{length} bytes wanted; expected a location in the file"
+                self.path, f"byte {start}", f"{length} bytes wanted; expected a position in the file"
             )
         with self._lock:
             file = self._opened()
@@ -186,7 +186,7 @@ def _read(file: BinaryIO, length: int) -> bytes:
 
 
 DIRECT = -1
-"""Instead of a chunk's number: the offset is a location in the file."""
+"""Instead of a chunk's number: the offset is a position in the file."""
 
 _LARGEST_CHUNK = 1 << 31
 """Chunks that claim to be larger are refused: a damaged head can claim any number [bytes]."""
@@ -358,7 +358,7 @@ class ChunkedMessages:
     def _located(self, content: bytes, at: int, number: int, offset: int) -> tuple[int, int]:
         try:
             if at < 0:
-                raise ValueError("before its chunk")  # noqa: TRY301 - one location for all that can be wrong
+                raise ValueError("before its chunk")  # noqa: TRY301 - one handler for all faults
             return self._message_at(content, at)
         except (ValueError, struct.error) as error:
             location = _location(number, offset)

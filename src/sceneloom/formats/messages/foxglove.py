@@ -76,7 +76,7 @@ def foxglove_type(schema: str) -> type[Any]:
 
 
 NOTES = "sceneloom"
-"""Name of the metadata record that holds what no message has a location for."""
+"""Name of the metadata record that holds what no message has a field for."""
 
 NOTES_KEY = "scene"
 

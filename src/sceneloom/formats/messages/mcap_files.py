@@ -136,7 +136,7 @@ def _read_header(index: McapIndex) -> int:
 
 
 def _read_summary(index: McapIndex, start: int) -> bool:
-    """Read schemas, channels and locations of messages; whether that is all there is to know."""
+    """Read schemas, channels and offsets of messages; whether that is all there is to know."""
     file, scan = index.file, _Scan(index)
     if not len(MCAP_MAGIC) <= start < file.size or file.size - start > _LARGEST_RECORD:
         raise ValueError(f"a summary at byte {start} of {file.size}")
@@ -249,7 +249,7 @@ class _Scan:
         self.indexed: set[int] | None = None  # channels that the index of the latest chunk names
 
     def take(self, op: int, location: int, length: int) -> None:
-        """Take the record at a location of the file, and read no more of it than is needed."""
+        """Take the record at a position of the file, and read no more of it than is needed."""
         if op != Opcode.MESSAGE_INDEX:
             self.finish_chunk()
         start = location + _HEAD.size

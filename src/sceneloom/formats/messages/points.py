@@ -127,7 +127,7 @@ def _column(rows: AnyArray, field: PackedField) -> AnyArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedPoints:
-    """Points on their trajectory into a message: the bytes, and what is where in them."""
+    """Points packed for a message: the bytes, and the layout of their fields."""
 
     fields: tuple[PackedField, ...]
     stride: int
@@ -597,7 +597,7 @@ def _is_radar(name: str, columns: dict[str, AnyArray]) -> bool:
 
 
 _Columns = dict[tuple[str, ...], AnyArray]
-"""Columns on their trajectory into a message, (N,), or (N, k) by their k names."""
+"""Columns of a message to be written, (N,), or (N, k) by their k names."""
 
 _HELD = frozenset(["u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"])
 
@@ -606,7 +606,7 @@ _MOST_NS = 2**32 - 1
 
 @dataclass(slots=True)
 class CloudWriter:
-    """Makes the records of a sensor of points; counts what has no location in them.
+    """Makes the records of a sensor of points; counts what has no field in them.
 
     Attributes:
         topic: of the messages.

@@ -401,7 +401,7 @@ def _path_of(rows: _PoseRows, *, static: bool) -> Poses:
 
 
 def _noted_trajectories(survey: Survey) -> dict[str, Trajectory]:
-    """The ways that notes speak of, in their order."""
+    """The trajectories that notes describe, in their order."""
     found = {}
     topics = {topic.name: topic for topic in survey.topics(Kind.POSE)}
     for note in survey.notes.trajectories:

@@ -1,7 +1,4 @@
-"""What messages say, whatever their format: records, topics that are read, streams that are written.
-
-And what a format of messages can hold.
-"""
+"""Messages whatever their format: records, topics that are read, streams that are written, supported fields."""
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -219,7 +216,7 @@ class Boxes2DRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NotesRecord:
-    """What a scene holds that no message has a location for, as JSON."""
+    """What a scene holds that no message has a field for, as JSON."""
 
     timestamp_ns: int
     text: str

@@ -34,7 +34,7 @@ from sceneloom.scene.scene import Scene, with_assumed_models
 from sceneloom.warnings import WarningKind
 
 _NOTES_TOPIC = "/sceneloom/scene"
-"""The topic of what no message has a location for."""
+"""The topic of what no message has a field for."""
 
 _TIMESTAMPS = {"cdr": (4, "iI"), "ros1": (4, "II")}
 """Where the time stands in messages that begin with a header, and in which form.
@@ -380,7 +380,7 @@ class _Records:
 
 
 def _latched() -> Any:
-    """The quality of service of topics that whoever comes later gets, too."""
+    """The quality of service of topics whose last message late subscribers get, too."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     never = QosTime(2147483647, 4294967295)

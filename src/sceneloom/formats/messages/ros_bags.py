@@ -124,10 +124,10 @@ def _metadata(folder: Path, ledger: Ledger) -> Mapping[str, Any]:
     try:
         text = read_bytes(path).decode()
         if _TOO_DEEP.search(text):
-            raise ValueError("nested deeper than 64 levels")  # noqa: TRY301 - one location for all that can be wrong
+            raise ValueError("nested deeper than 64 levels")  # noqa: TRY301 - one handler for all faults
         root = YAML(typ="safe").load(text)[ROOT_KEY]
         if not isinstance(root, dict):
-            raise TypeError(f"{ROOT_KEY} is no mapping")  # noqa: TRY301 - one location for all that can be wrong
+            raise TypeError(f"{ROOT_KEY} is no mapping")  # noqa: TRY301 - one handler for all faults
     except (YAMLError, OSError, ValueError, RecursionError, KeyError, TypeError) as error:
         ledger.fault("metadata-at-fault", DataError(path, "", f"cannot be read: {error}"))
         return {}

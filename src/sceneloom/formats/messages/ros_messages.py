@@ -619,7 +619,7 @@ class Messages:
         return [self.make("vision_msgs/msg/ObjectHypothesisWithPose", reported, nowhere)]
 
     def notes(self, record: NotesRecord) -> _Message:
-        """What no message has a location for."""
+        """What no message has a field for."""
         return "std_msgs/msg/String", self.make("std_msgs/msg/String", record.text)
 
 

@@ -114,7 +114,7 @@ _MOST_STEPS = 65535
 
 
 def check_images(images: str) -> None:
-    """Refuse a way of writing images that does not exist.
+    """Refuse an unknown option for images.
 
     Raises:
         OptionError: it does not.
@@ -548,7 +548,7 @@ class SceneStreams:
 
     Attributes:
         streams: of all records but the notes.
-        notes: what no message has a location for, as JSON will have it.
+        notes: what no message has a field for, as JSON will have it.
         losses: what is lost; it grows while the streams are followed.
         start_ns, stop_ns: first and last time of all streams [ns].
     """

@@ -93,7 +93,7 @@ _NEAR_DEG = 25.0
 """How far a camera may look beside such a direction and have its name."""
 
 _STEEP = np.sin(np.pi / 4)
-"""A camera that looks further up or down than 45 degrees looks in none of these directions."""
+"""A camera pitched by more than 45 degrees has none of these directions."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

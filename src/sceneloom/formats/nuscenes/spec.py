@@ -7,7 +7,7 @@ from sceneloom.formats.base.losses import KEPT, Supports, converted, dropped
 from sceneloom.formats.base.spec import FormatSpec
 
 _MARKS = ("sample_data", "ego_pose", "calibrated_sensor")
-"""Tables that nobody else has; a folder with one of them is nuScenes', be it half a one."""
+"""Tables that only nuScenes has; a folder with one of them is taken as (perhaps incomplete) nuScenes data."""
 
 
 def table_folders(path: Path) -> list[Path]:

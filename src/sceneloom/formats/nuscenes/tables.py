@@ -1,7 +1,4 @@
-"""The tables of the nuScenes schema: rows read one by one, rows written with stable tokens.
-
-And which moments are samples.
-"""
+"""Tables of the nuScenes schema: rows, tokens, and which times are samples."""
 
 import re
 from collections.abc import Iterator, Mapping

@@ -463,7 +463,7 @@ def write_nuscenes(
         keyframe_rate_hz: samples a second; None: those that the scene was read with, else two a second.
         images: "copy" copies JPEG and PNG files, and writes others as JPEG; "png" writes them as PNG.
         channel: channels of sensors, as `lidar=LIDAR_TOP,camera0=CAM_FRONT` or one text for each; others get the name
-            that nuScenes has for the lidar or for the only camera that looks their trajectory, else their id.
+            that nuScenes has for the lidar or for the only camera that with their viewing direction, else their id.
         trajectory: name of the ego's, as of `ego_in_world`.
 
     Returns:

@@ -1,7 +1,4 @@
-"""The JSON of an OpenLABEL file: its parts with their locations, its keywords.
-
-And our fields that OpenLABEL has no keywords for.
-"""
+"""The JSON of an OpenLABEL file: parts with their paths, keywords, and our fields that it has no keywords for."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -359,7 +359,7 @@ class Streams:
         return {name: _stream(sensor) for name, sensor in self.sensors.items()}
 
     def systems(self, *, world: bool) -> dict[str, Any]:
-        """The member `coordinate_systems`; the ego is the root where nothing stands in the world."""
+        """The member `coordinate_systems`; the ego is the root where nothing is placed in the world."""
         found: dict[str, Any] = {}
         for name, sensor in self.sensors.items():
             placed = self._parent_and_pose(sensor)
@@ -378,7 +378,7 @@ class Streams:
         return systems
 
     def transforms(self, time_ns: int) -> dict[str, Any]:
-        """The transforms of the frame of a time: of the ego, and of sensors with ways of their own."""
+        """The transforms of the frame of a time: of the ego, and of sensors with poses of their own."""
         moving = {} if self.trajectory is None else {EGO: self.trajectory}
         found = {}
         for name, path in (moving | self._moving_sensors()).items():

@@ -1,7 +1,4 @@
-"""A file of points as named columns: layouts of files without a header, the role of each column, rows of text.
-
-And the columns that are written.
-"""
+"""A file of points as named columns: layouts, roles of columns, rows of text, and the columns that are written."""
 
 import re
 import warnings

@@ -195,7 +195,7 @@ def _is_column(values: AnyArray, count: int) -> bool:
 
 
 def left_out(frame: LidarFrame, sensor: str, notify: LossTaker) -> None:
-    """Report what of a frame no file of points has a location for."""
+    """Report what of a frame no file of points has a field for."""
     count = len(frame.points)
     for name, values in frame.points.extras.items():
         if count and not _is_column(values, count):
@@ -211,12 +211,12 @@ def left_out(frame: LidarFrame, sensor: str, notify: LossTaker) -> None:
                 )
             )
     if frame.extras:
-        what = "left out: a file of points has no further fields"
+        what = "left out: a file of points has no other fields"
         notify(Loss(field=f"sensors[{sensor}].frames.extras", what=what, count=len(frame.extras)))
 
 
 def _single_columns(columns: FrameColumns) -> dict[str, AnyArray]:
-    """All further columns, those of several numbers cut into single ones."""
+    """All further columns, those of several values split into single ones."""
     found: dict[str, AnyArray] = {}
     for name, values in columns.further.items():
         if values.ndim == 1:
@@ -282,7 +282,7 @@ _WHOLE = frozenset({"u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"})
 
 
 _STEPS_M = (1e-5, 1e-3)
-"""Steps of the locations in LAS files: fine where the points lie within 20 km, else as fine as any lidar measures."""
+"""Steps of the positions in LAS files: fine where the points lie within 20 km, else as fine as any lidar measures."""
 
 
 def _brightness(columns: FrameColumns) -> dict[str, AnyArray]:

@@ -39,7 +39,7 @@ MOST_STEPS = 2**31 - 1
 _LOCATIONS = ("x", "y", "z")
 
 _FARTHEST_M = 1e10
-"""Beyond it lies no point: some 70 times as far as the sun [m]."""
+"""Limit of coordinates [m]; 70 times the distance to the sun."""
 
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e6
 """Steps of positions [m]."""

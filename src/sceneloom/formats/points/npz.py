@@ -1,7 +1,4 @@
-"""Arrays without a header of their own: NPZ and NPY (pickled objects are refused).
-
-And raw BIN as in KITTI and nuScenes.
-"""
+"""Arrays without a header: NPZ and NPY (pickled objects are refused), and raw BIN as in KITTI and nuScenes."""
 
 import ast
 import math

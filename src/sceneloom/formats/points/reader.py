@@ -164,7 +164,7 @@ _LAS_DIMENSIONS = frozenset(
         "classification_flags", "user_data", "scan_angle", "scan_angle_rank", "point_source_id",
     }
 )  # fmt: skip
-"""What every point of a LAS file has a location for; all zero, nobody filled it in."""
+"""Dimensions that every point of a LAS file has; all zero where the writer did not fill them in."""
 
 
 def _kept_brightness(cloud: Cloud, mapping: PointMapping, dropped: int) -> dict[str, AnyArray]:
@@ -420,9 +420,7 @@ def _placed(
     if SENSOR_POSES in folder.beside and frame in {None, PointsFrame.SENSOR}:
         return replace(sensor, poses=_trajectory(folder.beside[SENSOR_POSES], ledger).poses)
     if frame is None:
-        reported = (
-            "it is not stated where the points are; taken as on the ego, `--points-frame` says another frame"
-        )
+        reported = "the frame of the points is not stated; taken as on the ego, `--points-frame` sets another"
         ledger.note(WarningKind.ASSUMED, "cloud-frame-assumed", str(folder.location), reported)
     if frame is PointsFrame.WORLD:
         return replace(sensor, points_frame=frame)
@@ -487,7 +485,7 @@ def _times(
         if reading.rate_hz is None:
             reported = (
                 f"names report no times: number k is taken as {1 / rate_hz:g} k s, "
-                "`--input-option rate_hz=HZ` says another rate"
+                "`--input-option rate_hz=HZ` sets another rate"
             )
             ledger.note(
                 WarningKind.ASSUMED, "cloud-times-assumed", str(folder.location), reported, count=len(files)

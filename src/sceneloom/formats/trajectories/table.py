@@ -91,7 +91,7 @@ def _named(scene: Scene, reading: Reading, progress: Progress | None) -> Traject
 
 
 def _received(scene: Scene, sensor: GnssSensor, name: str, reading: Reading) -> TrajectoryFile:
-    """The fixes that are locations: one at 0, 0 before reception would else be the origin of all."""
+    """The fixes that are positions: one at 0, 0 before reception would otherwise become the origin."""
     location, usable = f"{scene.source}: sensors[{sensor.id}]", usable_fixes(sensor)
     if not usable.any():
         raise PoseError(f"{location}: no usable GNSS fixes in it; expected one or more")
@@ -104,7 +104,7 @@ def _received(scene: Scene, sensor: GnssSensor, name: str, reading: Reading) -> 
         sensor.accuracies[usable],
         sensor.vertical_accuracies[usable],
     )
-    lost, message = int((~usable).sum()), "fixes that are no location were left out"
+    lost, message = int((~usable).sum()), "fixes that are no position were left out"
     reported = DataWarning(
         kind=WarningKind.SKIPPED, code="gnss-fixes-left-out", location=location, message=message, count=lost
     )
@@ -138,15 +138,12 @@ _VEHICLE_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0,
 
 
 def _from_optical(content: TrajectoryFile) -> TrajectoryFile:
-    """The same way with the world's and the device's axes rotated from x right, y down, z forward to x forward.
-
-    Z up.
-    """
+    """The same trajectory with the axes of world and device rotated from z forward, y down to x forward, z up."""
     return _rotated(content, _VEHICLE_FROM_OPTICAL)
 
 
 def _to_optical(content: TrajectoryFile) -> TrajectoryFile:
-    """The same way with the world's and the device's axes rotated from x forward, y left, z up to z forward, y down."""
+    """The same trajectory with the axes of world and device rotated from x forward, z up to z forward, y down."""
     return _rotated(content, _VEHICLE_FROM_OPTICAL.T)
 
 

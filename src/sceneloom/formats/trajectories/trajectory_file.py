@@ -1,7 +1,4 @@
-"""What a trajectory file holds and how it is read and written: options, supported fields, order of poses.
-
-Numbers as text.
-"""
+"""A trajectory file: its content, options, supported fields, order of poses, numbers as text."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -42,16 +39,16 @@ MATRICES: Supports = MappingProxyType(
 """Of forms that hold poses as matrices."""
 
 NAMED: Supports = MappingProxyType({**_TRAJECTORY, "trajectories.name": KEPT})
-"""Of forms that state how the trajectory is called."""
+"""Of forms that hold the name of the trajectory."""
 
 LOCATIONS: Supports = MappingProxyType(
     {
         **_TRAJECTORY,
         "trajectories.positions": converted("as latitude, longitude and altitude"),
-        "trajectories.quaternions_xyzw": dropped("locations on earth have no orientation"),
+        "trajectories.quaternions_xyzw": dropped("positions on earth have no orientation"),
     }
 )
-"""Of a way in a form of locations on earth."""
+"""Of a trajectory in a form of positions on earth."""
 
 FIXES: Supports = MappingProxyType(
     {
@@ -62,7 +59,7 @@ FIXES: Supports = MappingProxyType(
         "sensors.gnss.vertical_accuracies": KEPT,
     }
 )
-"""Of what a satellite receiver reported, in a form of locations on earth."""
+"""Of what a satellite receiver reported, in a form of positions on earth."""
 
 _METRES: Supports = MappingProxyType(
     {
@@ -197,7 +194,7 @@ def _sound(path: Path, rows: PoseRows, ledger: Ledger) -> Int64Array:
 
 
 def _once(path: Path, rows: PoseRows, usable: Int64Array, ledger: Ledger) -> Int64Array:
-    """Keep one pose per time: a body is in one location."""
+    """Keep one pose per time: a body is in one position."""
     times = rows.timestamps_ns[usable]
     repeated = np.flatnonzero(times[1:] == times[:-1]) + 1
     if not len(repeated):

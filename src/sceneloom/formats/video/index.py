@@ -449,10 +449,7 @@ def read_table_index(content: Bytes, name: str) -> VideoIndex:
 
 
 def open_hollow(content: Bytes) -> BinaryIO:
-    """Open an mp4 video as a file whose images read as NULs, but for the first bytes.
-
-    By which decoders are reported.
-    """
+    """Open an mp4 video as a file whose images read as NULs, but for their first bytes, which name the codec."""
     payloads = [(start + _LOOKED_AT, stop) for start, stop in _media(content)]
     return cast("BinaryIO", io.BufferedReader(_Hollow(content, payloads), _LOOKED_AT))
 

@@ -61,11 +61,11 @@ POOL = """
 import json, logging, multiprocessing, sys, traceback
 from concurrent.futures import ProcessPoolExecutor
 import sceneloom
-from sceneloom.formats.remote import patience
+from sceneloom.formats.remote import stores
 
 def read(url):
     # who tries again for long, tries here no longer than the test
-    patience.time.sleep = lambda _: None
+    stores.time.sleep = lambda _: None
     with sceneloom.open(url) as scene:
         return float(scene.lidars[0].frames[0].points.positions.sum())
 

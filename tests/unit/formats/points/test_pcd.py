@@ -24,7 +24,7 @@ POINTS = [(1.5, -2.0, 0.25, 7.0, 3, 1532402927647951000), (4.0, 5.0, -6.0, 0.5, 
 
 
 def literal_lzf(content: bytes) -> bytes:
-    """Pack bytes as LZF the slow, obvious trajectory: literal runs of up to 32 bytes, no back references."""
+    """Pack bytes as LZF in the slow, obvious way: literal runs of up to 32 bytes, no back references."""
     runs = [content[k : k + 32] for k in range(0, len(content), 32)]
     return b"".join(bytes([len(run) - 1]) + run for run in runs)
 

@@ -1,16 +1,111 @@
-"""Drives of KITTI's raw data as scenes: times to the nanosecond, calibrations by the development kit's formulas."""
+"""Drives of KITTI's raw data, read and written."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from sceneloom.cameras.projection import project
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats import open_scene
+from sceneloom.formats import open_scene, write_scene
 from sceneloom.formats.base.registry import drives_of
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.scene.annotations_at import cuboid_poses
 from sceneloom.scene.poses import PoseSource
+from sceneloom.simulate import LidarSpec, simulate_street
+
+DAY, DRIVE = "2011_09_26", "2011_09_26_drive_0001_sync"
+
+CAM_TO_CAM = """calib_time: 09-Jan-2012 13:57:47
+corner_dist: 9.950000e-02
+S_02: 40 30
+K_02: 50 0 19 0 51 14 0 0 1
+D_02: -0.3 0.1 0.001 -0.002 -0.02
+R_02: 0.9998 -0.02 0 0.02 0.9998 0 0 0 1
+T_02: 0.06 0.01 -0.002
+S_rect_02: 36 28
+R_rect_00: 0.99995 0.01 0 -0.01 0.99995 0 0 0 1
+R_rect_02: 1 0 0 0 1 0 0 0 1
+P_rect_02: 48 0 17 2.88 0 48 13 0.5 0 0 1 0.003
+"""
+VELO_TO_CAM = "R: 0 -1 0 0 0 -1 1 0 0\nT: 0.01 -0.08 -0.27\ndelta_f: 0 0\ndelta_c: 0 0\n"
+IMU_TO_VELO = "calib_time: 25-May-2012 16:47:16\nR: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n"
+TIMESTAMPS = "2011-09-26 13:02:25.594360375\n2011-09-26 13:02:25.698214100\n"
+STARTS = "2011-09-26 13:02:25.544360375\n2011-09-26 13:02:25.648214100\n"
+ENDS = "2011-09-26 13:02:25.644360375\n2011-09-26 13:02:25.748214100\n"
+OXTS = (
+    "49.0 8.0 110.0 0.01 -0.02 {yaw} 1 2 3 4 5 0.1 0.2 9.8 0.3 0.4 9.7 0.01 0.02 0.03 0.04 0.05 0.06 "
+    "0.5 0.07 4 10 5 4 0\n"
+)
+TRACKLETS = """<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>
+<!DOCTYPE boost_serialization>
+<boost_serialization signature="serialization::archive" version="9">
+<tracklets class_id="0" tracking_level="0" version="0"><count>1</count><item_version>1</item_version>
+<item class_id="1" tracking_level="0" version="1"><objectType>Car</objectType><h>1.5</h><w>1.6</w><l>4</l>
+<first_frame>0</first_frame><poses class_id="2" tracking_level="0" version="0"><count>2</count>
+<item_version>2</item_version>
+<item><tx>10</tx><ty>2</ty><tz>-1.7</tz><rx>0</rx><ry>0</ry><rz>0.5</rz><state>2</state><occlusion>0</occlusion>
+<occlusion_kf>0</occlusion_kf><truncation>1</truncation><amt_occlusion>-1</amt_occlusion></item>
+<item><tx>9</tx><ty>2</ty><tz>-1.7</tz><rx>0</rx><ry>0</ry><rz>0.6</rz><state>1</state><occlusion>1</occlusion>
+<occlusion_kf>0</occlusion_kf><truncation>0</truncation><amt_occlusion>-1</amt_occlusion></item>
+</poses><finished>1</finished></item></tracklets></boost_serialization>
+"""
+SWEEP = np.array(
+    [[-9, -0.001, 0, 0.1], [0, -5, 1, 0.25], [8, 0, -1, 0.5], [0, 6, 1, 0.75], [-7, 0.001, 0, 1.0]],
+    np.float32,
+)
+"""Behind on the right, right, ahead, left, behind on the left: in the order in which the scanner rotates."""
+
+TEXTS = {
+    f"{DAY}/calib_cam_to_cam.txt": CAM_TO_CAM,
+    f"{DAY}/calib_velo_to_cam.txt": VELO_TO_CAM,
+    f"{DAY}/calib_imu_to_velo.txt": IMU_TO_VELO,
+    f"{DAY}/{DRIVE}/image_02/timestamps.txt": TIMESTAMPS,
+    f"{DAY}/{DRIVE}/velodyne_points/timestamps.txt": TIMESTAMPS,
+    f"{DAY}/{DRIVE}/velodyne_points/timestamps_start.txt": STARTS,
+    f"{DAY}/{DRIVE}/velodyne_points/timestamps_end.txt": ENDS,
+    f"{DAY}/{DRIVE}/oxts/timestamps.txt": TIMESTAMPS,
+    f"{DAY}/{DRIVE}/oxts/data/0000000000.txt": OXTS.format(yaw=0.3),
+    f"{DAY}/{DRIVE}/oxts/data/0000000001.txt": OXTS.format(yaw=0.4),
+    f"{DAY}/{DRIVE}/tracklet_labels.xml": TRACKLETS,
+}
+
+
+@pytest.fixture
+def raw_folder(tmp_path) -> Callable[..., Path]:
+    """Write the folder of the day's, some of its texts replaced or, with None, left out; the name of the drive too."""
+
+    def write(
+        changed: dict[str, str | None] | None = None, *, drive: str = DRIVE, size: tuple[int, int] = (36, 28)
+    ) -> Path:
+        root = tmp_path / "kitti"
+        named = {f"{DAY}/{name}".replace("DRIVE", DRIVE): text for name, text in (changed or {}).items()}
+        for name, text in (TEXTS | named).items():
+            if text is not None:
+                location = root / name.replace(DRIVE, drive)
+                location.parent.mkdir(parents=True, exist_ok=True)
+                location.write_text(text)
+        folder = root / DAY / drive
+        for kind in ("image_02", "velodyne_points"):
+            (folder / kind / "data").mkdir(parents=True, exist_ok=True)
+        for k in range(2):
+            image = np.full((size[1], size[0], 3), 40 * k + np.arange(3), np.uint8)
+            Image.fromarray(image).save(folder / "image_02" / "data" / f"{k:010d}.png")
+            SWEEP.tofile(folder / "velodyne_points" / "data" / f"{k:010d}.bin")
+        return root
+
+    return write
+
+
+@pytest.fixture
+def raw_points() -> np.ndarray:
+    """The points of each sweep, (5, 4) float32."""
+    return SWEEP
+
 
 FIRST_NS = 1_317_042_145_594_360_375
 """2011-09-26 13:02:25.594360375, of `date -u +%s` and the nine digits."""
@@ -190,3 +285,85 @@ def test_a_sweep_that_is_cut_off_is_reported_when_it_is_read(raw_folder):
     scene = open_scene(root)
     with pytest.raises(DataError, match=r"77 bytes are 4 points of 16 bytes"):
         scene.sensor("velodyne").frames[1]
+
+
+KEPT = (
+    "calib_cam_to_cam.txt",
+    "calib_velo_to_cam.txt",
+    "calib_imu_to_velo.txt",
+    "DRIVE/image_02/timestamps.txt",
+    "DRIVE/velodyne_points/timestamps.txt",
+    "DRIVE/velodyne_points/timestamps_start.txt",
+    "DRIVE/velodyne_points/timestamps_end.txt",
+    "DRIVE/oxts/timestamps.txt",
+)
+
+
+def words(path):
+    """The words of a file, numbers as numbers."""
+    found = []
+    for word in path.read_text().split():
+        try:
+            found.append(float(word))
+        except ValueError:
+            found.append(word)
+    return found
+
+
+@pytest.mark.parametrize(("kind", "size"), [("sync", (36, 28)), ("extract", (40, 30))])
+def test_a_drive_comes_back_file_by_file(raw_folder, tmp_path, kind, size):
+    drive = f"2011_09_26_drive_0001_{kind}"
+    root = raw_folder(drive=drive, size=size)
+    losses = write_scene(open_scene(root), tmp_path / "out", format="kitti-raw")
+    day, again = root / "2011_09_26", tmp_path / "out/2011_09_26"
+    for name in (name.replace("DRIVE", drive) for name in KEPT):
+        assert (again / name).read_text() == (day / name).read_text(), name
+    for k in range(2):
+        image, sweep = f"{drive}/image_02/data/{k:010d}.png", f"{drive}/velodyne_points/data/{k:010d}.bin"
+        assert (again / image).read_bytes() == (day / image).read_bytes()
+        np.testing.assert_allclose(
+            np.fromfile(again / sweep, np.float32), np.fromfile(day / sweep, np.float32), atol=1 / 510
+        )  # reflectance has 256 steps
+        line = f"{drive}/oxts/data/{k:010d}.txt"
+        np.testing.assert_allclose(words(again / line), words(day / line), rtol=1e-12, atol=1e-14)
+    assert not [loss for loss in losses if loss.field.startswith("sensors")]
+
+
+def test_tracklets_and_times_of_points_come_back(raw_folder, tmp_path):
+    before = open_scene(raw_folder())
+    write_scene(before, tmp_path / "out", format="kitti-raw")
+    after = open_scene(tmp_path / "out")
+    for one, other in zip(before.sensor("velodyne").frames, after.sensor("velodyne").frames, strict=True):
+        assert other.timestamp_ns == one.timestamp_ns
+        np.testing.assert_array_equal(other.points.timestamps_ns, one.points.timestamps_ns)
+    (box,), (again,) = before.annotations, after.annotations
+    np.testing.assert_array_equal(again.path.timestamps_ns, box.path.timestamps_ns)
+    np.testing.assert_allclose(again.path.values, box.path.values, atol=1e-9)
+    reported = {attribute.name: attribute.values for attribute in box.attributes}
+    assert {attribute.name: attribute.values for attribute in again.attributes} == reported
+
+
+def test_a_changed_camera_model_makes_new_calibration_files(raw_folder, tmp_path):
+    scene = open_scene(raw_folder())
+    camera = scene.sensor("camera2")
+    camera_model = replace(camera.camera, fx=49.0)
+    changed = replace(
+        scene,
+        sensors=tuple(replace(s, camera=camera_model) if s.id == "camera2" else s for s in scene.sensors),
+    )
+    write_scene(changed, tmp_path / "out", format="kitti-raw")
+    again = open_scene(tmp_path / "out").sensor("camera2")
+    assert again.camera == camera_model
+    np.testing.assert_allclose(again.mount.matrix, camera.mount.matrix, atol=1e-12)
+
+
+def test_boxes_of_the_last_sweep_lie_on_the_way(tmp_path):
+    drive = simulate_street(
+        4, frames=18, lidar=LidarSpec(beams=8, steps=450), cameras=()
+    )  # moments jitter by 0.2 ms
+    write_scene(drive.scene, tmp_path / "out", format="kitti-raw")
+    after = open_scene(tmp_path / "out")
+    assert not [warning for warning in after.warnings if warning.code == "boxes-beyond-trajectory"]
+    lidar = after.sensor("velodyne")
+    np.testing.assert_array_equal(lidar.poses.timestamps_ns, lidar.frames.timestamps_ns)
+    np.testing.assert_array_equal(after.trajectories["oxts"].timestamps_ns, lidar.frames.timestamps_ns)

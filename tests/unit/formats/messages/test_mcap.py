@@ -1,6 +1,8 @@
-"""The container: what we write the reference library reads, what it writes we read, and no damage goes unnoticed."""
+"""MCAP files: what we write the reference library reads, what it writes we read, and no damage goes unnoticed."""
 
 import io
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -9,10 +11,19 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
+from sceneloom.errors import (
+    DataError,
+    OptionError,
+    OutputError,
+    SceneloomError,
+    UnknownFormatError,
+    UnknownOptionError,
+)
 from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.registry import find_format
 from sceneloom.formats.messages.file_bytes import FileBytes
 from sceneloom.formats.messages.mcap_files import McapWriter, read_index
+from sceneloom.formats.messages.spec import MCAP
 
 SIZES = (0, 10, 3000, 1_500_000, 40)
 MESSAGES = [(k % 2, 1000 + 7 * k, np.random.default_rng(k).bytes(SIZES[k % len(SIZES)])) for k in range(12)]
@@ -196,3 +207,40 @@ def test_times_and_compressions_that_the_format_lacks_are_refused():
     channel = writer.add_channel("/a", "json", 0)
     with pytest.raises(OutputError, match="-5 ns"):
         writer.add_message(channel, -5, [b""])
+
+
+WITHOUT = """
+import sys, importlib.abc
+class Missing(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name.split(".")[0] in {"google", "foxglove_schemas_protobuf", "rosbags", "ruamel"}:
+            raise ImportError(f"No module named {name!r}")
+sys.meta_path.insert(0, Missing())
+import sceneloom
+for target, extra in (("a.mcap", "mcap"), ("a.bag", "ros"), ("a.ros2", "ros")):
+    try:
+        sceneloom.write(sceneloom.Scene(()), target)
+    except sceneloom.errors.MissingExtraError as error:
+        assert f"sceneloom[{extra}]" in str(error), error
+    else:
+        raise SystemExit(f"{target} was written")
+"""
+
+
+def test_without_the_extras_a_person_is_reported_which_to_install(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_file_that_is_only_called_so_is_reported(tmp_path):
+    path = tmp_path / "drive.mcap"
+    path.write_bytes(b"no log")
+    with pytest.raises(UnknownFormatError, match="called like an MCAP file"):
+        find_format(path)
+
+
+def test_unknown_options_are_refused(tmp_path):
+    with pytest.raises(UnknownOptionError, match="timestamps, ego, world"):
+        MCAP.open(tmp_path / "drive.mcap", stamp="header")

@@ -9,7 +9,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.types import NO_FIELDS
 
@@ -359,29 +358,3 @@ class Dialect:
     covariances: bool
     each_camera_model: bool = False
     intensity: str = "u1"
-
-
-class Losses:
-    """Collects what a target cannot hold."""
-
-    def __init__(self) -> None:
-        """Begin with none."""
-        self.all: list[Loss] = []
-
-    def dropped(self, field: str, what: str, *, count: int = 1) -> None:
-        """Something is not in the target."""
-        self._add(Loss(field=field, what=what, count=count))
-
-    def converted(self, field: str, what: str, *, count: int = 1, error: float | None = None) -> None:
-        """Something is stated in another way."""
-        self._add(Loss(field=field, what=what, count=count, support=Support.CONVERTED, largest_error=error))
-
-    def approximated(self, field: str, what: str, *, count: int = 1, error: float | None = None) -> None:
-        """Something is replaced by something near."""
-        self._add(
-            Loss(field=field, what=what, count=count, support=Support.APPROXIMATED, largest_error=error)
-        )
-
-    def _add(self, loss: Loss) -> None:
-        if loss.count > 0:
-            self.all.append(loss)

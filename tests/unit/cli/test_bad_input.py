@@ -1,32 +1,40 @@
-"""Bad input gives one clear error with its location, exit code 1, and leaves nothing behind."""
+"""Inputs that cannot be read end in one message that says what and where."""
 
 import json
+import os
 import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import sceneloom
-
-Call = Callable[..., Any]
+from sceneloom.batch import jobs
+from sceneloom.calibrate.conventions import read_extrinsics
+from sceneloom.catalog.database import query
+from sceneloom.service.running import read_configuration_file
+from sceneloom.db34t.transport import read_certificates, read_pair, read_token
+from sceneloom.detections.detectors import read_detectors
+from sceneloom.errors import DataError
+from sceneloom.evaluate.object_files import fused_files
+from sceneloom.formats.base import files as base_files
+from sceneloom.report.page import read_losses
 
 Spoil = Callable[[Path], object]
 
 
-def edit_lines(edit: Callable[[list[str]], list[str]]) -> Spoil:
-    def spoil(folder: Path) -> None:
+def edit_lines(edit):
+    def spoil(folder):
         path = folder / "data.jsonl"
         path.write_text("\n".join(edit(path.read_text().splitlines())) + "\n")
 
     return spoil
 
 
-def edit_calibration(edit: Callable[[dict], object]) -> Spoil:
-    def spoil(folder: Path) -> None:
+def edit_calibration(edit):
+    def spoil(folder):
         path = folder / "calibration.json"
         calibration = json.loads(path.read_text())
         edit(calibration)
@@ -35,11 +43,11 @@ def edit_calibration(edit: Callable[[dict], object]) -> Spoil:
     return spoil
 
 
-def shear(calibration: dict) -> None:
+def shear(calibration):
     calibration["cameras"][0]["imuToCamera"][0][1] += 0.5
 
 
-def with_nan_position(lines: list[str]) -> list[str]:
+def with_nan_position(lines):
     location = next(k for k, line in enumerate(lines) if "groundTruth" in line)
     record = json.loads(lines[location])
     record["groundTruth"]["position"]["x"] = float("nan")
@@ -87,7 +95,7 @@ FAULTS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_one_clear_error_and_no_output(call: Call, recording: Path, tmp_path: Path, fault: str) -> None:
+def test_one_clear_error_and_no_output(call, recording, tmp_path, fault):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     spoil, words = FAULTS[fault]
@@ -103,9 +111,7 @@ def test_one_clear_error_and_no_output(call: Call, recording: Path, tmp_path: Pa
     assert {path.name for path in tmp_path.iterdir()} <= {"drive"}
 
 
-def test_times_that_run_backwards_are_sorted_with_a_warning(
-    call: Call, recording: Path, tmp_path: Path
-) -> None:
+def test_times_that_run_backwards_are_sorted_with_a_warning(call, recording, tmp_path):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     edit_lines(lambda lines: lines[::-1])(folder)
@@ -117,7 +123,7 @@ def test_times_that_run_backwards_are_sorted_with_a_warning(
     assert any(warning["kind"] == "repaired" for warning in backwards["warnings"])
 
 
-def test_lenient_counts_what_it_skips(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_lenient_counts_what_it_skips(call, recording, tmp_path):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     (folder / "lidar" / "000001.bin").write_bytes(b"x" * 50)
@@ -131,8 +137,8 @@ def test_lenient_counts_what_it_skips(call: Call, recording: Path, tmp_path: Pat
 
 
 def test_a_camera_that_cannot_be_used_is_skipped_leniently_and_named_without_empty_locations(
-    call: Call, recording: Path, tmp_path: Path
-) -> None:
+    call, recording, tmp_path
+):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     FAULTS["an unknown camera model"][0](folder)
@@ -143,9 +149,7 @@ def test_a_camera_that_cannot_be_used_is_skipped_leniently_and_named_without_emp
     assert "fisheye-of-mine" in outcome.err
 
 
-def test_points_that_are_not_finite_are_kept_and_never_coloured(
-    call: Call, recording: Path, tmp_path: Path
-) -> None:
+def test_points_that_are_not_finite_are_kept_and_never_coloured(call, recording, tmp_path):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     path = folder / "lidar" / "000000.bin"
@@ -162,9 +166,7 @@ def test_points_that_are_not_finite_are_kept_and_never_coloured(
     ("target", "words"),
     [("missing/d.sfs", "does not exist"), ("taken.sfs", "--overwrite"), ("folder.sfs", "--overwrite")],
 )
-def test_outputs_that_cannot_be_written_are_named(
-    call: Call, recording: Path, tmp_path: Path, target: str, words: str
-) -> None:
+def test_outputs_that_cannot_be_written_are_named(call, recording, tmp_path, target, words):
     (tmp_path / "taken.sfs").write_text("mine")
     (tmp_path / "folder.sfs").mkdir()
     outcome = call("fuse", recording, "-o", tmp_path / target)
@@ -174,16 +176,14 @@ def test_outputs_that_cannot_be_written_are_named(
     assert (tmp_path / "taken.sfs").read_text() == "mine"
 
 
-def test_a_trajectory_that_is_not_there_is_answered_with_those_that_are(call: Call, recording: Path) -> None:
+def test_a_trajectory_that_is_not_there_is_answered_with_those_that_are(call, recording):
     outcome = call("fuse", recording, "-o", "nowhere.sfs", "--trajectory", "vio")
     assert outcome.code == 2
     assert "groundTruth, gnss, lidar, identity" in outcome.err
 
 
 @pytest.mark.parametrize("before_output", [("convert",), ("edit", "simplify")])
-def test_a_number_that_is_none_is_a_fault_of_the_file(
-    call: Call, tmp_path: Path, encode_sfs: Callable[..., bytes], before_output: tuple[str, ...]
-) -> None:
+def test_a_number_that_is_none_is_a_fault_of_the_file(call, tmp_path, encode_sfs, before_output):
     path = {"timestamps": [0], "values": np.array([[1.0, 1, 1, np.nan, 0, 0, 0, 0, 0]])}
     cuboid = {"id": "nowhere", "type": "cuboid", "path": path}
     source, target = tmp_path / "nan.sfs", tmp_path / "out.sfs"
@@ -195,7 +195,7 @@ def test_a_number_that_is_none_is_a_fault_of_the_file(
     assert not target.exists()
 
 
-def test_a_scene_file_cut_in_half_is_one_clear_error(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_a_scene_file_cut_in_half_is_one_clear_error(call, recording, tmp_path):
     call("convert", recording, tmp_path / "a.sfs")
     whole = (tmp_path / "a.sfs").read_bytes()
     (tmp_path / "half.sfs").write_bytes(whole[: len(whole) // 2])
@@ -216,7 +216,7 @@ def test_a_scene_file_cut_in_half_is_one_clear_error(call: Call, recording: Path
         ("demo", "--keep"),
     ],
 )
-def test_nothing_is_written_to_a_url(call: Call, arguments: tuple[str, ...]) -> None:
+def test_nothing_is_written_to_a_url(call, arguments):
     outcome = call(*arguments, "https://127.0.0.1:9/b.sfs")
     assert outcome.code == 2
     assert "https://127.0.0.1:9/b.sfs is a URL" in outcome.err
@@ -229,16 +229,14 @@ def test_nothing_is_written_to_a_url(call: Call, arguments: tuple[str, ...]) -> 
         (("salvage", "http://127.0.0.1:9/b.sfs", "-o", "c.sfs"), "is behind a URL"),
     ],
 )
-def test_a_url_that_cannot_be_read_is_named_as_it_was_stated(
-    call: Call, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], problem: str
-) -> None:
+def test_a_url_that_cannot_be_read_is_named_as_it_was_stated(call, monkeypatch, arguments, problem):
     monkeypatch.setattr("sceneloom.formats.remote.stores.time.sleep", lambda _: None)
     outcome = call(*arguments)
     assert outcome.code == 1
     assert f"http://127.0.0.1:9/b.sfs: {problem}" in outcome.err
 
 
-def spoiled(recording: Path, target: Path, fault: str) -> Path:
+def spoiled(recording, target, fault):
     """A copy of the recording with a fault."""
     folder = target / "drive"
     shutil.copytree(recording, folder)
@@ -246,9 +244,7 @@ def spoiled(recording: Path, target: Path, fault: str) -> Path:
     return folder
 
 
-def test_what_was_left_out_before_an_error_is_reported_with_it(
-    call: Call, recording: Path, tmp_path: Path
-) -> None:
+def test_what_was_left_out_before_an_error_is_reported_with_it(call, recording, tmp_path):
     broken = spoiled(recording, tmp_path, "a broken line")
     arguments = ("fuse", broken, "--lenient", "--trajectory", "nope", "-o", tmp_path / "out.sfs")
     outcome = call(*arguments)
@@ -259,9 +255,7 @@ def test_what_was_left_out_before_an_error_is_reported_with_it(
     assert "left out" not in call(*arguments, "--quiet").err
 
 
-def test_what_was_left_out_is_reported_also_where_reading_comes_to_no_end(
-    call: Call, recording: Path, tmp_path: Path
-) -> None:
+def test_what_was_left_out_is_reported_also_where_reading_comes_to_no_end(call, recording, tmp_path):
     broken = spoiled(recording, tmp_path, "a broken line")
     FAULTS["calibration that is no JSON"][0](broken)
     outcome = call("info", broken, "--lenient")
@@ -272,14 +266,14 @@ def test_what_was_left_out_is_reported_also_where_reading_comes_to_no_end(
     assert "calibration.json" in error
 
 
-def with_late_truth(lines: list[str]) -> list[str]:
+def with_late_truth(lines):
     records = [json.loads(line) for line in lines]
     return [json.dumps(r | {"time": r["time"] + 100.0 * ("groundTruth" in r)}) for r in records]
 
 
 def test_sweeps_that_could_not_be_read_are_reported_where_the_others_could_not_be_fused(
-    call: Call, recording: Path, tmp_path: Path
-) -> None:
+    call, recording, tmp_path
+):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     edit_lines(with_late_truth)(folder)
@@ -292,8 +286,8 @@ def test_sweeps_that_could_not_be_read_are_reported_where_the_others_could_not_b
 
 
 def test_a_stray_point_beyond_what_the_file_can_hold_is_reported_as_a_fault_of_the_data(
-    call: Call, recording: Path, tmp_path: Path
-) -> None:
+    call, recording, tmp_path
+):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     file = folder / "lidar" / "000001.bin"
@@ -357,3 +351,50 @@ def test_an_input_that_is_named_has_to_be_there_and_is_used(call, recording, tmp
     assert outcome.code in {1, 2}, outcome.out
     assert "nothere" in outcome.err or words[-2] in outcome.err
     assert list(tmp_path.iterdir()) == []
+
+
+READERS = {
+    "a list of drives": lambda path: list(jobs._listed(path, {}, frozenset())),
+    "extrinsics": read_extrinsics,
+    "detectors": read_detectors,
+    "a configuration": read_configuration_file,
+    "certificates": read_certificates,
+    "a key": lambda path: read_pair(path, path),
+    "a token": read_token,
+    "losses": read_losses,
+    "fused detections": fused_files,
+}
+
+
+@pytest.mark.parametrize("what", READERS)
+def test_an_input_that_is_a_pipe_is_named_and_not_waited_for(tmp_path, what):
+    path = tmp_path / "input.jsonl"
+    os.mkfifo(path)
+    with pytest.raises(DataError, match=r"input\.jsonl.*is a named pipe; expected a regular file"):
+        READERS[what](path)
+
+
+def test_a_pipe_among_the_sweeps_of_a_recording_is_named_as_what_it_is(recording, call, tmp_path):
+    drive = tmp_path / "drive"
+    shutil.copytree(recording, drive)
+    sweep = drive / "lidar" / "000001.bin"
+    sweep.unlink()
+    os.mkfifo(sweep)
+    outcome = call("convert", drive, tmp_path / "drive.sfs")
+    assert outcome.code == 1
+    assert "'lidar/000001.bin': is a named pipe; expected a regular file" in outcome.err
+
+
+def test_the_marker_of_a_catalogue_that_is_a_pipe_is_named(tmp_path):
+    os.mkfifo(tmp_path / "catalog.json")
+    with pytest.raises(DataError, match=r"catalog\.json: cannot be read: is a named pipe"):
+        query(tmp_path, "SELECT 1")
+
+
+@pytest.mark.parametrize("what", sorted(READERS.keys() - {"losses", "fused detections"}))
+def test_settings_that_are_very_long_are_refused(tmp_path, what, monkeypatch):
+    monkeypatch.setattr(base_files, "LARGEST_SETTINGS", 1000)
+    path = tmp_path / "input.toml"
+    path.write_bytes(b"#" * 1001)
+    with pytest.raises(DataError, match="1001 bytes; expected 1000 at most"):
+        READERS[what](path)

@@ -1,7 +1,7 @@
 """Corrections of a scene, through every verb: what computes applies them, other edits keep them, nothing does twice."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,21 +40,19 @@ MOVED = RigidTransform.from_quaternion(np.array([40.0, -7.0, 1.5]), np.array([0.
 LATER_NS = 3_000_000
 
 
-def constant(transform: RigidTransform) -> Poses:
+def constant(transform):
     """The same at all times."""
     return Poses(np.zeros(1, np.int64), transform.translation[None], transform.quaternion_xyzw[None])
 
 
-def with_corrections(
-    scene: Scene, rotated: RigidTransform, camera_model: Camera, later_ns: int, moved: RigidTransform
-) -> Scene:
+def with_corrections(scene, rotated, camera_model, later_ns, moved):
     camera = CameraCalibration("mounted", "camera0", constant(rotated), camera_model, later_ns)
     world = LocalizationAdjustment("placed", constant(moved))
     return replace(scene, annotations=(*scene.annotations, camera, world))
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(tmp_path_factory):
     """A drive that is right, the same wrong by known corrections, and that with the annotations that repair it."""
     folder = tmp_path_factory.mktemp("corrected")
     lidar = LidarSpec(beams=16, steps=240)
@@ -78,7 +76,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def numbers_of(value: Any) -> Iterator[float]:
+def numbers_of(value):
     """All numbers of something read from JSON, in order."""
     if isinstance(value, dict):
         for key in sorted(value):
@@ -91,7 +89,7 @@ def numbers_of(value: Any) -> Iterator[float]:
         yield float(value)
 
 
-def figures_of_scene(path: Path | Scene) -> np.ndarray:
+def figures_of_scene(path):
     """Where the camera and the cuboids are, what the camera is, when its images were taken; colours of points."""
     scene = path if isinstance(path, Scene) else sceneloom.open(path)
     found: list[Any] = []
@@ -111,7 +109,7 @@ def figures_of_scene(path: Path | Scene) -> np.ndarray:
     return np.array(found, np.float64)
 
 
-def colours_of(path: Path) -> np.ndarray:
+def colours_of(path):
     with sceneloom.open(path) as scene:
         frames = [frame.points for frame in scene.lidars[0].frames]
         return np.array([float(points.colors.mean()) for points in frames])
@@ -121,7 +119,7 @@ Figures = Callable[[Callable[..., Any], Path, Path, tuple[str, ...]], Any]
 """Runs a verb of a drive, with further options, and gives numbers of what came of it."""
 
 
-def ran(call: Callable[..., Any], *words: object, codes: tuple[int, ...] = (0,)) -> Any:
+def ran(call, *words, codes=(0,)):
     outcome = call(*words)
     assert outcome.code in codes, outcome.err
     reported = "applied: " if "--no-corrections" not in words else "left off"
@@ -129,8 +127,8 @@ def ran(call: Callable[..., Any], *words: object, codes: tuple[int, ...] = (0,))
     return outcome
 
 
-def scene_verb(*words: str, reads: Callable[[Path], Any] = figures_of_scene) -> Figures:
-    def run(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def scene_verb(*words, reads=figures_of_scene):
+    def run(call, drive, out, further):
         ran(call, *words, drive, "-o", out / "out.sfs", *further)
         with sceneloom.open(out / "out.sfs") as scene:
             kept = {annotation.id for annotation in scene.annotations} & {"mounted", "placed"}
@@ -140,7 +138,7 @@ def scene_verb(*words: str, reads: Callable[[Path], Any] = figures_of_scene) -> 
     return run
 
 
-def without_corrections(path: Path, folder: Path) -> Path:
+def without_corrections(path, folder):
     """The scene with the annotations of corrections taken out, as it lies."""
     with sceneloom.open(path) as scene:
         left = tuple(a for a in scene.annotations if a.id not in {"mounted", "placed"})
@@ -148,16 +146,16 @@ def without_corrections(path: Path, folder: Path) -> Path:
     return folder / "bare.sfs"
 
 
-def converted(target: str, *words: str) -> Figures:
-    def run(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def converted(target, *words):
+    def run(call, drive, out, further):
         ran(call, "convert", drive, out / target, *words, *further)
         return figures_of_scene(out / target)
 
     return run
 
 
-def converted_text(target: str, *words: str, text: str) -> Figures:
-    def run(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def converted_text(target, *words, text):
+    def run(call, drive, out, further):
         ran(call, "convert", drive, out / target, *words, *further)
         content = (out / target / text if text else out / target).read_text()
         if (text or target).endswith(".json"):
@@ -168,8 +166,8 @@ def converted_text(target: str, *words: str, text: str) -> Figures:
     return run
 
 
-def reported_json(*words: str, key: str | None = None, codes: tuple[int, ...] = (0,)) -> Figures:
-    def run(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def reported_json(*words, key=None, codes=(0,)):
+    def run(call, drive, out, further):
         del out
         reported = json.loads(ran(call, *words, drive, "--json", *further, codes=codes).out)
         return list(numbers_of(reported if key is None else reported[key]))
@@ -177,7 +175,7 @@ def reported_json(*words: str, key: str | None = None, codes: tuple[int, ...] = 
     return run
 
 
-def fused_detections(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def fused_detections(call, drive, out, further):
     lists = ("--boxes3d", drive.parent / "boxes3d.jsonl", "--boxes2d", drive.parent / "boxes2d.jsonl")
     reported = ran(
         call, "fuse", drive, "--type", "detection", *lists, "-o", out / "o.jsonl", "--json", *further
@@ -185,38 +183,38 @@ def fused_detections(call: Callable[..., Any], drive: Path, out: Path, further: 
     return [json.loads(reported)["drives"][0]["both"]]
 
 
-def tracked(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def tracked(call, drive, out, further):
     lists = ("--boxes3d", drive.parent / "boxes3d.jsonl", "--boxes2d", drive.parent / "boxes2d.jsonl")
     ran(call, "track", drive, *lists, "--format", "sfs", "-o", out / "out.sfs", *further)
     return figures_of_scene(without_corrections(out / "out.sfs", out))
 
 
-def synced(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def synced(call, drive, out, further):
     ran(call, "sync", drive, "--streams", "groundTruth", "--apply", out / "out.sfs", *further)
     return figures_of_scene(without_corrections(out / "out.sfs", out))
 
 
-def depths(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def depths(call, drive, out, further):
     ran(call, "depth", drive, "-o", out / "depth", "--form", "npz", "--method", "sparse", *further)
     files = sorted((out / "depth").rglob("*.npz"))
     return [float(sum(np.nansum(array) for array in np.load(file).values())) for file in files]
 
 
-def map_colours(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def map_colours(call, drive, out, further):
     ran(call, "colour", drive, "-o", out / "map.sfs", "--only-coloured", *further)
     with sceneloom.open(out / "map.sfs") as scene:
         (points,) = (sensor for sensor in scene.sensors if sensor.type == "points")
         return [len(points.positions) / 100, *points.colors.mean(axis=0).tolist()]
 
 
-def drawn(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def drawn(call, drive, out, further):
     call("info", drive, "--visualize", out / "drawn", *further)
     from PIL import Image
 
     return [float(np.asarray(Image.open(out / "drawn" / "camera_camera0.png"), np.float64).mean())]
 
 
-def catalogued(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def catalogued(call, drive, out, further):
     del call
     reading = {"corrections": "ignore"} if further else {}
     read_drive(str(drive), out, {"scene": "x", "timestamp": "", "checks": "none", "reading": reading})
@@ -224,25 +222,25 @@ def catalogued(call: Callable[..., Any], drive: Path, out: Path, further: tuple[
     return list(numbers_of(table.to_pydict()))
 
 
-def trajectory(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def trajectory(call, drive, out, further):
     ran(call, "convert", drive, out / "trajectory.tum", *further)
     return read_trajectory(out / "trajectory.tum").positions
 
 
-def compared_trajectory(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def compared_trajectory(call, drive, out, further):
     del out
     words = ("eval", "trajectory", drive, drive.parent / "right.tum", "--align", "none", "--json", *further)
     return [json.loads(ran(call, *words).out)["absolute"]["translation"]["rms"]]
 
 
-def sent(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def sent(call, drive, out, further):
     del call, out
     with sceneloom.open(drive, **({"corrections": "ignore"} if further else {})) as scene:
         (entry,) = sent_rig(scene).calibrations
         return [*entry.data.extrinsic_matrix, *entry.data.intrinsic_matrix]
 
 
-def checked(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def checked(call, drive, out, further):
     del call, out
     with sceneloom.open(drive, **({"corrections": "ignore"} if further else {})) as scene:
         found = check_drive(scene, most=1)
@@ -250,7 +248,7 @@ def checked(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str
     return found.frames[0].camera_from_lidar.matrix
 
 
-def viewed(call: Callable[..., Any], drive: Path, out: Path, further: tuple[str, ...]) -> Any:
+def viewed(call, drive, out, further):
     del call, out
     with sceneloom.open(drive, **({"corrections": "ignore"} if further else {})) as scene:
         return figures_of_scene(
@@ -293,13 +291,13 @@ COMPUTING: dict[str, Figures] = {
 @pytest.mark.few(13)
 @pytest.mark.parametrize("verb", COMPUTING)
 def test_a_verb_that_computes_gives_for_a_corrected_drive_what_it_gives_for_the_right_one(
-    verb: str, call: Callable[..., Any], files: Path, tmp_path: Path
-) -> None:
-    def figures(name: str, *further: str) -> np.ndarray:
+    verb, call, files, tmp_path
+):
+    def figures(name, *further):
         out = tmp_path / f"{name}{len(further)}"
         out.mkdir()
 
-        def quiet(*words: object) -> Any:
+        def quiet(*words):
             outcome = call(*words)
             if name != "repaired.sfs":  # has nothing to state
                 return replace_err(outcome)
@@ -313,7 +311,7 @@ def test_a_verb_that_computes_gives_for_a_corrected_drive_what_it_gives_for_the_
     np.testing.assert_allclose(figures("repaired.sfs", "--no-corrections"), wrong, rtol=2e-3, atol=2e-3)
 
 
-def replace_err(outcome: Any) -> Any:
+def replace_err(outcome):
     return type(outcome)(outcome.code, outcome.out, outcome.err + "applied: left off")
 
 
@@ -330,7 +328,7 @@ FURTHER = frozenset(
 """Verbs that compute and are tested below, or under the name of one of their modes."""
 
 
-def commands(group: click.Group, *names: str) -> Iterator[tuple[str, click.Command]]:
+def commands(group, *names):
     context = click.Context(group)
     for name in group.list_commands(context):
         command = group.get_command(context, name)
@@ -340,7 +338,7 @@ def commands(group: click.Group, *names: str) -> Iterator[tuple[str, click.Comma
             yield " ".join((*names, name)), command
 
 
-def test_every_verb_that_reads_a_drive_is_known_to_apply_corrections_or_to_keep_them() -> None:
+def test_every_verb_that_reads_a_drive_is_known_to_apply_corrections_or_to_keep_them():
     computing = {name.split(",")[0].split(" --")[0].split(" to ")[0] for name in COMPUTING} | FURTHER
     found = {
         name
@@ -354,8 +352,8 @@ def test_every_verb_that_reads_a_drive_is_known_to_apply_corrections_or_to_keep_
 
 @pytest.mark.parametrize("edit", ["crop", "thin", "simplify", "to-world"])
 def test_an_edit_that_does_not_compute_with_cameras_keeps_corrections_and_their_meaning(
-    edit: str, call: Callable[..., Any], files: Path, tmp_path: Path
-) -> None:
+    edit, call, files, tmp_path
+):
     further = {"crop": ("--start", "0"), "thin": ("--voxel", "1")}.get(edit, ())
     outcome = call("edit", edit, files / "repaired.sfs", "-o", tmp_path / "out.sfs", *further)
     assert outcome.code == 0, outcome.err
@@ -366,9 +364,7 @@ def test_an_edit_that_does_not_compute_with_cameras_keeps_corrections_and_their_
         )
 
 
-def test_what_was_corrected_is_not_corrected_again(
-    call: Callable[..., Any], files: Path, tmp_path: Path
-) -> None:
+def test_what_was_corrected_is_not_corrected_again(call, files, tmp_path):
     first, second = tmp_path / "first.sfs", tmp_path / "second.sfs"
     assert call("fuse", files / "repaired.sfs", "-o", first).code == 0
     outcome = call("fuse", first, "-o", second)
@@ -379,9 +375,7 @@ def test_what_was_corrected_is_not_corrected_again(
 
 
 @pytest.mark.parametrize("words", [("camera-model", "--model", "fisheye", "--limit", "9"), ("undistort",)])
-def test_a_new_camera_model_stands_for_the_corrected_one(
-    words: tuple[str, ...], call: Callable[..., Any], files: Path, tmp_path: Path
-) -> None:
+def test_a_new_camera_model_stands_for_the_corrected_one(words, call, files, tmp_path):
     found = []
     for name in ("right", "repaired"):
         assert call("edit", *words, files / f"{name}.sfs", "-o", tmp_path / f"{name}.sfs").code == 0
@@ -392,9 +386,7 @@ def test_a_new_camera_model_stands_for_the_corrected_one(
 
 
 @pytest.mark.parametrize("to", ["recording", "mcap", "kitti-tracking", "nuscenes", "colmap", "openlabel"])
-def test_corrections_that_are_left_off_and_cannot_be_written_are_losses(
-    to: str, call: Callable[..., Any], files: Path, tmp_path: Path
-) -> None:
+def test_corrections_that_are_left_off_and_cannot_be_written_are_losses(to, call, files, tmp_path):
     words = ("convert", files / "repaired.sfs", tmp_path / "out", "--to", to, "--no-corrections")
     reported = json.loads(call(*words, "--json").out)
     lost = {row["field"] for row in reported["fields"] if row["support"] == "dropped"}
@@ -403,8 +395,8 @@ def test_corrections_that_are_left_off_and_cannot_be_written_are_losses(
     }
 
 
-def test_the_library_applies_corrections_or_leaves_them_off(files: Path) -> None:
-    def figures(name: str, corrections: str = "apply") -> np.ndarray:
+def test_the_library_applies_corrections_or_leaves_them_off(files):
+    def figures(name, corrections="apply"):
         with sceneloom.open(files / name, corrections=corrections) as scene:
             ego = sceneloom.find_ego_motion(scene)
             fused = next(iter(sceneloom.iter_fused(scene)))
@@ -423,7 +415,7 @@ def test_the_library_applies_corrections_or_leaves_them_off(files: Path) -> None
         sceneloom.open(files / "repaired.sfs", corrections="twice")
 
 
-def test_validate_and_info_list_corrections_and_change_nothing(call: Callable[..., Any], files: Path) -> None:
+def test_validate_and_info_list_corrections_and_change_nothing(call, files):
     reported = json.loads(call("info", files / "repaired.sfs", "--json").out)
     assert [entry["id"] for entry in reported["corrections"]] == ["mounted", "placed"]
     assert "camera 'camera0'" in call("info", files / "repaired.sfs").out
@@ -434,9 +426,7 @@ def test_validate_and_info_list_corrections_and_change_nothing(call: Callable[..
 
 
 @pytest.mark.parametrize("verb", ["tracking", "detection"])
-def test_objects_are_compared_with_corrections_unless_they_are_left_off(
-    verb: str, call: Callable[..., Any], files: Path, tmp_path: Path
-) -> None:
+def test_objects_are_compared_with_corrections_unless_they_are_left_off(verb, call, files, tmp_path):
     with sceneloom.open(files / "repaired.sfs") as scene:
         scored = [
             replace(annotation, attributes=(*annotation.attributes, AttributePath("score", (0.9,))))

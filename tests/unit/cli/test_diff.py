@@ -1,22 +1,17 @@
 """`sceneloom diff`: its exit codes, and what it prints for people and for machines."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import sceneloom
-from sceneloom.scene import LazyFrames, Scene
+from sceneloom.scene import LazyFrames
 from sceneloom.simulate import LidarSpec, simulate_street
 
-Call = Callable[..., Any]
 
-
-def raised(scene: Scene, metres: float) -> Scene:
+def raised(scene, metres):
     """The scene with the points of its second sweep raised."""
     lidar = scene.lidars[0]
     frames = list(lidar.frames)
@@ -28,7 +23,7 @@ def raised(scene: Scene, metres: float) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def drives(tmp_path_factory):
     scene = simulate_street(1, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=()).scene
     folder = tmp_path_factory.mktemp("drives")
     sceneloom.write(scene, folder / "a.sfs")
@@ -36,12 +31,12 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "a.sfs", folder / "b.sfs"
 
 
-def test_equal_drives_exit_with_zero(call: Call, drives: tuple[Path, Path]) -> None:
+def test_equal_drives_exit_with_zero(call, drives):
     outcome = call("diff", drives[0], drives[0])
     assert (outcome.code, outcome.out) == (0, "equal\n")
 
 
-def test_drives_that_differ_exit_with_one_and_state_where(call: Call, drives: tuple[Path, Path]) -> None:
+def test_drives_that_differ_exit_with_one_and_state_where(call, drives):
     outcome = call("diff", *drives)
     assert outcome.code == 1
     lines = outcome.out.splitlines()
@@ -51,18 +46,18 @@ def test_drives_that_differ_exit_with_one_and_state_where(call: Call, drives: tu
     assert lines[-1] == "1 difference"
 
 
-def test_machines_get_all_of_it(call: Call, drives: tuple[Path, Path]) -> None:
+def test_machines_get_all_of_it(call, drives):
     outcome = call("diff", *drives, "--json")
     report = json.loads(outcome.out)
     assert (outcome.code, report["equal"], len(report["differences"])) == (1, False, 1)
     assert report["differences"][0]["amount"] == pytest.approx(0.25, abs=1e-5)
 
 
-def test_tolerances_let_pass(call: Call, drives: tuple[Path, Path]) -> None:
+def test_tolerances_let_pass(call, drives):
     assert call("diff", *drives, "--tolerance-m", "0.3").code == 0
 
 
-def test_wrong_usage_and_missing_drives_are_distinguished(call: Call, drives: tuple[Path, Path]) -> None:
+def test_wrong_usage_and_missing_drives_are_distinguished(call, drives):
     assert call("diff", *drives, "--tolerance-m", "-1").code == 2
     assert call("diff", drives[0]).code == 2
     assert call("diff", drives[0], drives[0].with_name("none.sfs")).code == 1

@@ -1,20 +1,21 @@
-"""`sceneloom edit`: its results for people and for machines."""
+"""`sceneloom edit`: each of its verbs on small drives."""
 
 import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.editing.redact import ImageBox
+from sceneloom.pipeline.redacting import blur_files
+from sceneloom.scene import CuboidAnnotation, LabeledPointsAnnotation, LocalizationAdjustment, Poses
+from sceneloom.scene.scene import time_span
+from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, annotate, simulate_street
 
-Call = Callable[..., Any]
 
-
-def test_edit_deskew_writes_the_drive_with_sweeps_of_one_moment(
-    call: Call, recording: Path, tmp_path: Path
-) -> None:
+def test_edit_deskew_writes_the_drive_with_sweeps_of_one_moment(call, recording, tmp_path):
     outcome = call("edit", "deskew", recording, "-o", tmp_path / "drive", "--at", "end", "--lidar", "lidar")
     assert outcome.code == 0
     assert "deskewed 3 of 3 sweeps by trajectory groundTruth to the end of each" in outcome.out
@@ -24,7 +25,7 @@ def test_edit_deskew_writes_the_drive_with_sweeps_of_one_moment(
         assert all(np.ptp(frame.points.timestamps_ns) == 0 for frame in scene.lidars[0].frames)
 
 
-def test_edit_deskew_by_the_imu_is_reported_to_machines(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_edit_deskew_by_the_imu_is_reported_to_machines(call, recording, tmp_path):
     outcome = call("edit", "deskew", recording, "-o", tmp_path / "d.sfs", "--trajectory", "imu", "--json")
     assert outcome.code == 0
     report = json.loads(outcome.out)
@@ -32,12 +33,424 @@ def test_edit_deskew_by_the_imu_is_reported_to_machines(call: Call, recording: P
     assert "rotation-only" in [warning["code"] for warning in report["warnings"]]
 
 
-def test_edit_deskew_never_replaces_unasked_and_knows_its_lidars(
-    call: Call, recording: Path, tmp_path: Path
-) -> None:
+def test_edit_deskew_never_replaces_unasked_and_knows_its_lidars(call, recording, tmp_path):
     (tmp_path / "d.sfs").touch()
     again = call("edit", "deskew", recording, "-o", tmp_path / "d.sfs")
     assert (again.code, "--overwrite" in again.err) == (1, True)
     strange = call("edit", "deskew", recording, "-o", tmp_path / "e.sfs", "--lidar", "lidar9")
     assert (strange.code, "no sensor 'lidar9'" in strange.err) == (2, True)
     assert call("fuse", recording, "-o", tmp_path / "e.sfs", "--trajectory", "imu").code == 1
+
+
+@pytest.fixture(scope="module")
+def scene_file(tmp_path_factory):
+    """A street with every type of annotation, in a scene file."""
+    target = tmp_path_factory.mktemp("edited") / "drive.sfs"
+    camera_models = (
+        Camera("brown_conrady", 200, 100, 107.0, 107.0, 99.5, 47.5, (-0.12, 0.04, 0.0004, -0.0003, -0.006)),
+        Camera("fisheye", 160, 100, 62.0, 62.0, 79.5, 47.5, (0.03, -0.008, 0.002, -0.0004)),
+    )
+    lidar = LidarSpec(elevations_deg=(-25.0, 15.0), steps=360)
+    drive = simulate_street(0, frames=3, lidar=lidar, cameras=tuple(map(CameraSpec, camera_models)))
+    sceneloom.write(annotate(drive).scene, target)
+    return target
+
+
+def second_sweep(scene_file):
+    """When the second sweep begins, in seconds after the scene."""
+    with sceneloom.open(scene_file) as scene:
+        begin_ns, _ = time_span(scene) or (0, 0)
+        return str((int(scene.lidars[0].frames.timestamps_ns[1]) - begin_ns) * 1e-9)
+
+
+def test_thin_reports_how_many_points_are_left(call, recording, tmp_path):
+    outcome = call("edit", "thin", recording, "-o", tmp_path / "thin", "--voxel", "2")
+    assert outcome.code == 0, outcome.err
+    assert "thin: done in" in outcome.out
+    with sceneloom.open(recording) as before, sceneloom.open(tmp_path / "thin") as after:
+        counts = [sum(len(frame.points) for frame in scene.lidars[0].frames) for scene in (before, after)]
+        kept = after.lidars[0].frames[1].points.positions
+    assert f"{counts[0]} points -> {counts[1]}" in outcome.out
+    assert len(np.unique(np.floor(kept.astype(float) / 2.0), axis=0)) == len(kept)
+
+
+def test_thin_counts_the_points_of_sensors_that_stay_as_they_are(call, scene_file, tmp_path):
+    two = tmp_path / "two.sfs"
+    assert call("edit", "merge", scene_file, scene_file, "-o", two, "--rename").code == 0
+    with sceneloom.open(two) as scene:
+        points = sum(len(frame.points) for lidar in scene.lidars for frame in lidar.frames)
+        chosen = str(scene.lidars[0].id)
+        assert len(scene.lidars) == 2
+    thin = ("edit", "thin", two, "-o", tmp_path / "thin.sfs", "--points", "1", "--sensor", chosen)
+    reported = json.loads(call(*thin, "--json").out)
+    frames = reported["before"]["frames"]
+    assert reported["before"]["points"] == points
+    assert points / 2 < reported["after"]["points"] <= points / 2 + frames
+
+
+def test_thin_says_that_points_are_those_of_frames_that_stay(call, recording, tmp_path):
+    outcome = call("edit", "thin", recording, "-o", tmp_path / "thin", "--voxel", "2", "--every", "2")
+    assert outcome.code == 0, outcome.err
+    assert " points of the frames that stay -> " in outcome.out
+
+
+def test_crop_is_reported_to_machines(call, scene_file, tmp_path):
+    outcome = call(
+        *("edit", "crop", scene_file, "-o", tmp_path / "crop.sfs", "--range", "15"),
+        *("--start", second_sweep(scene_file)),
+        *("--without", "camera1", "--label", "car", "--json"),
+    )
+    assert outcome.code == 0, outcome.err
+    report = json.loads(outcome.out)
+    assert (report["edit"], report["after"]["frames"]) == ("crop", 4)
+    assert 0 < report["after"]["points"] < report["before"]["points"]
+    assert "sensors-left-out" in [warning["code"] for warning in report["warnings"]]
+    with sceneloom.open(tmp_path / "crop.sfs") as scene:
+        away = np.concatenate([frame.points.positions for frame in scene.lidars[0].frames])
+        assert [camera.id for camera in scene.cameras] == ["camera0"]
+        labels = {getattr(annotation, "label", None) for annotation in scene.annotations}
+    assert "car" in labels
+    assert "pole" not in labels
+    assert np.linalg.norm(away, axis=1).max() <= 15.0
+
+
+def test_a_box_is_six_numbers(call, scene_file, tmp_path):
+    wrong = call("edit", "crop", scene_file, "-o", tmp_path / "c.sfs", "--box", "1,2,3")
+    assert (wrong.code, "expected six numbers" in wrong.err) == (2, True)
+    empty = call("edit", "crop", scene_file, "-o", tmp_path / "c.sfs", "--box=5,0,0,-5,9,9")
+    assert (empty.code, "each minimum at most" in empty.err) == (2, True)
+    assert not (tmp_path / "c.sfs").exists()
+
+
+def test_world_and_ego_and_back_give_the_same_scene(call, scene_file, tmp_path):
+    world, ego, again = (tmp_path / f"{name}.sfs" for name in ("world", "ego", "again"))
+    assert call("edit", "to-world", scene_file, "-o", world).code == 0
+    assert call("edit", "to-ego", world, "-o", ego).code == 0
+    assert call("edit", "to-world", ego, "-o", again).code == 0
+    assert call("edit", "to-sensor", again, "-o", tmp_path / "sensor.sfs").code == 0
+    with (
+        sceneloom.open(world) as a,
+        sceneloom.open(again) as b,
+        sceneloom.open(ego) as c,
+        sceneloom.open(scene_file) as measured,
+        sceneloom.open(tmp_path / "sensor.sfs") as back,
+    ):
+        assert c.lidars[0].coordinates == "ego"
+        assert c.metadata["sceneloom"]["annotations_frame"] == "ego"
+        for k in range(3):
+            # float32 at up to 100 m
+            np.testing.assert_allclose(
+                b.lidars[0].frames[k].points.positions, a.lidars[0].frames[k].points.positions, atol=2e-5
+            )
+            np.testing.assert_allclose(
+                back.lidars[0].frames[k].points.positions,
+                measured.lidars[0].frames[k].points.positions,
+                atol=5e-5,
+            )
+        assert [annotation.id for annotation in b.annotations] == [
+            annotation.id for annotation in a.annotations
+        ]
+        for before, after in zip(a.annotations, b.annotations, strict=True):
+            if isinstance(before, CuboidAnnotation):
+                np.testing.assert_allclose(after.path.values, before.path.values, atol=1e-9)
+
+
+def test_parts_are_merged_to_the_whole(call, scene_file, tmp_path):
+    parts, cut = [tmp_path / "a.sfs", tmp_path / "b.sfs"], second_sweep(scene_file)
+    assert call("edit", "crop", scene_file, "-o", parts[0], "--stop", cut).code == 0
+    assert call("edit", "crop", scene_file, "-o", parts[1], "--start", cut).code == 0
+    refused = call("edit", "merge", *parts, "-o", tmp_path / "c.sfs")
+    assert (refused.code, "state `--rename`" in refused.err) == (2, True)
+    joined = call("edit", "merge", *parts, "-o", tmp_path / "c.sfs", "--join")
+    assert joined.code == 0, joined.err
+    with sceneloom.open(scene_file) as whole, sceneloom.open(tmp_path / "c.sfs") as scene:
+        assert [s.id for s in scene.sensors] == [s.id for s in whole.sensors]
+        for a, b in zip(whole.lidars[0].frames, scene.lidars[0].frames, strict=True):
+            assert a.timestamp_ns == b.timestamp_ns
+            np.testing.assert_array_equal(a.points.positions, b.points.positions)
+        assert {a.id for a in scene.annotations} == {a.id for a in whole.annotations}
+
+
+def test_an_adjustment_in_a_file_is_applied(call, scene_file, tmp_path):
+    lift = replace(Poses.identity(), positions=np.array([[0.0, 0.0, 2.5]]))
+    with sceneloom.open(scene_file) as scene:
+        annotations = (*scene.annotations, LocalizationAdjustment(7, lift))
+        sceneloom.write(replace(scene, annotations=annotations), tmp_path / "given.sfs")
+        before = scene.lidars[0].poses.positions
+    unknown = call("edit", "apply", tmp_path / "given.sfs", "-o", tmp_path / "x.sfs", "--only", "8")
+    assert (unknown.code, "no correction '8'" in unknown.err) == (2, True)
+    outcome = call("edit", "apply", tmp_path / "given.sfs", "-o", tmp_path / "x.sfs", "--only", "7")
+    assert outcome.code == 0, outcome.err
+    with sceneloom.open(tmp_path / "x.sfs") as scene:
+        np.testing.assert_allclose(
+            scene.lidars[0].poses.positions, before + np.array([0.0, 0.0, 2.5]), atol=1e-9
+        )
+        assert scene.metadata["sceneloom"]["applied"] == [{"id": 7, "type": "localization_adjustment"}]
+
+
+@pytest.mark.parametrize("verb", ["thin", "crop", "merge", "to-world", "to-ego", "to-sensor", "apply"])
+def test_no_edit_replaces_a_file_unasked(call, scene_file, tmp_path, verb):
+    (tmp_path / "there.sfs").touch()
+    options = ["--every", "2"] if verb == "thin" else []
+    outcome = call("edit", verb, scene_file, "-o", tmp_path / "there.sfs", *options)
+    assert (outcome.code, "--overwrite" in outcome.err) == (1, True)
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory):
+    camera = CameraSpec(Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5))
+    drive = simulate_street(
+        2, frames=3, lidar=LidarSpec(beams=16, steps=360), cameras=(camera,), traffic=TrafficSpec()
+    )
+    path = tmp_path_factory.mktemp("street") / "street.sfs"
+    sceneloom.write(drive.scene, path)
+    return path
+
+
+def test_edit_count_reports_the_points_of_each_cuboid(call, street, tmp_path):
+    words = ("--at", "points", "--labeled-points", "--json")
+    outcome = call("edit", "count", street, "-o", tmp_path / "out.sfs", *words)
+    assert outcome.code == 0, outcome.err
+    report = json.loads(outcome.out)
+    assert report["points_in_cuboids"] == sum(report["points_by_cuboid"].values()) > 100
+    with sceneloom.open(tmp_path / "out.sfs") as scene:
+        labelled = [a for a in scene.annotations if isinstance(a, LabeledPointsAnnotation)]
+        assert (
+            sum(len(e.point_ids) for a in labelled for e in a.labeled_points) == report["points_in_cuboids"]
+        )
+        reported = {
+            str(a.id): sum(path.values[k] for path in a.attributes for k in range(len(path.values)))
+            for a in scene.annotations
+            if isinstance(a, CuboidAnnotation)
+        }
+    assert reported == report["points_by_cuboid"]
+
+
+def test_edit_project_fills_projections_that_a_file_keeps(call, street, tmp_path):
+    words = ("--min-pixels", "5", "--see-through", "tree", "--activations")
+    outcome = call("edit", "project", street, "-o", tmp_path / "out.sfs", *words)
+    assert outcome.code == 0, outcome.err
+    assert "cuboids seen: " in outcome.out
+    with sceneloom.open(tmp_path / "out.sfs") as scene:
+        seen = [a for a in scene.annotations if isinstance(a, CuboidAnnotation) and a.projections]
+    assert len(seen) > 3
+    boxes = np.concatenate([p.boxes for a in seen for p in a.projections])
+    there = np.isfinite(boxes[:, 0])
+    assert (boxes[there, 2:] >= 5.0).all()
+    assert (boxes[there, 0] + boxes[there, 2] <= 320.0 + 1e-6).all()
+    assert all(a.activations for a in seen)
+    assert {path.name for a in seen for path in a.attributes} == {"truncation", "occlusion"}
+
+
+def test_edit_simplify_leaves_out_what_the_rest_reports(call, street, tmp_path):
+    outcome = call("edit", "simplify", street, "-o", tmp_path / "out.sfs", "--only", "cuboids", "-v")
+    assert outcome.code == 0, outcome.err
+    assert "timestamps of cuboids stay" in outcome.err
+    with sceneloom.open(street) as before, sceneloom.open(tmp_path / "out.sfs") as after:
+        timestamps = [
+            sum(len(a.path.timestamps_ns) for a in scene.annotations if isinstance(a, CuboidAnnotation))
+            for scene in (before, after)
+        ]
+    assert timestamps[1] < timestamps[0]
+
+
+def test_wrong_values_are_wrong_usage(call, street, tmp_path):
+    for words in (
+        ("simplify", "--tolerance-m", "-1"),
+        ("project", "--camera", "none"),
+        ("count", "--lidar", "none"),
+    ):
+        outcome = call("edit", words[0], street, "-o", tmp_path / "out.sfs", *words[1:])
+        assert (outcome.code, (tmp_path / "out.sfs").exists()) == (2, False), outcome.err
+
+
+def test_edit_simplify_reports_how_many_timestamps_it_left_out(call, street, tmp_path):
+    outcome = call("edit", "simplify", street, "-o", tmp_path / "out.sfs", "--tolerance-m", "0.05", "--json")
+    assert outcome.code == 0, outcome.err
+    with sceneloom.open(street) as before, sceneloom.open(tmp_path / "out.sfs") as after:
+        left = [
+            sum(len(a.path.timestamps_ns) for a in scene.annotations if isinstance(a, CuboidAnnotation))
+            + sum(len(s.poses.timestamps_ns) for s in scene.sensors if getattr(s, "poses", None) is not None)
+            + sum(len(trajectory.timestamps_ns) for trajectory in scene.trajectories.values())
+            for scene in (before, after)
+        ]
+    assert json.loads(outcome.out)["timestamps_left_out"] == left[0] - left[1] > 0
+
+
+def test_the_help_of_an_edit_begins_with_its_own_options(call):
+    text = call("edit", "simplify", "--help").out
+    assert text.index("--tolerance-m") < text.index("--overwrite") < text.index("--json")
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    """Three images each: a recording with a video, and a scene file with JPEGs."""
+    folder = tmp_path_factory.mktemp("drives")
+    camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
+    drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=(camera,))
+    sceneloom.write(drive.scene, folder / "recording")
+    sceneloom.write(drive.scene, folder / "scene.sfs")
+    (folder / "boxes.csv").write_text("number,x1,y1,x2,y2\n1,20,10,60,50\n2,200,10,260,50\n")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("source", "target"), [("recording", "out.sfs"), ("scene.sfs", "out.sfs"), ("scene.sfs", "out/")]
+)
+def test_boxes_are_hidden_in_the_written_drive_and_the_rest_is_not(call, drives, tmp_path, source, target):
+    outcome = call(
+        "edit", "blur", drives / source, "-o", f"{tmp_path}/{target}",
+        "--boxes", drives / "boxes.csv", "--fill", "black", "--margin", "0", "--json",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    (reported,) = json.loads(outcome.out)["cameras"]
+    assert (reported["boxes"], reported["hidden"], reported["images"], reported["outside"]) == (2, 1, 1, 1)
+    with sceneloom.open(drives / source) as before, sceneloom.open(tmp_path / target) as after:
+        old, new = before.cameras[0].images, after.cameras[0].images
+        assert new[1].rgb[12:48, 22:58].max() < 40  # black, but for what a lossy codec brings in at the edges
+        assert np.array_equal(new.timestamps_ns, old.timestamps_ns)
+        assert np.abs(new[0].rgb.astype(int) - old[0].rgb).mean() < 8
+        assert np.abs(new[1].rgb[:, 64:].astype(int) - old[1].rgb[:, 64:]).mean() < 8
+
+
+def test_a_video_is_encoded_again_and_the_loss_report_says_so(call, drives, tmp_path):
+    outcome = call(
+        "edit",
+        "blur",
+        drives / "recording",
+        "-o",
+        tmp_path / "o.sfs",
+        "--boxes",
+        drives / "boxes.csv",
+        "--json",
+    )
+    reported = json.loads(outcome.out)
+    assert reported["cameras"][0]["encoded"] == 3
+    (loss,) = [one for one in reported["losses"]["losses"] if "encoded again" in one["what"]]
+    assert (loss["field"], loss["support"], loss["count"]) == ("sensors[camera0].video", "approximated", 3)
+
+
+def blurred(folder, size, **how):
+    camera = CameraSpec(Camera("pinhole", *size, 60.0, 60.0, 47.5, 31.5))
+    drive = simulate_street(1, frames=2, lidar=LidarSpec(beams=4, steps=60), cameras=(camera,))
+    sceneloom.write(drive.scene, folder / "in", **how)
+    box = ImageBox((20.0, 10.0, 60.0, 50.0), number=1)
+    report = blur_files(folder / "in", folder / "out", boxes=[box], fill="black", margin=0.0)
+    with sceneloom.open(folder / "in") as before, sceneloom.open(folder / "out") as after:
+        old, new = before.cameras[0], after.cameras[0]
+        assert np.array_equal(new.images.timestamps_ns, old.images.timestamps_ns)
+        return report, [image.rgb for image in old.images], [image.rgb for image in new.images]
+
+
+def test_a_lossless_video_stays_so_but_for_what_is_hidden(tmp_path):
+    report, old, new = blurred(tmp_path, (96, 64), images="ffv1")
+    assert not [loss for loss in report.edit.losses if "encoded again" in loss.what]
+    old[1][10:50, 20:60] = 0
+    assert np.array_equal(new, old)
+
+
+def test_images_of_a_video_whose_codec_cannot_hold_their_size_go_one_by_one(tmp_path):
+    report, old, new = blurred(tmp_path, (95, 63), images="ffv1")
+    assert (report.cameras[0].encoded, new[1][12:48, 22:58].max()) == (2, 0)
+    assert np.array_equal(new[0], old[0])
+
+
+def test_it_is_reported_in_words_too_and_without_boxes_nothing_is_written(call, drives, tmp_path):
+    outcome = call(
+        "edit", "blur", drives / "recording", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv"
+    )
+    assert outcome.code == 0
+    assert "1 of 3" in outcome.out
+    assert "boxes that lie outside of their images" in outcome.err
+    nothing = call("edit", "blur", drives / "recording", "-o", tmp_path / "n.sfs")
+    assert (nothing.code, "expected boxes" in nothing.err) == (2, True)
+    label = call("edit", "blur", drives / "recording", "-o", tmp_path / "n.sfs", "--label", "face")
+    assert (label.code, "no box or outline in an image with label 'face'" in label.err) == (2, True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["o.sfs"]
+
+
+def test_images_that_are_not_touched_are_copied_without_what_they_state(call, drives, tmp_path):
+    call(
+        "edit", "blur", drives / "scene.sfs", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv", "-q"
+    )
+    with sceneloom.open(drives / "scene.sfs") as before, sceneloom.open(tmp_path / "o.sfs") as after:
+        old, new = before.cameras[0].images, after.cameras[0].images
+        assert new[0].encoded is None or new[0].encoded() == old[0].encoded()
+        assert np.array_equal(new[0].rgb, old[0].rgb)
+
+
+def test_edit_relative_writes_a_drive_that_begins_at_zero(call, drives, tmp_path):
+    outcome = call(
+        "edit", "anonymise", drives / "recording", "-o", tmp_path / "r.sfs", "--dates", "shift", "--json"
+    )
+    assert outcome.code == 0, outcome.err
+    codes = {warning["code"] for warning in json.loads(outcome.out)["warnings"]}
+    assert "fixes-left-out" in codes
+    with sceneloom.open(tmp_path / "r.sfs") as scene:
+        trajectory = next(iter(scene.trajectories.values()))
+        first = min(sensor.frames.timestamps_ns[0] for sensor in scene.lidars)
+        assert abs(int(first)) < 1_000_000_000
+        start = int(np.argmin(np.abs(trajectory.timestamps_ns)))
+        assert (
+            np.linalg.norm(trajectory.positions[start]) < 1.0
+        )  # where a pose is, a tenth of a second after the first
+
+
+BARREL = Camera("brown_conrady", 96, 64, 60.0, 60.0, 47.5, 31.5, (-0.2, 0.03))
+
+
+@pytest.fixture(scope="module")
+def distorted(tmp_path_factory):
+    """Two sweeps and two images of a barrel camera model."""
+    folder = tmp_path_factory.mktemp("camera_models") / "drive"
+    drive = simulate_street(1, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=(CameraSpec(BARREL),))
+    sceneloom.write(drive.scene, folder, images="png")
+    return folder
+
+
+def test_edit_undistort_writes_pinholes_of_the_size_asked_for(call, distorted, tmp_path):
+    size = ("--size", "48x32", "--keep", "all", "--camera", "camera0")
+    outcome = call(
+        "edit",
+        "undistort",
+        distorted,
+        "-o",
+        tmp_path / "d.sfs",
+        *size,
+        "--keep",
+        "all",
+        "--camera",
+        "camera0",
+    )
+    assert outcome.code == 0
+    assert f"written: {tmp_path / 'd.sfs'}" in outcome.out
+    with sceneloom.open(tmp_path / "d.sfs") as scene:
+        camera = scene.cameras[0].camera
+        assert (camera.model, camera.width, camera.height) == ("pinhole", 48, 32)
+        assert scene.metadata["sceneloom"]["undistorted"][0]["camera"]["coefficients"][0] == -0.2
+
+
+def test_edit_undistort_refuses_sizes_and_cameras_that_are_none(call, distorted, tmp_path):
+    size = call("edit", "undistort", distorted, "-o", tmp_path / "d.sfs", "--size", "48")
+    assert (size.code, "expected width x height in pixels" in size.err) == (2, True)
+    strange = call("edit", "undistort", distorted, "-o", tmp_path / "d.sfs", "--camera", "camera9")
+    assert (strange.code, "no sensor 'camera9'" in strange.err) == (2, True)
+
+
+def test_edit_camera_model_reports_how_far_off_the_new_camera_model_is(call, distorted, tmp_path):
+    outcome = call(
+        "edit", "camera-model", distorted, "-o", tmp_path / "drive", "--model", "fisheye", "--json"
+    )
+    assert outcome.code == 0
+    warnings = {warning["code"]: warning["message"] for warning in json.loads(outcome.out)["warnings"]}
+    assert "brown_conrady camera model reported as fisheye, off by up to" in warnings["camera-model-fitted"]
+    with sceneloom.open(tmp_path / "drive") as scene:
+        assert scene.cameras[0].camera.model == "fisheye"
+
+
+def test_edit_camera_model_refuses_what_is_further_off_than_the_limit(call, distorted, tmp_path):
+    outcome = call(
+        "edit", "camera-model", distorted, "-o", tmp_path / "d.sfs", "--model", "pinhole", "--limit", "0.5"
+    )
+    assert (outcome.code, "expected at most 0.5 px" in outcome.err) == (1, True)
+    assert not (tmp_path / "d.sfs").exists()

@@ -2,26 +2,21 @@
 
 import json
 import tomllib
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 from PIL import Image
 
 from sceneloom.formats import FORMATS
 
-Call = Callable[..., Any]
 
-
-def test_all_formats_are_listed(call: Call) -> None:
+def test_all_formats_are_listed(call):
     listed = {form["name"] for form in json.loads(call("formats", "--json").out)}
     assert listed >= set(FORMATS)
     assert "rig" in call("formats").out
     assert "euroc" in call("formats").out
 
 
-def test_a_template_is_written_once(call: Call, tmp_path: Path) -> None:
+def test_a_template_is_written_once(call, tmp_path):
     path = tmp_path / "rig.toml"
     assert call("formats", "--template", path).code == 0
     assert tomllib.loads(path.read_text())["sensors"]
@@ -30,7 +25,7 @@ def test_a_template_is_written_once(call: Call, tmp_path: Path) -> None:
     assert call("formats", "--template", path, "--overwrite").code == 0
 
 
-def test_whoever_has_a_folder_that_nothing_reads_is_reported_the_template(call: Call, tmp_path: Path) -> None:
+def test_whoever_has_a_folder_that_nothing_reads_is_reported_the_template(call, tmp_path):
     outcome = call("info", tmp_path)
     assert (outcome.code, "sceneloom formats --template FOLDER/rig.toml --from FOLDER" in outcome.err) == (
         1,
@@ -38,11 +33,11 @@ def test_whoever_has_a_folder_that_nothing_reads_is_reported_the_template(call: 
     )
 
 
-def test_a_template_is_printed(call: Call) -> None:
+def test_a_template_is_printed(call):
     assert tomllib.loads(call("formats", "--template", "-").out)["sensors"]
 
 
-def test_a_look_into_a_folder_names_what_is_in_it(call: Call, tmp_path: Path) -> None:
+def test_a_look_into_a_folder_names_what_is_in_it(call, tmp_path):
     (tmp_path / "front").mkdir()
     Image.new("RGB", (8, 6)).save(tmp_path / "front" / "1532402927647951000.png")
     outcome = call("formats", "--template", tmp_path / "rig.toml", "--from", tmp_path)
@@ -54,12 +49,12 @@ def test_a_look_into_a_folder_names_what_is_in_it(call: Call, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("option", [("--from", "."), ("--overwrite",)])
-def test_options_that_would_do_nothing_are_refused(call: Call, option: tuple[str, ...]) -> None:
+def test_options_that_would_do_nothing_are_refused(call, option):
     outcome = call("formats", *option)
     assert (outcome.code, "does nothing without --template" in outcome.err) == (2, True)
 
 
-def test_a_folder_that_is_not_there_is_bad_data_as_for_every_verb(call: Call, tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_is_bad_data_as_for_every_verb(call, tmp_path):
     outcome = call("formats", "--template", tmp_path / "rig.toml", "--from", tmp_path / "none")
     assert outcome.code == call("info", tmp_path / "none").code == 1
     assert "no such folder" in outcome.err

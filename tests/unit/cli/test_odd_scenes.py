@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
@@ -42,14 +42,14 @@ UNFORESEEN = (
 Header = dict[str, Any]
 
 
-def jpeg(width: int = 48, height: int = 32) -> np.ndarray:
+def jpeg(width=48, height=32):
     pixels = np.random.default_rng(1).integers(0, 255, (height, width, 3), dtype=np.uint8)
     content = io.BytesIO()
     Image.fromarray(pixels).save(content, "JPEG")
     return np.frombuffer(content.getvalue(), np.uint8)
 
 
-def points(seed: int) -> dict[str, Any]:
+def points(seed):
     rng = np.random.default_rng(seed)
     around = rng.uniform([2, -4, -1], [12, 4, 1], (60, 3)).astype(np.float32)
     return {
@@ -59,7 +59,7 @@ def points(seed: int) -> dict[str, Any]:
     }
 
 
-def base() -> Header:
+def base():
     """A sound scene of two sweeps, two images, an odometry and annotations of most kinds."""
     times = [0, 100_000, 200_000]
     ego = [[0.5 * k, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0] for k in range(3)]
@@ -107,16 +107,16 @@ def base() -> Header:
     }
 
 
-def sensor(header: Header, name: str) -> Header:
+def sensor(header, name):
     return next(found for found in header["sensors"] if found["id"] == name)
 
 
-def cloud(header: Header) -> Header:
+def cloud(header):
     """The points of the second sweep."""
     return sensor(header, "lidar")["frames"][1]["points"]
 
 
-def cuboid(header: Header) -> Header:
+def cuboid(header):
     return header["annotations"][0]
 
 
@@ -125,12 +125,12 @@ ODD: dict[str, Callable[[Header], object]] = {}
 ODD["sound"] = lambda header: None
 
 
-def odd(change: Callable[[Header], object]) -> Callable[[Header], object]:
+def odd(change):
     ODD[change.__name__] = change
     return change
 
 
-def point_at(*xyz: float) -> Callable[[Header], object]:
+def point_at(*xyz):
     return lambda header: cloud(header)["positions"].__setitem__(0, xyz)
 
 
@@ -143,26 +143,26 @@ ODD["a_point_10_km_off"] = point_at(1e4, 0, 0)
 
 
 @odd
-def only_points_of_nan(header: Header) -> None:
+def only_points_of_nan(header):
     for frame in sensor(header, "lidar")["frames"]:
         frame["points"]["positions"][:] = np.nan
 
 
 @odd
-def all_points_at_the_end_of_float32(header: Header) -> None:
+def all_points_at_the_end_of_float32(header):
     for frame in sensor(header, "lidar")["frames"]:
         frame["points"]["positions"][::2] = LARGEST
         frame["points"]["positions"][1::2] = -LARGEST
 
 
 @odd
-def all_points_at_one_position(header: Header) -> None:
+def all_points_at_one_position(header):
     for frame in sensor(header, "lidar")["frames"]:
         frame["points"]["positions"][:] = 0
 
 
-def pose_of(name: str, value: float, row: int = 1) -> Callable[[Header], object]:
-    def change(header: Header) -> None:
+def pose_of(name, value, row=1):
+    def change(header):
         sensor(header, name)["poses"]["values"][row][0] = value
 
     return change
@@ -174,80 +174,80 @@ for _name in ("lidar", "camera", "ego"):
 
 
 @odd
-def all_poses_at_1e15(header: Header) -> None:
+def all_poses_at_1e15(header):
     for one in header["sensors"]:
         for row in one["poses"]["values"]:
             row[0] += 1e15
 
 
 @odd
-def poses_at_both_ends_of_float64(header: Header) -> None:
+def poses_at_both_ends_of_float64(header):
     for one in header["sensors"]:
         one["poses"]["values"][0][0] = -1.7e308
         one["poses"]["values"][1][0] = 1.7e308
 
 
 @odd
-def one_pose(header: Header) -> None:
+def one_pose(header):
     for one in header["sensors"]:
         one["poses"] = {"timestamps": [0], "values": one["poses"]["values"][:1]}
 
 
 @odd
-def no_poses(header: Header) -> None:
+def no_poses(header):
     for one in header["sensors"]:
         one["poses"] = {"timestamps": [], "values": []}
 
 
 @odd
-def a_quaternion_of_zeros(header: Header) -> None:
+def a_quaternion_of_zeros(header):
     sensor(header, "ego")["poses"]["values"][1][3:] = [0.0] * 4
 
 
 @odd
-def no_sensors(header: Header) -> None:
+def no_sensors(header):
     header["sensors"] = []
     header["annotations"] = []
 
 
 @odd
-def only_annotations(header: Header) -> None:
+def only_annotations(header):
     del header["sensors"]
 
 
 @odd
-def only_an_odometry(header: Header) -> None:
+def only_an_odometry(header):
     header["sensors"] = [sensor(header, "ego")]
 
 
 @odd
-def only_a_lidar(header: Header) -> None:
+def only_a_lidar(header):
     header["sensors"] = [sensor(header, "lidar")]
 
 
 @odd
-def only_a_camera(header: Header) -> None:
+def only_a_camera(header):
     header["sensors"] = [sensor(header, "camera")]
 
 
 @odd
-def sensors_without_frames(header: Header) -> None:
+def sensors_without_frames(header):
     sensor(header, "lidar")["frames"] = []
     sensor(header, "camera")["images"] = []
 
 
 @odd
-def a_camera_without_images(header: Header) -> None:
+def a_camera_without_images(header):
     sensor(header, "camera")["images"] = []
 
 
 @odd
-def a_lidar_without_frames(header: Header) -> None:
+def a_lidar_without_frames(header):
     sensor(header, "lidar")["frames"] = []
 
 
-def frames_of(count: int, *, which: slice) -> Callable[[Header], object]:
-    def change(header: Header) -> None:
+def frames_of(count, *, which):
+    def change(header):
         for frame in sensor(header, "lidar")["frames"][which]:
             frame["points"] = {name: array[:count] for name, array in frame["points"].items()}
 
@@ -259,7 +259,7 @@ ODD["a_frame_without_points"] = frames_of(0, which=slice(1))
 ODD["frames_of_one_point"] = frames_of(1, which=slice(None))
 
 
-def nanoseconds(header: Header, lidar_ns: list[int], camera_ns: list[int]) -> None:
+def nanoseconds(header, lidar_ns, camera_ns):
     header["time_unit"] = "nanoseconds"
     for frame, time in zip(sensor(header, "lidar")["frames"], lidar_ns, strict=True):
         frame["timestamp"] = time
@@ -272,51 +272,51 @@ def nanoseconds(header: Header, lidar_ns: list[int], camera_ns: list[int]) -> No
 
 
 @odd
-def times_at_both_ends_of_int64(header: Header) -> None:
+def times_at_both_ends_of_int64(header):
     nanoseconds(header, [-(2**63), 2**63 - 1], [-(2**63), 2**63 - 1])
 
 
 @odd
-def times_at_the_upper_end_of_int64(header: Header) -> None:
+def times_at_the_upper_end_of_int64(header):
     nanoseconds(header, [2**63 - 100_000_000, 2**63 - 1], [2**63 - 100_000_000, 2**63 - 1])
 
 
 @odd
-def times_at_the_lower_end_of_int64(header: Header) -> None:
+def times_at_the_lower_end_of_int64(header):
     nanoseconds(header, [-(2**63), -(2**63) + 100_000_000], [-(2**63), -(2**63) + 100_000_000])
 
 
 @odd
-def an_image_at_the_end_of_int64(header: Header) -> None:
+def an_image_at_the_end_of_int64(header):
     nanoseconds(header, [0, 100_000_000], [0, 2**63 - 1])
 
 
 @odd
-def an_annotation_at_the_ends_of_int64(header: Header) -> None:
+def an_annotation_at_the_ends_of_int64(header):
     header["time_unit"] = "nanoseconds"
     nanoseconds(header, [0, 100_000_000], [0, 100_000_000])
     cuboid(header)["path"]["timestamps"] = [-(2**63), 2**63 - 1]
 
 
 @odd
-def times_beyond_int64(header: Header) -> None:
+def times_beyond_int64(header):
     sensor(header, "lidar")["frames"][1]["timestamp"] = 2**63
 
 
 @odd
-def a_time_offset_at_the_end_of_int64(header: Header) -> None:
+def a_time_offset_at_the_end_of_int64(header):
     header["time_unit"] = "nanoseconds"
     header["time_offset"] = 2**63 - 1
 
 
 @odd
-def equal_times(header: Header) -> None:
+def equal_times(header):
     sensor(header, "lidar")["frames"][1]["timestamp"] = 0
     sensor(header, "camera")["images"][1]["timestamp"] = 50_000
 
 
 @odd
-def times_out_of_order(header: Header) -> None:
+def times_out_of_order(header):
     sensor(header, "lidar")["frames"].reverse()
     sensor(header, "camera")["images"].reverse()
     sensor(header, "ego")["poses"]["timestamps"].reverse()
@@ -324,12 +324,12 @@ def times_out_of_order(header: Header) -> None:
 
 
 @odd
-def point_times_out_of_the_sweep(header: Header) -> None:
+def point_times_out_of_the_sweep(header):
     cloud(header)["timestamps"] = np.full(60, 2**32 - 1, np.uint32)
 
 
-def size_of_cuboid(*size: float) -> Callable[[Header], object]:
-    def change(header: Header) -> None:
+def size_of_cuboid(*size):
+    def change(header):
         for row in cuboid(header)["path"]["values"]:
             row[:3] = size
 
@@ -343,8 +343,8 @@ ODD["a_cuboid_of_negative_size"] = size_of_cuboid(-4, -2, -1)
 ODD["a_cuboid_as_thin_as_can_be"] = size_of_cuboid(5e-324, 4, 4)
 
 
-def center_of_cuboid(column: int, *values: float) -> Callable[[Header], object]:
-    def change(header: Header) -> None:
+def center_of_cuboid(column, *values):
+    def change(header):
         for row, value in zip(cuboid(header)["path"]["values"], values, strict=True):
             row[column] = value
 
@@ -359,29 +359,29 @@ ODD["a_cuboid_in_the_camera"] = center_of_cuboid(3, 0.0, 0.5)
 
 
 @odd
-def a_cuboid_without_a_path(header: Header) -> None:
+def a_cuboid_without_a_path(header):
     cuboid(header)["path"] = {"timestamps": [], "values": []}
 
 
 @odd
-def huge_shapes(header: Header) -> None:
+def huge_shapes(header):
     header["annotations"][1]["path"]["values"] = [[-1e300, -1e300, 1.7e308, 1.7e308]]
     header["annotations"][2]["path"]["values"] = [[-1.7e308, 0.0, 0.0, 1.7e308, 0.0, 0.0, 0.0, 1e15, 1.0]]
 
 
 @odd
-def shapes_of_no_size(header: Header) -> None:
+def shapes_of_no_size(header):
     header["annotations"][1]["path"]["values"] = [[3.0, 4.0, 0.0, 0.0]]
     header["annotations"][2]["path"]["values"] = [[4.0, 0.0, 0.0, 4.0, 0.0, 0.0]]
 
 
 @odd
-def shapes_without_corners(header: Header) -> None:
+def shapes_without_corners(header):
     header["annotations"][2]["path"]["values"] = [[]]
 
 
 @odd
-def keypoints_that_no_camera_sees(header: Header) -> None:
+def keypoints_that_no_camera_sees(header):
     header["annotations"].append(
         {
             "id": "keypoints",
@@ -401,7 +401,7 @@ def keypoints_that_no_camera_sees(header: Header) -> None:
 
 
 @odd
-def a_keypoint_without_projections(header: Header) -> None:
+def a_keypoint_without_projections(header):
     keypoints_that_no_camera_sees(header)
     header["annotations"][-1]["projections"] = [[]]
     header["annotations"][-1]["paths"] = header["annotations"][-1]["paths"][:1]
@@ -409,7 +409,7 @@ def a_keypoint_without_projections(header: Header) -> None:
 
 
 @odd
-def activations(header: Header) -> None:
+def activations(header):
     row = cuboid(header)["path"]["values"][0]
     cuboid(header)["activations"] = [
         {"sensor_id": "lidar", "timestamps": [0, 100_000], "durations": [0, 2**53], "cuboids": [row, row]},
@@ -427,7 +427,7 @@ def activations(header: Header) -> None:
 
 
 @odd
-def activations_at_the_ends_of_int64(header: Header) -> None:
+def activations_at_the_ends_of_int64(header):
     header["time_unit"] = "nanoseconds"
     nanoseconds(header, [0, 100_000_000], [0, 100_000_000])
     cuboid(header)["activations"] = [
@@ -435,8 +435,8 @@ def activations_at_the_ends_of_int64(header: Header) -> None:
     ]
 
 
-def corrected_by(shift: float, later: int) -> Callable[[Header], object]:
-    def change(header: Header) -> None:
+def corrected_by(shift, later):
+    def change(header):
         poses = {"timestamps": [0], "values": [[shift, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]}
         camera_model = deepcopy(sensor(header, "camera")["intrinsics"])
         header["annotations"] += [
@@ -460,13 +460,13 @@ ODD["corrections_by_1.7e308"] = corrected_by(1.7e308, -(2**53))
 
 
 @odd
-def a_correction_of_nobody(header: Header) -> None:
+def a_correction_of_nobody(header):
     corrected_by(0.1, 3)(header)
     header["annotations"][-2]["sensor_id"] = "nobody"
 
 
 @odd
-def labelled_points_beyond_the_cloud(header: Header) -> None:
+def labelled_points_beyond_the_cloud(header):
     header["annotations"].append(
         {
             "id": "painted",
@@ -485,7 +485,7 @@ def labelled_points_beyond_the_cloud(header: Header) -> None:
 
 
 @odd
-def attributes_of_extreme_numbers(header: Header) -> None:
+def attributes_of_extreme_numbers(header):
     cuboid(header)["attributes"] = [
         {"name": "speed", "timestamps": [0, 100_000], "values": [1.7e308, -1.7e308]},
         {"name": "", "timestamps": [0], "values": [2**63]},
@@ -494,16 +494,16 @@ def attributes_of_extreme_numbers(header: Header) -> None:
 
 
 @odd
-def an_image_without_size(header: Header) -> None:
+def an_image_without_size(header):
     sensor(header, "camera")["intrinsics"].update(width=0, height=0)
 
 
 @odd
-def a_camera_model_of_a_huge_image(header: Header) -> None:
+def a_camera_model_of_a_huge_image(header):
     sensor(header, "camera")["intrinsics"].update(width=1_000_000_000, height=1_000_000_000)
 
 
-def camera_model_of(**fields: Any) -> Callable[[Header], object]:
+def camera_model_of(**fields):
     return lambda header: sensor(header, "camera")["intrinsics"].update(fields)
 
 
@@ -519,24 +519,24 @@ ODD["a_fisheye_of_huge_coefficients"] = camera_model_of(
 
 
 @odd
-def images_that_are_none(header: Header) -> None:
+def images_that_are_none(header):
     sensor(header, "camera")["images"][1]["content"] = np.zeros(0, np.uint8)
 
 
 @odd
-def images_of_one_pixel(header: Header) -> None:
+def images_of_one_pixel(header):
     for image in sensor(header, "camera")["images"]:
         image["content"] = jpeg(1, 1)
     sensor(header, "camera")["intrinsics"].update(width=1, height=1, cx=0.0, cy=0.0)
 
 
 @odd
-def images_of_another_size(header: Header) -> None:
+def images_of_another_size(header):
     sensor(header, "camera")["images"][1]["content"] = jpeg(64, 8)
 
 
 @odd
-def ids_of_all_scripts(header: Header) -> None:
+def ids_of_all_scripts(header):
     for one, name in zip(header["sensors"], ("激光雷达/..\\ \u202e", "\U0001f4f7\n", ""), strict=True):
         one["id"] = name
     cuboid(header).update(id="../../x", label="\u0000\u001b[31m машина")
@@ -544,7 +544,7 @@ def ids_of_all_scripts(header: Header) -> None:
 
 
 @odd
-def ids_without_letters(header: Header) -> None:
+def ids_without_letters(header):
     for one in header["sensors"]:
         one["id"] = {"lidar": "", "camera": " ", "ego": "."}[one["id"]]
     header["annotations"][1]["sensor_id"] = " "
@@ -552,7 +552,7 @@ def ids_without_letters(header: Header) -> None:
 
 
 @odd
-def ids_of_300_letters(header: Header) -> None:
+def ids_of_300_letters(header):
     for one in header["sensors"]:
         one["id"] = one["id"][0] * 300
     header["annotations"][1]["sensor_id"] = "c" * 300
@@ -560,32 +560,32 @@ def ids_of_300_letters(header: Header) -> None:
 
 
 @odd
-def ids_that_are_numbers(header: Header) -> None:
+def ids_that_are_numbers(header):
     for number, one in enumerate(header["sensors"]):
         one["id"] = (2**63, -1, 0)[number]
     header["annotations"][1]["sensor_id"] = -1
 
 
 @odd
-def ids_twice(header: Header) -> None:
+def ids_twice(header):
     header["sensors"].append(deepcopy(sensor(header, "lidar")))
     header["annotations"].append(deepcopy(cuboid(header)))
 
 
 @odd
-def ids_that_differ_in_type_only(header: Header) -> None:
+def ids_that_differ_in_type_only(header):
     header["sensors"] += [{**deepcopy(sensor(header, "lidar")), "id": name} for name in (7, "7")]
 
 
 @odd
-def many_sensors_of_a_kind(header: Header) -> None:
+def many_sensors_of_a_kind(header):
     header["sensors"] += [
         {**deepcopy(sensor(header, name)), "id": f"{name}2"} for name in ("lidar", "camera")
     ]
 
 
 @odd
-def a_radar_and_a_map_at_the_ends_of_float32(header: Header) -> None:
+def a_radar_and_a_map_at_the_ends_of_float32(header):
     ends = np.array([[LARGEST] * 3, [-LARGEST] * 3, [1.0, 2.0, 3.0]], np.float32)
     radar = {
         "positions": ends,
@@ -606,7 +606,7 @@ def a_radar_and_a_map_at_the_ends_of_float32(header: Header) -> None:
 
 
 @odd
-def links_to_nobody(header: Header) -> None:
+def links_to_nobody(header):
     header["annotations"] += [
         {
             "id": "link",
@@ -621,8 +621,8 @@ def links_to_nobody(header: Header) -> None:
     ]
 
 
-def spelled(value: str, where: Callable[[Header], tuple[Any, Any]]) -> Callable[[Header], object]:
-    def change(header: Header) -> None:
+def spelled(value, where):
+    def change(header):
         holder, key = where(header)
         holder[key] = {"nan": np.nan, "infinity": np.inf}[value]
 
@@ -729,10 +729,10 @@ CODES = {
 
 
 @contextmanager
-def bounded() -> Iterator[None]:
+def bounded():
     """Stop what takes too long, and let nothing ask for much memory."""
 
-    def stop(*_: object) -> None:
+    def stop(*_):
         raise AssertionError(f"it takes more than {SECONDS} s")
 
     pages = int(Path("/proc/self/statm").read_text().split()[0])
@@ -748,7 +748,7 @@ def bounded() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-def commands(group: click.Group, *names: str) -> Iterator[str]:
+def commands(group, *names):
     context = click.Context(group)
     for name in group.list_commands(context):
         command = group.get_command(context, name)
@@ -758,7 +758,7 @@ def commands(group: click.Group, *names: str) -> Iterator[str]:
             yield " ".join((*names, name))
 
 
-def words_of(case: str) -> tuple[str, ...]:
+def words_of(case):
     """The words of a verb in the name of its case."""
     verb = max(
         (name for name in commands(command_line) if case.split(" --", maxsplit=1)[0].startswith(name)),
@@ -767,14 +767,14 @@ def words_of(case: str) -> tuple[str, ...]:
     return tuple(verb.split())
 
 
-def test_every_verb_that_reads_a_drive_is_tried_on_odd_scenes() -> None:
+def test_every_verb_that_reads_a_drive_is_tried_on_odd_scenes():
     tried = {" ".join(words_of(case)) for case in CASES}
     assert tried | WITHOUT_DRIVES == set(commands(command_line))
     assert not tried & WITHOUT_DRIVES
 
 
 @pytest.fixture(scope="module")
-def lists(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def lists(tmp_path_factory):
     """What detectors reported, as files."""
     folder = tmp_path_factory.mktemp("lists")
     camera = CameraSpec(Camera("pinhole", 48, 32, 30.0, 30.0, 23.5, 15.5))
@@ -789,23 +789,16 @@ def lists(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def address() -> Iterator[str]:
+def address():
     with running_server() as server:
         yield server.address
 
 
 @pytest.fixture
-def fault_of(
-    call: Callable[..., Any],
-    encode_sfs: Callable[..., bytes],
-    lists: dict[str, str],
-    address: str,
-    tmp_path: Path,
-    inline: None,
-) -> Callable[[str, str], str | None]:
+def fault_of(call, encode_sfs, lists, address, tmp_path, inline):
     """Report what is wrong with the end of a verb on an odd scene; None where nothing is."""
 
-    def run(case: str, name: str) -> str | None:
+    def run(case, name):
         folder = tmp_path / f"{len(list(tmp_path.iterdir()))}"
         folder.mkdir()
         header = base()
@@ -872,7 +865,7 @@ FOUND = (
 """What did not end well once."""
 
 
-def drawn_pairs() -> list[tuple[str, str]]:
+def drawn_pairs():
     """Each verb and each scene once, and what was found."""
     cases, names = list(CASES), list(ODD)
     count = max(len(cases), len(names))
@@ -882,15 +875,13 @@ def drawn_pairs() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("case", "name"), drawn_pairs())
 @pytest.mark.few(60)
-def test_a_verb_ends_well_on_an_odd_scene(
-    fault_of: Callable[[str, str], str | None], case: str, name: str
-) -> None:
+def test_a_verb_ends_well_on_an_odd_scene(fault_of, case, name):
     assert fault_of(case, name) is None
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ODD)
-def test_every_verb_ends_well_on_an_odd_scene(fault_of: Callable[[str, str], str | None], name: str) -> None:
+def test_every_verb_ends_well_on_an_odd_scene(fault_of, name):
     faults = {case: fault_of(case, name) for case in CASES}
     assert {case: fault for case, fault in faults.items() if fault is not None} == {}
 
@@ -915,15 +906,8 @@ LEFT_OUT = (
 @pytest.mark.parametrize(("case", "name", "kind", "count"), LEFT_OUT)
 @pytest.mark.few(5)
 def test_what_an_image_or_a_view_cannot_show_is_counted(
-    call: Callable[..., Any],
-    encode_sfs: Callable[..., bytes],
-    lists: dict[str, str],
-    tmp_path: Path,
-    case: str,
-    name: str,
-    kind: str,
-    count: int,
-) -> None:
+    call, encode_sfs, lists, tmp_path, case, name, kind, count
+):
     header = base()
     ODD[name](header)
     drive = tmp_path / "drive.sfs"
@@ -947,13 +931,7 @@ def test_what_an_image_or_a_view_cannot_show_is_counted(
 
 
 @pytest.mark.parametrize("case", ["view", "fuse", "info --visualize", "track"])
-def test_of_a_sound_scene_nothing_is_left_out(
-    call: Callable[..., Any],
-    encode_sfs: Callable[..., bytes],
-    lists: dict[str, str],
-    tmp_path: Path,
-    case: str,
-) -> None:
+def test_of_a_sound_scene_nothing_is_left_out(call, encode_sfs, lists, tmp_path, case):
     drive = tmp_path / "drive.sfs"
     drive.write_bytes(encode_sfs(base()))
     given = {"DRIVE": str(drive), **lists}
@@ -963,9 +941,7 @@ def test_of_a_sound_scene_nothing_is_left_out(
     assert "finite" not in outcome.out + outcome.err
 
 
-def test_a_report_says_how_many_points_are_not_drawn(
-    call: Callable[..., Any], encode_sfs: Callable[..., bytes], tmp_path: Path
-) -> None:
+def test_a_report_says_how_many_points_are_not_drawn(call, encode_sfs, tmp_path):
     header = base()
     ODD["a_point_of_nan"](header)
     (tmp_path / "drive.sfs").write_bytes(encode_sfs(header))
@@ -978,7 +954,7 @@ TOKEN = "@" * 12
 """Stands where one of them goes; its length stays, and with it the offsets of what follows the header."""
 
 
-def of_all_annotations() -> Header:
+def of_all_annotations():
     """The sound scene with every kind of annotation and most kinds of sensors."""
     header = base()
     header["time_offset"] = 0
@@ -997,7 +973,7 @@ def of_all_annotations() -> Header:
     return header
 
 
-def numbers_in(node: Any, location: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+def numbers_in(node, location=()):
     """The locations of all numbers in a header."""
     if isinstance(node, dict | list):
         for key, value in node.items() if isinstance(node, dict) else enumerate(node):
@@ -1006,7 +982,7 @@ def numbers_in(node: Any, location: tuple[Any, ...] = ()) -> Iterator[tuple[Any,
         yield location
 
 
-def with_token(node: Any, location: tuple[Any, ...]) -> Any:
+def with_token(node, location):
     """A copy with the token at a location."""
     if not location:
         return TOKEN
@@ -1015,15 +991,13 @@ def with_token(node: Any, location: tuple[Any, ...]) -> Any:
     return changed
 
 
-def spelled_as(content: bytes, spelling: str) -> bytes:
+def spelled_as(content, spelling):
     quoted = f'"{TOKEN}"'.encode()
     assert content.count(quoted) == 1
     return content.replace(quoted, spelling.encode().ljust(len(quoted)))
 
 
-def test_what_is_no_finite_number_is_an_error_in_every_field_of_a_header(
-    encode_sfs: Callable[..., bytes], tmp_path: Path
-) -> None:
+def test_what_is_no_finite_number_is_an_error_in_every_field_of_a_header(encode_sfs, tmp_path):
     header, path = of_all_annotations(), tmp_path / "drive.sfs"
     fields: dict[tuple[Any, ...], tuple[Any, ...]] = {}
     for location in numbers_in(header):
@@ -1054,14 +1028,7 @@ NUMBER = re.compile("finite|number|inf|nan|range", re.IGNORECASE)
 @pytest.mark.parametrize(
     ("verb", "further"), [("validate", ()), ("info", ()), ("convert", ("OUT.sfs", "--overwrite"))]
 )
-def test_no_verb_breaks_on_what_is_no_finite_number(
-    call: Callable[..., Any],
-    encode_sfs: Callable[..., bytes],
-    tmp_path: Path,
-    verb: str,
-    further: tuple[str, ...],
-    spelling: str,
-) -> None:
+def test_no_verb_breaks_on_what_is_no_finite_number(call, encode_sfs, tmp_path, verb, further, spelling):
     header, path = of_all_annotations(), tmp_path / "drive.sfs"
     words = [word.replace("OUT", str(tmp_path / "out")) for word in further]
     faults = {}
@@ -1078,7 +1045,7 @@ def test_no_verb_breaks_on_what_is_no_finite_number(
     assert faults == {}
 
 
-def test_only_programs_and_not_imports_change_how_numpy_warns() -> None:
+def test_only_programs_and_not_imports_change_how_numpy_warns():
     script = (
         "import warnings, numpy as np; before = list(warnings.filters), np.geterr(); "
         "import sceneloom, sceneloom.cli.main, sceneloom.batch.workers, sceneloom.view; "

@@ -1,21 +1,16 @@
 """`sceneloom sync`: its results for people and for machines."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 import sceneloom
 from sceneloom.simulate import LidarSpec, simulate_street
 
-Call = Callable[..., Any]
-
 
 @pytest.fixture(scope="module")
-def late(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def late(tmp_path_factory):
     """A recording of twenty seconds whose trajectory is 30 ms late."""
     folder = tmp_path_factory.mktemp("clocks") / "late"
     blind = LidarSpec(beams=1, steps=4, elevations_deg=(-1.0, 1.0))
@@ -29,7 +24,7 @@ def late(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_sync_prints_a_table(call: Call, late: Path) -> None:
+def test_sync_prints_a_table(call, late):
     outcome = call("sync", late)
     assert outcome.code == 0
     assert "1 stream off, against imu" in outcome.out
@@ -38,7 +33,7 @@ def test_sync_prints_a_table(call: Call, late: Path) -> None:
     assert row.endswith("off")
 
 
-def test_sync_reports_machines(call: Call, late: Path) -> None:
+def test_sync_reports_machines(call, late):
     outcome = call("sync", late, "--json", "--reference", "groundTruth")
     report = json.loads(outcome.out)
     estimate = report["comparisons"][0]["estimate"]
@@ -46,7 +41,7 @@ def test_sync_reports_machines(call: Call, late: Path) -> None:
     assert abs(estimate["offset_ns"] + 3e7) < 2e6
 
 
-def test_sync_apply_writes_a_drive_in_step(call: Call, late: Path, tmp_path: Path) -> None:
+def test_sync_apply_writes_a_drive_in_step(call, late, tmp_path):
     outcome = call("sync", late, "--apply", tmp_path / "right")
     assert outcome.code == 0
     assert "corrected: groundTruth: -" in outcome.out
@@ -54,24 +49,24 @@ def test_sync_apply_writes_a_drive_in_step(call: Call, late: Path, tmp_path: Pat
     assert again["off"] == []
 
 
-def test_sync_never_replaces_unasked_and_knows_its_streams(call: Call, late: Path, tmp_path: Path) -> None:
+def test_sync_never_replaces_unasked_and_knows_its_streams(call, late, tmp_path):
     (tmp_path / "there").mkdir()
     assert call("sync", late, "--apply", tmp_path / "there").code == 1
     wrong = call("sync", late, "--streams", "imu,sonar")
     assert (wrong.code, "sonar" in wrong.err, "groundTruth" in wrong.err) == (2, True, True)
 
 
-def test_sync_of_a_part_says_what_cannot_be_known(call: Call, late: Path) -> None:
+def test_sync_of_a_part_says_what_cannot_be_known(call, late):
     outcome = call("sync", late, "--start", "3", "--stop", "3.5")
     assert outcome.code in {0, 2}
 
 
 @pytest.mark.parametrize("reach", ["-1", "0", "nan", "inf", "far"])
-def test_sync_refuses_to_reach_nowhere_or_everywhere(call: Call, late: Path, reach: str) -> None:
+def test_sync_refuses_to_reach_nowhere_or_everywhere(call, late, reach):
     outcome = call("sync", late, "--reach", reach)
     assert outcome.code == 2
     assert "--reach" in outcome.err
 
 
-def test_sync_refuses_an_antenna_at_no_distance(call: Call, late: Path) -> None:
+def test_sync_refuses_an_antenna_at_no_distance(call, late):
     assert call("sync", late, "--lever", "nan").code == 2

@@ -1,7 +1,6 @@
 """`sceneloom track` on a small synthetic folder of KITTI's tracking benchmark."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,12 +20,12 @@ SIZE_HWL = (1.5, 1.6, 4.0)
 PEOPLE_HWL = (1.8, 0.6, 0.8)
 
 
-def locations(frame: int) -> dict[str, tuple[float, float, float]]:
+def locations(frame):
     """Where the middle of the bottom of a car and a person is in the camera's frame: both stand in the world."""
     return {"Car": (3.0, 1.6, 25.0 - SPEED * frame), "Pedestrian": (-4.0, 1.6, 15.0 - SPEED * frame)}
 
 
-def outline(location, size_hwl) -> tuple[float, float, float, float]:
+def outline(location, size_hwl):
     """The box in the image of a box whose length lies along x of the camera, by its eight corners."""
     h, w, length = size_hwl
     corners = (
@@ -38,7 +37,7 @@ def outline(location, size_hwl) -> tuple[float, float, float, float]:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Eight frames with a car and a person, both found by both detectors; labels that must never be read."""
     root = tmp_path / "kitti"
     texts = {"calib/0003.txt": CALIB, "label_02/0003.txt": "not to be read"}
@@ -60,7 +59,7 @@ def folder(tmp_path: Path) -> Path:
     return root
 
 
-def results(output: Path):
+def results(output):
     """Frame by frame, the rows of a class."""
     found = read_labels(output / "0003.txt")
     assert found.scores is not None

@@ -5,10 +5,8 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,17 +15,15 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cli.printing import seconds
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
-Call = Callable[..., Any]
 
-
-def test_info_names_every_sensor(call: Call, recording: Path) -> None:
+def test_info_names_every_sensor(call, recording):
     outcome = call("info", recording)
     assert outcome.code == 0
     for word in ("lidar", "camera0", "imu", "gnss", "groundTruth", "10 Hz", "pinhole 96x64"):
         assert word in outcome.out
 
 
-def test_info_as_json_counts_what_is_there(call: Call, recording: Path) -> None:
+def test_info_as_json_counts_what_is_there(call, recording):
     summary = json.loads(call("info", recording, "--json").out)
     counts = {sensor["id"]: sensor["count"] for sensor in summary["sensors"]}
     assert (counts["lidar"], counts["camera0"]) == (3, 3)
@@ -37,7 +33,7 @@ def test_info_as_json_counts_what_is_there(call: Call, recording: Path) -> None:
     assert json.loads(call("info", recording / "data.jsonl", "--json").out)["size_bytes"] == size
 
 
-def test_info_as_json_names_the_images_that_it_drew(call: Call, tmp_path: Path) -> None:
+def test_info_as_json_names_the_images_that_it_drew(call, tmp_path):
     drive = simulate_street(3, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=())
     sceneloom.write(drive.scene, tmp_path / "street.sfs")
     words = ("--visualize", tmp_path / "look", "--json")
@@ -46,7 +42,7 @@ def test_info_as_json_names_the_images_that_it_drew(call: Call, tmp_path: Path) 
     assert call("info", tmp_path / "street.sfs", *words).code == 1  # they are there already
 
 
-def test_fuse_writes_and_reports(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_fuse_writes_and_reports(call, recording, tmp_path):
     outcome = call("fuse", recording, "-o", tmp_path / "d.sfs", "--depth", tmp_path / "depth", "--json")
     assert outcome.code == 0
     report = json.loads(outcome.out)
@@ -55,9 +51,7 @@ def test_fuse_writes_and_reports(call: Call, recording: Path, tmp_path: Path) ->
     assert (tmp_path / "d.sfs").is_file()
 
 
-def test_fuse_for_people_says_frames_points_share_and_location(
-    call: Call, recording: Path, tmp_path: Path
-) -> None:
+def test_fuse_for_people_says_frames_points_share_and_location(call, recording, tmp_path):
     outcome = call("fuse", recording, "-o", tmp_path / "d.sfs")
     assert "fused 3 of 3 sweeps by trajectory groundTruth" in outcome.out
     assert f"scene: {tmp_path / 'd.sfs'}" in outcome.out
@@ -66,25 +60,25 @@ def test_fuse_for_people_says_frames_points_share_and_location(
     assert quiet.err == ""
 
 
-def test_what_is_kept_aside_is_not_called_lost(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_what_is_kept_aside_is_not_called_lost(call, recording, tmp_path):
     notes = call("fuse", recording, "-o", tmp_path / "d.sfs", "--verbose").err.splitlines()
     assert any(note.startswith("kept aside: sensors[imu]") for note in notes)
     assert not any(note.startswith("lost: sensors[imu]") for note in notes)
 
 
-def test_a_scene_file_has_the_suffix_of_its_format(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_a_scene_file_has_the_suffix_of_its_format(call, recording, tmp_path):
     outcome = call("fuse", recording, "-o", tmp_path / "d.txt")
     assert (outcome.code, list(tmp_path.iterdir())) == (2, [])
     assert "d.txt: fusing writes scene files; expected a name that ends in .sfs" in outcome.err
 
 
-def test_fuse_without_an_output_is_bad_usage(call: Call, recording: Path) -> None:
+def test_fuse_without_an_output_is_bad_usage(call, recording):
     outcome = call("fuse", recording)
     assert outcome.code == 2
     assert "nothing to write" in outcome.err
 
 
-def test_convert_reads_and_writes_and_reads_again(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_convert_reads_and_writes_and_reads_again(call, recording, tmp_path):
     assert call("convert", recording, tmp_path / "a.sfs").code == 0
     assert call("convert", tmp_path / "a.sfs", tmp_path / "b.sfs", "--time-unit", "nanoseconds").code == 0
     first, second = (json.loads(call("info", tmp_path / name, "--json").out) for name in ("a.sfs", "b.sfs"))
@@ -92,14 +86,14 @@ def test_convert_reads_and_writes_and_reads_again(call: Call, recording: Path, t
     assert ids == [(sensor["id"], sensor["count"]) for sensor in second["sensors"]]
 
 
-def test_formats_lists_what_can_be_read_and_written(call: Call) -> None:
+def test_formats_lists_what_can_be_read_and_written(call):
     known = {form["name"]: form for form in json.loads(call("formats", "--json").out)}
     assert [known[name]["suffixes"] for name in ("sfs", "recording", "rig")] == [[".sfs"], [""], [".toml"]]
     assert [known[name]["writes"] for name in ("sfs", "recording", "rig")] == [True, True, False]
     assert known["tum"]["trajectory"]
 
 
-def test_formats_says_what_one_of_them_holds(call: Call) -> None:
+def test_formats_says_what_one_of_them_holds(call):
     held = json.loads(call("formats", "tum", "--json").out)
     assert held["trajectories.positions"] == {"support": "kept", "how": ""}
     assert held["sensors.lidar.id"]["support"] == "dropped"
@@ -108,9 +102,7 @@ def test_formats_says_what_one_of_them_holds(call: Call) -> None:
     assert (unknown.code, "no format or form 'nope'; there are sfs" in unknown.err) == (2, True)
 
 
-def test_demo_keeps_a_recording_a_scene_and_images(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_demo_keeps_a_recording_a_scene_and_images(call, tmp_path, monkeypatch):
     camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
     street = partial(simulate_street, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,))
     monkeypatch.setattr("sceneloom.simulate.drive.demo_drive", street)
@@ -126,7 +118,7 @@ def test_demo_keeps_a_recording_a_scene_and_images(
     assert (again.code, "--overwrite" in again.err) == (1, True)
 
 
-def test_demo_looks_at_all_its_outputs_before_it_makes_one(call: Call, tmp_path: Path) -> None:
+def test_demo_looks_at_all_its_outputs_before_it_makes_one(call, tmp_path):
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "mine.png").write_text("mine")
     outcome = call("demo", "--keep", tmp_path, "--frames", "2")
@@ -148,8 +140,8 @@ def test_demo_looks_at_all_its_outputs_before_it_makes_one(call: Call, tmp_path:
     ],
 )
 def test_an_option_that_the_format_does_not_take_is_named_as_it_was_stated(
-    call: Call, recording: Path, tmp_path: Path, target: str, option: tuple[str, ...], takes: str
-) -> None:
+    call, recording, tmp_path, target, option, takes
+):
     outcome = call("convert", recording, tmp_path / target, *option)
     assert outcome.code == 2
     assert outcome.err == f"sceneloom: {option[0]} does not count here: {takes}\n"
@@ -160,22 +152,20 @@ def test_an_option_that_the_format_does_not_take_is_named_as_it_was_stated(
     ("option", "value", "needed"),
     [("--depth-format", "npz", "--depth"), ("--visualize-every", "2", "--visualize")],
 )
-def test_an_option_that_would_do_nothing_is_bad_usage(
-    call: Call, recording: Path, tmp_path: Path, option: str, value: str, needed: str
-) -> None:
+def test_an_option_that_would_do_nothing_is_bad_usage(call, recording, tmp_path, option, value, needed):
     outcome = call("fuse", recording, "-o", tmp_path / "d.sfs", option, value)
     assert outcome.code == 2
     assert f"without {needed} DIR" in outcome.err
 
 
 @pytest.mark.parametrize("verb", ["demo", "info", "fuse", "convert", "formats"])
-def test_every_verb_explains_itself(call: Call, verb: str) -> None:
+def test_every_verb_explains_itself(call, verb):
     outcome = call(verb, "--help")
     assert outcome.code == 0
     assert "--json" in outcome.out
 
 
-def test_info_reports_the_first_time_to_the_nanosecond(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_info_reports_the_first_time_to_the_nanosecond(call, recording, tmp_path):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     lines = [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
@@ -187,7 +177,7 @@ def test_info_reports_the_first_time_to_the_nanosecond(call: Call, recording: Pa
     assert seconds(1_700_000_000_800_000_000) == "1700000000.800000000 s"
 
 
-def test_only_the_first_skipped_frames_are_listed(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_only_the_first_skipped_frames_are_listed(call, recording, tmp_path):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     for image in (folder / "frames1").iterdir():
@@ -200,13 +190,13 @@ def test_only_the_first_skipped_frames_are_listed(call: Call, recording: Path, t
     assert "skipped: " not in call(*arguments, "--quiet").err
 
 
-def test_one_thing_is_not_called_several(call: Call, recording: Path, tmp_path: Path) -> None:
+def test_one_thing_is_not_called_several(call, recording, tmp_path):
     outcome = call("fuse", recording, "-o", tmp_path / "d.sfs", "--stop", "0.25")
     assert "fused 1 of 1 sweep by" in outcome.out
 
 
 @pytest.mark.slow
-def test_a_terminal_that_knows_few_characters_gets_them_escaped(recording: Path, tmp_path: Path) -> None:
+def test_a_terminal_that_knows_few_characters_gets_them_escaped(recording, tmp_path):
     start = "from sceneloom.cli import main; main()"
     command = [sys.executable, "-c", start, "convert", recording, tmp_path / "a.sfs"]
     environment = {**os.environ, "PYTHONIOENCODING": "cp1252"}
@@ -216,9 +206,7 @@ def test_a_terminal_that_knows_few_characters_gets_them_escaped(recording: Path,
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only there names of files may be any bytes")
-def test_a_folder_whose_name_is_no_unicode_is_read_and_fused(
-    call: Call, recording: Path, tmp_path: Path
-) -> None:
+def test_a_folder_whose_name_is_no_unicode_is_read_and_fused(call, recording, tmp_path):
     folder = tmp_path / os.fsdecode(b"dr\xffive")
     shutil.copytree(recording, folder)
     assert call("info", folder).code == 0
@@ -286,9 +274,7 @@ def test_a_dash_is_no_name_of_an_output(call, recording, tmp_path, monkeypatch, 
         ("fuse", ("-o", "OUT.sfs"), "fusing"),
     ],
 )
-def test_json_reports_where_the_time_went(
-    call: Call, recording: Path, tmp_path: Path, verb: str, words: tuple[str, ...], stage: str
-) -> None:
+def test_json_reports_where_the_time_went(call, recording, tmp_path, verb, words, stage):
     reported = call(
         verb, recording, *(word.replace("OUT", str(tmp_path / "out")) for word in words), "--json"
     )

@@ -1,10 +1,7 @@
-"""Where sensors sit and look, in words: reported so that a wrong extrinsic is seen before anything is fused."""
+"""What `sceneloom info` states of where sensors are mounted."""
 
 import json
 import shutil
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,13 +18,13 @@ OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Columns: the optical frame's right, down and forward on an ego of x ahead, y left, z up."""
 
 
-def mount(rotation: np.ndarray) -> RigidTransform:
+def mount(rotation):
     return RigidTransform.from_quaternion(
         np.array([1.5, -0.25, 2.0]), Rotation.from_matrix(rotation).as_quat()
     )
 
 
-def camera(rotation: np.ndarray) -> CameraSensor:
+def camera(rotation):
     return CameraSensor("c", LazyFrames.of([], []), CAMERA_MODEL, mount=mount(rotation))
 
 
@@ -68,13 +65,11 @@ def test_a_lidar_that_is_the_ego_says_no_more_than_that():
     assert mounting_text(LidarSensor("l", LazyFrames.of([], []))) is None
 
 
-def test_info_reports_where_each_sensor_looks(call: Callable[..., Any], recording: Path) -> None:
+def test_info_reports_where_each_sensor_looks(call, recording):
     assert "looks ahead" in call("info", recording).out
 
 
-def test_fuse_notes_a_camera_that_sees_no_point(
-    call: Callable[..., Any], recording: Path, tmp_path: Path
-) -> None:
+def test_fuse_notes_a_camera_that_sees_no_point(call, recording, tmp_path):
     drive = tmp_path / "drive"
     shutil.copytree(recording, drive)
     calibration = json.loads((drive / "calibration.json").read_text())
@@ -87,7 +82,7 @@ def test_fuse_notes_a_camera_that_sees_no_point(
     assert "no point falls" not in call("fuse", recording, "-o", tmp_path / "b.sfs").err
 
 
-def drive_of(rotation: Rotation, *, format: str = "recording", metres: float = 20.0, **fields: Any) -> Scene:
+def drive_of(rotation, *, format="recording", metres=20.0, **fields):
     """A vehicle that goes east on a level road; `rotation` takes its body into the ego's frame."""
     count = 11
     times = np.arange(count, dtype=np.int64) * 10**8
@@ -107,21 +102,19 @@ ROTATIONS = {
 LOOKS = {0: "ahead", 90: "left", -90: "right", 180: "back", 45: "ahead left"}
 
 
-def worded(scene: Scene, rotation: Rotation, yaw_deg: float) -> str | None:
+def worded(scene, rotation, yaw_deg):
     body_from_camera = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix() @ OPTICAL
     return mounting_text(camera(rotation.as_matrix() @ body_from_camera), ego_axes(scene))
 
 
 @pytest.mark.parametrize("name", ROTATIONS)
 @pytest.mark.parametrize("yaw_deg", LOOKS)
-def test_in_a_recording_motion_and_the_world_s_up_state_where_a_camera_looks(
-    name: str, yaw_deg: float
-) -> None:
+def test_in_a_recording_motion_and_the_world_s_up_state_where_a_camera_looks(name, yaw_deg):
     rotation = ROTATIONS[name]
     assert str(worded(drive_of(rotation), rotation, yaw_deg)).endswith(f"m, looks {LOOKS[yaw_deg]}")
 
 
-def test_the_accelerometer_and_the_forward_axis_of_the_calibration_state_it_of_a_device_that_stands() -> None:
+def test_the_accelerometer_and_the_forward_axis_of_the_calibration_state_it_of_a_device_that_stands():
     rotation = ROTATIONS["odd"]
     gravity = rotation.apply([0.0, 0.0, 9.81])
     imu = ImuSensor("imu", {"accelerometer": VectorSamples([0, 1], [gravity, gravity])})
@@ -132,12 +125,12 @@ def test_the_accelerometer_and_the_forward_axis_of_the_calibration_state_it_of_a
 
 
 @pytest.mark.parametrize("metres", [0.0, 0.3])
-def test_a_recording_that_says_nothing_of_its_axes_is_not_interpreted(metres: float) -> None:
+def test_a_recording_that_says_nothing_of_its_axes_is_not_interpreted(metres):
     scene = drive_of(ROTATIONS["x ahead"], metres=metres)
     assert str(worded(scene, ROTATIONS["x ahead"], 0)).endswith("looks ahead if the ego's x axis is ahead")
 
 
-def test_where_the_format_says_that_x_is_ahead_driving_backwards_and_bends_change_nothing() -> None:
+def test_where_the_format_says_that_x_is_ahead_driving_backwards_and_bends_change_nothing():
     for degrees in (180, 20):
         rotation = Rotation.from_euler("z", degrees, degrees=True)
         axes = ego_axes(drive_of(rotation, format="nuscenes"))
@@ -148,7 +141,7 @@ def test_where_the_format_says_that_x_is_ahead_driving_backwards_and_bends_chang
     )
 
 
-def test_huge_and_missing_numbers_leave_the_axes_as_they_are_defined() -> None:
+def test_huge_and_missing_numbers_leave_the_axes_as_they_are_defined():
     scene = drive_of(ROTATIONS["x ahead"], metres=1e300)
     assert not ego_axes(scene).known
     imu = ImuSensor("imu", {"accelerometer": VectorSamples([0, 1], [[np.nan] * 3, [1e300] * 3])})

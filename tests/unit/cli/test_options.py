@@ -1,15 +1,15 @@
-"""Options that several verbs have mean the same everywhere, and every verb minds the manners of the shell."""
+"""Options mean the same on every verb, and answer values that they cannot have."""
 
 import re
-from collections.abc import Iterator
 
 import click
 import pytest
 
 from sceneloom.cli.main import sceneloom as command_line
+from sceneloom.fusion import system
 
 
-def verbs(command: click.Command, words: tuple[str, ...] = ()) -> Iterator[tuple[str, click.Command]]:
+def verbs(command, words=()):
     if isinstance(command, click.Group):
         context = click.Context(command)
         for name in command.list_commands(context):
@@ -80,7 +80,7 @@ MEANINGS = {
 SHORT = {"-q": "--quiet", "-v": "--verbose", "-o": "--output"}
 
 
-def takes(option: click.Option) -> str:
+def takes(option):
     """What an option is given, in the words of the table."""
     kind = option.type
     if option.is_flag:
@@ -164,3 +164,111 @@ def test_a_drive_that_is_broken_is_answered_with_what_to_do_next(call, recording
     poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
     without_times = call("convert", poses, tmp_path / "trajectory.tum")
     assert ("`--from-times FILE`" in without_times.err, "next:" in without_times.err) == (True, False)
+
+
+NEEDED = {
+    "demo": ("--keep", "OUT"),
+    "info": ("DRIVE",),
+    "fuse": ("DRIVE", "-o", "OUT.sfs"),
+    "depth": ("DRIVE", "-o", "OUT"),
+    "track": ("DRIVE", "-o", "OUT"),
+    "view": ("DRIVE", "--save", "OUT.rrd"),
+    "convert": ("DRIVE", "OUT.sfs"),
+    "validate": ("DRIVE", "--quick"),
+    "salvage": ("DRIVE", "-o", "OUT.sfs"),
+    "report": ("DRIVE", "-o", "OUT.html"),
+    "diff": ("DRIVE", "DRIVE"),
+    "batch": ("DRIVE", "-o", "OUT"),
+    "catalog build": ("DRIVE", "-o", "OUT"),
+    "catalog update": ("OUT",),
+    "catalog query": ("OUT",),
+    "sync": ("DRIVE",),
+    "calibrate": ("DRIVE",),
+    "serve": (),
+    "send": ("DRIVE", "localhost:1"),
+    "conformance": ("localhost:1", "--checks"),
+    "eval detection": ("DRIVE", "DRIVE"),
+    "eval tracking": ("DRIVE", "DRIVE"),
+    "eval trajectory": ("DRIVE", "DRIVE"),
+    "edit merge": ("DRIVE", "DRIVE", "-o", "OUT.sfs"),
+}
+"""What a verb needs beside the option; `edit` verbs take a drive and an output."""
+
+BAD_NUMBERS = ("nan", "-1", "x")
+
+
+def bad_values(option):
+    """Values that an option of such a type cannot have."""
+    if option.is_flag:
+        return
+    kind = option.type
+    if isinstance(kind, click.Choice):
+        yield ("nope",)
+    elif type(kind) is click.types.IntParamType:
+        yield from (("nan",), ("x",))
+    elif isinstance(kind, click.types.FloatParamType | click.IntRange):
+        yield from ((number,) for number in BAD_NUMBERS)
+    elif isinstance(kind, click.Tuple):
+        yield tuple("x" for _ in kind.types)
+        yield tuple("nan" for _ in kind.types)
+    elif kind.name == "positive":
+        yield from ((number,) for number in (*BAD_NUMBERS, "inf", "0"))
+    elif kind.name == "share":
+        yield from ((number,) for number in (*BAD_NUMBERS, "0", "1.5"))
+    elif kind.name == "not_negative":
+        yield from ((number,) for number in BAD_NUMBERS)
+
+
+CASES = [
+    pytest.param(verb, option.opts, value, id=f"{verb} {option.opts[-1]} {' '.join(value)}")
+    for verb, command in verbs(command_line)
+    for option in command.params
+    if isinstance(option, click.Option)
+    for value in bad_values(option)
+]
+
+
+def is_a_name_of_ours(word):
+    """Whether a word is the name of a function's argument, not one that a person could type."""
+    return re.fullmatch(r"[a-z]+(_[a-z]+)+", word) is not None
+
+
+@pytest.mark.parametrize(("verb", "names", "value"), CASES)
+def test_a_value_that_an_option_cannot_have_is_answered_with_the_option(
+    call, recording, tmp_path, verb, names, value
+):
+    needed = NEEDED.get(verb, ("DRIVE", "-o", "OUT.sfs"))
+    words = [word.replace("DRIVE", str(recording)).replace("OUT", str(tmp_path / "out")) for word in needed]
+    outcome = call(*verb.split(), *words, names[-1], *value)
+    assert outcome.code in (1, 2), outcome.out
+    assert "Traceback" not in outcome.err
+    last = [line for line in outcome.err.strip().splitlines() if not line.startswith("next: ")][-1]
+    bare = names[-1].lstrip("-")
+    assert bare in last.lower().replace("_", "-"), last
+    ours = [
+        word for word in re.findall(r"[a-z_]+", last.replace(str(tmp_path), "")) if is_a_name_of_ours(word)
+    ]
+    assert not ours, last
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("fuse", "-o", "out.sfs"), ("depth", "-o", "out", "--method", "sparse"), ("colour", "-o", "map.ply")],
+    ids=lambda words: words[0],
+)
+def test_so_many_threads_share_each_sweep(call, recording, tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    asked = set()
+    resolve = system.algorithm
+
+    def noting(kind, name):
+        def run(points_world, requests, visibility, **named):
+            asked.add(visibility.threads)
+            return resolve(kind, name)(points_world, requests, visibility, **named)
+
+        return run
+
+    monkeypatch.setattr("sceneloom.fusion.system.algorithm", noting)
+    done = call(words[0], recording, *words[1:], "--threads", "2")
+    assert done.code == 0, done.err
+    assert asked == {2}

@@ -1,23 +1,208 @@
-"""`sceneloom fuse --type detection`, and `track` of what it wrote, on simulated drives and synthetic folders."""
+"""`sceneloom fuse`: its algorithms, and the fusion of detections."""
 
 import json
+import pickle
 import shutil
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
+from sceneloom.colouring import fuse_by_projection
 from sceneloom.db34t.json import format_json, parse_json
 from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
 from sceneloom.detections.detectors import FOLDER
+from sceneloom.errors import ArrayError, OptionError
 from sceneloom.formats.kitti.labels import read_labels
+from sceneloom.fusion import FusionConfiguration
+from sceneloom.fusion.algorithms import FusionType, algorithm, chosen_algorithm
+from sceneloom.pipeline.tracking import TrackingSettings
 from sceneloom.scene.scene import time_span
 from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, detect_2d, detect_3d, simulate_street
 
 
+def test_the_algorithm_that_is_named_fuses(call, recording, tmp_path, monkeypatch):
+    called = []
+
+    def algorithm(*arguments, **named):
+        called.append(len(arguments[0]))
+        return fuse_by_projection(*arguments, **named)
+
+    monkeypatch.setattr("sceneloom.fusion.system.algorithm", lambda kind, name: {"theirs": algorithm}[name])
+    done = call("fuse", recording, "-o", tmp_path / "out.sfs", "--algorithm", "theirs", "--json", "--quiet")
+    assert (done.code, done.err) == (0, "")
+    assert len(called) == json.loads(done.out)["fused"] == 3
+
+
+def test_one_that_is_not_installed_is_bad_usage(call, recording, tmp_path):
+    done = call("fuse", recording, "-o", tmp_path / "out.sfs", "--algorithm", "MV3d")
+    assert done.code == 2
+    assert "there are projection" in done.err
+    assert "trained network" in done.err
+    assert not (tmp_path / "out.sfs").exists()
+
+
+FILE = """
+from dataclasses import replace
+import numpy as np
+import helper_beside
+from sceneloom.colouring import fuse_by_projection
+
+def red(points_world, requests, visibility, *, trajectory=None):
+    found = fuse_by_projection(points_world, requests, visibility, trajectory=trajectory)
+    seen = found.camera_index < 255
+    return replace(found, colors=np.where(seen[:, None], helper_beside.RED, found.colors))
+
+def short(points_world):
+    return None
+
+def boxes(pair):
+    return None
+
+number = 7
+"""
+
+
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
+def drive():
+    return sceneloom.simulate_street(3, frames=2).scene
+
+
+@pytest.fixture
+def file(tmp_path):
+    (tmp_path / "helper_beside.py").write_text("import numpy\nRED = numpy.uint8([255, 0, 0])\n", "utf-8")
+    path = tmp_path / "mine.py"
+    path.write_text(FILE, "utf-8")
+    return path
+
+
+def green(points_world, requests, visibility, *, trajectory=None):
+    found = fuse_by_projection(points_world, requests, visibility, trajectory=trajectory)
+    colors = found.colors.copy()
+    colors[found.camera_index < 255] = [0, 255, 0]
+    return replace(found, colors=colors)
+
+
+def colours_of(path):
+    with sceneloom.open(path) as scene:
+        points = [frame.points for lidar in scene.lidars for frame in lidar.frames]
+        return np.unique(np.concatenate([p.colors[p.camera_index < 255] for p in points]), axis=0).tolist()
+
+
+def test_a_function_fuses(drive, tmp_path):
+    report = sceneloom.fuse(drive, tmp_path / "a.sfs", algorithm=green)
+    assert report.fused == 2
+    assert report.coloured_percent > 0
+    assert colours_of(tmp_path / "a.sfs") == [[0, 255, 0]]
+
+
+def test_a_function_of_a_file_fuses(drive, tmp_path, file):
+    sceneloom.fuse(drive, tmp_path / "a.sfs", algorithm=f"{file}:red")
+    assert colours_of(tmp_path / "a.sfs") == [[255, 0, 0]]
+    configuration = FusionConfiguration(fusion_algorithm=f"{file}:red")
+    found = list(sceneloom.iter_fused(drive, configuration=configuration))
+    assert len(found) == 2
+    assert {tuple(c) for c in found[0].points.colors[found[0].points.camera_index < 255].tolist()} == {
+        (255, 0, 0)
+    }
+
+
+def test_a_function_of_a_file_is_found_by_other_processes(file):
+    chosen = chosen_algorithm(FusionType.SENSOR_DATA, f"{file}:red")
+    assert pickle.loads(pickle.dumps(chosen)) == chosen
+
+
+def test_the_command_line_takes_a_function_of_a_file(call, recording, tmp_path, file):
+    done = call("fuse", recording, "-o", tmp_path / "a.sfs", "--algorithm", f"{file}:red", "--quiet")
+    assert (done.code, done.err) == (0, "")
+    assert colours_of(tmp_path / "a.sfs") == [[255, 0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        ("{file}:nothing", r"no function 'nothing' in the file; it has boxes, red, short"),
+        ("{file}:number", "number is a int; expected a function"),
+        ("{file}:short", r"expected a function \(points_world, requests, visibility, \*, trajectory=None\)"),
+        ("{file}x/none.py:red", "no such file; expected FILE.py:FUNCTION"),
+        ("{broken}:red", "it cannot be loaded: ZeroDivisionError: division by zero"),
+        ("{leaving}:red", "it cannot be loaded: SystemExit: 3"),
+        ("{file}", "no function is named; expected FILE.py:FUNCTION"),
+        ("{file}:", "no function is named; expected FILE.py:FUNCTION"),
+    ],
+)
+def test_what_cannot_be_an_algorithm_is_named_as_bad_usage(call, recording, tmp_path, file, chosen, message):
+    broken, leaving = tmp_path / "broken.py", tmp_path / "leaving.py"
+    broken.write_text("1 / 0\n", "utf-8")
+    leaving.write_text("raise SystemExit(3)\n", "utf-8")
+    stated = chosen.format(file=file, broken=broken, leaving=leaving)
+    done = call("fuse", recording, "-o", tmp_path / "a.sfs", "--algorithm", stated)
+    assert done.code == 2
+    assert "Traceback" not in done.err
+    with pytest.raises(OptionError, match=message):
+        algorithm(FusionType.SENSOR_DATA, chosen_algorithm(FusionType.SENSOR_DATA, stated))
+
+
+def raising(points_world, requests, visibility, *, trajectory=None):
+    return points_world["no such"]
+
+
+def returning(value):
+    def function(points_world, requests, visibility, *, trajectory=None):
+        return value
+
+    return function
+
+
+def shortened(points_world, requests, visibility, *, trajectory=None):
+    found = fuse_by_projection(points_world, requests, visibility, trajectory=trajectory)
+    return replace(found, colors=found.colors[1:])
+
+
+def without_views(points_world, requests, visibility, *, trajectory=None):
+    return replace(fuse_by_projection(points_world, requests, visibility, trajectory=trajectory), views=())
+
+
+@pytest.mark.parametrize(
+    ("function", "error", "message"),
+    [
+        (raising, OptionError, r"algorithm raising: IndexError: .*test_fuse.py, line \d+"),
+        (returning(None), OptionError, "returned a NoneType; expected sceneloom.colouring.ColouredPoints"),
+        (shortened, ArrayError, r"algorithm shortened: colors"),
+        (without_views, OptionError, r"0 views of \d images; expected one of each"),
+        (7, OptionError, "algorithm 7: a int; expected a function"),
+        (lambda points: None, OptionError, "expected a function"),
+    ],
+)
+def test_a_function_that_does_not_do_its_part_is_named(drive, tmp_path, function, error, message):
+    with pytest.raises(error, match=message):
+        sceneloom.fuse(drive, tmp_path / "a.sfs", algorithm=function)
+    assert not (tmp_path / "a.sfs").exists()
+
+
+def test_detection_fusion_takes_functions_of_one_pair():
+    chosen = chosen_algorithm(FusionType.DETECTIONS, lambda pair: None)
+    with pytest.raises(OptionError, match=r"returned a NoneType; expected sceneloom.detections.FusedBoxes"):
+        chosen(None)
+    with pytest.raises(OptionError, match=r"expected a function \(pair\)"):
+        chosen_algorithm(FusionType.DETECTIONS, lambda: None)
+    assert "algorithm" in {field.name for field in fields(TrackingSettings)}
+
+
+def test_a_client_of_the_service_cannot_have_a_file_executed(tmp_path, file):
+    from sceneloom.db34t.interface import FusionInterface
+
+    marker = tmp_path / "executed"
+    file.write_text(f"open({str(marker)!r}, 'w')\n", "utf-8")
+    with FusionInterface(inline=True) as interface:
+        assert not interface.set_property("fusion_algorithm", f"{file}:red")
+    assert not marker.exists()
+
+
+@pytest.fixture(scope="module")
+def detected(tmp_path_factory):
     """Three sweeps with what detectors found in them, as lines of JSON."""
     folder = tmp_path_factory.mktemp("drive")
     camera = CameraSpec(Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5))
@@ -33,8 +218,8 @@ def drive(tmp_path_factory):
     return folder, [report.boxes for report in in_space], [report.boxes for report in in_images]
 
 
-def test_objects_of_a_drive_are_records_of_table_10(call, drive, tmp_path):
-    folder, in_space, in_images = drive
+def test_objects_of_a_drive_are_records_of_table_10(call, detected, tmp_path):
+    folder, in_space, in_images = detected
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
     out = tmp_path / "objects.jsonl"
     outcome = call("fuse", folder / "recording", "--type", "detection", *files, "-o", out, "--json")
@@ -56,8 +241,8 @@ def test_objects_of_a_drive_are_records_of_table_10(call, drive, tmp_path):
 
 
 @pytest.mark.usefixtures("inline")
-def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, drive, tmp_path):
-    folder, _, _ = drive
+def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, detected, tmp_path):
+    folder, _, _ = detected
     (tmp_path / "mine.toml").write_text((FOLDER / "simulated.toml").read_text())
     line = {
         "path": str(folder / "recording"),
@@ -77,8 +262,8 @@ def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, dri
 
 
 @pytest.mark.parametrize("numbered", [False, True], ids=["by times", "by numbers of frames"])
-def test_a_part_of_a_drive_has_the_boxes_of_its_time(call, drive, tmp_path, numbered):
-    folder, _, in_images = drive
+def test_a_part_of_a_drive_has_the_boxes_of_its_time(call, detected, tmp_path, numbered):
+    folder, _, in_images = detected
     seen = folder / "boxes2d.jsonl"
     if numbered:
         (seen := tmp_path / "car" / "seen.txt").parent.mkdir()
@@ -106,8 +291,8 @@ def test_a_part_of_a_drive_has_the_boxes_of_its_time(call, drive, tmp_path, numb
     assert json.loads(call(*tracked).out)["drives"][0]["frames"] == 2
 
 
-def test_a_part_of_what_is_numbered_from_its_beginning_is_refused(call, drive, tmp_path):
-    folder, _, _ = drive
+def test_a_part_of_what_is_numbered_from_its_beginning_is_refused(call, detected, tmp_path):
+    folder, _, _ = detected
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
     out = tmp_path / "objects.jsonl"
     assert call("fuse", folder / "recording", "--type", "detection", *files, "-o", out).code == 0
@@ -115,8 +300,8 @@ def test_a_part_of_what_is_numbered_from_its_beginning_is_refused(call, drive, t
     assert (refused.code, "done whole" in refused.err) == (2, True)
 
 
-def test_what_was_fused_is_tracked_as_if_at_once(call, drive, tmp_path):
-    folder, _, _ = drive
+def test_what_was_fused_is_tracked_as_if_at_once(call, detected, tmp_path):
+    folder, _, _ = detected
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
     recording = folder / "recording"
     assert call("fuse", recording, "--type", "detection", *files, "-o", tmp_path / "objects.jsonl").code == 0
@@ -160,8 +345,8 @@ def test_records_name_their_camera_or_the_command_does(call, tmp_path):
 
 
 @pytest.mark.parametrize("one", ["boxes3d", "boxes2d"])
-def test_one_detector_is_enough(call, drive, tmp_path, one):
-    folder, _, _ = drive
+def test_one_detector_is_enough(call, detected, tmp_path, one):
+    folder, _, _ = detected
     outcome = call(
         "track", folder / "recording", f"--{one}", folder / f"{one}.jsonl", "-o", tmp_path / "a.sfs"
     )
@@ -202,8 +387,8 @@ def test_fused_objects_are_kittis_text_on_request(call, tmp_path, tracking_texts
     assert found.track_ids.tolist() == [-1, -1]
 
 
-def test_kittis_text_is_not_written_of_other_drives(call, drive, tmp_path):
-    folder, _, _ = drive
+def test_kittis_text_is_not_written_of_other_drives(call, detected, tmp_path):
+    folder, _, _ = detected
     command = (
         "fuse",
         folder / "recording",
@@ -252,8 +437,8 @@ def tracking_texts():
         (("--boxes3d", "{boxes3d}", "--depth", "x"), 2, "--depth does not count here"),
     ],
 )
-def test_what_cannot_be_fused_is_reported(call, drive, tmp_path, words, code, reported):
-    folder, _, _ = drive
+def test_what_cannot_be_fused_is_reported(call, detected, tmp_path, words, code, reported):
+    folder, _, _ = detected
     given = [
         word.format(boxes2d=folder / "boxes2d.jsonl", boxes3d=folder / "boxes3d.jsonl") for word in words
     ]
@@ -284,8 +469,8 @@ def test_a_batch_follows_the_objects_of_kittis_sequences_into_one_folder(call, t
     assert [file.name for file in sorted((tmp_path / "out" / "kitti").iterdir())] == ["0001.txt", "0002.txt"]
 
 
-def test_lists_of_boxes_are_of_one_drive_of_a_data_set(call, drive, tmp_path):
-    folder, _, _ = drive
+def test_lists_of_boxes_are_of_one_drive_of_a_data_set(call, detected, tmp_path):
+    folder, _, _ = detected
     with sceneloom.open(folder / "recording") as scene:
         sceneloom.write(scene, tmp_path / "set", format="kitti-tracking")
     for path in sorted((tmp_path / "set").rglob("0000*")):
@@ -301,14 +486,14 @@ def test_lists_of_boxes_are_of_one_drive_of_a_data_set(call, drive, tmp_path):
     assert (tmp_path / "out.jsonl").read_text()
 
 
-def test_options_of_detections_need_the_type(call, drive, tmp_path):
-    folder, _, _ = drive
+def test_options_of_detections_need_the_type(call, detected, tmp_path):
+    folder, _, _ = detected
     outcome = call("fuse", folder / "recording", "--boxes3d", "x", "-o", tmp_path / "out.sfs")
     assert (outcome.code, "state --type detection with it" in outcome.err) == (2, True)
 
 
-def test_results_whose_other_file_is_missing_are_reported(call, drive, tmp_path):
-    folder, _, _ = drive
+def test_results_whose_other_file_is_missing_are_reported(call, detected, tmp_path):
+    folder, _, _ = detected
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
     assert (
         call("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "o.jsonl").code

@@ -1,4 +1,4 @@
-"""`sceneloom doctor`, `completion` and `--version`."""
+"""`sceneloom doctor` and `completion`."""
 
 import json
 import subprocess

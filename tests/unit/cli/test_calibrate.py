@@ -1,0 +1,305 @@
+"""`sceneloom calibrate`: checks, repairs and conventions."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.db34t.json import parse_json
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.simulate import (
+    CameraSpec,
+    Faults,
+    LidarSpec,
+    PathSpec,
+    SensorFaults,
+    plant,
+    sensor_mount,
+    simulate_street,
+)
+
+
+def test_a_drive_that_shows_too_little_cannot_determine(call, recording, tmp_path):
+    outcome = call("calibrate", recording, "--check", "--visualize", tmp_path / "look")
+    # eight beams and an image of 96 pixels state nothing of a quarter of a degree
+    assert outcome.code == 5
+    assert "cannot determine" in outcome.out
+    assert min(path.name for path in (tmp_path / "look").iterdir()) == "edges_000000.png"
+
+
+def test_machines_get_all_parts_with_reasons(call, recording):
+    outcome = call("calibrate", recording, "--json")
+    health = json.loads(outcome.out)
+    names = ["rotation", "translation", "focal_length", "principal_point", "time_offset"]
+    assert [item["name"] for item in health["items"]] == names
+    assert all(item["reason"] for item in health["items"])
+
+
+def test_unknown_sensors_and_full_folders_are_refused_at_once(call, recording, tmp_path):
+    unknown = call("calibrate", recording, "--camera", "left")
+    assert (unknown.code, "camera0" in unknown.err) == (2, True)
+    (tmp_path / "notes.txt").write_text("kept")
+    full = call("calibrate", recording, "--visualize", tmp_path)
+    assert (full.code, "exists already" in full.err) == (1, True)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A sequence laid out like KITTI's, of cars as high as long; images are rotated by 2 degrees about y."""
+    generator, rotation = np.random.default_rng(4), Rotation.from_rotvec([0.0, 2.0, 0.0], degrees=True)
+    cube = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    lines_2d, lines_3d = [], []
+    for frame in range(20):
+        for _ in range(4):
+            depth = generator.uniform(12.0, 30.0)
+            center = np.array([depth * generator.uniform(-0.6, 0.6), generator.uniform(0.0, 1.0), depth])
+            seen = rotation.apply(center + cube)
+            pixels = seen[:, :2] / seen[:, 2:] * 700.0 + [600.0, 180.0]
+            corners = ",".join(f"{value:.2f}" for value in (*pixels.min(axis=0), *pixels.max(axis=0)))
+            x, y, z = center + np.array([0.0, 1.0, 0.0])
+            lines_2d.append(f"{frame},{corners},0.9\n")
+            lines_3d.append(f"{frame},2,{corners},3.0,2.0,2.0,2.0,{x:.3f},{y:.3f},{z:.3f},0.0,0.0\n")
+    texts = {
+        "calib/0001.txt": "P2: 700 0 600 0 0 700 180 0 0 0 1 0\nR_rect 1 0 0 0 1 0 0 0 1\n"
+        "Tr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0\nTr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0\n",
+        "oxts/0001.txt": ("0 0" + " 0" * 28 + "\n") * 20,
+        "det2d_a/Car/0001.txt": "".join(lines_2d),
+        "det3d_b/Car/0001.txt": "".join(lines_3d),
+    }
+    for name, text in texts.items():
+        (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "kitti" / name).write_text(text)
+    return tmp_path / "kitti"
+
+
+def test_a_folder_of_lists_alone_is_judged_by_its_boxes(call, folder):
+    outcome = call("calibrate", folder, "--check", "--json")
+    assert outcome.code == 4, outcome.err
+    (health,) = json.loads(outcome.out)
+    across = next(item for item in health["items"] if item["name"] == "boxes")
+    # couples are known to 0.1 degrees each, and there are 80 of them
+    np.testing.assert_allclose(across["values"], [0.0, 2.0], atol=0.1)
+    reported = call("calibrate", folder)
+    assert (reported.code, "0001: camera2 to velodyne: wrong (20 images)" in reported.out) == (4, True), (
+        reported.out
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "problem"),
+    [
+        (("--visualize", "look"), 2, "--visualize does not count here"),
+        (("--camera", "front"), 2, "--camera does not count here"),
+        (("--sequence", "0009"), 2, "sequence '0009'"),
+        (("--refine", "--sequence", "0001"), 2, "no camera with images"),
+    ],
+)
+def test_what_a_folder_of_lists_cannot_do_is_reported(call, folder, words, code, problem):
+    outcome = call("calibrate", folder, *words)
+    assert (outcome.code, problem in outcome.err) == (code, True), outcome.err
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "problem"),
+    [
+        (("--det2d", "x"), 2, "--det2d does not count here"),
+        (("--boxes2d", "x.jsonl"), 2, "boxes of images alone"),
+        (("--boxes2d", "x.jsonl", "--boxes3d", "y.jsonl"), 1, "x.jsonl: cannot be read"),
+    ],
+)
+def test_boxes_that_cannot_be_taken_are_reported(call, recording, words, code, problem):
+    outcome = call("calibrate", recording, "--most", "1", *words)
+    assert (outcome.code, problem in outcome.err) == (code, True), outcome.err
+
+
+KITTI = "Tr_velo_to_cam: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 0.3\n"
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "calib.txt"
+    path.write_text(KITTI, "utf-8")
+    return path
+
+
+def test_a_file_is_reported_without_a_drive(call, file):
+    result = call("calibrate", file, "--conventions")
+    assert result.code == 0
+    assert "Tr_velo_to_cam: cannot determine" in result.out
+    assert "--drive DRIVE" in result.out
+
+
+def test_a_file_is_reported_as_json(call, file):
+    result = call("calibrate", file, "--conventions", "--json")
+    (found,) = json.loads(result.out)["extrinsics"]
+    assert found["possible"]["direction"] == ["camera from lidar"]
+
+
+def test_a_file_is_known_by_a_drive(call, file, tmp_path):
+    camera = CameraSpec(Camera("pinhole", 620, 188, 360.0, 360.0, 309.5, 93.5))
+    drive = simulate_street(4, frames=2, cameras=(camera,)).scene
+    truth = (drive.cameras[0].mount.inverse() @ drive.lidars[0].mount).matrix[:3]
+    file.write_text("Tr: " + " ".join(map(str, truth.ravel())), "utf-8")
+    sceneloom.write(drive, tmp_path / "drive.sfs")
+    result = call("calibrate", file, "--conventions", "--drive", tmp_path / "drive.sfs")
+    assert result.code == 0
+    assert "Tr: decided" in result.out
+
+
+@pytest.mark.slow
+def test_a_file_of_a_real_drive_is_known_by_it(call, file, data_dir):
+    file.write_text(
+        "Tr: 0.000235 -0.999944 -0.010563 0.05705 0.010449 0.010565 -0.99989 -0.07547 "
+        "0.999945 0.000124 0.010451 -0.26939",
+        "utf-8",
+    )
+    result = call("calibrate", file, "--conventions", "--drive", data_dir / "recordings" / "kitti_drive")
+    assert result.code == 0
+    assert "Tr: decided" in result.out
+
+
+@pytest.mark.parametrize(
+    ("words", "reported"),
+    [
+        (["--check", "--conventions"], "state one of them"),
+        (["--drive", "."], "does nothing without --conventions"),
+    ],
+)
+def test_options_that_state_nothing_together_are_refused(call, file, words, reported):
+    result = call("calibrate", file, *words)
+    assert result.code == 2
+    assert reported in result.err
+
+
+def test_a_file_without_an_extrinsic_ends_with_one_line(call, tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("nothing", "utf-8")
+    result = call("calibrate", path, "--conventions")
+    assert result.code == 1
+    assert "no extrinsic in it" in result.err
+
+
+BOARD = "7x5:0.12:1.1x0.86"
+
+
+@pytest.fixture(scope="module")
+def rotated(tmp_path_factory):
+    """Six frames, a few metres apart, of a camera that is stated 0.9 degrees off."""
+    folder = tmp_path_factory.mktemp("rotated") / "drive"
+    camera_model = Camera("pinhole", 414, 126, 240.0, 240.0, 206.5, 62.5)
+    drive = simulate_street(
+        5,
+        frames=6,
+        cameras=[CameraSpec(camera_model)],
+        lidar=LidarSpec(beams=40, steps=900),
+        path=PathSpec(speeds=(10.0, 12.0)),
+    )
+    wrong = SensorFaults(rotation_deg=(0.5, -0.6, 0.4))
+    sceneloom.write(plant(drive, Faults({"camera0": wrong})).scene, folder, images="png")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def two_lidars(tmp_path_factory):
+    """Three sweeps of two coarse lidars."""
+    corner = sensor_mount(position=(1.5, 0.6, 0.9), yaw_deg=70.0, pitch_deg=3.0, roll_deg=-4.0)
+    lidars = (
+        LidarSpec(beams=32, steps=600),
+        LidarSpec(beams=16, steps=600, elevations_deg=(-30.0, 10.0), mount=corner),
+    )
+    folder = tmp_path_factory.mktemp("two") / "drive"
+    camera = CameraSpec(Camera("pinhole", 32, 32, 30.0, 30.0, 15.5, 15.5))
+    drive = simulate_street(3, frames=3, lidars=lidars, cameras=(camera,))
+    sceneloom.write(drive.scene, folder, images="png")
+    return folder
+
+
+def test_a_rotated_camera_is_refined_and_written_as_table_3(call, rotated, tmp_path):
+    out = tmp_path / "pair.json"
+    outcome = call("calibrate", rotated, "--refine", "--parameters", "rotation", "-o", out, "--json")
+    assert outcome.code == 0, outcome.out
+    report = json.loads(outcome.out)
+    assert (report["verdict"], report["form"], report["output"]) == ("refined", "table-3", str(out))
+    rotation = np.array([report["change"][name] for name in ("pitch", "yaw", "roll")])
+    # as far as injected; a pixel is a quarter of a degree
+    assert np.linalg.norm(rotation) == pytest.approx(np.linalg.norm([0.5, 0.6, 0.4]), abs=0.15)
+    written = np.reshape(parse_json(out.read_bytes()).extrinsic_matrix, (4, 4)).T
+    np.testing.assert_allclose(written, report["transform"], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_what_computes_with_a_refined_scene_uses_the_refined_calibration(call, rotated, tmp_path):
+    refined, fused = tmp_path / "refined.sfs", tmp_path / "fused.sfs"
+    outcome = call("calibrate", rotated, "--refine", "--parameters", "rotation", "-o", refined, "--json")
+    camera_from_lidar = np.array(json.loads(outcome.out)["transform"])
+    judged = json.loads(call("calibrate", refined, "--check", "--most", "2", "--json").out)
+    assert [warning["code"] for warning in judged["corrections"]] == ["correction-applied"]
+    reported = call("fuse", refined, "-o", fused)
+    assert (reported.code, "camera_calibration applied: camera 'camera0'" in reported.err) == (0, True)
+    for path, expected in ((refined, camera_from_lidar), (fused, camera_from_lidar)):
+        with sceneloom.open(path) as scene:
+            lidar, camera = scene.corrected().sensor("lidar"), scene.corrected().sensor("camera0")
+            at_ns = camera.images.timestamps_ns[1:2]
+            camera_pose, lidar_pose = (path.interpolate(at_ns) for path in (camera.poses, lidar.poses))
+        found = pose_of(camera_pose).inverse() @ pose_of(lidar_pose)
+        # both poses are written within 1 mm and 0.01 deg, and half a degree was injected
+        np.testing.assert_allclose(found.matrix, expected, atol=4e-3)
+
+
+def pose_of(samples):
+    return RigidTransform.from_quaternion(samples.positions[0], samples.quaternions_xyzw[0])
+
+
+def test_what_cannot_be_refined_is_reported_and_not_written(call, recording, tmp_path):
+    outcome = call("calibrate", recording, "--refine", "-o", tmp_path / "out.sfs")
+    assert outcome.code == 5
+    assert "cannot determine: 3 frames; expected 4 or more" in outcome.out
+    assert not (tmp_path / "out.sfs").exists()
+
+
+def test_one_lidar_is_led_to_the_other(call, two_lidars, tmp_path):
+    out = tmp_path / "calibration.json"
+    outcome = call(
+        "calibrate", two_lidars, "--lidar-to-lidar", "--onto", "lidar0", "--lidar", "lidar1", "-o", out
+    )
+    assert outcome.code == 0, outcome.err
+    assert "lidar0 from lidar1 (lidar-to-lidar): refined" in outcome.out
+    assert f"written as recording: {out}" in outcome.out
+    mountings = [entry["imuToLidar"] for entry in json.loads(out.read_text())["lidars"]]
+    assert len(mountings) == 2
+
+
+def test_a_single_lidar_has_no_other_to_be_led_to(call, recording):
+    outcome = call("calibrate", recording, "--lidar-to-lidar")
+    assert outcome.code == 2
+    assert "expected two" in outcome.err
+
+
+def test_three_sweeps_are_too_few_to_report_a_mounting_from_motion(call, recording):
+    outcome = call("calibrate", recording, "--hand-eye")
+    assert outcome.code in {1, 5}
+    assert "expected" in outcome.out + outcome.err
+
+
+def test_a_drive_without_a_board_has_no_views_of_it(call, recording):
+    outcome = call("calibrate", recording, "--target", BOARD)
+    assert outcome.code == 1
+    assert "0 views of the board; expected 3 or more" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("words", "stated"),
+    [
+        (("--target", "seven"), "board 'seven'; expected COLUMNSxROWS:SQUARE"),
+        (("--refine", "--parameters", "shear"), "parameters shear; expected some of rotation"),
+        (("--refine", "--hand-eye"), "--refine and --hand-eye: state one of them"),
+        (("-o", "x.json"), "--output: needs --refine"),
+        (("--hand-eye", "--visualize", "look"), "--visualize: with --check and --refine only"),
+    ],
+)
+def test_words_that_mean_nothing_together_are_refused(call, recording, words, stated):
+    outcome = call("calibrate", recording, *words)
+    assert (outcome.code, stated in outcome.err) == (2, True), outcome.err

@@ -1,0 +1,208 @@
+"""The program: how it starts, stops, and what its texts name."""
+
+import ast
+import importlib
+import os
+import re
+import signal
+import subprocess
+import sys
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+
+import sceneloom
+from sceneloom.checks.validation import catalogue
+from sceneloom.cli.main import reported_compiling
+from sceneloom.cli.main import sceneloom as command_line
+
+FUSE: Any = import_module("sceneloom.pipeline.fusing")
+"""The module that plays drives to the fusion."""
+
+_USUAL = {signal.SIGINT: signal.default_int_handler}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no such signals")
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name
+)
+def test_a_signal_in_the_middle_of_a_fusion_leaves_nothing_behind(
+    call, recording, tmp_path, monkeypatch, number
+):
+    seen = []
+
+    def signalled(*_, **__):
+        seen.extend(path.name for path in tmp_path.iterdir())
+        os.kill(os.getpid(), number)
+        yield
+
+    monkeypatch.setattr(FUSE, "play", signalled)
+    found = signal.getsignal(number)
+    if found is signal.SIG_IGN:  # so `nohup` starts the tests, and a shell what it puts in the background
+        signal.signal(number, _USUAL.get(number, signal.SIG_DFL))
+    before = signal.getsignal(number)
+    try:
+        outcome = call("fuse", recording, "-o", tmp_path / "d.sfs", "--depth", tmp_path / "depth")
+        after = signal.getsignal(number)
+    finally:
+        signal.signal(number, found)
+    assert outcome.code == 128 + number
+    assert "stopped; nothing was left half written" in outcome.err
+    assert seen, "there were drafts when the signal came"
+    assert list(tmp_path.iterdir()) == []
+    assert after == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no such signals")
+def test_a_signal_that_the_caller_ignores_stays_ignored(call, recording, tmp_path, monkeypatch):
+    played = FUSE.play
+
+    def signalled(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGHUP)
+        yield from played(*arguments, **options)
+
+    monkeypatch.setattr(FUSE, "play", signalled)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert call("fuse", recording, "-o", tmp_path / "d.sfs").code == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_help_does_not_import_the_pipeline():
+    check = (
+        "import sys; from sceneloom.cli.main import sceneloom\n"
+        "for verb in ('fuse', 'demo', 'convert', 'info'): sceneloom([verb, '--help'], standalone_mode=False)\n"
+        "heavy = {'numba', 'scipy', 'av', 'PIL', 'sceneloom.pipeline'} & set(sys.modules)\n"
+        "sys.exit(str(heavy) if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_package_can_be_run_as_a_program():
+    done = subprocess.run(
+        [sys.executable, "-m", "sceneloom", "--version"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("sceneloom, version ")
+
+
+KERNELS = """
+from numba import int64
+from sceneloom.kernels.cache import kernel
+
+@kernel(int64(int64))
+def doubled(number):
+    return 2 * number
+
+@kernel([int64(int64, int64)], nogil=True)
+def added(first, second):
+    return doubled(first) + second
+"""
+
+
+@pytest.fixture
+def kernels(monkeypatch, tmp_path, request):
+    """A module of two kernels that nobody has compiled yet."""
+    name = f"kernels_{abs(hash(request.node.name))}"
+    (tmp_path / f"{name}.py").write_text(KERNELS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield lambda: importlib.import_module(name)
+    sys.modules.pop(name, None)
+
+
+def test_a_terminal_hears_once_of_compiling_and_not_when_kernels_are_kept(monkeypatch, capsys, kernels):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with reported_compiling():
+        module = kernels()
+        assert not capsys.readouterr().err
+        assert [module.added(2, 3), module.doubled(4)] == [7, 8]
+    assert capsys.readouterr().err.count("compiling") == 1
+    sys.modules.pop(module.__name__)
+    with reported_compiling():
+        assert kernels().added(2, 3) == 7
+    assert not capsys.readouterr().err
+
+
+def test_nothing_is_stated_but_on_a_terminal(monkeypatch, capsys, kernels):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False)
+    with reported_compiling():
+        assert kernels().added(2, 3) == 7
+    assert not capsys.readouterr().err
+
+
+SOURCES = Path(sceneloom.__file__).parent
+
+OPTION = re.compile(r"(?<![\w(-])--[a-z][a-z0-9-]*(?![a-z0-9-]|\s*:)")
+"""Colours and lengths of style sheets, as `--ink: #111` and `var(--ink)`, are none."""
+
+OF_OTHER_PROGRAMS = frozenset({Path("view/viewer.py")})
+"""Modules that start another program with its own options."""
+
+
+def commands(command, words=()):
+    yield words, command
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            found = command.get_command(context, name)
+            assert found is not None, name
+            yield from commands(found, (*words, name))
+
+
+@cache
+def known_options():
+    own = {name for _, command in commands(command_line) for option in command.params for name in option.opts}
+    return frozenset(own | {"--help"})
+
+
+@cache
+def known_verbs():
+    return frozenset(" ".join(words) for words, _ in commands(command_line))
+
+
+def texts(path):
+    """Every text of a module, its documentation too; a text with values in it as its parts."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+MODULES = sorted(path.relative_to(SOURCES) for path in SOURCES.rglob("*.py"))
+
+
+@pytest.mark.parametrize("rule", catalogue(), ids=lambda rule: rule.id)
+def test_a_remedy_names_no_option_that_there_is_not(rule):
+    assert set(OPTION.findall(f"{rule.summary} {rule.remedy}")) <= known_options()
+
+
+@pytest.mark.few(15)
+@pytest.mark.parametrize("room", sorted({path.parts[0] for path in MODULES}))
+def test_texts_name_no_option_and_no_verb_that_there_is_not(room):
+    for module in (path for path in MODULES if path.parts[0] == room):
+        for text in texts(SOURCES / module) if module not in OF_OTHER_PROGRAMS else ():
+            unknown = set(OPTION.findall(text)) - known_options()
+            assert not unknown, f"{module}: {unknown} in {text!r}"
+            for call in re.findall(r"`sceneloom ([a-z][^`]*)`", text):
+                assert call_is_known(call), f"{module}: sceneloom {call}"
+
+
+def call_is_known(call):
+    """Whether a call begins with a verb, and has only options of that verb."""
+    words = call.split()
+    verb = next((words[:n] for n in (2, 1) if " ".join(words[:n]) in known_verbs()), None)
+    if verb is None:
+        return False
+    command = dict(commands(command_line))[tuple(verb)]
+    own = {name for option in command.params for name in option.opts} | {"--help"}
+    return set(OPTION.findall(call)) <= own
+
+
+def test_a_call_with_an_option_of_another_verb_would_be_found():
+    assert call_is_known("edit crop --start 3")
+    assert not call_is_known("salvage --fix out")
+    assert not call_is_known("repair drive")

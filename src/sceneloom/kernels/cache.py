@@ -57,7 +57,7 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
                     return
                 kept_as = getattr(dispatcher._cache, "_cache_file", None)  # noqa: SLF001
                 if kept_as is not None:
-                    kept_as._source_timestamp = source_digest(Path(function.__code__.co_filename))  # noqa: SLF001
+                    kept_as._source_stamp = source_digest(Path(function.__code__.co_filename))  # noqa: SLF001
                 if _reports and not _is_kept(function):
                     for report in tuple(_reports):
                         report(f"{function.__module__}.{function.__name__}")

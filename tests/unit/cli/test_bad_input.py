@@ -14,13 +14,13 @@ import sceneloom
 from sceneloom.batch import jobs
 from sceneloom.calibrate.conventions import read_extrinsics
 from sceneloom.catalog.database import query
-from sceneloom.service.running import read_configuration_file
 from sceneloom.db34t.transport import read_certificates, read_pair, read_token
 from sceneloom.detections.detectors import read_detectors
 from sceneloom.errors import DataError
 from sceneloom.evaluate.object_files import fused_files
 from sceneloom.formats.base import files as base_files
 from sceneloom.report.page import read_losses
+from sceneloom.service.running import read_configuration_file
 
 Spoil = Callable[[Path], object]
 

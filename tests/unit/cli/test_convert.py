@@ -6,9 +6,9 @@ import shutil
 
 import numpy as np
 import pytest
-from tests.unit.formats.argoverse2.test_read import write_log
+from tests.unit.formats.argoverse2.test_reader import write_log
 from tests.unit.formats.nuscenes.schema_folder import street
-from tests.unit.formats.pandaset.test_read import write_drive
+from tests.unit.formats.pandaset.test_reader import write_drive
 
 import sceneloom
 from sceneloom import convert

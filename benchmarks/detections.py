@@ -32,15 +32,17 @@ from sceneloom.detections.fitting import Columns, LabelledPair, columns_of, fit_
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import NO_BOX
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.evaluate.detection import box_errors, judge_covariances, score_detections
-from sceneloom.evaluate.objects import FramePairs, ObjectTable, covered_by
-from sceneloom.evaluate.rules import (
+from sceneloom.evaluate.detection import (
     DIFFICULTIES,
     DetectionRules,
     ScoredDetections,
     at_difficulty,
+    box_errors,
+    judge_covariances,
     pair_detections,
+    score_detections,
 )
+from sceneloom.evaluate.objects import FramePairs, ObjectTable, covered_by
 from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, lidar_boxes, read_labels
 from sceneloom.formats.kitti.tracking_reader import open_tracking_folder
 from sceneloom.geometry.rigid import RigidTransform

@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from sceneloom.evaluate.objects import FramePairs, ObjectTable, Similarity, similarities
-from sceneloom.evaluate.rules import TrackingRules
-from sceneloom.evaluate.tracking import score_sequence
+from sceneloom.evaluate.tracking import TrackingRules, score_sequence
 
 NUMBERS = st.floats(-10, 10)
 SIZES = st.floats(0.01, 8)

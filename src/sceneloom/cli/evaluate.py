@@ -113,9 +113,8 @@ def detection(
     cuboids; RESULTS may also be lists of detections, CLASS/NNNN.txt, or what `sceneloom fuse --type detection` wrote,
     whose covariances are evaluated, too.
     """
-    from sceneloom.evaluate.detection import compare_detections, plot_detection
+    from sceneloom.evaluate.detection import DetectionRules, compare_detections, plot_detection
     from sceneloom.evaluate.plot import check_plot
-    from sceneloom.evaluate.rules import DetectionRules
 
     if plot is not None:
         check_plot(plot, overwrite=overwrite)

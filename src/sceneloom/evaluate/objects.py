@@ -1,9 +1,10 @@
-"""Objects of a sequence as columns, and their overlaps frame by frame."""
+"""Objects of a sequence as columns, and the similarity of true and found objects frame by frame."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import chain
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +23,12 @@ _FLOATS: dict[str, tuple[int, ...]] = {
     "covariances": (7, 7),
 }
 """The columns that may be absent, and the shape of a row."""
+
+
+KITTI_NEIGHBOURS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"car": ("van",), "pedestrian": ("person", "person_sitting")}
+)
+"""By class, the classes that are easily taken for it: their objects need not be found, and may be."""
 
 
 class LabelColumns(Protocol):

@@ -5,7 +5,7 @@ and for MOTA of several sequences together, which is minus the number of false b
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +13,189 @@ import msgspec
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.evaluate.object_files import BothSides, check_classes, check_similarity, classes_of, read_both
-from sceneloom.evaluate.objects import ObjectTable, Similarity, check_sequences, similarity_named
+from sceneloom.evaluate.objects import (
+    KITTI_NEIGHBOURS,
+    FramePairs,
+    ObjectTable,
+    Similarity,
+    check_sequences,
+    covered_by,
+    similarities,
+    similarity_named,
+)
 from sceneloom.evaluate.plot import check_plot
-from sceneloom.evaluate.rules import KITTI_RULES, ScoredSequence, TrackingRules, apply_rules
 from sceneloom.formats.base.output import replacing
-from sceneloom.kernels import scores as kernels_scores
+from sceneloom.kernels import scores as kernels
 from sceneloom.warnings import DataWarning, WarningKind
+
+_EPSILON = float(np.finfo(np.float64).eps)
+"""What thresholds are wider by, as in TrackEval."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackingRules:
+    """What counts, of results and of the truth; the defaults are those of KITTI's tracking benchmark.
+
+    Attributes:
+        similarity: what says how alike two boxes are.
+        least_similarity: pairs from which CLEAR, identities and the ignoring of boxes take two boxes for one object.
+        neighbours: by class, the classes whose objects neither count nor make a found one false.
+        most_occlusion, most_truncation: objects of the truth beyond them neither count nor make a found one false.
+        least_height_px: found boxes without a true one that are not higher in the image do not count [px].
+        regions: class of the truth whose boxes are regions in which found boxes without a true one do not count.
+        most_in_region: share of a found box from which it lies in a region.
+    """
+
+    similarity: Similarity = Similarity.IMAGE
+    least_similarity: float = 0.5
+    neighbours: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: KITTI_NEIGHBOURS)
+    most_occlusion: float = 2.0
+    most_truncation: float = 0.0
+    least_height_px: float = 25.0
+    regions: str = "DontCare"
+    most_in_region: float = 0.5
+
+
+_KITTI_RULES = TrackingRules()
+"""Those of KITTI's 2D tracking benchmark, as TrackEval's `kitti_2d_box` applies them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ScoredSequence:
+    """What counts of one sequence, for one class.
+
+    Attributes:
+        pairs: of the objects that count.
+        similarities: (P,) float64, of the pairs.
+        true_ids, found_ids: (T,) and (E,) int64, of the objects in order of frames, from 0 without gaps.
+        true_count, found_count: how many ids there are.
+    """
+
+    pairs: FramePairs
+    similarities: Float64Array
+    true_ids: Int64Array
+    found_ids: Int64Array
+    true_count: int
+    found_count: int
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether one side has nothing, so that nothing can be paired."""
+        return not (len(self.true_ids) and len(self.found_ids))
+
+
+def _apply_rules(
+    found: ObjectTable,
+    truth: ObjectTable,
+    label: str,
+    *,
+    rules: TrackingRules = _KITTI_RULES,
+    frame_count: int | None = None,
+) -> _ScoredSequence:
+    """Take what counts of one sequence for one class.
+
+    Found objects that are most like a true one which does not count (hidden, cut off, of a neighbouring class) do not
+    count either; nor do those without a true one that are small or in a region.
+
+    Args:
+        frame_count: of the sequence. [default: up to the last frame in which there is an object]
+
+    Raises:
+        ArrayError: an id comes twice in a frame, or a frame is beyond the sequence.
+        OptionError: one side lacks the boxes that `rules.similarity` needs.
+
+    Source: Geiger et al. 2012; Luiten et al., TrackEval, `Kitti2DBox.get_preprocessed_seq_data`.
+    """
+    truth, found = truth.in_order(), found.in_order()
+    frame_count = _frame_count(truth, found, frame_count)
+    regions = truth.select(truth.are(rules.regions))
+    own = truth.are(label)
+    wanted = (own | truth.are(*rules.neighbours.get(label.lower(), ()))) & (truth.ids >= 0)
+    truth, counts = truth.select(wanted), (own & ~_is_hidden(truth, rules))[wanted]
+    found = found.select(found.are(label) & (found.ids >= 0))
+    for side, objects in (("truth", truth), ("results", found)):
+        _check_unique_ids(objects, side)
+    pairs = FramePairs.of(truth.frame_starts(frame_count), found.frame_starts(frame_count))
+    alike = similarities(truth, found, pairs, rules.similarity)
+    of_found, _ = kernels.most_similar_pairs(alike, *pairs.locations, rules.least_similarity)
+    kept = ~_may_be_missing(found, regions, frame_count, rules)
+    kept[of_found >= 0] = counts[of_found[of_found >= 0]]
+    return _scored(truth, found, pairs, alike, counts, kept)
+
+
+def _frame_count(truth: ObjectTable, found: ObjectTable, frame_count: int | None) -> int:
+    last = [int(objects.frames[-1]) if len(objects) else -1 for objects in (truth, found)]
+    if frame_count is None:
+        return max(last) + 1
+    for side, frame in zip(("truth", "results"), last, strict=True):
+        if frame >= frame_count:
+            raise ArrayError(f"{side}: frame {frame}; the sequence has {frame_count} frames, from 0")
+    return frame_count
+
+
+def _check_unique_ids(objects: ObjectTable, side: str) -> None:
+    """Refuse an object that is in two locations at once."""
+    order = np.lexsort((objects.ids, objects.frames))
+    frames, ids = objects.frames[order], objects.ids[order]
+    twice = np.flatnonzero((frames[1:] == frames[:-1]) & (ids[1:] == ids[:-1]))
+    if len(twice):
+        k = int(twice[0])
+        raise ArrayError(
+            f"{side}: frame {frames[k]}: two boxes of {objects.labels[int(order[k])]} with id {ids[k]}; expected one"
+        )
+
+
+def _is_hidden(truth: ObjectTable, rules: TrackingRules) -> BoolArray:
+    hidden = np.zeros(len(truth), np.bool_)
+    if truth.occlusions is not None:
+        hidden |= truth.occlusions > rules.most_occlusion
+    if truth.truncations is not None:
+        hidden |= truth.truncations > rules.most_truncation
+    return hidden
+
+
+def _may_be_missing(
+    found: ObjectTable, regions: ObjectTable, frame_count: int, rules: TrackingRules
+) -> BoolArray:
+    """Report which found objects would be nothing wrong if no true one is where they are."""
+    small = np.zeros(len(found), np.bool_)
+    if found.corners_xyxy is None:
+        return small
+    small |= found.corners_xyxy[:, 3] - found.corners_xyxy[:, 1] <= rules.least_height_px + _EPSILON
+    if regions.corners_xyxy is None or not len(regions):
+        return small
+    pairs = FramePairs.of(regions.frame_starts(frame_count), found.frame_starts(frame_count))
+    shares = covered_by(found, regions.corners_xyxy, pairs)
+    return small | kernels.reached_columns(shares, *pairs.locations, rules.most_in_region + _EPSILON)
+
+
+def _scored(
+    truth: ObjectTable,
+    found: ObjectTable,
+    pairs: FramePairs,
+    alike: Float64Array,
+    true_kept: BoolArray,
+    found_kept: BoolArray,
+) -> _ScoredSequence:
+    left = kernels.kept_pairs(alike, *pairs.locations, true_kept, found_kept)
+    true_names, true_ids = np.unique(truth.ids[true_kept], return_inverse=True)
+    found_names, found_ids = np.unique(found.ids[found_kept], return_inverse=True)
+    starts = [
+        np.concatenate([[0], np.cumsum(kept)])[old].astype(np.int64)
+        for kept, old in ((true_kept, pairs.true_starts), (found_kept, pairs.found_starts))
+    ]
+    return _ScoredSequence(
+        FramePairs.of(*starts),
+        left,
+        true_ids.astype(np.int64),
+        found_ids.astype(np.int64),
+        len(true_names),
+        len(found_names),
+    )
+
 
 _ALPHAS = tuple(k / 100 for k in range(5, 100, 5))
 """The similarities from which HOTA takes two boxes for one object."""
@@ -103,7 +277,7 @@ class _IdentityScores(msgspec.Struct, frozen=True, kw_only=True):
     idfp: int
 
 
-def _score_hota(sequence: ScoredSequence) -> _HotaScores:
+def _score_hota(sequence: _ScoredSequence) -> _HotaScores:
     """Compute HOTA over one sequence."""
     count = len(_ALPHAS)
     true_boxes, found_boxes = len(sequence.true_ids), len(sequence.found_ids)
@@ -123,16 +297,16 @@ def _combine_hota(parts: Sequence[_HotaScores]) -> _HotaScores:
     return _hota(tp, fn, fp, located, np.array(association))
 
 
-def _paired_at_alphas(sequence: ScoredSequence) -> tuple[Float64Array, Float64Array, Float64Array]:
+def _paired_at_alphas(sequence: _ScoredSequence) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Boxes paired, sums of their similarities, and of A(c), recall and precision of association, over `_ALPHAS`."""
     true_boxes = np.bincount(sequence.true_ids, minlength=sequence.true_count).astype(np.float64)
     found_boxes = np.bincount(sequence.found_ids, minlength=sequence.found_count).astype(np.float64)
     locations = (*sequence.pairs.locations, sequence.true_ids, sequence.found_ids)
-    shared = kernels_scores.shared_frames(
+    shared = kernels.shared_frames(
         sequence.similarities, *locations, sequence.true_count, sequence.found_count
     )
     aligned = shared / (true_boxes[:, None] + found_boxes[None] - shared)
-    true_ids, found_ids, alike = kernels_scores.aligned_pairs(sequence.similarities, *locations, aligned)
+    true_ids, found_ids, alike = kernels.aligned_pairs(sequence.similarities, *locations, aligned)
     couples, of_pair = np.unique(true_ids * sequence.found_count + found_ids, return_inverse=True)
     true_of, found_of = np.divmod(couples, sequence.found_count)
     tp, located, association = np.zeros(len(_ALPHAS)), np.zeros(len(_ALPHAS)), np.zeros((3, len(_ALPHAS)))
@@ -164,12 +338,12 @@ def _hota(
     return _HotaScores(**means, curves={name: tuple(curve.tolist()) for name, curve in reported.items()})
 
 
-def _score_clear(sequence: ScoredSequence, *, least_similarity: float = 0.5) -> _ClearScores:
+def _score_clear(sequence: _ScoredSequence, *, least_similarity: float = 0.5) -> _ClearScores:
     """Compute CLEAR over one sequence."""
     true_boxes, found_boxes = len(sequence.true_ids), len(sequence.found_ids)
     tp, idsw, alike, frag, tracked = 0, 0, 0.0, 0, np.zeros(sequence.true_count)
     if not sequence.is_empty:
-        tp, idsw, alike, frames, begun = kernels_scores.followed_pairs(
+        tp, idsw, alike, frames, begun = kernels.followed_pairs(
             sequence.similarities,
             *sequence.pairs.locations,
             sequence.true_ids,
@@ -217,11 +391,11 @@ def _clear(*, tp: int, fn: int, fp: int, idsw: int, similarity: float, **counts:
     )
 
 
-def _score_identity(sequence: ScoredSequence, *, least_similarity: float = 0.5) -> _IdentityScores:
+def _score_identity(sequence: _ScoredSequence, *, least_similarity: float = 0.5) -> _IdentityScores:
     """Compute the figures of identities over one sequence."""
     idtp = 0
     if not sequence.is_empty:
-        together = kernels_scores.similar_frames(
+        together = kernels.similar_frames(
             sequence.similarities,
             *sequence.pairs.locations,
             sequence.true_ids,
@@ -290,7 +464,7 @@ def evaluate_tracking(
     truth: Mapping[str, ObjectTable],
     *,
     classes: Sequence[str] = CLASSES,
-    rules: TrackingRules = KITTI_RULES,
+    rules: TrackingRules = _KITTI_RULES,
     frame_counts: Mapping[str, int] | None = None,
 ) -> dict[str, ClassTracking]:
     """Hold what a tracker found in some sequences against the truth.
@@ -321,7 +495,7 @@ def score_sequence(
     truth: ObjectTable,
     label: str,
     *,
-    rules: TrackingRules = KITTI_RULES,
+    rules: TrackingRules = _KITTI_RULES,
     frame_count: int | None = None,
 ) -> TrackingScores:
     """Hold what a tracker found of one class in one sequence against the truth.
@@ -330,7 +504,7 @@ def score_sequence(
         ArrayError: an id comes twice in a frame, or a frame is beyond the sequence.
         OptionError: boxes are missing.
     """
-    sequence = apply_rules(found, truth, label, rules=rules, frame_count=frame_count)
+    sequence = _apply_rules(found, truth, label, rules=rules, frame_count=frame_count)
     return TrackingScores(
         hota=_score_hota(sequence),
         clear=_score_clear(sequence, least_similarity=rules.least_similarity),
@@ -400,7 +574,7 @@ def compare_tracks(
     sequences: Sequence[str] = (),
     similarity: Similarity | str | None = None,
     least_similarity: float | None = None,
-    rules: TrackingRules = KITTI_RULES,
+    rules: TrackingRules = _KITTI_RULES,
     lenient: bool = False,
     corrections: str = "apply",
 ) -> TrackingReport:

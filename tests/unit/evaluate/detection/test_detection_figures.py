@@ -5,9 +5,17 @@ import pytest
 from scipy import stats
 
 from sceneloom.errors import ArrayError, OptionError
-from sceneloom.evaluate.detection import evaluate_detection, judge_calibration, judge_covariances, score_curve
+from sceneloom.evaluate.detection import (
+    DIFFICULTIES,
+    DetectionRules,
+    at_difficulty,
+    evaluate_detection,
+    judge_calibration,
+    judge_covariances,
+    pair_detections,
+    score_curve,
+)
 from sceneloom.evaluate.objects import ObjectTable, Similarity
-from sceneloom.evaluate.rules import DIFFICULTIES, DetectionRules, at_difficulty, pair_detections
 
 IN_IMAGE = DetectionRules(similarity=Similarity.IMAGE, least_overlap=0.5)
 

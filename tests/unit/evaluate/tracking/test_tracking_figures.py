@@ -5,8 +5,7 @@ import pytest
 
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.evaluate.objects import ObjectTable, Similarity
-from sceneloom.evaluate.rules import TrackingRules
-from sceneloom.evaluate.tracking import evaluate_tracking, score_sequence
+from sceneloom.evaluate.tracking import TrackingRules, evaluate_tracking, score_sequence
 
 IN_SPACE = TrackingRules(similarity=Similarity.SPACE)
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sceneloom.motion.clock.comparison import ClockVerdict, compare_trajectories
-from sceneloom.motion.clock.signals import DeadReckonedTrajectory, Fixes, Unit
+from sceneloom.motion.clock.signals import Fixes
+from sceneloom.motion.clock.streams import DeadReckonedTrajectory, Unit
 from sceneloom.scene import VectorSamples
 
 RADIUS, RATE = 30.0, 0.3

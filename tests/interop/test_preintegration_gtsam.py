@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
-from sceneloom.motion.gnss_imu.measurements import SmootherSettings, preintegrated
+from sceneloom.motion.gnss_imu.measurements import InertialSamples, SmootherSettings
 from sceneloom.motion.gnss_imu.smoother import Chain, Fixes, States, equations
 
 gtsam = pytest.importorskip("gtsam", reason="needs gtsam")
@@ -40,7 +40,10 @@ def theirs(values: np.ndarray, bias: np.ndarray, *, parts: int = 1) -> "gtsam.Pr
 def ours(bias: np.ndarray):
     times, values = samples()
     densities = np.array([[GYROSCOPE**2, ACCELEROMETER**2]])
-    return preintegrated(times, values, times[[0, -1]], biases=bias[None], densities=densities)
+    gaps = np.empty((0, 2), np.int64)
+    return InertialSamples(times, values, gaps).preintegrated(
+        times[[0, -1]], biases=bias[None], densities=densities
+    )
 
 
 def test_rotate_gain_trajectory_and_covariance_are_the_same():

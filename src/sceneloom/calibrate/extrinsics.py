@@ -3,11 +3,9 @@
 And a first guess from the ground.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import small_gicp
 
 from sceneloom.arrays import Float64Array, check_array
 from sceneloom.geometry.rigid import RigidTransform
@@ -95,74 +93,6 @@ def _direction(direction: Float64Array) -> str:
     return f"({', '.join(f'{value:.2f}' for value in signed)})"
 
 
-_SPACING = 0.4
-
-_NEIGHBOURS = 15
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CloudFit:
-    """How a cloud fits onto another.
-
-    Attributes:
-        matrix: (4, 4) `target_from_source`.
-        information: (6, 6) of a small rotation, then a small shift, in the source's own axes.
-        overlap: share of the source's points that found a partner.
-        misfit: mean squared distance of these.
-    """
-
-    matrix: Float64Array
-    information: Float64Array
-    overlap: float
-    misfit: float
-
-
-class PreparedCloud:
-    """A cloud thinned to one point per cell, with the shape of the surface around each."""
-
-    def __init__(self, points: Float64Array, *, spacing: float = _SPACING) -> None:
-        """Prepare (N, 3) points [m]."""
-        self.points, self.tree = small_gicp.preprocess_points(
-            np.ascontiguousarray(points, np.float64), spacing, _NEIGHBOURS, 1
-        )
-
-    def __len__(self) -> int:
-        return int(self.points.size())
-
-
-def fit_cloud(
-    target: PreparedCloud, source: PreparedCloud, start: Float64Array, reaches: Sequence[float]
-) -> CloudFit:
-    """Fit a cloud onto another.
-
-    Args:
-        start: (4, 4) `target_from_source` to begin with.
-        reaches: points farther apart than this [m] do not belong together, from the first round to the last.
-
-    Source: Segal, Haehnel and Thrun 2009, "Generalized-ICP"; Koide 2024, "small_gicp".
-    """
-    matrix, found = np.asarray(start, np.float64), None
-    for reach in reaches:
-        found = small_gicp.align(
-            target.points,
-            source.points,
-            target.tree,
-            matrix,
-            registration_type="GICP",
-            max_correspondence_distance=reach,
-            num_threads=1,
-        )
-        matrix = np.asarray(found.T_target_source, np.float64)
-    if found is None:
-        return CloudFit(matrix, np.zeros((6, 6)), 0.0, np.inf)
-    return CloudFit(
-        matrix.copy(),
-        np.asarray(found.H, np.float64),
-        found.num_inliers / max(len(source), 1),
-        float(found.error) / max(found.num_inliers, 1),
-    )
-
-
 _DRAWS = 400
 
 _NEAR_PLANE = 0.12
@@ -171,11 +101,6 @@ _STEEPEST = np.cos(np.radians(50.0))
 
 _REACH = 25.0
 
-_HEADINGS = 24
-
-_COARSE = 1.0
-
-_REACHES = (4.0, 1.5)
 
 _SEED = 5
 
@@ -211,38 +136,3 @@ def ground_plane(points: Float64Array) -> tuple[Float64Array, float] | None:
     normal = np.linalg.svd(inliers - middle, full_matrices=False)[2][2]
     normal = normal * np.sign(-normal @ middle)
     return normal, float(-normal @ middle)
-
-
-def ground_start(first: Float64Array, second: Float64Array) -> RigidTransform | None:
-    """Guess `first_from_second` of two clouds, (N, 3) and (M, 3) [m], seen at one time from one vehicle."""
-    grounds = ground_plane(first), ground_plane(second)
-    if grounds[0] is None or grounds[1] is None:
-        return None
-    level = [_levelled(normal, height) for normal, height in (grounds[0], grounds[1])]
-    target, source = (
-        PreparedCloud(one.apply(points), spacing=_COARSE)
-        for one, points in zip(level, (first, second), strict=True)
-    )
-    best, stationary = None, -np.inf
-    for heading in np.arange(_HEADINGS) * (2.0 * np.pi / _HEADINGS):
-        rotated = RigidTransform.from_quaternion(
-            np.zeros(3), quaternion_from_rotation_vector(np.array([0.0, 0.0, heading]))
-        )
-        fit = fit_cloud(target, source, rotated.matrix, _REACHES)
-        value = fit.overlap / (0.05 + fit.misfit)
-        if value > stationary:
-            best, stationary = fit.matrix, value
-    if best is None:
-        return None
-    return level[0].inverse() @ RigidTransform.nearest(best)[0] @ level[1]
-
-
-def _levelled(normal: Float64Array, height: float) -> RigidTransform:
-    """`level_from_lidar`: the ground at z = 0, up along z, the origin below the sensor."""
-    axis = np.cross(normal, [0.0, 0.0, 1.0])
-    size = float(np.linalg.norm(axis))
-    angle = float(np.arctan2(size, normal[2]))
-    vector = axis / size * angle if size > 1e-9 else np.array([angle, 0.0, 0.0])
-    return RigidTransform.from_quaternion(
-        np.array([0.0, 0.0, height]), quaternion_from_rotation_vector(vector)
-    )

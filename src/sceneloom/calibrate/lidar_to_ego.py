@@ -27,8 +27,8 @@ from sceneloom.geometry.rotations import (
     rotate_vectors,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.clock.comparison import ClockEstimate, ClockVerdict, compare_turnings
-from sceneloom.motion.clock.signals import Rotating
+from sceneloom.motion.clock.comparison import ClockEstimate, ClockVerdict, compare_rotations
+from sceneloom.motion.clock.signals import Orientations
 from sceneloom.motion.ego_trajectory import LIDAR, find_ego_motion, gnss_receivers
 from sceneloom.motion.odometry import lidar_odometry
 from sceneloom.scene.clouds import LidarSensor
@@ -395,11 +395,11 @@ def _middles(path: Poses) -> Int64Array:
 
 
 def _compared_clocks(ego: Poses, sensor: Poses, mount: RigidTransform | None) -> ClockEstimate:
-    reference = Rotating.of_poses(ego.timestamps_ns, ego.quaternions_xyzw)
+    reference = Orientations.of_poses(ego.timestamps_ns, ego.quaternions_xyzw)
     middles = sensor.interpolate(_middles(sensor))
-    stream = Rotating.of_poses(_middles(sensor), middles.quaternions_xyzw)
+    stream = Orientations.of_poses(_middles(sensor), middles.quaternions_xyzw)
     rotation = None if mount is None else np.asarray(mount.rotation)
-    return compare_turnings(reference, stream, reach_ns=_GREATEST_OFFSET_NS, reference_from_stream=rotation)
+    return compare_rotations(reference, stream, reach_ns=_GREATEST_OFFSET_NS, reference_from_stream=rotation)
 
 
 def _offset_ns(clock: ClockEstimate) -> int:

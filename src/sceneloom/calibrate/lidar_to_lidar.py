@@ -1,19 +1,13 @@
 """How two lidars lie to each other, by fitting the clouds of many frames onto one another."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import small_gicp
 
 from sceneloom.arrays import Float64Array
-from sceneloom.calibrate.extrinsics import (
-    CloudFit,
-    MountingEstimate,
-    PreparedCloud,
-    fit_cloud,
-    ground_start,
-    unobserved_directions,
-)
+from sceneloom.calibrate.extrinsics import MountingEstimate, ground_plane, unobserved_directions
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import quaternion_from_rotation_vector, rotation_vector_from_quaternion
@@ -23,6 +17,119 @@ from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.sampling import choose_ego
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame, Progress, key_of
+
+_SPACING = 0.4
+
+
+_NEIGHBOURS = 15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CloudFit:
+    """How a cloud fits onto another.
+
+    Attributes:
+        matrix: (4, 4) `target_from_source`.
+        information: (6, 6) of a small rotation, then a small shift, in the source's own axes.
+        overlap: share of the source's points that found a partner.
+        misfit: mean squared distance of these.
+    """
+
+    matrix: Float64Array
+    information: Float64Array
+    overlap: float
+    misfit: float
+
+
+class _PreparedCloud:
+    """A cloud thinned to one point per cell, with the shape of the surface around each."""
+
+    def __init__(self, points: Float64Array, *, spacing: float = _SPACING) -> None:
+        """Prepare (N, 3) points [m]."""
+        self.points, self.tree = small_gicp.preprocess_points(
+            np.ascontiguousarray(points, np.float64), spacing, _NEIGHBOURS, 1
+        )
+
+    def __len__(self) -> int:
+        return int(self.points.size())
+
+
+def _fit_cloud(
+    target: _PreparedCloud, source: _PreparedCloud, start: Float64Array, reaches: Sequence[float]
+) -> _CloudFit:
+    """Fit a cloud onto another.
+
+    Args:
+        start: (4, 4) `target_from_source` to begin with.
+        reaches: points farther apart than this [m] do not belong together, from the first round to the last.
+
+    Source: Segal, Haehnel and Thrun 2009, "Generalized-ICP"; Koide 2024, "small_gicp".
+    """
+    matrix, found = np.asarray(start, np.float64), None
+    for reach in reaches:
+        found = small_gicp.align(
+            target.points,
+            source.points,
+            target.tree,
+            matrix,
+            registration_type="GICP",
+            max_correspondence_distance=reach,
+            num_threads=1,
+        )
+        matrix = np.asarray(found.T_target_source, np.float64)
+    if found is None:
+        return _CloudFit(matrix, np.zeros((6, 6)), 0.0, np.inf)
+    return _CloudFit(
+        matrix.copy(),
+        np.asarray(found.H, np.float64),
+        found.num_inliers / max(len(source), 1),
+        float(found.error) / max(found.num_inliers, 1),
+    )
+
+
+_HEADINGS = 24
+
+
+_COARSE = 1.0
+
+
+_FIRST_REACHES = (4.0, 1.5)
+
+
+def _ground_start(first: Float64Array, second: Float64Array) -> RigidTransform | None:
+    """Guess `first_from_second` of two clouds, (N, 3) and (M, 3) [m], seen at one time from one vehicle."""
+    grounds = ground_plane(first), ground_plane(second)
+    if grounds[0] is None or grounds[1] is None:
+        return None
+    level = [_levelled(normal, height) for normal, height in (grounds[0], grounds[1])]
+    target, source = (
+        _PreparedCloud(one.apply(points), spacing=_COARSE)
+        for one, points in zip(level, (first, second), strict=True)
+    )
+    best, stationary = None, -np.inf
+    for heading in np.arange(_HEADINGS) * (2.0 * np.pi / _HEADINGS):
+        rotated = RigidTransform.from_quaternion(
+            np.zeros(3), quaternion_from_rotation_vector(np.array([0.0, 0.0, heading]))
+        )
+        fit = _fit_cloud(target, source, rotated.matrix, _FIRST_REACHES)
+        value = fit.overlap / (0.05 + fit.misfit)
+        if value > stationary:
+            best, stationary = fit.matrix, value
+    if best is None:
+        return None
+    return level[0].inverse() @ RigidTransform.nearest(best)[0] @ level[1]
+
+
+def _levelled(normal: Float64Array, height: float) -> RigidTransform:
+    """`level_from_lidar`: the ground at z = 0, up along z, the origin below the sensor."""
+    axis = np.cross(normal, [0.0, 0.0, 1.0])
+    size = float(np.linalg.norm(axis))
+    angle = float(np.arctan2(size, normal[2]))
+    vector = axis / size * angle if size > 1e-9 else np.array([angle, 0.0, 0.0])
+    return RigidTransform.from_quaternion(
+        np.array([0.0, 0.0, height]), quaternion_from_rotation_vector(vector)
+    )
+
 
 MOST = 20
 _REACHES = (2.0, 1.0, 0.5)
@@ -95,14 +202,14 @@ def lidar_to_lidar(
         )
     start = stated if use_stated else None
     started = "stated" if start is not None else "ground"
-    start = start or ground_start(*pairs[len(pairs) // 2])
+    start = start or _ground_start(*pairs[len(pairs) // 2])
     if start is None:
         raise PoseError(
             f"{scene.source}: no ground in both clouds; expected one, or stated mountings to begin with"
         )
     fits = []
     for done, (target, source) in enumerate(pairs, start=1):
-        fits.append(fit_cloud(PreparedCloud(target), PreparedCloud(source), start.matrix, _REACHES))
+        fits.append(_fit_cloud(_PreparedCloud(target), _PreparedCloud(source), start.matrix, _REACHES))
         if progress is not None:
             progress(done, len(pairs))
     mounting, agreeing = _joined(fits, scene.source)
@@ -184,7 +291,7 @@ def _usable(points: Float64Array) -> Float64Array:
     return usable
 
 
-def _joined(fits: list[CloudFit], source: str) -> tuple[MountingEstimate, int]:
+def _joined(fits: list[_CloudFit], source: str) -> tuple[MountingEstimate, int]:
     """One mounting from those of all frames, each by its information; how they scatter is the covariance.
 
     Raises:

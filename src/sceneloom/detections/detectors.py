@@ -139,12 +139,6 @@ def kind_name(label: str) -> str:
     return _KIND_OF.get(plain, plain)
 
 
-@lru_cache(maxsize=4096)
-def says_nothing(label: str) -> bool:
-    """Whether a word leaves open what it is."""
-    return kind_name(label) in SAYS_NOTHING
-
-
 def numbers_of(labels_3d: Sequence[str], labels_2d: Sequence[str]) -> tuple[Int64Array, Int64Array]:
     """Give the classes of two detectors as numbers that can be compared.
 

@@ -42,6 +42,7 @@ Boxes whose location or size is no number are left out.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -51,15 +52,15 @@ from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array, re
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, project_unbounded, unproject
 from sceneloom.colouring.box_outlines import CENTRE_TO_CORNER, COARSE, box_extents
-from sceneloom.detections.detectors import FAMILIES, SIZES, numbers_of, says_nothing, table_rows
+from sceneloom.detections.detectors import FAMILIES, SAYS_NOTHING, SIZES, kind_name, numbers_of, table_rows
 from sceneloom.detections.results import NO_BOX, DetectionPair, FusedBoxes
 from sceneloom.detections.settings import (
+    AGREED,
     ProjectionSettings,
     Tables,
     box_covariances,
     image_sigmas,
     tables_of,
-    widen_agreed,
 )
 from sceneloom.errors import OptionError
 from sceneloom.geometry.boxes import CORNER_SIGNS
@@ -70,6 +71,32 @@ from sceneloom.kernels.boxes import points_in_cones
 from sceneloom.kernels.overlaps import hide_covered
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 from sceneloom.scene.types import PointsFrame
+
+
+def _widen_agreed(
+    covariances: Float64Array, partners: Int64Array, own: BoolArray, kinds: Int64Array, table: Float64Array
+) -> None:
+    """Multiply the covariances of boxes with a partner.
+
+    The update makes them as small as if both sensors erred independently.
+
+    Args:
+        covariances: (N, 6, 6), of middles and sizes; changed.
+        partners: (N,), -1 for none.
+        own: (N,), those of a detector that knows them stay.
+        kinds: (N,), rows of the table.
+        table: (K, COLUMNS).
+    """
+    widened: Int64Array = np.flatnonzero((partners >= 0) & ~own)
+    factors = np.sqrt(np.repeat(table[kinds[widened], AGREED : AGREED + 2], 3, axis=1))
+    covariances[widened] *= factors[:, :, None] * factors[:, None]
+
+
+@lru_cache(maxsize=4096)
+def says_nothing(label: str) -> bool:
+    """Whether a word leaves open what it is."""
+    return kind_name(label) in SAYS_NOTHING
+
 
 EDGES = (0.05, 2.0)
 """Deviation of an edge of a box: this share of its side, plus so many pixels."""
@@ -889,7 +916,7 @@ def _refined(
         image.numbers,
         image_sigmas(tables.noise, sweep.kinds, added_px=off_px),
     )
-    widen_agreed(covariances, partners, own, sweep.kinds, tables.noise)
+    _widen_agreed(covariances, partners, own, sweep.kinds, tables.noise)
     velocities = pair.boxes_3d.velocities
     if settings.time_sigma > 0.0 and velocities is not None:
         moved = np.where(np.isfinite(velocities), velocities, 0.0)[sweep.rows] * settings.time_sigma

@@ -107,10 +107,10 @@ deviations of x, y, z along the axes of the box, length, width, height [m] and h
 _BY_SCORE, _BY_RANGE = _BASE + 7, _BASE + 14
 """How much those grow with the score, and with the logarithm of the range, seven columns each."""
 
-_AGREED = _BASE + 21
+AGREED = _BASE + 21
 """By how much the covariances of middle and size of a box with a partner in the image are multiplied."""
 
-_IMAGE = _AGREED + 2
+_IMAGE = AGREED + 2
 """Deviations of the partner in the image: of its middle across, of its middle upright and of its height, in pixels
 and beside that as a share of its own size there, six columns."""
 
@@ -153,7 +153,7 @@ def _noise_row(own: ClassStatistics, growth: Float64Array) -> Float64Array:
         (_BY_RANGE, (noise.center_by_range, noise.size_by_range, noise.yaw[2])),
     ):
         row[first : first + 7] = *centers, *sizes, yaw
-    row[_AGREED : _AGREED + 2] = noise.agreed
+    row[AGREED : AGREED + 2] = noise.agreed
     reported = own.image_noise
     row[_IMAGE : _IMAGE + 6] = *reported.across, *reported.upright, *reported.height
     return row
@@ -235,25 +235,6 @@ def _are_covariances(matrices: Float64Array) -> BoolArray:
         except np.linalg.LinAlgError:
             good[k] = False
     return good
-
-
-def widen_agreed(
-    covariances: Float64Array, partners: Int64Array, own: BoolArray, kinds: Int64Array, table: Float64Array
-) -> None:
-    """Multiply the covariances of boxes with a partner.
-
-    The update makes them as small as if both sensors erred independently.
-
-    Args:
-        covariances: (N, 6, 6), of middles and sizes; changed.
-        partners: (N,), -1 for none.
-        own: (N,), those of a detector that knows them stay.
-        kinds: (N,), rows of the table.
-        table: (K, COLUMNS).
-    """
-    widened: Int64Array = np.flatnonzero((partners >= 0) & ~own)
-    factors = np.sqrt(np.repeat(table[kinds[widened], _AGREED : _AGREED + 2], 3, axis=1))
-    covariances[widened] *= factors[:, :, None] * factors[:, None]
 
 
 def radius_squared(level: float, *, degrees_of_freedom: float, dimensions: int = 3) -> float:

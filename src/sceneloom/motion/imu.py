@@ -63,7 +63,7 @@ _LEAST_SAMPLES = 20
 """Samples of either kind that a window needs."""
 
 QUIET_RATE = 0.005
-"""Rotate rates of a stationary ego deviate by less on each axis: the noise of a consumer's gyroscope [rad/s]."""
+"""Angular velocities of a stationary ego deviate by less on each axis: the noise of a consumer's gyroscope [rad/s]."""
 
 QUIET_FORCE = 0.2
 """Its specific forces deviate by less on each axis, with the engine running [m/s²]."""
@@ -167,10 +167,10 @@ class InertialMotion:
 
 
 def imu_motion(scene: Scene) -> InertialMotion:
-    """Integrate the yaw rates of the scene's first IMU with a gyroscope; the IMU's frame is the ego's.
+    """Integrate the angular velocities of the scene's first IMU with a gyroscope; the IMU's frame is the ego's.
 
     Raises:
-        PoseError: there is no IMU, or none with two yaw rates or more.
+        PoseError: there is no IMU, or none with two angular velocities or more.
     """
     imu, rates = _rates_of(scene)
     times, values, left_out = usable_samples(rates)
@@ -204,7 +204,7 @@ def integrate_rates(timestamps_ns: Int64Array, rates: Float64Array) -> Float64Ar
 
     Args:
         timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 1.
-        rates: (N, 3) float64 [rad/s], in the frame that rotations.
+        rates: (N, 3) float64 [rad/s], in the rotating frame.
 
     Returns:
         (N, 4) float64 unit quaternions xyzw, `first_from_body`.

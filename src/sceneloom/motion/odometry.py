@@ -42,7 +42,7 @@ class OdometryConfiguration:
         map_reach: what lies farther from the ego is dropped from the map [m].
         range_noise: standard deviation of a point across a flat surface [m].
         acceleration: how fast the velocity usually changes [m/s²].
-        yaw_acceleration: how fast the yaw rate usually changes [rad/s²].
+        yaw_acceleration: how fast the angular velocity usually changes [rad/s²].
         least_points: a sweep with fewer usable points is not registered.
 
     Raises:
@@ -83,8 +83,8 @@ class _MotionState:
         position: (3,) [m], world frame.
         yaw_rate: (3,) [rad/s], world axes.
         velocity: (3,) [m/s], world axes.
-        covariance: (12, 12) of a small rotation, a small shift, and changes of the yaw rate and the velocity, all along
-            the world's axes.
+        covariance: (12, 12) of a small rotation, a small shift, and changes of the angular velocity and the velocity,
+            all along the world's axes.
     """
 
     timestamp_ns: int
@@ -95,7 +95,7 @@ class _MotionState:
     covariance: Float64Array
 
     def at(self, timestamp_ns: int) -> tuple[Float64Array, Float64Array]:
-        """Rotation and position at another time, at constant velocity and yaw rate in the ego's own frame."""
+        """Rotation and position at another time, at constant velocity and angular velocity in the ego's own frame."""
         dt = (timestamp_ns - self.timestamp_ns) * 1e-9
         rotated = _rotation_matrix(self.yaw_rate * dt)
         bend = 0.5 * dt * dt * np.cross(self.yaw_rate, self.velocity)

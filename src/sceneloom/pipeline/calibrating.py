@@ -48,7 +48,7 @@ from sceneloom.geometry.rotations import (
     multiply_quaternions,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.clock.camera_rotation import camera_rotating
+from sceneloom.motion.clock.camera_rotation import camera_rotation
 from sceneloom.motion.ego_trajectory import find_ego_motion
 from sceneloom.pipeline.detected_drive import DetectedDrive, kitti_drive, moments
 from sceneloom.pipeline.detection_lists import DetectionFiles, scene_drive
@@ -138,7 +138,7 @@ def _judged_motion(part: Scene, camera_id: Identifier, lidar_id: Identifier) -> 
     camera, lidar = chosen_camera(part, camera_id), chosen_lidar(part, lidar_id)
     count = len(camera.images)
     first = max((count - _MOST_ROTATIONS) // 2, 0)
-    rotating = camera_rotating(replace(camera, images=camera.images[first : first + _MOST_ROTATIONS]))
+    rotating = camera_rotation(replace(camera, images=camera.images[first : first + _MOST_ROTATIONS]))
     times = rotating.timestamps_ns
     if len(times) < 2:
         return Item.unknown(MOTION, "there are no two images")

@@ -28,7 +28,7 @@ class ClockComparison(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         stream, kind: name and kind of the stream.
         reference: name of the other one, whose clock counts as the right one.
-        method: by what: "rotating", "trajectory", or "none".
+        method: by what: "rotation", "trajectory", or "none".
         estimate: what came out.
     """
 

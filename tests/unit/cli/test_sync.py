@@ -29,7 +29,7 @@ def test_sync_prints_a_table(call, late):
     assert outcome.code == 0
     assert "1 stream off, against imu" in outcome.out
     row = next(line for line in outcome.out.splitlines() if "groundTruth" in line)
-    assert row.split()[1:3] == ["imu", "rotating"]
+    assert row.split()[1:3] == ["imu", "rotation"]
     assert row.endswith("off")
 
 

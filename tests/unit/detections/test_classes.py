@@ -3,16 +3,8 @@
 import numpy as np
 import pytest
 
-from sceneloom.detections.detectors import (
-    FAMILIES,
-    KINDS,
-    SIZES,
-    UNLISTED,
-    kind_name,
-    numbers_of,
-    says_nothing,
-    table_rows,
-)
+from sceneloom.detections.detectors import FAMILIES, KINDS, SIZES, UNLISTED, kind_name, numbers_of, table_rows
+from sceneloom.detections.projection import says_nothing
 
 
 @pytest.mark.parametrize(

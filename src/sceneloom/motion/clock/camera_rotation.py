@@ -16,7 +16,7 @@ from sceneloom.geometry.rotations import (
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.clock.signals import Rotating, finite_rows
+from sceneloom.motion.clock.signals import Orientations, finite_rows
 from sceneloom.scene.cameras import CameraImage, CameraSensor, Shutter
 from sceneloom.scene.types import Progress
 
@@ -328,7 +328,7 @@ class _Seen:
     pyramid: Pyramid
 
 
-def camera_rotating(camera: CameraSensor, *, progress: Progress | None = None) -> Rotating:
+def camera_rotation(camera: CameraSensor, *, progress: Progress | None = None) -> Orientations:
     """Follow a camera's rotating from image to image; images that show nothing to follow break it.
 
     With a rolling shutter the times are those at which the lines of the corners were taken.
@@ -355,7 +355,7 @@ def camera_rotating(camera: CameraSensor, *, progress: Progress | None = None) -
         if progress is not None:
             progress(number + 1, len(rows))
     timestamps = times[rows] + np.rint(delays * 1e9).astype(np.int64)
-    return Rotating.of_steps(np.maximum.accumulate(timestamps), vectors)
+    return Orientations.of_steps(np.maximum.accumulate(timestamps), vectors)
 
 
 def _seen(camera: CameraSensor, row: int) -> _Seen | None:

@@ -17,16 +17,88 @@ from sceneloom.geometry.rotations import (
     rotation_vector_from_quaternion,
 )
 from sceneloom.motion.clock.signals import (
+    LEAST_KNOTS,
     Fixes,
-    Rotating,
+    Orientations,
     RotationCurve,
     SmoothedTrajectory,
-    Steps,
     TrajectorySamples,
+    chunk_slices,
     finite_rows,
-    rate_noise,
-    steps_of,
+    relative_rotation,
 )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Steps:
+    """Rotates of a body from one time to another, and which of them are taken as one.
+
+    Attributes:
+        starts, stops: (N,) float64 [s] after an origin that is distinguished.
+        vectors: (N, 3) float64 [rad], rotation vectors in the body's frame.
+        begins: (G,) int64, number of the first rotation of each group; a group ends where the next begins.
+        chunks: (G,) int64, which piece without gaps each group lies in.
+    """
+
+    starts: Float64Array
+    stops: Float64Array
+    vectors: Float64Array
+    begins: Int64Array
+    chunks: Int64Array
+
+    def __len__(self) -> int:
+        return len(self.begins)
+
+    def mean(self, values: Float64Array) -> Float64Array:
+        """Give the mean (G, …) over each group of something that each rotation has, (N, …)."""
+        counts = np.diff(np.append(self.begins, len(values)))
+        means: Float64Array = np.add.reduceat(values, self.begins, axis=0) / counts.reshape(
+            -1, *[1] * (values.ndim - 1)
+        )
+        return means
+
+
+def _steps_of(rotating: Orientations, origin_ns: int, least: float) -> _Steps:
+    """Give the rotations from each sample to the next one that is at least `least` seconds later.
+
+    As many as overlap are one group, so that noise of single orientations averages out.
+    """
+    stride = 1
+    if least > 0 and rotating.step_ns > 0:
+        stride = max(1, int(np.ceil(least * 1e9 / rotating.step_ns - 1e-3)))
+    first: list[Int64Array] = []
+    begins: list[Int64Array] = []
+    count = 0
+    for piece in chunk_slices(rotating.chunks):
+        rows = np.arange(piece.start, piece.stop - stride)
+        # groups of one length: what is left over at the end of a piece is left out
+        rows = rows[: len(rows) - len(rows) % stride]
+        begins.append(count + np.arange(0, len(rows), stride))
+        first.append(rows)
+        count += len(rows)
+    starting = np.concatenate([*first, np.zeros(0, np.int64)]).astype(np.int64)
+    grouped = np.concatenate([*begins, np.zeros(0, np.int64)]).astype(np.int64)
+    seconds = np.asarray((rotating.timestamps_ns - origin_ns) * 1e-9, np.float64)
+    rotations = relative_rotation(
+        rotating.quaternions_xyzw[starting], rotating.quaternions_xyzw[starting + stride]
+    )
+    chunks = rotating.chunks[starting[grouped]] if len(grouped) else np.zeros(0, np.int64)
+    return _Steps(seconds[starting], seconds[starting + stride], rotations, grouped, chunks)
+
+
+def rate_noise(rotating: Orientations) -> Float64Array:
+    """The power of the white noise in the rates of a rotating, (3,) [rad²/s]: what samples jump about, at most.
+
+    Source: second differences of white noise have six times its variance.
+    """
+    steps = _steps_of(rotating, int(rotating.timestamps_ns[0]), 0.0)
+    if len(steps) < LEAST_KNOTS:
+        return np.full(3, np.inf)
+    lengths = steps.stops - steps.starts
+    jumps = np.diff(steps.vectors / lengths[:, None], n=2, axis=0)
+    variance = (1.4826 * np.median(np.abs(jumps), axis=0)) ** 2 / 6.0
+    return np.asarray(variance * np.median(lengths), np.float64)
+
 
 _HUBER = 2.0
 """Residuals beyond so many standard deviations count linearly. Source: Huber 1964."""
@@ -41,7 +113,7 @@ _SERIAL = 200_000
 cost more than they save."""
 
 _CLOSE = 0.02
-"""Steps are small enough at this share of a standard deviation."""
+"""_Steps are small enough at this share of a standard deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1051,9 +1123,9 @@ _PRIORS = np.array([10.0, 2e-3, 0.7, 0.7, 0.7])
 """How far offset [s], skew and rotation [rad] may be from the start."""
 
 
-def compare_turnings(
-    reference: Rotating,
-    stream: Rotating,
+def compare_rotations(
+    reference: Orientations,
+    stream: Orientations,
     *,
     reach_ns: int = REACH_NS,
     reference_from_stream: Float64Array | None = None,
@@ -1061,9 +1133,9 @@ def compare_turnings(
     """Find the offset and the skew of a stream's clock from the rotating that two streams report.
 
     The streams may have any rates and gaps, their bodies any constant rotation between them, and either a constant
-    bias. First the lag is searched at which the yaw rates are most alike; then rotates from sample to sample of the
-    slower stream are fitted by those of the other one between the same times, with offset, skew, rotation and bias
-    free at once.
+    bias. First the lag is searched at which the angular velocities are most alike; then rotates from sample to sample
+    of the slower stream are fitted by those of the other one between the same times, with offset, skew, rotation and
+    bias free at once.
 
     Args:
         reference: the stream whose clock is taken for the right one.
@@ -1107,7 +1179,7 @@ class _Pair:
     """The slower stream as rotates, the other as a curve, both in seconds after one origin."""
 
     origin_ns: int
-    coarse: Rotating
+    coarse: Orientations
     fine: RotationCurve
     coarse_curve: RotationCurve
     fine_noise: Float64Array
@@ -1116,7 +1188,7 @@ class _Pair:
     span: tuple[float, float]
 
     @classmethod
-    def of(cls, coarse: Rotating, fine: Rotating, coarse_from_fine: Float64Array) -> "_Pair":
+    def of(cls, coarse: Orientations, fine: Orientations, coarse_from_fine: Float64Array) -> "_Pair":
         origin_ns = int(max(coarse.timestamps_ns[0], fine.timestamps_ns[0]))
         grid = max(_GRID, coarse.step_ns * 1e-9)
         curves = RotationCurve(fine, origin_ns), RotationCurve(coarse, origin_ns)
@@ -1176,7 +1248,7 @@ class _Pair:
         start = np.array([line.offset, line.slope, 0.0, 0.0, 0.0])
         chosen: tuple[_RotatingModel, _Fit] | None = None
         for least in (0.0, *(step for step in _COMPARISON_STEPS if step > own)):
-            steps = steps_of(self.coarse, self.origin_ns, least)
+            steps = _steps_of(self.coarse, self.origin_ns, least)
             if len(steps) < 16 and chosen is not None:
                 break
             if len(steps) == 0:
@@ -1198,7 +1270,7 @@ class _Pair:
 class _RotatingModel:
     """Rotates of the slower stream, reported by the curve of the other one: offset, skew, three of rotation."""
 
-    def __init__(self, pair: _Pair, steps: Steps, coarse_from_fine: Float64Array) -> None:
+    def __init__(self, pair: _Pair, steps: _Steps, coarse_from_fine: Float64Array) -> None:
         self.pair, self.steps, self.rotation = pair, steps, coarse_from_fine
         self.middle = 0.5 * sum(pair.span)
         self.lengths = steps.stops - steps.starts

@@ -3,8 +3,7 @@
 A trajectory or dead reckoning.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
 
@@ -14,27 +13,25 @@ from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.geometry.rotations import (
     conjugate_quaternion,
-    matrix_from_quaternion,
     multiply_quaternions,
     normalise_quaternion,
     quaternion_from_rotation_vector,
-    rotate_vectors,
     rotation_vector_from_quaternion,
 )
 from sceneloom.motion.ego_trajectory import usable_fixes
-from sceneloom.motion.imu import measured_rows, running_product, usable_samples
-from sceneloom.scene.motion import GnssSensor, VectorSamples
+from sceneloom.motion.imu import measured_rows, running_product
+from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Trajectory
 
 _LONGEST_STEPS = 5.5
 """So many usual steps without a sample are a gap, across which nothing is known of the rotating."""
 
-_LEAST_KNOTS = 4
+LEAST_KNOTS = 4
 """A piece without gaps needs so many samples for a cubic curve."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rotating:
+class Orientations:
     """The orientations of a body at some times; across a gap nothing relates them.
 
     Attributes:
@@ -48,13 +45,13 @@ class Rotating:
     chunks: Int64Array
 
     @classmethod
-    def of_poses(cls, timestamps_ns: Int64Array, quaternions_xyzw: Float64Array) -> "Rotating":
+    def of_poses(cls, timestamps_ns: Int64Array, quaternions_xyzw: Float64Array) -> "Orientations":
         """Take the orientations of a path, (N,) [ns] strictly increasing and (N, 4)."""
-        return cls(timestamps_ns, normalise_quaternion(quaternions_xyzw), _numbered_chunks(timestamps_ns))
+        return cls(timestamps_ns, normalise_quaternion(quaternions_xyzw), number_chunks(timestamps_ns))
 
     @classmethod
-    def of_rates(cls, timestamps_ns: Int64Array, rates: Float64Array) -> "Rotating":
-        """Integrate yaw rates, (N,) [ns] and (N, 3) [rad/s] in the body's frame; samples that are none are left out.
+    def of_rates(cls, timestamps_ns: Int64Array, rates: Float64Array) -> "Orientations":
+        """Integrate angular velocities, (N,) [ns] and (N, 3) [rad/s] in the body frame, without invalid samples.
 
         Between samples the rates go along a cubic curve.
 
@@ -63,20 +60,20 @@ class Rotating:
         """
         usable = np.flatnonzero(measured_rows(rates))
         times, first = np.unique(timestamps_ns[usable], return_index=True)
-        values, chunks = rates[usable[first]], _numbered_chunks(times)
+        values, chunks = rates[usable[first]], number_chunks(times)
         rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
-        for piece in _piece_slices(chunks):
-            if piece.stop - piece.start >= _LEAST_KNOTS:
+        for piece in chunk_slices(chunks):
+            if piece.stop - piece.start >= LEAST_KNOTS:
                 rotations[piece] = _integrated(times[piece], values[piece])
         return cls(times, rotations, chunks)
 
     @classmethod
-    def of_steps(cls, timestamps_ns: Int64Array, vectors: Float64Array) -> "Rotating":
+    def of_steps(cls, timestamps_ns: Int64Array, vectors: Float64Array) -> "Orientations":
         """Chain the rotations (N - 1, 3) [rad] from each of (N,) times [ns] to the next; NaN where one is not known."""
         known = finite_rows(vectors)
         steps = quaternion_from_rotation_vector(np.where(known[:, None], vectors, 0.0))
         rotations = running_product(np.vstack([[[0.0, 0.0, 0.0, 1.0]], steps]))
-        chunks = _numbered_chunks(timestamps_ns)
+        chunks = number_chunks(timestamps_ns)
         chunks[1:] += np.cumsum(~known)
         return cls(timestamps_ns, rotations, chunks)
 
@@ -89,79 +86,10 @@ class Rotating:
         return int(np.median(np.diff(self.timestamps_ns))) if len(self) > 1 else 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Steps:
-    """Rotates of a body from one time to another, and which of them are taken as one.
-
-    Attributes:
-        starts, stops: (N,) float64 [s] after an origin that is distinguished.
-        vectors: (N, 3) float64 [rad], rotation vectors in the body's frame.
-        begins: (G,) int64, number of the first rotation of each group; a group ends where the next begins.
-        chunks: (G,) int64, which piece without gaps each group lies in.
-    """
-
-    starts: Float64Array
-    stops: Float64Array
-    vectors: Float64Array
-    begins: Int64Array
-    chunks: Int64Array
-
-    def __len__(self) -> int:
-        return len(self.begins)
-
-    def mean(self, values: Float64Array) -> Float64Array:
-        """Give the mean (G, …) over each group of something that each rotation has, (N, …)."""
-        counts = np.diff(np.append(self.begins, len(values)))
-        means: Float64Array = np.add.reduceat(values, self.begins, axis=0) / counts.reshape(
-            -1, *[1] * (values.ndim - 1)
-        )
-        return means
-
-
-def steps_of(rotating: Rotating, origin_ns: int, least: float) -> Steps:
-    """Give the rotations from each sample to the next one that is at least `least` seconds later.
-
-    As many as overlap are one group, so that noise of single orientations averages out.
-    """
-    stride = 1
-    if least > 0 and rotating.step_ns > 0:
-        stride = max(1, int(np.ceil(least * 1e9 / rotating.step_ns - 1e-3)))
-    first: list[Int64Array] = []
-    begins: list[Int64Array] = []
-    count = 0
-    for piece in _piece_slices(rotating.chunks):
-        rows = np.arange(piece.start, piece.stop - stride)
-        # groups of one length: what is left over at the end of a piece is left out
-        rows = rows[: len(rows) - len(rows) % stride]
-        begins.append(count + np.arange(0, len(rows), stride))
-        first.append(rows)
-        count += len(rows)
-    starting = np.concatenate([*first, np.zeros(0, np.int64)]).astype(np.int64)
-    grouped = np.concatenate([*begins, np.zeros(0, np.int64)]).astype(np.int64)
-    seconds = np.asarray((rotating.timestamps_ns - origin_ns) * 1e-9, np.float64)
-    rotations = _rotation(rotating.quaternions_xyzw[starting], rotating.quaternions_xyzw[starting + stride])
-    chunks = rotating.chunks[starting[grouped]] if len(grouped) else np.zeros(0, np.int64)
-    return Steps(seconds[starting], seconds[starting + stride], rotations, grouped, chunks)
-
-
-def rate_noise(rotating: Rotating) -> Float64Array:
-    """The power of the white noise in the rates of a rotating, (3,) [rad²/s]: what samples jump about, at most.
-
-    Source: second differences of white noise have six times its variance.
-    """
-    steps = steps_of(rotating, int(rotating.timestamps_ns[0]), 0.0)
-    if len(steps) < _LEAST_KNOTS:
-        return np.full(3, np.inf)
-    lengths = steps.stops - steps.starts
-    jumps = np.diff(steps.vectors / lengths[:, None], n=2, axis=0)
-    variance = (1.4826 * np.median(np.abs(jumps), axis=0)) ** 2 / 6.0
-    return np.asarray(variance * np.median(lengths), np.float64)
-
-
 class RotationCurve:
     """A rotating between its samples: a smooth curve through the orientations of each piece."""
 
-    def __init__(self, rotating: Rotating, origin_ns: int) -> None:
+    def __init__(self, rotating: Orientations, origin_ns: int) -> None:
         """Lay cubic splines through the quaternions; times are seconds after `origin_ns`.
 
         Source: de Boor 1978, chapter IV: the error of a cubic spline is of the fourth order in the step.
@@ -169,8 +97,8 @@ class RotationCurve:
         from scipy.interpolate import CubicSpline
 
         self._chunks = []
-        for piece in _piece_slices(rotating.chunks):
-            if piece.stop - piece.start < _LEAST_KNOTS:
+        for piece in chunk_slices(rotating.chunks):
+            if piece.stop - piece.start < LEAST_KNOTS:
                 continue
             seconds = (rotating.timestamps_ns[piece] - origin_ns) * 1e-9
             signed = _on_one_side(rotating.quaternions_xyzw[piece])
@@ -188,11 +116,11 @@ class RotationCurve:
         vectors = np.full((len(starts), 3), np.nan)
         known = (of_first >= 0) & (of_first == of_last)
         if known.any():
-            vectors[known] = _rotation(first[known], last[known])
+            vectors[known] = relative_rotation(first[known], last[known])
         return vectors
 
     def rates(self, seconds: Float64Array, window: float) -> Float64Array:
-        """Give the mean yaw rates (N, 3) [rad/s] over a window around some times (N,) [s]; NaN where not known."""
+        """Give the mean angular velocities (N, 3) [rad/s] over a window around times (N,) [s]; NaN where unknown."""
         rotated = self.rotations(seconds - window / 2, seconds + window / 2)
         rates: Float64Array = rotated / window
         return rates
@@ -218,11 +146,12 @@ def finite_rows(values: Float64Array) -> BoolArray:
     return np.asarray(np.isfinite(values).all(axis=1), np.bool_)
 
 
-def _rotation(first: Float64Array, last: Float64Array) -> Float64Array:
+def relative_rotation(first: Float64Array, last: Float64Array) -> Float64Array:
+    """Rotation vectors (N, 3) [rad] that lead from orientations (N, 4) xyzw to others, in the first ones' frames."""
     return rotation_vector_from_quaternion(multiply_quaternions(conjugate_quaternion(first), last))
 
 
-def _numbered_chunks(timestamps_ns: Int64Array) -> Int64Array:
+def number_chunks(timestamps_ns: Int64Array) -> Int64Array:
     """Number the chunks without gaps that times (N,) [ns] fall into, ascending."""
     numbers = np.zeros(len(timestamps_ns), np.int64)
     if len(timestamps_ns) > 1:
@@ -231,7 +160,7 @@ def _numbered_chunks(timestamps_ns: Int64Array) -> Int64Array:
     return numbers
 
 
-def _piece_slices(chunks: Int64Array) -> list[slice]:
+def chunk_slices(chunks: Int64Array) -> list[slice]:
     """The rows of each piece, from their numbers (N,)."""
     edges = [0, *(np.flatnonzero(np.diff(chunks)) + 1).tolist(), len(chunks)]
     return [slice(a, b) for a, b in pairwise(edges) if b > a]
@@ -269,12 +198,12 @@ class Fixes:
         positions = np.nan_to_num(receiver.positions_lla[usable[first]])
         if len(times) == 0:
             return cls(times, np.zeros(0, np.complex128))
-        return cls(times, _on_ground(enu_from_geodetic(positions, positions[len(times) // 2])))
+        return cls(times, on_ground(enu_from_geodetic(positions, positions[len(times) // 2])))
 
     @classmethod
     def of_trajectory(cls, trajectory: Trajectory) -> "Fixes":
         """Take a trajectory's positions."""
-        return cls(trajectory.timestamps_ns, _on_ground(trajectory.positions))
+        return cls(trajectory.timestamps_ns, on_ground(trajectory.positions))
 
     def __len__(self) -> int:
         return len(self.timestamps_ns)
@@ -320,42 +249,6 @@ class SmoothedTrajectory(Protocol):
         ...
 
 
-
-
-def _on_ground(positions: Float64Array) -> AnyArray:
+def on_ground(positions: Float64Array) -> AnyArray:
     """Give the first two of (N, 3) as complex numbers (N,)."""
     return np.asarray(positions[:, 0] + 1j * positions[:, 1])
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-

@@ -1,16 +1,5 @@
 """The streams of a drive that have a clock, and the comparison of two of them."""
 
-from sceneloom.arrays import AnyArray
-from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.geometry.rotations import rotate_vectors
-from sceneloom.motion.imu import usable_samples
-from sceneloom.motion.clock.signals import RotationCurve
-from sceneloom.motion.clock.signals import TrajectorySamples
-from sceneloom.motion.clock.signals import _LEAST_KNOTS
-from sceneloom.motion.clock.signals import _numbered_chunks
-from sceneloom.motion.clock.signals import _on_ground
-from sceneloom.motion.clock.signals import _piece_slices
-from sceneloom.motion.clock.signals import rate_noise
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -19,18 +8,30 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import AnyArray, Float64Array
 from sceneloom.errors import SceneloomError
+from sceneloom.geometry.rotations import matrix_from_quaternion, rotate_vectors
 from sceneloom.motion.clock.comparison import (
     LEVER_SIGMA,
     REACH_NS,
     ClockEstimate,
     ClockVerdict,
+    compare_rotations,
     compare_trajectories,
-    compare_turnings,
+    rate_noise,
 )
-from sceneloom.motion.clock.signals import Fixes, Rotating, SmoothedTrajectory
-from sceneloom.motion.imu import ACCELEROMETER, GYROSCOPE
+from sceneloom.motion.clock.signals import (
+    LEAST_KNOTS,
+    Fixes,
+    Orientations,
+    RotationCurve,
+    SmoothedTrajectory,
+    TrajectorySamples,
+    chunk_slices,
+    number_chunks,
+    on_ground,
+)
+from sceneloom.motion.imu import ACCELEROMETER, GYROSCOPE, usable_samples
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
@@ -51,12 +52,12 @@ class TrajectoryCurve:
         times = trajectory.timestamps_ns
         self._chunks = [
             CubicSpline(seconds, trajectory.positions[piece, :2], extrapolate=False)
-            for piece in _piece_slices(_numbered_chunks(times))
-            if len(seconds := (times[piece] - origin_ns) * 1e-9) >= _LEAST_KNOTS
+            for piece in chunk_slices(number_chunks(times))
+            if len(seconds := (times[piece] - origin_ns) * 1e-9) >= LEAST_KNOTS
         ]
         rotations = trajectory.quaternions_xyzw
         self._rotating = (
-            None if rotations is None else RotationCurve(Rotating.of_poses(times, rotations), origin_ns)
+            None if rotations is None else RotationCurve(Orientations.of_poses(times, rotations), origin_ns)
         )
 
     def at(self, window: tuple[float, float], seconds: Float64Array) -> TrajectorySamples:
@@ -65,8 +66,8 @@ class TrajectoryCurve:
         locations, velocities = np.full((2, len(seconds)), np.nan, np.complex128)
         for curve in self._chunks:
             inside = (seconds >= curve.x[0]) & (seconds <= curve.x[-1])
-            locations[inside] = _on_ground(curve(seconds[inside]))
-            velocities[inside] = _on_ground(curve(seconds[inside], 1))
+            locations[inside] = on_ground(curve(seconds[inside]))
+            velocities[inside] = on_ground(curve(seconds[inside], 1))
         no_drifts = np.zeros((len(seconds), 0), np.complex128)
         return TrajectorySamples(
             locations, velocities, self._axes(seconds), no_drifts, no_drifts, np.zeros(0)
@@ -145,7 +146,7 @@ class Unit:
     @classmethod
     def of(cls, rates: VectorSamples, forces: VectorSamples) -> "Unit":
         """Take samples, and report their noise."""
-        rotating = Rotating.of_rates(rates.timestamps_ns, rates.values[:, :3])
+        rotating = Orientations.of_rates(rates.timestamps_ns, rates.values[:, :3])
         rate_power = rate_noise(rotating) if len(rotating) else np.zeros(3)
         return cls(
             rates,
@@ -159,7 +160,7 @@ class Unit:
 def _force_noise(forces: VectorSamples) -> float:
     """The density of the white noise in forces, from second differences as `rate_noise` does."""
     times, values, _ = usable_samples(forces)
-    if len(times) < _LEAST_KNOTS:
+    if len(times) < LEAST_KNOTS:
         return 0.0
     deviations = 1.4826 * np.median(np.abs(np.diff(values, n=2, axis=0)), axis=0) / np.sqrt(6.0)
     return float(np.sqrt((deviations**2).mean() * np.median(np.diff(times)) * 1e-9))
@@ -179,7 +180,7 @@ class DeadReckonedTrajectory:
     """
 
     def __init__(self, unit: Unit, origin_ns: int, *, long: bool = False, rounds: int = 2) -> None:
-        """Integrate the yaw rates; times are seconds after `origin_ns`.
+        """Integrate the angular velocities; times are seconds after `origin_ns`.
 
         Args:
             long: whether for long windows.
@@ -190,7 +191,7 @@ class DeadReckonedTrajectory:
         self.model_sigma = 0.0005 if long else 0.004
         self._unit, self._origin_ns, self._long, self._rounds = unit, origin_ns, long, rounds
         rates = unit.rates
-        rotating = Rotating.of_rates(rates.timestamps_ns, rates.values[:, :3] - unit.bias)
+        rotating = Orientations.of_rates(rates.timestamps_ns, rates.values[:, :3] - unit.bias)
         self._rotating = RotationCurve(rotating, origin_ns)
         times, self._forces, _ = usable_samples(unit.forces)
         self._seconds = np.asarray((times - origin_ns) * 1e-9, np.float64)
@@ -277,13 +278,13 @@ class DeadReckonedTrajectory:
         seconds, forces = self._seconds[rows], self._forces[rows]
         rotations, chunks = self._rotating.orientations(seconds)
         within = chunks[(seconds >= window[0]) & (seconds < window[1])]
-        if len(within) < _LEAST_KNOTS or within[len(within) // 2] < 0:
+        if len(within) < LEAST_KNOTS or within[len(within) // 2] < 0:
             return None
         piece = int(within[len(within) // 2])
         inside = chunks == piece
         felt = rotate_vectors(rotations[inside], forces[inside])
         up = felt.mean(axis=0)
-        if len(felt) < _LEAST_KNOTS or not up.any():
+        if len(felt) < LEAST_KNOTS or not up.any():
             return None
         level_from_start = _levelling(up)
         since = seconds[inside] - 0.5 * sum(window)
@@ -311,7 +312,7 @@ _RATE_BIASES = slice(3, 6)
 
 def _short_errors(since: Float64Array, felt: Float64Array, bodies: Float64Array) -> AnyArray:
     """Accelerations (N,), what biases of the forces along two axes add, and a bias of the rate about the vertical."""
-    accelerations, axes = _on_ground(felt), _across(bodies)
+    accelerations, axes = on_ground(felt), _across(bodies)
     return np.stack([accelerations, axes[:, 0], axes[:, 1], 1j * since * accelerations], axis=1)
 
 
@@ -320,7 +321,7 @@ def _long_errors(since: Float64Array, felt: Float64Array, bodies: Float64Array) 
 
     A small rotation ψ taken off the orientation adds f × ψ to the force f.
     """
-    accelerations, up, axes = _on_ground(felt), felt[:, 2:], _across(bodies)
+    accelerations, up, axes = on_ground(felt), felt[:, 2:], _across(bodies)
     rotated, spun = _integral(since, axes), _integral(since, bodies[:, 2])
     rates = 1j * (up * rotated - spun * accelerations[:, None])
     return np.hstack([accelerations[:, None], axes, rates, up, 1j * up])
@@ -361,8 +362,6 @@ def _levelling(up: Float64Array) -> Float64Array:
     return matrix_from_quaternion(half / np.linalg.norm(half))
 
 
-
-
 class StreamKind(StrEnum):
     """What a stream is."""
 
@@ -386,7 +385,7 @@ class _ReportedMotion:
         why_not: why it states nothing.
     """
 
-    rotating: Rotating | None = None
+    rotating: Orientations | None = None
     fixes: Fixes | None = None
     trajectory: Callable[[int], SmoothedTrajectory] | None = None
     ego_from_body: Float64Array | None = None
@@ -463,7 +462,7 @@ def _of_imu(stream: Stream, progress: Progress | None) -> _ReportedMotion:
     del progress
     imu: ImuSensor = stream.source
     rates, forces = imu.streams[GYROSCOPE], imu.streams.get(ACCELEROMETER)
-    rotating = Rotating.of_rates(rates.timestamps_ns, rates.values[:, :3])
+    rotating = Orientations.of_rates(rates.timestamps_ns, rates.values[:, :3])
     if forces is None:
         return _ReportedMotion(rotating)
     return _ReportedMotion(
@@ -479,7 +478,7 @@ def _of_trajectory(stream: Stream, progress: Progress | None) -> _ReportedMotion
 def _trajectory_reported(trajectory: Trajectory) -> _ReportedMotion:
     rotations = trajectory.quaternions_xyzw
     return _ReportedMotion(
-        None if rotations is None else Rotating.of_poses(trajectory.timestamps_ns, rotations),
+        None if rotations is None else Orientations.of_poses(trajectory.timestamps_ns, rotations),
         Fixes.of_trajectory(trajectory),
         lambda origin_ns: TrajectoryCurve(trajectory, origin_ns),
     )
@@ -496,10 +495,10 @@ def _of_lidar(stream: Stream, progress: Progress | None) -> _ReportedMotion:
 
 
 def _of_camera(stream: Stream, progress: Progress | None) -> _ReportedMotion:
-    from sceneloom.motion.clock.camera_rotation import camera_rotating
+    from sceneloom.motion.clock.camera_rotation import camera_rotation
 
     camera: CameraSensor = stream.source
-    rotating = camera_rotating(camera, progress=progress)
+    rotating = camera_rotation(camera, progress=progress)
     return _ReportedMotion(rotating, ego_from_body=None if camera.mount is None else camera.mount.rotation)
 
 
@@ -530,8 +529,8 @@ _KNOWN_LEVER_SIGMA = 0.05
 class Method(StrEnum):
     """By what two streams were compared."""
 
-    ROTATING = "rotating"
-    TRAJECTORY = "estimated_trajectory"
+    ROTATION = "rotation"
+    TRAJECTORY = "trajectory"
     NONE = "none"
 
 
@@ -561,18 +560,18 @@ def compare_streams(
             return Method.NONE, ClockEstimate.unknown(f"{name}: {reported.why_not}")
     by_rotation: ClockEstimate | None = None
     if first.rotating is not None and second.rotating is not None:
-        by_rotation = compare_turnings(
+        by_rotation = compare_rotations(
             first.rotating, second.rotating, reach_ns=reach_ns, reference_from_stream=_between(first, second)
         )
         if by_rotation.verdict is not ClockVerdict.NOT_OBSERVABLE:
-            return Method.ROTATING, by_rotation
+            return Method.ROTATION, by_rotation
     by_trajectory = _by_trajectory(first, second, reach_ns=reach_ns, lever_sigma=lever_sigma)
     if by_trajectory is not None and (
         by_rotation is None or by_trajectory.verdict is not ClockVerdict.NOT_OBSERVABLE
     ):
         return Method.TRAJECTORY, by_trajectory
     if by_rotation is not None:
-        return Method.ROTATING, by_rotation
+        return Method.ROTATION, by_rotation
     return Method.NONE, ClockEstimate.unknown(
         "the one reports only where it was, the other only how it rotated"
     )
@@ -617,7 +616,7 @@ def gyroscope_against_trajectory(
     """Find how the timestamps of a trajectory lie against those of the gyroscope that rides along.
 
     Args:
-        gyroscope: yaw rates (N, 3) [rad/s] in the ego's frame; rows that are no numbers are left out.
+        gyroscope: angular velocities (N, 3) [rad/s] in the ego's frame; rows that are no numbers are left out.
         trajectory: `world_from_ego`.
         reach_ns: offsets up to this are looked for [ns].
 
@@ -626,6 +625,6 @@ def gyroscope_against_trajectory(
     """
     if trajectory.quaternions_xyzw is None:
         return ClockEstimate.unknown(f"trajectory {trajectory.name!r} has no orientations")
-    rates = Rotating.of_rates(gyroscope.timestamps_ns, gyroscope.values[:, :3])
-    estimated_trajectory = Rotating.of_poses(trajectory.timestamps_ns, trajectory.quaternions_xyzw)
-    return compare_turnings(rates, estimated_trajectory, reach_ns=reach_ns)
+    rates = Orientations.of_rates(gyroscope.timestamps_ns, gyroscope.values[:, :3])
+    estimated_trajectory = Orientations.of_poses(trajectory.timestamps_ns, trajectory.quaternions_xyzw)
+    return compare_rotations(rates, estimated_trajectory, reach_ns=reach_ns)

@@ -1,7 +1,4 @@
-"""What the smoother is given: settings, GNSS fixes, IMU samples and their preintegration.
-
-And the times of its states.
-"""
+"""What the smoother is given: settings, GNSS fixes, IMU samples, their preintegration, and the times of its states."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -37,7 +34,7 @@ class SmootherSettings:
         gyroscope_walk, accelerometer_walk: densities of what makes the biases wander [rad/s²/√Hz] and [m/s³/√Hz].
         gyroscope_bias, accelerometer_bias: how large the biases may be, one standard deviation [rad/s] and [m/s²].
         acceleration: density of the acceleration of an ego without IMU [m/s²/√Hz].
-        rotating: density of the yaw rate of an ego without IMU [rad/s/√Hz].
+        rotating: density of the angular velocity of an ego without IMU [rad/s/√Hz].
         fix_noise: standard deviation of a fix that does not report its accuracy, to begin with [m].
         least_fix_noise: no fix is believed to be better [m].
         gate: a fix this many standard deviations off is left out, as long as it is.
@@ -109,40 +106,109 @@ class GnssFixes:
     origin_lla: Float64Array
     warnings: tuple[DataWarning, ...]
 
+    @classmethod
+    def of(cls, scene: Scene, settings: SmootherSettings) -> "GnssFixes":
+        """Gather the fixes of all receivers; there is at least one."""
+        receivers = gnss_receivers(scene)
+        rows = [_chosen(receiver) for receiver in receivers]
+        times = np.concatenate([r.timestamps_ns[k] for r, k in zip(receivers, rows, strict=True)])
+        locations = np.vstack([r.positions_lla[k] for r, k in zip(receivers, rows, strict=True)])
+        sigmas = np.vstack([_sigmas(r, k, settings) for r, k in zip(receivers, rows, strict=True)])
+        reported = np.concatenate(
+            [_is_reported(r.accuracies[k]) for r, k in zip(receivers, rows, strict=True)]
+        )
+        levers = np.vstack([np.tile(_lever(r), (len(k), 1)) for r, k in zip(receivers, rows, strict=True)])
+        number = np.repeat(np.arange(len(receivers)), [len(k) for k in rows])
+        flat = np.where(np.isfinite(locations[:, 2]), locations[:, 2], 0.0)
+        locations = np.column_stack([locations[:, :2], flat])
+        ecef = ecef_from_geodetic(locations)
+        # the median itself may lie where there is no fix, between two locations that have as many each
+        middle = ecef[np.linalg.norm(ecef - np.median(ecef, axis=0), axis=1).argmin()]
+        near = np.linalg.norm(ecef - middle, axis=1) <= _FARTHEST
+        order = np.flatnonzero(near)[np.argsort(times[near], kind="stable")]
+        origin = locations[order[0]]
+        warnings = [
+            warning
+            for receiver, kept in zip(receivers, rows, strict=True)
+            for warning in _left_out(scene, receiver, len(kept))
+        ]
+        if not near.all():
+            message = f"fixes more than {_FARTHEST / 1000:.0f} km from the others were left out"
+            warnings.append(_skipped("gnss-fixes-elsewhere", scene.source, message, int((~near).sum())))
+        return cls(
+            times[order], enu_from_geodetic(locations[order], origin), sigmas[order], reported[order], levers[order],
+            number[order], origin, tuple(warnings),
+        )  # fmt: skip
+
     def __len__(self) -> int:
         return len(self.timestamps_ns)
 
+    def check_times(self, location: str, samples: "InertialSamples | None") -> None:
+        """Refuse times that are too far apart, such as milliseconds taken for seconds.
 
-def gnss_fixes(scene: Scene, settings: SmootherSettings) -> GnssFixes:
-    """Gather the fixes of all receivers; there is at least one."""
-    receivers = gnss_receivers(scene)
-    rows = [_chosen(receiver) for receiver in receivers]
-    times = np.concatenate([r.timestamps_ns[k] for r, k in zip(receivers, rows, strict=True)])
-    locations = np.vstack([r.positions_lla[k] for r, k in zip(receivers, rows, strict=True)])
-    sigmas = np.vstack([_sigmas(r, k, settings) for r, k in zip(receivers, rows, strict=True)])
-    reported = np.concatenate([_is_reported(r.accuracies[k]) for r, k in zip(receivers, rows, strict=True)])
-    levers = np.vstack([np.tile(_lever(r), (len(k), 1)) for r, k in zip(receivers, rows, strict=True)])
-    number = np.repeat(np.arange(len(receivers)), [len(k) for k in rows])
-    flat = np.where(np.isfinite(locations[:, 2]), locations[:, 2], 0.0)
-    locations = np.column_stack([locations[:, :2], flat])
-    ecef = ecef_from_geodetic(locations)
-    # the median itself may lie where there is no fix, between two locations that have as many each
-    middle = ecef[np.linalg.norm(ecef - np.median(ecef, axis=0), axis=1).argmin()]
-    near = np.linalg.norm(ecef - middle, axis=1) <= _FARTHEST
-    order = np.flatnonzero(near)[np.argsort(times[near], kind="stable")]
-    origin = locations[order[0]]
-    warnings = [
-        warning
-        for receiver, kept in zip(receivers, rows, strict=True)
-        for warning in _left_out(scene, receiver, len(kept))
-    ]
-    if not near.all():
-        message = f"fixes more than {_FARTHEST / 1000:.0f} km from the others were left out"
-        warnings.append(_skipped("gnss-fixes-elsewhere", scene.source, message, int((~near).sum())))
-    return GnssFixes(
-        times[order], enu_from_geodetic(locations[order], origin), sigmas[order], reported[order], levers[order],
-        number[order], origin, tuple(warnings),
-    )  # fmt: skip
+        Raises:
+            PoseError: samples or fixes lie too far apart.
+        """
+        if samples is not None and samples.period > _LONGEST_PERIOD:
+            raise PoseError(
+                f"{location}: samples of the IMU lie {samples.period:.6g} s apart (median); expected at most "
+                f"{_LONGEST_PERIOD:g} s: {_HINT}"
+            )
+        times = self.timestamps_ns
+        step = float(np.median(np.diff(times))) * 1e-9
+        if step <= _LONGEST_STEP:
+            return
+        if samples is not None and samples.is_measured(times[:-1], times[1:]).any():
+            return
+        raise PoseError(
+            f"{location}: GNSS fixes lie {step:.6g} s apart (median), and no IMU measured between; expected at most "
+            f"{_LONGEST_STEP:g} s: {_HINT}"
+        )
+
+    def carried(
+        self,
+        knots_ns: Int64Array,
+        measured: BoolArray,
+        samples: "InertialSamples | None",
+        *,
+        biases: Float64Array,
+        gravity: float,
+        sigmas: Float64Array | None = None,
+    ) -> "Fixes":
+        """Hold each fix against the state before it by what the IMU felt, and else against the nearest.
+
+        Args:
+            knots_ns: (K,) [ns], times of the states.
+            measured: (K - 1,) between which of them the IMU measured.
+            biases: (K - 1, 6) to take off what it measured.
+            gravity: [m/s²].
+            sigmas: (F, 3) [m]; None for those of the self.
+        """
+        times, count = self.timestamps_ns, len(self)
+        before = np.clip(np.searchsorted(knots_ns, times, side="right") - 1, 0, len(knots_ns) - 1)
+        led = np.append(measured, False)[before] & (times >= knots_ns[0])
+        locations = np.where(led, before, _nearest_states(knots_ns, times))
+        seconds = np.asarray((times - knots_ns[locations]) * 1e-9, np.float64)
+        levers, slopes, taken = self.levers.copy(), np.zeros((count, 3, 6)), np.zeros((count, 6))
+        rows = np.flatnonzero(led & (seconds > 0))
+        if samples is not None and len(rows):
+            rotations, trajectories = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
+            by_biases = np.empty((len(rows), 9, 6))
+            preintegrate_until(
+                samples.timestamps_ns, samples.values, knots_ns, np.ascontiguousarray(biases), times[rows],
+                locations[rows],
+                rotations, np.empty((len(rows), 3)), trajectories, by_biases,
+            )  # fmt: skip
+            levers[rows] = np.einsum("nij,nj->ni", rotations, self.levers[rows]) + trajectories
+            slopes[rows] = (
+                by_biases[:, TRAJECTORY]
+                + rotations @ crossed_with(self.levers[rows]) @ by_biases[:, BY_ROTATION]
+            )
+            taken[rows] = biases[locations[rows]]
+        return Fixes(
+            times, locations, seconds, self.positions, levers, np.where(led, 0.5 * gravity * seconds**2, 0.0), slopes,
+            taken, self.sigmas if sigmas is None else sigmas, self.receivers,
+        )  # fmt: skip
 
 
 def _chosen(receiver: GnssSensor) -> Int64Array:
@@ -197,7 +263,7 @@ class InertialSamples:
 
     Attributes:
         timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 2.
-        values: (N, 6) float64: yaw rate [rad/s], specific force [m/s²].
+        values: (N, 6) float64: angular velocity [rad/s], specific force [m/s²].
         gaps_ns: (G, 2) int64 [ns], between which samples are missing.
         left_out: samples that were no numbers or not later than others.
     """
@@ -224,6 +290,20 @@ class InertialSamples:
         inside = (gaps[:, 1] > first) & (gaps[:, 0] < last)
         return cls(times, values, np.unique(gaps[inside], axis=0), lost_rates + lost_forces)
 
+    @classmethod
+    def of_scene(cls, scene: Scene) -> "InertialSamples | None":
+        """Those of the first IMU of a scene that has both streams; None where there is none."""
+        for sensor in scene.sensors:
+            if (
+                isinstance(sensor, ImuSensor)
+                and GYROSCOPE in sensor.streams
+                and ACCELEROMETER in sensor.streams
+            ):
+                samples = cls.of(sensor.streams[GYROSCOPE], sensor.streams[ACCELEROMETER])
+                if samples is not None:
+                    return samples
+        return None
+
     @property
     def period(self) -> float:
         """Median time between samples [s]."""
@@ -239,38 +319,56 @@ class InertialSamples:
             measured &= (last_ns <= start_ns) | (first_ns >= stop_ns)
         return measured
 
+    def noise_densities(self, times_ns: Int64Array, settings: SmootherSettings) -> Float64Array:
+        """Give the densities of the white noise around some times, (N, 2), (rad/s)²/Hz and (m/s²)²/Hz.
 
-def inertial_samples(scene: Scene) -> tuple[ImuSensor, InertialSamples] | None:
-    """The first IMU of a scene that has both streams, with its samples; None where there is none."""
-    for sensor in scene.sensors:
-        if isinstance(sensor, ImuSensor) and GYROSCOPE in sensor.streams and ACCELEROMETER in sensor.streams:
-            samples = InertialSamples.of(sensor.streams[GYROSCOPE], sensor.streams[ACCELEROMETER])
-            if samples is not None:
-                return sensor, samples
-    return None
+        A sample's noise shows in how far it lies from the middle between its neighbours, whose variance is 1.5 times
+        that of white noise. What a low rate does not resolve of the motion counts as noise, too: rightly so, since it
+        is not known between the samples either.
+        """
+        if len(self.timestamps_ns) < 3:
+            return np.tile([settings.gyroscope_noise**2, settings.accelerometer_noise**2], (len(times_ns), 1))
+        values = self.values
+        apart = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+        squares = np.stack([(apart[:, :3] ** 2).mean(axis=1), (apart[:, 3:] ** 2).mean(axis=1)], axis=1) / 1.5
+        width = max(_NOISE_SAMPLES, round(_NOISE_SECONDS / self.period)) | 1
+        smooth = _moving_mean(squares, min(width, len(squares))) * self.period
+        found = np.stack(
+            [np.interp(times_ns, self.timestamps_ns[1:-1], smooth[:, k]) for k in range(2)], axis=1
+        )
+        floored: Float64Array = np.maximum(
+            found, [settings.gyroscope_noise**2, settings.accelerometer_noise**2]
+        )
+        return floored
 
+    def preintegrated(
+        self, knots_ns: Int64Array, *, biases: Float64Array, densities: Float64Array
+    ) -> "Preintegrated":
+        """Sum up what an IMU measured from each knot to the next.
 
-def noise_densities(
-    samples: InertialSamples, times_ns: Int64Array, settings: SmootherSettings
-) -> Float64Array:
-    """Give the densities of the white noise around some times, (N, 2), (rad/s)²/Hz and (m/s²)²/Hz.
+        Between samples rate and force change evenly; the rotation is exact to the fourth order in the time between
+        samples for such a rate, velocity and trajectory are integrated by Simpson's rule over it.
 
-    A sample's noise shows in how far it lies from the middle between its neighbours, whose variance is 1.5 times that
-    of white noise. What a low rate does not resolve of the motion counts as noise, too: rightly so, since it is not
-    known between the samples either.
-    """
-    if len(samples.timestamps_ns) < 3:
-        return np.tile([settings.gyroscope_noise**2, settings.accelerometer_noise**2], (len(times_ns), 1))
-    values = samples.values
-    apart = values[1:-1] - 0.5 * (values[:-2] + values[2:])
-    squares = np.stack([(apart[:, :3] ** 2).mean(axis=1), (apart[:, 3:] ** 2).mean(axis=1)], axis=1) / 1.5
-    width = max(_NOISE_SAMPLES, round(_NOISE_SECONDS / samples.period)) | 1
-    smooth = _moving_mean(squares, min(width, len(squares))) * samples.period
-    found = np.stack(
-        [np.interp(times_ns, samples.timestamps_ns[1:-1], smooth[:, k]) for k in range(2)], axis=1
-    )
-    floored: Float64Array = np.maximum(found, [settings.gyroscope_noise**2, settings.accelerometer_noise**2])
-    return floored
+        Args:
+            knots_ns: (K,) int64 [ns], strictly increasing; they need not lie on samples.
+            biases: (K - 1, 6) to take off.
+            densities: (K - 1, 2) of the white noise, (rad/s)²/Hz and (m/s²)²/Hz.
+        """
+        count = len(knots_ns) - 1
+        found = Preintegrated(
+            np.empty((count, 3, 3)),
+            np.empty((count, 3)),
+            np.empty((count, 3)),
+            np.empty((count, 9, 6)),
+            np.empty((count, 9, 9)),
+            np.ascontiguousarray(biases),
+        )
+        preintegrate(
+            self.timestamps_ns, self.values, knots_ns, found.biases, np.ascontiguousarray(densities),
+            found.rotations, found.gains,
+            found.trajectories, found.slopes, found.covariances,
+        )  # fmt: skip
+        return found
 
 
 def _moving_mean(values: Float64Array, width: int) -> Float64Array:
@@ -294,29 +392,6 @@ _LONGEST_STEP = 60.0
 """Fixes farther apart on the whole [s] notify of a trajectory only where an IMU leads on between."""
 
 _HINT = "are the times in milliseconds, where seconds are expected?"
-
-
-def check_times(location: str, fixes: GnssFixes, samples: InertialSamples | None) -> None:
-    """Refuse times that are too far apart, such as milliseconds taken for seconds.
-
-    Raises:
-        PoseError: samples or fixes lie too far apart.
-    """
-    if samples is not None and samples.period > _LONGEST_PERIOD:
-        raise PoseError(
-            f"{location}: samples of the IMU lie {samples.period:.6g} s apart (median); expected at most "
-            f"{_LONGEST_PERIOD:g} s: {_HINT}"
-        )
-    times = fixes.timestamps_ns
-    step = float(np.median(np.diff(times))) * 1e-9
-    if step <= _LONGEST_STEP:
-        return
-    if samples is not None and samples.is_measured(times[:-1], times[1:]).any():
-        return
-    raise PoseError(
-        f"{location}: GNSS fixes lie {step:.6g} s apart (median), and no IMU measured between; expected at most "
-        f"{_LONGEST_STEP:g} s: {_HINT}"
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -353,42 +428,6 @@ class Preintegrated:
             self.covariances[rows],
             self.biases[rows],
         )
-
-
-def preintegrated(
-    timestamps_ns: Int64Array,
-    values: Float64Array,
-    knots_ns: Int64Array,
-    *,
-    biases: Float64Array,
-    densities: Float64Array,
-) -> Preintegrated:
-    """Sum up what an IMU measured from each knot to the next.
-
-    Between samples rate and force change evenly; the rotation is exact to the fourth order in the time between samples
-    for such a rate, velocity and trajectory are integrated by Simpson's rule over it.
-
-    Args:
-        timestamps_ns: (N,) int64 [ns], strictly increasing, N >= 2.
-        values: (N, 6) yaw rate [rad/s] and specific force [m/s²], body frame.
-        knots_ns: (K,) int64 [ns], strictly increasing; they need not lie on samples.
-        biases: (K - 1, 6) to take off.
-        densities: (K - 1, 2) of the white noise, (rad/s)²/Hz and (m/s²)²/Hz.
-    """
-    count = len(knots_ns) - 1
-    found = Preintegrated(
-        np.empty((count, 3, 3)),
-        np.empty((count, 3)),
-        np.empty((count, 3)),
-        np.empty((count, 9, 6)),
-        np.empty((count, 9, 9)),
-        np.ascontiguousarray(biases),
-    )
-    preintegrate(
-        timestamps_ns, values, knots_ns, found.biases, np.ascontiguousarray(densities), found.rotations, found.gains,
-        found.trajectories, found.slopes, found.covariances,
-    )  # fmt: skip
-    return found
 
 
 CLOSEST_NS = 20_000_000
@@ -454,12 +493,12 @@ def _apart_ns(
 ) -> Int64Array:
     """How far a fix at each time may be from the state before it, (F,) [ns]: the IMU's noise has to stay small.
 
-    Source: position by white noise of the acceleration, n² t³ / 3, and by that of the yaw rate under gravity,
+    Source: position by white noise of the acceleration, n² t³ / 3, and by that of the angular velocity under gravity,
     (g n)² t⁵ / 20 (Farrell 2008, "Aided Navigation", 11.4).
     """
     if samples is None:
         return np.full(len(times_ns), CLOSEST_NS)
-    rate, force = noise_densities(samples, times_ns, settings).T
+    rate, force = samples.noise_densities(times_ns, settings).T
     allowed = _CARRIED * settings.least_fix_noise / np.sqrt(2.0)
     seconds = np.minimum(
         (3.0 * allowed**2 / force) ** (1.0 / 3.0), (20.0 * allowed**2 / (_WEIGHT**2 * rate)) ** 0.2
@@ -533,50 +572,16 @@ class Fixes:
         inside = self.chosen((self.locations >= first) & (self.locations < last))
         return replace(inside, locations=inside.locations - first)
 
-
-def carried_fixes(
-    fixes: GnssFixes,
-    knots_ns: Int64Array,
-    measured: BoolArray,
-    samples: InertialSamples | None,
-    *,
-    biases: Float64Array,
-    gravity: float,
-    sigmas: Float64Array | None = None,
-) -> Fixes:
-    """Hold each fix against the state before it by what the IMU felt, and else against the nearest.
-
-    Args:
-        knots_ns: (K,) [ns], times of the states.
-        measured: (K - 1,) between which of them the IMU measured.
-        biases: (K - 1, 6) to take off what it measured.
-        gravity: [m/s²].
-        sigmas: (F, 3) [m]; None for those of the fixes.
-    """
-    times, count = fixes.timestamps_ns, len(fixes)
-    before = np.clip(np.searchsorted(knots_ns, times, side="right") - 1, 0, len(knots_ns) - 1)
-    led = np.append(measured, False)[before] & (times >= knots_ns[0])
-    locations = np.where(led, before, _nearest_states(knots_ns, times))
-    seconds = np.asarray((times - knots_ns[locations]) * 1e-9, np.float64)
-    levers, slopes, taken = fixes.levers.copy(), np.zeros((count, 3, 6)), np.zeros((count, 6))
-    rows = np.flatnonzero(led & (seconds > 0))
-    if samples is not None and len(rows):
-        rotations, trajectories = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
-        by_biases = np.empty((len(rows), 9, 6))
-        preintegrate_until(
-            samples.timestamps_ns, samples.values, knots_ns, np.ascontiguousarray(biases), times[rows], locations[rows],
-            rotations, np.empty((len(rows), 3)), trajectories, by_biases,
-        )  # fmt: skip
-        levers[rows] = np.einsum("nij,nj->ni", rotations, fixes.levers[rows]) + trajectories
-        slopes[rows] = (
-            by_biases[:, TRAJECTORY]
-            + rotations @ crossed_with(fixes.levers[rows]) @ by_biases[:, BY_ROTATION]
-        )
-        taken[rows] = biases[locations[rows]]
-    return Fixes(
-        times, locations, seconds, fixes.positions, levers, np.where(led, 0.5 * gravity * seconds**2, 0.0), slopes,
-        taken, fixes.sigmas if sigmas is None else sigmas, fixes.receivers,
-    )  # fmt: skip
+    def variances(self, rotations: Float64Array, own: Float64Array) -> Float64Array:
+        """(F, 3) variances of the antenna positions, from the states' orientations and covariances (K, 15, 15)."""
+        rotated = rotations[self.locations]
+        slopes = np.zeros((len(self), 3, SIZE))
+        slopes[:, :, MOTION_CHAIN_ROTATION] = rotated @ crossed_with(self.levers)
+        slopes[:, :, POSITION] = np.eye(3)
+        slopes[:, :, VELOCITY] = self.seconds[:, None, None] * np.eye(3)
+        slopes[:, :, VELOCITY.stop :] = rotated @ self.slopes
+        variances: Float64Array = ((slopes @ own[self.locations]) * slopes).sum(axis=2)
+        return variances
 
 
 def _nearest_states(knots_ns: Int64Array, times_ns: Int64Array) -> Int64Array:
@@ -585,18 +590,6 @@ def _nearest_states(knots_ns: Int64Array, times_ns: Int64Array) -> Int64Array:
     nearer_before = times_ns - knots_ns[after - 1] <= knots_ns[after] - times_ns
     nearest: Int64Array = after - nearer_before
     return nearest
-
-
-def fix_variances(fixes: Fixes, rotations: Float64Array, own: Float64Array) -> Float64Array:
-    """(F, 3) variances of where the antennas are, as states with orientations and covariances (K, 15, 15) report."""
-    rotated = rotations[fixes.locations]
-    slopes = np.zeros((len(fixes), 3, SIZE))
-    slopes[:, :, MOTION_CHAIN_ROTATION] = rotated @ crossed_with(fixes.levers)
-    slopes[:, :, POSITION] = np.eye(3)
-    slopes[:, :, VELOCITY] = fixes.seconds[:, None, None] * np.eye(3)
-    slopes[:, :, VELOCITY.stop :] = rotated @ fixes.slopes
-    variances: Float64Array = ((slopes @ own[fixes.locations]) * slopes).sum(axis=2)
-    return variances
 
 
 def crossed_with(vectors: Float64Array) -> Float64Array:

@@ -38,15 +38,8 @@ from sceneloom.motion.gnss_imu.measurements import (
     InertialSamples,
     Preintegrated,
     SmootherSettings,
-    carried_fixes,
-    check_times,
     crossed_with,
-    fix_variances,
-    gnss_fixes,
-    inertial_samples,
     knot_times,
-    noise_densities,
-    preintegrated,
 )
 from sceneloom.motion.imu import QUIET_FORCE, QUIET_RATE, WHITE, find_stationary
 from sceneloom.scene.poses import Trajectory
@@ -495,7 +488,7 @@ def _gate_ratios(fit: _Fit, *, scaled: bool) -> Float64Array:
     """(F,) squared distances of the fixes from where the others put them, in units of the gate's."""
     chain, fixes = fit.chain, fit.chain.fixes
     own, _ = _covariances(chain, fit.states, fit.weights)
-    spread = fix_variances(fixes, fit.states.rotations, own)
+    spread = fixes.variances(fit.states.rotations, own)
     residuals = equations(chain, fit.states, fit.weights).fix_residuals
     known = np.where(fit.weights[:, None] > 0, -fit.weights[:, None] * spread, spread)
     apart = residuals**2 / np.maximum(fixes.sigmas**2 + known, 0.05 * fixes.sigmas**2)
@@ -585,7 +578,7 @@ def _rescaled(fit: _Fit) -> tuple[_Fit, Float64Array]:
     """
     chain, fixes = fit.chain, fit.chain.fixes
     own, _ = _covariances(chain, fit.states, fit.weights)
-    spread = fix_variances(fixes, fit.states.rotations, own)
+    spread = fixes.variances(fit.states.rotations, own)
     residuals = equations(chain, fit.states, fit.weights).fix_residuals
     share = (fit.weights[:, None] / fixes.sigmas**2) * spread
     redundancy = fit.weights[:, None] * np.clip(1.0 - share, 0.0, 1.0)
@@ -602,7 +595,7 @@ def _rescaled(fit: _Fit) -> tuple[_Fit, Float64Array]:
 
 
 def _inertial_factors(fit: _Fit) -> Float64Array:
-    """(2,) factors by which the IMU's noise, of yaw rate and force, shows to be larger than taken; at least 1.
+    """(2,) factors by which the IMU's noise, of angular velocity and force, shows to be larger than taken; at least 1.
 
     Source: Förstner 1979, as in `_rescaled`; the rotation's share of velocity and trajectory is taken out first.
     """
@@ -794,7 +787,7 @@ _SECONDS, _LEAST_SAMPLES = 1.0, 15
 """The IMU is judged over so long, and so many samples at least."""
 
 _YAW_RATE = 0.02
-"""Mean yaw rate of a stand, the bias taken off, at most [rad/s]."""
+"""Mean angular velocity of a stand, the bias taken off, at most [rad/s]."""
 
 _SPEED, _DEVIATIONS = 0.2, 3.0
 """Speed that fixes may leave to a stand: at most this [m/s] and so many standard deviations more."""
@@ -881,8 +874,8 @@ _EVERY = 1.0
 """The knowledge is used this often [s]: what is wrong with it stays wrong for about so long."""
 
 _SLIP, _AXIS, _LEVER = 0.1, 0.02, 0.5
-"""It is wrong by a slip [m/s], a share of the speed since the axis is not exactly the body's, and the yaw rate times a
-lever [m], since the axle that does not slip is elsewhere."""
+"""It is wrong by a slip [m/s], a share of the speed since the axis is not exactly the body's, and the angular velocity
+times a lever [m], since the axle that does not slip is elsewhere."""
 
 _MOVING = 2.0
 """Speed from which on a direction of motion counts [m/s]."""
@@ -951,7 +944,7 @@ def _spread_out(chain: Chain) -> Int64Array:
 
 
 def _rates(chain: Chain, states: States, samples: InertialSamples) -> Float64Array:
-    """(K, 3) yaw rates at the states [rad/s]."""
+    """(K, 3) angular velocities at the states [rad/s]."""
     start = samples.timestamps_ns[0]
     times, knots = (samples.timestamps_ns - start) * 1e-9, (chain.knots_ns - start) * 1e-9
     rates = np.stack([np.interp(knots, times, samples.values[:, k]) for k in range(3)], axis=1)
@@ -1127,8 +1120,8 @@ def _smoothed(drive: _Measurements, settings: SmootherSettings) -> _Smoothed:
 def _begun(drive: _Measurements, chain: Chain) -> tuple[_Fit, Chain]:
     """States by the fixes that have one alone, without an IMU, and the noise that these fixes show in the chain's."""
     unmeasured = np.zeros_like(chain.measured)
-    fixes = carried_fixes(
-        drive.fixes, chain.knots_ns, unmeasured, None, biases=chain.inertial.biases, gravity=drive.gravity
+    fixes = drive.fixes.carried(
+        chain.knots_ns, unmeasured, None, biases=chain.inertial.biases, gravity=drive.gravity
     )
     near = np.abs(fixes.seconds) <= CLOSEST_NS * 1e-9
     alone = replace(chain, measured=unmeasured, relative=(), fixes=fixes.chosen(near))
@@ -1181,9 +1174,9 @@ def _felt_anew(
 ) -> Chain:
     """The measurements with what the IMU felt summed up with other biases and noise."""
     knots = chain.knots_ns
-    inertial = preintegrated(samples.timestamps_ns, samples.values, knots, biases=biases, densities=densities)
-    carried = carried_fixes(
-        fixes, knots, chain.measured, samples, biases=biases, gravity=chain.gravity, sigmas=chain.fixes.sigmas
+    inertial = samples.preintegrated(knots, biases=biases, densities=densities)
+    carried = fixes.carried(
+        knots, chain.measured, samples, biases=biases, gravity=chain.gravity, sigmas=chain.fixes.sigmas
     )
     return replace(chain, inertial=inertial, fixes=carried)
 
@@ -1209,11 +1202,9 @@ def _chain(drive: _Measurements, settings: SmootherSettings) -> tuple[Chain, Flo
         measured, inertial, densities = np.zeros(count, np.bool_), _nothing_felt(biases), np.zeros((count, 2))
     else:
         measured = samples.is_measured(knots[:-1], knots[1:])
-        densities = noise_densities(samples, (knots[:-1] + knots[1:]) // 2, settings)
-        inertial = preintegrated(
-            samples.timestamps_ns, samples.values, knots, biases=biases, densities=densities
-        )
-    carried = carried_fixes(fixes, knots, measured, samples, biases=biases, gravity=drive.gravity)
+        densities = samples.noise_densities((knots[:-1] + knots[1:]) // 2, settings)
+        inertial = samples.preintegrated(knots, biases=biases, densities=densities)
+    carried = fixes.carried(knots, measured, samples, biases=biases, gravity=drive.gravity)
     relative = () if lidar is None else (_lidar_steps(lidar, knots),)
     return Chain(knots, measured, inertial, carried, drive.gravity, settings, relative), densities
 
@@ -1478,13 +1469,12 @@ def gnss_imu_motion(
     """
     if not gnss_receivers(scene):
         raise PoseError(f"{scene.source}: no usable GNSS fixes in it; expected two or more")
-    fixes = gnss_fixes(scene, settings)
+    fixes = GnssFixes.of(scene, settings)
     if len(fixes) < 2:
         raise PoseError(f"{scene.source}: {len(fixes)} usable GNSS fix; expected two or more")
-    found = inertial_samples(scene)
-    samples = None if found is None else found[1]
+    samples = InertialSamples.of_scene(scene)
     gravity = settings.gravity or normal_gravity(float(fixes.origin_lla[0]), float(fixes.origin_lla[2]))
-    check_times(scene.source, fixes, samples)
+    fixes.check_times(scene.source, samples)
     bias = None if samples is None else _stationary_bias(samples)
     drive = _Measurements(fixes, samples, lidar, gravity, bias)
     return _run(scene, drive, _smoothed(drive, settings))

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras import Camera, unproject
 from sceneloom.errors import DataError
-from sceneloom.motion.clock.camera_rotation import camera_rotating, rotation_between
-from sceneloom.motion.clock.comparison import compare_turnings
-from sceneloom.motion.clock.signals import Rotating
+from sceneloom.motion.clock.camera_rotation import camera_rotation, rotation_between
+from sceneloom.motion.clock.comparison import compare_rotations
+from sceneloom.motion.clock.signals import Orientations
 from sceneloom.scene import CameraImage, CameraSensor, LazyFrames
 
 CAMERA_MODEL = Camera("fisheye", 160, 120, 90.0, 90.0, 79.5, 59.5, (0.02, -0.005, 0.001, 0.0))
@@ -62,7 +62,7 @@ def swayed(sway, seconds, readout=0.0):
 def test_rotates_from_image_to_image_are_those_of_the_camera(sway):
     seconds = np.arange(0.0, 1.0, 0.05)
     images, _, _ = swayed(sway, seconds)
-    rotating = camera_rotating(camera_of(images, seconds * 1e9))
+    rotating = camera_rotation(camera_of(images, seconds * 1e9))
     truth = Rotation.from_quat(sway(1, size=0.12, axes=(0.5, 1.0, 0.4)).orientations(seconds))
     found = Rotation.from_quat(rotating.quaternions_xyzw)
     errors = ((truth[:-1].inv() * truth[1:]).inv() * (found[:-1].inv() * found[1:])).magnitude()
@@ -77,7 +77,7 @@ def test_the_offset_of_a_camera_against_a_gyroscope_comes_back(sway, timestamps,
     images, rates, fine = swayed(sway, seconds, readout)
     calibration = {"calibration": {"shutterRollTimeSeconds": readout}}
     camera = camera_of(images, timestamps(seconds, offset), extras=calibration)
-    found = compare_turnings(Rotating.of_rates(timestamps(fine), rates), camera_rotating(camera))
+    found = compare_rotations(Orientations.of_rates(timestamps(fine), rates), camera_rotation(camera))
     # 5 ms are asked for; rows of a rolling shutter are 5 ms apart in this test's own steps
     assert found.offset_ns == pytest.approx(offset * 1e9, abs=3e6)
 
@@ -86,7 +86,7 @@ def test_a_black_image_breaks_the_rotating(sway):
     seconds = np.arange(0.0, 0.45, 0.05)
     images, _, _ = swayed(sway, seconds)
     images[6] = np.zeros_like(images[6])
-    rotating = camera_rotating(camera_of(images, seconds * 1e9))
+    rotating = camera_rotation(camera_of(images, seconds * 1e9))
     assert np.flatnonzero(np.diff(rotating.chunks)).tolist() == [5, 6]
 
 
@@ -101,7 +101,7 @@ def test_an_image_that_cannot_be_read_breaks_the_rotating(sway):
         return whole.images[k]
 
     broken = CameraSensor("camera0", CAMERA_MODEL, LazyFrames(whole.images.timestamps_ns, read))
-    assert np.flatnonzero(np.diff(camera_rotating(broken).chunks)).tolist() == [2, 3]
+    assert np.flatnonzero(np.diff(camera_rotation(broken).chunks)).tolist() == [2, 3]
 
 
 def test_what_is_near_does_not_rotate_the_camera():

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.motion.clock.comparison import ClockVerdict, compare_turnings
-from sceneloom.motion.clock.signals import Rotating, RotationCurve
+from sceneloom.motion.clock.comparison import ClockVerdict, compare_rotations
+from sceneloom.motion.clock.signals import Orientations, RotationCurve
 
 NOISE = 0.002
 """Of a consumer's gyroscope, a sample [rad/s]."""
@@ -34,7 +34,7 @@ def pair(
 @pytest.mark.few(3)
 def test_an_injected_offset_and_skew_come_back(sway, timestamps, offset, skew):
     at, rates, posed, rotations = pair(sway, timestamps, seed=3, offset=offset, skew=skew)
-    found = compare_turnings(Rotating.of_rates(at, rates), Rotating.of_poses(posed, rotations))
+    found = compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations))
     truth = offset + skew * 1e-6 * (found.at_ns - at[0]) / 1e9
     # half a millisecond is five of the deviations reported; 5 ms are asked for
     assert found.offset_ns == pytest.approx(truth * 1e9, abs=5e5)
@@ -46,7 +46,7 @@ def test_an_injected_offset_and_skew_come_back(sway, timestamps, offset, skew):
 @pytest.mark.parametrize("seed", range(5))
 def test_clocks_in_step_raise_no_alarm(sway, timestamps, seed):
     at, rates, posed, rotations = pair(sway, timestamps, seed=seed, seconds=20.0)
-    found = compare_turnings(Rotating.of_rates(at, rates), Rotating.of_poses(posed, rotations))
+    found = compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations))
     assert found.verdict is ClockVerdict.IN_STEP
     assert abs(found.offset_ns) < 5 * found.offset_sigma_ns
 
@@ -57,7 +57,7 @@ def test_errors_are_as_large_as_is_reported(sway, timestamps):
         at, rates, posed, rotations = pair(
             sway, timestamps, seed=seed, offset=0.05, seconds=12.0, poses_hz=20.0
         )
-        found = compare_turnings(Rotating.of_rates(at, rates), Rotating.of_poses(posed, rotations))
+        found = compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations))
         errors.append((found.offset_ns - 5e7) / found.offset_sigma_ns)
     # the mean square of 16 normal numbers lies in 0.3 to 2.2 but once in 500 times
     assert 0.3 < np.mean(np.square(errors)) < 2.2
@@ -65,8 +65,8 @@ def test_errors_are_as_large_as_is_reported(sway, timestamps):
 
 def test_the_other_way_round_the_signs_change(sway, timestamps):
     at, rates, posed, rotations = pair(sway, timestamps, offset=0.2, skew=100.0)
-    one, other = Rotating.of_rates(at, rates), Rotating.of_poses(posed, rotations)
-    forth, back = compare_turnings(one, other), compare_turnings(other, one)
+    one, other = Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations)
+    forth, back = compare_rotations(one, other), compare_rotations(other, one)
     assert back.offset_ns == pytest.approx(-forth.offset_ns, abs=5e4)
     assert back.skew_ppm == pytest.approx(-forth.skew_ppm, abs=5)
 
@@ -75,7 +75,7 @@ def test_a_rotation_between_the_bodies_is_found_along(sway, timestamps):
     at, rates, posed, rotations = pair(sway, timestamps, offset=0.03, axes=(1.0, 1.0, 1.0))
     mounted = Rotation.from_rotvec([0.4, -1.1, 2.0])
     rotated = (Rotation.from_quat(rotations) * mounted).as_quat()
-    found = compare_turnings(Rotating.of_rates(at, rates), Rotating.of_poses(posed, rotated))
+    found = compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotated))
     assert found.offset_ns == pytest.approx(3e7, abs=5e5)
     # the rate's noise leaves far less than a hundredth of a radian
     assert (Rotation.from_rotvec(found.rotation_vector).inv() * mounted).magnitude() < 0.01
@@ -89,15 +89,16 @@ def test_gaps_and_wild_samples_do_not_matter(sway, timestamps):
     rates[100] = np.nan
     gyroscope = (at < at[0] + 9_000_000_000) | (at > at[0] + 14_000_000_000)
     poses = (posed < at[0] + 25_000_000_000) | (posed > at[0] + 27_000_000_000)
-    found = compare_turnings(
-        Rotating.of_rates(at[gyroscope], rates[gyroscope]), Rotating.of_poses(posed[poses], rotations[poses])
+    found = compare_rotations(
+        Orientations.of_rates(at[gyroscope], rates[gyroscope]),
+        Orientations.of_poses(posed[poses], rotations[poses]),
     )
     assert found.offset_ns == pytest.approx(3e7, abs=3e6)
 
 
 def test_ten_samples_a_second_of_both_are_enough(sway, timestamps):
     at, rates, posed, rotations = pair(sway, timestamps, offset=0.03, poses_hz=10.0, rates_hz=10.0, size=0.05)
-    found = compare_turnings(Rotating.of_rates(at, rates), Rotating.of_poses(posed, rotations))
+    found = compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations))
     assert found.offset_ns == pytest.approx(3e7, abs=5e6)
 
 
@@ -106,7 +107,7 @@ def test_a_long_drive_with_a_fast_clock_is_followed(sway, timestamps):
     at, rates, posed, rotations = pair(
         sway, timestamps, offset=0.4, skew=200.0, seconds=320.0, poses_hz=10.0, rates_hz=25.0
     )
-    found = compare_turnings(Rotating.of_rates(at, rates), Rotating.of_poses(posed, rotations))
+    found = compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations))
     assert found.skew_ppm == pytest.approx(200.0, abs=5.0)
     assert len(found.chunks) == 5
     for piece in found.chunks:
@@ -121,8 +122,8 @@ def test_what_is_stationary_states_nothing(timestamps):
     rates = 0.01 + NOISE * draw.standard_normal((len(seconds), 3))
     posed = np.arange(0.0, 30.0, 0.05)
     rotations = Rotation.from_rotvec(1e-4 * draw.standard_normal((len(posed), 3))).as_quat()
-    found = compare_turnings(
-        Rotating.of_rates(timestamps(seconds), rates), Rotating.of_poses(timestamps(posed), rotations)
+    found = compare_rotations(
+        Orientations.of_rates(timestamps(seconds), rates), Orientations.of_poses(timestamps(posed), rotations)
     )
     assert found.verdict is ClockVerdict.NOT_OBSERVABLE
     assert found.reason
@@ -133,7 +134,7 @@ def test_motions_of_two_different_bodies_have_nothing_in_common(sway, timestamps
     for seed in range(2):
         at, rates, _, _ = pair(sway, timestamps, seed=seed)
         _, _, posed, rotations = pair(sway, timestamps, seed=seed + 50)
-        found = compare_turnings(Rotating.of_rates(at, rates), Rotating.of_poses(posed, rotations))
+        found = compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations))
         assert found.verdict is ClockVerdict.NOT_OBSERVABLE, seed
 
 
@@ -145,8 +146,8 @@ def test_a_motion_that_repeats_itself_has_two_offsets(timestamps):
     posed = np.arange(0.0, 60.0, 0.02)
     yaw = 0.3 * (1 - np.cos(2 * np.pi * posed / 2.0)) / np.pi
     rotations = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0]).as_quat()
-    found = compare_turnings(
-        Rotating.of_rates(timestamps(seconds), rates), Rotating.of_poses(timestamps(posed), rotations)
+    found = compare_rotations(
+        Orientations.of_rates(timestamps(seconds), rates), Orientations.of_poses(timestamps(posed), rotations)
     )
     assert found.verdict is ClockVerdict.NOT_OBSERVABLE
     assert "fit alike" in found.reason
@@ -154,14 +155,16 @@ def test_a_motion_that_repeats_itself_has_two_offsets(timestamps):
 
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_too_few_samples_are_named(timestamps, count):
-    few = Rotating.of_poses(timestamps(np.arange(count) * 0.1), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)))
-    many = Rotating.of_poses(timestamps(np.arange(100) * 0.1), np.tile([0.0, 0.0, 0.0, 1.0], (100, 1)))
-    assert "samples" in compare_turnings(many, few).reason
+    few = Orientations.of_poses(timestamps(np.arange(count) * 0.1), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)))
+    many = Orientations.of_poses(timestamps(np.arange(100) * 0.1), np.tile([0.0, 0.0, 0.0, 1.0], (100, 1)))
+    assert "samples" in compare_rotations(many, few).reason
 
 
 def test_streams_that_never_meet_are_named(sway, timestamps):
     at, rates, posed, rotations = pair(sway, timestamps)
-    found = compare_turnings(Rotating.of_rates(at, rates), Rotating.of_poses(posed + 10**12, rotations))
+    found = compare_rotations(
+        Orientations.of_rates(at, rates), Orientations.of_poses(posed + 10**12, rotations)
+    )
     assert "in common" in found.reason
 
 
@@ -169,7 +172,7 @@ def test_wrong_times_of_both_are_not_searched_between(sway, timestamps):
     at, rates, posed, rotations = pair(sway, timestamps, seconds=4.0)
     at[-1] += 5 * 10**18
     posed[-1] += 5 * 10**18
-    found = compare_turnings(Rotating.of_rates(at, rates), Rotating.of_poses(posed, rotations))
+    found = compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations))
     assert "is a time wrong" in found.reason
 
 
@@ -177,7 +180,7 @@ def test_a_curve_through_rates_rotates_as_the_body_does(sway, timestamps):
     body = sway(2)
     seconds = np.arange(0.0, 10.0, 0.02)
     at = timestamps(seconds)
-    curve = RotationCurve(Rotating.of_rates(at, body.rates(seconds)), int(at[0]))
+    curve = RotationCurve(Orientations.of_rates(at, body.rates(seconds)), int(at[0]))
     starts, stops = np.linspace(0.5, 8.0, 40), np.linspace(0.9, 9.5, 40)
     asked = np.concatenate([starts, stops])
     order = np.argsort(asked)

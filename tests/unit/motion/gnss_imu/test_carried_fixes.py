@@ -10,8 +10,6 @@ from sceneloom.motion.gnss_imu.measurements import (
     GnssFixes,
     InertialSamples,
     SmootherSettings,
-    carried_fixes,
-    fix_variances,
     knot_times,
 )
 from sceneloom.simulate.gnss_imu import GRAVITY, ImuSpec, imu_truth
@@ -53,7 +51,7 @@ def expected(fixes: Fixes, moved: np.ndarray | None = None) -> np.ndarray:
 
 
 def test_true_states_expect_the_antenna_where_it_is():
-    found = carried_fixes(antennas(), KNOTS, MEASURED, samples(), biases=np.zeros((3, 6)), gravity=GRAVITY)
+    found = antennas().carried(KNOTS, MEASURED, samples(), biases=np.zeros((3, 6)), gravity=GRAVITY)
     assert found.locations.tolist() == [0, 0, 0, 0, 1, 1, 2, 3, 3]
     # 10 ms beyond the first and the last state nothing but the velocity leads on: 1 m/s² and rotates of 1 rad/s leave
     # less than a millimetre of the ego, and a centimetre of the lever
@@ -62,7 +60,7 @@ def test_true_states_expect_the_antenna_where_it_is():
 
 
 def test_without_imu_each_fix_goes_to_the_nearest_state():
-    found = carried_fixes(antennas(), KNOTS, ~MEASURED, samples(), biases=np.zeros((3, 6)), gravity=GRAVITY)
+    found = antennas().carried(KNOTS, ~MEASURED, samples(), biases=np.zeros((3, 6)), gravity=GRAVITY)
     assert found.locations.tolist() == [0, 0, 0, 1, 1, 2, 2, 3, 3]
     assert not found.falls.any()
     assert np.array_equal(found.levers, np.tile(LEVER, (len(TIMES), 1)))
@@ -70,10 +68,8 @@ def test_without_imu_each_fix_goes_to_the_nearest_state():
 
 def test_a_bias_taken_off_is_one_known_to_the_slopes():
     bias = np.array([2e-3, -1e-3, 3e-3, 0.05, -0.04, 0.02])
-    plain = carried_fixes(antennas(), KNOTS, MEASURED, samples(), biases=np.zeros((3, 6)), gravity=GRAVITY)
-    other = carried_fixes(
-        antennas(), KNOTS, MEASURED, samples(), biases=np.tile(bias, (3, 1)), gravity=GRAVITY
-    )
+    plain = antennas().carried(KNOTS, MEASURED, samples(), biases=np.zeros((3, 6)), gravity=GRAVITY)
+    other = antennas().carried(KNOTS, MEASURED, samples(), biases=np.tile(bias, (3, 1)), gravity=GRAVITY)
     assert np.abs(other.levers - plain.levers).max() > 0.01
     # what is second order in 3e-3 rad and 0.05 m/s² over 0.9 s
     assert np.abs(expected(other) - expected(plain)).max() < 1e-4
@@ -82,7 +78,7 @@ def test_a_bias_taken_off_is_one_known_to_the_slopes():
 @pytest.mark.slow
 def test_variances_are_those_of_drawn_states():
     rng = np.random.default_rng(1)
-    found = carried_fixes(antennas(), KNOTS, MEASURED, samples(), biases=np.zeros((3, 6)), gravity=GRAVITY)
+    found = antennas().carried(KNOTS, MEASURED, samples(), biases=np.zeros((3, 6)), gravity=GRAVITY)
     roots = 1e-3 * rng.standard_normal((len(KNOTS), SIZE, SIZE))
     own = roots @ roots.swapaxes(1, 2)
     drawn = [
@@ -90,7 +86,7 @@ def test_variances_are_those_of_drawn_states():
         for _ in range(4000)
     ]
     # a variance of 4000 draws has a deviation of √(2 / 4000) = 2.2 %
-    variances = fix_variances(found, PATH.at(KNOTS).rotations, own)
+    variances = found.variances(PATH.at(KNOTS).rotations, own)
     assert np.var(drawn, axis=0) == pytest.approx(variances, rel=0.1)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
-from sceneloom.motion.gnss_imu.measurements import Fixes, SmootherSettings, preintegrated
+from sceneloom.motion.gnss_imu.measurements import Fixes, InertialSamples, SmootherSettings
 from sceneloom.motion.gnss_imu.smoother import (
     BodySpeeds,
     Chain,
@@ -30,9 +30,8 @@ def made_up_chain(rng: np.random.Generator, parts: str) -> Chain:
     times = np.arange(0, 2_000_000_001, 10_000_000)
     values = np.hstack([0.3 * rng.standard_normal((201, 3)), rng.standard_normal((201, 3))])
     values[:, 5] += 9.8
-    inertial = preintegrated(
-        times, values, knots, biases=np.zeros((4, 6)), densities=np.tile([1e-4, 1e-2], (4, 1))
-    )
+    samples = InertialSamples(times, values, np.empty((0, 2), np.int64))
+    inertial = samples.preintegrated(knots, biases=np.zeros((4, 6)), densities=np.tile([1e-4, 1e-2], (4, 1)))
     locations, seconds = np.array([0, 2, 4]), np.array([0.3, 0.0, -0.01])
     fixes = Fixes(
         knots[locations] + np.int64(seconds * 1e9), locations, seconds, rng.standard_normal((3, 3)),

@@ -1,6 +1,4 @@
-"""Camera-lidar calibration by a checkerboard: its corners in images, its pose in image and cloud.
-
-And extrinsics without a first guess.
+"""Camera-lidar calibration by a checkerboard: its corners in images and its plane in clouds, without a first guess.
 
 Source: saddles by the determinant of the Hessian and their sub-pixel location by a quadratic surface: Lucchese and
     Mitra

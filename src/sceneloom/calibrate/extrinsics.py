@@ -1,7 +1,4 @@
-"""An estimated extrinsic with the certainty of each direction; registration of two clouds.
-
-And a first guess from the ground.
-"""
+"""An estimated extrinsic with its covariance, and small steps of an extrinsic."""
 
 from dataclasses import dataclass
 

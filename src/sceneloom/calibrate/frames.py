@@ -1,7 +1,4 @@
-"""The frames that a calibration is checked and refined by: an image with the points of a sweep at its time.
-
-In scan order.
-"""
+"""The frames that a calibration is checked and refined by: an image with the points of a sweep in scan order."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

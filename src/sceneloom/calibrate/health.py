@@ -944,10 +944,7 @@ def judge_motion(
 
 
 def _aligned(seen: Float64Array, stated: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """The rotation (3,) that takes what is stated to what is seen, its covariance (3, 3).
-
-    And the axis of rotating (3,).
-    """
+    """The rotation (3,) from the stated to the observed extrinsics, its covariance (3, 3) and rotation axis (3,)."""
     u, _, vt = np.linalg.svd(seen.T @ stated)
     axis = u[:, 0]
     along = np.outer(axis, axis)

@@ -1,6 +1,4 @@
-"""How well an image and a cloud agree under a candidate calibration: image edges and grey levels, depth edges.
-
-Features, and their agreement.
+"""How well image and cloud agree under a candidate calibration: image edges, grey levels, depth edges, features.
 
 Source: Levinson and Thrun 2013, "Automatic Online Calibration of Cameras and Lasers": range jumps to both sides, the
 nearer point counts. Ours: jumps across the scan lines too, and their direction, which edges of images must share.

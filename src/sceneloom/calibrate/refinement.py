@@ -1,7 +1,5 @@
 """Refinement of camera-lidar extrinsics by the edges and intensities that image and points share.
 
-And a smooth sum with derivatives.
-
 Each channel compares its points with a map of the image that was blurred to some width and freed of what is wider:
 a candidate that moves non-finite points in particular gets 0. If a point that is where it belongs meets the mean value
 m of its map, and the map's values vary by v, then m/v times the value is the logarithm of how much likelier the point's
@@ -644,10 +642,7 @@ _ROUNDS = 2
 _MOST_ROTATED = (12_000, 16_000, 24_000)
 
 _MOST_MOVED = (40_000, 160_000)
-"""Points that count at each look, for the rotations alone and for all numbers; few report rotates.
-
-And wide maps are smooth.
-"""
+"""Points used at each stage, for the rotation alone and for all parameters: few suffice, since wide maps are smooth."""
 
 _MOST_STEPS = 10
 

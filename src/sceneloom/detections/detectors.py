@@ -1,6 +1,4 @@
-"""What two detectors are like: which class names match, statistics class by class, independent detectors.
-
-And the TOML files that hold them.
+"""Detector models: matching class names, statistics of each class, independent detectors, and their TOML files.
 
 Words are compared without regard to case, blanks, dashes, dots and underscores. What is in no table is kept as it came.
 

@@ -474,10 +474,7 @@ _NEAR = 0.05
 """A box nearer to the camera than this holds it, and has no outline [m]."""
 
 _APART = 1.5
-"""Boxes whose middles are nearer to each other than this along the visibility stand for one thing.
-
-And hide no other [m].
-"""
+"""Boxes whose middles are nearer to each other than this along the ray are one object and hide no other [m]."""
 
 
 def boxes_with_position(

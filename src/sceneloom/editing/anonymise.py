@@ -24,7 +24,7 @@ from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, Sensor, time_span
-from sceneloom.scene.time_range import chosen_fixes
+from sceneloom.scene.time_range import select_rows
 from sceneloom.scene.types import Coordinates, key_of
 from sceneloom.warnings import DataWarning
 
@@ -112,7 +112,7 @@ def _shifted(receivers: list[GnssSensor]) -> list[GnssSensor]:
     for one, rows, locations in usable:
         moved = geodetic_from_enu(enu_from_geodetic(locations, origin_lla), _SOMEWHERE_LLA)
         moved[np.isnan(one.positions_lla[rows, 2]), 2] = np.nan
-        found.append(replace(chosen_fixes(one, rows), positions_lla=moved))
+        found.append(replace(select_rows(one, rows), positions_lla=moved))
     return found
 
 

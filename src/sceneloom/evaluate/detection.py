@@ -1,7 +1,4 @@
-"""Evaluation of detections: precision and recall by KITTI's rules, calibration of scores and covariances.
-
-Comparison of files, plots.
-"""
+"""Evaluation of detections: precision and recall by KITTI's rules, calibration of scores and covariances, plots."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,4 @@
-"""Evaluation of a trajectory against a reference: association, alignment, absolute, relative and KITTI errors.
-
-And their report.
-"""
+"""Evaluation of a trajectory: association, alignment, absolute, relative and KITTI errors, report and plot."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -878,10 +875,7 @@ def _title(report: TrajectoryReport) -> str:
 _ROTATED_DEG = 5.0
 
 _STEADY = 0.25
-"""A mean rotation of the device's axes beyond so many degrees.
-
-From which single ones stray by less than this share of it,
-is taken for another choice of axes."""
+"""Beyond `_ROTATED_DEG`, single rotations within this share of the mean one show another choice of axes."""
 
 
 def _doubts_of(alignment: _Alignment, pairs: Pairs, aligned: MatchedPoses) -> list[DataWarning]:
@@ -907,10 +901,7 @@ def _doubts_of(alignment: _Alignment, pairs: Pairs, aligned: MatchedPoses) -> li
 
 
 def _rotation_of_axes(ours: Float64Array, theirs: Float64Array) -> tuple[float, float]:
-    """The mean rotation between the axes of both devices.
-
-    And the mean angle by which single ones stray from it [deg].
-    """
+    """The mean rotation between the axes of both devices, and the mean deviation from it [deg]."""
     rotations = multiply_quaternions(conjugate_quaternion(ours), theirs)
     mean, _ = nearest_rotation(matrix_from_quaternion(rotations).mean(axis=0))
     axes = quaternion_from_matrix(mean)

@@ -1,7 +1,4 @@
-"""Deskewing: points by the pose at each point's own timestamp, sweeps as if measured at one moment.
-
-And warnings about point timestamps.
-"""
+"""Deskewing: each point by the pose at its own timestamp, sweeps as if measured at once, warnings about timestamps."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping

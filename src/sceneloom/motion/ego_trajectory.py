@@ -51,40 +51,30 @@ def usable_positions(receiver: GnssSensor) -> tuple[Int64Array, Float64Array]:
     return rows, locations
 
 
-_LEAST_TRAJECTORY = 0.5
-"""The trajectory [m] over which a direction is measured: well above the noise of a smoothed position."""
+_CHORD = 0.5
+"""Length [m] of the chord that gives a direction: well above the noise of a smoothed position."""
 
 
 def headed_poses(trajectory: Trajectory) -> Poses:
-    """Give each position the yaw and pitch of the way around it, without roll.
+    """Give each position the yaw and pitch of the trajectory around it, without roll.
 
-    The direction at a position is the chord from the last position at least `_LEAST_TRAJECTORY` behind to the first at
-    least `_LEAST_TRAJECTORY` ahead along the trajectory; while the ego stands, it keeps the direction that it came
-    with.
+    The direction is the chord from the last position at least `_CHORD` behind to the first at least that far ahead;
+    a stationary ego keeps the direction that it came with.
 
     Raises:
-        PoseError: the ego never moves `_LEAST_TRAJECTORY`.
+        PoseError: the ego never moves `_CHORD`.
     """
     positions = trajectory.positions
-    estimated_trajectory = np.concatenate(
-        [[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))]
-    )
-    if len(estimated_trajectory) == 0 or estimated_trajectory[-1] < _LEAST_TRAJECTORY:
+    travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1)))
+    if travelled[-1] < _CHORD:
         raise PoseError(
-            f"trajectory {trajectory.name!r} moves "
-            f"{estimated_trajectory[-1] if len(estimated_trajectory) else 0.0:.2f} m in all; "
-            f"a heading needs at least {_LEAST_TRAJECTORY} m; choose another with `--trajectory NAME`"
+            f"trajectory {trajectory.name!r} moves {travelled[-1]:.2f} m in all; a heading needs at least {_CHORD} m; "
+            "choose another with `--trajectory NAME`"
         )
-    behind = np.maximum(
-        np.searchsorted(estimated_trajectory, estimated_trajectory - _LEAST_TRAJECTORY, side="right") - 1, 0
-    )
-    ahead = np.minimum(
-        np.searchsorted(estimated_trajectory, estimated_trajectory + _LEAST_TRAJECTORY, side="left"),
-        len(estimated_trajectory) - 1,
-    )
-    return Poses(
-        trajectory.timestamps_ns, positions, _quaternions_along(positions[ahead] - positions[behind])
-    )
+    behind = np.maximum(np.searchsorted(travelled, travelled - _CHORD, side="right") - 1, 0)
+    ahead = np.minimum(np.searchsorted(travelled, travelled + _CHORD, side="left"), len(travelled) - 1)
+    directions = positions[ahead] - positions[behind]
+    return Poses(trajectory.timestamps_ns, positions, _quaternions_along(directions))
 
 
 def _quaternions_along(directions: Float64Array) -> Float64Array:
@@ -245,9 +235,7 @@ def computed_name(scene: Scene, name: str | None) -> str | None:
 
 
 def with_trajectory_estimated(scene: Scene, ego: EgoMotion) -> Scene:
-    """The scene with the trajectory that was found in it as its default trajectory.
-
-    And with what is to be stated of it.
+    """The scene with its estimated trajectory as the default one, and the warnings that go with it.
 
     Where the world's axes are east, north and up at a known location, `metadata.sceneloom.enu_origin` reports it. A
     fusion shifts the world; `world_from_file`, which it adds, leads back into this one.

@@ -654,10 +654,7 @@ def _size(poses: Poses) -> str:
 
 
 def _held(poses: Poses) -> Poses:
-    """A file cannot state of a single pose that it holds at one time only.
-
-    And nothing could be corrected by it then.
-    """
+    """A file cannot state that a single pose holds at one time only, and nothing could be corrected by it."""
     return replace(poses, static=True) if len(poses.timestamps_ns) == 1 else poses
 
 

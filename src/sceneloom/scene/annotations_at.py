@@ -1,6 +1,4 @@
-"""Annotations at any time: between two timestamps, at one, and beyond the ends; cuboid angles.
-
-And all boxes of a scene at a moment.
+"""Annotations at any time (between, at and beyond timestamps), cuboid angles, and all boxes of a scene at a moment.
 
 Source: READING of "paths" in docs/CONVENTIONS.md.
 """

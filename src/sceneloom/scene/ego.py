@@ -252,10 +252,7 @@ _NO_TRAJECTORY = (
 
 
 def needs_ego(scene: Scene) -> bool:
-    """Whether the ego trajectory has to report where something was: a sensor without poses.
-
-    Or points that ride on the ego.
-    """
+    """Whether the ego trajectory is needed: for a sensor without poses, or for points in ego coordinates."""
     rider_association = any(
         lidar.mount is not None and lidar.points_frame is not PointsFrame.WORLD for lidar in scene.lidars
     )
@@ -354,9 +351,7 @@ def _source_on_ego(scene: Scene, sensor: Posed, ego: EgoMotion | None, reach_ns:
 
 
 def ego_path(scene: Scene, sensor: Posed, ego: EgoMotion | None) -> Poses:
-    """The ego that a sensor in ego coordinates refers to: its parent odometry, the chosen trajectory.
-
-    Or the only odometry.
+    """The ego that a sensor in ego coordinates refers to: parent odometry, chosen trajectory or only odometry.
 
     Raises:
         PoseError: there are several odometry sensors, and the parent is none of them; or there is neither any nor a

@@ -222,10 +222,7 @@ class _Sweep:
         return 2 * (self.first_ns - self.previous.first_ns) >= advance_ns * factor
 
     def _counts_from_timestamp(self) -> bool:
-        """Whether the times lie around zero, the timestamp does not.
-
-        And the times did not go on with the timestamps.
-        """
+        """Whether the times lie around zero while the timestamps do not, and do not continue as the timestamps do."""
         reach_ns = 1.5 * self.period_ns
         if not self._timestamp_is_near_zero():
             # of gathered sweeps, too; but nearer to zero than to the timestamp
@@ -245,10 +242,7 @@ class _Sweep:
         return -reach_ns <= self.first_ns and self.last_ns <= reach_ns
 
     def _unit(self) -> TimesFound | None:
-        """A wrong unit, if one makes the times those of a sweep at the timestamp.
-
-        Or as long as a sweep from zero on.
-        """
+        """A wrong unit, if one moves the times to the timestamp, or makes them as long as a sweep from zero on."""
         for factor in _FACTORS:
             if self._is_near_timestamp(factor) and self._went_on(factor) is not False and self._lasts(factor):
                 return TimesFound(PointTimes.WRONG_UNIT, factor)

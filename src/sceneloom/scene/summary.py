@@ -176,10 +176,7 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
 
 
 def _has_camera_models_at_hand(scene: Scene) -> bool:
-    """Whether the camera model of each image costs no image: `.sfs` files have one a camera.
-
-    And others may lie far away.
-    """
+    """Whether camera models cost no image: `.sfs` files have one per camera, others may store them with each image."""
     return scene.format != "sfs" and "://" not in scene.source
 
 

@@ -7,15 +7,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Int64Array, UInt32Array
+from sceneloom.arrays import BoolArray, Int64Array, UInt32Array
 from sceneloom.errors import OptionError
 from sceneloom.scene.annotations import (
     Activation,
     Annotation,
     AttributePath,
     Box2DAnnotation,
+    BoxPath,
     CameraCalibration,
     CuboidAnnotation,
+    CuboidPath,
     EventAnnotation,
     LabeledPoints,
     LabeledPointsAnnotation,
@@ -27,12 +29,13 @@ from sceneloom.scene.annotations import (
     PointsAnnotation,
     Projection,
     ShapeAnnotation,
+    VertexPath,
 )
-from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, Shooting, chosen_shots
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, chosen_shots
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.poses import Poses, Trajectory
-from sceneloom.scene.scene import Scene, Sensor, frame_times, time_span
+from sceneloom.scene.scene import Scene, frame_times, time_span
 from sceneloom.scene.types import Key, key_of
 from sceneloom.warnings import DataWarning, WarningKind
 
@@ -176,9 +179,6 @@ def _new_ids(point_ids: UInt32Array, rows: Int64Array) -> UInt32Array:
     return locations[there].astype(np.uint32)
 
 
-_LOCATION = "annotations[].labeled_points"
-
-
 def _reported(statistics: _Statistics) -> tuple[DataWarning, ...]:
     found = (
         ("points", "labelled points that are not in the scene any more", statistics.points),
@@ -190,274 +190,23 @@ def _reported(statistics: _Statistics) -> tuple[DataWarning, ...]:
         ),
         ("annotations", "annotations without a labelled point left", statistics.annotations),
     )
+    return _skipped(
+        "annotations[].labeled_points",
+        *((f"labelled-{what}", message, count) for what, message, count in found),
+    )
+
+
+def _skipped(location: str, *found: tuple[str, str, int]) -> tuple[DataWarning, ...]:
+    """A warning for each code, message and count above 0."""
     return tuple(
-        DataWarning(
-            kind=WarningKind.SKIPPED,
-            code=f"labelled-{what}",
-            location=_LOCATION,
-            message=message,
-            count=count,
-        )
-        for what, message, count in found
+        DataWarning(kind=WarningKind.SKIPPED, code=code, location=location, message=message, count=count)
+        for code, message, count in found
         if count
     )
 
 
 Interval = tuple[int, int]
 """`[first_ns, last_ns)`."""
-
-_Path = TypeVar("_Path", bound=Any)
-
-_Seen = TypeVar("_Seen", Projection, PointProjection)
-
-
-@dataclass(frozen=True, slots=True)
-class _Times:
-    """When a part is, and the same until its last sweep ends, for what is drawn into images."""
-
-    part: Interval
-    with_images: Interval
-
-
-def _cut_annotation(
-    annotation: Annotation, part: Interval, *, with_images: Interval | None = None
-) -> Annotation | None:
-    """Keep what an annotation says about a part; None for one that is not there in it.
-
-    What holds at all times stays, and so do labelled points: it is for the caller to count their frames anew.
-
-    Args:
-        part: when the part is.
-        with_images: the same until its last sweep ends; None: as `part`.
-    """
-    cut = _CUTS.get(type(annotation))
-    found: Any = annotation if cut is None else cut(annotation, _Times(part, with_images or part))
-    stated: tuple[AttributePath, ...] = getattr(found, "attributes", ())
-    kept = _cut_attributes(stated, part)
-    changed: Annotation | None = found if kept == stated else replace(found, attributes=kept)
-    return changed
-
-
-def _cut_attributes(attributes: tuple[AttributePath, ...], part: Interval) -> tuple[AttributePath, ...]:
-    """Keep what attributes state about a part: a value holds until the next one.
-
-    So the last one before it begins it.
-    """
-    cut = (_cut_attribute(attribute, part) for attribute in attributes)
-    return tuple(attribute for attribute in cut if attribute is not None)
-
-
-def _without_loose_ends(
-    before: Iterable[Annotation], after: Iterable[Annotation]
-) -> tuple[tuple[Annotation, ...], int]:
-    """Take away links to annotations that were left out, and parents that were.
-
-    Returns:
-        annotations: those after, each without what is gone.
-        freed: how many lost their parent.
-    """
-    kept = tuple(after)
-    gone = {key_of(a.id) for a in before} - {key_of(a.id) for a in kept}
-    if not gone:
-        return kept, 0
-    firm = [a for a in kept if not (isinstance(a, LinkAnnotation) and _ends(a) & gone)]
-    freed = [_freed(a, gone) for a in firm]
-    return tuple(freed), sum(now is not then for now, then in zip(freed, firm, strict=True))
-
-
-def _ends(link: LinkAnnotation) -> set[Key]:
-    return {key_of(link.from_id), key_of(link.to_id)}
-
-
-def _freed(annotation: Annotation, gone: set[Key]) -> Annotation:
-    parent = annotation.parent_id
-    if isinstance(annotation, PlainAnnotation) or parent is None or key_of(parent) not in gone:
-        return annotation
-    return replace(annotation, parent_id=None)
-
-
-def _rows_between(times_ns: Int64Array, part: Interval) -> slice:
-    """The rows in a part."""
-    first, last = np.searchsorted(times_ns, part)
-    return slice(int(first), int(last))
-
-
-def _rows_around(times_ns: Int64Array, part: Interval, margin_ns: int) -> slice:
-    """The rows of a part and its surroundings, with at least one at or before it and one after it, where there are."""
-    inner = _rows_between(times_ns, part)
-    outer = _rows_between(times_ns, (part[0] - margin_ns, part[1] + margin_ns))
-    return slice(max(min(outer.start, inner.start - 1), 0), max(outer.stop, inner.stop + 1))
-
-
-def _overlaps(times_ns: Int64Array, part: Interval) -> bool:
-    """Whether what lasts from the first time to the last one is there in a part."""
-    return len(times_ns) > 0 and bool(times_ns[0] < part[1] and times_ns[-1] >= part[0])
-
-
-def _cut_poses(path: Poses, part: Interval, margin_ns: int) -> Poses:
-    """Keep the poses in and around a part, so that between its times nothing changes."""
-    if path.static:
-        return path
-    rows = _rows_around(path.timestamps_ns, part, margin_ns)
-    return Poses(path.timestamps_ns[rows], path.positions[rows], path.quaternions_xyzw[rows])
-
-
-def _cut_attribute(attribute: AttributePath, part: Interval) -> AttributePath | None:
-    times = attribute.timestamps_ns
-    if times is None or not len(times) or not attribute.is_timed or not _increase(times):
-        return attribute  # without times it holds at all of them, or is at fault: a part keeps it
-    inner = _rows_between(times, part)
-    rows = slice(max(int(np.searchsorted(times, part[0], "right")) - 1, 0), inner.stop)
-    if rows.start >= rows.stop:
-        return None
-    if rows == slice(0, len(times)) and times[0] >= part[0]:
-        return attribute
-    return replace(attribute, timestamps_ns=np.maximum(times[rows], part[0]), values=attribute.values[rows])
-
-
-def _increase(times_ns: Int64Array) -> bool:
-    """Whether times can be searched; paths that run backwards stay whole."""
-    return bool((np.diff(times_ns) >= 0).all())
-
-
-def _cut_path(path: _Path, part: Interval, name: str, *, stationary: bool | None) -> _Path | None:
-    """Cut a path with values under a name; None where it is not there in the part."""
-    times, values = path.timestamps_ns, getattr(path, name)
-    if len(times) == 0 or not _increase(times):
-        return path
-    if stationary:
-        # what is stationary holds at all times, so one of its rows serves the part, at a time in it
-        rows = _rows_between(times, part)
-        rows = rows if rows.start < rows.stop else slice(0, 1)
-        times_ns = np.clip(times[rows], part[0], part[1] - 1)
-        return replace(path, timestamps_ns=times_ns, **{name: values[rows]})
-    if not _overlaps(times, part):
-        return None
-    rows = _rows_around(times, part, 0)
-    return replace(path, timestamps_ns=times[rows], **{name: values[rows]})
-
-
-def _cuboid(cuboid: CuboidAnnotation, times: _Times) -> CuboidAnnotation | None:
-    path = _cut_path(cuboid.path, times.part, "values", stationary=cuboid.stationary)
-    if path is None:
-        return None
-    activations = (_activation(activation, times.part) for activation in cuboid.activations)
-    projections = (_projection(projection, times.with_images) for projection in cuboid.projections)
-    return replace(
-        cuboid,
-        path=path,
-        activations=tuple(a for a in activations if len(a.timestamps_ns)),
-        projections=tuple(p for p in projections if len(p.timestamps_ns)),
-    )
-
-
-def _activation(activation: Activation, part: Interval) -> Activation:
-    """Keep what lasts into the part."""
-    starts = activation.timestamps_ns
-    durations = activation.durations_ns
-    lasting = 0 if durations is None else np.array(durations, np.float64)
-    rows = np.flatnonzero((starts < part[1]) & ((starts + lasting > part[0]) | (starts >= part[0])))
-    return replace(
-        activation,
-        timestamps_ns=starts[rows],
-        durations_ns=None if durations is None else tuple(durations[row] for row in rows.tolist()),
-        cuboids=_chosen(activation.cuboids, rows),
-    )
-
-
-def _projection(projection: _Seen, part: Interval) -> _Seen:
-    times_ns = projection.timestamps_ns
-    rows = np.flatnonzero((times_ns >= part[0]) & (times_ns < part[1]))
-    names = ("boxes", "cuboids") if isinstance(projection, Projection) else ("points", "positions")
-    arrays: dict[str, Any] = {name: _chosen(getattr(projection, name), rows) for name in names}
-    confirmed = projection.confirmed
-    return replace(
-        projection,
-        timestamps_ns=times_ns[rows],
-        confirmed=None if confirmed is None else tuple(confirmed[row] for row in rows.tolist()),
-        **arrays,
-    )
-
-
-def _chosen(array: AnyArray | None, rows: AnyArray) -> AnyArray | None:
-    return None if array is None else array[rows]
-
-
-def _box_2d(box: Box2DAnnotation, times: _Times) -> Box2DAnnotation | None:
-    path = _cut_path(box.path, times.with_images, "values", stationary=box.stationary)
-    return None if path is None else replace(box, path=path)
-
-
-def _shape(shape: ShapeAnnotation, times: _Times) -> ShapeAnnotation | None:
-    part = times.with_images if shape.dimensions == 2 else times.part
-    path = _cut_path(shape.path, part, "vertices", stationary=shape.stationary)
-    return None if path is None else replace(shape, path=path)
-
-
-def _points(points: PointsAnnotation, times: _Times) -> PointsAnnotation | None:
-    """Cut the trajectories of all points; one that is not there keeps its number, and nothing else."""
-    paths = [_cut_path(path, times.part, "values", stationary=points.stationary) for path in points.paths]
-    if paths and all(path is None for path in paths):
-        return None
-    return replace(
-        points,
-        paths=tuple(
-            _emptied(path) if kept is None else kept for path, kept in zip(points.paths, paths, strict=True)
-        ),
-        projections=tuple(
-            tuple(_projection(projection, times.with_images) for projection in of_point)
-            for of_point in points.projections
-        ),
-    )
-
-
-def _emptied(path: PointPath) -> PointPath:
-    return replace(path, timestamps_ns=path.timestamps_ns[:0], values=path.values[:0])
-
-
-def _event(event: EventAnnotation, times: _Times) -> EventAnnotation | None:
-    """Keep an event that lasts into the part; one that began before begins with it and ends when it did."""
-    duration_ns = event.duration_ns or 0
-    if event.start_ns >= times.part[1]:
-        return None
-    if event.start_ns >= times.part[0]:
-        return event
-    if event.start_ns + duration_ns <= times.part[0]:
-        return None
-    before_ns = times.part[0] - event.start_ns
-    return replace(event, start_ns=times.part[0], duration_ns=duration_ns - before_ns)
-
-
-def _adjustment(adjustment: LocalizationAdjustment, times: _Times) -> LocalizationAdjustment | None:
-    poses = _correcting(adjustment.poses, times.part)
-    return None if poses is None else replace(adjustment, poses=poses)
-
-
-def _calibration(calibration: CameraCalibration, times: _Times) -> CameraCalibration:
-    """Cut the poses; camera model and time hold in any part."""
-    if calibration.poses is None:
-        return calibration
-    return replace(calibration, poses=_correcting(calibration.poses, times.with_images))
-
-
-def _correcting(path: Poses, part: Interval) -> Poses | None:
-    if path.static or _overlaps(path.timestamps_ns, part):
-        return _cut_poses(path, part, 0)
-    return None
-
-
-_CUTS: Mapping[type, Callable[[Any, _Times], Annotation | None]] = MappingProxyType(
-    {
-        CuboidAnnotation: _cuboid,
-        Box2DAnnotation: _box_2d,
-        ShapeAnnotation: _shape,
-        PointsAnnotation: _points,
-        EventAnnotation: _event,
-        LocalizationAdjustment: _adjustment,
-        CameraCalibration: _calibration,
-    }
-)
-"""How the annotations that state when are cut; the others stay."""
 
 _POSES_AROUND_NS = 1_000_000_000
 """Poses so long before and after a part stay in it: its last sweep ends later than it begins."""
@@ -468,15 +217,48 @@ _SAME_TIME_NS = 100_000
 _LONGEST = 9.2e9
 """What int64 nanoseconds hold, nearly [s]."""
 
-_Moving = TypeVar("_Moving", LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
+_FRAMED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
+_CAMERAS = (CameraSensor, DepthCameraSensor)
 
-_Cloud = TypeVar("_Cloud", LidarSensor, RadarSensor)
+_COLUMNS: Mapping[type, tuple[str, ...]] = MappingProxyType(
+    {
+        Poses: ("positions", "quaternions_xyzw"),
+        Trajectory: ("positions", "quaternions_xyzw", "file_seconds", "covariances"),
+        VectorSamples: ("values", "file_seconds"),
+        GnssSensor: ("positions_lla", "accuracies", "vertical_accuracies", "file_seconds"),
+        CuboidPath: ("values",),
+        BoxPath: ("values",),
+        PointPath: ("values",),
+        VertexPath: ("vertices",),
+        AttributePath: ("values",),
+        Activation: ("durations_ns", "cuboids"),
+        Projection: ("boxes", "cuboids", "confirmed"),
+        PointProjection: ("points", "positions", "confirmed"),
+    }
+)
+"""The attributes that have a row for each of `timestamps_ns`."""
+
+_Timed = TypeVar("_Timed", bound=Any)
+_Drawn = TypeVar("_Drawn", Box2DAnnotation, ShapeAnnotation)
+
+
+def select_rows(holder: _Timed, rows: slice | Int64Array | BoolArray) -> _Timed:
+    """Give poses, samples, fixes or a path of an annotation with some of its rows; absent columns stay absent."""
+    columns = {name: getattr(holder, name) for name in ("timestamps_ns", *_COLUMNS[type(holder)])}
+    chosen = {
+        name: tuple(values[row] for row in np.arange(len(values))[rows].tolist())
+        if isinstance(values, tuple)
+        else values[rows]
+        for name, values in columns.items()
+        if values is not None
+    }
+    return replace(holder, **chosen)
 
 
 def chosen_interval(
     scene: Scene, *, start: float | None = None, stop: float | None = None
 ) -> Interval | None:
-    """Rotate seconds after a scene's first timestamp into times; None for the whole scene.
+    """Convert seconds after a scene's first timestamp to timestamps; None for the whole scene.
 
     Args:
         start: None for the beginning.
@@ -493,15 +275,9 @@ def chosen_interval(
         raise OptionError(f"from {start_s} s to {stop_s} s; expected 0 <= start < stop")
     first_ns = span_ns[0] + round(min(start_s, _LONGEST) * 1e9)
     last_ns = span_ns[0] + round(min(stop_s, _LONGEST) * 1e9)
-    timestamps_ns = _frame_timestamps(scene)
+    times = [frame_times(sensor) for sensor in scene.sensors if isinstance(sensor, _FRAMED)]
+    timestamps_ns = np.sort(np.concatenate(times)) if times else np.zeros(0, np.int64)
     return _taking_near(first_ns, timestamps_ns), min(_taking_near(last_ns, timestamps_ns), span_ns[1] + 1)
-
-
-def _frame_timestamps(scene: Scene) -> Int64Array:
-    """The times of all frames and images (N,) int64 [ns], in order."""
-    kinds = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
-    times = [frame_times(sensor) for sensor in scene.sensors if isinstance(sensor, kinds)]
-    return np.sort(np.concatenate(times)) if times else np.zeros(0, np.int64)
 
 
 def _taking_near(bound_ns: int, timestamps_ns: Int64Array) -> int:
@@ -531,34 +307,34 @@ def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = 
     part = chosen_interval(scene, start=start, stop=stop)
     if part is None:
         return scene
-    with_images = (part[0], max([part[1], *(_sweeps_end(lidar, part) for lidar in scene.lidars)]))
+    times = _Times(part, (part[0], max([part[1], *(_sweeps_end(lidar, part) for lidar in scene.lidars)])))
     sensors = tuple(
-        _cut_sensor(sensor, with_images if isinstance(sensor, CameraSensor | DepthCameraSensor) else part)
+        _cut_sensor(sensor, times.with_images if isinstance(sensor, _CAMERAS) else part)
         for sensor in scene.sensors
     )
-    kinds = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
-    if not any(len(frame_times(sensor)) for sensor in sensors if isinstance(sensor, kinds)):
+    if not any(len(frame_times(sensor)) for sensor in sensors if isinstance(sensor, _FRAMED)):
         length = np.ptp(time_span(scene) or (0, 0)) / 1e9
         until = "the end" if stop is None else f"{stop} s"
         raise OptionError(
             f"{scene.source}: no frame from {start or 0.0} s to {until}; the scene lasts {length:.3f} s"
         )
-    annotations, reported = _cut_annotations(scene, part, with_images)
+    annotations, reported = _cut_annotations(scene, times)
     return replace(
         scene,
         sensors=sensors,
         annotations=annotations,
         attributes=_cut_attributes(scene.attributes, part),
         trajectories={
-            name: _cut_trajectory(trajectory, part) for name, trajectory in scene.trajectories.items()
+            name: select_rows(trajectory, _rows_around(trajectory.timestamps_ns, part, _POSES_AROUND_NS))
+            for name, trajectory in scene.trajectories.items()
         },
         warnings=scene.warnings + reported,
     )
 
 
-def cut_path(path: Poses, part: Interval) -> Poses:
+def cut_path(path: Poses, part: Interval, *, margin_ns: int = _POSES_AROUND_NS) -> Poses:
     """Keep the poses in and around a part, so that between its times nothing changes."""
-    return _cut_poses(path, part, _POSES_AROUND_NS)
+    return path if path.static else select_rows(path, _rows_around(path.timestamps_ns, part, margin_ns))
 
 
 def _sweeps_end(lidar: LidarSensor, part: Interval) -> int:
@@ -570,96 +346,78 @@ def _sweeps_end(lidar: LidarSensor, part: Interval) -> int:
     return int(times[rows.stop - 1]) + int(np.median(np.diff(times)))
 
 
-def _cut_trajectory(trajectory: Trajectory, part: Interval) -> Trajectory:
-    rows = _rows_around(trajectory.timestamps_ns, part, _POSES_AROUND_NS)
-    return Trajectory(
-        trajectory.name,
-        trajectory.timestamps_ns[rows],
-        trajectory.positions[rows],
-        None if trajectory.quaternions_xyzw is None else trajectory.quaternions_xyzw[rows],
-        None if trajectory.file_seconds is None else trajectory.file_seconds[rows],
-        None if trajectory.covariances is None else trajectory.covariances[rows],
-    )
+def _cut_sensor(sensor: Any, part: Interval) -> Any:
+    """Cut frames, samples and poses; sensors that do not measure over time stay whole."""
+    if isinstance(sensor, GnssSensor):
+        return select_rows(sensor, _rows_between(sensor.timestamps_ns, part))
+    if isinstance(sensor, ImuSensor):
+        streams = sensor.streams.items()
+        cut = {name: select_rows(s, _rows_between(s.timestamps_ns, part)) for name, s in streams}
+        return replace(sensor, streams=cut)
+    if not isinstance(sensor, (*_FRAMED, OdometrySensor)):
+        return sensor
+    if isinstance(sensor, OdometrySensor):
+        return replace(sensor, poses=cut_path(sensor.poses, part))
+    poses = None if sensor.poses is None else cut_path(sensor.poses, part)
+    rows = _rows_between(frame_times(sensor), part)
+    of_rows = chosen_shots if isinstance(sensor, _CAMERAS) else _chosen_sweeps
+    return replace(of_rows(sensor, rows), poses=poses)
 
 
-def _cut_sensor(sensor: Sensor, part: Interval) -> Sensor:
-    cut = next((cut for kind, cut in _PART_CUTS.items() if isinstance(sensor, kind)), None)
-    return sensor if cut is None else cut(sensor, part)
+def _chosen_sweeps(sensor: Any, rows: slice) -> Any:
+    return replace(sensor, frames=sensor.frames[rows])
 
 
-def _cut_cloud(sensor: _Cloud, part: Interval) -> _Cloud:
-    return _with_cut_poses(replace(sensor, frames=sensor.frames[_rows_in(sensor, part)]), part)
+def _rows_between(times_ns: Int64Array, part: Interval) -> slice:
+    """The rows in a part."""
+    first, last = np.searchsorted(times_ns, part)
+    return slice(int(first), int(last))
 
 
-def _cut_camera(sensor: Shooting, part: Interval) -> Shooting:
-    return _with_cut_poses(chosen_shots(sensor, _rows_in(sensor, part)), part)
+def _rows_around(times_ns: Int64Array, part: Interval, margin_ns: int) -> slice:
+    """The rows of a part and its surroundings, with at least one at or before it and one after it, where there are."""
+    inner = _rows_between(times_ns, part)
+    outer = _rows_between(times_ns, (part[0] - margin_ns, part[1] + margin_ns))
+    return slice(max(min(outer.start, inner.start - 1), 0), max(outer.stop, inner.stop + 1))
 
 
-def _with_cut_poses(sensor: _Moving, part: Interval) -> _Moving:
-    return sensor if sensor.poses is None else replace(sensor, poses=cut_path(sensor.poses, part))
+def _overlaps(times_ns: Int64Array, part: Interval) -> bool:
+    """Whether what lasts from the first time to the last one is there in a part."""
+    return len(times_ns) > 0 and bool(times_ns[0] < part[1] and times_ns[-1] >= part[0])
 
 
-def _cut_odometry(sensor: OdometrySensor, part: Interval) -> OdometrySensor:
-    return replace(sensor, poses=cut_path(sensor.poses, part))
+@dataclass(frozen=True, slots=True)
+class _Times:
+    """When a part is, and the same until its last sweep ends, for what is drawn into images."""
+
+    part: Interval
+    with_images: Interval
 
 
-def _cut_imu(sensor: ImuSensor, part: Interval) -> ImuSensor:
-    return replace(sensor, streams={name: _cut_samples(s, part) for name, s in sensor.streams.items()})
-
-
-def _cut_samples(samples: VectorSamples, part: Interval) -> VectorSamples:
-    rows = _rows_between(samples.timestamps_ns, part)
-    seconds = samples.file_seconds
-    return VectorSamples(
-        samples.timestamps_ns[rows], samples.values[rows], None if seconds is None else seconds[rows]
-    )
-
-
-def _cut_fixes(sensor: GnssSensor, part: Interval) -> GnssSensor:
-    return chosen_fixes(sensor, _rows_between(sensor.timestamps_ns, part))
-
-
-def chosen_fixes(sensor: GnssSensor, rows: slice | Int64Array | BoolArray) -> GnssSensor:
-    """Give the receiver with some of its fixes."""
-    return replace(
-        sensor,
-        timestamps_ns=sensor.timestamps_ns[rows],
-        positions_lla=sensor.positions_lla[rows],
-        accuracies=sensor.accuracies[rows],
-        vertical_accuracies=sensor.vertical_accuracies[rows],
-        file_seconds=None if sensor.file_seconds is None else sensor.file_seconds[rows],
-    )
-
-
-_PART_CUTS: Mapping[type, Callable[[Any, Interval], Sensor]] = MappingProxyType(
-    {
-        CameraSensor: _cut_camera,
-        DepthCameraSensor: _cut_camera,
-        LidarSensor: _cut_cloud,
-        RadarSensor: _cut_cloud,
-        OdometrySensor: _cut_odometry,
-        ImuSensor: _cut_imu,
-        GnssSensor: _cut_fixes,
-    }
-)
-"""How the sensors that measure over time are cut; the others stay whole."""
-
-
-def _cut_annotations(
-    scene: Scene, part: Interval, with_images: Interval
-) -> tuple[tuple[Annotation, ...], tuple[DataWarning, ...]]:
+def _cut_annotations(scene: Scene, times: _Times) -> tuple[tuple[Annotation, ...], tuple[DataWarning, ...]]:
     """Cut the annotations; labelled points follow their frames, links and children what they name."""
-    cut = [_cut_annotation(a, part, with_images=with_images) for a in scene.annotations]
-    there, reported = renumbered((a for a in cut if a is not None), _kept_frames(scene, part))
+    cut = [_cut_annotation(annotation, times) for annotation in scene.annotations]
+    there, reported = renumbered((a for a in cut if a is not None), _kept_frames(scene, times.part))
     annotations, freed = _without_loose_ends(scene.annotations, there)
     gone = len(scene.annotations) - len(annotations)
-    return annotations, (*_warnings(_LEFT_OUT, gone), *_warnings(_FREED, freed), *reported)
+    skipped = _skipped(
+        "annotations",
+        ("annotations-cut", "annotations that are not there in the chosen part were left out", gone),
+        (
+            "parents-cut",
+            "annotations whose parents are not there in the chosen part stand without them",
+            freed,
+        ),
+    )
+    return annotations, (*skipped, *reported)
 
 
 def _kept_frames(scene: Scene, part: Interval) -> dict[Key, Renumbering]:
     """The old numbers of the frames that stay, of each lidar and radar that loses some."""
     clouds = [sensor for sensor in scene.sensors if isinstance(sensor, LidarSensor | RadarSensor)]
-    rows = {key_of(sensor.id): (_rows_in(sensor, part), len(sensor.frames)) for sensor in clouds}
+    rows = {
+        key_of(sensor.id): (_rows_between(frame_times(sensor), part), len(sensor.frames)) for sensor in clouds
+    }
     return {
         key: Renumbering(np.arange(kept.start, kept.stop))
         for key, (kept, count) in rows.items()
@@ -667,21 +425,168 @@ def _kept_frames(scene: Scene, part: Interval) -> dict[Key, Renumbering]:
     }
 
 
-def _rows_in(sensor: LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor, part: Interval) -> slice:
-    return _rows_between(frame_times(sensor), part)
+def _without_loose_ends(
+    before: Iterable[Annotation], after: Iterable[Annotation]
+) -> tuple[tuple[Annotation, ...], int]:
+    """Take away links to annotations that were left out, and parents that were.
+
+    Returns:
+        annotations: those after, each without what is gone.
+        freed: how many lost their parent.
+    """
+    kept = tuple(after)
+    gone = {key_of(a.id) for a in before} - {key_of(a.id) for a in kept}
+    if not gone:
+        return kept, 0
+    firm = [
+        a for a in kept if not (isinstance(a, LinkAnnotation) and {key_of(a.from_id), key_of(a.to_id)} & gone)
+    ]
+    freed = [_freed(a, gone) for a in firm]
+    return tuple(freed), sum(now is not then for now, then in zip(freed, firm, strict=True))
 
 
-_LEFT_OUT = ("annotations-cut", "annotations that are not there in the chosen part were left out")
+def _freed(annotation: Annotation, gone: set[Key]) -> Annotation:
+    parent = annotation.parent_id
+    if isinstance(annotation, PlainAnnotation) or parent is None or key_of(parent) not in gone:
+        return annotation
+    return replace(annotation, parent_id=None)
 
-_FREED = ("parents-cut", "annotations whose parents are not there in the chosen part stand without them")
+
+def _cut_annotation(annotation: Annotation, times: _Times) -> Annotation | None:
+    """Keep what an annotation says about a part; None for one that is not there in it.
+
+    What holds at all times stays, and so do labelled points: it is for the caller to count their frames anew.
+    """
+    cut = _CUTS.get(type(annotation))
+    found: Any = annotation if cut is None else cut(annotation, times)
+    stated: tuple[AttributePath, ...] = getattr(found, "attributes", ())
+    kept = _cut_attributes(stated, times.part)
+    changed: Annotation | None = found if kept == stated else replace(found, attributes=kept)
+    return changed
 
 
-def _warnings(reported: tuple[str, str], count: int) -> tuple[DataWarning, ...]:
-    if count == 0:
-        return ()
-    code, message = reported
-    return (
-        DataWarning(
-            kind=WarningKind.SKIPPED, code=code, location="annotations", message=message, count=count
+def _cut_attributes(attributes: tuple[AttributePath, ...], part: Interval) -> tuple[AttributePath, ...]:
+    """Keep what attributes state about a part: a value holds until the next one, so the last one before begins it."""
+    cut = (_cut_attribute(attribute, part) for attribute in attributes)
+    return tuple(attribute for attribute in cut if attribute is not None)
+
+
+def _cut_attribute(attribute: AttributePath, part: Interval) -> AttributePath | None:
+    times = attribute.timestamps_ns
+    if times is None or not len(times) or not attribute.is_timed or not _increase(times):
+        return attribute  # without times it holds at all of them, or is at fault: a part keeps it
+    rows = slice(max(int(np.searchsorted(times, part[0], "right")) - 1, 0), _rows_between(times, part).stop)
+    if rows.start >= rows.stop:
+        return None
+    if rows == slice(0, len(times)) and times[0] >= part[0]:
+        return attribute
+    return replace(attribute, timestamps_ns=np.maximum(times[rows], part[0]), values=attribute.values[rows])
+
+
+def _increase(times_ns: Int64Array) -> bool:
+    """Whether times can be searched; paths that run backwards stay whole."""
+    return bool((np.diff(times_ns) >= 0).all())
+
+
+def _cut_annotated(path: _Timed, part: Interval, *, stationary: bool | None) -> _Timed | None:
+    """Cut the path of an annotation; None where it is not there in the part."""
+    times = path.timestamps_ns
+    if len(times) == 0 or not _increase(times):
+        return path
+    if stationary:
+        # what is stationary holds at all times, so one of its rows serves the part, at a time in it
+        rows = _rows_between(times, part)
+        cut = select_rows(path, rows if rows.start < rows.stop else slice(0, 1))
+        return replace(cut, timestamps_ns=np.clip(cut.timestamps_ns, part[0], part[1] - 1))
+    return select_rows(path, _rows_around(times, part, 0)) if _overlaps(times, part) else None
+
+
+def _cuboid(cuboid: CuboidAnnotation, times: _Times) -> CuboidAnnotation | None:
+    path = _cut_annotated(cuboid.path, times.part, stationary=cuboid.stationary)
+    if path is None:
+        return None
+    activations = (_activation(activation, times.part) for activation in cuboid.activations)
+    projections = (_projection(projection, times.with_images) for projection in cuboid.projections)
+    return replace(
+        cuboid,
+        path=path,
+        activations=tuple(a for a in activations if len(a.timestamps_ns)),
+        projections=tuple(p for p in projections if len(p.timestamps_ns)),
+    )
+
+
+def _activation(activation: Activation, part: Interval) -> Activation:
+    """Keep what lasts into the part."""
+    starts, durations = activation.timestamps_ns, activation.durations_ns
+    lasting = 0 if durations is None else np.array(durations, np.float64)
+    rows = np.flatnonzero((starts < part[1]) & ((starts + lasting > part[0]) | (starts >= part[0])))
+    return select_rows(activation, rows)
+
+
+def _projection(projection: _Timed, part: Interval) -> _Timed:
+    times_ns = projection.timestamps_ns
+    return select_rows(projection, np.flatnonzero((times_ns >= part[0]) & (times_ns < part[1])))
+
+
+def _drawn(annotation: _Drawn, times: _Times) -> _Drawn | None:
+    in_image = isinstance(annotation, Box2DAnnotation) or annotation.dimensions == 2
+    part = times.with_images if in_image else times.part
+    path = _cut_annotated(annotation.path, part, stationary=annotation.stationary)
+    return None if path is None else replace(annotation, path=path)
+
+
+def _points(points: PointsAnnotation, times: _Times) -> PointsAnnotation | None:
+    """Cut the trajectories of all points; one that is not there keeps its number, and nothing else."""
+    cut = [_cut_annotated(path, times.part, stationary=points.stationary) for path in points.paths]
+    if cut and all(path is None for path in cut):
+        return None
+    paths = zip(points.paths, cut, strict=True)
+    return replace(
+        points,
+        paths=tuple(select_rows(path, slice(0)) if kept is None else kept for path, kept in paths),
+        projections=tuple(
+            tuple(_projection(projection, times.with_images) for projection in of_point)
+            for of_point in points.projections
         ),
     )
+
+
+def _event(event: EventAnnotation, times: _Times) -> EventAnnotation | None:
+    """Keep an event that lasts into the part; one that began before begins with it and ends when it did."""
+    first_ns, last_ns = times.part
+    if first_ns <= event.start_ns < last_ns:
+        return event
+    left_ns = event.start_ns + (event.duration_ns or 0) - first_ns
+    if event.start_ns >= last_ns or left_ns <= 0:
+        return None
+    return replace(event, start_ns=first_ns, duration_ns=left_ns)
+
+
+def _adjustment(adjustment: LocalizationAdjustment, times: _Times) -> LocalizationAdjustment | None:
+    poses = _correcting(adjustment.poses, times.part)
+    return None if poses is None else replace(adjustment, poses=poses)
+
+
+def _calibration(calibration: CameraCalibration, times: _Times) -> CameraCalibration:
+    """Cut the poses; camera model and time hold in any part."""
+    if calibration.poses is None:
+        return calibration
+    return replace(calibration, poses=_correcting(calibration.poses, times.with_images))
+
+
+def _correcting(path: Poses, part: Interval) -> Poses | None:
+    return cut_path(path, part, margin_ns=0) if path.static or _overlaps(path.timestamps_ns, part) else None
+
+
+_CUTS: Mapping[type, Callable[[Any, _Times], Annotation | None]] = MappingProxyType(
+    {
+        CuboidAnnotation: _cuboid,
+        Box2DAnnotation: _drawn,
+        ShapeAnnotation: _drawn,
+        PointsAnnotation: _points,
+        EventAnnotation: _event,
+        LocalizationAdjustment: _adjustment,
+        CameraCalibration: _calibration,
+    }
+)
+"""How the annotations that state when are cut; the others stay."""

@@ -1,7 +1,4 @@
-"""The rotation of a camera from tracked corners: corners from image to image.
-
-And the rotation between their bearings.
-"""
+"""The rotation of a camera: corners tracked from image to image, and the rotation between their bearings."""
 
 from dataclasses import dataclass
 

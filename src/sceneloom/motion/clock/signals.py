@@ -1,7 +1,4 @@
-"""The signals that clocks are compared by: rotation, and positions on the ground by fixes.
-
-A trajectory or dead reckoning.
-"""
+"""The signals that clocks are compared by: orientations, and positions on the ground."""
 
 from dataclasses import dataclass
 from itertools import pairwise

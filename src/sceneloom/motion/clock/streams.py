@@ -336,10 +336,7 @@ def _integral(seconds: Float64Array, values: AnyArray) -> AnyArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _DeadReckoning:
-    """In a window: velocity and trajectory as curves, each with what errors would add, what noise does.
-
-    And their frame.
-    """
+    """A window: velocity and trajectory as curves with the effect of errors and noise, and their frame."""
 
     piece: int
     level_from_start: Float64Array
@@ -589,16 +586,16 @@ def _by_trajectory(
     reference: _ReportedMotion, stream: _ReportedMotion, *, reach_ns: int, lever_sigma: float
 ) -> ClockEstimate | None:
     """Compare fixes with a trajectory, where one has the one and the other the other."""
-    for reported, estimated_trajectory, fixes_are_reference in (
+    for reported, trajectory_from, fixes_are_reference in (
         (stream, reference.trajectory, False),
         (reference, stream.trajectory, True),
     ):
         fixes = reported.fixes
-        if fixes is not None and estimated_trajectory is not None and len(fixes):
+        if fixes is not None and trajectory_from is not None and len(fixes):
             origin_ns = int(fixes.timestamps_ns[0])
             return compare_trajectories(
                 fixes,
-                estimated_trajectory(origin_ns),
+                trajectory_from(origin_ns),
                 origin_ns=origin_ns,
                 fixes_are_reference=fixes_are_reference,
                 reach_ns=reach_ns,
@@ -626,5 +623,5 @@ def gyroscope_against_trajectory(
     if trajectory.quaternions_xyzw is None:
         return ClockEstimate.unknown(f"trajectory {trajectory.name!r} has no orientations")
     rates = Orientations.of_rates(gyroscope.timestamps_ns, gyroscope.values[:, :3])
-    estimated_trajectory = Orientations.of_poses(trajectory.timestamps_ns, trajectory.quaternions_xyzw)
-    return compare_rotations(rates, estimated_trajectory, reach_ns=reach_ns)
+    orientations = Orientations.of_poses(trajectory.timestamps_ns, trajectory.quaternions_xyzw)
+    return compare_rotations(rates, orientations, reach_ns=reach_ns)

@@ -1,7 +1,4 @@
-"""GNSS/IMU smoothing: the ego trajectory that fits GNSS fixes, IMU samples and lidar odometry best.
-
-And lidar odometry.
-"""
+"""GNSS/IMU smoothing: the ego trajectory that fits GNSS fixes, IMU samples and lidar odometry best."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -1489,27 +1486,23 @@ def _stationary_bias(samples: InertialSamples) -> Float64Array | None:
 def _run(scene: Scene, drive: _Measurements, result: _Smoothed) -> GnssImuRun:
     fixes, samples = drive.fixes, drive.samples
     fit = result.fit
-    estimated_trajectory = _trajectory_between(
-        fit.chain, fit.states, samples, _trajectory_times(fit.chain, samples)
-    )
-    poses = _pose_covariances(fit.chain, fit.states, result.own, estimated_trajectory)
+    smoothed = _trajectory_between(fit.chain, fit.states, samples, _trajectory_times(fit.chain, samples))
+    poses = _pose_covariances(fit.chain, fit.states, result.own, smoothed)
     offset = _common_offset(fixes, fit.chain.fixes.sigmas)
-    positions = estimated_trajectory.positions
+    positions = smoothed.positions
     if drive.lidar is None:
-        positions, poses, offset = _with_wander(_wandering(fit), estimated_trajectory, poses, offset)
+        positions, poses, offset = _with_wander(_wandering(fit), smoothed, poses, offset)
     poses[:, 3:, 3:] += np.diag(offset**2)
     trajectory = Trajectory(
         NAME,
-        estimated_trajectory.timestamps_ns,
+        smoothed.timestamps_ns,
         positions,
-        None
-        if samples is None and drive.lidar is None
-        else quaternion_from_matrix(estimated_trajectory.rotations),
+        None if samples is None and drive.lidar is None else quaternion_from_matrix(smoothed.rotations),
         covariances=poses,
     )
     used = fit.weights > 0.5
     run = GnssImuRun(
-        trajectory, fixes.origin_lla, estimated_trajectory.velocities, estimated_trajectory.biases,
+        trajectory, fixes.origin_lla, smoothed.velocities, smoothed.biases,
         fit.chain.knots_ns, result.own, fixes, used,
         fit.chain.fixes.sigmas, fixes.warnings,
     )  # fmt: skip
@@ -1518,7 +1511,7 @@ def _run(scene: Scene, drive: _Measurements, result: _Smoothed) -> GnssImuRun:
 
 def _with_wander(
     wander: tuple[_Wander | None, _Wander | None],
-    estimated_trajectory: _SmoothedTrajectory,
+    smoothed: _SmoothedTrajectory,
     poses: Float64Array,
     offset: Float64Array,
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -1527,11 +1520,11 @@ def _with_wander(
     Errors that are alike count as fewer: with a correlation ρ of neighbours, the variance of a mean is larger by
     (1 + ρ) / (1 - ρ). What fixes across report (location, orientation) grows by their factor, the height by its own.
     """
-    positions, offset, growth = estimated_trajectory.positions.copy(), offset.copy(), np.ones(6)
+    positions, offset, growth = smoothed.positions.copy(), offset.copy(), np.ones(6)
     for slow, axes, grown in zip(wander, (slice(0, 2), slice(2, 3)), ([0, 1, 2, 3, 4], [5]), strict=True):
         if slow is None:
             continue
-        positions[:, axes] += slow.at(estimated_trajectory.timestamps_ns)
+        positions[:, axes] += slow.at(smoothed.timestamps_ns)
         offset[axes] = np.maximum(offset[axes], slow.sigma)
         growth[grown] = np.sqrt((1.0 + slow.alike) / (1.0 - slow.alike))
     return positions, growth[:, None] * poses * growth, offset

@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.formats.base.losses import Loss, LossReport, Support
+from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.kitti.calibration import Mounted, write_calibration
@@ -17,18 +17,9 @@ from sceneloom.formats.kitti.frames_writer import (
     NONE,
     Choice,
     Timeline,
-    check_files,
-    choose,
-    dropped_parts,
-    egos_at,
-    is_lidar,
     kept_calibration,
     kept_of,
-    mounted_of,
     nearest_frames,
-    point_time_loss,
-    timeline_of,
-    write_frames,
 )
 from sceneloom.formats.kitti.labels import (
     CENTRE_TO_CORNER,
@@ -44,7 +35,7 @@ from sceneloom.formats.kitti.object_reader import FRAME_NS
 from sceneloom.formats.kitti.oxts import oxts_lines
 from sceneloom.formats.kitti.sensors import UNTOLD
 from sceneloom.formats.kitti.spec import OBJECT_CAMERAS, TRACKING_CAMERAS
-from sceneloom.formats.kitti.text import LATEST
+from sceneloom.formats.kitti.text import LATEST, write_lines
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion, multiply_quaternions
@@ -92,7 +83,7 @@ class _LabelRows:
     """Collects the rows of a scene's boxes.
 
     Attributes:
-        losses: what the rows do not hold.
+        losses: takes what the rows do not hold.
     """
 
     def __init__(
@@ -114,7 +105,7 @@ class _LabelRows:
             camera_model_at: of a frame's image of the camera.
             with_tracks: whether rows have tracks.
         """
-        self.losses: list[Loss] = []
+        self.losses = choice.losses
         scene = choice.scene
         self._scene, self._timeline = scene, timeline
         self._camera = None if choice.reference is None else choice.cameras[choice.reference]
@@ -164,9 +155,7 @@ class _LabelRows:
             renamed += 1
         if self._with_tracks and renamed:
             what = "tracks are called by numbers there"
-            self.losses.append(
-                Loss(field="annotations.cuboid.id", what=what, count=renamed, support=Support.CONVERTED)
-            )
+            self.losses.converted("annotations.cuboid.id", what, count=renamed)
         return ids
 
     def _add_cuboid(self, annotation: CuboidAnnotation) -> None:
@@ -174,7 +163,7 @@ class _LabelRows:
         frames, reported_boxes = self._frames_of(annotation, seen)
         if not len(frames):
             what = "left out: in no frame's image"
-            self.losses.append(Loss(field="annotations.cuboid", what=what))
+            self.losses.dropped("annotations.cuboid", what)
             return
         seeing = self._seeing
         timestamps, starts = self._timestamps_ns, self._timestamps_ns
@@ -185,7 +174,7 @@ class _LabelRows:
         if not active.all():
             what = "left out in frames in which it is not active for the sensor of the labels"
             lost = int((~active).sum())
-            self.losses.append(Loss(field="annotations.cuboid.path.values", what=what, count=lost))
+            self.losses.dropped("annotations.cuboid.path.values", what, count=lost)
             frames, reported_boxes = frames[active], reported_boxes[active]
         times = self._times_within(annotation, frames)
         by_path = cuboid_poses(annotation, times, angles=self._angles)
@@ -219,10 +208,10 @@ class _LabelRows:
     def _report_unseen(self, frames: int, rows: int) -> None:
         """Report of frames that a box is in, but whose images do not show it: labels are of what is seen."""
         if not rows:
-            self.losses.append(Loss(field="annotations.cuboid", what="left out: in no frame's image"))
+            self.losses.dropped("annotations.cuboid", "left out: in no frame's image")
         elif rows < frames:
             what = "left out in frames whose images do not show the box"
-            self.losses.append(Loss(field="annotations.cuboid.path.values", what=what, count=frames - rows))
+            self.losses.dropped("annotations.cuboid.path.values", what, count=frames - rows)
 
     def _projection(self, annotation: CuboidAnnotation) -> Projection | None:
         if self._camera is None:
@@ -299,20 +288,17 @@ class _LabelRows:
     def _report_tilt(self) -> None:
         if self._tilted:
             what = "stood upright about the camera's y axis: their tilt against it is dropped [deg]"
-            self.losses.append(
-                Loss(
-                    field="annotations.cuboid.path.values",
-                    what=what,
-                    count=self._tilted,
-                    support=Support.APPROXIMATED,
-                    largest_error=float(np.degrees(self._tilt)),
-                )
+            self.losses.approximated(
+                "annotations.cuboid.path.values",
+                what,
+                count=self._tilted,
+                error=float(np.degrees(self._tilt)),
             )
 
     def _add_box(self, annotation: Box2DAnnotation) -> None:
         if self._camera is None or key_of(annotation.sensor_id) != key_of(self._camera.id):
             what = "left out: drawn into images of another camera"
-            self.losses.append(Loss(field="annotations.box_2d", what=what))
+            self.losses.dropped("annotations.box_2d", what)
             return
         frames = np.unique(self._known(self._frame_numbers(annotation.path.timestamps_ns)))
         timestamps = annotation.path.timestamps_ns
@@ -373,7 +359,7 @@ class _LabelRows:
         word = word if word[:1].isalpha() else f"Misc_{word}"
         if word != label:
             what = f"{label!r} written as {word!r}: a class is a word there"
-            self.losses.append(Loss(field="annotations.cuboid.label", what=what, support=Support.CONVERTED))
+            self.losses.converted("annotations.cuboid.label", what)
         return word
 
     def _lose_rest(self, annotation: CuboidAnnotation, seen: Projection | None) -> None:
@@ -390,7 +376,7 @@ class _LabelRows:
         ):
             if count:
                 what = "left out: a row has no field for it"
-                self.losses.append(Loss(field=f"annotations.cuboid.{name}", what=what, count=count))
+                self.losses.dropped(f"annotations.cuboid.{name}", what, count=count)
 
     def _collected(self) -> KittiLabels:
         rows = self._rows
@@ -402,7 +388,7 @@ class _LabelRows:
         if count and not scored and np.isfinite(reported[:, 3]).any():
             what = "left out: rows have scores only where all of them have one"
             lost = int(np.isfinite(reported[:, 3]).sum())
-            self.losses.append(Loss(field="annotations.cuboid.attributes", what=what, count=lost))
+            self.losses.dropped("annotations.cuboid.attributes", what, count=lost)
         return KittiLabels(
             frames=np.array(rows.frames, np.int64)[order],
             track_ids=np.array(rows.tracks, np.int64)[order],
@@ -436,10 +422,10 @@ def _number(attribute: AttributePath | None, time_ns: list[int]) -> float | None
     return float(value) if is_number and np.isfinite(value) else None
 
 
-_HELD = frozenset({LidarSensor, CameraSensor, CuboidAnnotation, Box2DAnnotation})
+_OBJECT_HELD = frozenset({LidarSensor, CameraSensor, CuboidAnnotation, Box2DAnnotation})
 """Kinds of sensors and annotations that frames can hold."""
 
-_KIND = FolderKind(
+_OBJECT_KIND = FolderKind(
     "folder of KITTI's object benchmark",
     (
         r"training/velodyne/\d{6}\.bin",
@@ -465,24 +451,17 @@ def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossRe
         OutputError: the path exists, or cannot be written.
         DataError: what the scene is read from is damaged.
     """
-    choice = choose(scene, tuple(OBJECT_CAMERAS), rectified=True, models=frozenset({"pinhole"}), rigid=False)
-    losses = [*dropped_parts(scene, _HELD), *choice.losses]
-    check_files(choice, labels=True)
-    timeline = timeline_of(choice, one_time=False)
+    choice = Choice.of(scene, tuple(OBJECT_CAMERAS), _OBJECT_HELD, rigid=False)
+    choice.check_files(labels=True)
+    timeline = choice.timeline(one_time=False)
     numbers = _numbers(scene, timeline)
-    losses += [*timeline.losses, *_time_losses(scene, choice, timeline)]
-    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
+    _report_times(choice, timeline)
+    with replacing(path, overwrite=overwrite, folder=_OBJECT_KIND) as draft:
         folder = draft / "training"
         (folder / "calib").mkdir(parents=True)
         images = {number: folder / kind for number, kind in OBJECT_CAMERAS.items()}
-        losses += write_frames(
-            choice,
-            timeline,
-            lambda k: f"{numbers[k]:06d}",
-            folder / "velodyne",
-            images,
-            lambda _, frame: losses.extend(point_time_loss(frame)),
-            own_camera_models=True,
+        choice.write_frames(
+            timeline, lambda k: f"{numbers[k]:06d}", folder / "velodyne", images, own_camera_models=True
         )
         locations = _FrameLocations(choice, timeline)
         rectified = [
@@ -494,8 +473,8 @@ def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossRe
             )
             for k in range(len(timeline))
         ]
-        losses += _write_labels(choice, timeline, numbers, locations, rectified, folder / "label_2")
-    return LossReport.of(losses)
+        _write_labels(choice, timeline, numbers, locations, rectified, folder / "label_2")
+    return LossReport.of(choice.losses)
 
 
 def _numbers(scene: Scene, timeline: Timeline) -> list[int]:
@@ -507,25 +486,17 @@ def _numbers(scene: Scene, timeline: Timeline) -> list[int]:
     return list(range(len(timeline)))
 
 
-def _time_losses(scene: Scene, choice: Choice, timeline: Timeline) -> list[Loss]:
+def _report_times(choice: Choice, timeline: Timeline) -> None:
     """Frames have neither times nor a trajectory: what of both a scene has is lost."""
-    if kept_of(scene).get("benchmark") == "object":
-        return []
-    losses = [
-        Loss(field=name, what="left out: frames have numbers and no times", count=count)
-        for name, count in (
-            ("sensors.lidar.frames.timestamp_ns", int((timeline.sweeps != NONE).sum())),
-            (
-                "sensors.camera.images.timestamp_ns",
-                sum(int((p != NONE).sum()) for p in timeline.images.values()),
-            ),
-        )
-        if count
-    ]
+    if kept_of(choice.scene).get("benchmark") == "object":
+        return
+    swept = int((timeline.sweeps != NONE).sum())
+    shown = sum(int((rows != NONE).sum()) for rows in timeline.images.values())
+    what = "left out: frames have numbers and no times"
+    choice.losses.dropped("sensors.lidar.frames.timestamp_ns", what, count=swept)
+    choice.losses.dropped("sensors.camera.images.timestamp_ns", what, count=shown)
     if choice.ego_path is not None:
-        what = "left out: every frame's world is its own lidar's frame"
-        losses.append(Loss(field="trajectories", what=what))
-    return losses
+        choice.losses.dropped("trajectories", "left out: every frame's world is its own lidar's frame")
 
 
 def _kept(scene: Scene, number: int) -> dict[str, list[float]] | None:
@@ -564,7 +535,7 @@ class _FrameLocations:
             ego_from_camera = mount if image is None or image.mount is None else image.mount
             camera_models[number] = self.camera_model(number, k)
             mounts[number] = ego_from_camera.inverse() @ choice.ego_from_lidar
-        lidar_from_imu = None if is_lidar(choice) else choice.ego_from_lidar.inverse()
+        lidar_from_imu = None if choice.ego_is_lidar else choice.ego_from_lidar.inverse()
         return Mounted(camera_models, mounts, lidar_from_imu, choice.reference, choice.lidar is not None)
 
 
@@ -575,8 +546,8 @@ def _write_labels(
     locations: _FrameLocations,
     rectified_from_lidar: list[RigidTransform],
     folder: Path,
-) -> list[Loss]:
-    egos = egos_at(choice, timeline.timestamps_ns)
+) -> None:
+    egos = choice.egos_at(timeline.timestamps_ns)
     world_from_rectified = [
         ego @ choice.ego_from_lidar @ rectified.inverse()
         for ego, rectified in zip(egos, rectified_from_lidar, strict=True)
@@ -594,20 +565,15 @@ def _write_labels(
         isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns) > 1 for a in choice.scene.annotations
     )
     what = "frames know nothing of each other: an object is another one in each"
-    lost = (
-        [Loss(field="annotations.cuboid.id", what=what, count=tracked, support=Support.DROPPED)]
-        if tracked
-        else []
-    )
-    return [*rows.losses, *lost]
+    choice.losses.dropped("annotations.cuboid.id", what, count=tracked)
 
 
-_WRITING_HELD = frozenset(
+_TRACKING_HELD = frozenset(
     {LidarSensor, CameraSensor, ImuSensor, GnssSensor, OdometrySensor, CuboidAnnotation, Box2DAnnotation}
 )
 """Kinds of sensors and annotations that a sequence can hold."""
 
-_WRITING_KIND = FolderKind(
+_TRACKING_KIND = FolderKind(
     "folder of KITTI's tracking benchmark",
     (
         r"training/(velodyne|image_\d\d)/(?P<one>\d{4})/\d{6}\.(bin|png|jpe?g)",
@@ -640,37 +606,26 @@ def write_tracking(
     name = name if len(name) == 4 else f"{int(name):04d}" if name.isascii() and name.isdigit() else name
     if not (len(name) == 4 and name.isascii() and name.isdigit()):
         raise OptionError(f"sequence {name!r}; expected four digits, as 0000")
-    choice = choose(scene, tuple(TRACKING_CAMERAS), rectified=True, models=frozenset({"pinhole"}))
-    losses = [*dropped_parts(scene, _WRITING_HELD), *choice.losses]
-    timeline = timeline_of(choice)
-    losses += timeline.losses
-    with replacing(path, overwrite=overwrite, folder=_WRITING_KIND) as draft:
+    choice = Choice.of(scene, tuple(TRACKING_CAMERAS), _TRACKING_HELD)
+    timeline = choice.timeline()
+    with replacing(path, overwrite=overwrite, folder=_TRACKING_KIND) as draft:
         folder = draft / "training"
         for kind in ("calib", "label_02", "times"):
             (folder / kind).mkdir(parents=True)
         images = {number: folder / kind / name for number, kind in TRACKING_CAMERAS.items()}
-        losses += write_frames(
-            choice,
-            timeline,
-            "{:06d}".format,
-            folder / "velodyne" / name,
-            images,
-            lambda _, frame: losses.extend(point_time_loss(frame)),
-        )
-        with_imu = choice.ego_path is not None or not is_lidar(choice)
-        mounted = mounted_of(choice, with_imu=with_imu)
+        choice.write_frames(timeline, "{:06d}".format, folder / "velodyne" / name, images)
+        with_imu = choice.ego_path is not None or not choice.ego_is_lidar
+        mounted = choice.mounted(with_imu=with_imu)
         rectified_from_lidar = write_calibration(
             folder / "calib" / f"{name}.txt", "tracking", mounted, kept_calibration(scene)
         )
-        seconds = "".join(f"{seconds_text(time)}\n" for time in timeline.timestamps_ns.tolist())
-        (folder / "times" / f"{name}.txt").write_text(seconds, "utf-8", newline="\n")
+        write_lines(folder / "times" / f"{name}.txt", map(seconds_text, timeline.timestamps_ns.tolist()))
         if choice.ego_path is not None:
             lines = oxts_lines(scene, choice.ego_path, timeline.timestamps_ns)
-            losses += lines.losses
+            choice.losses.extend(lines.losses)
             (folder / "oxts").mkdir()
-            text = "".join(f"{line}\n" for line in lines.texts())
-            (folder / "oxts" / f"{name}.txt").write_text(text, "utf-8", newline="\n")
-        egos = egos_at(choice, timeline.timestamps_ns)
+            write_lines(folder / "oxts" / f"{name}.txt", lines.texts())
+        egos = choice.egos_at(timeline.timestamps_ns)
         ego_from_rectified = choice.ego_from_lidar @ rectified_from_lidar.inverse()
         rows = _LabelRows(
             choice,
@@ -679,7 +634,5 @@ def write_tracking(
             lambda _, camera: camera.camera,
             with_tracks=True,
         )
-        text = "".join(f"{line}\n" for line in format_labels(rows.labels(), path))
-        losses += rows.losses
-        (folder / "label_02" / f"{name}.txt").write_text(text, "utf-8", newline="\n")
-    return LossReport.of(losses)
+        write_lines(folder / "label_02" / f"{name}.txt", format_labels(rows.labels(), path))
+    return LossReport.of(choice.losses)

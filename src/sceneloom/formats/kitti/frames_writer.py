@@ -17,6 +17,7 @@ from sceneloom.editing.cameras import undistort_scene
 from sceneloom.editing.move_points import chosen_points, points_change
 from sceneloom.errors import CalibrationError, DataError, PoseError
 from sceneloom.formats.base.images import ImageFile
+from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.formats.base.poses import stationary_ego
 from sceneloom.formats.kitti.calibration import Mounted
@@ -54,9 +55,12 @@ PARALLEL_WITHIN = 1e-6
 """How far a camera may be rotated against the first one and be of the same rectified frame [rad]."""
 
 
+_IDENTICAL = 1e-12
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """What is written.
+    """What is written of a scene.
 
     Attributes:
         scene: all of it; camera models that the target cannot hold are pinholes already.
@@ -66,7 +70,7 @@ class Choice:
         ego_from_lidar: identity where there is no lidar.
         ego_from_camera: by number.
         reference: number of the camera in whose frame labels are; None without cameras.
-        losses: what is known to be lost before anything is written.
+        losses: what is lost, as far as it is known.
     """
 
     scene: Scene
@@ -76,44 +80,206 @@ class Choice:
     ego_from_lidar: RigidTransform
     ego_from_camera: Mapping[int, RigidTransform]
     reference: int | None
-    losses: list[Loss] = field(default_factory=list)
+    losses: Losses
 
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        slots: Sequence[int],
+        held: frozenset[type],
+        *,
+        rectified: bool = True,
+        models: frozenset[str] = frozenset({"pinhole"}),
+        rigid: bool = True,
+    ) -> "Choice":
+        """Choose the first lidar, and cameras for the numbers that the target has.
 
-def choose(
-    scene: Scene, slots: Sequence[int], *, rectified: bool, models: frozenset[str], rigid: bool = True
-) -> Choice:
-    """Choose the first lidar, and cameras for the numbers that the target has.
+        Args:
+            scene: to be written.
+            slots: the numbers of cameras, the preferred one first.
+            held: classes of sensors and annotations that the target has a field for.
+            rectified: whether all cameras must have one orientation.
+            models: camera models that the target holds; images of others are resampled to a pinhole's.
+            rigid: whether one mounting of each sensor holds for all frames; what it does not state is then a loss.
 
-    Args:
-        scene: to be written.
-        slots: the numbers of cameras, the preferred one first.
-        rectified: whether all cameras must look the same way.
-        rigid: whether one mounting of each sensor holds for all frames; what it does not state is then a loss.
-        models: camera models that the target holds; images of others are resampled to a pinhole's.
+        Raises:
+            CalibrationError: a camera model cannot be computed with.
+        """
+        losses = Losses(_dropped_parts(scene, held))
+        path = ego_trajectory(scene)
+        check_one_ego(scene, path)
+        scene = scene if rigid else each_mounted(scene, path)
+        lidar, ego_from_lidar = _lidar(scene, path, losses)
+        named = _numbered(scene, slots, losses)
+        mounts: dict[int, RigidTransform] = {}
+        for number, camera in list(named.items()):
+            mount, lost = mounting(camera, path, each=not rigid)
+            losses.extend(lost if rigid else [])
+            if mount is None:
+                _drop(
+                    camera, "left out: neither its mounting nor its poses against the ego are known", losses
+                )
+                del named[number]
+            else:
+                mounts[number] = mount
+        reference = next((number for number in slots if number in named), None)
+        if rectified and reference is not None:
+            _keep_parallel(named, mounts, reference, losses)
+        scene, named = _with_pinholes(scene, named, models, losses)
+        return cls(scene, lidar, named, path, ego_from_lidar, mounts, reference, losses)
 
-    Raises:
-        CalibrationError: a camera model cannot be computed with.
-    """
-    losses: list[Loss] = []
-    path = ego_trajectory(scene)
-    check_one_ego(scene, path)
-    scene = scene if rigid else each_mounted(scene, path)
-    lidar, ego_from_lidar = _lidar(scene, path, losses)
-    named = _numbered(scene, slots, losses)
-    mounts: dict[int, RigidTransform] = {}
-    for number, camera in list(named.items()):
-        mount, lost = mounting(camera, path, each=not rigid)
-        losses += lost if rigid else []
-        if mount is None:
-            _drop(camera, "left out: neither its mounting nor its poses against the ego are known", losses)
-            del named[number]
-        else:
-            mounts[number] = mount
-    reference = next((number for number in slots if number in named), None)
-    if rectified and reference is not None:
-        _keep_parallel(named, mounts, reference, losses)
-    scene, named = _with_pinholes(scene, named, models, losses)
-    return Choice(scene, lidar, named, path, ego_from_lidar, mounts, reference, losses)
+    @property
+    def ego_is_lidar(self) -> bool:
+        """Whether the ego's frame is the lidar's."""
+        return bool(np.abs(self.ego_from_lidar.matrix - np.eye(4)).max() <= _IDENTICAL)
+
+    def egos_at(self, timestamps_ns: Int64Array) -> list[RigidTransform]:
+        """`world_from_ego` at each time: end poses hold beyond the trajectory; without one the ego is stationary."""
+        if self.ego_path is None:
+            return [RigidTransform.identity()] * len(timestamps_ns)
+        held = self.ego_path.held(timestamps_ns)
+        return [
+            RigidTransform.from_quaternion(position, rotation)
+            for position, rotation in zip(held.positions, held.quaternions_xyzw, strict=True)
+        ]
+
+    def mounted(self, *, with_imu: bool) -> Mounted:
+        """One calibration for all frames; `with_imu` states where the ego is."""
+        mounts = {
+            number: mount.inverse() @ self.ego_from_lidar for number, mount in self.ego_from_camera.items()
+        }
+        return Mounted(
+            {number: camera.camera for number, camera in self.cameras.items()},
+            mounts,
+            self.ego_from_lidar.inverse() if with_imu else None,
+            self.reference,
+            self.lidar is not None,
+        )
+
+    def check_files(self, *, labels: bool) -> None:
+        """Refuse a scene of which a folder without OXTS lines would have no files.
+
+        Args:
+            labels: whether boxes of a camera without images are files, too.
+
+        Raises:
+            DataError: there are neither sweeps nor images, nor such boxes.
+        """
+        has_sweeps = self.lidar is not None and len(self.lidar.frames) > 0
+        has_images = any(len(camera.images) for camera in self.cameras.values())
+        if not (has_sweeps or has_images or (labels and self.reference is not None)):
+            problem = "holds neither sweeps nor images, of which the files of such a folder are"
+            raise DataError(self.scene.source, "", problem)
+
+    def image_losses(self) -> Losses:
+        """What is known to be lost of the cameras' images."""
+        losses = Losses()
+        for camera in self.cameras.values():
+            if camera.video is not None:
+                what = (
+                    f"{camera.id!r}: {camera.video.codec} decoded; each image is a PNG of the decoded pixels"
+                )
+                losses.converted("sensors.camera.video", what)
+        return losses
+
+    def timeline(self, *, one_time: bool = True, report: bool = True) -> "Timeline":
+        """Put sweeps and images into frames: a frame for each sweep, with the images nearest to its moment.
+
+        Args:
+            one_time: whether a frame has one time for all of its sensors, whose losses are reported.
+            report: whether images that belong to no frame are losses.
+
+        Raises:
+            DataError: nothing reports any frame.
+        """
+        lidar = self.lidar
+        starts = np.zeros(0, np.int64) if lidar is None else lidar.frames.timestamps_ns
+        offset = 0 if lidar is None or not len(lidar.frames) else _moment_offset(lidar)
+        moments = starts + offset
+        cameras = {number: camera.images.timestamps_ns for number, camera in self.cameras.items()}
+        period = _period(moments if len(moments) > 1 else max(cameras.values(), key=len, default=moments))
+        frames = _with_lonely_images(moments, cameras, period)
+        if not len(frames):
+            frames = self._reported_times()
+        if not len(frames):
+            raise DataError(self.scene.source, "", "holds nothing that a folder of KITTI's could hold")
+        sweeps = np.full(len(frames), NONE, np.int64)
+        sweeps[np.searchsorted(frames, moments)] = np.arange(len(moments))
+        images, losses = {}, Losses()
+        for number, timestamps in cameras.items():
+            images[number] = _nearest(frames, timestamps, period)
+            unused = len(timestamps) - int((images[number] != NONE).sum())
+            if unused:
+                what = "left out: nearest to no frame, and a frame has one image of a camera"
+                losses.dropped("sensors.camera.images", what, count=unused)
+        if one_time:
+            losses.extend(_time_losses("sensors.lidar.frames.timestamp_ns", frames, sweeps, starts))
+            for number, timestamps in cameras.items():
+                losses.extend(
+                    _time_losses("sensors.camera.images.timestamp_ns", frames, images[number], timestamps)
+                )
+        self.losses.extend(losses if report else ())
+        return Timeline(frames, sweeps, images)
+
+    def _reported_times(self) -> Int64Array:
+        """Times of fixes and boxes, else of the trajectory: for scenes with neither sweeps nor images."""
+        scene = self.scene
+        timestamps = [sensor.timestamps_ns for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
+        boxes = (a for a in scene.annotations if isinstance(a, CuboidAnnotation | Box2DAnnotation))
+        timestamps += [box.path.timestamps_ns for box in boxes]
+        if not timestamps and self.ego_path is not None and not self.ego_path.static:
+            timestamps = [self.ego_path.timestamps_ns]
+        return np.unique(np.concatenate(timestamps)) if timestamps else np.zeros(0, np.int64)
+
+    def write_frames(
+        self,
+        timeline: "Timeline",
+        name: Callable[[int], str],
+        sweeps: Path,
+        images: Mapping[int, Path],
+        reported: Callable[[int, LidarFrame], None] | None = None,
+        *,
+        own_camera_models: bool = False,
+    ) -> None:
+        """Write the files of all frames; each sweep and image is read, written and let go.
+
+        Args:
+            timeline: the frames.
+            name: of a frame's files, without suffix.
+            sweeps: the folder of sweeps; it is made if there are any.
+            images: the folders of images, by number of the camera.
+            reported: is given each sweep and its frame's number.
+            own_camera_models: whether images may have camera models of their own.
+
+        Raises:
+            CalibrationError: an image has another size than its camera's others.
+        """
+        writer, losses = SweepFiles(self), self.image_losses()
+        if self.lidar is not None and len(self.lidar.frames):
+            sweeps.mkdir(parents=True)
+        for number, camera in self.cameras.items():
+            if len(camera.images):
+                images[number].mkdir(parents=True)
+        for k in range(len(timeline)):
+            sweep = int(timeline.sweeps[k])
+            if self.lidar is not None and sweep != NONE:
+                frame = self.lidar.frames[sweep]
+                writer.write(writer.placed(frame), sweeps / f"{name(k)}.bin")
+                if frame.points.timestamps_ns is not None:
+                    field, what = (
+                        "sensors.lidar.frames.points.timestamps_ns",
+                        "left out: points have no times there",
+                    )
+                    self.losses.dropped(field, what, count=len(frame.points))
+                if reported is not None:
+                    reported(k, frame)
+            for number, camera in self.cameras.items():
+                row = int(timeline.images[number][k])
+                if row != NONE:
+                    path = images[number] / f"{name(k)}.png"
+                    write_image(camera, camera.images[row], path, own_camera_model=own_camera_models)
+        self.losses.extend([*losses, *writer.losses])
 
 
 def ego_trajectory(scene: Scene) -> Poses | None:
@@ -135,20 +301,20 @@ def ego_trajectory(scene: Scene) -> Poses | None:
     return None
 
 
-def _lidar(scene: Scene, path: Poses | None, losses: list[Loss]) -> tuple[LidarSensor | None, RigidTransform]:
+def _lidar(scene: Scene, path: Poses | None, losses: Losses) -> tuple[LidarSensor | None, RigidTransform]:
     if not scene.lidars:
         return None, RigidTransform.identity()
     first, *others = scene.lidars
     for other in others:
         _drop(other, "left out: the folder has one lidar", losses)
     if first.id != LIDAR_ID:
-        losses.append(_renamed("sensors.lidar.id", first.id, LIDAR_ID))
+        _renamed("sensors.lidar.id", first.id, LIDAR_ID, losses)
     mount, lost = mounting(first, path)
-    losses += lost
+    losses.extend(lost)
     return first, RigidTransform.identity() if mount is None else mount
 
 
-def _numbered(scene: Scene, slots: Sequence[int], losses: list[Loss]) -> dict[int, CameraSensor]:
+def _numbered(scene: Scene, slots: Sequence[int], losses: Losses) -> dict[int, CameraSensor]:
     """Give cameras their numbers: of a scene that was read from KITTI's those of their ids, then the free ones."""
     named = {
         number: camera
@@ -166,12 +332,12 @@ def _numbered(scene: Scene, slots: Sequence[int], losses: list[Loss]) -> dict[in
         number = free.pop(0)
         named[number] = camera
         if camera.id != camera_id(number):
-            losses.append(_renamed("sensors.camera.id", camera.id, camera_id(number)))
+            _renamed("sensors.camera.id", camera.id, camera_id(number), losses)
     return named
 
 
 def _keep_parallel(
-    cameras: dict[int, CameraSensor], mounts: dict[int, RigidTransform], reference: int, losses: list[Loss]
+    cameras: dict[int, CameraSensor], mounts: dict[int, RigidTransform], reference: int, losses: Losses
 ) -> None:
     """Leave out cameras that are rotated against the reference: rectified ones have one orientation."""
     for number, camera in list(cameras.items()):
@@ -186,7 +352,7 @@ def _keep_parallel(
 
 
 def _with_pinholes(
-    scene: Scene, cameras: dict[int, CameraSensor], models: frozenset[str], losses: list[Loss]
+    scene: Scene, cameras: dict[int, CameraSensor], models: frozenset[str], losses: Losses
 ) -> tuple[Scene, dict[int, CameraSensor]]:
     """Resample the images of camera models that the target does not hold."""
     bent = {number: camera for number, camera in cameras.items() if not _holds_camera_model(camera, models)}
@@ -196,10 +362,12 @@ def _with_pinholes(
     new = {_type_and_id(sensor.id): sensor for sensor in changed.cameras}
     for camera in bent.values():
         what = f"a {camera.camera.model} camera model replaced by a pinhole, and its images resampled for it"
-        losses += [
-            Loss(field=name, what=f"{camera.id!r}: {what}", support=Support.APPROXIMATED)
-            for name in ("sensors.camera.camera", "sensors.camera.images.rgb")
-        ]
+        losses.extend(
+            [
+                Loss(field=name, what=f"{camera.id!r}: {what}", support=Support.APPROXIMATED)
+                for name in ("sensors.camera.camera", "sensors.camera.images.rgb")
+            ]
+        )
     return changed, {number: new[_type_and_id(camera.id)] for number, camera in cameras.items()}
 
 
@@ -217,64 +385,34 @@ def _type_and_id(identifier: object) -> tuple[type, object]:
     return type(identifier), identifier
 
 
-def dropped_parts(scene: Scene, kept: frozenset[type]) -> list[Loss]:
-    """Losses of sensors and annotations of the kinds that the target has no field for.
-
-    Args:
-        kept: the classes that have one.
-    """
-    losses = [
-        Loss(field=KINDS[type(part)], what="left out: the folder has no field for it")
-        for part in (*scene.sensors, *scene.annotations)
-        if type(part) not in kept
-    ]
-    boxes = CuboidAnnotation in kept and any(isinstance(one, CuboidAnnotation) for one in scene.annotations)
+def _dropped_parts(scene: Scene, held: frozenset[type]) -> Losses:
+    """Losses of sensors and annotations of the classes that the target has no field for."""
+    losses, what = Losses(), "left out: the folder has no field for it"
+    for part in (*scene.sensors, *scene.annotations):
+        losses.dropped(KINDS[type(part)], what, count=type(part) not in held)
+    boxes = CuboidAnnotation in held and any(isinstance(one, CuboidAnnotation) for one in scene.annotations)
     if boxes and annotations_frame(scene) is Coordinates.WORLD and ego_trajectory(scene) is None:
-        losses.append(stationary_ego())
-    if len(scene.trajectories) > 1:
-        count = len(scene.trajectories) - 1
-        what = "left out: the folder holds the trajectory that is the default one"
-        losses.append(Loss(field="trajectories", what=what, count=count))
-    if scene.attributes:
-        losses.append(
-            Loss(
-                field="attributes",
-                what="left out: the folder has no field for it",
-                count=len(scene.attributes),
-            )
-        )
+        losses.extend([stationary_ego()])
+    others = max(len(scene.trajectories) - 1, 0)
+    losses.dropped(
+        "trajectories", "left out: the folder holds the trajectory that is the default one", count=others
+    )
+    losses.dropped("attributes", what, count=len(scene.attributes))
     return losses
 
 
-def _renamed(name: str, identifier: object, new: str) -> Loss:
-    return Loss(field=name, what=f"{identifier!r} is called {new!r} there", support=Support.CONVERTED)
+def _renamed(name: str, identifier: object, new: str, losses: Losses) -> None:
+    losses.converted(name, f"{identifier!r} is called {new!r} there")
 
 
-def _drop(sensor: CameraSensor | LidarSensor, what: str, losses: list[Loss]) -> None:
-    losses.append(Loss(field=KINDS[type(sensor)], what=f"{sensor.id!r} {what}"))
+def _drop(sensor: CameraSensor | LidarSensor, what: str, losses: Losses) -> None:
+    losses.dropped(KINDS[type(sensor)], f"{sensor.id!r} {what}")
 
 
 NONE = -1
 
 _OWN_FRAME = 0.75
 """An image that is this share of a period from every sweep is of a frame without one: a sweep is missing there."""
-
-
-def check_files(choice: Choice, *, labels: bool) -> None:
-    """Refuse a scene of which a folder without OXTS lines would have no files.
-
-    Args:
-        choice: what is written.
-        labels: whether boxes of a camera without images are files, too.
-
-    Raises:
-        DataError: there are neither sweeps nor images, nor such boxes.
-    """
-    has_sweeps = choice.lidar is not None and len(choice.lidar.frames) > 0
-    has_images = any(len(camera.images) for camera in choice.cameras.values())
-    if not (has_sweeps or has_images or (labels and choice.reference is not None)):
-        problem = "holds neither sweeps nor images, of which the files of such a folder are"
-        raise DataError(choice.scene.source, "", problem)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -285,13 +423,11 @@ class Timeline:
         timestamps_ns: (F,) int64 [ns].
         sweeps: (F,) int64, number of the sweep, -1 for none.
         images: by number of the camera, (F,) int64, number of the image, -1 for none.
-        losses: images that belong to no frame, and times that are not those of their frames.
     """
 
     timestamps_ns: Int64Array
     sweeps: Int64Array
     images: Mapping[int, Int64Array]
-    losses: tuple[Loss, ...]
 
     def __len__(self) -> int:
         return len(self.timestamps_ns)
@@ -303,54 +439,6 @@ class Timeline:
             swept = self.sweeps != NONE
             found[swept] = lidar.frames.timestamps_ns[self.sweeps[swept]]
         return found
-
-
-def timeline_of(choice: Choice, *, one_time: bool = True) -> Timeline:
-    """Put sweeps and images into frames: a frame for each sweep, with the images nearest to its moment.
-
-    Args:
-        choice: the sensors.
-        one_time: whether a frame has one time for all of its sensors, whose losses are reported.
-
-    Raises:
-        DataError: nothing reports any frame.
-    """
-    lidar = choice.lidar
-    starts = np.zeros(0, np.int64) if lidar is None else lidar.frames.timestamps_ns
-    offset = 0 if lidar is None or not len(lidar.frames) else _moment_offset(lidar)
-    moments = starts + offset
-    cameras = {number: camera.images.timestamps_ns for number, camera in choice.cameras.items()}
-    period = _period(moments if len(moments) > 1 else max(cameras.values(), key=len, default=moments))
-    frames = _with_lonely_images(moments, cameras, period)
-    if not len(frames):
-        frames = _reported_times(choice)
-    if not len(frames):
-        raise DataError(choice.scene.source, "", "holds nothing that a folder of KITTI's could hold")
-    sweeps = np.full(len(frames), NONE, np.int64)
-    sweeps[np.searchsorted(frames, moments)] = np.arange(len(moments))
-    images, losses = {}, list[Loss]()
-    for number, timestamps in cameras.items():
-        images[number] = _nearest(frames, timestamps, period)
-        unused = len(timestamps) - int((images[number] != NONE).sum())
-        if unused:
-            what = "left out: nearest to no frame, and a frame has one image of a camera"
-            losses.append(Loss(field="sensors.camera.images", what=what, count=unused))
-    if one_time:
-        losses += _time_losses("sensors.lidar.frames.timestamp_ns", frames, sweeps, starts)
-        for number, timestamps in cameras.items():
-            losses += _time_losses("sensors.camera.images.timestamp_ns", frames, images[number], timestamps)
-    return Timeline(frames, sweeps, images, tuple(losses))
-
-
-def _reported_times(choice: Choice) -> Int64Array:
-    """When anything is reported, where there are neither sweeps nor images: fixes and boxes, else the trajectory."""
-    scene = choice.scene
-    timestamps = [sensor.timestamps_ns for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
-    boxes = (a for a in scene.annotations if isinstance(a, CuboidAnnotation | Box2DAnnotation))
-    timestamps += [box.path.timestamps_ns for box in boxes]
-    if not timestamps and choice.ego_path is not None and not choice.ego_path.static:
-        timestamps = [choice.ego_path.timestamps_ns]
-    return np.unique(np.concatenate(timestamps)) if timestamps else np.zeros(0, np.int64)
 
 
 def nearest_frames(frames_ns: Int64Array, timestamps_ns: Int64Array) -> Int64Array:
@@ -428,53 +516,27 @@ def _time_losses(
     return [Loss(field=name, what=what, count=count, support=Support.APPROXIMATED, largest_error=worst)]
 
 
-_IDENTICAL = 1e-12
-
-
-def mounted_of(choice: Choice, *, with_imu: bool) -> Mounted:
-    """One calibration for all frames.
-
-    Args:
-        choice: the sensors.
-        with_imu: whether the file reports where the ego is.
-    """
-    inverse = choice.ego_from_lidar.inverse()
-    return Mounted(
-        {number: camera.camera for number, camera in choice.cameras.items()},
-        {number: mount.inverse() @ choice.ego_from_lidar for number, mount in choice.ego_from_camera.items()},
-        inverse if with_imu else None,
-        choice.reference,
-        choice.lidar is not None,
-    )
-
-
-def is_lidar(choice: Choice) -> bool:
-    """Whether the ego is the lidar."""
-    matrix = choice.ego_from_lidar.matrix
-    return bool(np.abs(matrix - np.eye(4)).max() <= _IDENTICAL)
-
-
-def egos_at(choice: Choice, timestamps_ns: Int64Array) -> list[RigidTransform]:
-    """`world_from_ego` at each time: end poses hold beyond the trajectory; without one the ego is stationary."""
-    if choice.ego_path is None:
-        return [RigidTransform.identity()] * len(timestamps_ns)
-    held = choice.ego_path.held(timestamps_ns)
-    return [
-        RigidTransform.from_quaternion(location, rotation)
-        for location, rotation in zip(held.positions, held.quaternions_xyzw, strict=True)
-    ]
-
-
 _COMPRESSION = 1
 """PNG's quickest: images of drives hardly shrink further, and it takes a third of the time."""
 
 
-def write_image(image: CameraImage, path: Path) -> None:
+def write_image(
+    camera: CameraSensor, image: CameraImage, path: Path, *, own_camera_model: bool = False
+) -> None:
     """Write an image as PNG; one that is such a file is copied, and a grey one written as grey.
+
+    Args:
+        camera: whose image it is.
+        image: to be written.
+        path: of the file.
+        own_camera_model: whether it may have a camera model of its own.
 
     Raises:
         DataError: it cannot be decoded.
+        CalibrationError: it has another size than the camera model, which is one for all.
     """
+    if not own_camera_model:
+        _check_camera_model(camera, image)
     source = image.decode
     if isinstance(source, ImageFile) and source.path.suffix.lower() == ".png":
         shutil.copyfile(source.path, path)
@@ -488,12 +550,7 @@ def write_image(image: CameraImage, path: Path) -> None:
     )
 
 
-def check_camera_model(camera: CameraSensor, image: CameraImage) -> None:
-    """Refuse an image of another size than its camera's: a folder with one calibration has one camera model for all.
-
-    Raises:
-        CalibrationError: it has another size.
-    """
+def _check_camera_model(camera: CameraSensor, image: CameraImage) -> None:
     own, other = camera.camera, image.camera
     if (own.width, own.height) != (other.width, other.height):
         raise CalibrationError(
@@ -503,12 +560,7 @@ def check_camera_model(camera: CameraSensor, image: CameraImage) -> None:
         )
 
 
-def image_losses(camera: CameraSensor) -> list[Loss]:
-    """What is known to be lost of a camera's images."""
-    if camera.video is not None:
-        what = f"{camera.id!r}: {camera.video.codec} decoded; each image is a PNG of the decoded pixels"
-        return [Loss(field="sensors.camera.video", what=what, support=Support.CONVERTED)]
-    return []
+_POINTS = "sensors.lidar.frames.points"
 
 
 @dataclass(slots=True)
@@ -521,14 +573,16 @@ class SweepFiles:
     """
 
     choice: Choice
-    losses: list[Loss] = field(default_factory=list)
+    losses: Losses = field(default_factory=Losses)
 
     def placed(self, frame: LidarFrame) -> LidarFrame:
         """The sweep without the points that have no location, which files of bare numbers cannot state."""
         there = finite_rows(frame.points.positions)
         if there.all():
             return frame
-        self._lose("positions", "points whose location is not finite are left out", int((~there).sum()))
+        self.losses.dropped(
+            f"{_POINTS}.positions", "points that are not finite are left out", count=int((~there).sum())
+        )
         return replace(frame, points=chosen_points(frame.points, np.flatnonzero(there)))
 
     def write(self, frame: LidarFrame, path: Path) -> Float32Array:
@@ -544,14 +598,15 @@ class SweepFiles:
         intensities = frame.points.intensities
         if intensities is None:
             what = "0 written: the source has none"
-            self._lose("intensities", what, len(points), Support.APPROXIMATED)
+            self.losses.approximated(f"{_POINTS}.intensities", what, count=len(points))
         else:
             points[:, 3] = intensities.astype(np.float32) / 255
+        what = "left out: a point has x, y, z and reflectance"
         for name in ("colors", "rings", "camera_index"):
             if getattr(frame.points, name) is not None:
-                self._lose(name, "left out: a point has x, y, z and reflectance", len(points))
+                self.losses.dropped(f"{_POINTS}.{name}", what, count=len(points))
         if frame.points.extras:
-            self._lose("extras", "left out: a point has x, y, z and reflectance", len(points))
+            self.losses.dropped(f"{_POINTS}.extras", what, count=len(points))
         path.write_bytes(points.tobytes())
         return positions
 
@@ -579,71 +634,5 @@ class SweepFiles:
                 "be brought into the lidar's own frame"
             )
         what = f"brought from the {lidar.points_frame} frame into the lidar's own, in float32"
-        self._lose("positions", what, len(times), Support.CONVERTED)
+        self.losses.converted(f"{_POINTS}.positions", what, count=len(times))
         return moved.astype(np.float32)
-
-    def _lose(self, name: str, what: str, count: int, support: Support = Support.DROPPED) -> None:
-        self.losses.append(
-            Loss(field=f"sensors.lidar.frames.points.{name}", what=what, count=count, support=support)
-        )
-
-
-_Name = Callable[[int], str]
-
-
-def write_frames(
-    choice: Choice,
-    timeline: Timeline,
-    name: _Name,
-    sweeps: Path,
-    images: Mapping[int, Path],
-    reported: Callable[[int, LidarFrame], None] | None = None,
-    *,
-    own_camera_models: bool = False,
-) -> list[Loss]:
-    """Write the files of all frames; each sweep and image is read, written and let go.
-
-    Args:
-        choice: what is written.
-        timeline: the frames.
-        name: of a frame's files, without suffix.
-        sweeps: the folder of sweeps; it is made if there are any.
-        images: the folders of images, by number of the camera.
-        reported: is given each sweep and its frame's number.
-        own_camera_models: whether images may have camera models of their own.
-
-    Returns:
-        What was lost.
-
-    Raises:
-        CalibrationError: an image has another size than its camera's others.
-    """
-    writer = SweepFiles(choice)
-    losses = [loss for camera in choice.cameras.values() for loss in image_losses(camera)]
-    if choice.lidar is not None and len(choice.lidar.frames):
-        sweeps.mkdir(parents=True)
-    for number, camera in choice.cameras.items():
-        if len(camera.images):
-            images[number].mkdir(parents=True)
-    for k in range(len(timeline)):
-        sweep = int(timeline.sweeps[k])
-        if choice.lidar is not None and sweep != NONE:
-            frame = choice.lidar.frames[sweep]
-            writer.write(writer.placed(frame), sweeps / f"{name(k)}.bin")
-            if reported is not None:
-                reported(k, frame)
-        for number, camera in choice.cameras.items():
-            row = int(timeline.images[number][k])
-            if row != NONE:
-                image = camera.images[row]
-                if not own_camera_models:
-                    check_camera_model(camera, image)
-                write_image(image, images[number] / f"{name(k)}.png")
-    return [*losses, *writer.losses]
-
-
-def point_time_loss(frame: LidarFrame) -> list[Loss]:
-    """The loss of a sweep's point times, where the target has none."""
-    count = len(frame.points) if frame.points.timestamps_ns is not None else 0
-    what = "left out: points have no times there"
-    return [Loss(field="sensors.lidar.frames.points.timestamps_ns", what=what, count=count)] if count else []

@@ -9,26 +9,20 @@ import numpy as np
 
 from sceneloom.arrays import UInt32Array, finite_rows
 from sceneloom.errors import OptionError
-from sceneloom.formats.base.losses import Loss, LossReport, Support
+from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.kitti.calibration import write_calibration
 from sceneloom.formats.kitti.frames_writer import (
     Choice,
     Timeline,
-    check_files,
-    choose,
-    dropped_parts,
-    egos_at,
     kept_calibration,
     kept_of,
-    mounted_of,
-    point_time_loss,
-    timeline_of,
-    write_frames,
 )
 from sceneloom.formats.kitti.odometry_reader import CLASS_BITS, CLASS_NAMES, UNLABELED
 from sceneloom.formats.kitti.spec import ODOMETRY_CAMERAS, OdometrySequence
+from sceneloom.formats.kitti.text import write_lines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import LabeledPointsAnnotation
 from sceneloom.scene.cameras import CameraSensor
@@ -49,28 +43,26 @@ class _PointLabels:
     """The labels of a lidar's sweeps.
 
     Attributes:
+        losses: takes those of annotations without a number, and of points with several labels.
         parts: by number of the sweep, the numbers and the points that have them.
-        losses: of annotations that have no number.
-        lost_later: of points that have several labels, found while sweeps are written.
     """
 
+    losses: Losses
     parts: dict[int, list[tuple[int, UInt32Array]]] = field(default_factory=lambda: defaultdict(list))
-    losses: list[Loss] = field(default_factory=list)
-    lost_later: list[Loss] = field(default_factory=list)
 
     def __bool__(self) -> bool:
         return bool(self.parts)
 
     @classmethod
-    def of(cls, scene: Scene, lidar: LidarSensor | None) -> "_PointLabels":
-        """Collect what a scene says of a lidar's points."""
-        found = cls()
+    def of(cls, choice: Choice) -> "_PointLabels":
+        """Collect what a scene says of the lidar's points."""
+        found = cls(choice.losses)
         instances: dict[int, int] = defaultdict(int)
-        for annotation in scene.annotations:
+        for annotation in choice.scene.annotations:
             if isinstance(annotation, LabeledPointsAnnotation):
                 value = found._value(annotation, instances)
                 if value is not None:
-                    found._add(annotation, value, lidar)
+                    found._add(annotation, value, choice.lidar)
         return found
 
     def values(self, sweep: int, count: int) -> UInt32Array:
@@ -82,10 +74,9 @@ class _PointLabels:
             beyond += len(rows) - len(inside)
             repeated += int((values[inside] != UNLABELED).sum())
             values[inside] = value
-        for lost, what in ((repeated, "a point has one label there: the last one"), (beyond, "of no point")):
-            if lost:
-                name = "annotations.labeled_points.labeled_points.point_ids"
-                self.lost_later.append(Loss(field=name, what=what, count=lost))
+        name = "annotations.labeled_points.labeled_points.point_ids"
+        self.losses.dropped(name, "a point has one label there: the last one", count=repeated)
+        self.losses.dropped(name, "of no point", count=beyond)
         return values
 
     def _value(self, annotation: LabeledPointsAnnotation, instances: dict[int, int]) -> int | None:
@@ -97,7 +88,7 @@ class _PointLabels:
         if number is None:
             what = f"{annotation.label!r} left out: SemanticKITTI has no number for it"
             count = sum(len(part.point_ids) for part in annotation.labeled_points)
-            self.losses.append(Loss(field="annotations.labeled_points", what=what, count=count))
+            self.losses.dropped("annotations.labeled_points", what, count=count)
             return None
         if not annotation.is_instance:
             return number
@@ -105,7 +96,7 @@ class _PointLabels:
         if instances[number] > _LARGEST:
             return number
         what = "objects are called by numbers there"
-        self.losses.append(Loss(field="annotations.labeled_points.id", what=what, support=Support.CONVERTED))
+        self.losses.converted("annotations.labeled_points.id", what)
         return number | instances[number] << CLASS_BITS
 
     def _add(self, annotation: LabeledPointsAnnotation, value: int, lidar: LidarSensor | None) -> None:
@@ -116,7 +107,7 @@ class _PointLabels:
                 continue
             what = "left out: points of another sensor, or of no sweep"
             name = "annotations.labeled_points.labeled_points"
-            self.losses.append(Loss(field=name, what=what, count=len(part.point_ids)))
+            self.losses.dropped(name, what, count=len(part.point_ids))
         for name, count in (
             ("attributes", len(annotation.attributes)),
             ("parent_id", int(annotation.parent_id is not None)),
@@ -124,7 +115,7 @@ class _PointLabels:
         ):
             if count:
                 what = "left out: a label is a number"
-                self.losses.append(Loss(field=f"annotations.labeled_points.{name}", what=what, count=count))
+                self.losses.dropped(f"annotations.labeled_points.{name}", what, count=count)
 
 
 def _class_number(label: str | None) -> int | None:
@@ -177,19 +168,15 @@ def write_odometry(
         DataError: what the scene is read from is damaged.
     """
     location = _location(path, sequence or _kept_name(scene))
-    choice = choose(scene, _SLOTS, rectified=True, models=frozenset({"pinhole"}))
-    losses = [*dropped_parts(scene, _HELD), *choice.losses]
-    check_files(choice, labels=False)
-    timeline = timeline_of(choice)
-    losses += timeline.losses
-    labels = _PointLabels.of(scene, choice.lidar)
-    losses += labels.losses
+    choice = Choice.of(scene, _SLOTS, _HELD)
+    choice.check_files(labels=False)
+    timeline = choice.timeline()
+    labels = _PointLabels.of(choice)
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         folder = draft / "sequences" / location.name
         folder.mkdir(parents=True)
 
         def reported(k: int, frame: LidarFrame) -> None:
-            losses.extend(point_time_loss(frame))
             if labels:
                 values = labels.values(int(timeline.sweeps[k]), len(frame.points))
                 written = finite_rows(frame.points.positions)
@@ -198,19 +185,17 @@ def write_odometry(
         if labels:
             (folder / "labels").mkdir()
         images = {number: folder / kind for number, kind in ODOMETRY_CAMERAS.items()}
-        losses += write_frames(choice, timeline, "{:06d}".format, folder / "velodyne", images, reported)
-        mounted = mounted_of(choice, with_imu=False)
+        choice.write_frames(timeline, "{:06d}".format, folder / "velodyne", images, reported)
+        mounted = choice.mounted(with_imu=False)
         rectified_from_lidar = write_calibration(
             folder / "calib.txt", "odometry", mounted, kept_calibration(scene)
         )
-        seconds = "".join(f"{seconds_text(time)}\n" for time in timeline.timestamps_ns.tolist())
-        (folder / "times.txt").write_text(seconds, "utf-8", newline="\n")
+        write_lines(folder / "times.txt", map(seconds_text, timeline.timestamps_ns.tolist()))
         if choice.ego_path is not None:
             (draft / "poses").mkdir()
-            text, lost = _poses(choice, timeline, rectified_from_lidar)
-            (draft / "poses" / f"{location.name}.txt").write_text(text, "utf-8", newline="\n")
-            losses += lost
-    return LossReport.of([*losses, *labels.lost_later])
+            poses = _poses(choice, timeline, rectified_from_lidar)
+            write_lines(draft / "poses" / f"{location.name}.txt", poses)
+    return LossReport.of(choice.losses)
 
 
 def _kept_name(scene: Scene) -> str:
@@ -225,42 +210,28 @@ def _location(path: Path, name: str) -> OdometrySequence:
     return OdometrySequence(name, path / "sequences" / name, path / "poses" / f"{name}.txt")
 
 
-def _poses(
-    choice: Choice, timeline: Timeline, rectified_from_lidar: RigidTransform
-) -> tuple[str, list[Loss]]:
-    """The poses of camera 0's rectified frame, seen from its first one."""
-    ego_from_camera = choice.ego_from_lidar @ rectified_from_lidar.inverse()
-    egos = egos_at(choice, timeline.timestamps_ns)
+def _poses(choice: Choice, timeline: Timeline, rectified_from_lidar: RigidTransform) -> list[str]:
+    """The poses of camera 0's rectified frame, seen from its first one, a line each."""
+    egos = choice.egos_at(timeline.timestamps_ns)
     if not egos:
-        return "", []
-    first_from_world = (egos[0] @ ego_from_camera).inverse()
-    lines = [
-        " ".join(map(repr, (first_from_world @ ego @ ego_from_camera).matrix[:3].reshape(-1).tolist()))
-        for ego in egos
-    ]
-    path, losses = choice.ego_path, list[Loss]()
+        return []
+    path, losses = choice.ego_path, choice.losses
     if path is not None and not path.static:
         timestamps = timeline.timestamps_ns
         beyond = int(((timestamps < path.start_ns) | (timestamps > path.stop_ns)).sum())
-        if beyond:
-            what = "beyond the trajectory: its end poses written"
-            losses.append(
-                Loss(field="trajectories.positions", what=what, count=beyond, support=Support.APPROXIMATED)
-            )
+        losses.approximated(
+            "trajectories.positions", "beyond the trajectory: its end poses written", count=beyond
+        )
         further = len(np.setdiff1d(path.timestamps_ns, timestamps))
-        if further:
-            what = "a pose for each frame; those between are left out"
-            losses.append(
-                Loss(
-                    field="trajectories.timestamps_ns", what=what, count=further, support=Support.APPROXIMATED
-                )
-            )
+        what = "a pose for each frame; those between are left out"
+        losses.approximated("trajectories.timestamps_ns", what, count=further)
     if np.abs(egos[0].matrix - np.eye(4)).max() > 1e-9:
         what = "seen from the first pose, which becomes the world's origin; read back, its axes are the lidar's there"
-        losses.append(
-            Loss(field="trajectories.positions", what=what, count=len(egos), support=Support.CONVERTED)
-        )
-    return "".join(f"{line}\n" for line in lines), losses
+        losses.converted("trajectories.positions", what, count=len(egos))
+    ego_from_camera = choice.ego_from_lidar @ rectified_from_lidar.inverse()
+    first_from_world = (egos[0] @ ego_from_camera).inverse()
+    poses = (first_from_world @ ego @ ego_from_camera for ego in egos)
+    return [" ".join(map(repr, pose.matrix[:3].reshape(-1).tolist())) for pose in poses]
 
 
 def _write_point_labels(values: UInt32Array, path: Path) -> None:

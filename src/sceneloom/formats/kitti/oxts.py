@@ -9,7 +9,8 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.losses import Loss, Support
+from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.kitti.text import as_table, read_lines
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
@@ -212,7 +213,7 @@ def oxts_lines(scene: Scene, path: Poses, timestamps_ns: Int64Array) -> OxtsLine
     )
     if beyond:
         what = "beyond the trajectory: its end poses written"
-        table.lose("trajectories.positions", what, beyond, Support.APPROXIMATED)
+        table.losses.approximated("trajectories.positions", what, count=beyond)
     rotations = matrix_from_quaternion(held.quaternions_xyzw)
     angles = cuboid_angles_from_rotation(rotations, unit=AngleUnit.RADIANS, order="zyx")
     table.put(("roll", "pitch", "yaw"), angles)
@@ -227,7 +228,7 @@ class _Table:
     def __init__(self, timestamps_ns: Int64Array) -> None:
         self.timestamps_ns = timestamps_ns
         self.values = np.zeros((len(timestamps_ns), len(_FIELDS)))
-        self.losses: list[Loss] = []
+        self.losses = Losses()
         for name, value in _UNTOLD.items():
             self.put((name,), np.full((len(timestamps_ns), 1), value))
 
@@ -236,9 +237,6 @@ class _Table:
 
     def of(self, names: tuple[str, ...]) -> Float64Array:
         return self.values[:, [_FIELDS.index(name) for name in names]]
-
-    def lose(self, name: str, what: str, count: int, support: Support, error: float | None = None) -> None:
-        self.losses.append(Loss(field=name, what=what, count=count, support=support, largest_error=error))
 
 
 def _put_locations(
@@ -256,13 +254,13 @@ def _put_locations(
     if origin is None:
         origin = np.zeros(3)
         what = "where on earth the world is, is not known: written as if its origin were at latitude and longitude 0"
-        table.lose("trajectories.positions", what, count, Support.APPROXIMATED)
+        table.losses.approximated("trajectories.positions", what, count=count)
     elif error is not None:
         what = "placed on earth by the satellite receiver's fixes, taking the world's axes as east, north and up [m]"
-        table.lose("sensors.gnss.positions_lla", what, count, Support.APPROXIMATED, error)
+        table.losses.approximated("sensors.gnss.positions_lla", what, count=count, error=error)
     if count and np.linalg.norm(positions[0]) > _SAME_LOCATION:
         what = "read back, the world's origin is the first line's location"
-        table.lose("trajectories.positions", what, count, Support.CONVERTED)
+        table.losses.converted("trajectories.positions", what, count=count)
     table.put(names, geodetic_from_enu(positions, origin))
 
 
@@ -316,10 +314,10 @@ def _put_inertial(table: _Table, imu: ImuSensor | None, angles: Float64Array) ->
     for stream, samples in imu.streams.items():
         kind = stream if stream in ("accelerometer", "gyroscope", "magnetometer") else "other"
         if stream not in _STREAMS:
-            table.lose(f"sensors.imu.streams.{kind}", f"{stream!r} left out", len(samples), Support.DROPPED)
+            table.losses.dropped(f"sensors.imu.streams.{kind}", f"{stream!r} left out", count=len(samples))
         elif not _same_times(table, imu, stream):
             what = "a value at the time of each line, between the nearest two; the others are left out"
-            table.lose(f"sensors.imu.streams.{kind}", what, len(samples), Support.APPROXIMATED)
+            table.losses.approximated(f"sensors.imu.streams.{kind}", what, count=len(samples))
 
 
 def _level_rotations(angles: Float64Array) -> Float64Array:
@@ -356,7 +354,7 @@ def _put_accuracies(table: _Table, gnss: GnssSensor | None) -> None:
     )
     table.put(("pos_accuracy",), np.nan_to_num(gnss.accuracies[nearest], nan=0.0)[:, None])
     if np.isfinite(gnss.vertical_accuracies).any():
-        table.lose("sensors.gnss.vertical_accuracies", "left out", len(gnss.timestamps_ns), Support.DROPPED)
+        table.losses.dropped("sensors.gnss.vertical_accuracies", "left out", count=len(gnss.timestamps_ns))
     if not np.array_equal(gnss.timestamps_ns, table.timestamps_ns):
         what = "fixes are left out: lines have the positions of the ego trajectory"
-        table.lose("sensors.gnss.positions_lla", what, len(gnss.timestamps_ns), Support.APPROXIMATED)
+        table.losses.approximated("sensors.gnss.positions_lla", what, count=len(gnss.timestamps_ns))

@@ -1,7 +1,7 @@
 """Write a drive of KITTI's raw data, synchronised (`sync`) or each sensor by itself (`extract`)."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,8 @@ import numpy as np
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError, SceneloomError
-from sceneloom.formats.base.losses import Loss, LossReport, Support
+from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.kitti.calibration import CAMERAS, Mounted, files_lidar_from_lidar
 from sceneloom.formats.kitti.frames_writer import (
@@ -20,17 +21,9 @@ from sceneloom.formats.kitti.frames_writer import (
     Choice,
     SweepFiles,
     Timeline,
-    check_camera_model,
-    choose,
-    dropped_parts,
     ego_trajectory,
-    egos_at,
-    image_losses,
-    is_lidar,
     kept_of,
-    mounted_of,
     nearest_frames,
-    timeline_of,
     write_image,
 )
 from sceneloom.formats.kitti.oxts import IMU_ID, oxts_lines
@@ -50,6 +43,7 @@ from sceneloom.formats.kitti.raw_reader import (
 from sceneloom.formats.kitti.raw_reader import FILE as TRACKLETS
 from sceneloom.formats.kitti.sensors import times_in_rotation
 from sceneloom.formats.kitti.spec import RAW_CAMERAS
+from sceneloom.formats.kitti.text import write_lines
 from sceneloom.formats.recording.write_calibration import mounting
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
 from sceneloom.geometry.rigid import RigidTransform
@@ -79,15 +73,13 @@ def _write_raw_calibration(
     if kept and all(isinstance(texts, Mapping) for texts in kept.values()):
         for name, texts in kept.items():
             if name in (CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO):
-                lines = "".join(f"{key}: {text}\n" for key, text in texts.items())
-                (folder / name).write_text(lines, "utf-8", newline="\n")
+                write_lines(folder / name, (f"{key}: {text}" for key, text in texts.items()))
         if _says(folder, mounted, rectified=rectified):
             return
         for name in (CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO):
             (folder / name).unlink(missing_ok=True)
     for name, entries in _built(mounted, rectified=rectified).items():
-        lines = "".join(f"{key}: {text}\n" for key, text in entries.items())
-        (folder / name).write_text(lines, "utf-8", newline="\n")
+        write_lines(folder / name, (f"{key}: {text}" for key, text in entries.items()))
 
 
 def _says(folder: Path, mounted: Mounted, *, rectified: bool) -> bool:
@@ -217,118 +209,75 @@ class _RotationWriter:
                 reported[number] = rotation[1]
         return reported
 
-    def close(self) -> list[Loss]:
-        """Write the times; starts and ends only where they report those of points. Gives what was lost."""
+    def close(self) -> None:
+        """Write the times; starts and ends only where they report those of points."""
         for column, name in enumerate(_NAMES):
             if self._rotated or name == "timestamps.txt":
-                lines = [
+                times = (
                     "" if rotation is None else format_timestamp(rotation[column])
                     for rotation in self._rotations
-                ]
-                (self.folder / name).write_text("".join(f"{line}\n" for line in lines), "utf-8", newline="\n")
-        return [*self._files.losses, *self._time_losses()]
-
-    def _time_losses(self) -> list[Loss]:
-        losses = []
-        name = "sensors.lidar.frames.points.timestamps_ns"
-        if self._timed_points and not self._rotated:
-            what = (
-                "left out: a drive reports times of points by one counter-clockwise rotate from behind, "
-                "and these differ"
-            )
-            losses.append(Loss(field=name, what=what, count=self._timed_points))
+                )
+                write_lines(self.folder / name, times)
+        losses, field = self.choice.losses, "sensors.lidar.frames.points.timestamps_ns"
+        losses.extend(self._files.losses)
+        if not self._rotated:
+            what = "left out: points have other times than by one counter-clockwise rotation from behind"
+            losses.dropped(field, what, count=self._timed_points)
         elif self._worst_ns:
             what = "reported by the directions of points in one rotation, counter-clockwise from behind [s]"
-            worst = self._worst_ns / 1e9
-            losses.append(
-                Loss(
-                    field=name,
-                    what=what,
-                    count=self._timed_points,
-                    support=Support.APPROXIMATED,
-                    largest_error=worst,
-                )
-            )
+            losses.approximated(field, what, count=self._timed_points, error=self._worst_ns / 1e9)
         column = 0 if self._rotated else 1
         reported = [rotation[column] for rotation in self._rotations if rotation is not None]
         away = [abs(a - b) for a, b in zip(reported, self._starts, strict=True)]
-        if any(away):
-            what = "the moment of the sweep in location of its start [s]"
-            losses.append(
-                Loss(
-                    field="sensors.lidar.frames.timestamp_ns",
-                    what=what,
-                    count=sum(map(bool, away)),
-                    support=Support.APPROXIMATED,
-                    largest_error=max(away) / 1e9,
-                )
-            )
-        return losses
+        what, worst = "the moment of the sweep in place of its start [s]", max(away, default=0) / 1e9
+        losses.approximated(
+            "sensors.lidar.frames.timestamp_ns", what, count=sum(map(bool, away)), error=worst
+        )
 
 
 _LABELLED = 2.0
 """The state of a pose that was labelled. Source: the development kit's tracklets.h."""
 
 
-def _tracklets_of(
-    scene: Scene,
-    timestamps_ns: Int64Array,
-    starts_ns: Int64Array,
-    lidar_id: Identifier | None,
-    world_from_lidar_at: Callable[[Int64Array], Sequence[RigidTransform]],
-) -> tuple[list[Tracklet], list[Loss]]:
+def _tracklets_of(choice: Choice, timestamps_ns: Int64Array, starts_ns: Int64Array) -> list[Tracklet]:
     """Give the boxes of a scene by frame.
 
     Args:
-        scene: whose cuboids are taken.
+        choice: whose cuboids are taken; they are there by the activations for its lidar.
         timestamps_ns: of the frames, (F,) int64 [ns].
         starts_ns: when their sweeps began, (F,) int64 [ns].
-        lidar_id: by whose activations boxes are there, and by whose own computed cuboids.
-        world_from_lidar_at: gives where the lidar was at some times.
 
     Returns:
-        tracklets: one for each run of frames that a box is in.
-        losses: what they do not hold.
+        A tracklet for each run of frames that a box is in.
     """
-    angles = CuboidAngles.of(scene)
+    angles, losses = CuboidAngles.of(choice.scene), choice.losses
+    lidar_id = None if choice.lidar is None else choice.lidar.id
     found: list[Tracklet] = []
-    losses: list[Loss] = []
-    boxes = [a for a in scene.annotations if isinstance(a, CuboidAnnotation)]
+    boxes = [a for a in choice.scene.annotations if isinstance(a, CuboidAnnotation)]
     for annotation in boxes:
         frames, times = _frames(annotation, timestamps_ns)
         active = active_at(annotation, lidar_id, timestamps_ns[frames], since_ns=starts_ns[frames])
-        if not active.all():
-            what = "left out in frames in which it is not active for the lidar"
-            lost = int((~active).sum())
-            losses.append(Loss(field="annotations.cuboid.path.values", what=what, count=lost))
-            frames, times = frames[active], times[active]
+        what = "left out in frames in which it is not active for the lidar"
+        losses.dropped("annotations.cuboid.path.values", what, count=int((~active).sum()))
+        frames, times = frames[active], times[active]
         cuts = np.flatnonzero(np.diff(frames) > 1) + 1
         runs = list(zip(np.split(frames, cuts), np.split(times, cuts), strict=True)) if len(frames) else []
         if not runs:
-            losses.append(Loss(field="annotations.cuboid", what="left out: in no frame"))
+            losses.dropped("annotations.cuboid", "left out: in no frame")
         if len(runs) > 1:
             what = "cut where it is in no frame: a tracklet is in all frames between its first and last"
-            losses.append(Loss(field="annotations.cuboid.id", what=what, support=Support.APPROXIMATED))
+            losses.approximated("annotations.cuboid.id", what)
         if str(annotation.id) != str(len(found)) and runs:
-            what = "tracklets have no ids; read back, they are counted"
-            losses.append(Loss(field="annotations.cuboid.id", what=what, support=Support.DROPPED))
-        losses += _losses_of(annotation)
+            losses.dropped("annotations.cuboid.id", "tracklets have no ids; read back, they are counted")
+        _lose_rest(annotation, losses)
         for run, run_times in runs:
-            tracklet, error = _tracklet(
-                annotation, run, run_times, world_from_lidar_at(run_times), angles, lidar_id
-            )
+            world_from_lidar = [ego @ choice.ego_from_lidar for ego in choice.egos_at(run_times)]
+            tracklet, error = _tracklet(annotation, run, run_times, world_from_lidar, angles, lidar_id)
             found.append(tracklet)
             if error > 0:
                 what = "a tracklet has one size: that of its middle frame [m]"
-                losses.append(
-                    Loss(
-                        field="annotations.cuboid.path.values",
-                        what=what,
-                        support=Support.APPROXIMATED,
-                        largest_error=error,
-                    )
-                )
-    return found, losses
+                losses.approximated("annotations.cuboid.path.values", what, error=error)
+    return found
 
 
 def _frames(annotation: CuboidAnnotation, timestamps_ns: Int64Array) -> tuple[Int64Array, Int64Array]:
@@ -389,7 +338,7 @@ def _states(annotation: CuboidAnnotation, times_ns: Int64Array) -> Float64Array:
     return states
 
 
-def _losses_of(annotation: CuboidAnnotation) -> list[Loss]:
+def _lose_rest(annotation: CuboidAnnotation, losses: Losses) -> None:
     """What a box has beside what tracklets hold."""
     counts = {
         "attributes": sum(attribute.name not in STATES for attribute in annotation.attributes),
@@ -399,11 +348,8 @@ def _losses_of(annotation: CuboidAnnotation) -> list[Loss]:
         "stationary": int(annotation.stationary is not None),
         "extras": len(annotation.extras),
     }
-    return [
-        Loss(field=f"annotations.cuboid.{name}", what="left out: a tracklet has no field for it", count=count)
-        for name, count in counts.items()
-        if count
-    ]
+    for name, count in counts.items():
+        losses.dropped(f"annotations.cuboid.{name}", "left out: a tracklet has no field for it", count=count)
 
 
 _SLOTS = (2, 3, 0, 1)
@@ -455,27 +401,28 @@ def write_raw(
     if kind not in (None, *_MODELS):
         raise OptionError(f"kind {kind!r}; expected one of {', '.join(_MODELS)}")
     kind = kind or _kind_of(scene)
-    choice = choose(scene, _SLOTS, rectified=kind == "sync", models=_MODELS[kind])
-    losses = [*dropped_parts(scene, _HELD), *choice.losses]
+    choice = Choice.of(scene, _SLOTS, _HELD, rectified=kind == "sync", models=_MODELS[kind])
     day, drive = _names(scene, choice, kind, sequence)
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
         folder = draft / day / drive
         folder.mkdir(parents=True)
-        with_imu = choice.ego_path is not None or not is_lidar(choice)
-        mounted = mounted_of(choice, with_imu=with_imu)
+        with_imu = choice.ego_path is not None or not choice.ego_is_lidar
+        mounted = choice.mounted(with_imu=with_imu)
         kept = kept_of(scene)
         reported = kept.get("calibration") if kept.get("benchmark") == "raw" else None
         _write_raw_calibration(draft / day, mounted, reported, rectified=kind == "sync")
-        timeline = timeline_of(choice, one_time=False)
+        timeline = choice.timeline(one_time=False, report=kind == "sync")
+        choice.losses.extend(choice.image_losses())
         if kind == "sync":
-            losses += timeline.losses
-            times, reported = _write_sync(choice, timeline, folder)
+            times = _write_sync(choice, timeline, folder)
         else:
-            times, reported = _write_extract(choice, timeline.timestamps_ns, folder)
-        losses += reported
-        losses += _write_oxts(scene, choice, _oxts_times(choice, times, kind), folder / "oxts")
-        losses += _write_tracklets(choice, times, timeline, folder)
-    return LossReport.of(losses)
+            times = _write_extract(choice, timeline.timestamps_ns, folder)
+        _write_oxts(choice, _oxts_times(choice, times, kind), folder / "oxts")
+        if any(isinstance(annotation, CuboidAnnotation) for annotation in scene.annotations):
+            starts = np.minimum(timeline.starts_ns(choice.lidar), times)
+            text = format_tracklets(_tracklets_of(choice, times, starts))
+            (folder / TRACKLETS).write_text(text, "utf-8", newline="\n")
+    return LossReport.of(choice.losses)
 
 
 def _kind_of(scene: Scene) -> str:
@@ -512,9 +459,8 @@ def _names(scene: Scene, choice: Choice, kind: str, sequence: str | None) -> tup
     return day, f"{day}_drive_{int(number):04d}_{kind}"
 
 
-def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> tuple[Int64Array, list[Loss]]:
-    """Write sweeps and images; gives the times of frames as they are reported, and what was lost."""
-    losses = [loss for camera in choice.cameras.values() for loss in image_losses(camera)]
+def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> Int64Array:
+    """Write sweeps and images; gives the times of frames as they are reported."""
     lidar = choice.lidar
     rotations = (
         _RotationWriter(choice, folder / "velodyne_points")
@@ -534,40 +480,36 @@ def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> tuple[Int64
                 lines.append("")
                 continue
             image = choice.cameras[number].images[row]
-            check_camera_model(choice.cameras[number], image)
-            write_image(image, folder / RAW_CAMERAS[number] / "data" / f"{k:010d}.png")
+            write_image(
+                choice.cameras[number], image, folder / RAW_CAMERAS[number] / "data" / f"{k:010d}.png"
+            )
             lines.append(format_timestamp(image.timestamp_ns))
     for number, lines in timestamps.items():
-        _write_lines(folder / RAW_CAMERAS[number] / "timestamps.txt", lines)
+        write_lines(folder / RAW_CAMERAS[number] / "timestamps.txt", lines)
     if rotations is None:
-        return timeline.timestamps_ns, losses
-    return rotations.moments_ns(timeline.timestamps_ns), losses + rotations.close()
+        return timeline.timestamps_ns
+    rotations.close()
+    return rotations.moments_ns(timeline.timestamps_ns)
 
 
-def _write_extract(choice: Choice, times: Int64Array, folder: Path) -> tuple[Int64Array, list[Loss]]:
-    """Write sweeps and images; gives the times of sweeps as they are reported, else `times`, and what was lost."""
-    losses = [loss for camera in choice.cameras.values() for loss in image_losses(camera)]
+def _write_extract(choice: Choice, times: Int64Array, folder: Path) -> Int64Array:
+    """Write sweeps and images; gives the times of sweeps as they are reported, else `times`."""
     if choice.lidar is not None and len(choice.lidar.frames):
         rotations = _RotationWriter(choice, folder / "velodyne_points")
         for k, frame in enumerate(choice.lidar.frames):
             rotations.write(frame, k)
         times = rotations.moments_ns(choice.lidar.frames.timestamps_ns)
-        losses += rotations.close()
+        rotations.close()
     for number, camera in choice.cameras.items():
         if not len(camera.images):
             continue
         location = folder / RAW_CAMERAS[number]
         (location / "data").mkdir(parents=True)
         for k, image in enumerate(camera.images):
-            check_camera_model(camera, image)
-            write_image(image, location / "data" / f"{k:010d}.png")
+            write_image(camera, image, location / "data" / f"{k:010d}.png")
         timestamps = [format_timestamp(time) for time in camera.images.timestamps_ns.tolist()]
-        _write_lines(location / "timestamps.txt", timestamps)
-    return times, losses
-
-
-def _write_lines(path: Path, lines: list[str]) -> None:
-    path.write_text("".join(f"{line}\n" for line in lines), "utf-8", newline="\n")
+        write_lines(location / "timestamps.txt", timestamps)
+    return times
 
 
 def _oxts_times(choice: Choice, times: Int64Array, kind: str) -> Int64Array:
@@ -586,27 +528,12 @@ def _oxts_times(choice: Choice, times: Int64Array, kind: str) -> Int64Array:
     return inside if len(inside) else path.timestamps_ns
 
 
-def _write_oxts(scene: Scene, choice: Choice, times: Int64Array, folder: Path) -> list[Loss]:
+def _write_oxts(choice: Choice, times: Int64Array, folder: Path) -> None:
     if choice.ego_path is None or not len(times):
-        return []
-    lines = oxts_lines(scene, choice.ego_path, times)
+        return
+    lines = oxts_lines(choice.scene, choice.ego_path, times)
     (folder / "data").mkdir(parents=True)
     for k, line in enumerate(lines.texts()):
-        (folder / "data" / f"{k:010d}.txt").write_text(f"{line}\n", "utf-8", newline="\n")
-    _write_lines(folder / "timestamps.txt", [format_timestamp(time) for time in times.tolist()])
-    return list(lines.losses)
-
-
-def _write_tracklets(choice: Choice, times: Int64Array, timeline: Timeline, folder: Path) -> list[Loss]:
-    """Write the boxes in their frames; those of an `extract` are the sweeps."""
-    if not any(isinstance(annotation, CuboidAnnotation) for annotation in choice.scene.annotations):
-        return []
-    tracklets, losses = _tracklets_of(
-        choice.scene,
-        times,
-        np.minimum(timeline.starts_ns(choice.lidar), times),
-        None if choice.lidar is None else choice.lidar.id,
-        lambda timestamps: [ego @ choice.ego_from_lidar for ego in egos_at(choice, timestamps)],
-    )
-    (folder / TRACKLETS).write_text(format_tracklets(tracklets), "utf-8", newline="\n")
-    return losses
+        write_lines(folder / "data" / f"{k:010d}.txt", [line])
+    write_lines(folder / "timestamps.txt", map(format_timestamp, times.tolist()))
+    choice.losses.extend(lines.losses)

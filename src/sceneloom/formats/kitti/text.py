@@ -223,3 +223,8 @@ def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) 
     if len(sequences) != 1:
         raise OptionError(f"{path} has several sequences: {names}; choose one with `--sequence NAME`")
     return sequences[0]
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Write a text, a line each."""
+    path.write_text("".join(f"{line}\n" for line in lines), "utf-8", newline="\n")

@@ -12,6 +12,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.editing.cameras import undistort_scene
 from sceneloom.errors import OptionError
+from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.losses import Loss, Support, field_losses
 from sceneloom.formats.base.output import file_stems
 from sceneloom.formats.base.poses import ego_in_world
@@ -143,7 +144,7 @@ class WritingPlan:
     channels: tuple[Channel, ...]
     samples: Samples
     ego_path: Poses | None
-    losses: list[Loss] = field(default_factory=list)
+    losses: Losses = field(default_factory=Losses)
 
     @classmethod
     def of(
@@ -163,21 +164,20 @@ class WritingPlan:
             PoseError: the trajectory cannot be taken.
             DataError: no sensor has a frame.
         """
-        losses = [loss for loss in field_losses(scene, SUPPORTS) if loss.support is Support.DROPPED]
-        losses += _further_fields(scene)
+        losses = Losses(loss for loss in field_losses(scene, SUPPORTS) if loss.support is Support.DROPPED)
+        losses.extend(_further_fields(scene))
         scene = _with_pinholes(scene, losses)
         estimated_trajectory = ego_trajectory(scene) if trajectory is None else None
         if estimated_trajectory is None:
             ego, reported = ego_in_world(scene, name=trajectory)
             estimated_trajectory = None if ego.path.static else ego.path
-            losses += reported
+            losses.extend(reported)
         check_one_ego(scene, estimated_trajectory)
         scene = each_mounted(scene, estimated_trajectory)
-        if len(scene.trajectories) > 1:
-            what = "left out: the tables hold one ego trajectory"
-            losses.append(Loss(field="trajectories", what=what, count=len(scene.trajectories) - 1))
+        others = max(len(scene.trajectories) - 1, 0)
+        losses.dropped("trajectories", "left out: the tables hold one ego trajectory", count=others)
         channels = _channels(scene, estimated_trajectory, losses, names)
-        losses += _lost_poses(scene, estimated_trajectory, channels)
+        _report_poses(scene, estimated_trajectory, channels, losses)
         about = _about(scene, path)
         samples = choose_samples(
             scene, [channel.sensor for channel in channels], rate_hz=rate_hz, name=about[0].name
@@ -202,27 +202,23 @@ class WritingPlan:
         return int(((timestamps_ns < path.start_ns) | (timestamps_ns > path.stop_ns)).sum())
 
 
-def _lost_poses(scene: Scene, estimated_trajectory: Poses | None, channels: Sequence[Channel]) -> list[Loss]:
+def _report_poses(
+    scene: Scene, estimated_trajectory: Poses | None, channels: Sequence[Channel], losses: Losses
+) -> None:
     """Report that poses between frames are not in the tables, of a trajectory of the scene."""
     if estimated_trajectory is None or not any(
         known.timestamps_ns is estimated_trajectory.timestamps_ns for known in scene.trajectories.values()
     ):
-        return []
+        return
     frames = np.concatenate([[0][:0], *(timestamps_of(channel.sensor) for channel in channels)])
+    field = "trajectories.positions"
     lost = int((~np.isin(estimated_trajectory.timestamps_ns, frames)).sum())
+    losses.dropped(field, "poses between frames are left out", count=lost)
     new = int((~np.isin(frames, estimated_trajectory.timestamps_ns)).sum())
-    reported = (
-        ("poses between frames are left out", lost, Support.DROPPED),
-        ("poses at frames are found between those that are reported", new, Support.APPROXIMATED),
-    )
-    return [
-        Loss(field="trajectories.positions", what=what, count=count, support=support)
-        for what, count, support in reported
-        if count
-    ]
+    losses.approximated(field, "poses at frames are found between those that are reported", count=new)
 
 
-def _with_pinholes(scene: Scene, losses: list[Loss]) -> Scene:
+def _with_pinholes(scene: Scene, losses: Losses) -> Scene:
     """Resample the images of other camera models, since all of nuScenes' images are undistorted."""
     bent = [camera for camera in scene.cameras if camera.camera.model != "pinhole" and len(camera.images)]
     if not bent:
@@ -232,10 +228,8 @@ def _with_pinholes(scene: Scene, losses: list[Loss]) -> Scene:
             f"{camera.id!r}: a {camera.camera.model} camera model replaced by a pinhole, and its images "
             f"resampled for it"
         )
-        losses += [
-            Loss(field=f"sensors.camera.{name}", what=what, support=Support.APPROXIMATED)
-            for name in ("camera", "images.rgb", "images.encoded")
-        ]
+        for name in ("camera", "images.rgb", "images.encoded"):
+            losses.approximated(f"sensors.camera.{name}", what)
     return undistort_scene(scene, cameras=[camera.id for camera in bent])
 
 
@@ -260,28 +254,32 @@ def channels_of(scene: Scene, stated: str | Iterable[str] | None) -> Mapping[str
 
 
 def _channels(
-    scene: Scene, estimated_trajectory: Poses | None, losses: list[Loss], asked: Mapping[str, str]
+    scene: Scene, estimated_trajectory: Poses | None, losses: Losses, asked: Mapping[str, str]
 ) -> tuple[Channel, ...]:
     kinds: tuple[type[Any], ...] = tuple(_MODALITIES)
     found: list[Any] = [sensor for kind in kinds for sensor in scene.sensors if isinstance(sensor, kind)]
-    losses += [
-        Loss(field=KINDS[type(sensor)], what=f"{sensor.id!r} has no frame, and is left out")
-        for sensor in found
-        if not len(timestamps_of(sensor))
-    ]
+    losses.extend(
+        [
+            Loss(field=KINDS[type(sensor)], what=f"{sensor.id!r} has no frame, and is left out")
+            for sensor in found
+            if not len(timestamps_of(sensor))
+        ]
+    )
     framed = [sensor for sensor in found if len(timestamps_of(sensor))]
     mounts = [_mount(sensor, estimated_trajectory, losses) for sensor in framed]
     usual = _usual_names(framed, mounts, ego_axes(scene), asked)
     names = _unique([usual.get(k, str(sensor.id)) for k, sensor in enumerate(framed)])
-    losses += [
-        Loss(
-            field=f"{KINDS[type(one)]}.id",
-            what=f"{one.id!r} becomes channel {name!r}",
-            support=Support.CONVERTED,
-        )
-        for one, name in zip(framed, names, strict=True)
-        if str(one.id) != name
-    ]
+    losses.extend(
+        [
+            Loss(
+                field=f"{KINDS[type(one)]}.id",
+                what=f"{one.id!r} becomes channel {name!r}",
+                support=Support.CONVERTED,
+            )
+            for one, name in zip(framed, names, strict=True)
+            if str(one.id) != name
+        ]
+    )
     folders = file_stems(names)
     return tuple(
         Channel(name, folder, sensor, RigidTransform.identity() if mount is None else mount)
@@ -329,14 +327,14 @@ def _unique(names: Sequence[str]) -> list[str]:
     return [name if names.index(name) == k else f"{name}~{k}" for k, name in enumerate(names)]
 
 
-def _mount(sensor: Any, estimated_trajectory: Poses | None, losses: list[Loss]) -> RigidTransform | None:
+def _mount(sensor: Any, estimated_trajectory: Poses | None, losses: Losses) -> RigidTransform | None:
     """`ego_from_sensor`; None where it is not known, with a line."""
     mount, lost = mounting(sensor, estimated_trajectory, each=True)
-    losses += lost
+    losses.extend(lost)
     if mount is not None:
         return mount
     what = f"{sensor.id!r}: not known; written as if it were where the ego is"
-    losses.append(Loss(field=f"{KINDS[type(sensor)]}.mount", what=what, support=Support.APPROXIMATED))
+    losses.approximated(f"{KINDS[type(sensor)]}.mount", what)
     return None
 
 

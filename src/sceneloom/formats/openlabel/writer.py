@@ -11,7 +11,8 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.formats.base.losses import Loss, LossReport, Support, field_losses
+from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.losses import LossReport, field_losses
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.openlabel.document import (
@@ -404,7 +405,7 @@ class _Writer:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.streams = Streams.of(scene)
-        self.losses = list(field_losses(scene, SUPPORTS))
+        self.losses = Losses(field_losses(scene, SUPPORTS))
         self.draft = _Draft(_frame_times(scene))
         self.uids = _Uids()
         self.relations: dict[str, Any] = {}
@@ -423,7 +424,7 @@ class _Writer:
                 self._relation(annotation)
         self.draft.close()
         self._report_trajectory()
-        self.losses += self.streams.losses(self.draft.times)
+        self.losses.extend(self.streams.losses(self.draft.times))
         kept = self.scene.metadata.get("openlabel")
         kept = {name: kept[name] for name in KEPT if name in kept} if isinstance(kept, Mapping) else {}
         count = len(self.draft.times)
@@ -461,7 +462,7 @@ class _Writer:
         own = {name: value for name, value in self.scene.metadata.items() if name != "openlabel"}
         metadata = {name: value for name, value in own.items() if _is_json(value)}
         for name in own.keys() - metadata.keys():
-            self.losses.append(Loss(field=f"metadata.{name}", what="left out: JSON cannot state it"))
+            self.losses.dropped(f"metadata.{name}", "left out: JSON cannot state it")
         return {**found, **({"metadata": metadata} if metadata else {})}
 
     def _element(self, annotation: Any, parts: Sequence[Annotation]) -> None:
@@ -533,7 +534,7 @@ class _Writer:
             fields["extras"] = dict(annotation.extras)
         else:
             field = f"annotations[{annotation.id}].extras"
-            self.losses.append(Loss(field=field, what="left out: JSON cannot state it"))
+            self.losses.dropped(field, "left out: JSON cannot state it")
         return fields
 
     def _seen(self, kind: str, uid: str, annotation: Any) -> dict[str, Any]:
@@ -549,7 +550,7 @@ class _Writer:
             for name in _SEEN:
                 if count := len(getattr(annotation, name)):
                     field = f"annotations[{annotation.id}].{name}"
-                    self.losses.append(Loss(field=field, what=_NO_POSITION, count=count))
+                    self.losses.dropped(field, _NO_POSITION, count=count)
             return found
         rows = [self._sound(annotation, _activation_fields(one)) for one in annotation.activations]
         found.update({"activations": rows} if rows else {})
@@ -571,7 +572,7 @@ class _Writer:
         if _is_json(fields.get("extras")):
             return fields
         field, count = f"annotations[{annotation.id}].extras", len(fields["extras"])
-        self.losses.append(Loss(field=field, what="left out: JSON cannot state it", count=count))
+        self.losses.dropped(field, "left out: JSON cannot state it", count=count)
         return {name: value for name, value in fields.items() if name != "extras"}
 
     def _path_extras(self, annotation: Any) -> dict[str, Any]:
@@ -582,7 +583,7 @@ class _Writer:
         if _is_json(further):
             return {"path_extras": further}
         field = f"annotations[{annotation.id}].path.extras"
-        self.losses.append(Loss(field=field, what="left out: JSON cannot state it", count=len(further)))
+        self.losses.dropped(field, "left out: JSON cannot state it", count=len(further))
         return {}
 
     def _data(self, annotation: Annotation, further: Mapping[str, Any]) -> list[_Datum]:
@@ -627,12 +628,12 @@ class _Writer:
                 if attribute.timestamps_ns is None and not attribute.static:
                     what = "an attribute without times is read back as one that holds always"
                     field = f"annotations[{annotation.id}].attributes"
-                    self.losses.append(Loss(field=field, what=what, support=Support.CONVERTED))
+                    self.losses.converted(field, what)
             elif _is_json([*attribute.values, dict(attribute.extras)]):
                 unsaid.append(attribute_fields(attribute))
             else:
                 field = f"annotations[{annotation.id}].attributes.{attribute.name}"
-                self.losses.append(Loss(field=field, what="left out: JSON cannot state it"))
+                self.losses.dropped(field, "left out: JSON cannot state it")
         return unsaid, renamed
 
     def _report_further(self, annotation: Any, attribute: AttributePath) -> None:
@@ -640,7 +641,7 @@ class _Writer:
         if unsaid:
             field = f"annotations[{annotation.id}].attributes.{attribute.name}"
             what = f"further fields left out: {', '.join(sorted(unsaid))}"
-            self.losses.append(Loss(field=field, what=what))
+            self.losses.dropped(field, what)
 
     def _collides(self, annotation: Any, name: str) -> bool:
         """Whether an attribute of points would be taken for another."""
@@ -654,7 +655,7 @@ class _Writer:
         held = getattr(annotation, "path", None)
         if held is not None and not len(held.timestamps_ns):
             what = "it has no location at any time: read back as an object without one"
-            self.losses.append(Loss(field=f"annotations[{annotation.id}]", what=what))
+            self.losses.dropped(f"annotations[{annotation.id}]", what)
 
     def _keep(self, kind: str, uid: str, annotation: Any, fields: dict[str, Any]) -> None:
         """Keep the fields that only we understand, and the further ones that JSON can state."""
@@ -662,14 +663,14 @@ class _Writer:
             fields["extras"] = dict(annotation.extras)
         else:
             field = f"annotations[{annotation.id}].extras"
-            self.losses.append(Loss(field=field, what="left out: JSON cannot state it"))
+            self.losses.dropped(field, "left out: JSON cannot state it")
         self.draft.ours.setdefault(kind, {})[uid] = fields
 
     def _relation(self, link: LinkAnnotation) -> None:
         ends = [self.uids.by_id.get(key_of(one)) for one in (link.from_id, link.to_id)]
         if None in ends:
             what = "left out: one of its ends is not written"
-            self.losses.append(Loss(field=f"annotations[{link.id}]", what=what))
+            self.losses.dropped(f"annotations[{link.id}]", what)
             return
         uid = self.uids.give(link.id)
         subject, other = ({"uid": str(end), "type": self._kind_of(str(end))} for end in ends)
@@ -694,19 +695,15 @@ class _Writer:
         """Report how the ego trajectory is sampled, and of which sensors the trajectories."""
         for name, trajectory in list(self.scene.trajectories.items())[:1]:
             if trajectory.quaternions_xyzw is None:
-                self.losses.append(
-                    Loss(field=f"trajectories[{name}]", what="left out: it has no orientations")
-                )
+                self.losses.dropped(f"trajectories[{name}]", "left out: it has no orientations")
             elif not np.isin(trajectory.timestamps_ns, self.draft.times).all():
                 what = "written at the times of the frames"
                 field = f"trajectories[{name}].timestamps_ns"
                 count = len(trajectory.timestamps_ns)
-                self.losses.append(Loss(field=field, what=what, count=count, support=Support.APPROXIMATED))
+                self.losses.approximated(field, what, count=count)
         for name, trajectory in list(self.scene.trajectories.items())[1:]:
             what = "left out: the format has one ego trajectory"
-            self.losses.append(
-                Loss(field=f"trajectories[{name}]", what=what, count=len(trajectory.timestamps_ns))
-            )
+            self.losses.dropped(f"trajectories[{name}]", what, count=len(trajectory.timestamps_ns))
 
 
 def _labeled_points(annotation: LabeledPointsAnnotation) -> dict[str, Any]:

@@ -91,9 +91,8 @@ _OWN = ("source", "target", "to", "trajectory", "strict", "loss", "overwrite", "
 
 
 def _print_report(report: "ConversionReport", printer: Printer) -> None:
-    from sceneloom.pipeline.converting import headline
 
-    click.echo(headline(report))
+    click.echo(report.headline)
     if not printer.quiet:
         printer.warnings(report.warnings)
         _print_supports(report, verbose=printer.verbose)
@@ -101,12 +100,10 @@ def _print_report(report: "ConversionReport", printer: Printer) -> None:
 
 def _print_supports(report: "ConversionReport", *, verbose: bool) -> None:
     """Print what is not simply kept, grouped by what became of it; every field where that is asked for."""
-    from sceneloom.pipeline.converting import short_rows, support_groups, support_rows
-
-    for title, fields, worth_reporting in support_groups(report):
-        click.echo(f"  {title}: {several(len(fields), 'field')}", err=True)
-        if worth_reporting or verbose:
-            rows = support_rows(fields) if verbose else short_rows(fields)
+    for group in report.groups:
+        click.echo(f"  {group.title}: {several(len(group.fields), 'field')}", err=True)
+        if group.explained or verbose:
+            rows = group.rows if verbose else group.short_rows
             print_table(rows if verbose else rows[:SHOWN], indent="    ", err=True)
             if len(rows) > SHOWN and not verbose:
                 click.echo(f"    … and {len(rows) - SHOWN} more: state --verbose", err=True)

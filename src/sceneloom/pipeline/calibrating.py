@@ -1,6 +1,6 @@
-"""The calibrate jobs: check the camera-lidar calibration of a drive from images, points and detections; refine it.
+"""The calibrate jobs: check the camera-lidar calibration of a drive from images, points and detections; repair it.
 
-And write the result.
+In this order: checking; what a repaired calibration is written as; repairing.
 """
 
 import json
@@ -63,10 +63,10 @@ from sceneloom.scene.types import Identifier, Progress
 from sceneloom.visualization.calibration import save_change_images
 
 _MOST_ROTATIONS = 100
-"""Images whose rotating is followed, at most."""
+"""So many images rotation is estimated from at most."""
 
 _MOST_IMAGES = 200
-"""Boxes of more images report hardly more."""
+"""Boxes of more images add hardly anything."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,12 +102,12 @@ def check_drive(
         most: images to look at, at most; boxes of more images count.
         start, stop: seconds after the first timestamp between which images count.
         boxes_3d, boxes_2d: lists of boxes, as for `fuse_detections`.
-        motion: compare how both rotate, too; it looks at all images, up to 100 in the middle of the part.
+        motion: compare the rotation of both, too, by up to 100 images in the middle of the part.
         lenient: leave out boxes that are faulty.
 
     Raises:
         OptionError: there is no such camera or lidar, or boxes of images or sweeps alone.
-        PoseError: it is not known how the camera lies to the lidar.
+        PoseError: the pose of the camera relative to the lidar is not known.
         DataError: an image, a sweep or a list cannot be read.
     """
     if bool(boxes_3d) != bool(boxes_2d):
@@ -134,7 +134,7 @@ def check_drive(
 
 
 def _judged_motion(part: Scene, camera_id: Identifier, lidar_id: Identifier) -> Item:
-    """Compare how a camera rotates from image to image with how the lidar does by the ego trajectory."""
+    """Compare the rotation of a camera from image to image with that of the lidar by the ego trajectory."""
     camera, lidar = chosen_camera(part, camera_id), chosen_lidar(part, lidar_id)
     count = len(camera.images)
     first = max((count - _MOST_ROTATIONS) // 2, 0)
@@ -193,7 +193,7 @@ def check_sequences(tracking: KittiTracking, sequences: Sequence[str] = ()) -> l
 
 
 def _rotation_of_boxes(drive: DetectedDrive, camera_id: Identifier) -> BoxRotation | None:
-    """The rotation about which boxes of a camera's images and of sweeps agree; None where hardly any may be alike."""
+    """The rotation by which boxes of a camera's images and of sweeps agree best; None where hardly any match."""
     if camera_id not in drive.cameras:
         return None
     pairs = [moment.pairs[camera_id] for moment in moments(drive) if camera_id in moment.pairs]
@@ -233,7 +233,7 @@ class CalibrationForm(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Repair:
-    """What is new of the calibration of one camera and one lidar.
+    """A repaired calibration of one camera and one lidar.
 
     Attributes:
         camera_id, lidar_id: the sensors; None where the other one alone was mounted anew.
@@ -322,7 +322,7 @@ def _with_repair(scene: Scene, repair: Repair) -> Scene:
 
 
 def _remounted(scene: Scene, repair: Repair) -> Scene:
-    """No annotation reports how a lidar is mounted: the scene itself is changed."""
+    """No annotation holds the extrinsics of a lidar: the scene itself is changed."""
     sensors = tuple(
         replace(sensor, mount=repair.repaired)
         if isinstance(sensor, LidarSensor) and sensor.id == repair.lidar_id
@@ -417,7 +417,7 @@ _TEXTS: Mapping[CalibrationForm, Callable[[Scene, Repair], str]] = MappingProxyT
 
 
 class RepairReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What a repair came to.
+    """The result of a repair.
 
     Attributes:
         source: the drive.
@@ -477,8 +477,7 @@ def refine_drive(
         PoseError, DataError: as `calibration_frames` and `write_calibration` state.
         OutputError: the target exists, or cannot be written.
     """
-    _check_target(target, form, overwrite=overwrite)
-    scene = scene.corrected()
+    output, scene = _Output(target, form, overwrite), scene.corrected()
     frames = calibration_frames(scene, camera, lidar, most)
     found = refine(frames, parameters=parameters, progress=progress)
     if images is not None:
@@ -493,7 +492,7 @@ def refine_drive(
         found.time_offset,
     )
     report = _refinement_report(scene, repair, found)
-    return _written(scene, repair, report, target, form, overwrite=overwrite)
+    return output.write(scene, repair, report)
 
 
 def mount_lidar(
@@ -506,14 +505,13 @@ def mount_lidar(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> RepairReport:
-    """Find how a lidar is mounted on the ego by hand-eye alignment of its odometry and a trajectory.
+    """Estimate the extrinsics of a lidar by hand-eye alignment of its odometry and a trajectory.
 
     Raises:
         OptionError, PoseError, DataError: as `lidar_to_ego` and `write_calibration` state.
         OutputError: the target exists, or cannot be written.
     """
-    _check_target(target, form, overwrite=overwrite)
-    scene = scene.corrected()
+    output, scene = _Output(target, form, overwrite), scene.corrected()
     result = lidar_to_ego(scene, lidar, trajectory=trajectory, progress=progress)
     mounting = result.found.mounting
     stated = result.stated or RigidTransform.identity()
@@ -526,7 +524,7 @@ def mount_lidar(
         scene, "hand-eye", ("ego", str(result.lidar_id)), stated, mounting, result.found.motions, notes
     )
     repair = Repair(None, result.lidar_id, stated, mounting.a_from_b)
-    return _written(scene, repair, report, target, form, overwrite=overwrite)
+    return output.write(scene, repair, report)
 
 
 def align_lidars(
@@ -540,18 +538,17 @@ def align_lidars(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> RepairReport:
-    """Find how a lidar lies to another one by their clouds; its own mounting is what changes.
+    """Estimate the pose of a lidar relative to another one by their clouds; its own extrinsics change.
 
     Args:
-        lidar: the one that is mounted anew; None for the second one.
+        lidar: the one whose extrinsics change; None for the second one.
         onto: the one that stays; None for the first one.
 
     Raises:
         OptionError, PoseError, DataError: as `lidar_to_lidar` and `write_calibration` state.
         OutputError: the target exists, or cannot be written.
     """
-    _check_target(target, form, overwrite=overwrite)
-    scene = scene.corrected()
+    output, scene = _Output(target, form, overwrite), scene.corrected()
     result = lidar_to_lidar(scene, onto, lidar, most=most, progress=progress)
     ids = str(result.first_id), str(result.second_id)
     stated = result.stated or RigidTransform.identity()
@@ -563,9 +560,7 @@ def align_lidars(
     first = scene.sensor(result.first_id)
     of_first = first.mount if isinstance(first, LidarSensor) else None
     mount = result.mounting.a_from_b if of_first is None else of_first @ result.mounting.a_from_b
-    return _written(
-        scene, Repair(None, result.second_id, stated, mount), report, target, form, overwrite=overwrite
-    )
+    return output.write(scene, Repair(None, result.second_id, stated, mount), report)
 
 
 def calibrate_by_target(
@@ -580,7 +575,7 @@ def calibrate_by_target(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> RepairReport:
-    """Find how a camera lies to a lidar by a checkerboard that both see; no guess is needed.
+    """Estimate the pose of a camera relative to a lidar by a checkerboard that both see; no guess is needed.
 
     Args:
         board: as `Board.parse` reads it.
@@ -589,8 +584,7 @@ def calibrate_by_target(
         OptionError, PoseError, DataError: as `board_views`, `start_from_target` and `write_calibration` state.
         OutputError: the target exists, or cannot be written.
     """
-    _check_target(target, form, overwrite=overwrite)
-    scene = scene.corrected()
+    output, scene = _Output(target, form, overwrite), scene.corrected()
     wanted = Board.parse(board)
     views = list(board_views(scene, wanted, camera, lidar, most=most, progress=progress))
     mounting = start_from_target(views, wanted)
@@ -603,7 +597,7 @@ def calibrate_by_target(
     ids = str(seeing.id), str(scanning.id)
     report = _mounting_report(scene, "target", ids, stated, mounting, len(views))
     repair = Repair(seeing.id, scanning.id, stated, mounting.a_from_b, seeing.camera)
-    return _written(scene, repair, report, target, form, overwrite=overwrite)
+    return output.write(scene, repair, report)
 
 
 def _mounting_report(
@@ -662,24 +656,24 @@ def _in_degrees(numbers: dict[str, float]) -> dict[str, float]:
     }
 
 
-def _check_target(target: Path | None, form: str | None, *, overwrite: bool) -> None:
-    if target is not None:
-        form_for(target, form)
-        check_output(target, overwrite=overwrite)
+@dataclass(frozen=True, slots=True)
+class _Output:
+    """The file that a repaired calibration is written to, if any; refused before anything is read if it cannot be."""
 
+    target: Path | None
+    form: str | None
+    overwrite: bool
 
-def _written(
-    scene: Scene,
-    repair: Repair,
-    report: RepairReport,
-    target: Path | None,
-    form: str | None,
-    *,
-    overwrite: bool,
-) -> RepairReport:
-    reported = tuple(warning.message for warning in scene.correction_warnings)
-    report = msgspec.structs.replace(report, notes=(*report.notes, *reported))
-    if target is None or report.verdict != RefinementVerdict.REFINED:
-        return report
-    chosen = write_calibration(scene, repair, target, form=form, overwrite=overwrite)
-    return msgspec.structs.replace(report, output=str(target), form=str(chosen))
+    def __post_init__(self) -> None:
+        if self.target is not None:
+            form_for(self.target, self.form)
+            check_output(self.target, overwrite=self.overwrite)
+
+    def write(self, scene: Scene, repair: Repair, report: RepairReport) -> RepairReport:
+        """Write the calibration if it was refined, and complete the report."""
+        corrections = tuple(warning.message for warning in scene.correction_warnings)
+        report = msgspec.structs.replace(report, notes=(*report.notes, *corrections))
+        if self.target is None or report.verdict != RefinementVerdict.REFINED:
+            return report
+        chosen = write_calibration(scene, repair, self.target, form=self.form, overwrite=self.overwrite)
+        return msgspec.structs.replace(report, output=str(self.target), form=str(chosen))

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -279,6 +279,65 @@ class ConversionReport(msgspec.Struct, frozen=True, kw_only=True):
         """The fields that are not wholly in the target."""
         return lost(self.fields)
 
+    @property
+    def headline(self) -> str:
+        """From where to where, on one line."""
+        not_written = "" if self.written else " (not written)"
+        return f"{self.source} ({self.source_format}) → {self.target} ({self.target_format}){not_written}"
+
+    @property
+    def groups(self) -> "tuple[_Group, ...]":
+        """The fields by what became of them, the worst first."""
+        kept = self.of_support(Support.KEPT)
+        groups = [
+            *(_Group(str(one), self.of_support(one)) for one in reversed(Support) if one != Support.KEPT),
+            _Group(
+                "kept aside, where other programs do not look", tuple(field for field in kept if field.how)
+            ),
+            _Group("kept", tuple(field for field in kept if not field.how), explained=False),
+        ]
+        return tuple(group for group in groups if group.fields)
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """Fields of which the same became.
+
+    Attributes:
+        title: what.
+        fields: which.
+        explained: whether there is more to say of them.
+    """
+
+    title: str
+    fields: tuple[_FieldSupport, ...]
+    explained: bool = True
+
+    @property
+    def rows(self) -> list[tuple[str, str, str]]:
+        """One row for each field: its name, how many objects or frames hold it, and what happened to it."""
+        return [(field.field, str(field.count), _explained(field)) for field in self.fields]
+
+    @property
+    def short_rows(self) -> list[tuple[str, str, str]]:
+        """The same with one row for all fields of a kind to which the same happened, by what their names share.
+
+        Rows that name an option as a remedy come first: the others may not be shown.
+        """
+        together: dict[tuple[str, str], list[_FieldSupport]] = {}
+        for field in self.fields:
+            kind = ".".join(field.field.split(".")[:2])
+            together.setdefault((kind, _explained(field)), []).append(field)
+        return sorted(
+            (
+                (same[0].field, str(same[0].count), how)
+                if len(same) == 1
+                else (f"{_beginning(same)}.*", f"{len(same)} fields", how)
+                for (_, how), same in together.items()
+            ),
+            key=lambda row: "`--" not in row[2],
+        )
+
 
 _REPORT_SUFFIXES = (".json", ".md", ".txt")
 
@@ -314,37 +373,6 @@ def _write_report(report: ConversionReport, path: Path, *, overwrite: bool = Fal
             draft.write_text(text, encoding="utf-8", newline="\n")
 
 
-def headline(report: ConversionReport) -> str:
-    """From where to where, on one line."""
-    not_written = "" if report.written else " (not written)"
-    return f"{report.source} ({report.source_format}) → {report.target} ({report.target_format}){not_written}"
-
-
-def support_rows(fields: Iterable[_FieldSupport]) -> list[tuple[str, str, str]]:
-    """One row for each field: its name, how many objects or frames hold it, and what happened to it."""
-    return [(field.field, str(field.count), _explained(field)) for field in fields]
-
-
-def short_rows(fields: Iterable[_FieldSupport]) -> list[tuple[str, str, str]]:
-    """As `support_rows`, with one row for all fields of a kind to which the same happened, by what their names share.
-
-    Rows that name an option as a remedy come first: the others may not be shown.
-    """
-    together: dict[tuple[str, str], list[_FieldSupport]] = {}
-    for field in fields:
-        kind = ".".join(field.field.split(".")[:2])
-        together.setdefault((kind, _explained(field)), []).append(field)
-    return sorted(
-        (
-            support_rows(same)[0]
-            if len(same) == 1
-            else (f"{_beginning(same)}.*", f"{len(same)} fields", reported)
-            for (_, reported), same in together.items()
-        ),
-        key=lambda row: "`--" not in row[2],
-    )
-
-
 def _beginning(fields: Iterable[_FieldSupport]) -> str:
     """What the names have in common, up to a dot."""
     names = [field.field.split(".") for field in fields]
@@ -359,41 +387,20 @@ def _explained(field: _FieldSupport) -> str:
     return "; ".join(filter(None, (reported, worst)))
 
 
-def support_groups(report: ConversionReport) -> list[tuple[str, tuple[_FieldSupport, ...], bool]]:
-    """The fields by what became of them, the worst first: a title, them, and whether there is more to state of them."""
-    kept = report.of_support(Support.KEPT)
-    groups = [
-        (str(support), report.of_support(support), True)
-        for support in reversed(Support)
-        if support != Support.KEPT
-    ]
-    groups += [
-        ("kept aside, where other programs do not look", tuple(field for field in kept if field.how), True),
-        ("kept", tuple(field for field in kept if not field.how), False),
-    ]
-    return [group for group in groups if group[1]]
-
-
 def _text(report: ConversionReport) -> list[str]:
-    lines = [headline(report)]
-    for title, fields, _ in support_groups(report):
-        lines += ["", f"{title} ({len(fields)})"]
-        lines += [
-            f"  {name} [{count}]" + (f": {how}" if how else "") for name, count, how in support_rows(fields)
-        ]
+    lines = [report.headline]
+    for group in report.groups:
+        lines += ["", f"{group.title} ({len(group.fields)})"]
+        lines += [f"  {name} [{count}]" + (f": {how}" if how else "") for name, count, how in group.rows]
     return lines
 
 
 def _markdown(report: ConversionReport) -> list[str]:
-    lines = [f"# {headline(report)}"]
-    for title, fields, _ in support_groups(report):
-        lines += [
-            "",
-            f"## {title[0].upper()}{title[1:]}",
-            "| field | held by | how |",
-            "| --- | ---: | --- |",
-        ]
-        lines += [f"| `{name}` | {count} | {_cell(how)} |" for name, count, how in support_rows(fields)]
+    lines = [f"# {report.headline}"]
+    for group in report.groups:
+        title = f"## {group.title[0].upper()}{group.title[1:]}"
+        lines += ["", title, "| field | held by | how |", "| --- | ---: | --- |"]
+        lines += [f"| `{name}` | {count} | {_cell(how)} |" for name, count, how in group.rows]
     return lines
 
 
@@ -401,156 +408,13 @@ def _cell(text: str) -> str:
     return text.replace("|", "\\|").replace("\n", " ")
 
 
-_NAMED = 6
-"""How many fields a message names."""
-
-_Judged = Callable[[LossReport], ConversionReport]
-"""Makes the report of a conversion out of what the writing reported."""
-
-
-def _check_nothing_lost(report: ConversionReport) -> None:
-    """Refuse a conversion that does not keep every field.
-
-    Raises:
-        LossError: naming the fields; it bears the report.
-    """
-    gone = lost(report.fields)
-    if gone:
-        raise LossError(report.target, _problem(gone, report.target_format), report)
-
-
-def _write_strictly(
-    write: Callable[[Path], LossReport], target: Path, judged: _Judged, *, overwrite: bool
-) -> ConversionReport:
-    """Write beside the target, and let it take the target's location if nothing was lost.
-
-    Args:
-        write: writes to a path.
-        target: where the output shall be in the end.
-        judged: makes the report.
-        overwrite: whether something there may be replaced.
-
-    Raises:
-        LossError: something was lost; nothing is left behind.
-        OutputError: the target exists, or cannot be written.
-    """
-    with on_trial(target, overwrite=overwrite) as (draft, accept):
-        report = judged(write(draft))
-        _check_nothing_lost(report)
-        if accept():
-            return report
-    return judged(write(target))
-
-
-def _problem(gone: Iterable[_FieldSupport], target_format: str) -> str:
-    fields = list(gone)
-    named = "; ".join(
-        f"{field.field} ({field.support}{': ' + field.how[0] if field.how else ''})"
-        for field in fields[:_NAMED]
-    )
-    further = f"; and {len(fields) - _NAMED} more" if len(fields) > _NAMED else ""
-    return (
-        f"is not written, since {target_format} would not hold all: {named}{further}; state what to leave out first "
-        "(`sceneloom edit`), choose a format that holds it (`sceneloom formats NAME`), or convert without `--strict`"
-    )
-
-
 _WRITING = ("optical", "origin_lla")
 
 _OF_FILES = ("form", "name", "times", "rate_hz", "unit", "origin_lla", "optical", "corrections")
 """Reading options that are about trajectories, not about scenes."""
 
-
-def _is_trajectory_file(path: Path) -> bool:
-    """Whether a path to be written has the suffix of a form of trajectories."""
-    return any(path.suffix.lower() in form.suffixes for form in TRAJECTORY_FORMS.values())
-
-
-def _holds_trajectory_only(path: str | Path) -> bool:
-    """Whether what is there is a file of a trajectory, and no scene; logs of JSON lines are both, thus scenes."""
-    if is_url(path) or not Path(path).is_file():
-        return False
-    try:
-        form = find_form(path)
-    except UnknownFormatError:
-        return False
-    return form is not None and not claims_of(Path(path))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _ChosenTrajectory:
-    """A trajectory on its way to a file of its own.
-
-    Attributes:
-        content: what is written.
-        contents: how much of each field the source holds.
-        kinds: of the source's sensors and annotations, as `kinds_by_id` gives them.
-        losses: the source's other trajectories.
-    """
-
-    content: TrajectoryFile
-    contents: Mapping[str, int]
-    kinds: Mapping[str, str] = field(default_factory=dict)
-    losses: tuple[Loss, ...] = ()
-
-    def write(self, location: Path, *, form: str, overwrite: bool, **writing: Any) -> LossReport:
-        """Write the file.
-
-        Raises:
-            OptionError: the trajectory lacks what the form needs.
-            OutputError: the file exists, or cannot be written.
-        """
-        return write_trajectory(self.content, location, form=form, overwrite=overwrite, **writing)
-
-
-def _chosen_trajectory(
-    source: str | Path,
-    name: str | None,
-    reading: Mapping[str, Any],
-    writing: Mapping[str, Any],
-    progress: Progress | None,
-) -> _ChosenTrajectory:
-    """Read the trajectory that is to be written, and see what else its source holds.
-
-    Raises:
-        OptionError: an option of writing is one of scenes, or there is no trajectory of that name.
-        DataError: the source is wrong.
-    """
-    check_option_names("writing a trajectory", writing, _WRITING)
-    content = read_trajectory_file(source, name=name, progress=progress, **reading)
-    if content.form in TRAJECTORY_FORMS:
-        return _ChosenTrajectory(content, contents_of(_drive(content, str(source), None)))
-    form, location = format_and_location(split_name(source)[0], format=content.form)
-    with form.open(
-        location, **{key: value for key, value in reading.items() if key not in _OF_FILES}
-    ) as scene:
-        others = [trajectory for trajectory in scene.trajectories if trajectory != content.trajectory.name]
-        what = f"not written: the file holds {content.trajectory.name!r}"
-        losses = tuple(Loss(field=f"trajectories[{trajectory}]", what=what) for trajectory in others)
-        return _ChosenTrajectory(content, contents_of(scene), kinds_by_id(scene), losses)
-
-
-def _drive_of(source: str | Path, name: str | None, reading: Mapping[str, Any]) -> Scene:
-    """Make a scene that holds nothing but the trajectory of a file.
-
-    Raises:
-        DataError: the source is wrong.
-    """
-    return _drive(read_trajectory_file(source, name=name, **reading), str(source), name)
-
-
-def _drive(content: TrajectoryFile, source: str, name: str | None) -> Scene:
-    if content.fixes is not None:
-        fixes = replace(content.fixes, id="gnss")
-        return Scene((fixes,), source=source, format=content.form, warnings=content.warnings)
-    trajectory = content.trajectory if name is None else replace(content.trajectory, name=name)
-    return Scene(
-        (),
-        trajectories={trajectory.name: trajectory},
-        source=source,
-        format=content.form,
-        warnings=content.warnings,
-    )
+_NAMED = 6
+"""How many fields a message names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -561,6 +425,85 @@ class _Target:
     strict: bool
     overwrite: bool
     writing: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Conversion:
+    """One conversion that is ready to be written.
+
+    Attributes:
+        source, source_format, target_format: for the report.
+        target: where to.
+        warnings: what was assumed, repaired or left out on reading.
+        contents: how many objects or frames hold each field, as far as they were read.
+        supports: what the format does with each field.
+        kinds: of the source's sensors and annotations, as `kinds_by_id` gives them.
+        write: writes to a path.
+        losses: what is lost whatever the writing reports.
+    """
+
+    source: str
+    source_format: str
+    target_format: str
+    target: _Target
+    warnings: tuple[DataWarning, ...]
+    contents: Callable[[], Mapping[str, int]]
+    supports: Supports
+    kinds: Mapping[str, str]
+    write: Callable[..., LossReport]
+    losses: tuple[Loss, ...] = ()
+
+    def report(self, losses: LossReport | None) -> ConversionReport:
+        """The report, before (None) or after the writing."""
+        known = LossReport(()) if losses is None else losses
+        if self.losses:
+            known = LossReport.of([*self.losses, *known])
+        return ConversionReport(
+            source=self.source,
+            source_format=self.source_format,
+            target=str(self.target.location),
+            target_format=self.target_format,
+            warnings=self.warnings,
+            losses=LossReport() if losses is None else known,
+            fields=field_supports(self.contents(), self.supports, known, self.kinds),
+            written=losses is not None,
+        )
+
+    def run(self) -> ConversionReport:
+        """Write the target; if nothing may be lost, beside it first.
+
+        Raises:
+            LossError: something would be lost, and nothing may be; nothing is left behind.
+            OutputError: the target exists, or cannot be written.
+        """
+        target = self.target
+        write = partial(self.write, overwrite=target.overwrite, **target.writing)
+        with stage("writing"):
+            if target.strict:
+                self._check(self.report(None))
+                with on_trial(target.location, overwrite=target.overwrite) as (draft, accept):
+                    report = self.report(write(draft))
+                    self._check(report)
+                    if accept():
+                        return report
+            return self.report(write(target.location))
+
+    def _check(self, report: ConversionReport) -> None:
+        """Refuse a conversion that does not keep every field; the error has the report."""
+        gone = report.lost
+        if not gone:
+            return
+        named = "; ".join(
+            f"{field.field} ({field.support}{': ' + field.how[0] if field.how else ''})"
+            for field in gone[:_NAMED]
+        )
+        further = f"; and {len(gone) - _NAMED} more" if len(gone) > _NAMED else ""
+        problem = (
+            f"is not written, since {self.target_format} would not hold all: {named}{further}; state what to leave out "
+            "first (`sceneloom edit`), choose a format that holds it (`sceneloom formats NAME`), or convert without "
+            "`--strict`"
+        )
+        raise LossError(report.target, problem, report)
 
 
 def convert(
@@ -620,60 +563,73 @@ def convert(
             )
         return msgspec.structs.replace(report, target=redacted(target))
     to_target = _Target(Path(target), strict, overwrite, writing)
-    listing = None if loss is None else _listing(Path(loss), overwrite=overwrite)
+    listing = None if loss is None else Path(loss)
+    if listing is not None:
+        # a name that it cannot have is refused before anything is read
+        _check_report_name(listing)
+        check_output(listing, overwrite=overwrite)
     options = dict(reading or {})
     try:
         if to in TRAJECTORY_FORMS or (to is None and _is_trajectory_file(to_target.location)):
-            _refuse_part(to_target.location, options)
-            if "format" in options:
-                options.setdefault("form", options.pop("format"))
-            estimated_trajectory = _chosen_trajectory(source, trajectory, options, writing, progress)
-            report = _write_trajectory(source, estimated_trajectory, to, to_target)
+            report = _convert_trajectory(source, to_target, to, trajectory, options, progress)
         else:
-            report = _write_drive(source, to_target, to, trajectory, options, progress)
+            report = _convert_drive(source, to_target, to, trajectory, options, progress)
     except LossError as error:
         if listing is not None:
-            listing(error.report)
+            _write_report(error.report, listing, overwrite=overwrite)
         raise
     if listing is not None:
-        listing(report)
+        _write_report(report, listing, overwrite=overwrite)
     return report
 
 
-def _listing(path: Path, *, overwrite: bool) -> Callable[[ConversionReport], None]:
-    """What writes the list of losses; a name that it cannot have is refused before anything is read."""
-    _check_report_name(path)
-    check_output(path, overwrite=overwrite)
-    return partial(_write_report, path=path, overwrite=overwrite)
-
-
-def _write_trajectory(
-    source: str | Path, estimated_trajectory: _ChosenTrajectory, to: str | None, target: _Target
+def _convert_trajectory(
+    source: str | Path,
+    target: _Target,
+    to: str | None,
+    name: str | None,
+    reading: dict[str, Any],
+    progress: Progress | None,
 ) -> ConversionReport:
+    """Write one trajectory of a source to a file of its own; what else the source holds is lost.
+
+    Raises:
+        OptionError: an option of writing is one of scenes, or there is no trajectory of that name.
+        DataError: the source is wrong.
+    """
+    _refuse_part(target.location, reading)
+    if "format" in reading:
+        reading.setdefault("form", reading.pop("format"))
+    check_option_names("writing a trajectory", target.writing, _WRITING)
+    content = read_trajectory_file(source, name=name, progress=progress, **reading)
     form = form_for_output(target.location) if to is None else TRAJECTORY_FORMS[to]
-    supports = form.supports if estimated_trajectory.content.fixes is None else form.fix_supports
-    blank = ConversionReport(
+    kinds: Mapping[str, str] = {}
+    losses: tuple[Loss, ...] = ()
+    if content.form in TRAJECTORY_FORMS:
+        contents = contents_of(_drive(content, str(source), None))
+    else:
+        spec, location = format_and_location(split_name(source)[0], format=content.form)
+        options = {key: value for key, value in reading.items() if key not in _OF_FILES}
+        with spec.open(location, **options) as scene:
+            contents, kinds = contents_of(scene), kinds_by_id(scene)
+            what = f"not written: the file holds {content.trajectory.name!r}"
+            others = (other for other in scene.trajectories if other != content.trajectory.name)
+            losses = tuple(Loss(field=f"trajectories[{other}]", what=what) for other in others)
+    return _Conversion(
         source=str(source),
-        source_format=estimated_trajectory.content.form,
-        target=str(target.location),
+        source_format=content.form,
         target_format=form.name,
-        warnings=estimated_trajectory.content.warnings,
-        losses=LossReport(),
-        fields=field_supports(
-            estimated_trajectory.contents, supports, estimated_trajectory.losses, estimated_trajectory.kinds
-        ),
-        written=False,
-    )
-
-    def judged(reported: LossReport) -> ConversionReport:
-        losses = LossReport.of([*estimated_trajectory.losses, *reported])
-        found = field_supports(estimated_trajectory.contents, supports, losses, estimated_trajectory.kinds)
-        return msgspec.structs.replace(blank, losses=losses, fields=found, written=True)
-
-    return _written(partial(estimated_trajectory.write, form=form.name), blank, judged, target)
+        target=target,
+        warnings=content.warnings,
+        contents=lambda: contents,
+        supports=form.supports if content.fixes is None else form.fix_supports,
+        kinds=kinds,
+        write=partial(write_trajectory, content, form=form.name),
+        losses=losses,
+    ).run()
 
 
-def _write_drive(
+def _convert_drive(
     source: str | Path,
     target: _Target,
     to: str | None,
@@ -681,24 +637,63 @@ def _write_drive(
     reading: dict[str, Any],
     progress: Progress | None,
 ) -> ConversionReport:
+    """Write a drive, or a scene that holds nothing but the trajectory of a file."""
     writer = _writer(target.location, to)
     opened: AbstractContextManager[Scene]
     if reading.get("form") in TRAJECTORY_FORMS or _holds_trajectory_only(source):
         _refuse_part(source, reading)
-        opened = _drive_of(source, trajectory, reading)
-    elif trajectory is not None and writer.along_trajectory:
-        target = replace(target, writing={**target.writing, "trajectory": trajectory})
-        opened = open_scene(source, **reading)
-    elif trajectory is not None:
-        files = ", ".join(TRAJECTORY_FORMS)
-        raise OptionError(
-            f"trajectory {trajectory!r}: {target.location} gets all that {source} holds; one of its trajectories is "
-            f"written to files of the forms {files}"
-        )
+        content = read_trajectory_file(source, name=trajectory, **reading)
+        opened = _drive(content, str(source), trajectory)
     else:
+        if trajectory is not None and not writer.along_trajectory:
+            files = ", ".join(TRAJECTORY_FORMS)
+            raise OptionError(
+                f"trajectory {trajectory!r}: {target.location} gets all that {source} holds; one of its trajectories "
+                f"is written to files of the forms {files}"
+            )
+        if trajectory is not None:
+            target = replace(target, writing={**target.writing, "trajectory": trajectory})
         opened = open_scene(source, **reading)
-    with opened as scene:
-        return _write_scene(source, scene, writer, target, progress)
+    with opened as read:
+        scene = scene_for(writer, read)
+        counting = Counting(_with_progress(scene, progress))
+        writer.check_output(target.location)
+        return _Conversion(
+            source=str(source),
+            source_format=scene.format,
+            target_format=writer.name,
+            target=target,
+            warnings=scene.warnings,
+            contents=counting.counts,
+            supports=writer.supports,
+            kinds=kinds_by_id(scene),
+            write=partial(write_in, writer, counting.scene),
+        ).run()
+
+
+def _is_trajectory_file(path: Path) -> bool:
+    """Whether a path to be written has the suffix of a form of trajectories."""
+    return any(path.suffix.lower() in form.suffixes for form in TRAJECTORY_FORMS.values())
+
+
+def _holds_trajectory_only(path: str | Path) -> bool:
+    """Whether what is there is a file of a trajectory, and no scene; logs of JSON lines are both, thus scenes."""
+    if is_url(path) or not Path(path).is_file():
+        return False
+    try:
+        form = find_form(path)
+    except UnknownFormatError:
+        return False
+    return form is not None and not claims_of(Path(path))
+
+
+def _drive(content: TrajectoryFile, source: str, name: str | None) -> Scene:
+    """A scene that holds nothing but the trajectory of a file, or its fixes."""
+    made: dict[str, Any] = {"source": source, "format": content.form, "warnings": content.warnings}
+    if content.fixes is not None:
+        return Scene((replace(content.fixes, id="gnss"),), **made)
+    trajectory = content.trajectory if name is None else replace(content.trajectory, name=name)
+    return Scene((), trajectories={trajectory.name: trajectory}, **made)
 
 
 def _refuse_part(location: str | Path, reading: Mapping[str, Any]) -> None:
@@ -706,48 +701,6 @@ def _refuse_part(location: str | Path, reading: Mapping[str, Any]) -> None:
         raise OptionError(
             f"{redacted(location)}: a trajectory is read and written whole; expected a drive, or no start and stop"
         )
-
-
-def _write_scene(
-    source: str | Path, scene: Scene, writer: FormatSpec, target: _Target, progress: Progress | None
-) -> ConversionReport:
-    scene = scene_for(writer, scene)
-    counting = Counting(_telling(scene, progress))
-    blank = ConversionReport(
-        source=str(source),
-        source_format=scene.format,
-        target=str(target.location),
-        target_format=writer.name,
-        warnings=scene.warnings,
-        losses=LossReport(),
-        fields=field_supports(counting.counts(), writer.supports, (), {}),
-        written=False,
-    )
-
-    def judged(losses: LossReport) -> ConversionReport:
-        found = field_supports(counting.counts(), writer.supports, losses, kinds_by_id(scene))
-        return msgspec.structs.replace(blank, losses=losses, fields=found, written=True)
-
-    writer.check_output(target.location)
-    return _written(partial(_written_scene, writer, counting.scene), blank, judged, target)
-
-
-def _written_scene(writer: FormatSpec, scene: Scene, location: Path, **writing: Any) -> LossReport:
-    return write_in(writer, scene, location, **writing)
-
-
-def _written(
-    write: Callable[..., LossReport],
-    expected: ConversionReport,
-    judged: Callable[[LossReport], ConversionReport],
-    target: _Target,
-) -> ConversionReport:
-    written = partial(write, overwrite=target.overwrite, **target.writing)
-    with stage("writing"):
-        if not target.strict:
-            return judged(written(target.location))
-        _check_nothing_lost(expected)
-        return _write_strictly(written, target.location, judged, overwrite=target.overwrite)
 
 
 def _writer(location: Path, to: str | None) -> FormatSpec:
@@ -763,7 +716,7 @@ def _writer(location: Path, to: str | None) -> FormatSpec:
     return form
 
 
-def _telling(scene: Scene, progress: Progress | None) -> Scene:
+def _with_progress(scene: Scene, progress: Progress | None) -> Scene:
     """The scene that reports how many of its frames have been read; images of a video are written all at once."""
     if progress is None:
         return scene

@@ -5,13 +5,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from sceneloom.arrays import Int64Array
+from sceneloom.editing.move_points import chosen_frames
+from sceneloom.editing.references import ours_of, with_ours
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.registry import check_scene_output, write_scene
@@ -112,14 +113,11 @@ class _DeskewStatistics:
         self.farthest = max(self.farthest, float(shifts.max(initial=0.0)))
 
 
-_OURS, _ENTRY = "sceneloom", "deskew"
-"""Where a scene's metadata state how it was deskewed."""
-
 _NO_GAPS = np.zeros((0, 2), np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DeskewPlan:
+class _DeskewPlan:
     """A scene, which of its lidars are deskewed, and by what.
 
     Attributes:
@@ -150,21 +148,15 @@ class DeskewPlan:
             else sensor
             for sensor in self.scene.sensors
         )
-        ours = self.scene.metadata.get(_OURS)
-        entries = [
-            *_earlier(self.scene),
-            {
-                "lidars": [sensor.id for sensor in self.lidars],
-                "trajectory": self.trajectory,
-                "at": self.at,
-                # the name of a folder may hold bytes that are no Unicode
-                "source": Path(self.scene.source).name.encode(errors="replace").decode(),
-            },
-        ]
+        entry = {
+            "lidars": [sensor.id for sensor in self.lidars],
+            "trajectory": self.trajectory,
+            "at": self.at,
+            # the name of a folder may hold bytes that are no Unicode
+            "source": Path(self.scene.source).name.encode(errors="replace").decode(),
+        }
         scene = self.scene if self.ego is None else _reported(self.scene, self.ego)
-        reported = {**(ours if isinstance(ours, Mapping) else {}), _ENTRY: entries}
-        metadata = MappingProxyType({**self.scene.metadata, _OURS: reported})
-        return replace(scene, sensors=sensors, metadata=metadata)
+        return with_ours(replace(scene, sensors=sensors), deskew=[*_earlier(self.scene), entry])
 
     def _deskewed_lidar(
         self, sensor: LidarSensor, on_frame: Callable[[Identifier, int, DeskewedFrame], None] | None
@@ -188,10 +180,7 @@ class DeskewPlan:
 
 
 def _reported(scene: Scene, ego: EgoMotion) -> Scene:
-    """The scene with what is to be stated of the ego trajectory.
-
-    And with the trajectory where it was found from the sweeps.
-    """
+    """The scene with warnings about the ego trajectory, and with the trajectory itself if it was estimated."""
     if is_computed(scene, ego.name):
         return with_trajectory_estimated(scene, ego)
     return replace(scene, warnings=(*scene.warnings, *ego.warnings))
@@ -208,7 +197,7 @@ def _plan_deskew(
     stop: float | None = None,
     skips: Skips | None = None,
     progress: Progress | None = None,
-) -> DeskewPlan:
+) -> _DeskewPlan:
     """Choose lidars, part and trajectory; the arguments are those of `deskew`.
 
     `skips` collects sweeps that cannot be read.
@@ -229,9 +218,9 @@ def _plan_deskew(
     if trajectory == IMU and IMU not in scene.trajectories:
         _check_on_ego(scene, lidars)
         motion = imu_motion(scene)
-        return DeskewPlan(part, lidars, motion.ego, motion.gaps_ns, at)
+        return _DeskewPlan(part, lidars, motion.ego, motion.gaps_ns, at)
     if trajectory is None and _all_placed(lidars):
-        return DeskewPlan(part, lidars, None, _NO_GAPS, at)
+        return _DeskewPlan(part, lidars, None, _NO_GAPS, at)
     if trajectory is not None:
         _check_on_ego(scene, lidars)
     # a heading comes from the trajectory before the part, too
@@ -239,7 +228,7 @@ def _plan_deskew(
     ego = find_ego_motion(
         whole, name=trajectory, heading=heading, progress=progress, lenient=skips is not None
     )
-    return DeskewPlan(part, lidars, ego, _NO_GAPS, at)
+    return _DeskewPlan(part, lidars, ego, _NO_GAPS, at)
 
 
 def _all_placed(lidars: tuple[LidarSensor, ...]) -> bool:
@@ -287,9 +276,8 @@ def _chosen_lidars(scene: Scene, lidar: Identifier | None) -> tuple[LidarSensor,
 
 
 def _earlier(scene: Scene) -> list[Mapping[str, Any]]:
-    """What the metadata state of earlier deskewing; whatever else stands in that location is passed over."""
-    ours = scene.metadata.get(_OURS)
-    entries = ours.get(_ENTRY) if isinstance(ours, Mapping) else None
+    """What the metadata say of earlier deskewing; anything else in that entry is ignored."""
+    entries = ours_of(scene).get("deskew")
     if not isinstance(entries, list):
         return []
     return [
@@ -306,15 +294,11 @@ def _in_world(scene: Scene, sensor: LidarSensor) -> str:
 
 def _readable(scene: Scene, skips: Skips) -> Scene:
     """Leave out the sweeps that cannot be read, which takes reading them all."""
-    return replace(
-        scene,
-        sensors=tuple(
-            replace(sensor, frames=_readable_frames(sensor, skips))
-            if isinstance(sensor, LidarSensor)
-            else sensor
-            for sensor in scene.sensors
-        ),
+    sensors = (
+        replace(sensor, frames=_readable_frames(sensor, skips)) if isinstance(sensor, LidarSensor) else sensor
+        for sensor in scene.sensors
     )
+    return replace(scene, sensors=tuple(sensors))
 
 
 def _readable_frames(sensor: LidarSensor, skips: Skips) -> LazyFrames[LidarFrame]:
@@ -326,13 +310,7 @@ def _readable_frames(sensor: LidarSensor, skips: Skips) -> LazyFrames[LidarFrame
             skips.add(error)
         else:
             rows.append(k)
-    if len(rows) == len(sensor.frames):
-        return sensor.frames
-    return LazyFrames(sensor.frames.timestamps_ns[rows], partial(_read_row, sensor.frames, rows))
-
-
-def _read_row(frames: LazyFrames[LidarFrame], rows: list[int], k: int) -> LidarFrame:
-    return frames[rows[k]]
+    return chosen_frames(sensor.frames, np.array(rows, np.int64))
 
 
 def deskew(

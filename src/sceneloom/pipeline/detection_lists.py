@@ -666,10 +666,23 @@ class DetectionInput:
                 f"{path}: {flag} does not count here: it is a folder of KITTI's sequences, whose sensors and "
                 "trajectory are known"
             )
-        refuse_part(path, reading)
+        self.refuse_part(path, reading)
         return open_tracking_folder(
             path, detector_2d=self.detector_2d, detector_3d=self.detector_3d, lenient=lenient
         )
+
+    @staticmethod
+    def refuse_part(path: str | Path, reading: Mapping[str, Any] | None) -> None:
+        """Refuse reading options for a part of a drive whose files number frames from the beginning.
+
+        Raises:
+            OptionError: there is one.
+        """
+        if not (reading or {}).keys().isdisjoint(PART):
+            raise OptionError(
+                f"{path}: its files number frames from the beginning, so that it is done whole; --start and --stop "
+                "take a part of drives with lists of boxes beside them, --boxes3d and --boxes2d"
+            )
 
     @contextmanager
     def open_drive(
@@ -690,19 +703,6 @@ class DetectionInput:
             if part:
                 scene, files = crop_scene(scene, **part), replace(files, whole=scene)
             yield scene_drive(scene, files, lenient=lenient), scene
-
-
-def refuse_part(path: str | Path, reading: Mapping[str, Any] | None) -> None:
-    """Refuse reading options for a part of a drive whose files number frames from the beginning.
-
-    Raises:
-        OptionError: there is one.
-    """
-    if not (reading or {}).keys().isdisjoint(PART):
-        raise OptionError(
-            f"{path}: its files number frames from the beginning, so that it is done whole; --start and --stop take a "
-            "part of drives with lists of boxes beside them, --boxes3d and --boxes2d"
-        )
 
 
 def _with_known_ids(scene: Scene, files: DetectionFiles) -> DetectionFiles:

@@ -19,7 +19,7 @@ from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.motion.deskew import PointTimesStatistics
 from sceneloom.motion.ego_trajectory import placeable_lidars
 from sceneloom.pipeline.alignment import Aligned, align
-from sceneloom.pipeline.outputs import DepthFolder, SceneSink, lidar_folders, most_sweeps, spread
+from sceneloom.pipeline.outputs import DepthFolder, SceneSink, lidar_folders, spread
 from sceneloom.pipeline.play import (
     Skips,
     build_system,
@@ -438,7 +438,7 @@ class _Sinks:
             sinks.images = _ImageSink(
                 folder,
                 lidar_folders(folder, aligned.scene),
-                _frames_to_draw(aligned.scene, wanted.images_every),
+                spread(aligned.scene, _IMAGES_PER_DRIVE, every=wanted.images_every),
                 DriveCloud(spread(aligned.scene, MOST_SWEEPS)),
                 None if aligned.ego is None else aligned.ego.path,
             )
@@ -507,13 +507,6 @@ class _ImageSink:
     def finish(self) -> None:
         """Draw the drive."""
         self.written += len(self.cloud.save(self.folder, self.ego_poses))
-
-
-def _frames_to_draw(scene: Scene, every: int | None) -> frozenset[int]:
-    """Numbers of the sweeps to draw: every Nth, or some spread over the drive."""
-    return (
-        spread(scene, _IMAGES_PER_DRIVE) if every is None else frozenset(range(0, most_sweeps(scene), every))
-    )
 
 
 @dataclass(slots=True)

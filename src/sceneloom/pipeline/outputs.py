@@ -39,15 +39,12 @@ def names_of(sensors: Sequence[LidarSensor] | Sequence[CameraSensor]) -> Mapping
     return dict(zip(ids, file_stems(ids), strict=True))
 
 
-def spread(scene: Scene, most: int) -> frozenset[int]:
-    """Numbers of at most so many sweeps, spread over the drive."""
-    count = most_sweeps(scene)
+def spread(scene: Scene, most: int, *, every: int | None = None) -> frozenset[int]:
+    """Numbers of at most so many sweeps, spread over the drive; or of every Nth one."""
+    count = max((len(lidar.frames) for lidar in scene.lidars), default=0)
+    if every is not None:
+        return frozenset(range(0, count, every))
     return frozenset(np.linspace(0, count - 1, min(most, count)).astype(int).tolist())
-
-
-def most_sweeps(scene: Scene) -> int:
-    """Sweeps of the lidar that has the most."""
-    return max((len(lidar.frames) for lidar in scene.lidars), default=0)
 
 
 @dataclass(slots=True)

@@ -41,7 +41,7 @@ from sceneloom.pipeline.detected_drive import (
     poses_at,
     projection_settings,
 )
-from sceneloom.pipeline.detection_lists import DetectionInput, refuse_part
+from sceneloom.pipeline.detection_lists import DetectionInput
 from sceneloom.pipeline.fusing_detections import fused_files, read_fused
 from sceneloom.scene.detections import Boxes2D, Boxes3D, Support, Track, TrackedObjects, Tracks
 from sceneloom.scene.ego import EgoMotion, needs_ego
@@ -759,7 +759,7 @@ def _track_objects(
         return job.track_folder(tracking, wanted.sequences)
     found = () if wanted.has_lists else fused_files(Path(path))
     if found:
-        refuse_part(path, reading)
+        wanted.refuse_part(path, reading)
         if wanted.sequences:
             raise OptionError(f"{path}: --sequence does not count here: all that was fused is followed")
     if found and Path(path).is_dir():

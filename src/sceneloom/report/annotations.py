@@ -12,6 +12,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.colouring.cuboid_points import count_points
 from sceneloom.colouring.cuboid_projection import observe_cuboids
+from sceneloom.editing.move_points import chosen_frames
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.report.content import (
     NOTHING,
@@ -30,7 +31,7 @@ from sceneloom.report.content import (
     several,
     text_column,
 )
-from sceneloom.report.coverage import chosen_frames, spread_rows
+from sceneloom.report.coverage import spread_rows
 from sceneloom.scene.annotations import CuboidAnnotation
 from sceneloom.scene.annotations_at import BoxTable
 from sceneloom.scene.samples import Sample

@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from base64 import b64encode
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -23,7 +24,7 @@ _QUALITIES = (82, 74, 66, 56, 46)
 
 
 @dataclass(frozen=True, slots=True)
-class Photo:
+class _Photo:
     """One image of a report.
 
     Attributes:
@@ -41,6 +42,11 @@ class Photo:
     height: int
     jpeg: bytes = field(repr=False)
 
+    @property
+    def data_uri(self) -> str:
+        """Its file, for the page."""
+        return f"data:image/jpeg;base64,{b64encode(self.jpeg).decode('ascii')}"
+
 
 @dataclass(slots=True)
 class Figures:
@@ -53,7 +59,7 @@ class Figures:
     """
 
     most: int
-    photos: list[Photo] = field(default_factory=list)
+    photos: list[_Photo] = field(default_factory=list)
     left_out: int = 0
 
     def add(self, section: str, title: str, text: str, image: PilImage) -> None:
@@ -65,9 +71,9 @@ class Figures:
             image = image.resize(
                 (_WIDTH_PX, max(1, round(image.height * _WIDTH_PX / image.width))), reducing_gap=2.0
             )
-        self.photos.append(Photo(section, title, text, image.width, image.height, _encoded(image)))
+        self.photos.append(_Photo(section, title, text, image.width, image.height, _encoded(image)))
 
-    def of(self, section: str) -> list[Photo]:
+    def of(self, section: str) -> list[_Photo]:
         """The images of a section."""
         return [photo for photo in self.photos if photo.section == section]
 
@@ -142,6 +148,11 @@ class Drawing:
     caption: str = ""
     kind: str = "plot"
 
+    @property
+    def data_uri(self) -> str:
+        """Its file, for the page."""
+        return f"data:image/svg+xml;base64,{b64encode(self.svg).decode('ascii')}"
+
 
 @dataclass(frozen=True, slots=True)
 class Column:
@@ -209,7 +220,7 @@ class Block:
     badge: tuple[str, str] | None = None
     lines: Sequence[str] = ()
     plots: Sequence[Drawing] = ()
-    photos: Sequence[Photo] = ()
+    photos: Sequence[_Photo] = ()
     tables: Sequence[Table] = ()
     list_title: str = ""
     listed: Sequence[str] = ()

@@ -5,9 +5,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
+from sceneloom.editing.move_points import chosen_frames
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.fusing import CameraReport
@@ -39,12 +39,9 @@ from sceneloom.report.content import (
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarPoints, LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.sampling import choose_ego, frame_of_points, locations_of, poses_at
 from sceneloom.scene.scene import Scene, Sensor, sweep_period_ns
 from sceneloom.scene.types import Identifier
-
-_Frame = TypeVar("_Frame")
 
 
 def spread_rows(count: int, most: int) -> Int64Array:
@@ -53,17 +50,6 @@ def spread_rows(count: int, most: int) -> Int64Array:
         return np.zeros(0, np.int64)
     rows: Int64Array = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(np.int64))
     return rows
-
-
-def chosen_frames(frames: LazyFrames[_Frame], rows: Int64Array) -> LazyFrames[_Frame]:
-    """Some of the frames, by their numbers."""
-    if len(rows) == len(frames):
-        return frames
-    return LazyFrames(frames.timestamps_ns[rows], partial(_frame_of, frames, tuple(rows.tolist())))
-
-
-def _frame_of(frames: LazyFrames[_Frame], rows: tuple[int, ...], k: int) -> _Frame:
-    return frames[rows[k]]
 
 
 def with_some_sweeps(scene: Scene, most: int) -> Scene:

@@ -273,6 +273,18 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
             advices=tuple(advices),
         )
 
+    @property
+    def first_advices(self) -> tuple[list[Advice], list[Advice]]:
+        """Those reported first, and the others; hints are reported first only where there are few."""
+        advices = list(self.advices)
+        urgent = [advice for advice in advices if advice.severity is not Severity.HINT]
+        first = (urgent or advices)[:_MOST_ADVICES] if len(advices) > _MOST_ADVICES else advices
+        return first, [advice for advice in advices if advice not in first]
+
+
+_MOST_ADVICES = 8
+"""Reported at the top of the page; the others are folded."""
+
 
 def _sentence(state: str, counts: Mapping[Severity, int]) -> str:
     errors, warnings = counts[Severity.ERROR], counts[Severity.WARNING]

@@ -1,7 +1,6 @@
 """The report job: metrics and images collected from a drive, rendered into one self-contained HTML page."""
 
 import json
-from base64 import b64encode
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import datetime
@@ -28,9 +27,9 @@ from sceneloom.formats.base.output import check_output, replacing
 from sceneloom.formats.base.registry import PART
 from sceneloom.motion.ego_trajectory import find_ego_motion, is_computed, with_trajectory_estimated
 from sceneloom.report.annotations import Labels, draw_labels
-from sceneloom.report.content import Drawing, Figures, Photo, plain
+from sceneloom.report.content import Figures, plain
 from sceneloom.report.coverage import Coverage
-from sceneloom.report.drive_report import Advice, DriveReport, Verdict, conversions_of, provenance_of
+from sceneloom.report.drive_report import DriveReport, Verdict, conversions_of, provenance_of
 from sceneloom.report.fusion import CalibrationCheck, Fusion, check_cameras
 from sceneloom.report.timing import Timing
 from sceneloom.report.trajectory import Metrics, Trajectories
@@ -40,7 +39,6 @@ from sceneloom.scene.summary import SceneSummary, summarise
 from sceneloom.scene.types import Progress
 from sceneloom.stages import stage
 from sceneloom.visualization.canvas import counting_left_out
-from sceneloom.warnings import Severity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -328,9 +326,6 @@ def _no_summary(scene: Scene) -> SceneSummary:
     )
 
 
-_MOST_ADVICES = 8
-"""Reported at the top of the page; the others are folded."""
-
 _MARKS = {"sound": "✔", "look": "▲", "faulty": "✖"}
 
 
@@ -364,8 +359,7 @@ def render_page(report: DriveReport, figures: Figures) -> str:
         finalize=partial(_plain, whole=_source_path(report), name=report.name),
         loader=jinja2.FunctionLoader(_resource),
     )
-    environment.filters["data_uri"] = _data_uri
-    shown, further = _advices(report)
+    shown, further = report.verdict.first_advices
     page: str = environment.get_template("report.html.j2").render(
         report=report,
         style=_resource("style.css"),
@@ -375,14 +369,6 @@ def render_page(report: DriveReport, figures: Figures) -> str:
         more_advices=further,
     )
     return page
-
-
-def _advices(report: DriveReport) -> tuple[list[Advice], list[Advice]]:
-    """Those reported first, and the others; hints are reported first only where there are few."""
-    advices = list(report.verdict.advices)
-    urgent = [advice for advice in advices if advice.severity is not Severity.HINT]
-    first = (urgent or advices)[:_MOST_ADVICES] if len(advices) > _MOST_ADVICES else advices
-    return first, [advice for advice in advices if advice not in first]
 
 
 def _resource(name: str) -> str:
@@ -405,11 +391,6 @@ def _plain(value: Any, *, whole: str, name: str) -> Any:
     if whole:
         value = value.replace(f"{whole}/", "").replace(whole, name)
     return plain(value)
-
-
-def _data_uri(shown: Photo | Drawing) -> str:
-    kind, content = ("jpeg", shown.jpeg) if isinstance(shown, Photo) else ("svg+xml", shown.svg)
-    return f"data:image/{kind};base64,{b64encode(content).decode('ascii')}"
 
 
 def write_report(

@@ -25,7 +25,6 @@ from sceneloom.visualization.canvas import (
 from sceneloom.visualization.colour_scales import (
     COARSE_DIGITS,
     draw_caption,
-    draw_length_bar,
     draw_strip,
     round_down,
     round_up,
@@ -458,8 +457,21 @@ def _framed(
     top = size_px[1] - strip_height(plot.text_px)
     draw_strip(canvas, top)
     length = round_down(_BAR_LETTERS * plot.text_px / layout.px_per_m, COARSE_DIGITS)
-    draw_caption(canvas, top, draw_length_bar(canvas, top, length, layout.px_per_m), caption)
+    draw_caption(canvas, top, _draw_length_bar(canvas, top, length, layout.px_per_m), caption)
     return canvas.image
+
+
+def _draw_length_bar(canvas: Canvas, top: int, length_m: float, px_per_m: float) -> float:
+    """Draw a line of known length at the right of the strip; gives the width left for the caption [px]."""
+    size = canvas.text_px
+    last = canvas.image.width - 1 - 2 * size
+    first, row = last - round(length_m * px_per_m), top + 1.3 * size
+    canvas.line([(first, row), (last, row)], INK, width=max(2, size // 7))
+    for column in (first, last):
+        canvas.line([(column, row - 0.35 * size), (column, row + 0.35 * size)], INK, width=max(2, size // 7))
+    canvas.text(((first + last) / 2, top + 2.5 * size), f"{length_m:g} m", anchor="mm", scale=_SMALL)
+    canvas.line([(0, top), (canvas.image.width - 1, top)], LINE)
+    return first - size
 
 
 def _label_grid(canvas: Canvas, layout: MapLayout, spacing: float) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, FloatArray, UInt8Array, read_only
 from sceneloom.errors import OptionError
-from sceneloom.visualization.canvas import FAINT_INK, INK, LINE, STRIP, Canvas
+from sceneloom.visualization.canvas import FAINT_INK, STRIP, Canvas
 
 _LMS_FROM_LINEAR_RGB = np.array(
     [
@@ -287,16 +287,3 @@ def placed_ticks(canvas: Canvas, scale: DepthScale, first: int, last: int) -> li
             taken.append((middle - half, middle + half))
             placed.append((depth, label, middle))
     return placed
-
-
-def draw_length_bar(canvas: Canvas, top: int, length_m: float, px_per_m: float) -> float:
-    """Draw a line of known length at the right of the strip; gives the width left for the caption [px]."""
-    size = canvas.text_px
-    last = canvas.image.width - 1 - 2 * size
-    first, row = last - round(length_m * px_per_m), top + 1.3 * size
-    canvas.line([(first, row), (last, row)], INK, width=max(2, size // 7))
-    for column in (first, last):
-        canvas.line([(column, row - 0.35 * size), (column, row + 0.35 * size)], INK, width=max(2, size // 7))
-    canvas.text(((first + last) / 2, top + 2.5 * size), f"{length_m:g} m", anchor="mm", scale=_SMALL)
-    canvas.line([(0, top), (canvas.image.width - 1, top)], LINE)
-    return first - size

@@ -1,11 +1,20 @@
+"""Text, polygons and discs."""
+
 from decimal import ROUND_FLOOR, Decimal
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sceneloom.visualization.canvas import Canvas, count_text, seconds_text, text_height
+from sceneloom.visualization.canvas import (
+    Canvas,
+    count_text,
+    draw_crosses,
+    draw_discs,
+    seconds_text,
+    text_height,
+)
 
 
 @given(st.integers(-(2**63), 2**63 - 1))
@@ -44,3 +53,111 @@ def test_a_polygon_covers_its_area_around_its_middle():
 )
 def test_letters_grow_with_the_image(size, least, most):
     assert least <= text_height(*size) <= most
+
+
+RED, BLUE, GROUND = (255, 0, 0), (0, 0, 255), (40, 40, 40)
+
+
+def _ground(width=21, height=15):
+    return np.full((height, width, 3), GROUND, np.uint8)
+
+
+def _timestamp(points, *, radius=2.0, ground=None):
+    """points: (u, v, depth, colour)."""
+    return draw_discs(
+        _ground() if ground is None else ground,
+        np.array([p[:2] for p in points], np.float32).reshape(-1, 2),
+        np.array([p[2] for p in points], np.float32),
+        np.array([p[3] for p in points], np.uint8).reshape(-1, 3),
+        np.asarray(radius, np.float64),
+    )
+
+
+def _slow_timestamp(points, radii, ground):
+    """Painter's algorithm, cell by cell on a grid of half pixels."""
+    fine = np.repeat(np.repeat(ground, 2, axis=0), 2, axis=1)
+    height, width = fine.shape[:2]
+    for (u, v, _, colour), radius in sorted(zip(points, radii, strict=True), key=lambda item: -item[0][2]):
+        if radius < 1.0:
+            u, v = float(np.rint(u)), float(np.rint(v))  # noqa: PLW2901
+        # Corners between cells lie half a pixel off the pixels' centres.
+        corner_u, corner_v = np.rint(np.float32([(u + 0.5) * 2, (v + 0.5) * 2]))
+        reach = max(np.rint(radius * 2), 1)
+        for row in range(height):
+            for column in range(width):
+                if (column + 0.5 - corner_u) ** 2 + (row + 0.5 - corner_v) ** 2 <= reach**2:
+                    fine[row, column] = colour
+    mean = fine.reshape(height // 2, 2, width // 2, 2, 3).astype(np.float64).mean(axis=(1, 3))
+    return np.rint(mean).astype(np.uint8)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    points=st.lists(
+        st.tuples(
+            # Quarters of pixels lie exactly between two cells; both roundings would be right.
+            st.integers(-30, 120).map(lambda n: n / 5.1),
+            st.integers(-30, 90).map(lambda n: n / 5.1),
+            st.integers(1, 1000),
+            st.sampled_from([RED, BLUE, (0, 255, 0), (250, 250, 250)]),
+        ),
+        max_size=8,
+        unique_by=lambda point: point[2],
+    ),
+    radii=st.lists(st.sampled_from([0.5, 0.7, 1.0, 1.5, 2.2, 3.0]), min_size=8, max_size=8),
+)
+def test_discs_are_those_of_a_painter_who_starts_with_the_farthest(points, radii):
+    radii = radii[: len(points)]
+    assert np.array_equal(_timestamp(points, radius=radii), _slow_timestamp(points, radii, _ground()))
+
+
+def test_a_disc_lies_evenly_around_its_pixel():
+    drawn = _timestamp([(10.0, 7.0, 5.0, RED)], radius=2.0)
+    assert np.array_equal(drawn, drawn[:, ::-1])
+    assert np.array_equal(drawn, drawn[::-1])
+    assert tuple(drawn[7, 10]) == RED
+    rows, columns = np.nonzero((drawn != GROUND).any(axis=2))
+    assert (columns.min(), columns.max(), rows.min(), rows.max()) == (8, 12, 5, 9)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_near_covers_far_whatever_their_order(order):
+    points = [(10.0, 7.0, 5.0, RED), (11.0, 7.0, 9.0, BLUE)][::order]
+    drawn = _timestamp(points, radius=1.5)
+    assert tuple(drawn[7, 10]) == RED
+    assert tuple(drawn[7, 11]) == RED
+    assert tuple(drawn[7, 12]) == BLUE
+
+
+def test_the_smallest_disc_fills_exactly_one_pixel():
+    drawn = _timestamp([(10.3, 6.6, 5.0, RED)], radius=0.5)
+    changed = np.argwhere((drawn != GROUND).any(axis=2))
+    assert changed.tolist() == [[7, 10]]
+    assert tuple(drawn[7, 10]) == RED
+
+
+def test_discs_beyond_the_edges_are_cut_off():
+    drawn = _timestamp([(0.0, 0.0, 5.0, RED), (20.0, 14.0, 5.0, RED), (-40.0, 3.0, 5.0, BLUE)], radius=2.0)
+    assert tuple(drawn[0, 0]) == RED
+    assert tuple(drawn[14, 20]) == RED
+    assert not (drawn == BLUE).all(axis=2).any()
+
+
+def test_the_given_image_stays_as_it_is():
+    ground = _ground()
+    ground.flags.writeable = False
+    drawn = _timestamp([(10.0, 7.0, 5.0, RED)], ground=ground)
+    assert (ground == GROUND).all()
+    assert (drawn != ground).any()
+
+
+def test_without_points_the_image_comes_back():
+    assert np.array_equal(_timestamp([]), _ground())
+    assert np.array_equal(draw_crosses(_ground(), np.zeros((0, 2), np.float32), RED), _ground())
+
+
+def test_crosses_mark_their_diagonals_and_are_cut_at_the_edges():
+    drawn = draw_crosses(_ground(), np.array([[5.0, 5.0], [0.0, 14.0]], np.float32), RED, arm_px=2)
+    marked = {(int(row), int(column)) for row, column in np.argwhere((drawn == RED).all(axis=2))}
+    first = {(5 + step, 5 + sign * step) for step in range(-2, 3) for sign in (1, -1)}
+    assert marked == first | {(14, 0), (13, 1), (12, 2)}

@@ -1,0 +1,482 @@
+"""Conversions: what is refused, what a report says of each field, and what is read back."""
+
+import json
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import LossError, OptionError, OutputError, without_folders
+from sceneloom.formats import open_scene, write_scene
+from sceneloom.formats.base.losses import (
+    KEPT,
+    Loss,
+    Support,
+    approximated,
+    converted,
+    dropped,
+    holding_of,
+    unknown_names,
+)
+from sceneloom.formats.base.registry import written_formats
+from sceneloom.pipeline import convert
+from sceneloom.pipeline.converting import field_supports, fields_meant, lost
+from sceneloom.scene import (
+    AttributePath,
+    Box2DAnnotation,
+    BoxPath,
+    CameraCalibration,
+    CuboidAnnotation,
+    DataWarning,
+    EventAnnotation,
+    GroupAnnotation,
+    LabeledPoints,
+    LabeledPointsAnnotation,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    LinkAnnotation,
+    LocalizationAdjustment,
+    ObjectAnnotation,
+    PointPath,
+    PointsAnnotation,
+    PointsFrame,
+    Poses,
+    Scene,
+    ShapeAnnotation,
+    ShapeType,
+    Trajectory,
+    VertexPath,
+    WarningKind,
+)
+from sceneloom.scene.contents import MODEL_FIELDS
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+
+TIMESTAMPS = np.array([1_000_000_000, 1_100_000_000])
+TRAJECTORY = Poses(TIMESTAMPS, np.array([[0.0, 0, 0], [1.0, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
+
+
+def drive(*, events=(), points_ns=0):
+    frames = [
+        LidarFrame(int(t), LidarPoints(np.ones((4, 3), np.float32), timestamps_ns=np.full(4, t + points_ns)))
+        for t in TIMESTAMPS
+    ]
+    lidar = LidarSensor(
+        "top", LazyFrames.of(frames, TIMESTAMPS.tolist()), TRAJECTORY, points_frame=PointsFrame.WORLD
+    )
+    trajectory = Trajectory("trajectory", TIMESTAMPS, TRAJECTORY.positions, TRAJECTORY.quaternions_xyzw)
+    return Scene((lidar,), annotations=events, trajectories={"trajectory": trajectory})
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    write_scene(drive(), tmp_path / "drive.sfs")
+    return tmp_path / "drive.sfs"
+
+
+@pytest.fixture
+def with_event(tmp_path):
+    write_scene(drive(events=(EventAnnotation("e", int(TIMESTAMPS[0])),)), tmp_path / "event.sfs")
+    return tmp_path / "event.sfs"
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_strict_conversion_that_loses_nothing_is_written(scene_file, tmp_path):
+    report = convert(scene_file, tmp_path / "copy.sfs", strict=True)
+    assert (report.written, report.lost) == (True, ())
+    with open_scene(tmp_path / "copy.sfs") as copy:
+        assert len(copy.lidars[0].frames) == 2
+    assert names(tmp_path) == ["copy.sfs", "drive.sfs"]
+
+
+def test_what_is_known_beforehand_is_refused_before_anything_is_written(with_event, tmp_path, monkeypatch):
+    monkeypatch.setattr("sceneloom.formats.recording.writer.write_recording", None)
+    with pytest.raises(LossError, match=r"recording would not hold all: .*annotations.event.id") as caught:
+        convert(with_event, tmp_path / "drive", strict=True, loss=tmp_path / "loss.json")
+    assert names(tmp_path) == ["event.sfs", "loss.json"]
+    reported = json.loads((tmp_path / "loss.json").read_text())
+    assert reported["written"] is False
+    assert {"field": "annotations.event.id", "support": "dropped"}.items() <= {
+        key: value
+        for row in reported["fields"]
+        if row["field"] == "annotations.event.id"
+        for key, value in row.items()
+    }.items()
+    assert caught.value.report.written is False
+
+
+def test_what_shows_only_while_writing_leaves_nothing_behind(tmp_path):
+    write_scene(drive(points_ns=500), tmp_path / "drive.sfs", time_unit="nanoseconds")
+    with open_scene(tmp_path / "drive.sfs") as scene:
+        assert scene.lidars[0].frames[0].points.timestamps_ns[0] == TIMESTAMPS[0] + 500
+    with pytest.raises(LossError, match=r"'lidar'|points_frame|model|poses"):
+        convert(tmp_path / "drive.sfs", tmp_path / "trajectory", strict=True)
+    assert names(tmp_path) == ["drive.sfs"]
+
+
+def test_rounding_to_other_units_is_no_loss(tmp_path):
+    write_scene(drive(points_ns=500), tmp_path / "drive.sfs", time_unit="nanoseconds")
+    report = convert(tmp_path / "drive.sfs", tmp_path / "copy.sfs", strict=True, time_unit="microseconds")
+    rounded = {field.field: field for field in report.of_support(Support.CONVERTED)}
+    assert rounded["sensors.lidar.frames.points.timestamps_ns"].largest_error == 0.5
+
+
+def test_strict_output_replaces_only_where_it_may(scene_file, tmp_path):
+    (tmp_path / "copy.sfs").write_bytes(b"mine")
+    with pytest.raises(OutputError, match="exists already"):
+        convert(scene_file, tmp_path / "copy.sfs", strict=True)
+    assert (tmp_path / "copy.sfs").read_bytes() == b"mine"
+    convert(scene_file, tmp_path / "copy.sfs", strict=True, overwrite=True)
+    with open_scene(tmp_path / "copy.sfs") as copy:
+        assert copy.lidars[0].id == "top"
+
+
+def test_a_trajectory_out_of_a_drive_says_what_stays_behind(scene_file, tmp_path):
+    report = convert(scene_file, tmp_path / "trajectory.jsonl")
+    supports = {field.field: field.support for field in report.fields}
+    assert supports["trajectories.positions"] == supports["trajectories.name"] == Support.KEPT
+    assert supports["sensors.lidar.frames.points.positions"] == Support.DROPPED
+    with pytest.raises(LossError, match="jsonl would not hold all"):
+        convert(scene_file, tmp_path / "again.jsonl", strict=True)
+    assert "again.jsonl" not in names(tmp_path)
+
+
+def test_a_trajectory_from_form_to_form_loses_nothing(tmp_path, scene_file):
+    convert(scene_file, tmp_path / "trajectory.jsonl")
+    report = convert(tmp_path / "trajectory.jsonl", tmp_path / "trajectory.tum")
+    assert [field.field for field in report.lost] == ["trajectories.name"]
+
+
+@pytest.mark.parametrize("suffix", [".md", ".txt"])
+def test_a_report_for_people_names_every_field(with_event, tmp_path, suffix):
+    report = convert(with_event, tmp_path / "drive", loss=tmp_path / f"loss{suffix}")
+    text = (tmp_path / f"loss{suffix}").read_text()
+    assert report.fields
+    assert all(field.field in text for field in report.fields)
+    assert f"{with_event.name} (sfs) → drive (recording)" in text
+
+
+def test_a_report_whose_name_says_no_form_is_refused_before_anything_is_done(scene_file, tmp_path):
+    with pytest.raises(OptionError, match=r"suffix '.pdf'; a loss report is written as .json, .md, .txt"):
+        convert(scene_file, tmp_path / "drive", loss=tmp_path / "loss.pdf")
+    assert names(tmp_path) == ["drive.sfs"]
+
+
+def test_a_format_that_is_only_read_is_refused_as_a_target(scene_file, tmp_path):
+    with pytest.raises(OptionError, match="the format rig is only read; written are sfs, recording"):
+        convert(scene_file, tmp_path / "drive", to="rig")
+
+
+HOLDS = {
+    "": KEPT,
+    "sensors": dropped("no sensors"),
+    "sensors.lidar": KEPT,
+    "sensors.lidar.frames.points": converted("as 32 bits"),
+    "sensors.lidar.frames.points.colors": approximated("three bits each"),
+}
+KINDS = {
+    "sensors[top]": "sensors.lidar",
+    "sensors[a.b]": "sensors.camera",
+    "annotations[7]": "annotations.cuboid",
+}
+
+
+@pytest.mark.parametrize(
+    ("field", "support"),
+    [
+        ("sensors.lidar.frames.points.colors", Support.APPROXIMATED),
+        ("sensors.lidar.frames.points.rings", Support.CONVERTED),
+        ("sensors.lidar.id", Support.KEPT),
+        ("sensors.lidarish.id", Support.DROPPED),
+        ("metadata", Support.KEPT),
+    ],
+)
+def test_the_longest_beginning_that_ends_at_a_dot_counts(field, support):
+    assert holding_of(HOLDS, field).support == support
+
+
+def test_a_table_that_says_nothing_of_a_field_gives_none():
+    assert holding_of({"sensors": KEPT}, "metadata") is None
+
+
+def test_slips_of_the_pen_are_found():
+    assert unknown_names({**HOLDS, "sensors.lidar.frame": KEPT, "meta": KEPT}) == [
+        "sensors.lidar.frame",
+        "meta",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("location", "fields"),
+    [
+        ("sensors[top].frames[].points.intensities", ["sensors.lidar.frames.points.intensities"]),
+        ("sensors[top].frames[].points.timestamps", ["sensors.lidar.frames.points.timestamps_ns"]),
+        ("sensors[top].frames[3].points.reflectivity", ["sensors.lidar.frames.points.extras"]),
+        ("sensors[top].serial", ["sensors.lidar.extras"]),
+        ("sensors[a.b].intrinsics.distortion", ["sensors.camera.camera"]),
+        ("sensors[a.b].images[].content", ["sensors.camera.images.rgb"]),
+        ("annotations[7].attributes[].extras", ["annotations.cuboid.attributes"]),
+        ("trajectories[vio].covariances", ["trajectories.covariances"]),
+        ("trajectories.vio.covariances", ["trajectories.covariances"]),
+        ("trajectories.covariances", ["trajectories.covariances"]),
+        ("sensors.imu.streams.barometer.values", ["sensors.imu.streams.other.values"]),
+        ("metadata.weather", ["metadata"]),
+        ("sensors", ["sensors.order"]),
+        ("replay", []),
+    ],
+)
+def test_a_line_is_about_the_field_that_it_names(location, fields):
+    assert list(fields_meant(location, KINDS)) == fields
+
+
+def test_a_line_about_a_sensor_is_about_all_of_its_fields():
+    assert set(fields_meant("sensors[top]", KINDS)) == {
+        f for f in MODEL_FIELDS if f.startswith("sensors.lidar.")
+    }
+    everywhere = fields_meant("sensors[].poses", KINDS)
+    assert set(everywhere) == {f for f in MODEL_FIELDS if f.startswith("sensors.") and f.endswith(".poses")}
+
+
+def test_the_worst_that_happened_counts_and_the_largest_error():
+    contents = {"sensors.lidar.frames.points.timestamps_ns": 9, "sensors.lidar.id": 1, "metadata": 1}
+    reported = [
+        Loss(
+            field="sensors[top].frames[].points.timestamps",
+            what="µs",
+            support=Support.CONVERTED,
+            largest_error=0.4,
+        ),
+        Loss(
+            field="sensors[top].frames[].points.timestamps",
+            what="ms",
+            support=Support.APPROXIMATED,
+            largest_error=0.2,
+        ),
+        Loss(field="sensors[top].id", what="read back as 'lidar'", kept="the header"),
+        Loss(field="replay", what="a note", count=3, support=Support.KEPT),
+    ]
+    found = {support.field: support for support in field_supports(contents, HOLDS, reported, KINDS)}
+    times = found["sensors.lidar.frames.points.timestamps_ns"]
+    assert (times.support, times.count, times.largest_error) == (Support.APPROXIMATED, 9, 0.4)
+    assert times.how[-1] == "as 32 bits"
+    assert found["sensors.lidar.id"].support == Support.KEPT
+    assert "it is in the header" in found["sensors.lidar.id"].how[0]
+    assert (found["metadata"].support, found["metadata"].how) == (Support.KEPT, ())
+    assert (found["replay"].count, found["replay"].how) == (3, ("a note (3 times)",))
+    assert [support.field for support in lost(found.values())] == [
+        "sensors.lidar.frames.points.timestamps_ns"
+    ]
+
+
+def test_what_is_reported_fields_that_the_scene_does_not_hold_stands_by_itself():
+    reported = [Loss(field="sensors[top].mount", what="taken to be where the IMU is")]
+    found = field_supports({"metadata": 1}, {"": KEPT}, reported, KINDS)
+    assert [(support.field, support.support) for support in found] == [
+        ("metadata", Support.KEPT),
+        ("sensors[top].mount", Support.DROPPED),
+    ]
+
+
+SMALL = LidarSpec(beams=8, steps=90)
+
+
+def shape(identifier, kind, times, vertices):
+    where = {"sensor_id": "camera0"} if kind.endswith("_2d") else {}
+    return ShapeAnnotation(
+        identifier, ShapeType(kind), VertexPath(times, (np.array(vertices, float),) * len(times)), **where
+    )
+
+
+def annotated(with_camera):
+    """Three sweeps with an annotation of every type; those in images only where there is a camera."""
+    drive = sceneloom.simulate_street(
+        3, frames=3, lidar=SMALL, **({} if with_camera else {"cameras": ()})
+    ).scene
+    times = drive.lidars[0].frames.timestamps_ns
+    here = next(iter(drive.trajectories.values())).positions[20]
+    cuboids = [a for a in drive.annotations if isinstance(a, CuboidAnnotation)][:6]
+    still = Poses(times[:1], np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))
+    state = AttributePath("review_state", ("approved",), times[:1])
+    ahead = [here + np.array([x, y, 1]) for x, y in ((10, 0), (10, 3), (15, 3))]
+    found = [
+        replace(cuboids[0], attributes=(*cuboids[0].attributes, state), parent_id="thing"),
+        *cuboids[1:],
+        shape("line", "polyline", times, ahead),
+        shape("area", "polygon", times, ahead),
+        PointsAnnotation("points", (PointPath(times, np.repeat([ahead[0]], 3, axis=0)),), labels=("a",)),
+        EventAnnotation("event", int(times[0]), 10**8, label="start"),
+        LabeledPointsAnnotation(
+            "labelled", (LabeledPoints("lidar", np.arange(5, dtype=np.uint32), 0),), "road"
+        ),
+        ObjectAnnotation("thing", "car"),
+        LinkAnnotation("link", cuboids[0].id, cuboids[1].id, "follows", is_bidirectional=False),
+        GroupAnnotation("group", "convoy"),
+        LocalizationAdjustment("adjustment", still),
+    ]
+    if with_camera:
+        seen = drive.cameras[0].images.timestamps_ns
+        found += [
+            Box2DAnnotation("box", "camera0", BoxPath(seen, np.tile([50.0, 60, 70, 80], (3, 1))), "car"),
+            shape("line in images", "polyline_2d", seen, [[1, 2], [30, 40]]),
+            shape("area in images", "polygon_2d", seen, [[1, 2], [30, 40], [5, 60]]),
+            CameraCalibration("calibration", "camera0", still),
+        ]
+    return replace(drive, annotations=tuple(found))
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["with a camera", "without a camera"])
+def source(request, tmp_path_factory):
+    path = tmp_path_factory.mktemp("annotated") / "drive.sfs"
+    scene = annotated(request.param)
+    sceneloom.write(scene, path)
+    return scene, path
+
+
+IS_READ = {"colmap": False, "nerfstudio": False}
+
+
+@pytest.mark.few(18)
+@pytest.mark.parametrize("target", written_formats())
+def test_each_annotation_is_read_back_or_listed_with_its_count(source, target, tmp_path):
+    scene, path = source
+    only_written = target in ("colmap", "nerfstudio")
+    if only_written and not scene.cameras:
+        pytest.skip("writes images, of which there are none")
+    written = tmp_path / {
+        "sfs": "out.sfs",
+        "mcap": "out.mcap",
+        "ros1": "out.bag",
+        "openlabel": "out.json",
+    }.get(target, "out")
+    report = sceneloom.convert(path, written, to=target)
+    found = ()
+    if not only_written:
+        with sceneloom.open(written, format=target) as again:
+            found = again.annotations
+    listed = Counter()
+    for loss in report.losses.losses:
+        if loss.support is Support.DROPPED and loss.field in _WHOLE:
+            listed[loss.field.removeprefix("annotations.")] += loss.count
+    applied = [n for n in report.warnings if n.code == "correction-applied"]
+    kept = Counter(n.message.split(" ")[0] for n in applied)
+    missing = kinds_of(scene.annotations) - kinds_of(found) - kept
+    unlisted = missing - listed
+    assert unlisted.total() <= listed["annotations"], (
+        f"{dict(unlisted)} of {dict(missing)}; {dict(listed)} listed"
+    )
+
+
+def kinds_of(annotations):
+    return Counter("shape" if isinstance(a, ShapeAnnotation) else str(a.type) for a in annotations)
+
+
+_WHOLE = {"annotations", *(f"annotations.{kind}" for kind in kinds_of(annotated(True).annotations))}
+
+
+@pytest.mark.parametrize("target", ["kitti-object", "kitti-tracking", "kitti-raw"])
+def test_boxes_of_a_drive_without_a_camera_are_in_their_locations_in_each_frame(tmp_path, target):
+    scene = annotated(with_camera=False)
+    sceneloom.convert(_saved(scene, tmp_path), tmp_path / "out", to=target)
+    with sceneloom.open(tmp_path / "out") as again:
+        assert not again.cameras
+        for mine, theirs in zip(scene.samples(), again.samples(), strict=True):
+            assert len(theirs.boxes) == len(mine.boxes) == 6
+            np.testing.assert_allclose(in_lidar(theirs), in_lidar(mine), atol=1e-3)  # numbers of fixed digits
+
+
+def in_lidar(sample):
+    return sample.world_from_lidar.inverse().apply(sample.boxes.centers_world)
+
+
+def _saved(scene, folder):
+    path = folder / "drive.sfs"
+    sceneloom.write(scene, path)
+    return path
+
+
+def test_every_sweep_and_every_single_image_is_reported_once(tmp_path):
+    camera_model = Camera("pinhole", 64, 32, 40.0, 40.0, 31.5, 15.5)
+    drive = simulate_street(frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(camera_model),))
+    write_scene(drive.scene, tmp_path / "drive.sfs")
+    reported = []
+    convert(
+        tmp_path / "drive.sfs",
+        tmp_path / "copy.sfs",
+        progress=lambda done, total: reported.append((done, total)),
+    )
+    assert reported[-1] == (6, 6)
+    assert [done for done, _ in reported] == sorted(done for done, _ in reported)
+    with open_scene(tmp_path / "copy.sfs") as copy:
+        assert [len(copy.lidars[0].frames), len(copy.cameras[0].images)] == [3, 3]
+
+
+TARGETS = {
+    "sfs": ".sfs",
+    "mcap": ".mcap",
+    "openlabel": ".json",
+    "ros2": "",
+    "nuscenes": "",
+    "kitti-raw": "",
+    "kitti-object": "",
+    "recording": "",
+    "pcd": "",
+    "ply": "",
+}
+
+
+@pytest.fixture(scope="module")
+def source_paths(tmp_path_factory):
+    """KITTI's frames: on reading them something is assumed of their folder."""
+    folder = tmp_path_factory.mktemp("secret-home") / "drive"
+    scene = sceneloom.simulate_street(3, frames=2).scene
+    sceneloom.write(scene, folder.parent / "a.sfs")
+    sceneloom.convert(folder.parent / "a.sfs", folder, to="kitti-object")
+    return folder
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.few(5)
+def test_no_target_holds_the_folder_of_its_source(source_paths, target, tmp_path):
+    out = tmp_path / f"out{TARGETS[target]}"
+    sceneloom.convert(source_paths, out, to=target, loss=tmp_path / "loss.json")
+    files = [out] if out.is_file() else [path for path in out.rglob("*") if path.is_file()]
+    for path in (*files, tmp_path / "loss.json"):
+        assert b"secret-home" not in path.read_bytes(), path
+
+
+def test_an_assumption_names_the_drive_alone_and_what_was_repaired_is_not_reported_again(
+    source_paths, tmp_path
+):
+    repaired = DataWarning(
+        kind=WarningKind.REPAIRED, code="poses-sorted", location=f"{source_paths}/oxts.txt", message="sorted"
+    )
+    with sceneloom.open(source_paths) as scene:
+        reported = replace(scene, warnings=(*scene.warnings, repaired))
+        sceneloom.write(reported, tmp_path / "b.sfs")
+    with sceneloom.open(tmp_path / "b.sfs") as again:
+        locations = [n.location for n in again.warnings if n.code == "frames-apart"]
+        assert locations
+        assert not any("secret-home" in location for location in locations)
+        assert "poses-sorted" not in {n.code for n in again.warnings}
+
+
+@pytest.mark.parametrize(
+    ("text", "source_paths", "expected"),
+    [
+        ("/x/me/drives/a/calib.txt: odd", "/x/me/drives/a", "a/calib.txt: odd"),
+        ("drives/a: odd", "drives/a", "a: odd"),
+        ("topic /lidar/points", "/x/me/a.mcap", "topic /lidar/points"),
+        ("/x/a and /y/b", "/x/a + /y/b", "a and b"),
+        ("s3://bucket/a.sfs", "s3://bucket/a.sfs", "s3://bucket/a.sfs"),
+        ("a.sfs", "a.sfs", "a.sfs"),
+    ],
+)
+def test_folders_above_the_source_are_left_out_and_nothing_else(text, source_paths, expected):
+    assert without_folders(text, source_paths) == expected

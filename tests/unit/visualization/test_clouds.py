@@ -1,0 +1,365 @@
+"""Clouds from above and in perspective, with the ego."""
+
+import cv2
+import numpy as np
+import pytest
+
+from sceneloom.errors import ArrayError, OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.visualization import EgoPosition, draw_cloud_above, draw_cloud_perspective
+from sceneloom.visualization.clouds import (
+    Viewpoint,
+    background,
+    find_ego,
+    layout_map,
+    middle_of,
+    viewpoint_behind,
+)
+
+SIZE = (900, 640)
+EGO = EgoPosition(np.array([100.0, 50.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+RED, GREEN = (255, 0, 0), (0, 255, 0)
+
+
+def _draw(points, colors, **options):
+    return np.asarray(
+        draw_cloud_above(
+            np.array(points, np.float32).reshape(-1, 3),
+            None if colors is None else np.array(colors, np.uint8).reshape(-1, 3),
+            **{"size_px": SIZE, "ego": EGO, "reach": 20.0, **options},
+        )
+    ).astype(int)
+
+
+def _middle(drawn, channel):
+    """Column and row of the middle of what is drawn in one pure colour."""
+    others = [other for other in range(3) if other != channel]
+    rows, columns = np.nonzero((drawn[..., channel] > 200) & (drawn[..., others] < 70).all(axis=2))
+    assert len(rows) > 0
+    return np.array([(columns.min() + columns.max()) / 2, (rows.min() + rows.max()) / 2])
+
+
+def _bar_length(drawn):
+    """Length [px] between the ends of the scale bar, the longest light line of the image."""
+    light = (drawn > 215).all(axis=2)
+    longest = 0
+    for row in light:
+        dark = np.flatnonzero(~np.concatenate([[False], row, [False]]))
+        longest = max(longest, int(np.diff(dark).max()) - 1)
+    return longest - 1
+
+
+def test_points_lie_at_their_metric_locations():
+    # Reach 20 m: the scale bar of this size is 10 m long.
+    drawn = _draw([[112.0, 50.0, 0.0], [92.0, 57.0, 0.0]], [RED, GREEN])
+    step = _middle(drawn, 1) - _middle(drawn, 0)
+    px_per_m = _bar_length(drawn) / 10.0
+    # 2 px: both ends of the bar and the middles of the discs are rounded to pixels.
+    assert step == pytest.approx([-20.0 * px_per_m, -7.0 * px_per_m], abs=2.0)
+
+
+def test_the_map_reaches_as_far_as_asked_from_the_ego():
+    layout = layout_map((100.0, 50.0), 20.0, SIZE)
+    corners = layout.pixels(np.array([[100.0, 50.0], [100.0, 70.0], [100.0, 30.0]]))
+    assert corners[0] == pytest.approx([(layout.width - 1) / 2, (layout.height - 1) / 2])
+    # The edges of the map are the outer edges of its first and last pixel.
+    assert corners[1:, 1] == pytest.approx([-0.5, layout.height - 0.5])
+
+
+def test_the_lines_of_the_grid_stand_at_multiples_of_their_spacing():
+    layout = layout_map((100.0, 50.0), 20.0, SIZE)
+    for axis, middle in ((0, 100.0), (1, 50.0)):
+        lines = layout.grid(axis, 5.0)
+        half = ((layout.width, layout.height)[axis] - 1) / 2 / layout.px_per_m
+        expected = [at for at in np.arange(-500.0, 500.0, 5.0) if abs(at - middle) <= half]
+        assert [at for at, _ in lines] == expected
+        for at, location in lines:
+            point = np.array([[at, 50.0] if axis == 0 else [100.0, at]])
+            assert location == pytest.approx(layout.pixels(point)[0, axis], abs=0.5)
+
+
+def test_the_zero_of_the_grid_has_no_sign():
+    layout = layout_map((0.0, 0.0), 20.0, SIZE)
+    assert [f"{at:g}" for at, _ in layout.grid(1, 10.0) if at == 0] == ["0"]
+
+
+def test_the_higher_point_is_drawn_over_the_lower():
+    for points, colors in (
+        ([[105, 55, 3], [105, 55, 0]], [RED, GREEN]),
+        ([[105, 55, 0], [105, 55, 3]], [GREEN, RED]),
+    ):
+        drawn = _draw(points, colors)
+        layout = layout_map((100.0, 50.0), 20.0, SIZE)
+        column, row = np.rint(layout.pixels(np.array([[105.0, 55.0]]))[0]).astype(int)
+        assert drawn[layout.top + row, layout.left + column, 0] > 200
+        assert drawn[layout.top + row, layout.left + column, 1] < 70
+
+
+def test_points_that_no_camera_saw_are_grey_and_lighter_the_higher():
+    points = [[104.0 + 4 * k, 50.0, float(k)] for k in range(4)]
+    index = np.array([255, 255, 255, 0], np.uint8)
+    drawn = _draw(points, [RED] * 4, camera_index=index)
+    layout = layout_map((100.0, 50.0), 20.0, SIZE)
+    locations = np.rint(layout.pixels(np.array(points))).astype(int) + np.array([layout.left, layout.top])
+    colours = drawn[locations[:, 1], locations[:, 0]]
+    assert np.ptp(colours[:3], axis=1).max() < 30
+    assert (np.diff(colours[:3].mean(axis=1)) > 5).all()
+    assert colours[3].tolist()[0] > 200
+
+
+def test_the_ego_is_marked_in_the_middle_and_its_path_drawn():
+    path = np.column_stack([np.linspace(80, 120, 9), np.full(9, 60.0), np.zeros(9)])
+    bare, marked = _draw([], [], ego=None, reach=20.0), _draw([], [], ego_path=path)
+    layout = layout_map((100.0, 50.0), 20.0, SIZE)
+    column, row = np.rint(layout.pixels(np.array([[100.0, 50.0]]))[0]).astype(int)
+    r, g, b = marked[layout.top + row, layout.left + column]
+    assert r > g > b
+    line = np.rint(layout.pixels(np.array([[91.3, 60.0]]))[0]).astype(int)
+    r, g, b = marked[layout.top + line[1], layout.left + line[0]]
+    assert r > g > b > 60
+    grey = bare[layout.top : layout.top + layout.height, layout.left : layout.left + layout.width]
+    assert np.ptp(grey, axis=2).max() < 30
+
+
+def test_points_that_are_not_finite_or_very_far_are_passed_over():
+    points = [[105, 55, 0], [np.nan, 0, 0], [0, np.inf, 0], [1e30, -1e30, 0]]
+    top = slice(0, SIZE[1] - 100)
+    assert np.array_equal(_draw(points[:1], [RED])[top], _draw(points, [RED] * 4)[top])
+
+
+@pytest.mark.parametrize("ego", [None, EGO])
+def test_a_cloud_without_points_is_an_empty_map(ego):
+    assert draw_cloud_above(np.zeros((0, 3), np.float32), None, ego=ego).size == (1280, 900)
+
+
+def test_the_chosen_reach_holds_most_points():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-14.0, 14.0, (500, 3)) + np.array([100, 50, 0])
+    drawn = _draw(points, [RED] * 500, reach=None)
+    # From the middle 14 m to each side: the next round reach is 15 m, the points fill most of the height.
+    rows, _ = np.nonzero((drawn[..., 0] > 200) & (drawn[..., 1] < 70))
+    layout = layout_map((100.0, 50.0), 15.0, SIZE)
+    assert np.ptp(rows) > 0.85 * layout.height
+
+
+def test_drawing_twice_gives_the_same_map():
+    rng = np.random.default_rng(1)
+    points = rng.normal(0, 10, (3000, 3)) + np.array([100, 50, 0])
+    assert np.array_equal(_draw(points, [RED] * 3000), _draw(points, [RED] * 3000))
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"reach": 0.0}, OptionError, "reach 0.0 m"),
+        ({"reach": float("nan")}, OptionError, "positive"),
+        ({"size_px": (200, 640)}, OptionError, "200x640 px; expected at least 320x240"),
+        ({"camera_index": np.zeros(2, np.uint8)}, ArrayError, "camera_index"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(options, error, message):
+    with pytest.raises(error, match=message):
+        _draw([[105, 55, 0]], [RED], **options)
+
+
+def test_points_of_another_shape_are_refused():
+    with pytest.raises(ArrayError, match=r"points_world: \(4, 2\)"):
+        draw_cloud_above(np.zeros((4, 2)), None)
+
+
+DRIVER = EgoPosition(np.array([100.0, 50.0, 1.0]), np.array([0.0, 1.0, 0.0]))
+
+
+def _perspective(points, colors, **options):
+    return np.asarray(
+        draw_cloud_perspective(
+            np.array(points, np.float32).reshape(-1, 3),
+            np.array(colors, np.uint8).reshape(-1, 3),
+            **{"size_px": SIZE, "ego": DRIVER, "reach": 20.0, **options},
+        )
+    ).astype(int)
+
+
+def _area(drawn, channel):
+    """Rows and columns of what is drawn in one pure colour, as far as haze leaves it pure."""
+    others = [other for other in range(3) if other != channel]
+    return np.nonzero((drawn[..., channel] > 150) & (drawn[..., others] < 60).all(axis=2))
+
+
+def test_points_are_projected_as_opencv_projects_them():
+    viewpoint = Viewpoint(np.array([3.0, -4.0, 7.0]), np.array([10.0, 12.0, 1.0]), 800, 500)
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-6, 6, (200, 3)) + np.array([10.0, 12.0, 1.0])
+    # The pinhole's axes by hand: forward to the target, right level, down the rest.
+    forward = np.array([7.0, 16.0, -6.0]) / np.sqrt(49 + 256 + 36)
+    right = np.array([16.0, -7.0, 0.0]) / np.sqrt(256 + 49)
+    rotation = np.array([right, np.cross(forward, right), forward])
+    assert rotation[1, 2] < 0
+    focal = 400 / np.tan(np.deg2rad(31.0))
+    matrix = np.array([[focal, 0, 399.5], [0, focal, 249.5], [0, 0, 1.0]])
+    shift = -rotation @ viewpoint.eye_world
+    expected, _ = cv2.projectPoints(points, cv2.Rodrigues(rotation)[0], shift, matrix, None)
+    pixels, depths = viewpoint.project(points)
+    assert pixels == pytest.approx(expected[:, 0], abs=1e-6)
+    assert depths == pytest.approx((points - viewpoint.eye_world) @ forward)
+
+
+def test_the_eye_stands_behind_and_above_the_ego_and_sees_it():
+    viewpoint = viewpoint_behind(DRIVER, 20.0, *SIZE)
+    offset = viewpoint.eye_world - DRIVER.position_world
+    assert offset @ DRIVER.forward_world < 0
+    assert offset[2] > 0
+    pixels, depths = viewpoint.project(
+        np.array(
+            [
+                DRIVER.position_world,
+                DRIVER.position_world + 1e6 * DRIVER.forward_world,
+            ]
+        )
+    )
+    assert (depths > 0).all()
+    # The ego in the middle of the lower half, the horizon in the upper half.
+    assert pixels[0] == pytest.approx([(SIZE[0] - 1) / 2, pixels[0, 1]])
+    assert SIZE[1] / 2 < pixels[0, 1] < SIZE[1]
+    assert 0 < pixels[1, 1] < SIZE[1] / 2
+
+
+def test_left_is_left_and_up_is_up():
+    # The ego faces along y of the world, so that its left is towards smaller x.
+    drawn = _perspective([[95, 60, 0], [105, 60, 0]], [RED, GREEN])
+    assert _area(drawn, 0)[1].max() < _area(drawn, 1)[1].min()
+    drawn = _perspective([[95, 60, 5], [105, 60, 0]], [RED, GREEN])
+    assert _area(drawn, 0)[0].max() < _area(drawn, 1)[0].min()
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_near_points_cover_far_ones_on_the_same_ray(order):
+    eye = viewpoint_behind(DRIVER, 20.0, *SIZE).eye_world
+    near = np.array([101.0, 62.0, 0.5])
+    points, colors = [near, eye + 2.0 * (near - eye)], [RED, GREEN]
+    drawn = _perspective(points[::order], colors[::order])
+    assert len(_area(drawn, 0)[0]) > 0
+    assert len(_area(drawn, 1)[0]) == 0
+
+
+def test_near_points_are_larger_than_far_ones():
+    drawn = _perspective([[100, 54, 0], [100, 90, 0]], [RED, GREEN])
+    assert len(_area(drawn, 0)[0]) > 2 * len(_area(drawn, 1)[0])
+
+
+def test_points_behind_the_eye_are_not_drawn():
+    eye = viewpoint_behind(DRIVER, 20.0, *SIZE).eye_world
+    behind = eye - 5.0 * DRIVER.forward_world
+    top = slice(0, SIZE[1] - 100)
+    assert np.array_equal(
+        _perspective([[100, 60, 0]], [RED])[top],
+        _perspective([[100, 60, 0], behind], [RED, GREEN])[top],
+    )
+
+
+def test_points_that_no_camera_saw_are_grey():
+    drawn = _perspective(
+        [[95, 60, 0], [105, 60, 0]],
+        [RED, GREEN],
+        camera_index=np.array([0, 255], np.uint8),
+    )
+    assert len(_area(drawn, 0)[0]) > 0
+    assert len(_area(drawn, 1)[0]) == 0
+
+
+def test_the_ego_and_its_path_are_marked():
+    path = np.column_stack([np.full(20, 100.0), np.linspace(40, 90, 20), np.full(20, 1.0)])
+    drawn = _perspective([], [], ego_path=path)
+    viewpoint = viewpoint_behind(DRIVER, 20.0, SIZE[0], _plot_height(drawn))
+    for location in (DRIVER.position_world, np.array([100.0, 60.0, 1.0])):
+        column, row = np.rint(viewpoint.project(location[None])[0][0]).astype(int)
+        r, g, b = drawn[row, column]
+        assert r > g > b
+        assert r - b > 50
+
+
+def _plot_height(drawn):
+    """Rows above the strip, whose left column has one colour to the end."""
+    column = drawn[:, 0]
+    return int(np.flatnonzero((column != column[-1]).any(axis=1)).max()) + 1
+
+
+@pytest.mark.parametrize("ego", [None, DRIVER])
+def test_a_cloud_without_points_is_an_empty_stage(ego):
+    assert draw_cloud_perspective(np.zeros((0, 3), np.float32), None, ego=ego).size == (1280, 780)
+
+
+def test_the_background_is_lightest_at_the_horizon():
+    column = background(10, 300)[:, 0].astype(int).sum(axis=1)
+    lightest = int(np.argmax(column))
+    assert 60 < lightest < 150
+    assert (np.diff(column[:lightest]) >= 0).all()
+    assert (np.diff(column[lightest + 1 :]) <= 0).all()
+
+
+def test_drawing_twice_gives_the_same_image():
+    points = np.random.default_rng(1).normal(0, 10, (3000, 3)) + np.array([100, 60, 0])
+    assert np.array_equal(
+        _perspective(points, [RED] * 3000),
+        _perspective(points, [RED] * 3000),
+    )
+
+
+def test_perspectives_that_cannot_be_drawn_are_refused():
+    with pytest.raises(OptionError, match="reach -1"):
+        _perspective([], [], reach=-1)
+    with pytest.raises(OptionError, match="expected at least 320x240"):
+        _perspective([], [], size_px=(900, 100))
+
+
+# An IMU whose x points to the left of the car, as z stays up.
+ROTATED = RigidTransform(
+    np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([5.0, 0.0, 1.0])
+)
+
+
+def test_forward_is_where_the_path_leads_not_where_the_imu_points():
+    path = np.column_stack([np.linspace(0, 10, 11), np.zeros(11), np.linspace(0, 2, 11)])
+    ego = find_ego(ROTATED, path, ())
+    assert ego.position_world.tolist() == [5.0, 0.0, 1.0]
+    assert ego.forward_world == pytest.approx([1.0, 0.0, 0.0])
+
+
+def test_on_a_bend_forward_is_the_tangent():
+    angles = np.linspace(0, np.pi, 181)
+    path = np.column_stack([30 * np.cos(angles), 30 * np.sin(angles), np.zeros(181)])
+    ego = find_ego(RigidTransform(np.eye(3), path[90].copy()), path, ())
+    # The path is known every 0.5 m of a circle of 30 m: half a step is 0.0087 rad.
+    assert ego.forward_world == pytest.approx([-1.0, 0.0, 0.0], abs=0.01)
+
+
+def test_an_ego_that_is_stationary_faces_where_its_first_camera_looks(make_view):
+    view = make_view([])
+    for path in (None, np.zeros((5, 3)), np.zeros((0, 3)), np.full((3, 3), np.nan)):
+        assert find_ego(ROTATED, path, [view]).forward_world == pytest.approx([1.0, 0.0, 0.0])
+    assert find_ego(ROTATED, None, ()).forward_world == pytest.approx([0.0, 1.0, 0.0])
+
+
+def test_a_camera_stands_in_for_an_unknown_ego(make_view):
+    view = make_view([])
+    assert find_ego(None, None, [view]).position_world == pytest.approx(view.world_from_camera.translation)
+    assert find_ego(None, None, ()) is None
+
+
+def test_an_ego_that_looks_straight_up_faces_somewhere_level():
+    upright = RigidTransform(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), np.zeros(3))
+    assert find_ego(upright, None, ()).forward_world == pytest.approx([1.0, 0.0, 0.0])
+
+
+def test_the_arrow_points_forward_and_is_as_long_as_asked():
+    corners = EgoPosition(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.0])).arrow(2.0)
+    assert np.ptp(corners, axis=0)[1] == pytest.approx(2.0)
+    assert corners[0] == pytest.approx([1.0, 2.0 + 1.2, 3.0])
+    assert corners[:, 0].mean() == pytest.approx(1.0)
+
+
+def test_the_middle_of_no_points_is_the_origin():
+    assert middle_of(np.zeros((0, 3))).position_world.tolist() == [0.0, 0.0, 0.0]
+    assert middle_of(
+        np.array([[1.0, 5.0, 0.0], [2.0, 4.0, 9.0], [90.0, 3.0, 1.0]])
+    ).position_world.tolist() == [2, 4, 1]

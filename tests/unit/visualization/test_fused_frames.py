@@ -1,0 +1,347 @@
+"""Overlays, depth images, contact sheets, and the cloud of a drive."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sceneloom.colouring.results import FusedFrame
+from sceneloom.errors import OptionError, OutputError
+from sceneloom.scene import LidarPoints, Poses
+from sceneloom.visualization import (
+    DepthScale,
+    DriveCloud,
+    EgoPosition,
+    contact_sheet,
+    draw_cloud_above,
+    draw_depth_image,
+    draw_overlay,
+    iter_images,
+    save_images,
+)
+from sceneloom.visualization.canvas import STRIP, Canvas
+from sceneloom.visualization.colour_scales import colour_map, placed_ticks
+from sceneloom.visualization.fused_frames import CUBE, NO_DEPTH, view_scale
+
+SCALE = DepthScale(2.0, 50.0)
+
+
+def _pixels(image):
+    return np.asarray(image)
+
+
+def _bar(image, view):
+    """The row of colours in the strip that is as bright and colourful as only the scale bar is."""
+    strip = _pixels(image)[view.camera.height :].astype(int)
+    colourful = (strip.max(axis=2) - strip.min(axis=2)) > 60
+    row = int(np.argmax(colourful.sum(axis=1)))
+    columns = np.flatnonzero(colourful[row])
+    return strip[row, columns[0] : columns[-1] + 1]
+
+
+@pytest.mark.parametrize("draw", [draw_overlay, draw_depth_image])
+def test_a_point_is_a_disc_in_the_colour_of_its_depth_at_its_pixel(make_view, draw):
+    view = make_view([(60, 40, 10.0, True), (150, 90, 30.0, True)])
+    drawn = _pixels(draw(view, scale=SCALE))
+    for u, v, depth in ((60, 40, 10.0), (150, 90, 30.0)):
+        share = np.log(depth / 2.0) / np.log(50.0 / 2.0)
+        assert np.array_equal(drawn[v, u], colour_map("beacon").table[round(share * 255)])
+
+
+def test_near_points_cover_far_ones(make_view):
+    view = make_view([(60, 40, 40.0, True), (60, 40, 4.0, True), (60, 40, 20.0, True)])
+    drawn = _pixels(draw_overlay(view, scale=SCALE))
+    assert np.array_equal(drawn[40, 60], SCALE.colours(np.array([4.0]))[0])
+
+
+def test_hidden_points_are_drawn_only_on_request_and_then_as_crosses(make_view):
+    view = make_view([(60, 40, 10.0, True), (150, 90, 30.0, False)])
+    without, crossed = _pixels(draw_overlay(view)), _pixels(draw_overlay(view, show_hidden=True))
+    assert np.array_equal(without[90, 150], without[10, 10])
+    changed = np.argwhere((without[: view.camera.height] != crossed[: view.camera.height]).any(axis=2))
+    assert {(90, 150), (89, 149), (91, 151), (89, 151), (91, 149)} == {
+        tuple(location) for location in changed.tolist()
+    }
+    assert np.ptp(crossed[90, 150].astype(int)) < 20
+
+
+def test_the_image_below_is_darker_and_greyer(make_view):
+    view = make_view([])
+    rgb = view.rgb.copy()
+    rgb[:, :] = (200, 100, 40)
+    below = _pixels(draw_overlay(replace(view, rgb=rgb)))[10, 10].astype(int)
+    assert below.max() < 200
+    assert np.ptp(below) < 160 * below.mean() / (340 / 3)
+    assert below[0] > below[1] > below[2]
+
+
+def test_pixels_without_depth_are_darker_than_any_depth(make_view):
+    drawn = _pixels(draw_depth_image(make_view([(60, 40, 10.0, True)])))
+    assert tuple(drawn[100, 20]) == NO_DEPTH
+    darkest = min(colour_map(name).table.max(axis=1).min() for name in ("beacon", "lagoon"))
+    assert max(NO_DEPTH) < darkest / 4
+
+
+@pytest.mark.parametrize("draw", [draw_overlay, draw_depth_image])
+def test_the_ends_of_the_scale_bar_have_the_colours_of_the_ends_of_the_range(make_view, draw):
+    view = make_view([(60, 40, 2.0, True), (150, 90, 50.0, True)])
+    image = draw(view, scale=SCALE)
+    bar = _bar(image, view)
+    drawn = _pixels(image)
+    # The outermost columns of the bar may be less colourful than what `_bar` looks for: 3 levels of 255.
+    assert np.abs(bar[0] - drawn[40, 60]).max() <= 3
+    assert np.abs(bar[-1] - drawn[90, 150]).max() <= 3
+
+
+def test_overlay_and_depth_image_share_the_scale_of_the_visible_points(make_view):
+    points = [(60, 40, 3.1, True), (100, 60, 44.0, True), (150, 90, 400.0, False)]
+    view = make_view(points)
+    scale = view_scale(view)
+    assert (scale.near, scale.far) == (3.0, 50.0)
+    overlay, depths = (_pixels(draw(view)) for draw in (draw_overlay, draw_depth_image))
+    assert np.array_equal(overlay[60, 100], depths[60, 100])
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 400), (400, 1), (97, 61), (641, 383), (1242, 375)])
+@pytest.mark.parametrize("draw", [draw_overlay, draw_depth_image])
+@pytest.mark.few(6)
+def test_images_of_any_size_keep_their_pixels_and_cut_nothing_off(make_view, draw, size):
+    width, height = size
+    view = make_view([(width - 1, height - 1, 10.0, True)], width=width, height=height, camera_id="c" * 300)
+    image = draw(view)
+    assert image.width >= width
+    assert image.height > height
+    drawn = _pixels(image)
+    assert np.array_equal(drawn[height - 1, width - 1], view_scale(view).colours(np.array([10.0]))[0])
+    rim = np.concatenate([drawn[height:, :3], drawn[height:, -3:]], axis=1)
+    assert (rim == STRIP).all()
+    assert (drawn[-2:] == STRIP).all()
+
+
+@pytest.mark.parametrize("points", [[], [(60, 40, 10.0, False)]])
+@pytest.mark.parametrize("draw", [draw_overlay, draw_depth_image])
+def test_views_without_visible_points_are_drawn_too(make_view, draw, points):
+    view = make_view(points)
+    drawn = _pixels(draw(view))[: view.camera.height, : view.camera.width]
+    assert (drawn == drawn[0, 0]).all()
+
+
+@pytest.mark.parametrize("draw", [draw_overlay, draw_depth_image])
+def test_drawing_twice_gives_the_same_image(make_view, draw):
+    points = [(u, v, 3.0 + (u * v) % 40, True) for u in range(5, 195, 7) for v in range(5, 115, 5)]
+    assert draw(make_view(points)).tobytes() == draw(make_view(points)).tobytes()
+
+
+@pytest.mark.parametrize("width", [240, 640, 1920])
+@pytest.mark.parametrize(("near", "far"), [(0.3, 0.4), (1.0, 2.0), (2.0, 80.0), (0.05, 600.0), (99.0, 101.0)])
+def test_labels_of_the_scale_bar_do_not_touch_and_stay_on_the_canvas(near, far, width):
+    canvas = Canvas.blank(width, 100, text_px=max(12, width // 70))
+    first, last = width // 2, width - 2 * canvas.text_px
+    ticks = placed_ticks(canvas, DepthScale(near, far), first, last)
+    spans = sorted(
+        (middle - canvas.text_width(label, scale=0.86) / 2, middle + canvas.text_width(label, scale=0.86) / 2)
+        for _, label, middle in ticks
+    )
+    assert all(right < left for (_, right), (left, _) in pairwise(spans))
+    assert spans[0][0] > 0
+    assert spans[-1][1] < width
+    assert ticks[0][0] == near
+
+
+def _frame(views, *, lidar_id="lidar"):
+    rng = np.random.default_rng(2)
+    positions = rng.normal(0, 10, (50, 3)).astype(np.float32)
+    colors = rng.integers(0, 255, (50, 3), dtype=np.uint8)
+    index = np.where(np.arange(50) < 20, 0, 255).astype(np.uint8)
+    points = LidarPoints(positions, colors=colors, camera_index=index)
+    return FusedFrame(lidar_id, 7, 0, 0, points, tuple(views))
+
+
+def test_one_file_per_image_is_written_and_named(make_view, tmp_path):
+    view = make_view([(60, 40, 10.0, True)])
+    paths = save_images(_frame([view]), tmp_path / "new" / "folder", 7)
+    assert [path.name for path in paths] == [
+        "front_000007_overlay.png",
+        "front_000007_depth.png",
+        "cloud_lidar_000007_above.png",
+        "cloud_lidar_000007_perspective.png",
+    ]
+    assert sorted(paths) == sorted((tmp_path / "new" / "folder").iterdir())
+    for path in paths:
+        with Image.open(path) as image:
+            assert image.mode == "RGB"
+            assert image.width >= view.camera.width
+
+
+def test_the_cloud_is_drawn_around_the_ego_at_the_time_of_its_sweep(tmp_path):
+    times = np.array([0, 10**9], np.int64)
+    positions = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
+    ego_poses = Poses(times, positions, np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
+    for reference_ns, x in ((500_000_000, 20.0), (-1, 0.0), (3 * 10**9, 40.0)):
+        frame = replace(_frame([]), reference_ns=reference_ns)
+        ego = EgoPosition(np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+        drawn = dict(iter_images(frame, 0, ego_poses=ego_poses))["cloud_lidar_000000_above"]()
+        points = frame.points
+        around = draw_cloud_above(
+            points.positions, points.colors, camera_index=points.camera_index, ego=ego, ego_path=positions
+        )
+        # Only the captions differ.
+        assert np.array_equal(np.asarray(drawn)[:800], np.asarray(around)[:800])
+
+
+def test_a_frame_without_views_and_colours_has_images_of_its_cloud(tmp_path):
+    frame = FusedFrame("lidar", 0, 0, 0, LidarPoints(np.zeros((0, 3), np.float32)), unfused="no pose")
+    assert len(save_images(frame, tmp_path, 0)) == 2
+
+
+@pytest.mark.parametrize(
+    ("identifiers", "stems"),
+    [
+        (("../../etc/x", "a/b"), ("%2E.%2F..%2Fetc%2Fx", "a%2Fb")),
+        ((1, "1", 1), ("1", "1~2", "1~3")),
+        (("a~2", "a", "a"), ("a%7E2", "a", "a~2")),
+    ],
+)
+def test_no_id_leaves_the_folder_or_overwrites_another(make_view, tmp_path, identifiers, stems):
+    views = [make_view([], camera_id=identifier) for identifier in identifiers]
+    paths = save_images(_frame(views, lidar_id="../up"), tmp_path / "out", 0)
+    assert len(set(paths)) == 2 * len(views) + 2
+    assert {path.parent for path in paths} == {tmp_path / "out"}
+    assert [path.name for path in paths[:-2:2]] == [f"{stem}_000000_overlay.png" for stem in stems]
+    assert len(list((tmp_path / "out").iterdir())) == len(paths)
+
+
+def test_existing_images_are_replaced_only_on_request(make_view, tmp_path):
+    frame = _frame([make_view([])])
+    first = save_images(frame, tmp_path, 0)[0]
+    first.write_bytes(b"kept")
+    with pytest.raises(OutputError, match="exists already"):
+        save_images(frame, tmp_path, 0)
+    assert first.read_bytes() == b"kept"
+    save_images(frame, tmp_path, 0, overwrite=True)
+    assert first.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="file"):
+        save_images(_frame([]), tmp_path / "file" / "folder", 0)
+    with pytest.raises(OutputError, match="file"):
+        save_images(_frame([]), tmp_path / "file", 0)
+
+
+def test_ids_too_long_for_a_file_name_are_cut_but_stay_apart(make_view, tmp_path):
+    views = [make_view([], camera_id="街" * 100 + end) for end in "ab"]
+    paths = save_images(_frame(views), tmp_path, 0)
+    assert len({path.name for path in paths}) == 6
+    assert max(len(path.name) for path in paths) < 200
+
+
+def test_the_same_frame_gives_the_same_bytes(make_view, tmp_path):
+    frame = _frame([make_view([(60, 40, 10.0, True)])])
+    once, twice = (save_images(frame, tmp_path / name, 3) for name in ("once", "twice"))
+    assert [path.read_bytes() for path in once] == [path.read_bytes() for path in twice]
+
+
+def test_a_contact_sheet_shows_every_image_in_its_column():
+    colours = [(200, 0, 0), (0, 200, 0), (0, 0, 200)]
+    images = [
+        Image.new("RGB", size, colour)
+        for size, colour in zip([(40, 20), (80, 80), (10, 5)], colours, strict=True)
+    ]
+    sheet = np.asarray(contact_sheet(images, columns=2, width_px=340))
+    # Gaps of 2 px: two columns of 167 px; the first row is as high as the square image.
+    assert sheet.shape == (2 + 167 + 2 + round(167 / 2) + 2, 340, 3)
+    assert tuple(sheet[40, 80]) == colours[0]
+    assert tuple(sheet[120, 250]) == colours[1]
+    assert tuple(sheet[200, 80]) == colours[2]
+
+
+@pytest.mark.parametrize(
+    ("count", "options"), [(0, {}), (1, {"columns": 0}), (1, {"columns": 9, "width_px": 20})]
+)
+def test_a_sheet_without_room_is_refused(count, options):
+    with pytest.raises(OptionError, match="room"):
+        contact_sheet([Image.new("RGB", (5, 5))] * count, **options)
+
+
+RED, BLUE = (250, 10, 10), (10, 10, 250)
+
+
+def sweep(index: int, positions: np.ndarray, color: tuple[int, int, int], *, seen: bool = True) -> FusedFrame:
+    count = len(positions)
+    points = LidarPoints(
+        positions.astype(np.float32),
+        colors=np.full((count, 3), color, np.uint8),
+        camera_index=np.full(count, 0 if seen else 255, np.uint8),
+    )
+    return FusedFrame("lidar", index, index, index, points)
+
+
+def wall(x: float) -> np.ndarray:
+    y, z = (axis.ravel() for axis in np.mgrid[-2:2:0.05, 0:2:0.05])
+    return np.column_stack([np.full(len(y), x), y, z])
+
+
+def trajectory() -> Poses:
+    timestamps = np.arange(3) * 100_000_000
+    return Poses(timestamps, np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.tile([0.0, 0, 0, 1], (3, 1)))
+
+
+def has(image: Path, color: tuple[int, int, int]) -> bool:
+    """Whether some pixels show that hue clearly."""
+    pixels = np.asarray(Image.open(image).convert("RGB")).astype(int)
+    strongest = int(np.argmax(color))
+    others = [axis for axis in range(3) if axis != strongest]
+    return bool((pixels[..., strongest] > pixels[..., others].max(axis=2) + 100).sum() > 50)
+
+
+def test_sweeps_are_drawn_together(tmp_path: Path) -> None:
+    cloud = DriveCloud(frozenset({0, 1}))
+    cloud.add(sweep(0, wall(6.0), RED))
+    cloud.add(sweep(1, wall(3.0) + np.array([0, 5, 0]), BLUE))
+    paths = cloud.save(tmp_path, trajectory())
+    assert [path.name for path in paths] == ["cloud_drive_above.png", "cloud_drive_perspective.png"]
+    assert has(paths[1], RED)
+    assert has(paths[1], BLUE)
+
+
+def test_sweeps_that_are_not_chosen_or_not_fused_stay_out(tmp_path: Path) -> None:
+    cloud = DriveCloud(frozenset({0, 1, 2}))
+    cloud.add(sweep(0, wall(6.0), RED))
+    cloud.add(sweep(1, wall(6.0), RED))
+    cloud.add(sweep(5, wall(4.0), BLUE))
+    fused = sweep(2, wall(4.0), BLUE)
+    cloud.add(FusedFrame("lidar", 2, 2, 2, fused.points, unfused="beyond the trajectory"))
+    assert not has(cloud.save(tmp_path, trajectory())[1], BLUE)
+
+
+def test_one_sweep_alone_is_no_drive(tmp_path: Path) -> None:
+    cloud = DriveCloud(frozenset({0}))
+    cloud.add(sweep(0, wall(6.0), RED))
+    assert cloud.save(tmp_path, trajectory()) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_of_points_in_one_cube_the_one_that_a_camera_saw_is_kept(tmp_path: Path) -> None:
+    cloud = DriveCloud(frozenset({0, 1}))
+    locations = wall(6.0) // CUBE * CUBE
+    grey, red = (sweep(0, locations + 0.1 * CUBE, RED, seen=False), sweep(0, locations + 0.2 * CUBE, RED))
+    both = LidarPoints(
+        np.concatenate([grey.points.positions, red.points.positions]),
+        colors=np.concatenate([grey.points.colors, red.points.colors]),
+        camera_index=np.concatenate([grey.points.camera_index, red.points.camera_index]),
+    )
+    cloud.add(FusedFrame("lidar", 0, 0, 0, both))
+    cloud.add(sweep(1, wall(60.0), BLUE, seen=False))
+    assert has(cloud.save(tmp_path, trajectory())[1], RED)
+
+
+def test_without_a_trajectory_the_cloud_is_drawn_from_its_middle(tmp_path: Path) -> None:
+    cloud = DriveCloud(frozenset({0, 1}))
+    cloud.add(sweep(0, wall(6.0), RED))
+    cloud.add(sweep(1, np.full((3, 3), np.nan), RED))
+    assert len(cloud.save(tmp_path, None)) == 2

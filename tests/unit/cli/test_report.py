@@ -33,7 +33,7 @@ def test_a_drive_whose_lines_are_broken_is_reported_to_be_faulty(call, recording
         lines.write('{"time": 1.0, "sens\n')
     outcome = call("report", broken, "--quick", "-o", tmp_path / "r.html")
     assert outcome.code == 0, outcome.err
-    assert "Not in order" in outcome.out
+    assert "that will break downstream tools" in outcome.out
 
 
 def test_a_path_that_is_not_there_is_an_error(call, tmp_path):

@@ -5,20 +5,54 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from sceneloom.arrays import Float64Array, read_only
 from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.db34t.calibration import (
     CAMERA_MODELS,
-    CalibratedPair,
+    SLOPPIEST,
     CalibrationTable,
     DeclaredAxes,
+    MatrixLayout,
     SensorKind,
-    calibrated_pair,
+    camera_of,
+    matrix_of,
+    possible_layouts,
     read_by_sensor,
 )
 from sceneloom.db34t.properties import DeclaredSensor, Snapshot, parse_sensors
+from sceneloom.db34t.records import CalibrationData
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.fusion.configuration import FusionConfiguration
+from sceneloom.geometry.rigid import RigidTransform
+
+_SUSPECT_DEG = 45.0
+
+
+_CAMERA_FROM_LIDAR_FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+"""Of a camera that looks forward: optical axes from x forward, y left, z up."""
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedPair:
+    """A camera and a lidar in the frames used inside.
+
+    Attributes:
+        camera: the camera model.
+        camera_from_lidar: takes points of the lidar (x forward, y left, z up) into the optical frame.
+        notes: what looks wrong, for people.
+    """
+
+    camera: Camera
+    camera_from_lidar: RigidTransform
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def lidar_from_camera(self) -> RigidTransform:
+        """The mounting seen from the lidar; always the same object."""
+        return self.camera_from_lidar.inverse()
+
 
 _MILLISECOND = 1_000_000
 
@@ -290,3 +324,68 @@ def _resolve_pair(
             f"no calibration of camera {camera_id} and lidar {lidar_id}; known pairs (camera, lidar): {known}"
         )
     return calibrated_pair(entry.data, frames.camera, frames.lidar, camera_model=camera_models.get(camera_id))
+
+
+def calibrated_pair(
+    data: CalibrationData,
+    camera_axes: DeclaredAxes,
+    lidar_axes: DeclaredAxes,
+    *,
+    camera_model: Camera | None = None,
+) -> CalibratedPair:
+    """Bring a record into the frames used inside.
+
+    `extrinsic_matrix` relates the declared frames. Where its layout is open, the one counts that lets the camera look
+    more nearly forward.
+
+    Args:
+        camera_model: counts instead of the record's own.
+
+    Raises:
+        CalibrationError: the matrix mirrors where the axes do not, or they do and it does not.
+
+    Source: DB34/T 4101-2022, table 3; READINGS of extrinsic_matrix and of declared frames in docs/CONVENTIONS.md.
+    """
+    optical = camera_axes.standard_from_declared(SensorKind.CAMERA)
+    standard = lidar_axes.standard_from_declared(SensorKind.LIDAR)
+    layouts = possible_layouts(data.extrinsic_matrix)
+    found = [_in_standard_frames(data, layout, optical, standard) for layout in layouts]
+    camera_from_lidar, mirrored = min(found, key=lambda pair: _off_forward_deg(pair[0][:3, :3]))
+    transform, error = RigidTransform.nearest(camera_from_lidar)
+    if error > SLOPPIEST:
+        problem = "mirrors" if mirrored else f"has a rotation off by {error:.2g}"
+        raise CalibrationError(
+            f"extrinsic_matrix {problem} with axes {camera_axes.words} of the camera and {lidar_axes.words} of the "
+            "lidar; expected a rotation, of determinant +1, between frames that are both right- or both left-handed"
+        )
+    return CalibratedPair(
+        camera_model or camera_of(data), transform, _notes(_off_forward_deg(transform.rotation))
+    )
+
+
+def _in_standard_frames(
+    data: CalibrationData, layout: MatrixLayout, optical: Float64Array, standard: Float64Array
+) -> tuple[Float64Array, bool]:
+    """Give the 4x4 camera_from_lidar of the frames used inside, and whether its rotation mirrors."""
+    given = matrix_of(data.extrinsic_matrix, layout)
+    declared = np.linalg.inv(given).astype(np.float64) if data.reference_frame == 1 else given
+    inside = np.eye(4)
+    inside[:3, :3] = optical @ declared[:3, :3] @ standard.T
+    inside[:3, 3] = optical @ declared[:3, 3]
+    return inside, bool(np.linalg.det(inside[:3, :3]) < 0)
+
+
+def _off_forward_deg(rotation: Float64Array) -> float:
+    """Angle [deg] between a rotation and that of a camera that looks straight forward."""
+    cosine = (np.trace(rotation @ _CAMERA_FROM_LIDAR_FORWARD.T) - 1.0) / 2.0
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def _notes(off_deg: float) -> tuple[str, ...]:
+    if off_deg <= _SUSPECT_DEG:
+        return ()
+    note = (
+        f"by its calibration the camera looks {off_deg:.0f}° off forward; mirrored or transposed? "
+        "check extrinsic_matrix, reference_frame and the declared axes, unless it is mounted so"
+    )
+    return (note,)

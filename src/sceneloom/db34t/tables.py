@@ -14,15 +14,7 @@ from typing import Any, cast
 import numpy as np
 
 from sceneloom.arrays import AnyArray, read_only
-from sceneloom.db34t.types import (
-    INTEGER_RANGES,
-    BasicType,
-    Timestamp,
-    ValueForm,
-    ValueType,
-    check_basic,
-    shown,
-)
+from sceneloom.db34t.types import INTEGER_RANGES, Timestamp, ValueForm, ValueType, shown
 from sceneloom.errors import DataError
 
 TIME = "uint32. uint32"
@@ -33,6 +25,8 @@ _CLASS = "enum"
 
 STREAM = "int8[]"
 """How it writes the type of raw bytes."""
+
+_STRING = ValueType.parse("string")
 
 ARRAY_DTYPES: Mapping[str, np.dtype[Any]] = {"uint8[]": np.dtype(np.uint8), "float[]": np.dtype(np.float32)}
 """The types of fields that are arrays of any length, and what they are in memory."""
@@ -153,7 +147,7 @@ class Row:
         """
         if type(value) is str and value.isascii() and value:
             return value
-        name = check_basic(BasicType.STRING, value, owner=owner, location=location or self.name)
+        name = _STRING.check(value, owner=owner, location=location or self.name)
         if self.required and not name:
             raise DataError(owner, location or self.name, "''; expected the name of a class")
         return str(name)

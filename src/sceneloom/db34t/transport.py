@@ -118,7 +118,7 @@ def open_channel(
     if ca is None:
         if token is not None and not is_local(address):
             raise OptionError(
-                f"a token for {address} without TLS; expected the file (`ca`) of who signed its certificate"
+                f"a token for {address} without TLS; expected `ca` (--ca), the file of who signed its certificate"
             )
         if certificate is not None:
             raise OptionError("a certificate of the client without `ca`; expected both, or none")

@@ -69,7 +69,7 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
-def check_basic(kind: BasicType, value: Any, *, owner: str = "value", location: str = "") -> Any:
+def _check_basic(kind: BasicType, value: Any, *, owner: str = "value", location: str = "") -> Any:
     """Check one value exactly: nothing wraps, nothing is cut, nothing is infinite.
 
     Args:
@@ -154,7 +154,7 @@ class Timestamp:
         ):
             return
         for name in ("s", "ns"):
-            value = check_basic(BasicType.UINT32, getattr(self, name), owner="timestamp", location=name)
+            value = _check_basic(BasicType.UINT32, getattr(self, name), owner="timestamp", location=name)
             object.__setattr__(self, name, value)
         if self.ns >= NANOSECONDS:
             raise DataError("timestamp", "ns", f"{self.ns}; expected 0 to {NANOSECONDS - 1}")
@@ -251,7 +251,7 @@ class ValueType:
         return str(self.elements[0])
 
     def check(self, value: Any, *, owner: str = "value", location: str = "") -> Any:
-        """Check a value exactly, as `check_basic` does for one.
+        """Check a value exactly, as `_check_basic` does for one.
 
         Args:
             value: one value, or a list, tuple or array of one dimension.
@@ -265,11 +265,11 @@ class ValueType:
             DataError: it is of another type, out of range, or there are more or fewer values.
         """
         if self.form is ValueForm.SCALAR:
-            return check_basic(self.elements[0], value, owner=owner, location=location)
+            return _check_basic(self.elements[0], value, owner=owner, location=location)
         values = self._listed(value, owner, location)
         elements = self.elements if self.form is ValueForm.TUPLE else self.elements * len(values)
         return tuple(
-            check_basic(element, item, owner=owner, location=f"{location}[{k}]")
+            _check_basic(element, item, owner=owner, location=f"{location}[{k}]")
             for k, (element, item) in enumerate(zip(elements, values, strict=True))
         )
 

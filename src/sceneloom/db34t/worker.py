@@ -27,7 +27,6 @@ from sceneloom.db34t.events import (
     Result,
     Stream,
     Task,
-    Ticket,
 )
 from sceneloom.db34t.records import Boxes2d, Boxes3d, FusedDetections, ImageData, ResultRecord, size_of
 from sceneloom.db34t.results import FoundObjects, fused_detections_record, sensor_fusion_record
@@ -119,7 +118,7 @@ class Rig:
     _origin: Float64Array = field(default_factory=lambda: np.zeros(3))
     _trajectories: dict[int, Poses] = field(default_factory=dict)
     _newest_ns: dict[Stream, int] = field(default_factory=dict)
-    _left: list[tuple[Ticket, Leave]] = field(default_factory=list)
+    _left: list[tuple[Accepted, Leave]] = field(default_factory=list)
 
     def feed(self, accepted: Accepted) -> Iterator[_RigResult]:
         """Take what a sensor sent, and give what could be fused with it."""
@@ -209,8 +208,8 @@ class Rig:
         for found in iter(system.get_detections, None):
             yield from self._detections(lidar_id, found)
         left, self._left = self._left, []
-        for ticket, leave in left:
-            self.counters.settle(ticket, leave.value)
+        for accepted, leave in left:
+            self.counters.settle(accepted.ticket, leave.value)
 
     def _sensor_data(self, lidar_id: int, fused: FusedFrame) -> Iterator[_RigResult]:
         sweep: Accepted = fused.extras["sent"]
@@ -311,7 +310,7 @@ class Rig:
 
     def _leave(self, extras: Mapping[str, Any], leave: Leave) -> None:
         sent: Accepted = extras["sent"]
-        self._left.append((sent.ticket, leave))
+        self._left.append((sent, leave))
 
     def _world_from_lidar(self, lidar_id: int, time_ns: int) -> RigidTransform:
         if lidar_id not in self._trajectories:

@@ -235,9 +235,9 @@ def test_checks_are_listed_without_a_server(call):
 
 
 def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, conforming, monkeypatch):
-    from sceneloom.db34t import transport as db34t_transport
+    from sceneloom.db34t.conformance import examination
 
-    sound = db34t_transport.GrpcTransport.call
+    sound = examination.GrpcTransport.call
 
     def two(self, method, request):
         reply = sound(self, method, request)
@@ -245,7 +245,7 @@ def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, co
             reply.status = 2
         return reply
 
-    monkeypatch.setattr(db34t_transport.GrpcTransport, "call", two)
+    monkeypatch.setattr(examination.GrpcTransport, "call", two)
     outcome = call("conformance", conforming, "--only", "5.3-3", "--quiet")
     assert outcome.code == 1
     assert "5.3-3   failed" in outcome.out
@@ -256,9 +256,9 @@ def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, co
 def test_nobody_at_the_address_unknown_checks_and_reports_are_reported(
     call, conforming, tmp_path, monkeypatch
 ):
-    from sceneloom.db34t import transport as db34t_transport
+    from sceneloom.db34t.conformance import examination
 
-    monkeypatch.setattr(db34t_transport, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(examination, "PATIENCE_S", 1.0)
     nobody = call("conformance", "127.0.0.1:1", "--quiet")
     assert nobody.code == 1
     assert nobody.err.startswith("sceneloom: 127.0.0.1:1: no server answers there; is it running")
@@ -277,4 +277,4 @@ def test_a_token_is_shown_to_this_machine_and_never_to_another_without_encryptio
         assert call(*arguments, "--token-file", token).code == 0
     far = call("conformance", "192.0.2.1:1", "--token-file", token, "--quiet")
     assert far.code == 2
-    assert "not encrypted" in far.err
+    assert "without TLS" in far.err

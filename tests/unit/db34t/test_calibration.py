@@ -12,7 +12,6 @@ from sceneloom.db34t.calibration import (
     DeclaredAxes,
     MatrixLayout,
     SensorKind,
-    calibrated_pair,
     calibration_data,
     camera_of,
     check_calibration,
@@ -20,6 +19,7 @@ from sceneloom.db34t.calibration import (
     numbers_of,
     possible_layouts,
 )
+from sceneloom.db34t.setting import calibrated_pair
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rigid import RigidTransform
 

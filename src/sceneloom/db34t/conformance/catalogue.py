@@ -124,7 +124,7 @@ class Peer:
 
     def value(self, name: str) -> Any:
         """Clause 5.5; the value."""
-        return plain_value(self.get(name).value)
+        return _plain_value(self.get(name).value)
 
     def calibrate(
         self, *, camera_id: int = scene.CAMERA_ID, lidar_id: int = scene.LIDAR_ID, **changed: Any
@@ -165,12 +165,12 @@ class Peer:
         Raises:
             NoResultError: none came.
         """
-        return result_of(self.fetch(fusion_type), fusion_type)
+        return _result_of(self.fetch(fusion_type), fusion_type)
 
-    def subscribe(self, fusion_type: int, most: int) -> Iterator[Any]:
-        """Clause 5.7 as a stream of so many replies."""
+    def subscribe(self, fusion_type: int, most: int) -> list[Any]:
+        """Clause 5.7 as a stream; the records of so many replies."""
         request = fusion_pb2.SubscribeRequest(fusion_type=fusion_type, most=most, session=self.session)
-        return self.transport.subscribe(request)
+        return [_result_of(reply, fusion_type) for reply in self.transport.subscribe(request)]
 
     def close(self) -> None:
         """End the session, if the server knows how."""
@@ -261,7 +261,7 @@ def columns_of(record: Any, names: tuple[str, ...]) -> np.ndarray[Any, np.dtype[
     return rows[:, [fields.index(name) for name in names]]
 
 
-def result_of(reply: Any, fusion_type: int) -> Any:
+def _result_of(reply: Any, fusion_type: int) -> Any:
     """The record or records that a reply holds.
 
     Raises:
@@ -299,13 +299,13 @@ def _value_message(value: Any) -> fusion_pb2.Value:
     return fusion_pb2.Value(list_value=fusion_pb2.ValueList(values=map(_value_message, value)))
 
 
-def plain_value(message: Any) -> Any:
+def _plain_value(message: Any) -> Any:
     """The value of a message; None where it holds none, truth values as 0 and 1."""
     kind = message.WhichOneof("kind")
     if kind is None:
         return None
     if kind == "list_value":
-        return [plain_value(item) for item in message.list_value.values]
+        return [_plain_value(item) for item in message.list_value.values]
     value = getattr(message, kind)
     return int(value) if kind == "bool_value" else value
 

@@ -355,7 +355,7 @@ class GrpcTransport:
         token = access.token()
         channel = open_channel(address, ca=access.ca, certificate=access.certificate, token=token)
         try:
-            grpc.channel_ready_future(channel).result(timeout=_PATIENCE_S / 3)
+            grpc.channel_ready_future(channel).result(timeout=PATIENCE_S / 3)
         except grpc.FutureTimeoutError:
             channel.close()
             advice = "is it running, and are both sides with or both without TLS (--ca)?"
@@ -388,7 +388,7 @@ class GrpcTransport:
     def subscribe(self, request: Message) -> Iterator[Any]:
         """Call Subscribe."""
         try:
-            yield from self._stubs["Subscribe"](request, timeout=_PATIENCE_S, metadata=self._metadata)
+            yield from self._stubs["Subscribe"](request, timeout=PATIENCE_S, metadata=self._metadata)
         except grpc.RpcError as error:
             raise _reported(error) from error
 
@@ -404,7 +404,7 @@ class GrpcTransport:
         )
         request = health_pb2.HealthCheckRequest(service=service)
         try:
-            reply = call(request, timeout=_PATIENCE_S, metadata=self._metadata)
+            reply = call(request, timeout=PATIENCE_S, metadata=self._metadata)
         except grpc.RpcError as error:
             raise _reported(error) from error
         name: str = health_pb2.HealthCheckResponse.ServingStatus.Name(reply.status)
@@ -433,7 +433,7 @@ class GrpcTransport:
                 response_deserializer=reader_of(reflection_pb2.ServerReflectionResponse),
             )
             try:
-                replies = list(call(iter([request]), timeout=_PATIENCE_S, metadata=self._metadata))
+                replies = list(call(iter([request]), timeout=PATIENCE_S, metadata=self._metadata))
             except grpc.RpcError as error:
                 failed = _reported(error)
                 if failed.code != "UNIMPLEMENTED":
@@ -444,7 +444,7 @@ class GrpcTransport:
 
     def _answered(self, method: str, request: Any) -> Any:
         try:
-            return self._stubs[method](request, timeout=_PATIENCE_S, metadata=self._metadata)
+            return self._stubs[method](request, timeout=PATIENCE_S, metadata=self._metadata)
         except grpc.RpcError as error:
             raise _reported(error) from error
 
@@ -480,5 +480,5 @@ class NobodyAnswersError(SceneloomError):
     """No server answers at an address, or it does not let the kit in."""
 
 
-_PATIENCE_S = 30.0
+PATIENCE_S = 30.0
 """How long an answer may take."""

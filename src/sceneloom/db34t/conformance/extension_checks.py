@@ -26,9 +26,7 @@ from sceneloom.db34t.conformance.catalogue import (
     fused_boxes,
     fused_pair,
     near,
-    plain_value,
     refused,
-    result_of,
     same,
     send_pairs,
     taken,
@@ -122,7 +120,7 @@ def _waits(bench: Bench) -> Iterator[Seen]:
 def _subscribed(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     send_pairs(peer, range(4))
-    found = [result_of(reply, SENSOR_DATA).points_seq for reply in peer.subscribe(SENSOR_DATA, 3)]
+    found = [record.points_seq for record in peer.subscribe(SENSOR_DATA, 3)]
     yield same("pairs 0 to 3, Subscribe most 3: points_seq", [0, 1, 2], found)
     yield same("then Get: points_seq", 3, peer.result(SENSOR_DATA).points_seq)
 
@@ -159,7 +157,7 @@ def _configuration(bench: Bench) -> Iterator[Seen]:
     send_pairs(peer, range(1))
     reply = peer.fetch(SENSOR_DATA)
     peer.set("lidar_frequency", 5)
-    found = {entry.name: plain_value(entry.value) for entry in reply.configuration.properties}
+    found = {entry.name: entry.value.integer_value for entry in reply.configuration.properties}
     yield same("lidar_frequency 20, a pair, Get: its configuration", 20, found.get("lidar_frequency"))
 
 

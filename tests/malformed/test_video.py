@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
-from sceneloom.formats.recording.images import PngFolder
+from sceneloom.formats.recording.cameras import PngFolder
 from sceneloom.formats.video.reader import open_video
 from sceneloom.formats.video.remux import remux_to_mp4
 from sceneloom.formats.video.writer import VideoWriter

@@ -19,7 +19,7 @@ from sceneloom.checks.recordings.calibration import stereo_pairs
 from sceneloom.checks.recordings.times import Kind, streams_of, streams_of_kind
 from sceneloom.checks.rule import HINT, WARNING, FrameInHand, Hit, Rule, Subject
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
-from sceneloom.formats.recording.columns import FrameColumns, time_order, view
+from sceneloom.formats.recording.lines import FrameColumns, time_order, view
 from sceneloom.formats.recording.losses import (
     KNOWN_KEYS,
     VioConfig,

@@ -20,7 +20,6 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.points.mapping import UNITS_NS
-from sceneloom.formats.recording.columns import nanoseconds
 
 FARTHEST_NS = 9_200_000_000_000_000_000
 """Timestamps within plus or minus this fit into int64."""
@@ -542,3 +541,10 @@ def writing_order(timestamps_ns: Int64Array, file_seconds: Float64Array | None) 
     if file_seconds is None:
         return np.argsort(timestamps_ns, kind="stable").astype(np.int64)
     return np.lexsort((file_seconds, timestamps_ns)).astype(np.int64)
+
+
+def nanoseconds(seconds: Float64Array) -> Int64Array:
+    """Bring seconds to the scene's clock: round(t · 1e9), halves to even, cut to 64 bits."""
+    scaled = seconds * 1e9
+    np.rint(scaled, out=scaled)
+    return np.clip(scaled, -(2.0**63), 2.0**63 - 1024, out=scaled).astype(np.int64)

@@ -19,10 +19,9 @@ from sceneloom.errors import CalibrationError, DataError, PoseError
 from sceneloom.formats.base.images import ImageFile
 from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.losses import Loss, Support
-from sceneloom.formats.base.poses import stationary_ego
+from sceneloom.formats.base.poses import each_mounted, mounting, stationary_ego
 from sceneloom.formats.kitti.calibration import Mounted
 from sceneloom.formats.kitti.sensors import LIDAR_ID, camera_id
-from sceneloom.formats.recording.write_calibration import each_mounted, mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene.annotations import Box2DAnnotation, CuboidAnnotation

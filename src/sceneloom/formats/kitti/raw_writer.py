@@ -14,6 +14,7 @@ from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
+from sceneloom.formats.base.poses import mounting
 from sceneloom.formats.kitti.calibration import CAMERAS, Mounted, files_lidar_from_lidar
 from sceneloom.formats.kitti.frames_writer import (
     NONE,
@@ -44,7 +45,6 @@ from sceneloom.formats.kitti.raw_reader import FILE as TRACKLETS
 from sceneloom.formats.kitti.sensors import times_in_rotation
 from sceneloom.formats.kitti.spec import RAW_CAMERAS
 from sceneloom.formats.kitti.text import write_lines
-from sceneloom.formats.recording.write_calibration import mounting
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between, matrix_from_quaternion

@@ -15,7 +15,7 @@ from sceneloom.errors import OptionError
 from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.losses import Loss, Support, field_losses
 from sceneloom.formats.base.output import file_stems
-from sceneloom.formats.base.poses import ego_in_world
+from sceneloom.formats.base.poses import each_mounted, ego_in_world, mounting
 from sceneloom.formats.kitti.frames_writer import ego_trajectory
 from sceneloom.formats.nuscenes.spec import SUPPORTS
 from sceneloom.formats.nuscenes.tables import (
@@ -28,7 +28,6 @@ from sceneloom.formats.nuscenes.tables import (
     timestamps_of,
     token_of,
 )
-from sceneloom.formats.recording.write_calibration import each_mounted, mounting
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import CuboidAnnotation, LabeledPointsAnnotation
 from sceneloom.scene.cameras import CameraSensor

@@ -16,16 +16,9 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
-from sceneloom.formats.recording.columns import (
-    BYTE_ORDER_MARK,
-    DECODER_FAULTS,
-    FrameColumns,
-    SensorIndex,
-    json_fault,
-    json_problem,
-)
+from sceneloom.formats.recording.json_faults import BYTE_ORDER_MARK, DECODER_FAULTS, json_fault, json_problem
 from sceneloom.formats.recording.legacy import read_old_calibration
-from sceneloom.formats.recording.lines import note_mark
+from sceneloom.formats.recording.lines import FrameColumns, SensorIndex, note_mark
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import GREATEST_ERROR, SILENT_ERROR, nearest_rotation
 from sceneloom.warnings import WarningKind

@@ -9,7 +9,7 @@ import msgspec
 
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import open_file
-from sceneloom.formats.recording.columns import DECODER_FAULTS
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 
 PARAMETERS_FILE = "parameters.txt"
 

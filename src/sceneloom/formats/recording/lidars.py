@@ -14,7 +14,8 @@ from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import open_file, why_no_file
 from sceneloom.formats.recording.calibration import Calibration, LidarCalibration
-from sceneloom.formats.recording.columns import FARTHEST_TIME, LidarColumns, by_time
+from sceneloom.formats.recording.json_faults import FARTHEST_TIME
+from sceneloom.formats.recording.lines import LidarColumns, by_time
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor
 from sceneloom.scene.frames import LazyFrames

@@ -1,52 +1,506 @@
-"""`data.jsonl` read line by line into columns; the file is never in memory as a whole."""
+"""`data.jsonl`: the shapes of its lines, the columns that they are read into line by line, and these as arrays."""
 
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
-from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Annotated, Any, BinaryIO, TypeVar
 
 import msgspec
 import numpy as np
-from msgspec import UNSET, UnsetType
+from msgspec import UNSET, Meta, Raw, Struct, UnsetType
 
+from sceneloom.arrays import Float64Array, Int64Array, UInt16Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import open_file
-from sceneloom.formats.recording.columns import (
+from sceneloom.formats.base.text_tables import nanoseconds
+from sceneloom.formats.recording.json_faults import (
     BYTE_ORDER_MARK,
     DECODER_FAULTS,
-    LIDAR_MODELS,
-    RECORD_KEYS,
-    ROOT_KEYS,
-    SEVERAL,
-    TEXT,
-    CameraColumns,
-    Columns,
-    ExactGnssFix,
-    ExactLine,
-    ExactPose,
-    ExactQuaternion,
-    FrameEntry,
-    FrequentLine,
-    GnssFix,
-    LidarColumns,
-    Line,
-    Pose,
-    PoseColumns,
-    RecordingColumns,
-    SensorSample,
-    SharedLine,
-    Sweep,
+    FARTHEST_TIME,
     json_problem,
-    line_seconds,
     other_file,
-    problem_of_name,
     quote,
 )
 from sceneloom.formats.recording.legacy import has_old_frame, with_frames
 from sceneloom.warnings import WarningKind
+
+
+@dataclass(slots=True, eq=False)
+class Columns:
+    """A stream of `width` numbers with a time each, in the order of the file.
+
+    Attributes:
+        width: numbers per sample.
+        code: what stands for this stream in `LineLog.codes`.
+        seconds: times [s].
+        values: the samples one after another.
+        further: by row, the text of a line that holds more than these columns do.
+    """
+
+    width: int
+    code: int = 0
+    seconds: "array[float]" = field(default_factory=lambda: array("d"))
+    values: "array[float]" = field(default_factory=lambda: array("d"))
+    further: dict[int, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.seconds)
+
+    def append(self, seconds: float, values: list[float]) -> None:
+        """Add a sample."""
+        self.seconds.append(seconds)
+        self.values.fromlist(values)
+
+
+@dataclass(slots=True, eq=False)
+class PoseColumns:
+    """The lines of one trajectory.
+
+    Attributes:
+        samples: x y z [m], then the quaternion x y z w, NaN where a line has none.
+        lines: number of each sample's line.
+    """
+
+    samples: Columns = field(default_factory=lambda: Columns(7))
+    lines: "array[int]" = field(default_factory=lambda: array("q"))
+
+
+@dataclass(slots=True, eq=False)
+class LidarColumns:
+    """The lines of one lidar.
+
+    Attributes:
+        model: the first line's word for the layout of its files.
+        sweeps: no values, the times only.
+        files: `dataFile` of each line.
+        lines: number of each line.
+    """
+
+    model: str
+    sweeps: Columns = field(default_factory=lambda: Columns(0))
+    files: list[str] = field(default_factory=list)
+    lines: "array[int]" = field(default_factory=lambda: array("q"))
+
+
+@dataclass(slots=True, eq=False)
+class CameraColumns:
+    """One camera's entries in the `frames` lines.
+
+    Attributes:
+        rows: which frames line each entry is in.
+        seconds: time of each image [s].
+        parameters: which of `FrameColumns.texts` holds its camera model, -1 for none of its own.
+        mounts: the same for its `imuToCamera`.
+        missing: 1 where there is no image (`missingBitmap`).
+    """
+
+    rows: "array[int]" = field(default_factory=lambda: array("q"))
+    seconds: "array[float]" = field(default_factory=lambda: array("d"))
+    parameters: "array[int]" = field(default_factory=lambda: array("q"))
+    mounts: "array[int]" = field(default_factory=lambda: array("q"))
+    missing: "array[int]" = field(default_factory=lambda: array("b"))
+
+
+@dataclass(slots=True, eq=False)
+class FrameColumns:
+    """The `frames` lines.
+
+    Attributes:
+        code: what stands for these lines in `LineLog.codes`.
+        numbers: `number` of each line.
+        seconds: `time` of each line [s].
+        lines: number of each line in the file.
+        offsets: byte at which a line begins that says more than the columns hold, -1 for others.
+        cameras: entries by `cameraInd`.
+        texts: every different text of `cameraParameters` and `imuToCamera`, with its location in this order.
+    """
+
+    code: int = 0
+    numbers: "array[int]" = field(default_factory=lambda: array("q"))
+    seconds: "array[float]" = field(default_factory=lambda: array("d"))
+    lines: "array[int]" = field(default_factory=lambda: array("q"))
+    offsets: "array[int]" = field(default_factory=lambda: array("q"))
+    cameras: dict[int, CameraColumns] = field(default_factory=dict)
+    texts: dict[bytes, int] = field(default_factory=dict)
+
+    def text_index(self, text: bytes) -> int:
+        """Give the position of a text, -1 for none."""
+        return self.texts.setdefault(text, len(self.texts)) if text else -1
+
+
+_NOTHING, TEXT, SEVERAL = 0, 1, 2
+"""Codes of lines that nothing was taken from, that are kept as text, and that several streams have a part in."""
+
+_MOST_STREAMS = 60_000
+
+
+@dataclass(slots=True, eq=False)
+class SharedLine:
+    """A line that more than one stream has a part in.
+
+    Attributes:
+        text: all of it.
+        rows: code and row of each sample that it brought; a line of images has no row here.
+    """
+
+    text: str
+    rows: list[tuple[int, int]] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
+class LineLog:
+    """What became of each line of the file, in its order.
+
+    Attributes:
+        codes: by line, the code of the stream that took it, or `_NOTHING`, `TEXT`, `SEVERAL`.
+        shared: lines of several streams, by number.
+        last_code: the greatest code that is given away.
+    """
+
+    codes: "array[int]" = field(default_factory=lambda: array("H"))
+    shared: dict[int, SharedLine] = field(default_factory=dict)
+    last_code: int = SEVERAL
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no further stream can be distinguished from the others."""
+        return self.last_code >= _MOST_STREAMS
+
+    def new_code(self) -> int:
+        """Give away the next code."""
+        self.last_code += 1
+        return self.last_code
+
+
+@dataclass(slots=True, eq=False)
+class RecordingColumns:
+    """All lines of a recording.
+
+    Attributes:
+        sensors: streams by `sensor.type`.
+        gnss: latitude, longitude [deg], altitude [m], accuracy and vertical accuracy [m], NaN where not given.
+        receivers: the same of satellite receivers under other root keys, by root key and name.
+        barometer: `barometer` lines [hPa].
+        poses: trajectories by the root key of their lines ("" for poses at the root itself) and their name.
+        lidars: by `lidarInd`.
+        frames: the `frames` lines.
+        other_lines: the text of lines that hold none of these.
+        other_seconds: the time of each of those lines [s], NaN where it has none.
+        other_keys: how many of those lines have which first key.
+        log: what became of each line.
+    """
+
+    sensors: dict[str, Columns] = field(default_factory=dict)
+    gnss: Columns = field(default_factory=lambda: Columns(5))
+    receivers: dict[tuple[str, str], Columns] = field(default_factory=dict)
+    barometer: Columns = field(default_factory=lambda: Columns(1))
+    poses: dict[tuple[str, str], PoseColumns] = field(default_factory=dict)
+    lidars: dict[int, LidarColumns] = field(default_factory=dict)
+    frames: FrameColumns = field(default_factory=FrameColumns)
+    other_lines: list[str] = field(default_factory=list)
+    other_seconds: "array[float]" = field(default_factory=lambda: array("d"))
+    other_keys: dict[str, int] = field(default_factory=dict)
+    log: LineLog = field(default_factory=LineLog)
+
+    def streams(self) -> dict[tuple[str, ...], Columns]:
+        """All streams of numbers, by what reports them apart."""
+        return {
+            **{("sensor", name): stream for name, stream in self.sensors.items()},
+            ("gps",): self.gnss,
+            ("barometer",): self.barometer,
+            **{("receiver", *origin): stream for origin, stream in self.receivers.items()},
+            **{("pose", *origin): stream.samples for origin, stream in self.poses.items()},
+            **{("lidar", str(index)): lidar.sweeps for index, lidar in self.lidars.items()},
+        }
+
+
+_Seconds = Annotated[float, Meta(ge=-FARTHEST_TIME, le=FARTHEST_TIME)]
+
+_Metres = Annotated[float, Meta(ge=-1e12, le=1e12)]
+"""A position; the bounds keep the arithmetic with it from overflowing."""
+
+SensorIndex = Annotated[int, Meta(ge=0, le=254)]
+
+_FrameNumber = Annotated[int, Meta(ge=-(2**60), le=2**60)]
+
+
+class Point(Struct, gc=False):
+    """`position`."""
+
+    x: _Metres
+    y: _Metres
+    z: _Metres
+
+
+class ExactPoint(Point, forbid_unknown_fields=True, gc=False):
+    """`position` and nothing else."""
+
+
+class Quaternion(Struct, gc=False):
+    """`orientation`."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+class ExactQuaternion(Quaternion, forbid_unknown_fields=True, gc=False):
+    """`orientation` and nothing else."""
+
+
+class Pose(Struct, gc=False):
+    """Where the device was: `groundTruth` or the output of a method."""
+
+    position: Point
+    orientation: Quaternion | None = None
+
+
+class ExactPose(Pose, forbid_unknown_fields=True, gc=False):
+    """A pose and nothing else."""
+
+    position: ExactPoint
+    orientation: ExactQuaternion | UnsetType = UNSET  # type: ignore[assignment]
+
+
+class NamedPose(Pose, gc=False):
+    """`pose`: the output of the method that it names."""
+
+    name: str | None = None
+
+
+class ExactNamedPose(NamedPose, forbid_unknown_fields=True, gc=False):
+    """A named pose and nothing else."""
+
+    position: ExactPoint
+    orientation: ExactQuaternion | UnsetType = UNSET  # type: ignore[assignment]
+    name: str | UnsetType = UNSET  # type: ignore[assignment]
+
+
+class SensorSample(Struct, gc=False):
+    """`sensor`: one sample of an N-axis sensor."""
+
+    type: str
+    values: list[float]
+
+
+class ExactSensorSample(SensorSample, forbid_unknown_fields=True, gc=False):
+    """A sample and nothing else."""
+
+
+class GnssFix(Struct, gc=False):
+    """`gps`: degrees and metres."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+    accuracy: float | None = None
+    verticalAccuracy: float | None = None  # noqa: N815 - the format's own word
+
+
+class ExactGnssFix(GnssFix, forbid_unknown_fields=True, gc=False):
+    """A fix and nothing else."""
+
+    accuracy: float | UnsetType = UNSET  # type: ignore[assignment]
+    verticalAccuracy: float | UnsetType = UNSET  # type: ignore[assignment]  # noqa: N815 - the format's own word
+
+
+class Pressure(Struct, gc=False):
+    """`barometer`: the pressure of the air."""
+
+    pressureHectopascals: float  # noqa: N815 - the format's own word
+
+
+class ExactPressure(Pressure, forbid_unknown_fields=True, gc=False):
+    """A pressure and nothing else."""
+
+
+class Sweep(Struct, gc=False):
+    """`lidar`: one file of points."""
+
+    model: str
+    dataFile: str  # noqa: N815 - the format's own word
+    lidarInd: SensorIndex = 0  # noqa: N815 - as `cameraInd`; our extension for several lidars
+
+
+class ExactSweep(Sweep, forbid_unknown_fields=True, gc=False):
+    """A sweep and nothing else; the first lidar's index is not written."""
+
+    lidarInd: Annotated[int, Meta(ge=1, le=254)] | UnsetType = UNSET  # type: ignore[assignment]  # noqa: N815
+
+
+class FrameEntry(Struct, gc=False):
+    """One camera's part of a `frames` line."""
+
+    cameraInd: SensorIndex  # noqa: N815 - the format's own word
+    time: _Seconds | None = None
+    cameraParameters: Raw = Raw()  # noqa: N815 - the format's own word
+    imuToCamera: Raw = Raw()  # noqa: N815 - the format's own word
+    missingBitmap: bool = False  # noqa: N815 - the format's own word
+
+
+class ExactFrameEntry(FrameEntry, forbid_unknown_fields=True, gc=False):
+    """An entry and nothing else."""
+
+    time: _Seconds | UnsetType = UNSET  # type: ignore[assignment]
+    missingBitmap: bool | UnsetType = UNSET  # type: ignore[assignment]  # noqa: N815 - the format's own word
+
+
+class Line(Struct, kw_only=True, gc=False):
+    """A line, whatever else may be in it."""
+
+    time: _Seconds | None = None
+    sensor: SensorSample | None = None
+    gps: GnssFix | None = None
+    groundTruth: Pose | None = None  # noqa: N815 - the format's own word
+    pose: NamedPose | None = None
+    lidar: Sweep | None = None
+    barometer: Pressure | None = None
+    frames: Sequence[FrameEntry] | None = None
+    number: _FrameNumber | None = None
+
+
+class FrequentLine(Struct, kw_only=True, forbid_unknown_fields=True, gc=False):
+    """What most lines are: the fewer fields a shape has, the sooner it is clear that a line has none but one."""
+
+    time: _Seconds
+    sensor: ExactSensorSample | UnsetType = UNSET
+    groundTruth: ExactPose | UnsetType = UNSET  # noqa: N815 - the format's own word
+    frames: Sequence[ExactFrameEntry] | UnsetType = UNSET
+    number: _FrameNumber | UnsetType = UNSET
+
+
+class ExactLine(FrequentLine, kw_only=True, forbid_unknown_fields=True, gc=False):
+    """A line that the columns can hold."""
+
+    gps: ExactGnssFix | UnsetType = UNSET
+    pose: ExactNamedPose | UnsetType = UNSET
+    lidar: ExactSweep | UnsetType = UNSET
+    barometer: ExactPressure | UnsetType = UNSET
+
+
+ROOT_KEYS = frozenset(field.name for field in msgspec.structs.fields(Line))
+"""The keys at the root of a line that have a shape of their own."""
+
+RECORD_KEYS = ROOT_KEYS - {"time", "number"}
+"""Those of them that state what a line is about."""
+
+LIDAR_MODELS = ("RoboSense M1 XYZIRT",)
+"""The layouts of files that the format describes."""
+
+
+def problem_of_name(name: str) -> str | None:
+    """Report what is wrong with a `dataFile`: empty, absolute, leading up, or no file name at all; None for nothing."""
+    windows = PureWindowsPath(name)
+    leads_out = PurePosixPath(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts
+    if leads_out or not name.strip() or "\0" in name:
+        return f"lidar.dataFile: {name!r}; expected a path inside the recording's folder"
+    return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SortedColumns:
+    """A stream in the order of its times, read-only.
+
+    Attributes:
+        timestamps_ns: (N,) int64 [ns].
+        seconds: (N,) float64 [s], as the file has them.
+        values: (N, K) float64.
+        order: (N,) int64, row of the file's order that each row was.
+    """
+
+    timestamps_ns: Int64Array
+    seconds: Float64Array
+    values: Float64Array
+    order: Int64Array
+
+
+def view(numbers: "array[float]") -> Float64Array:
+    """Give the numbers as an array without copying them; the column cannot grow while it is in use."""
+    return np.frombuffer(numbers, np.float64) if numbers else np.zeros(0)
+
+
+def is_sorted(seconds: Float64Array) -> bool:
+    """Whether no time is less than the one before."""
+    return bool((seconds[1:] >= seconds[:-1]).all())
+
+
+def time_order(seconds: Float64Array) -> Int64Array:
+    """Give the order that sorts by time and keeps the order of equal times, (N,) int64."""
+    if is_sorted(seconds):
+        return np.arange(len(seconds), dtype=np.int64)
+    return np.argsort(seconds, kind="stable").astype(np.int64)
+
+
+def by_time(stream: Columns) -> SortedColumns:
+    """Give a stream sorted by time, samples of one time in the order of the file."""
+    seconds = view(stream.seconds)
+    values = view(stream.values).reshape(len(seconds), stream.width)
+    order = time_order(seconds)
+    if not is_sorted(seconds):
+        seconds, values = seconds[order], values[order]
+    return SortedColumns(
+        read_only(nanoseconds(seconds)), read_only(seconds), read_only(values), read_only(order)
+    )
+
+
+def row_keys(stream: Columns, rows: Sequence[int]) -> list[str]:
+    """Name rows by their time [ns], as text; of several samples of one time, the second is `TIME#1`."""
+    if not rows:
+        return []
+    timestamps = by_time(stream).timestamps_ns
+    locations = np.empty(len(timestamps), np.int64)
+    locations[time_order(view(stream.seconds))] = np.arange(len(timestamps))
+    chosen = locations[np.asarray(rows, np.int64)]
+    counts = chosen - np.searchsorted(timestamps, timestamps[chosen], "left")
+    return [_row_key(*pair) for pair in zip(timestamps[chosen].tolist(), counts.tolist(), strict=True)]
+
+
+def _row_key(timestamp_ns: int, count: int) -> str:
+    """Name a sample: its time [ns], and how many samples of that time come before it, if any do."""
+    return f"{timestamp_ns}#{count}" if count else str(timestamp_ns)
+
+
+def further_by_time(stream: Columns) -> dict[str, str]:
+    """Give the texts of lines that state more than a stream holds, by the key of their row."""
+    rows = sorted(stream.further)
+    return {key: stream.further[row] for key, row in zip(row_keys(stream, rows), rows, strict=True)}
+
+
+def lines_of(log: LineLog, code: int) -> Int64Array:
+    """Give the number of the line that each row of a stream was read from, (N,) int64, counted from 1."""
+    lines: Int64Array = np.flatnonzero(_codes(log) == code)
+    lines += 1
+    beside = [(row, line) for line, shared in log.shared.items() for own, row in shared.rows if own == code]
+    if not beside:
+        return lines
+    rows = sorted(beside)
+    return np.insert(lines, [row - k for k, (row, _) in enumerate(rows)], [line for _, line in rows])
+
+
+def line_seconds(columns: RecordingColumns) -> Float64Array:
+    """Give the time of each line in the order of the file, (N,) float64 [s], NaN for lines without one."""
+    codes, frames = _codes(columns.log), columns.frames
+    seconds = np.full(len(codes), np.nan)
+    in_several = {code for shared in columns.log.shared.values() for code, _ in shared.rows}
+    for stream in columns.streams().values():
+        if stream.code in in_several:
+            seconds[lines_of(columns.log, stream.code) - 1] = view(stream.seconds)
+        elif len(stream):
+            seconds[codes == stream.code] = view(stream.seconds)
+    if len(frames.seconds):
+        seconds[np.frombuffer(frames.lines, np.int64) - 1] = view(frames.seconds)
+    if columns.other_lines:
+        seconds[codes == TEXT] = view(columns.other_seconds)
+    return seconds
+
+
+def _codes(log: LineLog) -> UInt16Array:
+    return np.frombuffer(log.codes, np.uint16) if log.codes else np.zeros(0, np.uint16)
+
 
 _SENSOR_WIDTHS: Mapping[str, int] = {
     "accelerometer": 3,

@@ -18,11 +18,6 @@ from sceneloom.scene.scene import Scene, Sensor
 _DEFAULT_FPS = 10.0
 
 
-def field_of(sensor: ShootingSensor) -> str:
-    """The path of a camera's images or images, for loss reports."""
-    return f"sensors[{sensor.id}].{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
-
-
 def shooting_sensors(scene: Scene) -> Sequence[ShootingSensor]:
     """The cameras in the order of `cameraInd`: as they were read from a recording, else those of depth last.
 

@@ -16,10 +16,21 @@ from sceneloom.formats.base.diagnostics import FaultLedger, Ledger, PlacedFault,
 from sceneloom.formats.base.files import FileIdentity, read_bytes
 from sceneloom.formats.base.poses import GREATEST_NORM_ERROR, default_poses
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE, Calibration, read_calibration
-from sceneloom.formats.recording.cameras import CAMERA_SHIFTS, CameraSources, applied_shifts, build_cameras
-from sceneloom.formats.recording.columns import (
+from sceneloom.formats.recording.cameras import (
+    ALIGNMENTS,
+    CAMERA_SHIFTS,
+    CameraSources,
+    OpenImages,
+    applied_shifts,
+    build_cameras,
+    frame_notes,
+)
+from sceneloom.formats.recording.legacy import PARAMETERS_FILE
+from sceneloom.formats.recording.lidars import build_lidars
+from sceneloom.formats.recording.lines import (
     TEXT,
     Columns,
+    Origin,
     PoseColumns,
     RecordingColumns,
     SortedColumns,
@@ -27,13 +38,10 @@ from sceneloom.formats.recording.columns import (
     further_by_time,
     line_seconds,
     lines_of,
+    read_lines,
     row_keys,
     view,
 )
-from sceneloom.formats.recording.images import ALIGNMENTS, OpenImages, frame_notes
-from sceneloom.formats.recording.legacy import PARAMETERS_FILE
-from sceneloom.formats.recording.lidars import build_lidars
-from sceneloom.formats.recording.lines import Origin, read_lines
 from sceneloom.formats.recording.spec import DATA_FILE
 from sceneloom.formats.recording.zipped import is_zip, unpack
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples

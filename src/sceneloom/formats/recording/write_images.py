@@ -1,32 +1,49 @@
-"""Camera and depth images into videos or PNG files, and the `frames` lines that name them."""
+"""Cameras of a recording: their calibration, images as videos or PNG files, and the `frames` lines that name them."""
 
 import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import msgspec
 import numpy as np
-from PIL import Image
 
-from sceneloom.arrays import Float32Array, Int64Array, UInt8Array, UInt16Array, check_array
-from sceneloom.errors import OptionError, SceneloomError
+from sceneloom.arrays import (
+    Float32Array,
+    Int64Array,
+    UInt8Array,
+    UInt16Array,
+    check_array,
+)
+from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.fitting import nearest
+from sceneloom.errors import CalibrationError, OptionError, SceneloomError
+from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import Loss, Support
+from sceneloom.formats.base.poses import field_of
 from sceneloom.formats.base.text_tables import TimeWriter
-from sceneloom.formats.recording.columns import DECODER_FAULTS
-from sceneloom.formats.recording.images import OWN_FIELDS, FrameNotes, choose_images, image_name
+from sceneloom.formats.recording.calibration import (
+    CameraParameters,
+    camera_model,
+    read_mount,
+    read_parameters,
+    rigid_transform,
+)
+from sceneloom.formats.recording.cameras import OWN_FIELDS, FrameNotes, choose_images, image_name
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.legacy import has_old_frame, with_frames
-from sceneloom.formats.recording.losses import field_of, frame_rate
-from sceneloom.formats.recording.write_calibration import CAMERA_MODEL, MOUNT, ImageParameters
+from sceneloom.formats.recording.losses import frame_rate, main_receiver
 from sceneloom.formats.recording.write_lines import FRAMES, LineStream, OneByOne, WrittenLine, make_line
 from sceneloom.formats.video.reader import VideoReader
 from sceneloom.formats.video.remux import copy_to_matroska
 from sceneloom.formats.video.writer import VideoWriter, is_lossless
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import (
     CameraImage,
     CameraSensor,
@@ -37,20 +54,313 @@ from sceneloom.scene.cameras import (
     VideoContent,
     shots_of,
 )
+from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.scene import Scene
+
+
+def matrix_entry(transform: RigidTransform) -> list[list[float]]:
+    """A transform as four rows of four numbers."""
+    rows: list[list[float]] = transform.matrix.tolist()
+    return rows
+
+
+def mount_entry(mount: RigidTransform, before: Mapping[str, Any], *keys: str) -> list[list[float]]:
+    """Write a mounting: with the numbers of the entry that it was read from, where they still mean it.
+
+    Args:
+        mount: `ego_from_sensor`.
+        before: the entry.
+        keys: under which of its keys the matrix may stand.
+    """
+    for numbers in (before[key] for key in keys if key in before):
+        if _is_square(numbers) and _means(numbers, mount):
+            return [list(map(float, row)) for row in numbers]
+    return matrix_entry(mount.inverse())
+
+
+def _is_square(numbers: object) -> bool:
+    return (
+        isinstance(numbers, list)
+        and len(numbers) == len(np.eye(4))
+        and all(isinstance(row, list) and len(row) == len(numbers) for row in numbers)
+    )
+
+
+def _means(numbers: Any, mount: RigidTransform) -> bool:
+    try:
+        read = rigid_transform(numbers, "", Ledger(lenient=True)).inverse()
+    except (CalibrationError, *DECODER_FAULTS, TypeError, ValueError):
+        return False
+    return np.array_equal(read.matrix, mount.matrix)
+
+
+class _Writing(NamedTuple):
+    model: str
+    locations: tuple[int, ...]
+
+
+_CAMERA_MODELS: Mapping[str, tuple[_Writing, ...]] = {
+    "pinhole": (_Writing("pinhole", ()),),
+    "fisheye": (_Writing("kannala-brandt4", (0, 1, 2, 3)),),
+    "brown_conrady": (
+        _Writing("brown-conrady", tuple(range(8))),
+        _Writing("brown-conrady", (*range(8), *range(10, 16))),
+    ),
+    "kannala_brandt18": (_Writing("kannala-brandt18", tuple(range(18))),),
+    "omnidir": (_Writing("omnidir", tuple(range(6))),),
+}
+"""By our model: the format's name, and which of our coefficients it has, in order; the shortest list that holds all
+coefficients that are not 0 is written.
+
+Source: "Calibration format" of the recording format's description, and the models that the vendor's software knows.
+"""
+
+
+_STAND_INS: Mapping[str, tuple[str, ...]] = {
+    "brown_conrady": ("lx", "ly"),
+    "fisheye": (),
+    "omnidir": (),
+    "kannala_brandt18": (),
+}
+"""Models that other camera models are fitted to, each with the coefficients of ours that the format does not have."""
+
+
+_FARTHEST_SHARE, _LEAST_SHARE = 0.01, 0.5
+"""A camera model that is further off than this share of the image's width, in the mean square.
+
+Or holds less of the image
+than that is none that stands in for another."""
+
+
+@lru_cache(maxsize=64)
+def _holdable_camera_model(camera: Camera) -> tuple[Camera, str | None]:
+    """Give the camera model that a recording can hold: the same, or the nearest one of a model that it has.
+
+    Returns:
+        The camera model, and in words how far it is off; None where it is the same.
+
+    Raises:
+        CalibrationError: the model is unknown, or none of the format's comes near.
+    """
+    if camera.model in _CAMERA_MODELS and not _unplaced(camera):
+        return camera, None
+    if camera.model not in MODELS:
+        raise CalibrationError(
+            f"camera model {camera.model!r}; a recording can hold {', '.join(_CAMERA_MODELS)}"
+        )
+    found = nearest(camera, _STAND_INS)
+    if found.rms_px > _FARTHEST_SHARE * camera.width or found.share < _LEAST_SHARE:
+        raise CalibrationError(
+            f"{found.message(camera)}; a recording can hold {', '.join(_CAMERA_MODELS)}: leave the camera out, or "
+            f"undistort "
+            "its images with `sceneloom edit undistort`"
+        )
+    return found.camera, found.message(camera)
+
+
+def _unplaced(camera: Camera) -> bool:
+    """Whether a coefficient is used that no list of the format holds."""
+    held = {location for row in _CAMERA_MODELS[camera.model] for location in row.locations}
+    return any(value != 0 for location, value in enumerate(camera.coefficients) if location not in held)
+
+
+def camera_model_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, Any], str | None]:
+    """Write a camera model.
+
+    Args:
+        camera: the camera model.
+        model_key: "model" in `calibration.json`, "distortionModel" in a line.
+
+    Returns:
+        The fields, and in words how far they are off the camera model; None where they hold it.
+
+    Raises:
+        CalibrationError: the model is unknown, or none of the format's comes near.
+    """
+    camera, how_far = _holdable_camera_model(camera)
+    used = {location for location, value in enumerate(camera.coefficients) if value != 0}
+    writing = next(row for row in _CAMERA_MODELS[camera.model] if used <= set(row.locations))
+    values = dict(enumerate(camera.coefficients))
+    fields = {
+        model_key: writing.model,
+        "distortionCoefficients": [float(values.get(location, 0.0)) for location in writing.locations],
+        "focalLengthX": float(camera.fx),
+        "focalLengthY": float(camera.fy),
+        "principalPointX": float(camera.cx),
+        "principalPointY": float(camera.cy),
+        "imageWidth": camera.width,
+        "imageHeight": camera.height,
+    }
+    return fields, how_far
+
+
+def _camera_model_losses(field: str, how_far: str | None) -> list[Loss]:
+    """Report that a camera model was fitted."""
+    return [] if how_far is None else [Loss(field=field, what=how_far, support=Support.APPROXIMATED)]
+
+
+def camera_entry(
+    sensor: ShootingSensor, camera: Camera, mount: RigidTransform
+) -> tuple[dict[str, Any], list[Loss]]:
+    """Write a camera.
+
+    Args:
+        sensor: whose further fields, if it came from a recording, are written back.
+        camera: its camera model, for the images as they are written.
+        mount: `ego_from_camera`.
+
+    Raises:
+        CalibrationError: the model is unknown, or none of the format's comes near.
+    """
+    camera_model, how_far = camera_model_entry(camera)
+    losses = _camera_model_losses(f"sensors[{sensor.id}].camera", how_far)
+    before = _entry_before(sensor)
+    further = {k: v for k, v in before.items() if k not in {"imuToCameraMatrix", "distortionModel"}}
+    matrix = mount_entry(mount, before, "imuToCamera", "imuToCameraMatrix")
+    return {**further, **camera_model, "imuToCamera": matrix}, losses
+
+
+def lidar_entry(sensor: LidarSensor, index: int, mount: RigidTransform, model: str) -> dict[str, Any]:
+    """Write a lidar; `mount` is `ego_from_lidar`."""
+    before = _entry_before(sensor)
+    number = {"lidarInd": index} if index else {}
+    unwanted = {"imuToLidarMatrix", "lidarInd"} - number.keys()
+    further = {k: v for k, v in before.items() if k not in unwanted}
+    matrix = mount_entry(mount, before, "imuToLidar", "imuToLidarMatrix")
+    return {**further, "model": model, **number, "imuToLidar": matrix}
+
+
+def antenna_entry(scene: Scene, before: Mapping[str, Any]) -> dict[str, Any]:
+    """Write where the antenna of the receiver of `gps` lines sits; what a calibration stated of it before stays.
+
+    Args:
+        scene: what is written.
+        before: the root of the calibration that the scene was read with.
+    """
+    main = main_receiver([sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)])
+    mount = main[0].mount if main else None
+    return {} if mount is None or "imuToGnss" in before else {"imuToGnss": matrix_entry(mount.inverse())}
+
+
+def _entry_before(sensor: ShootingSensor | LidarSensor) -> dict[str, Any]:
+    entry = sensor.extras.get("calibration")
+    return dict(entry) if isinstance(entry, Mapping) else {}
+
+
+def cropped(camera: Camera, width: int, height: int) -> Camera:
+    """The camera model for images whose last rows and columns are cut off: nothing else changes."""
+    return replace(camera, width=width, height=height)
+
+
+_CAMERA_MODEL, _MOUNT = "cameraParameters", "imuToCamera"
+"""Fields of an entry, and extras of an image that has been read with them."""
+
+
+_NON_FINITE = Path("data.jsonl")
+
+
+class _ImageParameters:
+    """Writes what images of a camera have of their own.
+
+    Attributes:
+        losses: camera models that the format does not have.
+    """
+
+    def __init__(self, sensor: ShootingSensor, width: int, height: int) -> None:
+        """Begin.
+
+        Args:
+            sensor: the camera.
+            width: of the images as they are written [px].
+            height: likewise.
+        """
+        self.losses: list[Loss] = []
+        self._sensor, self._size = sensor, (width, height)
+        self._written: CameraParameters | None = None
+        self._last_camera_model: tuple[bytes, Camera | None] = (b"", None)
+        self._last_mount: tuple[bytes, RigidTransform | None] = (b"", None)
+
+    def fields(self, shot: Shot, kept: Mapping[str, Any]) -> dict[str, Any]:
+        """Give the camera model and the mounting of an image, as far as they are its own.
+
+        Args:
+            shot: the image.
+            kept: the fields that it was read with.
+        """
+        sensor, fields = self._sensor, dict[str, Any]()
+        if _CAMERA_MODEL in kept and self._means_camera_model(kept[_CAMERA_MODEL], shot.camera):
+            fields[_CAMERA_MODEL] = kept[_CAMERA_MODEL]
+        elif _CAMERA_MODEL in kept or shot.camera != sensor.camera:
+            written, how_far = camera_model_entry(shot.camera, model_key="distortionModel")
+            fields[_CAMERA_MODEL] = {k: v for k, v in written.items() if not k.startswith("image")}
+            self.losses += _camera_model_losses(f"{field_of(sensor)}[].camera", how_far)
+        if shot.mount is None:
+            return fields
+        if _MOUNT in kept and self._means_mount(kept[_MOUNT], shot.mount):
+            fields[_MOUNT] = kept[_MOUNT]
+        elif _MOUNT in kept or shot.mount is not sensor.mount:
+            fields[_MOUNT] = matrix_entry(shot.mount.inverse())
+        return fields
+
+    def _means_camera_model(self, words: Any, camera: Camera) -> bool:
+        text = msgspec.json.encode(words)
+        if text != self._last_camera_model[0]:
+            self._last_camera_model = text, self._camera_model_of(text)
+        stated = self._last_camera_model[1]
+        return stated is not None and _without_zeros(stated) == _without_zeros(cropped(camera, *self._size))
+
+    def _camera_model_of(self, text: bytes) -> Camera | None:
+        """What a reader of the written recording makes of it."""
+        try:
+            if self._written is None:
+                entry, _ = camera_model_entry(cropped(self._sensor.camera, *self._size))
+                self._written = msgspec.convert(entry, CameraParameters)
+            parameters = read_parameters(text, 0, path=_NON_FINITE).over(self._written)
+            return camera_model(parameters, self._size, "").resized(*self._size)
+        except (SceneloomError, msgspec.ValidationError):
+            return None
+
+    def _means_mount(self, words: Any, mount: RigidTransform) -> bool:
+        text = msgspec.json.encode(words)
+        if text != self._last_mount[0]:
+            self._last_mount = text, _mount_of(text)
+        read = self._last_mount[1]
+        return read is not None and np.array_equal(read.matrix, mount.matrix)
+
+
+def _mount_of(text: bytes) -> RigidTransform | None:
+    """What a reader makes of it; None where it would have to repair it."""
+    ledger = Ledger(lenient=True)
+    try:
+        mount = read_mount(text, 0, path=_NON_FINITE, ledger=ledger)
+    except SceneloomError:
+        return None
+    return None if ledger.warnings else mount
+
+
+def _without_zeros(camera: Camera) -> Camera:
+    """A camera without the zeros that other formats add at the end of its coefficients."""
+    count = max((k + 1 for k, value in enumerate(camera.coefficients) if value), default=0)
+    return replace(camera, coefficients=camera.coefficients[:count])
+
 
 _DEPTH_STEPS = (0.001, 0.002, 0.005, 0.01)
 """Lengths of a step that are tried, the smallest first, where the source has no steps [m]."""
 
+
 _COLOR_FORMAT = "gray16"
 """What the vendor's software calls images of 16-bit steps."""
 
+
 _LARGEST = 65535
+
 
 _OFF_STEP = 0.01
 """Share of a step that a depth may be off and still be one: float32 holds 65535 steps to 0.004 of one."""
 
 
-class SteppedDepth(NamedTuple):
+class _SteppedDepth(NamedTuple):
     """A depth image in steps.
 
     Attributes:
@@ -64,7 +374,7 @@ class SteppedDepth(NamedTuple):
     beyond: int
 
 
-def to_steps(depth: Float32Array, scale: float) -> SteppedDepth:
+def to_steps(depth: Float32Array, scale: float) -> _SteppedDepth:
     """Round depths to steps; one too small for the first step becomes one step.
 
     Args:
@@ -77,7 +387,7 @@ def to_steps(depth: Float32Array, scale: float) -> SteppedDepth:
     holdable = (whole >= 0) & (whole <= _LARGEST)
     exact, whole = np.where(holdable, exact, 0.0), np.where(holdable, whole, 0.0)
     rounded = int(np.count_nonzero(np.abs(exact - whole) > _OFF_STEP))
-    return SteppedDepth(whole.astype(np.uint16), rounded, int((~holdable).sum()))
+    return _SteppedDepth(whole.astype(np.uint16), rounded, int((~holdable).sum()))
 
 
 def _common_scale(sensor: DepthCameraSensor) -> float:
@@ -163,16 +473,21 @@ class _DepthScales:
 IMAGES = ("copy", "lossless", "h264", "ffv1", "png")
 """Ways to keep images."""
 
+
 _ENCODED_AS = {"copy": "h264", "lossless": "ffv1"}
 """Codecs for videos that should have been copied and cannot be."""
 
+
 _SPELT = {"h264": "H.264", "ffv1": "FFV1, which loses nothing"}
+
 
 _PNG_EFFORT = 1
 """Images of scenes shrink little more with more effort, at many times the time."""
 
+
 _EBML = b"\x1a\x45\xdf\xa3"
 """How a Matroska file begins. Source: RFC 8794, section 11.2.1."""
+
 
 _COPIED_AT_ONCE = 1 << 20
 
@@ -201,7 +516,7 @@ class ImageSink(Protocol):
         ...
 
 
-class CopiedVideo:
+class _CopiedVideo:
     """The camera's own video, copied as it is or packet by packet, before the first line is written."""
 
     def __init__(self, sensor: ShootingSensor) -> None:
@@ -223,7 +538,7 @@ class CopiedVideo:
         """Do nothing."""
 
 
-class Images(Protocol):
+class _Images(Protocol):
     """Makes the images of one camera as a video takes them.
 
     Attributes:
@@ -248,7 +563,7 @@ class Images(Protocol):
         ...
 
 
-class ColorImages:
+class _ColorImages:
     """The images of a camera; those of an odd size lose their last line or column in H.264."""
 
     def __init__(self, sensor: CameraSensor, codec: str) -> None:
@@ -279,10 +594,10 @@ def _of_one_size(image: CameraImage) -> str:
     return f"the image at {image.timestamp_ns} ns (a recording's camera has images of one size)"
 
 
-class EncodedVideo:
+class _EncodedVideo:
     """Images encoded anew; a line without one gets the image before."""
 
-    def __init__(self, images: Images, path: Path, fps: float) -> None:
+    def __init__(self, images: _Images, path: Path, fps: float) -> None:
         """Start the file."""
         self.width, self.height, self.losses = images.width, images.height, images.losses
         self.fields = images.fields
@@ -308,7 +623,7 @@ class EncodedVideo:
             self._writer.close()
 
 
-class PngImages:
+class _PngImages:
     """Images as numbered PNG files; a line without one gets the image before."""
 
     def __init__(self, sensor: CameraSensor, folder: Path) -> None:
@@ -331,6 +646,8 @@ class PngImages:
             rgb = shot.rgb
             check_array(_of_one_size(shot), rgb, (self.height, self.width, 3), np.uint8)
             self._last = rgb
+        from PIL import Image
+
         image = Image.fromarray(np.ascontiguousarray(self._last))
         image.save(self._folder / image_name(self._count), compress_level=_PNG_EFFORT)
         self._count += 1
@@ -360,15 +677,17 @@ def open_sink(
     path = folder / f"data{index + 1 if index else ''}.mkv"
     if isinstance(sensor, DepthCameraSensor):
         copied = _copied(sensor, path, rows, codecs=("ffv1",)) and _all_stepped(sensor)
-        return CopiedVideo(sensor) if copied else EncodedVideo(_DepthImages(sensor), path, frame_rate(sensor))
+        return (
+            _CopiedVideo(sensor) if copied else _EncodedVideo(_DepthImages(sensor), path, frame_rate(sensor))
+        )
     if images == "png":
-        return PngImages(sensor, folder / f"frames{index + 1}")
+        return _PngImages(sensor, folder / f"frames{index + 1}")
     if _copied(sensor, path, rows, codecs=None if images in _ENCODED_AS else (images,)):
-        return CopiedVideo(sensor)
+        return _CopiedVideo(sensor)
     codec = _ENCODED_AS.get(images, images)
     if images == "copy" and sensor.video is not None and is_lossless(sensor.video.codec):
         codec = "ffv1"
-    encoded = EncodedVideo(ColorImages(sensor, codec), path, frame_rate(sensor))
+    encoded = _EncodedVideo(_ColorImages(sensor, codec), path, frame_rate(sensor))
     if sensor.video is not None and images in {*_ENCODED_AS, sensor.video.codec}:
         what = f"encoded anew as {_SPELT[codec]}: the video could not be copied for these images alone"
         field = f"sensors[{sensor.id}].video"
@@ -444,10 +763,13 @@ def _all_stepped(sensor: DepthCameraSensor) -> bool:
 
 _DEFAULT_PERIOD_NS = 100_000_000
 
+
 _ROUNDED_NS = 500
 """Scene files in microseconds round times by so much [ns]; the lines that images belong to stay the same."""
 
+
 _decode = msgspec.json.Decoder(dict[str, Any]).decode
+
 
 _Key = tuple[int, float, int, int]
 """Time of a line [ns] and [s], its number, and how many lines of these come before it."""
@@ -615,16 +937,20 @@ def _kept_lines(texts: Sequence[str]) -> dict[_Key, Mapping[str, Any]]:
     return lines
 
 
-_OWN_EXTRAS = OWN_FIELDS | {CAMERA_MODEL, MOUNT}
+_OWN_EXTRAS = OWN_FIELDS | {_CAMERA_MODEL, _MOUNT}
 """Extras of an image that its line is made from anew."""
+
 
 _OWN_DEPTH_EXTRAS = frozenset({"colorFormat", "depthScale"})
 """Those of a depth image that are reported by how it is written."""
 
+
 _FORMATS_WORDS = {"exposureTimeSeconds"}
 """Extras that mean the same whatever a scene was read from: words of the recording format that the model took over."""
 
+
 _OWN_KEYS = {"frames", "number", "time"}
+
 
 _CAMERA = re.compile(r"camera(\d+)")
 
@@ -659,7 +985,7 @@ class FrameLines:
         self._keep_extras = keep_extras
         self._read_as = [_index_before(sensor, location) for location, sensor in enumerate(sensors)]
         self._parameters = [
-            ImageParameters(sensor, sink.width, sink.height)
+            _ImageParameters(sensor, sink.width, sink.height)
             for sensor, sink in zip(sensors, sinks, strict=False)
         ]
         self._not_listed = 0

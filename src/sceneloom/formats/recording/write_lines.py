@@ -17,7 +17,8 @@ from sceneloom.formats.base.text_tables import (
     writing_order,
     written_seconds,
 )
-from sceneloom.formats.recording.columns import DECODER_FAULTS, RECORD_KEYS, ROOT_KEYS
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS
+from sceneloom.formats.recording.lines import RECORD_KEYS, ROOT_KEYS
 from sceneloom.formats.recording.losses import main_receiver
 from sceneloom.formats.recording.reader import BAROMETER, GPS_ORIGIN, RECEIVER
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples

@@ -17,29 +17,26 @@ from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.errors import CalibrationError, DataError, OptionError, OutputError, PoseError
 from sceneloom.formats.base.losses import Loss, LossReport, Support
 from sceneloom.formats.base.output import FolderKind, replacing
-from sceneloom.formats.base.text_tables import TimeWriter
+from sceneloom.formats.base.poses import each_mounted, mounting
+from sceneloom.formats.base.text_tables import TimeWriter, nanoseconds
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
-from sceneloom.formats.recording.columns import LIDAR_MODELS, nanoseconds
-from sceneloom.formats.recording.images import FrameNotes
+from sceneloom.formats.recording.cameras import FrameNotes
 from sceneloom.formats.recording.lidars import XYZIRT
+from sceneloom.formats.recording.lines import LIDAR_MODELS
 from sceneloom.formats.recording.losses import of_recording, shooting_sensors, unreplayable, unwritten
 from sceneloom.formats.recording.reader import RANKS
 from sceneloom.formats.recording.spec import DATA_FILE
-from sceneloom.formats.recording.write_calibration import (
-    antenna_entry,
-    camera_entry,
-    cropped,
-    each_mounted,
-    lidar_entry,
-    mounting,
-)
 from sceneloom.formats.recording.write_images import (
     IMAGES,
     FrameLines,
     ImageRows,
     ImageSink,
+    antenna_entry,
+    camera_entry,
+    cropped,
     grouping_losses,
     image_rows,
+    lidar_entry,
     open_sink,
 )
 from sceneloom.formats.recording.write_lines import (

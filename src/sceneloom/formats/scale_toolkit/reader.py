@@ -20,7 +20,7 @@ from sceneloom.formats.pandaset.reader import read_json
 from sceneloom.formats.points.cloud import find_roles
 from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.points.mapping import PointMapping, detect_scale
-from sceneloom.formats.rig.lidars import SweepReader
+from sceneloom.formats.rig.reader import SweepReader
 from sceneloom.formats.scale_toolkit.spec import CLOUDS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraSensor

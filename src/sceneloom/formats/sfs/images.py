@@ -1,35 +1,23 @@
-"""The images of a camera: out of a video or out of JPEG files, with the metadata of single images.
-
-And what is left of damaged videos.
-"""
+"""The videos of a file: the boxes of mp4, and what is left of videos that were cut off."""
 
 import io
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Int64Array, UInt8Array
-from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
-from sceneloom.formats.base.files import Bytes, check_pixels
-from sceneloom.formats.sfs.arrays import ItemFault, MappedContent, step
-from sceneloom.formats.sfs.container import Container, RemoteContent, format_keys
-from sceneloom.formats.sfs.metadata import Source
-from sceneloom.formats.sfs.records import FieldError, Location, mount_of, mount_rows
+from sceneloom.formats.base.files import Bytes
+from sceneloom.formats.sfs.container import Container, ItemFault, step
 from sceneloom.formats.sfs.schema import Keys, keep_in_step
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import CameraImage, CameraSensor, VideoContent
-from sceneloom.scene.types import NO_FIELDS
+from sceneloom.scene.cameras import CameraSensor
 
 if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
-    from sceneloom.formats.video.index import OpenVideo, VideoIndex
-    from sceneloom.formats.video.reader import VideoReader
+    from sceneloom.formats.video.index import OpenVideo
 
 _CODECS: Mapping[bytes, str] = MappingProxyType(
     {
@@ -47,11 +35,16 @@ _CODECS: Mapping[bytes, str] = MappingProxyType(
         b"png ": "png",
     }
 )
+
+
 """Sample entry of the video track, and what FFmpeg calls its codec. Source: the registry at mp4ra.org."""
+
 
 _UNKNOWN_CODEC = "unknown"
 
+
 _LONG_SIZE, _TO_THE_END = 1, 0
+
 
 _MOST_BOXES = 10_000
 
@@ -115,319 +108,8 @@ def declared_length(content: Any) -> int:
     return max(location, available)
 
 
-_EXPOSURE = "exposureTimeSeconds"
-"""The field that says how long a image was exposed [s], on the camera or on a image."""
-
-_LONGEST_EXPOSURE = 3600.0
-
-
-def exposure_ns(fields: Mapping[str, Any], otherwise_ns: int) -> int:
-    """How long a image was exposed [ns], as its fields state."""
-    seconds = fields.get(_EXPOSURE)
-    if isinstance(seconds, int | float) and 0 <= seconds < _LONGEST_EXPOSURE:
-        return round(seconds * 1e9)
-    return otherwise_ns
-
-
-def camera_of(record: Mapping[str, Any]) -> Camera:
-    """Make a camera model of a `camera` record.
-
-    Raises:
-        FieldError: its coefficients are no numbers.
-        CalibrationError: the numbers are those of no camera model.
-    """
-    return camera_model_of(record, record["model"], numbers_of(record["coefficients"]))
-
-
-def camera_model_of(record: Mapping[str, Any], model: str, coefficients: tuple[float, ...]) -> Camera:
-    """Make a camera model of a record that has size, focal lengths and centre by name."""
-    fx, fy, cx, cy = (float(record[name]) for name in ("fx", "fy", "cx", "cy"))
-    return Camera(model, record["width"], record["height"], fx, fy, cx, cy, coefficients)
-
-
-def camera_record(camera: Camera) -> dict[str, Any]:
-    """Make the `camera` record of a camera model."""
-    names = ("model", "width", "height", "fx", "fy", "cx", "cy")
-    return {**{name: getattr(camera, name) for name in names}, "coefficients": list(camera.coefficients)}
-
-
-def numbers_of(values: Any) -> tuple[float, ...]:
-    """Take a list of numbers.
-
-    Raises:
-        FieldError: it is none.
-    """
-    numbers = values.tolist() if isinstance(values, np.ndarray) else values
-    if not isinstance(numbers, list) or any(type(number) not in (int, float) for number in numbers):
-        raise FieldError(f"{str(numbers)[:60]}; expected a list of numbers")
-    try:
-        return tuple(float(number) for number in numbers)
-    except OverflowError:
-        raise FieldError("a number is beyond what a float can hold") from None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ImageNotes:
-    """The own camera models, mountings and fields of a camera's images; each list is empty where no image has one."""
-
-    camera_model: Camera
-    cameras: list[Camera]
-    mounts: list[RigidTransform | None]
-    fields: list[Mapping[str, Any]]
-
-    @classmethod
-    def of(cls, note: Mapping[str, Any], camera_model: Camera, count: int) -> Self:
-        """Read the note of a camera with so many images.
-
-        Raises:
-            FieldError: the note does not fit.
-            CalibrationError: it holds numbers that are those of no camera model.
-        """
-        cameras = [camera_of(record) for record in note.get("cameras") or []]
-        chosen = _listed(note, "camera_of_image", count)
-        if any(type(k) is not int or not 0 <= k < len(cameras) for k in chosen):
-            raise FieldError(f"camera_of_image: expected numbers below {len(cameras)}")
-        fields = _listed(note, "extras", count)
-        if any(not isinstance(extra, dict | None) for extra in fields):
-            raise FieldError("extras: expected objects")
-        mounts = _listed(note, "mounts", count)
-        return cls(
-            camera_model,
-            [cameras[k] for k in chosen],
-            [None if row is None else mount_of(row) for row in mounts],
-            [extra or NO_FIELDS for extra in fields],
-        )
-
-    def camera(self, index: int) -> Camera:
-        """The camera model of an image."""
-        return self.cameras[index] if self.cameras else self.camera_model
-
-    def mount(self, index: int) -> RigidTransform | None:
-        """The mounting of an image where it has one of its own."""
-        return self.mounts[index] if self.mounts else None
-
-    def extras(self, index: int) -> Mapping[str, Any]:
-        """Further fields of an image."""
-        return self.fields[index] if self.fields else NO_FIELDS
-
-
-def _listed(note: Mapping[str, Any], name: str, count: int) -> list[Any]:
-    values = note.get(name)
-    listed = values.tolist() if isinstance(values, np.ndarray) else values or []
-    if not isinstance(listed, list) or (listed and len(listed) != count):
-        raise FieldError(f"{name}: expected a list of one entry per image")
-    return listed
-
-
-@dataclass(slots=True)
-class ImageNotesWriter:
-    """Collects what single images have of their own.
-
-    Attributes:
-        camera_model: the camera model; images that have the same need no note.
-    """
-
-    camera_model: Camera
-    _cameras: dict[Camera, int]
-    _chosen: list[int]
-    _mounts: list[list[list[float]] | None]
-    _extras: list[Mapping[str, Any]]
-
-    @classmethod
-    def empty(cls, camera_model: Camera) -> Self:
-        """Begin without images."""
-        return cls(camera_model, {camera_model: 0}, [], [], [])
-
-    def add(self, image: CameraImage, extras: Mapping[str, Any]) -> None:
-        """Note one image, with the fields that have no other location."""
-        self._chosen.append(self._cameras.setdefault(image.camera, len(self._cameras)))
-        self._mounts.append(None if image.mount is None else mount_rows(image.mount))
-        self._extras.append(extras)
-
-    @property
-    def own_cameras(self) -> int:
-        """How many images have a camera model of their own."""
-        return sum(k > 0 for k in self._chosen)
-
-    def record(self) -> dict[str, Any] | None:
-        """Make the note; None where no image has anything of its own."""
-        note: dict[str, Any] = {}
-        if any(self._chosen):
-            note["cameras"] = [camera_record(camera) for camera in self._cameras]
-            note["camera_of_image"] = self._chosen
-        if any(row is not None for row in self._mounts):
-            note["mounts"] = self._mounts
-        if any(self._extras):
-            note["extras"] = self._extras
-        return note or None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ImageContent:
-    """Where a camera's images come from.
-
-    Attributes:
-        starts_ns: (N,) int64 [ns], start of each image.
-        read: makes image `k`, taken by the given camera model, its time still that of its start.
-        video: the encoded video, where there is one.
-        fps: nominal images a second.
-        further: fields that have no other location in the model.
-        own_fields: further fields of each image; empty where no image has any.
-    """
-
-    starts_ns: Int64Array
-    read: Callable[[int, Camera], CameraImage]
-    video: VideoContent | None = None
-    fps: float | None = None
-    further: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
-    own_fields: tuple[Mapping[str, Any], ...] = ()
-
-
-def _no_image(index: int, _: Camera) -> CameraImage:
-    raise IndexError(index)
-
-
-def no_content() -> ImageContent:
-    """A camera without images."""
-    return ImageContent(np.zeros(0, np.int64), _no_image)
-
-
-def video_content(
-    source: Source, video: Mapping[str, Any], starts_ns: Int64Array, location: Location
-) -> ImageContent:
-    """Give the images of a `video` record; the video is opened when its first image is asked for."""
-    content: AnyArray = video["content"]
-    where = format_keys((*location, "content"))
-    coded = source.container.bytes_of(content)
-    player = _Player(source.container, coded, where)
-    source.parts.videos[where] = player
-    rgb, open_file = source.parts.keep(where, player.rgb), source.parts.keep(f"{where}: file", player.open)
-    starts = starts_ns.tolist()
-
-    def read(index: int, camera: Camera) -> CameraImage:
-        size = player.size()
-        camera_model = camera if size == (camera.width, camera.height) else camera.resized(*size)
-        return CameraImage(starts[index], camera_model, partial(rgb, index))
-
-    further = {name: value for name, value in video.items() if name not in {"timestamps", "content", "fps"}}
-    return ImageContent(
-        starts_ns,
-        read,
-        VideoContent(open_file, video_codec(coded)),
-        None if video.get("fps") is None else float(video["fps"]),
-        {"video": further} if further else NO_FIELDS,
-    )
-
-
-def image_content(source: Source, images: list[Mapping[str, Any]], location: Location) -> ImageContent:
-    """Give the images of an `images` list."""
-    container = source.container
-    rgb = source.parts.keep(
-        f"{format_keys(location)}: content", partial(_decode_image, container, images, location)
-    )
-    own = tuple({k: v for k, v in image.items() if k not in {"timestamp", "content"}} for image in images)
-
-    def read(index: int, camera: Camera) -> CameraImage:
-        container.check_open(format_keys((*location, index, "content")))
-        content: AnyArray = container.fetch(images[index]["content"])
-        return CameraImage(
-            images[index]["timestamp"],
-            _camera_model_for(content, camera),
-            partial(rgb, index),
-            extras=own[index],
-            encoded=content.tobytes,
-        )
-
-    starts_ns = np.array([image["timestamp"] for image in images], np.int64)
-    return ImageContent(starts_ns, read, own_fields=own)
-
-
-def _camera_model_for(content: AnyArray, camera: Camera) -> Camera:
-    """Fit the camera model to the size that an image's head reports; one without a head may still be copied."""
-    from simplejpeg import decode_jpeg_header
-
-    try:
-        height, width = decode_jpeg_header(content.data)[:2]
-    except (ValueError, RuntimeError):
-        return camera
-    return camera if (width, height) == (camera.width, camera.height) else camera.resized(width, height)
-
-
-def _decode_image(
-    container: Container, images: list[Mapping[str, Any]], location: Location, index: int
-) -> UInt8Array:
-    where = format_keys((*location, index, "content"))
-    container.check_open(where)
-    return _decode_jpeg(container, container.fetch(images[index]["content"]), where)
-
-
-def _decode_jpeg(container: Container, content: AnyArray, location: str) -> UInt8Array:
-    from simplejpeg import decode_jpeg, decode_jpeg_header
-
-    try:
-        height, width = decode_jpeg_header(content.data)[:2]
-        check_pixels(container.file, location, width, height)
-        return cast("UInt8Array", decode_jpeg(content.data, "RGB"))
-    except (ValueError, RuntimeError, MemoryError) as error:
-        raise DataError(container.file, location, f"cannot be decoded as JPEG: {error}") from None
-
-
-class _Player:
-    """Opens a video at its first use and keeps it open.
-
-    It has no lock, which a fork could leave locked for good: two threads may both open the video, and one wins.
-
-    Attributes:
-        index: the list of its images, None until it is known.
-    """
-
-    def __init__(self, container: Container, content: MappedContent | RemoteContent, location: str) -> None:
-        self._container, self._content, self._location = container, content, location
-        self._reader: VideoReader | None = None
-        self.index: VideoIndex | None = None
-        container.on_close(self._close)
-
-    def open(self) -> Any:
-        """Open the video's bytes as a file."""
-        from sceneloom.formats.video.index import open_bytes
-
-        self._container.check_open(self._location)
-        return open_bytes(self._content)
-
-    def size(self) -> tuple[int, int]:
-        """Width and height of its images [px]."""
-        reader = self._opened()
-        check_pixels(self._container.file, self._location, reader.width, reader.height)
-        return reader.width, reader.height
-
-    def rgb(self, index: int) -> UInt8Array:
-        """Decode one image."""
-        reader = self._opened()
-        if self.index is None:
-            self.index = reader.index
-        return reader.rgb(index)
-
-    def _opened(self) -> "VideoReader":
-        from sceneloom.formats.video.index import read_table_index
-        from sceneloom.formats.video.reader import VideoReader
-
-        self._container.check_open(self._location)
-        reader = self._reader
-        if reader is None:
-            name = f"{self._container.file}: {self._location}"
-            if self.index is None and isinstance(self._content, RemoteContent) and is_mp4(self._content):
-                self.index = read_table_index(self._content, name)
-            reader = self._reader = VideoReader(self._content, name=name, index=self.index)
-        return reader
-
-    def _close(self) -> None:
-        reader, self._reader = self._reader, None
-        if reader is not None:
-            reader.close()
-
-
 @dataclass(frozen=True, slots=True)
-class DamagedVideo:
+class _DamagedVideo:
     """A video that was cut, or cannot be read.
 
     Attributes:
@@ -475,7 +157,7 @@ def _problem_of_tables(there: memoryview) -> str | None:
     return None if len(index) else "a video without images"
 
 
-def rescue_videos(container: Container, items: Sequence[ItemFault]) -> dict[Keys, DamagedVideo]:
+def rescue_videos(container: Container, items: Sequence[ItemFault]) -> dict[Keys, _DamagedVideo]:
     """Put what is left of videos that were cut into their locations of the header.
 
     Args:
@@ -498,18 +180,18 @@ def rescue_videos(container: Container, items: Sequence[ItemFault]) -> dict[Keys
     return {keys: _rescued(container.header, keys, *content) for keys, content in damaged.items()}
 
 
-def _rescued(header: dict[str, Any], keys: Keys, there: memoryview, length: int, why: str) -> DamagedVideo:
+def _rescued(header: dict[str, Any], keys: Keys, there: memoryview, length: int, why: str) -> _DamagedVideo:
     sensor: Any = header
     for key in keys[:-2]:
         sensor = sensor[key]
     video = sensor["video"]
     timestamps = video.get("timestamps")
     missing = length - len(there)
-    lost = DamagedVideo(why, missing, is_rescued=False)
+    lost = _DamagedVideo(why, missing, is_rescued=False)
     if not isinstance(timestamps, list) or not missing:
         return lost
     try:
-        content, kept, count = rescue_video(there, length)
+        content, kept, count = _rescue_video(there, length)
     except DataError:
         return lost
     if count != len(timestamps):
@@ -518,7 +200,7 @@ def _rescued(header: dict[str, Any], keys: Keys, there: memoryview, length: int,
     video["timestamps"] = [timestamps[k] for k in kept]
     keep_in_step(header, sensor.get("id"), "images", kept, count)
     problem = f"the video was cut: {len(kept)} of its {count} images are whole"
-    return DamagedVideo(problem, missing, is_rescued=True)
+    return _DamagedVideo(problem, missing, is_rescued=True)
 
 
 def as_keys(header: dict[str, Any], keys: list[Any]) -> Keys:
@@ -532,7 +214,7 @@ def as_keys(header: dict[str, Any], keys: list[Any]) -> Keys:
     return tuple(found)
 
 
-class CutBytes:
+class _CutBytes:
     """Bytes of which only the first ones are there; the others are NULs."""
 
     def __init__(self, there: memoryview, length: int) -> None:
@@ -547,7 +229,7 @@ class CutBytes:
         return piece + bytes(max(0, stop - start) - len(piece))
 
 
-def rescue_video(there: memoryview, length: int) -> tuple[bytes, list[int], int]:
+def _rescue_video(there: memoryview, length: int) -> tuple[bytes, list[int], int]:
     """Keep the packets that are whole, up to the first one that is not.
 
     Args:
@@ -571,7 +253,7 @@ def rescue_video(there: memoryview, length: int) -> tuple[bytes, list[int], int]
     )
 
     name = "video"
-    whole = CutBytes(there, length)
+    whole = _CutBytes(there, length)
     index = read_table_index(whole, name)
     if not index.timed:
         raise DataError(name, "", "does not state when its images are shown")

@@ -12,7 +12,6 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
 from sceneloom.errors import ArrayError, CalibrationError
 from sceneloom.formats.base.diagnostics import MALFORMED
-from sceneloom.formats.sfs.arrays import Unfetched
 from sceneloom.formats.sfs.clock import (
     INT64_MAX,
     INT64_MIN,
@@ -22,7 +21,7 @@ from sceneloom.formats.sfs.clock import (
     point_times_dtype,
     scaled,
 )
-from sceneloom.formats.sfs.container import RawBytes
+from sceneloom.formats.sfs.container import RawBytes, Unfetched
 from sceneloom.formats.sfs.schema import RECORDS, Field, Kind
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.poses import Poses

@@ -15,8 +15,7 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.files import is_url
 from sceneloom.formats.base.output import check_output
 from sceneloom.formats.sfs.annotations import encode_annotation
-from sceneloom.formats.sfs.arrays import ITEMS, format_keys
-from sceneloom.formats.sfs.container import Container, ItemFault
+from sceneloom.formats.sfs.container import ITEMS, Container, ItemFault, format_keys
 from sceneloom.formats.sfs.container import format_keys as container_format_keys
 from sceneloom.formats.sfs.images import as_keys, video_problem
 from sceneloom.formats.sfs.reader import read_container

@@ -1,29 +1,21 @@
 """Sensors of a file: lidars, radars, points, cameras, odometry, IMU and GNSS, and the trajectories."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Int64Array, read_only
+from sceneloom.arrays import AnyArray, Int64Array, UInt8Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, CalibrationError, DataError
+from sceneloom.formats.base.files import check_pixels
 from sceneloom.formats.sfs.clock import TimeRangeError
-from sceneloom.formats.sfs.container import format_keys
-from sceneloom.formats.sfs.images import (
-    ImageContent,
-    ImageNotes,
-    camera_model_of,
-    camera_of,
-    exposure_ns,
-    image_content,
-    no_content,
-    numbers_of,
-    video_content,
-)
+from sceneloom.formats.sfs.container import Container, MappedContent, RemoteContent, format_keys
+from sceneloom.formats.sfs.images import is_mp4, video_codec
 from sceneloom.formats.sfs.metadata import Source, in_opencvs_sense, root_fault
 from sceneloom.formats.sfs.records import (
     Faults,
@@ -31,6 +23,7 @@ from sceneloom.formats.sfs.records import (
     Location,
     extras_of_poses,
     mount_of,
+    mount_rows,
     repaired_path_of,
     times_of,
     with_extras,
@@ -43,7 +36,7 @@ from sceneloom.formats.sfs.schema import (
     sensor_record,
 )
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.cameras import CameraImage, CameraSensor
+from sceneloom.scene.cameras import CameraImage, CameraSensor, VideoContent
 from sceneloom.scene.clouds import (
     LidarFrame,
     LidarPoints,
@@ -57,10 +50,328 @@ from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor, VectorSamples
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Sensor
-from sceneloom.scene.types import Coordinates, PointsFrame
+from sceneloom.scene.types import NO_FIELDS, Coordinates, PointsFrame
 from sceneloom.warnings import WarningKind
 
+if TYPE_CHECKING:
+    from sceneloom.formats.video.index import VideoIndex
+    from sceneloom.formats.video.reader import VideoReader
+
+
+_EXPOSURE = "exposureTimeSeconds"
+"""The field that says how long a image was exposed [s], on the camera or on a image."""
+
+
+_LONGEST_EXPOSURE = 3600.0
+
+
+def exposure_ns(fields: Mapping[str, Any], otherwise_ns: int) -> int:
+    """How long a image was exposed [ns], as its fields state."""
+    seconds = fields.get(_EXPOSURE)
+    if isinstance(seconds, int | float) and 0 <= seconds < _LONGEST_EXPOSURE:
+        return round(seconds * 1e9)
+    return otherwise_ns
+
+
+def _camera_of(record: Mapping[str, Any]) -> Camera:
+    """Make a camera model of a `camera` record.
+
+    Raises:
+        FieldError: its coefficients are no numbers.
+        CalibrationError: the numbers are those of no camera model.
+    """
+    return _camera_model_of(record, record["model"], _numbers_of(record["coefficients"]))
+
+
+def _camera_model_of(record: Mapping[str, Any], model: str, coefficients: tuple[float, ...]) -> Camera:
+    """Make a camera model of a record that has size, focal lengths and centre by name."""
+    fx, fy, cx, cy = (float(record[name]) for name in ("fx", "fy", "cx", "cy"))
+    return Camera(model, record["width"], record["height"], fx, fy, cx, cy, coefficients)
+
+
+def camera_record(camera: Camera) -> dict[str, Any]:
+    """Make the `camera` record of a camera model."""
+    names = ("model", "width", "height", "fx", "fy", "cx", "cy")
+    return {**{name: getattr(camera, name) for name in names}, "coefficients": list(camera.coefficients)}
+
+
+def _numbers_of(values: Any) -> tuple[float, ...]:
+    """Take a list of numbers.
+
+    Raises:
+        FieldError: it is none.
+    """
+    numbers = values.tolist() if isinstance(values, np.ndarray) else values
+    if not isinstance(numbers, list) or any(type(number) not in (int, float) for number in numbers):
+        raise FieldError(f"{str(numbers)[:60]}; expected a list of numbers")
+    try:
+        return tuple(float(number) for number in numbers)
+    except OverflowError:
+        raise FieldError("a number is beyond what a float can hold") from None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ImageNotes:
+    """The own camera models, mountings and fields of a camera's images; each list is empty where no image has one."""
+
+    camera_model: Camera
+    cameras: list[Camera]
+    mounts: list[RigidTransform | None]
+    fields: list[Mapping[str, Any]]
+
+    @classmethod
+    def of(cls, note: Mapping[str, Any], camera_model: Camera, count: int) -> Self:
+        """Read the note of a camera with so many images.
+
+        Raises:
+            FieldError: the note does not fit.
+            CalibrationError: it holds numbers that are those of no camera model.
+        """
+        cameras = [_camera_of(record) for record in note.get("cameras") or []]
+        chosen = _listed(note, "camera_of_image", count)
+        if any(type(k) is not int or not 0 <= k < len(cameras) for k in chosen):
+            raise FieldError(f"camera_of_image: expected numbers below {len(cameras)}")
+        fields = _listed(note, "extras", count)
+        if any(not isinstance(extra, dict | None) for extra in fields):
+            raise FieldError("extras: expected objects")
+        mounts = _listed(note, "mounts", count)
+        return cls(
+            camera_model,
+            [cameras[k] for k in chosen],
+            [None if row is None else mount_of(row) for row in mounts],
+            [extra or NO_FIELDS for extra in fields],
+        )
+
+    def camera(self, index: int) -> Camera:
+        """The camera model of an image."""
+        return self.cameras[index] if self.cameras else self.camera_model
+
+    def mount(self, index: int) -> RigidTransform | None:
+        """The mounting of an image where it has one of its own."""
+        return self.mounts[index] if self.mounts else None
+
+    def extras(self, index: int) -> Mapping[str, Any]:
+        """Further fields of an image."""
+        return self.fields[index] if self.fields else NO_FIELDS
+
+
+def _listed(note: Mapping[str, Any], name: str, count: int) -> list[Any]:
+    values = note.get(name)
+    listed = values.tolist() if isinstance(values, np.ndarray) else values or []
+    if not isinstance(listed, list) or (listed and len(listed) != count):
+        raise FieldError(f"{name}: expected a list of one entry per image")
+    return listed
+
+
+@dataclass(slots=True)
+class ImageNotesWriter:
+    """Collects what single images have of their own.
+
+    Attributes:
+        camera_model: the camera model; images that have the same need no note.
+    """
+
+    camera_model: Camera
+    _cameras: dict[Camera, int]
+    _chosen: list[int]
+    _mounts: list[list[list[float]] | None]
+    _extras: list[Mapping[str, Any]]
+
+    @classmethod
+    def empty(cls, camera_model: Camera) -> Self:
+        """Begin without images."""
+        return cls(camera_model, {camera_model: 0}, [], [], [])
+
+    def add(self, image: CameraImage, extras: Mapping[str, Any]) -> None:
+        """Note one image, with the fields that have no other location."""
+        self._chosen.append(self._cameras.setdefault(image.camera, len(self._cameras)))
+        self._mounts.append(None if image.mount is None else mount_rows(image.mount))
+        self._extras.append(extras)
+
+    @property
+    def own_cameras(self) -> int:
+        """How many images have a camera model of their own."""
+        return sum(k > 0 for k in self._chosen)
+
+    def record(self) -> dict[str, Any] | None:
+        """Make the note; None where no image has anything of its own."""
+        note: dict[str, Any] = {}
+        if any(self._chosen):
+            note["cameras"] = [camera_record(camera) for camera in self._cameras]
+            note["camera_of_image"] = self._chosen
+        if any(row is not None for row in self._mounts):
+            note["mounts"] = self._mounts
+        if any(self._extras):
+            note["extras"] = self._extras
+        return note or None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ImageContent:
+    """Where a camera's images come from.
+
+    Attributes:
+        starts_ns: (N,) int64 [ns], start of each image.
+        read: makes image `k`, taken by the given camera model, its time still that of its start.
+        video: the encoded video, where there is one.
+        fps: nominal images a second.
+        further: fields that have no other location in the model.
+        own_fields: further fields of each image; empty where no image has any.
+    """
+
+    starts_ns: Int64Array
+    read: Callable[[int, Camera], CameraImage]
+    video: VideoContent | None = None
+    fps: float | None = None
+    further: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+    own_fields: tuple[Mapping[str, Any], ...] = ()
+
+
+def _no_image(index: int, _: Camera) -> CameraImage:
+    raise IndexError(index)
+
+
+def _no_content() -> _ImageContent:
+    """A camera without images."""
+    return _ImageContent(np.zeros(0, np.int64), _no_image)
+
+
+def _video_content(
+    source: Source, video: Mapping[str, Any], starts_ns: Int64Array, location: Location
+) -> _ImageContent:
+    """Give the images of a `video` record; the video is opened when its first image is asked for."""
+    content: AnyArray = video["content"]
+    where = format_keys((*location, "content"))
+    coded = source.container.bytes_of(content)
+    player = _Player(source.container, coded, where)
+    source.parts.videos[where] = player
+    rgb, open_file = source.parts.keep(where, player.rgb), source.parts.keep(f"{where}: file", player.open)
+    starts = starts_ns.tolist()
+
+    def read(index: int, camera: Camera) -> CameraImage:
+        size = player.size()
+        camera_model = camera if size == (camera.width, camera.height) else camera.resized(*size)
+        return CameraImage(starts[index], camera_model, partial(rgb, index))
+
+    further = {name: value for name, value in video.items() if name not in {"timestamps", "content", "fps"}}
+    return _ImageContent(
+        starts_ns,
+        read,
+        VideoContent(open_file, video_codec(coded)),
+        None if video.get("fps") is None else float(video["fps"]),
+        {"video": further} if further else NO_FIELDS,
+    )
+
+
+def _image_content(source: Source, images: list[Mapping[str, Any]], location: Location) -> _ImageContent:
+    """Give the images of an `images` list."""
+    container = source.container
+    rgb = source.parts.keep(
+        f"{format_keys(location)}: content", partial(_decode_image, container, images, location)
+    )
+    own = tuple({k: v for k, v in image.items() if k not in {"timestamp", "content"}} for image in images)
+
+    def read(index: int, camera: Camera) -> CameraImage:
+        container.check_open(format_keys((*location, index, "content")))
+        content: AnyArray = container.fetch(images[index]["content"])
+        return CameraImage(
+            images[index]["timestamp"],
+            _camera_model_for(content, camera),
+            partial(rgb, index),
+            extras=own[index],
+            encoded=content.tobytes,
+        )
+
+    starts_ns = np.array([image["timestamp"] for image in images], np.int64)
+    return _ImageContent(starts_ns, read, own_fields=own)
+
+
+def _camera_model_for(content: AnyArray, camera: Camera) -> Camera:
+    """Fit the camera model to the size that an image's head reports; one without a head may still be copied."""
+    from simplejpeg import decode_jpeg_header
+
+    try:
+        height, width = decode_jpeg_header(content.data)[:2]
+    except (ValueError, RuntimeError):
+        return camera
+    return camera if (width, height) == (camera.width, camera.height) else camera.resized(width, height)
+
+
+def _decode_image(
+    container: Container, images: list[Mapping[str, Any]], location: Location, index: int
+) -> UInt8Array:
+    where = format_keys((*location, index, "content"))
+    container.check_open(where)
+    return _decode_jpeg(container, container.fetch(images[index]["content"]), where)
+
+
+def _decode_jpeg(container: Container, content: AnyArray, location: str) -> UInt8Array:
+    from simplejpeg import decode_jpeg, decode_jpeg_header
+
+    try:
+        height, width = decode_jpeg_header(content.data)[:2]
+        check_pixels(container.file, location, width, height)
+        return cast("UInt8Array", decode_jpeg(content.data, "RGB"))
+    except (ValueError, RuntimeError, MemoryError) as error:
+        raise DataError(container.file, location, f"cannot be decoded as JPEG: {error}") from None
+
+
+class _Player:
+    """Opens a video at its first use and keeps it open.
+
+    It has no lock, which a fork could leave locked for good: two threads may both open the video, and one wins.
+
+    Attributes:
+        index: the list of its images, None until it is known.
+    """
+
+    def __init__(self, container: Container, content: MappedContent | RemoteContent, location: str) -> None:
+        self._container, self._content, self._location = container, content, location
+        self._reader: VideoReader | None = None
+        self.index: VideoIndex | None = None
+        container.on_close(self._close)
+
+    def open(self) -> Any:
+        """Open the video's bytes as a file."""
+        from sceneloom.formats.video.index import open_bytes
+
+        self._container.check_open(self._location)
+        return open_bytes(self._content)
+
+    def size(self) -> tuple[int, int]:
+        """Width and height of its images [px]."""
+        reader = self._opened()
+        check_pixels(self._container.file, self._location, reader.width, reader.height)
+        return reader.width, reader.height
+
+    def rgb(self, index: int) -> UInt8Array:
+        """Decode one image."""
+        reader = self._opened()
+        if self.index is None:
+            self.index = reader.index
+        return reader.rgb(index)
+
+    def _opened(self) -> "VideoReader":
+        from sceneloom.formats.video.index import read_table_index
+        from sceneloom.formats.video.reader import VideoReader
+
+        self._container.check_open(self._location)
+        reader = self._reader
+        if reader is None:
+            name = f"{self._container.file}: {self._location}"
+            if self.index is None and isinstance(self._content, RemoteContent) and is_mp4(self._content):
+                self.index = read_table_index(self._content, name)
+            reader = self._reader = VideoReader(self._content, name=name, index=self.index)
+        return reader
+
+    def _close(self) -> None:
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            reader.close()
+
+
 _Record = dict[str, Any]
+
 
 _LIDAR_ARRAYS = {
     "positions": "positions",
@@ -70,11 +381,15 @@ _LIDAR_ARRAYS = {
     "camera_index": "camera_index",
 }
 
+
 _RADAR_ARRAYS = {"positions": "positions", "directions": "directions", "lengths": "lengths"}
+
 
 _OURS = {"ring": np.dtype(np.uint16), "camera_index": np.dtype(np.uint8)}
 
+
 _OTHER_WIDTH = {4: "uint64", 8: "uint32"}
+
 
 _TYPICAL_PERIOD_NS = 100_000_000
 
@@ -465,7 +780,7 @@ def _read_camera(source: Source, values: _Record, location: Location, faults: Fa
     content = _content(source, values, camera_model, location)
     moving = _read_moving(source, values, location, inner, frame_count=len(content.starts_ns))
     try:
-        own = ImageNotes.of(note.get("images") or {}, camera_model, len(content.starts_ns))
+        own = _ImageNotes.of(note.get("images") or {}, camera_model, len(content.starts_ns))
     except (FieldError, CalibrationError) as error:
         inner.add(("images",), f"our note: {error}")
     faults.extend(inner)
@@ -487,7 +802,7 @@ def _read_camera(source: Source, values: _Record, location: Location, faults: Fa
 
 
 def _images(
-    source: Source, content: ImageContent, own: ImageNotes, usual: int, location: Location
+    source: Source, content: _ImageContent, own: _ImageNotes, usual: int, location: Location
 ) -> LazyFrames[CameraImage]:
     """Join images, their own camera models and mountings, and the times of their middles."""
     own_fields = content.own_fields or tuple(own.extras(k) for k in range(len(content.starts_ns)))
@@ -502,13 +817,13 @@ def _images(
     return LazyFrames(middles_ns, source.parts.keep(format_keys((*location, "images")), read))
 
 
-def _fps(content: ImageContent, note: Mapping[str, Any]) -> float | None:
+def _fps(content: _ImageContent, note: Mapping[str, Any]) -> float | None:
     """The rate that the video says, or our note of a camera with single images."""
     noted = note.get("fps")
     return float(noted) if content.fps is None and isinstance(noted, int | float) else content.fps
 
 
-def _content(source: Source, values: _Record, camera_model: Camera, location: Location) -> ImageContent:
+def _content(source: Source, values: _Record, camera_model: Camera, location: Location) -> _ImageContent:
     """Choose between `video` and `images`; what is not chosen stays among the further fields."""
     video, images = values.get("video"), values.get("images")
     if video is not None:
@@ -519,18 +834,18 @@ def _content(source: Source, values: _Record, camera_model: Camera, location: Lo
             message = "both video and images; the video is taken, the images are carried along"
             source.warning(WarningKind.ASSUMED, "video-and-images", location, message)
         timestamps_ns = times_of(video["timestamps"])
-        return video_content(source, video, timestamps_ns, (*location, "video"))
+        return _video_content(source, video, timestamps_ns, (*location, "video"))
     values.pop("video", None)
     values.pop("images", None)
     if images is not None:
-        return image_content(source, images, (*location, "images"))
+        return _image_content(source, images, (*location, "images"))
     source.warning(
         WarningKind.SKIPPED,
         "no-images",
         location,
         f"neither video nor images; {camera_model.model} camera model only",
     )
-    return no_content()
+    return _no_content()
 
 
 def read_camera_model(
@@ -549,21 +864,21 @@ def read_camera_model(
     """
     distortion = intrinsics.get("distortion") or {}
     model = distortion.get("model") or "pinhole"
-    written = camera_model_of(
+    written = _camera_model_of(
         intrinsics, model, _coefficients(source, model, distortion.get("params"), location)
     )
     if note.get("camera") is None:
         return in_opencvs_sense(written, source)
-    exact = camera_of(note["camera"])
+    exact = _camera_of(note["camera"])
     if note.get("written_camera") is not None:
-        same = camera_of(note["written_camera"]) == written
+        same = _camera_of(note["written_camera"]) == written
     else:
         same = (exact.fx, exact.fy, exact.cx, exact.cy) == (written.fx, written.fy, written.cx, written.cy)
     return exact if same else in_opencvs_sense(written, source)
 
 
 def _coefficients(source: Source, model: str, params: Any, location: Location) -> tuple[float, ...]:
-    coefficients = numbers_of([] if params is None else params)
+    coefficients = _numbers_of([] if params is None else params)
     if model == "pinhole":
         if any(coefficients):
             raise FieldError(f"distortion.params: {list(coefficients)} without a model")

@@ -23,9 +23,10 @@ from sceneloom.errors import ArrayError, DataError, OptionError
 from sceneloom.formats.base.files import open_file
 from sceneloom.formats.base.losses import Loss, Support, joined
 from sceneloom.formats.sfs.clock import UINT32_MAX, UINT64_MAX, FileClock, chosen_offset_ns
-from sceneloom.formats.sfs.images import ImageNotesWriter, declared_length, exposure_ns, is_mp4
+from sceneloom.formats.sfs.images import declared_length, is_mp4
 from sceneloom.formats.sfs.profiles import Profile
 from sceneloom.formats.sfs.records import mount_rows, with_extras
+from sceneloom.formats.sfs.sensors import ImageNotesWriter, exposure_ns
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraImage, CameraSensor, VideoContent
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, RadarFrame

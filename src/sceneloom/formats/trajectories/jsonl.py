@@ -15,7 +15,8 @@ from sceneloom.formats.base.files import file_faults, open_file
 from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.base.poses import PoseRows
 from sceneloom.formats.base.text_tables import TimestampError, TimeWriter, parse_timestamp
-from sceneloom.formats.recording.columns import DECODER_FAULTS, ROOT_KEYS, NamedPose, json_problem, quote
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem, quote
+from sceneloom.formats.recording.lines import ROOT_KEYS, NamedPose
 from sceneloom.formats.recording.reader import RANKS
 from sceneloom.formats.recording.write_lines import NumberLines, merged_lines
 from sceneloom.formats.trajectories.trajectory_file import (

@@ -21,8 +21,7 @@ from sceneloom.formats.base.text_tables import (
     seconds_text,
 )
 from sceneloom.formats.rig.manifest import line_timestamps
-from sceneloom.formats.rig.reader import GNSS_COLUMNS
-from sceneloom.formats.rig.transforms import POSE_COLUMNS
+from sceneloom.formats.rig.reader import GNSS_COLUMNS, POSE_COLUMNS
 from sceneloom.formats.trajectories.trajectory_file import (
     FIXES,
     LOCATIONS,

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import msgspec
 import pytest
 
-from sceneloom.formats.recording.columns import DECODER_FAULTS, json_fault, other_file
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_fault, other_file
 
 
 class Entry(msgspec.Struct):

@@ -8,7 +8,7 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import CalibrationError, DataError, OptionError
-from sceneloom.formats.recording.images import choose_images
+from sceneloom.formats.recording.cameras import choose_images
 from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.scene import CameraSensor, Scene, WarningKind
 

@@ -11,14 +11,14 @@ from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.cameras.camera import MODELS
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.poses import mounting
 from sceneloom.formats.recording.calibration import rigid_transform
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.formats.recording.write_calibration import (
+from sceneloom.formats.recording.write_images import (
     camera_entry,
     camera_model_entry,
     matrix_entry,
     mount_entry,
-    mounting,
 )
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, Coordinates, GnssSensor, LazyFrames, Poses, Scene

@@ -12,7 +12,7 @@ from PIL import Image
 
 from sceneloom.cameras import MODELS, project
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.rig.cameras import frame_from_camera, read_camera_model
+from sceneloom.formats.rig.reader import frame_from_camera, read_camera_model
 from sceneloom.scene.cameras import Shutter
 
 SIZE = (640, 480)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.rig.schema import RECORDS, Faults, Kind, read_record
+from sceneloom.formats.rig.manifest import RECORDS, Faults, Kind, read_record
 
 PAGE = Path(__file__).parents[4] / "docs" / "formats" / "rig.md"
 

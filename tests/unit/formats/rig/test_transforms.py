@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.rig.transforms import Edge, FrameTree, frame_from_optical, read_transform
+from sceneloom.formats.rig.reader import Edge, FrameTree, frame_from_optical, read_transform
 from sceneloom.geometry.rigid import RigidTransform
 
 ROTATION = Rotation.from_euler("ZYX", [30.0, -20.0, 10.0], degrees=True)

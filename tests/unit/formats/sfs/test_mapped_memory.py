@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.formats.sfs import arrays
-from sceneloom.formats.sfs.arrays import LocalFile
+from sceneloom.formats.sfs.container import LocalFile
 
 
 @pytest.mark.skipif(not hasattr(mmap, "MADV_DONTNEED"), reason="this system cannot let go of single pages")

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from sceneloom.errors import DataError
-from sceneloom.formats.recording.images import PngFolder
+from sceneloom.formats.recording.cameras import PngFolder
 
 
 @pytest.fixture

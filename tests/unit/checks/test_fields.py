@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sceneloom.checks import validate
-from sceneloom.formats.sfs.schema import copied, parse_path
+from sceneloom.formats.sfs.reader import copied, parse_path
 
 POSES = {"timestamps": [0, 100_000], "values": [[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]]}
 CAMERA_MODEL = {"fx": 9, "fy": 9, "cx": 4, "cy": 3, "width": 8, "height": 6}

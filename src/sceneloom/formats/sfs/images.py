@@ -11,7 +11,7 @@ import numpy as np
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import Bytes
 from sceneloom.formats.sfs.container import Container, ItemFault, step
-from sceneloom.formats.sfs.schema import Keys, keep_in_step
+from sceneloom.formats.sfs.records import Location
 from sceneloom.scene.cameras import CameraSensor
 
 if TYPE_CHECKING:
@@ -109,27 +109,29 @@ def declared_length(content: Any) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class _DamagedVideo:
+class DamagedVideo:
     """A video that was cut, or cannot be read.
 
     Attributes:
         problem: what is wrong, and how many images are whole.
         lost_bytes: how many bytes are not there; 0 where that is not known.
-        is_rescued: whether its first images are in the header in its location.
+        kept: which of its images are whole and are in the header in its location.
+        count: how many images it had.
     """
 
     problem: str
     lost_bytes: int
-    is_rescued: bool
+    kept: Sequence[int] = ()
+    count: int = 0
 
 
-def damaged_videos(container: Container) -> dict[Keys, tuple[Any, int, str]]:
+def damaged_videos(container: Container) -> dict[Location, tuple[Any, int, str]]:
     """Look at the tables of all videos of a file: which have bytes that end before their last image.
 
     Returns:
         Content, declared length and problem of each video that is cut or no video, by the position of its content.
     """
-    found: dict[Keys, tuple[Any, int, str]] = {}
+    found: dict[Location, tuple[Any, int, str]] = {}
     sensors = container.header.get("sensors")
     for number, sensor in enumerate(sensors if isinstance(sensors, list) else []):
         video = sensor.get("video") if isinstance(sensor, dict) else None
@@ -157,7 +159,7 @@ def _problem_of_tables(there: memoryview) -> str | None:
     return None if len(index) else "a video without images"
 
 
-def rescue_videos(container: Container, items: Sequence[ItemFault]) -> dict[Keys, _DamagedVideo]:
+def rescue_videos(container: Container, items: Sequence[ItemFault]) -> dict[Location, DamagedVideo]:
     """Put what is left of videos that were cut into their locations of the header.
 
     Args:
@@ -180,14 +182,16 @@ def rescue_videos(container: Container, items: Sequence[ItemFault]) -> dict[Keys
     return {keys: _rescued(container.header, keys, *content) for keys, content in damaged.items()}
 
 
-def _rescued(header: dict[str, Any], keys: Keys, there: memoryview, length: int, why: str) -> _DamagedVideo:
+def _rescued(
+    header: dict[str, Any], keys: Location, there: memoryview, length: int, why: str
+) -> DamagedVideo:
     sensor: Any = header
     for key in keys[:-2]:
         sensor = sensor[key]
     video = sensor["video"]
     timestamps = video.get("timestamps")
     missing = length - len(there)
-    lost = _DamagedVideo(why, missing, is_rescued=False)
+    lost = DamagedVideo(why, missing)
     if not isinstance(timestamps, list) or not missing:
         return lost
     try:
@@ -198,12 +202,11 @@ def _rescued(header: dict[str, Any], keys: Keys, there: memoryview, length: int,
         return lost
     video["content"] = np.frombuffer(content, np.uint8)
     video["timestamps"] = [timestamps[k] for k in kept]
-    keep_in_step(header, sensor.get("id"), "images", kept, count)
     problem = f"the video was cut: {len(kept)} of its {count} images are whole"
-    return _DamagedVideo(problem, missing, is_rescued=True)
+    return DamagedVideo(problem, missing, kept, count)
 
 
-def as_keys(header: dict[str, Any], keys: list[Any]) -> Keys:
+def as_keys(header: dict[str, Any], keys: list[Any]) -> Location:
     """The path that an item names, with numbers where a list is: writers may state them as text."""
     node: Any = header
     found: list[str | int] = []

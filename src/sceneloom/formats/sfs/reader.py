@@ -1,47 +1,38 @@
 """Reading a file into a scene, with all faults of the file."""
 
-from collections import Counter
+import re
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+import msgspec
+import numpy as np
+
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import PlacedFault
 from sceneloom.formats.base.files import is_url
 from sceneloom.formats.sfs.annotations import read_annotations, read_attributes
-from sceneloom.formats.sfs.clock import FileClock
+from sceneloom.formats.sfs.clock import (
+    EARLIEST_OFFSET_NS,
+    INT64_MAX,
+    READABLE_TICKS_NS,
+    FileClock,
+    TimeRangeError,
+    scaled,
+)
 from sceneloom.formats.sfs.container import Container, ItemFault, collector_paused, format_keys
-from sceneloom.formats.sfs.images import damaged_videos, rescue_videos
-from sceneloom.formats.sfs.metadata import (
-    DEFAULT_TICK_NS,
-    OURS,
-    FileParts,
-    Source,
-    camera_model_records,
-    check_version,
-    part_metadata,
-    read_clock,
-    read_ours,
-    with_camera_model_readings,
-)
+from sceneloom.formats.sfs.images import DamagedVideo, damaged_videos, rescue_videos
+from sceneloom.formats.sfs.metadata import OURS, FileParts, Source, root_fault
 from sceneloom.formats.sfs.profiles import restore_exact_attributes
-from sceneloom.formats.sfs.records import Faults, Location
-from sceneloom.formats.sfs.schema import (
-    Numbering,
-    copied,
-    in_words,
-    is_listed_thing,
-    outermost,
-    parse_path,
-    take_out,
-    what_goes_with,
-)
+from sceneloom.formats.sfs.records import Faults, Location, RecordReader
+from sceneloom.formats.sfs.schema import RECORDS, Field, Kind, annotation_record, sensor_record
 from sceneloom.formats.sfs.sensors import read_sensors, read_trajectories
-from sceneloom.formats.sfs.spec import ReadingOptions
+from sceneloom.formats.sfs.spec import BROWN, OPENCV, TANGENTIALS, ReadingOptions
 from sceneloom.scene.annotations import Annotation, AttributePath, CuboidAnnotation
-from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.scene import Scene, Sensor, with_assumed_models
 from sceneloom.scene.types import Identifier, key_of
 from sceneloom.warnings import DataWarning, WarningKind
 
@@ -238,14 +229,14 @@ def _whole_parts(
     is_local = not is_url(container.file)
     if not (any(not fault.repaired for fault in first.faults) or (is_local and damaged_videos(container))):
         return first
-    original, numbering = container.header, Numbering()
+    original, numbering = container.header, _Numbering()
     container.header = copied(original)
-    videos = rescue_videos(container, items) if is_local else {}
-    cut = {keys: video for keys, video in videos.items() if video.is_rescued}
+    videos = _rescue_videos(container, items) if is_local else {}
+    cut = {keys: video for keys, video in videos.items() if video.kept}
     removed, examination = _Removed(videos=bool(cut)), first
     faults = {(fault.path, fault.problem): fault for fault in first.faults}
     losses: dict[Location, _Loss] = {
-        keys: _Loss(keys, in_words(original, keys), video.problem, video.lost_bytes)
+        keys: _Loss(keys, _in_words(original, keys), video.problem, video.lost_bytes)
         for keys, video in cut.items()
     }
     named = {fault.path for fault in first.faults}
@@ -261,15 +252,15 @@ def _whole_parts(
         reported += of_videos
         of_videos = []
         locations = {fault: parse_path(fault.path) for fault in reported}
-        goes = what_goes_with(container.header, [keys for keys in locations.values() if keys not in cut])
-        victims = outermost(goes.values())
+        goes = _what_goes_with(container.header, [keys for keys in locations.values() if keys not in cut])
+        victims = _outermost(goes.values())
         for fault, keys in locations.items():
             lost = next((victim for victim in victims if victim == goes.get(keys, ())[: len(victim)]), None)
             location = numbering.before(keys)
             path = format_keys(location)
             placed = replace(fault, path=path, item=container.item_number(path, original))
             if lost is not None:
-                words = in_words(original, numbering.before(lost))
+                words = _in_words(original, numbering.before(lost))
                 loss = _Loss(numbering.before(lost), words, _problem(lost, keys, fault))
                 losses.setdefault(loss.keys, loss)
                 placed = replace(placed, costs=words)
@@ -278,7 +269,7 @@ def _whole_parts(
             elif vital:
                 losses.setdefault(location, _Loss(location, fault.path, fault.problem))
             faults[placed.path, placed.problem] = placed
-        inner = tuple(victim for victim in victims if not is_listed_thing(victim))
+        inner = tuple(victim for victim in victims if not _is_listed_thing(victim))
         if not inner and not (cut and examination is first):
             break
         numbering.follow(take_out(container.header, inner))
@@ -316,8 +307,18 @@ def _loss_warnings(losses: Iterable[_Loss], faults: Iterable[PlacedFault]) -> tu
             count=max(1, counts[loss.words]),
         )
         for loss in losses
-        if not is_listed_thing(loss.keys)
+        if not _is_listed_thing(loss.keys)
     )
+
+
+def _rescue_videos(container: Container, items: list[ItemFault]) -> Mapping[Location, DamagedVideo]:
+    """Put what is left of videos that were cut into the header, and bring what counts their images into step."""
+    videos = rescue_videos(container, items)
+    for keys, video in videos.items():
+        if video.kept:
+            sensor = _at(container.header, keys[:-2])
+            _keep_in_step(container.header, sensor.get("id"), "images", video.kept, video.count)
+    return videos
 
 
 def _opened(path: Path | str, options: ReadingOptions, items: list[ItemFault]) -> Container:
@@ -330,7 +331,7 @@ def _parts_again(options: ReadingOptions, removed: _Removed, path: Path | str) -
         items: list[ItemFault] = []
         container = _opened(path, options, items)
         if removed.videos:
-            rescue_videos(container, items)
+            _rescue_videos(container, items)
         for victims in removed.rounds:
             take_out(container.header, victims)
         source, ours, _ = _source(container, options, removed)
@@ -343,11 +344,11 @@ def _source(
 ) -> tuple[Source, dict[str, Any], dict[str, Any]]:
     """Begin with a file: what its readers share, our metadata and the free ones."""
     parts = FileParts(container, partial(_parts_again, options, removed))
-    source = Source(container, parts, FileClock(DEFAULT_TICK_NS, 0), options)
-    check_version(source)
-    metadata, raw = part_metadata(source)
-    source.clock = read_clock(source, raw)
-    return source, read_ours(source, raw), metadata
+    source = Source(container, parts, FileClock(_DEFAULT_TICK_NS, 0), options)
+    _check_version(source)
+    metadata, raw = _part_metadata(source)
+    source.clock = _read_clock(source, raw)
+    return source, _read_ours(source, raw), metadata
 
 
 def _all_annotations(source: Source, ours: dict[str, Any]) -> tuple[Annotation, ...]:
@@ -383,7 +384,7 @@ def _examination(
         ours.get("exact_attributes") or [], annotations, (*attributes, *aside)
     )
     kept = {name: value for name, value in ours.items() if name not in _ABSORBED}
-    kept |= _euler(source, ours, annotations) | camera_model_records(source)
+    kept |= _euler(source, ours, annotations) | _camera_model_records(source)
     scene = Scene(
         sensors,
         annotations,
@@ -397,7 +398,7 @@ def _examination(
         extras={name: value for name, value in header.items() if name not in _ROOT},
         on_close=source.parts.close,
     )
-    scene = with_camera_model_readings(scene, source)
+    scene = _with_camera_model_readings(scene, source)
     noticed = tuple(source.noticed_now)
     return Examination(
         scene, source.found_faults(), header, sensor_positions, annotation_positions, noticed, container.fetch
@@ -469,3 +470,433 @@ def examine(path: Path | str, options: ReadingOptions | None = None) -> Examinat
         return _read_all(path, replace(options or ReadingOptions(), lenient=False), whole=True)
     except DataError as error:
         return Examination(None, (PlacedFault(error.location, error.problem, "unreadable", vital=True),))
+
+
+_VERSIONS = ("1.0", "5.1")
+"""Beginnings of the versions that we read."""
+
+_DEFAULT_TICK_NS = READABLE_TICKS_NS["microseconds"]
+"""Length of a tick where the file does not state its unit [ns]."""
+
+
+def _check_version(source: Source) -> None:
+    """Note a version that is none of those that we read."""
+    version = source.container.header.get("version")
+    if not isinstance(version, str) or not version.startswith(_VERSIONS):
+        expected = " or ".join(f"{known}*" for known in _VERSIONS)
+        root_fault(source, ("version",), f"{version!r}; expected {expected}", code="version")
+
+
+def _part_metadata(source: Source) -> tuple[dict[str, Any], Any]:
+    """Part the free metadata from ours."""
+    metadata = source.container.header.get("metadata")
+    if metadata is None:
+        return {}, {}
+    if not isinstance(metadata, dict):
+        root_fault(source, ("metadata",), f"a {type(metadata).__name__}; expected an object")
+        return {}, {}
+    ours = metadata.get(OURS)
+    return {name: value for name, value in metadata.items() if name != OURS}, {} if ours is None else ours
+
+
+def _read_clock(source: Source, ours: Any) -> FileClock:
+    """The clock that the root reports; what it reports wrongly is taken as if it stated nothing."""
+    header = source.container.header
+    unit = header.get("time_unit")
+    if unit is not None and not (isinstance(unit, str) and unit in READABLE_TICKS_NS):
+        root_fault(source, ("time_unit",), f"{unit!r}; expected one of {', '.join(READABLE_TICKS_NS)}")
+        unit = None
+    tick_ns = READABLE_TICKS_NS[unit] if unit else _DEFAULT_TICK_NS
+    offset = header.get("time_offset")
+    if offset is not None and type(offset) not in (int, float):
+        root_fault(source, ("time_offset",), f"{offset!r}; expected an integer")
+        offset = None
+    shift_ns = ours.get("time_shift_ns") if isinstance(ours, dict) else None
+    if shift_ns is not None and type(shift_ns) is not int:
+        root_fault(source, ("metadata", OURS, "time_shift_ns"), f"{shift_ns!r}; expected an integer")
+        shift_ns = None
+    return FileClock(tick_ns, _offset_ns(source, offset or 0, tick_ns, shift_ns or 0))
+
+
+def _offset_ns(source: Source, offset: float, tick_ns: int, shift_ns: int) -> int:
+    try:
+        offset_ns = scaled(offset, tick_ns) - shift_ns
+    except TimeRangeError as error:
+        root_fault(source, ("time_offset",), str(error))
+        return 0
+    if not EARLIEST_OFFSET_NS <= offset_ns <= INT64_MAX:
+        root_fault(source, ("time_offset",), f"{offset}; expected a time of at most 292 years")
+        return 0
+    return offset_ns
+
+
+def _read_ours(source: Source, raw: Any) -> dict[str, Any]:
+    """Read our metadata; a fault in it is a fault of the file."""
+    faults = Faults()
+    ours = RecordReader(source.clock).read(raw, OURS, faults)
+    source.collect(faults, ("metadata", OURS))
+    ours = _without_faulty(ours, faults)
+    _note_tangential(source, ours)
+    for note in ours.get("sensor_notes") or []:
+        source.notes[type(note["id"]), note["id"]] = note
+    for record in ours.get("warnings") or []:
+        try:
+            source.remember(msgspec.convert(record, DataWarning))
+        except msgspec.ValidationError as error:
+            root_fault(source, ("metadata", OURS, "warnings"), str(error))
+    return ours
+
+
+def _without_faulty(ours: dict[str, Any], faults: Faults) -> dict[str, Any]:
+    """A record without the entries of its lists that are at fault."""
+    wrong = {fault.location[:2] for fault in faults}
+    return {
+        name: [item for k, item in enumerate(value) if (name, k) not in wrong]
+        if isinstance(value, list)
+        else value
+        for name, value in ours.items()
+    }
+
+
+def _note_tangential(source: Source, ours: Mapping[str, Any]) -> None:
+    """Take what our metadata state of p1 and p2, and report a caller who says otherwise that it counts."""
+    recorded = ours.get("tangential")
+    source.tangential = recorded if recorded in TANGENTIALS else None
+    if source.tangential is not None and source.options.tangential not in (None, source.tangential):
+        message = f"p1 and p2 are recorded to be as in {source.tangential}; they are not exchanged again"
+        source.warning(
+            WarningKind.ASSUMED, "tangential-recorded", ("metadata", "sceneloom", "tangential"), message
+        )
+
+
+def _camera_model_records(source: Source) -> dict[str, str]:
+    """What our metadata are to state of p1 and p2 from now on."""
+    stated = source.tangential or source.options.tangential
+    if stated is None:
+        return {}
+    return {"tangential": OPENCV, **({"tangential_before": BROWN} if stated == BROWN else {})}
+
+
+def _with_camera_model_readings(scene: Scene, source: Source) -> Scene:
+    """The scene that may be computed with as the caller stated."""
+    return with_assumed_models(scene) if source.options.assume_model else scene
+
+
+_OURS_AT = ("metadata", OURS)
+
+_RECORD_KINDS = {
+    Kind.RECORD,
+    Kind.RECORDS,
+    Kind.RECORD_OR_RECORDS,
+    Kind.RECORD_LISTS,
+    Kind.RECORD_MAP,
+}
+
+_TYPED_LISTS = {"sensors": sensor_record, "annotations": annotation_record}
+
+_OF_FRAMES = {"frames": ("lengths",), "images": ("camera_of_image", "mounts", "extras")}
+
+_ANY, _MAP = "any of ", "map of "
+
+_STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d+)\]")
+
+_TIMED_ROWS = frozenset({"poses", "path", "point_path"})
+
+_NEEDED_ALL_THE_SAME = {
+    "attribute": {"timestamps", "values", "static", "sensor_id", "point_index"},
+    "activation": {"durations"},
+    "labeled_points_of_frame": {"sensor_frame"},
+    "intrinsics": {"distortion"},
+    "distortion": {"model", "params"},
+    **{f"sensor {name}": {"coordinates", "parent_id"} for name in ("lidar", "radar", "camera")},
+    **{f"annotation {name}": {"sensor_id"} for name in ("polygon", "polygon_topdown", "polyline", "points")},
+    "annotation camera_calibration": {"poses", "intrinsics", "time_offset"},
+}
+"""Fields that a record can be read without, but would mean something else then."""
+
+
+def parse_path(path: str) -> Location:
+    """Take a path such as `sensors[3].frames[12].points` apart."""
+    return tuple(int(index) if index else name for name, index in _STEP.findall(path))
+
+
+def what_goes(header: Mapping[str, Any], keys: Location) -> Location | None:
+    """Report what has to be taken out where the value at `keys` is lost: it, or the record that needs it.
+
+    Returns:
+        The path of a field that may be absent, of an entry of a list of records, or of a row of `values` that goes with
+        its timestamp; None where there is no such location, or the scene cannot be without it.
+    """
+    removable: Location | None = None
+    node: Any = header
+    record: str | None = "scene"
+    for depth, key in enumerate(keys):
+        if isinstance(node, dict):
+            if key not in node:
+                needed = _field_of(record, key)
+                return removable if needed is not None and needed.required else None
+            if record is not None and record.startswith(_MAP):
+                record, removable, node = record.removeprefix(_MAP), keys[: depth + 1], node[key]
+                continue
+            field = _field_of(record, key)
+            if field is None or not (field.required or key in _NEEDED_ALL_THE_SAME.get(record or "", ())):
+                removable = keys[: depth + 1]
+            if record in _TIMED_ROWS and _is_timed_row(node, keys[depth:]):
+                return keys[: depth + 2]
+            record = _record_below(record, str(key), field, keys[:depth])
+        elif isinstance(node, list) and isinstance(key, int) and key < len(node):
+            if record is not None:
+                removable = keys[: depth + 1]
+                record = _record_of_entry(record, node[key])
+        elif isinstance(node, list):
+            return None
+        else:
+            break
+        node = node[key]
+    return removable
+
+
+def _field_of(record: str | None, key: str | int) -> Field | None:
+    return RECORDS.get(record or "", {}).get(str(key))
+
+
+def _record_below(record: str | None, name: str, field: Field | None, above: Location) -> str | None:
+    if record in {"scene", "sceneloom"} and name in _TYPED_LISTS:
+        return f"{_ANY}{name}"
+    if record == "scene" and name == "metadata":
+        return None
+    if (*above, name) == _OURS_AT:
+        return "sceneloom"
+    if field is None or field.kind not in _RECORD_KINDS:
+        return None
+    return f"{_MAP}{field.record}" if field.kind == Kind.RECORD_MAP else str(field.record)
+
+
+def _record_of_entry(record: str, entry: Any) -> str | None:
+    """The record of an entry of a list, which for sensors and annotations depends on its type."""
+    if not record.startswith(_ANY):
+        return record
+    type_name = entry.get("type") if isinstance(entry, dict) else None
+    return _TYPED_LISTS[record.removeprefix(_ANY)](type_name if isinstance(type_name, str) else "")
+
+
+def _is_timed_row(record: Mapping[str, Any], keys: Location) -> bool:
+    """Whether keys lead to one of several rows of `values`, each of which has its timestamp."""
+    times, rows = record.get("timestamps"), record.get("values")
+    return (
+        len(keys) > 1
+        and keys[0] == "values"
+        and isinstance(times, list | np.ndarray)
+        and isinstance(rows, list | np.ndarray)
+        and len(times) == len(rows) > 1
+        and isinstance(keys[1], int)
+        and keys[1] < len(rows)
+    )
+
+
+def _what_goes_with(header: Mapping[str, Any], locations: Iterable[Location]) -> dict[Location, Location]:
+    """Report of locations whose values are lost what has to be taken out; those that nothing can be taken out for lack.
+
+    Where all rows of a path are lost, what needs the path goes in their location.
+    """
+    goes = {keys: victim for keys in locations if (victim := what_goes(header, keys)) is not None}
+    rows: dict[Location, set[Location]] = defaultdict(set)
+    for victim in goes.values():
+        if _removal_is_timed_row(victim):
+            rows[victim[:-1]].add(victim)
+    for parent, lost in rows.items():
+        if len(lost) == len(_at(header, parent)):
+            instead = what_goes(header, parent)
+            for keys, victim in list(goes.items()):
+                if victim in lost and instead is not None:
+                    goes[keys] = instead
+    return goes
+
+
+def _removal_is_timed_row(keys: Location) -> bool:
+    """Whether a victim is a row of a path, which goes with its timestamp."""
+    return len(keys) > 2 and keys[-2] == "values" and isinstance(keys[-1], int)
+
+
+def _outermost(locations: Iterable[Location]) -> list[Location]:
+    """Those that are not inside another, in their order."""
+    wanted = dict.fromkeys(locations)
+    return [keys for keys in wanted if not any(keys[:depth] in wanted for depth in range(1, len(keys)))]
+
+
+def copied(node: Any) -> Any:
+    """Copy the objects and lists of a header; arrays stay the same."""
+    if isinstance(node, dict):
+        return {name: copied(value) for name, value in node.items()}
+    return [copied(value) for value in node] if isinstance(node, list) else node
+
+
+def _is_listed_thing(keys: Location) -> bool:
+    """Whether keys lead to a whole sensor or annotation."""
+    return len(keys) > 1 and keys[:-2] in ((), _OURS_AT) and keys[-2] in _TYPED_LISTS
+
+
+_SINGULAR = {"frames": "frame", "images": "image"}
+
+
+def _in_words(header: Mapping[str, Any], keys: Location) -> str:
+    """Name a part of a header for people: "colors of frame 12 of lidar 'top'"."""
+    depth = 4 if keys[:2] == _OURS_AT else 2
+    if not _is_listed_thing(keys[:depth]):
+        return format_keys(keys)
+    thing = _at(header, keys[:depth])
+    named = isinstance(thing, dict) and isinstance(thing.get("type"), str)
+    owner = f"{thing['type']} {thing.get('id')!r}" if named else format_keys(keys[:depth])
+    inner = keys[depth:]
+    if len(inner) > 1 and inner[0] in _SINGULAR:
+        owner, inner = f"{_SINGULAR[str(inner[0])]} {inner[1]} of {owner}", inner[2:]
+    inner = inner[1:] if len(inner) > 1 and inner[0] == "points" else inner
+    return f"{format_keys(inner)} of {owner}" if inner else owner
+
+
+class _Numbering:
+    """Where the entries of a header's lists were before some were taken out."""
+
+    def __init__(self) -> None:
+        """Begin with a whole header."""
+        self._before: dict[Location, Sequence[int]] = {}
+
+    def before(self, keys: Location) -> Location:
+        """Where something was that is now at `keys`."""
+        found: Location = ()
+        for key in keys:
+            numbers = self._before.get(found)
+            known = numbers is not None and isinstance(key, int) and key < len(numbers)
+            found = (*found, numbers[int(key)] if numbers is not None and known else key)
+        return found
+
+    def frames(self) -> Mapping[Location, Sequence[int]]:
+        """The numbers that the frames and images that stay had, by the keys of their list."""
+        return {keys: numbers for keys, numbers in self._before.items() if keys[-1] in _OF_FRAMES}
+
+    def follow(self, kept: Mapping[Location, Sequence[int]]) -> None:
+        """Follow a removal: which entries stay, by the keys of their list as it was when they were taken out."""
+        found = {self.before(keys): (keys, numbers) for keys, numbers in kept.items()}
+        for before, (_, numbers) in found.items():
+            known = self._before.get(before)
+            self._before[before] = [known[k] for k in numbers] if known is not None else numbers
+
+
+def take_out(header: dict[str, Any], victims: Iterable[Location]) -> Mapping[Location, Sequence[int]]:
+    """Remove fields and entries; what counts the frames or images of a sensor is brought into step.
+
+    Returns:
+        Which entries stay, by the keys of each list that some were taken out of.
+    """
+    parents: dict[Location, list[str | int]] = defaultdict(list)
+    stay: dict[Location, Sequence[int]] = {}
+    for keys in victims:
+        parents[keys[:-1]].append(keys[-1])
+    counted: list[tuple[Any, str, list[int], int]] = []
+    for parent, names in sorted(parents.items(), key=lambda item: len(item[0]), reverse=True):
+        node = _at(header, parent)
+        if isinstance(node, dict):
+            for name in names:
+                gone_with = node.pop(str(name), None)
+                if name == "video" and isinstance(gone_with, dict):
+                    counted.append((node.get("id"), "images", [], _count_of(gone_with.get("timestamps"))))
+            continue
+        gone = set(names)
+        kept = [k for k in range(len(node)) if k not in gone]
+        stay[parent] = kept
+        holder = _at(header, parent[:-1])
+        if parent[-1] in _OF_FRAMES:
+            counted.append((holder.get("id"), str(parent[-1]), kept, len(node)))
+        elif parent[-1] == "values":
+            times = holder["timestamps"]
+            holder["timestamps"] = times[kept] if isinstance(times, np.ndarray) else [times[k] for k in kept]
+        elif parent[-1] == "paths":
+            _keep_points_in_step(holder, kept, len(node))
+        holder_of_list: Any = holder
+        holder_of_list[parent[-1]] = node[kept] if isinstance(node, np.ndarray) else [node[k] for k in kept]
+    for sensor_id, name, kept, count in counted:
+        _keep_in_step(header, sensor_id, name, kept, count)
+    return stay
+
+
+def _keep_points_in_step(annotation: dict[str, Any], kept: list[int], count: int) -> None:
+    """Follow points that were taken out of a points annotation in its labels, projections and attributes."""
+    _choose(annotation, ("labels", "projections"), kept, count)
+    locations = {old: new for new, old in enumerate(kept)}
+    attributes = annotation.get("attributes")
+    if isinstance(attributes, list):
+        annotation["attributes"] = [
+            {**entry, "point_index": locations[entry["point_index"]]} if _is_of_point(entry) else entry
+            for entry in attributes
+            if not _is_of_point(entry) or entry["point_index"] in locations
+        ]
+
+
+def _is_of_point(attribute: Any) -> bool:
+    return isinstance(attribute, dict) and type(attribute.get("point_index")) is int
+
+
+def _keep_in_step(header: dict[str, Any], sensor_id: Any, name: str, kept: Sequence[int], count: int) -> None:
+    """Follow frames or images that were taken out in our notes, and in labelled points.
+
+    Args:
+        header: the header, which is changed.
+        sensor_id: the sensor that they belong to.
+        name: "frames" or "images".
+        kept: which of them stay.
+        count: how many there were.
+    """
+    for note in _records(header, (*_OURS_AT, "sensor_notes")):
+        if note.get("id") == sensor_id:
+            for holder in (note, note.get("images")):
+                _choose(holder, _OF_FRAMES[name], kept, count)
+    if name == "frames":
+        locations = {old: new for new, old in enumerate(kept)}
+        for root in ((), _OURS_AT):
+            for annotation in _records(header, (*root, "annotations")):
+                _renumber(annotation, sensor_id, locations)
+
+
+def _count_of(values: Any) -> int:
+    return len(values) if isinstance(values, list) else 0
+
+
+def _at(header: Mapping[str, Any], keys: Location) -> Any:
+    node: Any = header
+    for key in keys:
+        node = node[key]
+    return node
+
+
+def _choose(holder: Any, names: tuple[str, ...], kept: Sequence[int], count: int) -> None:
+    for name in names:
+        values = holder.get(name) if isinstance(holder, dict) else None
+        if isinstance(values, list) and len(values) == count:
+            holder[name] = [values[k] for k in kept]
+
+
+def _renumber(annotation: dict[str, Any], sensor_id: Any, locations: Mapping[int, int]) -> None:
+    entries = annotation.get("labeled_points")
+    if not isinstance(entries, list):
+        return
+    annotation["labeled_points"] = [
+        {**entry, "sensor_frame": locations[entry["sensor_frame"]]} if _counts(entry, sensor_id) else entry
+        for entry in entries
+        if not _counts(entry, sensor_id) or entry["sensor_frame"] in locations
+    ]
+
+
+def _counts(entry: Any, sensor_id: Any) -> bool:
+    """Whether labelled points name a frame of this sensor by its number."""
+    return (
+        isinstance(entry, dict)
+        and entry.get("sensor_id") == sensor_id
+        and type(entry.get("sensor_frame")) is int
+    )
+
+
+def _records(header: Mapping[str, Any], keys: Location) -> list[dict[str, Any]]:
+    node: Any = header
+    for key in keys:
+        node = node.get(key) if isinstance(node, dict) else None
+    return [entry for entry in node if isinstance(entry, dict)] if isinstance(node, list) else []

@@ -16,10 +16,9 @@ from sceneloom.formats.base.files import is_url
 from sceneloom.formats.base.output import check_output
 from sceneloom.formats.sfs.annotations import encode_annotation
 from sceneloom.formats.sfs.container import ITEMS, Container, ItemFault, format_keys
-from sceneloom.formats.sfs.container import format_keys as container_format_keys
 from sceneloom.formats.sfs.images import as_keys, video_problem
 from sceneloom.formats.sfs.reader import read_container
-from sceneloom.formats.sfs.schema import Keys
+from sceneloom.formats.sfs.records import Location
 from sceneloom.formats.sfs.spec import ReadingOptions
 from sceneloom.formats.sfs.writer import write_scene
 from sceneloom.scene.cameras import CameraSensor
@@ -310,7 +309,7 @@ class _Rescue:
         bytes_of = self._bytes_below(loss.keys for loss in examined.losses)
         for loss in examined.losses:
             lost_bytes = bytes_of[loss.keys] if loss.lost_bytes is None else loss.lost_bytes
-            self.lost.append(LostPart(container_format_keys(loss.keys), loss.problem, lost_bytes))
+            self.lost.append(LostPart(format_keys(loss.keys), loss.problem, lost_bytes))
         if examined.scene is None:
             raise DataError(self.container.file, "", "nothing of it can be read")
         scene = self._without_unwritable(self._without_unreadable(examined.scene))
@@ -336,7 +335,7 @@ class _Rescue:
         self.lost += [LostPart(*part) for part in lost]
         return header
 
-    def _item_sizes(self) -> list[tuple[Keys, int]]:
+    def _item_sizes(self) -> list[tuple[Location, int]]:
         sizes = []
         for number in range(self.container.item_count):
             item = self.container.item(number)
@@ -346,8 +345,8 @@ class _Rescue:
                 sizes.append((as_keys(self.container.header, keys), length if type(length) is int else 0))
         return sizes
 
-    def _bytes_below(self, lost: Iterable[Keys]) -> Mapping[Keys, int]:
-        found: dict[Keys, int] = defaultdict(int)
+    def _bytes_below(self, lost: Iterable[Location]) -> Mapping[Location, int]:
+        found: dict[Location, int] = defaultdict(int)
         wanted = set(lost)
         for keys, size in self._sizes:
             for depth in range(1, len(keys) + 1):

@@ -16,7 +16,7 @@ from sceneloom.formats.base.files import check_pixels
 from sceneloom.formats.sfs.clock import TimeRangeError
 from sceneloom.formats.sfs.container import Container, MappedContent, RemoteContent, format_keys
 from sceneloom.formats.sfs.images import is_mp4, video_codec
-from sceneloom.formats.sfs.metadata import Source, in_opencvs_sense, root_fault
+from sceneloom.formats.sfs.metadata import Source, root_fault
 from sceneloom.formats.sfs.records import (
     Faults,
     FieldError,
@@ -35,6 +35,7 @@ from sceneloom.formats.sfs.schema import (
     SENSOR_RECORDS,
     sensor_record,
 )
+from sceneloom.formats.sfs.spec import BROWN
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraImage, CameraSensor, VideoContent
 from sceneloom.scene.clouds import (
@@ -868,13 +869,24 @@ def read_camera_model(
         intrinsics, model, _coefficients(source, model, distortion.get("params"), location)
     )
     if note.get("camera") is None:
-        return in_opencvs_sense(written, source)
+        return _in_opencvs_sense(written, source)
     exact = _camera_of(note["camera"])
     if note.get("written_camera") is not None:
         same = _camera_of(note["written_camera"]) == written
     else:
         same = (exact.fx, exact.fy, exact.cx, exact.cy) == (written.fx, written.fy, written.cx, written.cy)
-    return exact if same else in_opencvs_sense(written, source)
+    return exact if same else _in_opencvs_sense(written, source)
+
+
+_P1, _P2 = 2, 3
+
+
+def _in_opencvs_sense(camera: Camera, source: Source) -> Camera:
+    """Exchange p1 and p2 where the file has them the other way round."""
+    if camera.model != "brown_conrady" or (source.tangential or source.options.tangential) != BROWN:
+        return camera
+    padded = (*camera.coefficients, 0.0, 0.0, 0.0, 0.0)[: max(len(camera.coefficients), _P2 + 1)]
+    return replace(camera, coefficients=(*padded[:_P1], padded[_P2], padded[_P1], *padded[_P2 + 1 :]))
 
 
 def _coefficients(source: Source, model: str, params: Any, location: Location) -> tuple[float, ...]:

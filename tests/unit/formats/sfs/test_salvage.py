@@ -12,8 +12,8 @@ from click.testing import CliRunner
 import sceneloom
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError, OutputError, SceneloomError
+from sceneloom.formats.sfs.reader import parse_path, take_out, what_goes
 from sceneloom.formats.sfs.salvage import recover_header, salvage
-from sceneloom.formats.sfs.schema import parse_path, take_out, what_goes
 from sceneloom.formats.sfs.spool import Spool
 
 POSES = {"timestamps": [0, 10**6], "values": [[0, 0, 0, 0, 0, 0, 1], [9, 0, 0, 0, 0, 0, 1]]}

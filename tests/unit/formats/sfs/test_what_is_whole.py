@@ -8,8 +8,7 @@ import pytest
 
 import sceneloom
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs.reader import examine
-from sceneloom.formats.sfs.schema import copied, parse_path
+from sceneloom.formats.sfs.reader import copied, examine, parse_path
 from sceneloom.formats.sfs.spec import FORMAT
 
 POSE = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]

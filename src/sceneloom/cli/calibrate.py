@@ -53,7 +53,7 @@ _BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences", "motion")
     "(table 3).",
     required=False,
 )
-@option("--form", "Format of the output, where its ending is ambiguous.", ("sfs", "table-3", "recording"))
+@option("--form=sfs|table-3|recording", "Format of the output, where its ending is ambiguous.")
 @option(
     "--parameters=LIST",
     "With --refine: what may change, of rotation,translation,time,focal. [default: rotation,translation,time]",

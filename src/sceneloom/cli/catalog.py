@@ -23,9 +23,8 @@ def catalog() -> None:
 
 _building = options.stacked(
     option(
-        "--checks",
+        "--checks=none|quick|full",
         "Which rules fill the table of findings; `full` reads every frame.",
-        ("none", "quick", "full"),
         default="quick",
     ),
     option(
@@ -137,7 +136,7 @@ def _reported(failure: "Failure") -> str:
 @click.argument("catalogue", type=click.Path(path_type=Path))
 @option("--sql=TEXT", "One statement that reads, instead of filters.")
 @option("--label=NAME… labels", "Boxes of this class, `*` allowed; may be repeated.")
-@option("--type… types", "Boxes of this type.", ("cuboid", "box_2d"))
+@option("--type=cuboid|box_2d… types", "Boxes of this type.")
 @option("--after=T start", "Not before T: seconds of the drive, or a date and time (UTC unless stated).")
 @option("--before=T stop", "Before T.")
 @option(
@@ -165,18 +164,16 @@ def _reported(failure: "Failure") -> str:
 )
 @option("--finding=RULE… findings", "`validate` found this; may be repeated.")
 @option(
-    "--show",
+    "--show=spans|drives|rows",
     "Time spans in which all filters hold, drives that have such, or each box (or frame).",
-    ("spans", "drives", "rows"),
     default="spans",
 )
 @option("--gap=S", "Join spans so near.", options.not_negative, default=1.0)
 @option("--margin=S", "Widen spans.", options.not_negative, default=0.0)
 @option("--limit=N", "At most N rows.", click.IntRange(1))
 @option(
-    "--as form",
+    "--as=table|json|csv|list form",
     "`list`: drives and spans as lines that the verbs of `sceneloom batch` take with --list. [default: table]",
-    ("table", "json", "csv", "list"),
 )
 @verb
 def query(

@@ -19,11 +19,10 @@ if TYPE_CHECKING:
 @click.argument("target", type=options.target)
 @options.writing_scenes
 @option(
-    "--images",
+    "--images=copy|lossless|h264|ffv1|png",
     "How a recording's folder keeps images: `copy` a camera's own video packet by packet, and encode H.264 "
     "where there is none (`lossless`: FFV1); `h264`: the own video only if it is that; `ffv1` (video) and "
     "`png` (files) lose nothing. [default: copy]",
-    ("copy", "lossless", "h264", "ffv1", "png"),
 )
 @option(
     "--trajectory=NAME",

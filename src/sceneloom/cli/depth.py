@@ -18,15 +18,13 @@ if TYPE_CHECKING:
 @click.argument("path", type=options.location)
 @options.output("Folder for the depth images.")
 @option(
-    "--method",
+    "--method=sparse|fast|quality",
     "`sparse`: measured points only; `fast`: gaps between scan lines filled; `quality`: surfaces, with "
     "discontinuities at edges of the image. [default: quality]",
-    ("sparse", "fast", "quality"),
 )
 @option(
-    "--form",
+    "--form=png|npz",
     "16-bit PNG (metres times 256) or NPZ (float32 metres and confidence). [default: png]",
-    ("png", "npz"),
 )
 @option("--camera=ID… cameras", "The only cameras. [default: all]")
 @option("--confidence", "Write the confidence beside PNG images: 8 bit, 255 for 1.")

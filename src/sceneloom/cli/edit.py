@@ -77,9 +77,8 @@ _KEEP = {"valid": 0.0, "all": 1.0}
 _TRAJECTORY = options.trajectory()
 _CAMERAS = option("--camera=ID… cameras", "The only cameras to change. [default: all]")
 _ANNOTATIONS_IN = option(
-    "--annotations-in",
+    "--annotations-in=world|ego",
     "The frame of the annotations in a scene that does not state it. [default: world]",
-    ("world", "ego"),
 )
 
 _EDITS: Mapping[str, _Edit] = {
@@ -89,12 +88,7 @@ _EDITS: Mapping[str, _Edit] = {
         (
             options.part,
             option("--box=BOX", "Keep what is in xmin,ymin,zmin,xmax,ymax,zmax [m].", callback=_box),
-            option(
-                "--frame",
-                "The frame along whose axes the box lies.",
-                ("world", "ego", "sensor"),
-                default="world",
-            ),
+            option("--frame=world|ego|sensor", "The frame along whose axes the box lies.", default="world"),
             option(
                 "--range=M reach",
                 "Keep what is within this distance of the sensor; of the ego with `--frame ego`.",
@@ -123,9 +117,8 @@ _EDITS: Mapping[str, _Edit] = {
         (
             option("--voxel=M", "Keep one point of each cube of this side.", float),
             option(
-                "--keep",
+                "--keep=nearest|first",
                 "Which point of a cube to keep: the one nearest to their mean, or the first.",
-                ("nearest", "first"),
                 default="nearest",
             ),
             option("--share=S", "Keep this share of the points, 0 to 1, evenly spread.", float),
@@ -157,9 +150,8 @@ _EDITS: Mapping[str, _Edit] = {
             _TRAJECTORY,
             option("--lidar=ID… lidars", "The only lidars whose points to count. [default: all]"),
             option(
-                "--at",
+                "--at=frame|points",
                 "Interpolate cuboids at the time of the frame (deskewed sweeps), or of each point (as measured).",
-                ("frame", "points"),
                 default="frame",
             ),
             option("--margin=M", "Count points so far outside, too.", float, default=0.0),
@@ -211,8 +203,7 @@ _EDITS: Mapping[str, _Edit] = {
         "Apply localization adjustments and camera calibrations, and remove them.",
         (
             option(
-                "--only=ID…",
-                "The only annotations to apply. [default: all adjustments and calibrations]",
+                "--only=ID…", "The only annotations to apply. [default: all adjustments and calibrations]"
             ),
             _ANNOTATIONS_IN,
         ),
@@ -222,15 +213,13 @@ _EDITS: Mapping[str, _Edit] = {
         "Remove where a drive was, by whom, and on request when.",
         (
             option(
-                "--fixes",
+                "--fixes=drop|shift",
                 "Satellite fixes: left out, or moved to latitude 0, longitude 0.",
-                ("drop", "shift"),
                 default="drop",
             ),
             option(
-                "--dates",
+                "--dates=keep|shift",
                 "Time of day: kept, or counted from the drive's first timestamp.",
-                ("keep", "shift"),
                 default="keep",
             ),
         ),
@@ -442,9 +431,7 @@ for _name, _row in _EDITS.items():
 @click.argument("path", type=options.location)
 @_OUTPUT
 @options.trajectory("`imu`: only the rotation measured by the IMU")
-@option(
-    "--at", "The moment of each sweep to move its points to.", ("start", "middle", "end"), default="middle"
-)
+@option("--at=start|middle|end", "The moment of each sweep to move its points to.", default="middle")
 @option("--lidar=ID", "The only lidar to deskew. [default: all]")
 @options.part
 @rewriting_verb
@@ -508,9 +495,8 @@ def _print_deskewing(report: "DeskewReport", printer: Printer) -> None:
 )
 @option("--label=LABEL… labels", "Redact the drive's own boxes and outlines in images with this label.")
 @option(
-    "--fill",
+    "--fill=blur|pixelate|black",
     "What replaces the pixels: at most 4 x 4 mean colours, smooth or in squares, or black.",
-    ("blur", "pixelate", "black"),
     default="blur",
 )
 @option(

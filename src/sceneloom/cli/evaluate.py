@@ -74,9 +74,8 @@ _objects = options.stacked(
 @evaluate.command()
 @_objects
 @option(
-    "--similarity… similarities",
+    "--similarity=2d|bev|3d… similarities",
     "Overlap in the image, from above, in space; may be repeated. [default: all that both sides have]",
-    ("2d", "bev", "3d"),
 )
 @option(
     "--threshold=S least_overlap",
@@ -84,9 +83,8 @@ _objects = options.stacked(
     _share,
 )
 @option(
-    "--difficulty… difficulties",
+    "--difficulty=easy|moderate|hard|all… difficulties",
     "Which objects must be found; may be repeated. [default: easy moderate hard; all without images]",
-    ("easy", "moderate", "hard", "all"),
 )
 @option(
     "--regions-in-space",
@@ -176,10 +174,9 @@ def _covariance_row(name: str, part: "CovarianceScores") -> tuple[str, ...]:
 @evaluate.command()
 @_objects
 @option(
-    "--similarity",
+    "--similarity=2d|bev|3d|distance",
     "Similarity of two boxes: overlap in the image, from above, in space; distance of centres (0 at 4 m). "
     "[default: 2d, else 3d]",
-    ("2d", "bev", "3d", "distance"),
 )
 @option(
     "--threshold=S least_similarity",
@@ -253,16 +250,14 @@ def _tracking_cells(scores: "TrackingScores", family: str) -> list[str]:
 @click.argument("estimate", type=options.location, metavar="EST")
 @click.argument("reference", type=options.location, metavar="REF")
 @option(
-    "--align",
+    "--align=none|origin|yaw|se3|sim3",
     "Align EST to REF first: by the first pose; translation and yaw; rigid; with scale.",
-    ("none", "origin", "yaw", "se3", "sim3"),
     default="se3",
 )
 @option("--align-first=N", "Align by the first N pairs only. [default: all]", click.IntRange(min=1))
 @option(
-    "--associate",
+    "--associate=interpolate|nearest",
     "Interpolate REF at the times of EST, or take its nearest poses.",
-    ("interpolate", "nearest"),
     default="interpolate",
 )
 @option("--tolerance=S", "Time to the nearest pose of REF at most. [default: 0.1, 0.01 for `nearest`]", float)

@@ -21,14 +21,11 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @click.argument("path", type=options.location)
 @options.output("The .sfs file to write; for detections, the .jsonl file.", required=False)
 @option(
-    "--type fusion_type",
-    "Fuse clouds and images, or detections in them. [default: sensor]",
-    ("sensor", "detection"),
+    "--type=sensor|detection fusion_type", "Fuse clouds and images, or detections in them. [default: sensor]"
 )
 @option(
-    "--format form",
+    "--format=jsonl|kitti form",
     "For detections: JSON lines, or for KITTI's folders its text, without tracks. [default: jsonl]",
-    ("jsonl", "kitti"),
 )
 @detection_options.fused
 @options.trajectory(options.STATIONARY)
@@ -38,9 +35,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     "or a function of a Python file, which is executed. [default: projection]",
 )
 @option("--depth=DIR", "Folder for depth images.", options.target)
-@option(
-    "--depth-format", "16-bit PNG (metres times 256) or NPZ (float32 metres). [default: png]", ("png", "npz")
-)
+@option("--depth-format=png|npz", "16-bit PNG (metres times 256) or NPZ (float32 metres). [default: png]")
 @options.visualize()
 @option(
     "--visualize-every=N images_every",
@@ -231,7 +226,7 @@ def _print_detections(report: "DetectionFusionReport", printer: Printer) -> None
 )
 @option("--seed", "Random seed of the street.", int, default=0)
 @option("--frames", "Lidar sweeps at 10 Hz.", click.IntRange(min=2), default=30)
-@option("--video", "Format of the drive's images.", ("h264", "png"), default="h264")
+@option("--video=h264|png", "Format of the drive's images.", default="h264")
 @option("--overwrite", "Replace an earlier demo.")
 @verb
 def demo(keep: Path, seed: int, frames: int, video: str, overwrite: bool, printer: Printer) -> None:

@@ -39,17 +39,19 @@ def option(
     """An option of a verb.
 
     Args:
-        flags: as `--camera=ID… cameras`: flags, what their value is called, `…` where they may be repeated, and the
-            name of the parameter where it is another one.
+        flags: as `--camera=ID… cameras` or `--method=fast|quality`: flags, what their value is called or the words to
+            choose from, `…` where they may be repeated, and the name of the parameter where it is another one.
         help: what it does.
-        kind: type of the value: a function, or the words to choose from; None for text, or for a switch where the value
-            has no name.
+        kind: type of the value: a function, or words to choose from; None for text, or for a switch where the value has
+            no name.
         default: what it is without; shown in the help.
         metavar: what the value is called, where that has spaces or commas.
     """
     words = flags.split()
     named = [word.rstrip("…").partition("=") for word in words if word.startswith("-")]
     metavar = metavar or next((value for _, _, value in named if value), None)
+    if metavar is not None and "|" in metavar and metavar.islower():
+        kind, metavar = metavar.split("|"), None
     is_switch = kind is None and metavar is None and "callback" not in more
     choices = isinstance(kind, Sequence) and isinstance(kind[0], str)
     return click.option(
@@ -182,51 +184,44 @@ reading = stacked(
     ),
     lenient,
     option(
-        "--points-frame",
+        "--points-frame=world|ego|sensor",
         "Frame of the lidar points of a scene file that does not state it. [default: that of its coordinates]",
-        ("world", "ego", "sensor"),
     ),
     option(
-        "--euler-unit",
+        "--euler-unit=degrees|radians",
         "Unit of the boxes' angles in a scene file that does not state it. [default: degrees]",
-        ("degrees", "radians"),
     ),
     option(
         "--euler-order=ORDER",
         "Order of the boxes' rotations in a scene file that does not state it. [default: xyz]",
     ),
     option(
-        "--tangential",
+        "--tangential=opencv|brown",
         "What p1 and p2 of `brown_conrady` camera models mean in a scene file that does not state it: `brown` "
         "exchanges them. [default: opencv]",
-        ("opencv", "brown"),
     ),
     option(
-        "--vertices",
+        "--vertices=pairs|triples",
         "How a scene file writes polygons and polylines in space: x, y pairs or x, y, z triples. "
         "[default: triples where they fit]",
-        ("pairs", "triples"),
     ),
     option(
         "--assume-model",
         "Compute with camera models whose formulas are not confirmed: `ftheta`, `fisheye_radial_custom`.",
     ),
     option(
-        "--altitude",
+        "--altitude=wgs84|msl",
         "What a recording's altitudes are above: the ellipsoid or mean sea level. [default: wgs84]",
-        ("wgs84", "msl"),
     ),
     option(
-        "--image-index",
+        "--image-index=auto|number|first|line",
         "Which image of a video a recording's `frames` line means: its `number`, that less the first number, or "
         "each line the next. [default: auto: by the counts, if they agree]",
-        ("auto", "number", "first", "line"),
     ),
     option(
-        "--camera-shift",
+        "--camera-shift=ignore|apply|subtract",
         "How to use a recording's `imuToCameraShiftSeconds`: `apply` adds it to the timestamps of the camera's "
         "images, `subtract` subtracts it. [default: ignore]",
-        ("ignore", "apply", "subtract"),
     ),
     option(
         "--sequence=NAME…",
@@ -247,14 +242,11 @@ overwrite = option("--overwrite", "Replace outputs that exist.")
 writing_scenes = stacked(
     overwrite,
     option(
-        "--profile",
+        "--profile=sfs|scale",
         "`scale`: a scene file that Scale's own library loads and validates. [default: sfs]",
-        ("sfs", "scale"),
     ),
     option(
-        "--time-unit",
-        "Unit of all times in a scene file. [default: microseconds]",
-        ("microseconds", "nanoseconds"),
+        "--time-unit=microseconds|nanoseconds", "Unit of all times in a scene file. [default: microseconds]"
     ),
 )
 """On every verb that writes `.sfs`."""
@@ -303,8 +295,7 @@ def trajectory_file(side: str, path: str) -> Callable[[Command], Command]:
         option(f"--{side}-rate=HZ {side}_rate_hz", "Poses per second instead of times.", positive),
         option(f"--{side}-unit", f"Unit of the times in {path}. [default: that of its format]", units),
         option(
-            f"--{side}-optical",
-            f"{path} has a camera's poses: rotate z forward, y down to x forward, z up.",
+            f"--{side}-optical", f"{path} has a camera's poses: rotate z forward, y down to x forward, z up."
         ),
     )
 

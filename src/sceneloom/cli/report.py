@@ -30,9 +30,8 @@ if TYPE_CHECKING:
     options.source(),
 )
 @option(
-    "--compare…",
+    "--compare=lidar|gnss…",
     "Also estimate the trajectory from this, and compare the drive's own with it; may be repeated.",
-    ("lidar", "gnss"),
 )
 @option(
     "--losses=FILE",

@@ -18,15 +18,13 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @click.argument("path", type=options.location)
 @options.output("The file or folder to write.")
 @option(
-    "--format form",
+    "--format=kitti|sfs|jsonl form",
     "KITTI's text of results, a scene with labels, or JSON lines. [default: by the suffix, else kitti]",
-    ("kitti", "sfs", "jsonl"),
 )
 @option("--offline", "Smooth states over the drive, and fill gaps.")
 @option(
-    "--box2d",
+    "--box2d=image|projected",
     "Boxes in images: those detected there, or outlines of the boxes in space. [default: image]",
-    ("image", "projected"),
 )
 @detection_options.fused
 @options.trajectory(options.STATIONARY)

@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("path", type=options.location, required=False)
 @option(
-    "--profile",
+    "--profile=sfs|scale",
     "`scale`: also what Scale's own library refuses. Default: sfs, of a recording its lines and files.",
-    ("sfs", "scale"),
 )
 @option("--strict", "Treat warnings as errors.")
 @option("--quick", "Do not read frames and images.")

@@ -24,9 +24,8 @@ _FILE = options.source(exists=True, dir_okay=False)
 @option("--web", "Show it in a browser on this machine, until Ctrl-C.")
 @options.overwrite
 @option(
-    "--colour-by",
+    "--colour-by=colour|intensity|height|ring|time",
     "What to colour points by. [default: their own colours, else intensity, else height]",
-    ("colour", "intensity", "height", "ring", "time"),
 )
 @option("--start=S", "Begin S seconds after the first timestamp.", options.not_negative)
 @option("--stop --end=S stop", "End before S seconds after it.", options.positive)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import click
 import pytest
 
 import sceneloom
@@ -70,3 +71,15 @@ def inline(monkeypatch):
             self.ended.clear()
 
     monkeypatch.setattr("sceneloom.batch.running.ProcessPool", Inline)
+
+
+def verbs(command, words=()):
+    """Every verb below a group: its name, with those of its groups, and its command."""
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            found = command.get_command(context, name)
+            assert found is not None, name
+            yield from verbs(found, (*words, name))
+    else:
+        yield " ".join(words), command

@@ -14,10 +14,10 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 import pytest
 from PIL import Image
+from tests.unit.cli.conftest import verbs
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
@@ -142,10 +142,15 @@ ODD["a_point_of_infinity"] = point_at(np.inf, -np.inf, 0)
 ODD["a_point_10_km_off"] = point_at(1e4, 0, 0)
 
 
-@odd
-def only_points_of_nan(header):
-    for frame in sensor(header, "lidar")["frames"]:
-        frame["points"]["positions"][:] = np.nan
+def all_points_at(which, value):
+    def change(header):
+        for frame in sensor(header, "lidar")["frames"]:
+            frame["points"]["positions"][which] = value
+
+    return change
+
+
+ODD["only_points_of_nan"] = all_points_at(slice(None), np.nan)
 
 
 @odd
@@ -155,10 +160,7 @@ def all_points_at_the_end_of_float32(header):
         frame["points"]["positions"][1::2] = -LARGEST
 
 
-@odd
-def all_points_at_one_position(header):
-    for frame in sensor(header, "lidar")["frames"]:
-        frame["points"]["positions"][:] = 0
+ODD["all_points_at_one_position"] = all_points_at(slice(None), 0)
 
 
 def pose_of(name, value, row=1):
@@ -187,63 +189,26 @@ def poses_at_both_ends_of_float64(header):
         one["poses"]["values"][1][0] = 1.7e308
 
 
-@odd
-def one_pose(header):
-    for one in header["sensors"]:
-        one["poses"] = {"timestamps": [0], "values": one["poses"]["values"][:1]}
+def all_poses(poses):
+    return lambda header: [one.update(poses=poses(one["poses"])) for one in header["sensors"]]
 
 
-@odd
-def no_poses(header):
-    for one in header["sensors"]:
-        one["poses"] = {"timestamps": [], "values": []}
-
-
-@odd
-def a_quaternion_of_zeros(header):
-    sensor(header, "ego")["poses"]["values"][1][3:] = [0.0] * 4
-
-
-@odd
-def no_sensors(header):
-    header["sensors"] = []
-    header["annotations"] = []
-
-
-@odd
-def only_annotations(header):
-    del header["sensors"]
-
-
-@odd
-def only_an_odometry(header):
-    header["sensors"] = [sensor(header, "ego")]
-
-
-@odd
-def only_a_lidar(header):
-    header["sensors"] = [sensor(header, "lidar")]
-
-
-@odd
-def only_a_camera(header):
-    header["sensors"] = [sensor(header, "camera")]
-
-
-@odd
-def sensors_without_frames(header):
-    sensor(header, "lidar")["frames"] = []
-    sensor(header, "camera")["images"] = []
-
-
-@odd
-def a_camera_without_images(header):
-    sensor(header, "camera")["images"] = []
-
-
-@odd
-def a_lidar_without_frames(header):
-    sensor(header, "lidar")["frames"] = []
+ODD["one_pose"] = all_poses(lambda poses: {"timestamps": [0], "values": poses["values"][:1]})
+ODD["no_poses"] = all_poses(lambda _: {"timestamps": [], "values": []})
+ODD["a_quaternion_of_zeros"] = lambda h: sensor(h, "ego")["poses"]["values"][1].__setitem__(
+    slice(3, None), [0.0] * 4
+)
+ODD["no_sensors"] = lambda h: h.update(sensors=[], annotations=[])
+ODD["only_annotations"] = lambda h: h.pop("sensors")
+ODD["only_an_odometry"] = lambda h: h.update(sensors=[sensor(h, "ego")])
+ODD["only_a_lidar"] = lambda h: h.update(sensors=[sensor(h, "lidar")])
+ODD["only_a_camera"] = lambda h: h.update(sensors=[sensor(h, "camera")])
+ODD["sensors_without_frames"] = lambda h: (
+    sensor(h, "lidar").update(frames=[]),
+    sensor(h, "camera").update(images=[]),
+)
+ODD["a_camera_without_images"] = lambda h: sensor(h, "camera").update(images=[])
+ODD["a_lidar_without_frames"] = lambda h: sensor(h, "lidar").update(frames=[])
 
 
 def frames_of(count, *, which):
@@ -271,24 +236,14 @@ def nanoseconds(header, lidar_ns, camera_ns):
     cuboid(header)["path"]["timestamps"] = lidar_ns
 
 
-@odd
-def times_at_both_ends_of_int64(header):
-    nanoseconds(header, [-(2**63), 2**63 - 1], [-(2**63), 2**63 - 1])
+def in_nanoseconds(lidar_ns, camera_ns=None):
+    return lambda header: nanoseconds(header, lidar_ns, camera_ns or lidar_ns)
 
 
-@odd
-def times_at_the_upper_end_of_int64(header):
-    nanoseconds(header, [2**63 - 100_000_000, 2**63 - 1], [2**63 - 100_000_000, 2**63 - 1])
-
-
-@odd
-def times_at_the_lower_end_of_int64(header):
-    nanoseconds(header, [-(2**63), -(2**63) + 100_000_000], [-(2**63), -(2**63) + 100_000_000])
-
-
-@odd
-def an_image_at_the_end_of_int64(header):
-    nanoseconds(header, [0, 100_000_000], [0, 2**63 - 1])
+ODD["times_at_both_ends_of_int64"] = in_nanoseconds([-(2**63), 2**63 - 1])
+ODD["times_at_the_upper_end_of_int64"] = in_nanoseconds([2**63 - 100_000_000, 2**63 - 1])
+ODD["times_at_the_lower_end_of_int64"] = in_nanoseconds([-(2**63), -(2**63) + 100_000_000])
+ODD["an_image_at_the_end_of_int64"] = in_nanoseconds([0, 100_000_000], [0, 2**63 - 1])
 
 
 @odd
@@ -298,15 +253,8 @@ def an_annotation_at_the_ends_of_int64(header):
     cuboid(header)["path"]["timestamps"] = [-(2**63), 2**63 - 1]
 
 
-@odd
-def times_beyond_int64(header):
-    sensor(header, "lidar")["frames"][1]["timestamp"] = 2**63
-
-
-@odd
-def a_time_offset_at_the_end_of_int64(header):
-    header["time_unit"] = "nanoseconds"
-    header["time_offset"] = 2**63 - 1
+ODD["times_beyond_int64"] = lambda h: sensor(h, "lidar")["frames"][1].update(timestamp=2**63)
+ODD["a_time_offset_at_the_end_of_int64"] = lambda h: h.update(time_unit="nanoseconds", time_offset=2**63 - 1)
 
 
 @odd
@@ -323,9 +271,7 @@ def times_out_of_order(header):
     cuboid(header)["path"]["timestamps"].reverse()
 
 
-@odd
-def point_times_out_of_the_sweep(header):
-    cloud(header)["timestamps"] = np.full(60, 2**32 - 1, np.uint32)
+ODD["point_times_out_of_the_sweep"] = lambda h: cloud(h).update(timestamps=np.full(60, 2**32 - 1, np.uint32))
 
 
 def size_of_cuboid(*size):
@@ -356,11 +302,7 @@ ODD["a_cuboid_from_end_to_end_of_float64"] = center_of_cuboid(3, -1.7e308, 1.7e3
 ODD["a_cuboid_rotated_by_1e300"] = center_of_cuboid(8, 1e300, 0.0)
 ODD["a_cuboid_rotated_by_1.7e308"] = center_of_cuboid(7, 1.7e308, 1.7e308)
 ODD["a_cuboid_in_the_camera"] = center_of_cuboid(3, 0.0, 0.5)
-
-
-@odd
-def a_cuboid_without_a_path(header):
-    cuboid(header)["path"] = {"timestamps": [], "values": []}
+ODD["a_cuboid_without_a_path"] = lambda h: cuboid(h).update(path={"timestamps": [], "values": []})
 
 
 @odd
@@ -375,9 +317,7 @@ def shapes_of_no_size(header):
     header["annotations"][2]["path"]["values"] = [[4.0, 0.0, 0.0, 4.0, 0.0, 0.0]]
 
 
-@odd
-def shapes_without_corners(header):
-    header["annotations"][2]["path"]["values"] = [[]]
+ODD["shapes_without_corners"] = lambda h: h["annotations"][2]["path"].update(values=[[]])
 
 
 @odd
@@ -493,20 +433,12 @@ def attributes_of_extreme_numbers(header):
     ]
 
 
-@odd
-def an_image_without_size(header):
-    sensor(header, "camera")["intrinsics"].update(width=0, height=0)
-
-
-@odd
-def a_camera_model_of_a_huge_image(header):
-    sensor(header, "camera")["intrinsics"].update(width=1_000_000_000, height=1_000_000_000)
-
-
 def camera_model_of(**fields):
     return lambda header: sensor(header, "camera")["intrinsics"].update(fields)
 
 
+ODD["an_image_without_size"] = camera_model_of(width=0, height=0)
+ODD["a_camera_model_of_a_huge_image"] = camera_model_of(width=1_000_000_000, height=1_000_000_000)
 ODD["a_camera_model_without_focal_length"] = camera_model_of(fx=0.0, fy=0.0)
 ODD["a_camera_model_of_1e300_px"] = camera_model_of(fx=1e300, fy=1e300)
 ODD["a_camera_model_centred_at_1.7e308"] = camera_model_of(cx=1.7e308, cy=-1.7e308)
@@ -516,11 +448,7 @@ ODD["a_camera_model_of_huge_coefficients"] = camera_model_of(
 ODD["a_fisheye_of_huge_coefficients"] = camera_model_of(
     distortion={"model": "fisheye", "params": [-1e300, 1e300, 1e10, 1e300]}
 )
-
-
-@odd
-def images_that_are_none(header):
-    sensor(header, "camera")["images"][1]["content"] = np.zeros(0, np.uint8)
+ODD["images_that_are_none"] = lambda h: sensor(h, "camera")["images"][1].update(content=np.zeros(0, np.uint8))
 
 
 @odd
@@ -530,9 +458,7 @@ def images_of_one_pixel(header):
     sensor(header, "camera")["intrinsics"].update(width=1, height=1, cx=0.0, cy=0.0)
 
 
-@odd
-def images_of_another_size(header):
-    sensor(header, "camera")["images"][1]["content"] = jpeg(64, 8)
+ODD["images_of_another_size"] = lambda h: sensor(h, "camera")["images"][1].update(content=jpeg(64, 8))
 
 
 @odd
@@ -684,7 +610,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "edit crop --range": ("DRIVE", *SCENE, "--frame", "sensor", "--range", "9"),
     "edit crop --stop": ("DRIVE", *SCENE, "--stop", "0.05"),
     "edit thin": ("DRIVE", *SCENE, "--voxel", "0.5"),
-    "edit camera model": ("DRIVE", *SCENE, "--model", "fisheye", "--limit", "9"),
+    "edit camera-model": ("DRIVE", *SCENE, "--model", "fisheye", "--limit", "9"),
     "edit simplify": ("DRIVE", *SCENE),
     "edit anonymise": ("DRIVE", *SCENE, "--fixes", "shift"),
     "edit anonymise --dates": ("DRIVE", *SCENE, "--dates", "shift"),
@@ -748,28 +674,17 @@ def bounded():
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-def commands(group, *names):
-    context = click.Context(group)
-    for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        if isinstance(command, click.Group):
-            yield from commands(command, *names, name)
-        else:
-            yield " ".join((*names, name))
+VERBS = dict(verbs(command_line))
 
 
 def words_of(case):
     """The words of a verb in the name of its case."""
-    verb = max(
-        (name for name in commands(command_line) if case.split(" --", maxsplit=1)[0].startswith(name)),
-        key=len,
-    )
-    return tuple(verb.split())
+    return tuple(max((name for name in VERBS if case.split(" --")[0].startswith(name)), key=len).split())
 
 
 def test_every_verb_that_reads_a_drive_is_tried_on_odd_scenes():
     tried = {" ".join(words_of(case)) for case in CASES}
-    assert tried | WITHOUT_DRIVES == set(commands(command_line))
+    assert tried | WITHOUT_DRIVES == set(VERBS)
     assert not tried & WITHOUT_DRIVES
 
 
@@ -794,6 +709,17 @@ def address():
         yield server.address
 
 
+def words_on(case, name, folder, encode_sfs, given):
+    """The words of a case, for an odd scene beside a sound one."""
+    header = base()
+    (folder / "sound.sfs").write_bytes(encode_sfs(header))
+    ODD[name](header)
+    (folder / "drive.sfs").write_bytes(encode_sfs(header))
+    given = {"DRIVE": folder / "drive.sfs", "SOUND": folder / "sound.sfs", **given}
+    words = (given.get(word, word.replace("OUT", str(folder / "out"))) for word in CASES[case])
+    return [*words_of(case), *words]
+
+
 @pytest.fixture
 def fault_of(call, encode_sfs, lists, address, tmp_path, inline):
     """Report what is wrong with the end of a verb on an odd scene; None where nothing is."""
@@ -801,18 +727,12 @@ def fault_of(call, encode_sfs, lists, address, tmp_path, inline):
     def run(case, name):
         folder = tmp_path / f"{len(list(tmp_path.iterdir()))}"
         folder.mkdir()
-        header = base()
-        (folder / "sound.sfs").write_bytes(encode_sfs(header))
-        ODD[name](header)
-        drive = folder / "drive.sfs"
-        drive.write_bytes(encode_sfs(header))
-        given = {"DRIVE": str(drive), "SOUND": str(folder / "sound.sfs"), "ADDRESS": address, **lists}
-        words = [given.get(word, word.replace("OUT", str(folder / "out"))) for word in CASES[case]]
+        words = words_on(case, name, folder, encode_sfs, {"ADDRESS": address, **lists})
         verb = words_of(case)
         further = [("catalog", "update"), ("catalog", "query")] if verb == ("catalog", "build") else []
         try:
             with bounded():
-                outcome = call(*verb, *words)
+                outcome = call(*words)
                 for other in further if outcome.code == 0 else ():
                     asked = call(*other, str(folder / "out"))
                     if asked.code != 0:
@@ -908,13 +828,7 @@ LEFT_OUT = (
 def test_what_an_image_or_a_view_cannot_show_is_counted(
     call, encode_sfs, lists, tmp_path, case, name, kind, count
 ):
-    header = base()
-    ODD[name](header)
-    drive = tmp_path / "drive.sfs"
-    drive.write_bytes(encode_sfs(header))
-    given = {"DRIVE": str(drive), **lists}
-    words = [given.get(word, word.replace("OUT", str(tmp_path / "out"))) for word in CASES[case]]
-    outcome = call(*words_of(case), *words, "--json")
+    outcome = call(*words_on(case, name, tmp_path, encode_sfs, lists), "--json")
     assert outcome.code == 0, outcome
     reported = json.loads(outcome.out)
     warnings = [
@@ -932,11 +846,7 @@ def test_what_an_image_or_a_view_cannot_show_is_counted(
 
 @pytest.mark.parametrize("case", ["view", "fuse", "info --visualize", "track"])
 def test_of_a_sound_scene_nothing_is_left_out(call, encode_sfs, lists, tmp_path, case):
-    drive = tmp_path / "drive.sfs"
-    drive.write_bytes(encode_sfs(base()))
-    given = {"DRIVE": str(drive), **lists}
-    words = [given.get(word, word.replace("OUT", str(tmp_path / "out"))) for word in CASES[case]]
-    outcome = call(*words_of(case), *words)
+    outcome = call(*words_on(case, "sound", tmp_path, encode_sfs, lists))
     assert outcome.code == 0
     assert "finite" not in outcome.out + outcome.err
 

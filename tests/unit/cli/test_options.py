@@ -4,21 +4,10 @@ import re
 
 import click
 import pytest
+from tests.unit.cli.conftest import verbs
 
 from sceneloom.cli.main import sceneloom as command_line
 from sceneloom.fusion import system
-
-
-def verbs(command, words=()):
-    if isinstance(command, click.Group):
-        context = click.Context(command)
-        for name in command.list_commands(context):
-            found = command.get_command(context, name)
-            assert found is not None, name
-            yield from verbs(found, (*words, name))
-    else:
-        yield " ".join(words), command
-
 
 VERBS = dict(verbs(command_line))
 OPTIONS = [

@@ -8,7 +8,7 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.options import option
-from sceneloom.cli.printing import Printer, print_json, print_lines, print_table, several
+from sceneloom.cli.printing import Printer, print_json, print_table, several
 from sceneloom.cli.running import reading_verb, verb
 
 if TYPE_CHECKING:
@@ -120,10 +120,9 @@ def _print_report(report: "CatalogReport", printer: Printer) -> None:
     click.echo(
         f"{report.catalogue}: {several(report.scenes, 'scene')}: {', '.join(parts) or 'nothing to do'}"
     )
-    failed = [f"failed: {_reported(failure)}" for failure in report.failed]
-    print_lines(failed, verbose=printer.verbose)
-    gone = [f"not there any more: {path}; `--prune` takes it out" for path in report.gone]
-    print_lines(gone, verbose=printer.verbose)
+    always = Printer(verbose=printer.verbose)
+    always.notes([f"failed: {_reported(failure)}" for failure in report.failed])
+    always.notes([f"not there any more: {path}; `--prune` takes it out" for path in report.gone])
 
 
 def _reported(failure: "Failure") -> str:

@@ -87,8 +87,13 @@ class Printer:
 
     def notes(self, lines: Sequence[str]) -> None:
         """Print lines on standard error, only the first ones unless `--verbose` is stated."""
-        if not self.quiet:
-            print_lines(lines, verbose=self.verbose)
+        if self.quiet:
+            return
+        shown = lines if self.verbose else lines[:SHOWN]
+        for line in shown:
+            click.echo(line, err=True)
+        if len(lines) > len(shown):
+            click.echo(f"… and {len(lines) - len(shown)} more: state --verbose", err=True)
 
 
 def _is_correction(warning: "DataWarning") -> bool:
@@ -105,15 +110,6 @@ def print_json(result: Any, *, stages: Mapping[str, float] | None = None) -> Non
         # a path may hold bytes that are not Unicode; this encoder escapes them
         text = json.dumps(msgspec.to_builtins(result), indent=2)
     click.echo(text)
-
-
-def print_lines(lines: Sequence[str], *, verbose: bool) -> None:
-    """Print lines on standard error, only the first ones unless `verbose`."""
-    shown = lines if verbose else lines[:SHOWN]
-    for line in shown:
-        click.echo(line, err=True)
-    if len(lines) > len(shown):
-        click.echo(f"… and {len(lines) - len(shown)} more: state --verbose", err=True)
 
 
 def print_table(rows: Iterable[Sequence[str]], *, indent: str = "  ", err: bool = False) -> None:

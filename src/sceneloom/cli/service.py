@@ -3,10 +3,9 @@
 import os
 import re
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -283,7 +282,7 @@ _TYPES = {"sensor": 0, "detection": 1}
     "scene file (.sfs) for the coloured points. [default: a line each on standard output]",
     options.target,
 )
-@option("--overwrite", "Replace outputs that exist.")
+@options.overwrite
 @option("--count=N", "End after N results.", click.IntRange(min=1))
 @option("--follow", "Go on until the session ends, or Ctrl-C.")
 @option("--track", "With --follow: follow objects from sweep to sweep, by id.")
@@ -307,7 +306,7 @@ def get(
         raise click.UsageError("--track needs --type detection and --follow")
     from sceneloom.service.result_files import described, open_sink
 
-    fetched: Counter[str] = Counter()
+    fetched = 0
     with _connected(address, **calls) as open_client, ExitStack() as stack:
         sink = None
         if output is not None:
@@ -317,7 +316,7 @@ def get(
             if follow and not printer.quiet and not _has_received(client):
                 click.echo(f"session {_name(client)!r} has received no records yet; waiting", err=True)
             for result in _results(client, _TYPES[kind], count, wait, follow=follow, track=track):
-                fetched[kind] += 1
+                fetched += 1
                 if sink is not None:
                     sink.add(result)
                 elif not printer.as_json:
@@ -326,16 +325,16 @@ def get(
             if not printer.quiet:
                 click.echo("stopped; what was fetched is kept", err=True)
         else:
-            if not follow and not fetched[kind] and not _has_received(client):
+            if not follow and not fetched and not _has_received(client):
                 problem = (
                     f"session {_name(client)!r} has received no records; expected one that data were sent to"
                 )
                 raise OptionError(f"{problem} (--session)")
-    summary = {"address": address, "type": kind, "results": fetched[kind], "output": output}
+    summary = {"address": address, "type": kind, "results": fetched, "output": output}
     if printer.as_json:
         print_json(summary | {"output": None if output is None else str(output)})
     elif output is not None:
-        click.echo(f"{fetched[kind]} results of {kind} fusion: {output}")
+        click.echo(f"{fetched} results of {kind} fusion: {output}")
 
 
 def _has_received(client: "FusionClient") -> bool:
@@ -348,24 +347,11 @@ def _name(client: "FusionClient") -> str:
 
 
 def _results(
-    client: "FusionClient",
-    fusion_type: int,
-    count: int | None,
-    wait_s: float,
-    *,
-    follow: bool,
-    track: bool,
+    client: "FusionClient", kind: int, count: int | None, wait_s: float, *, follow: bool, track: bool
 ) -> "Iterator[Result]":
     if follow:
-        yield from client.subscribe(fusion_type, most=count or 0, track=track)
-        return
-    fetched = 0
-    while count is None or fetched < count:
-        result = client.get(fusion_type, timeout_s=wait_s)
-        if result is None:
-            return
-        fetched += 1
-        yield result
+        return client.subscribe(kind, most=count or 0, track=track)
+    return islice(iter(lambda: client.get(kind, timeout_s=wait_s), None), count)
 
 
 # conformance

@@ -130,7 +130,6 @@ def _check(path: Path | str, given: dict[str, Any], printer: Printer, reading: d
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.formats.kitti.tracking_reader import is_tracking_folder
     from sceneloom.pipeline.calibrating import check_drive
-    from sceneloom.visualization.calibration import save_calibration_images
 
     images: Path | None = given["images"]
     if not (given["boxes3d"] or given["boxes2d"]) and is_tracking_folder(Path(path)):
@@ -156,7 +155,7 @@ def _check(path: Path | str, given: dict[str, Any], printer: Printer, reading: d
             **{name: given[name] for name in ("most", "start", "stop", "motion")},
         )
     if images is not None:
-        save_calibration_images(found.frames, found.health, images, overwrite=given["overwrite"])
+        found.save_images(images, overwrite=given["overwrite"])
     printer.show(found.health, _print_health)
     if not printer.as_json:
         printer.corrections(found.health.corrections)

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import Float64Array, FloatArray
 from sceneloom.calibrate.checkerboard import Board, board_views, start_from_target
 from sceneloom.calibrate.extrinsics import MountingEstimate, step_between
 from sceneloom.calibrate.frames import MOST, CalibrationFrame, calibration_frames, chosen_camera, chosen_lidar
@@ -30,14 +30,16 @@ from sceneloom.calibrate.health import (
 )
 from sceneloom.calibrate.lidar_to_ego import lidar_to_ego
 from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
+from sceneloom.calibrate.measures import Change, Parameter, extract
 from sceneloom.calibrate.refinement import DEFAULT, Refinement, RefinementVerdict, refine
 from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.projection import project
 from sceneloom.db34t.calibration import DeclaredAxes, calibration_data
 from sceneloom.db34t.json import format_json
 from sceneloom.detections.residuals import BoxResiduals, BoxRotation
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.files import read_bytes
-from sceneloom.formats.base.output import check_output, replacing
+from sceneloom.formats.base.output import check_output, filling, replacing
 from sceneloom.formats.base.registry import format_for_output
 from sceneloom.formats.kitti.tracking_reader import KittiTracking
 from sceneloom.geometry.interpolation import OUT_OF_REACH
@@ -60,7 +62,12 @@ from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.time_range import cut_scene
 from sceneloom.scene.types import Identifier, Progress
-from sceneloom.visualization.calibration import save_change_images
+from sceneloom.visualization.canvas import PilImage, draw_discs, seconds_text
+from sceneloom.visualization.colour_scales import DepthScale
+from sceneloom.visualization.fused_frames import framed, image_canvas, save_image, subdued
+
+_MOST_DRAWN = 3
+"""Frames that are drawn, evenly spread."""
 
 _MOST_ROTATIONS = 100
 """So many images rotation is estimated from at most."""
@@ -80,6 +87,14 @@ class CheckedCalibration:
 
     health: CalibrationHealth
     frames: Sequence[CalibrationFrame]
+
+    def save_images(self, folder: Path, *, overwrite: bool = False) -> list[Path]:
+        """Draw points and edges over some images, under the stated calibration and the best one.
+
+        Raises:
+            OutputError: the folder has something in it and `overwrite` is not stated, or it cannot be written.
+        """
+        return _save_images(self.frames, Change(self.health.change), folder, overwrite=overwrite)
 
 
 def check_drive(
@@ -215,6 +230,63 @@ def _within(drive: DetectedDrive, part: Scene, camera_id: Identifier) -> Detecte
         if known == camera_id
     }
     return replace(drive, cameras=cameras)
+
+
+def _save_images(
+    frames: Sequence[CalibrationFrame], best: Change, folder: Path, *, overwrite: bool = False
+) -> list[Path]:
+    """Draw frames under the stated calibration and, where that is another one, under the best.
+
+    `points_<number>.png` and `edges_<number>.png`, by number of the image, and with `_best` before the suffix the same
+    where images and sweeps agree best; gives the paths.
+
+    Raises:
+        OutputError: the folder has something in it and `overwrite` is not stated, or it cannot be written.
+    """
+    rows = np.unique(np.linspace(0, len(frames) - 1, min(_MOST_DRAWN, len(frames))).astype(int)).tolist()
+    changes = {"": Change()}
+    if any(best.numbers):
+        changes["_best"] = best
+    written = []
+    with filling(folder, overwrite=overwrite) as drafts:
+        for frame in (frames[row] for row in rows):
+            edges = extract(frame).edge_points
+            for suffix, change in changes.items():
+                under = "best" if suffix else "stated"
+                for name, points in (("points", frame.points_lidar), ("edges", edges)):
+                    written.append(f"{name}_{frame.index:06d}{suffix}.png")
+                    drawn = _draw_points(frame, points, change, f"{name} of the sweep, {under} calibration")
+                    save_image(drawn, drafts / written[-1])
+    return [folder / name for name in written]
+
+
+def _draw_points(
+    frame: CalibrationFrame, points_lidar: Float64Array, change: Change, caption: str
+) -> PilImage:
+    """Draw points of a frame over its image under a candidate calibration, coloured by range.
+
+    Args:
+        points_lidar: (N, 3) [m], lidar frame at the image's time.
+        change: what the candidate changes of the stated calibration.
+        caption: stands below the image.
+    """
+    matrix = change.camera_from_points(frame)
+    points_camera = points_lidar @ matrix[:3, :3].T + matrix[:3, 3]
+    pixels, inside = project(_camera_model(frame.camera, change), points_camera)
+    ranges: FloatArray = np.linalg.norm(points_camera[inside], axis=1)
+    scale = DepthScale.of(ranges)
+    radius = max(frame.camera.width / 900.0, 1.0)
+    drawn = draw_discs(subdued(frame.rgb), pixels[inside], ranges, scale.colours(ranges), radius)
+    title = f"{frame.camera_id} · {seconds_text(frame.image_ns)}"
+    return framed(image_canvas(drawn), [title, caption], scale=scale)
+
+
+def _camera_model(camera: Camera, change: Change) -> Camera:
+    scale = float(np.exp(change.numbers[Parameter.FOCAL]))
+    return Camera(
+        camera.model, camera.width, camera.height, camera.fx * scale, camera.fy * scale, camera.cx, camera.cy,
+        camera.coefficients,
+    )  # fmt: skip
 
 
 _CALIBRATION_FILE = "calibration.json"
@@ -481,7 +553,7 @@ def refine_drive(
     frames = calibration_frames(scene, camera, lidar, most)
     found = refine(frames, parameters=parameters, progress=progress)
     if images is not None:
-        save_change_images(frames, found.change, images, overwrite=overwrite)
+        _save_images(frames, found.change, images, overwrite=overwrite)
     first = frames[0]
     repair = Repair(
         first.camera_id,

@@ -1,10 +1,7 @@
-"""What the sensors see, over sampled frames: points by range, ring, azimuth and elevation; fields of view; the section.
-
-`with_some_sweeps` and what it needs choose the frames that a report looks at.
-"""
+"""What the sensors see, over sampled frames: points by range, ring and direction, fields of view; and the section."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +11,6 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
-from sceneloom.editing.move_points import chosen_frames
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.fusing import CameraReport
@@ -40,7 +36,7 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarPoints, LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.sampling import choose_ego, frame_of_points, locations_of, poses_at
-from sceneloom.scene.scene import Scene, Sensor, sweep_period_ns
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 
 
@@ -50,33 +46,6 @@ def spread_rows(count: int, most: int) -> Int64Array:
         return np.zeros(0, np.int64)
     rows: Int64Array = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(np.int64))
     return rows
-
-
-def with_some_sweeps(scene: Scene, most: int) -> Scene:
-    """The scene with at most so many sweeps of each lidar, and of cameras the images within two sweeps of these."""
-    kept = {lidar.id: spread_rows(len(lidar.frames), most) for lidar in scene.lidars}
-    spans = [
-        (lidar.frames.timestamps_ns[kept[lidar.id]], 2 * sweep_period_ns(lidar)) for lidar in scene.lidars
-    ]
-
-    def thinned(sensor: Sensor) -> Sensor:
-        if isinstance(sensor, LidarSensor):
-            return replace(sensor, frames=chosen_frames(sensor.frames, kept[sensor.id]))
-        if isinstance(sensor, CameraSensor):
-            rows = _rows_around(sensor.images.timestamps_ns, spans)
-            return replace(sensor, images=chosen_frames(sensor.images, rows), video=None)
-        return sensor
-
-    return replace(scene, sensors=tuple(map(thinned, scene.sensors)))
-
-
-def _rows_around(times_ns: Int64Array, spans: list[tuple[Int64Array, int]]) -> Int64Array:
-    """Which of the times (N,) lie within reach of one of the sweeps; each span is (timestamps, reach)."""
-    near = np.zeros(len(times_ns), np.bool_)
-    for sweeps_ns, reach_ns in spans:
-        for sweep_ns in sweeps_ns.tolist():
-            near |= np.abs(times_ns - sweep_ns) <= reach_ns
-    return np.flatnonzero(near)
 
 
 RANGE_EDGES = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0, 200.0)

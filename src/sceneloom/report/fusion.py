@@ -6,8 +6,10 @@ from dataclasses import dataclass, field, replace
 import msgspec
 import numpy as np
 
+from sceneloom.arrays import Int64Array
 from sceneloom.calibrate.health import Item, Verdict, check_calibration
 from sceneloom.colouring.results import FusedFrame, FusedView
+from sceneloom.editing.move_points import chosen_frames
 from sceneloom.errors import SceneloomError
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.pipeline.alignment import Aligned, align
@@ -24,9 +26,11 @@ from sceneloom.report.content import (
     several,
     text_column,
 )
-from sceneloom.report.coverage import with_some_sweeps
+from sceneloom.report.coverage import spread_rows
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.poses import Poses
-from sceneloom.scene.scene import Scene, scene_period_ns
+from sceneloom.scene.scene import Scene, Sensor, scene_period_ns, sweep_period_ns
 from sceneloom.scene.types import Identifier
 from sceneloom.visualization.fused_frames import DriveCloud, iter_images
 
@@ -192,7 +196,7 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
             DataError: a sweep or image cannot be read, and that is not passed over.
         """
         aligned = align(scene)
-        few = with_some_sweeps(aligned.scene, sweeps)
+        few = _with_some_sweeps(aligned.scene, sweeps)
         skips = Skips() if lenient else None
         gathered = _Gathered(
             FusionStatistics.of(aligned),
@@ -270,6 +274,33 @@ class _Gathered:
         known = self.shown.get(frame.lidar_id)
         if frame.unfused is None and (known is None or frame.index <= middle):
             self.shown[frame.lidar_id] = frame
+
+
+def _with_some_sweeps(scene: Scene, most: int) -> Scene:
+    """The scene with at most so many sweeps of each lidar, and of cameras the images within two sweeps of these."""
+    kept = {lidar.id: spread_rows(len(lidar.frames), most) for lidar in scene.lidars}
+    spans = [
+        (lidar.frames.timestamps_ns[kept[lidar.id]], 2 * sweep_period_ns(lidar)) for lidar in scene.lidars
+    ]
+
+    def thinned(sensor: Sensor) -> Sensor:
+        if isinstance(sensor, LidarSensor):
+            return replace(sensor, frames=chosen_frames(sensor.frames, kept[sensor.id]))
+        if isinstance(sensor, CameraSensor):
+            rows = _rows_around(sensor.images.timestamps_ns, spans)
+            return replace(sensor, images=chosen_frames(sensor.images, rows), video=None)
+        return sensor
+
+    return replace(scene, sensors=tuple(map(thinned, scene.sensors)))
+
+
+def _rows_around(times_ns: Int64Array, spans: list[tuple[Int64Array, int]]) -> Int64Array:
+    """Which of the times (N,) lie within reach of one of the sweeps; each span is (timestamps, reach)."""
+    near = np.zeros(len(times_ns), np.bool_)
+    for sweeps_ns, reach_ns in spans:
+        for sweep_ns in sweeps_ns.tolist():
+            near |= np.abs(times_ns - sweep_ns) <= reach_ns
+    return np.flatnonzero(near)
 
 
 def _played(aligned: Aligned, few: Scene, skips: Skips | None) -> Iterator[FusedFrame]:

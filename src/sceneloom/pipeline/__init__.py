@@ -1,7 +1,6 @@
-"""The main job: read, weave into one world, fuse, write.
+"""The jobs: fuse, colour, depth images, deskew, track, convert, edit, sync, calibrate.
 
-Every name is imported when it is first used: a conversion or an edit needs nothing of what fuses, which takes long to
-import.
+Every name is imported when it is first used: a conversion needs nothing of a fusion, which takes long to import.
 """
 
 from typing import TYPE_CHECKING

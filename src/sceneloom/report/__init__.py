@@ -1,6 +1,6 @@
-"""A page about a drive that one can send: what is in it, whether it is in order, and what it looks like.
+"""Reports on drives: what is in a drive, whether it is usable, and what it looks like, as one HTML page and as JSON.
 
-`sceneloom report DRIVE -o report.html` is this.
+`sceneloom report DRIVE -o report.html` writes one.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Images for people: points over the image, depths, and the coloured cloud, drawn with Pillow and NumPy."""
+"""Visualisations: points over images, depth images, coloured clouds, annotations and objects, by Pillow and NumPy."""
 
 from typing import TYPE_CHECKING
 

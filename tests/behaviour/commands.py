@@ -11,7 +11,41 @@ from dataclasses import dataclass
 RENAMED_OPTIONS: dict[str, str] = {}
 """Options and verbs by the names that the snapshot was recorded with, and what they are called now."""
 
-RENAMED_WORDS: tuple[tuple[str, str], ...] = ()
+RENAMED_WORDS: tuple[tuple[str, str], ...] = (
+    *(
+        (rf"(?<![A-Za-z]){old}(?![A-Za-z])", new)
+        for old, new in {
+            "turn_rate": "yaw_rate",
+            "turn_acceleration": "yaw_acceleration",
+            "poses_endless": "poses_static",
+            "pictures": "images",
+            "picture": "image",
+            "stamps": "timestamps",
+            "stamp": "timestamp",
+            "notices": "warnings",
+            "notice": "warning",
+            "lenses": "camera_models",
+            "lens": "camera_model",
+            "ways": "trajectories",
+            "way": "trajectory",
+            "places": "locations",
+            "place": "location",
+            "told": "reported",
+            "said": "stated",
+            "turns": "rotations",
+            "turned": "rotated",
+            "turning": "rotating",
+            "turn": "rotation",
+            "standing": "stationary",
+            "fate": "support",
+            "fates": "supports",
+            "mended": "repaired",
+            "endless": "static",
+            "planted": "injected",
+            "pieces": "chunks",
+        }.items()
+    ),
+)
 """Regular expressions of words in names of fields and files as the snapshot has them, and what replaces them now.
 
 They are applied one after the other to locations of the snapshot that are not found any more, and to its texts.

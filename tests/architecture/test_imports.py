@@ -101,6 +101,68 @@ def test_a_module_imports_only_from_rows_below_its_own(modules_of_room):
         assert not wrong, f"{module.name} imports from its own row or above: {wrong}"
 
 
+FORMAT_ROWS = (
+    (
+        "nuscenes",
+        "openlabel",
+        "colmap",
+        "nerfstudio",
+        "kitti",
+        "pandaset",
+        "argoverse2",
+        "euroc_mav",
+        "scale_toolkit",
+    ),
+    ("sfs", "recording", "rig", "messages", "posed_images"),
+    ("points",),
+    ("trajectories", "video"),
+    ("remote",),
+    ("base",),
+)
+"""The packages inside `formats` from top to bottom: those of one layer do not import one another."""
+
+FORMAT_ROW_OF = {package: number for number, row in enumerate(FORMAT_ROWS) for package in row}
+
+
+def test_formats_import_only_formats_of_layers_below_their_own(modules):
+    wrong = set()
+    for module in modules:
+        package = module.name.split(".")[2:3]
+        if not module.name.startswith("sceneloom.formats.") or package[0] not in FORMAT_ROW_OF:
+            continue
+        for name, line in module.imports:
+            other = name.split(".")[2] if name.startswith("sceneloom.formats.") else ""
+            if (
+                other in FORMAT_ROW_OF
+                and other != package[0]
+                and FORMAT_ROW_OF[other] <= FORMAT_ROW_OF[package[0]]
+            ):
+                wrong.add(f"{module.name}, line {line}: {name}")
+    assert not wrong
+
+
+def test_no_modules_import_one_another_in_a_circle(modules):
+    """Imports at the top of modules; those inside functions come later."""
+    known = {module.name for module in modules}
+    graph = {}
+    for module in modules:
+        top = {node.lineno for node in module.tree.body if isinstance(node, ast.ImportFrom)}
+        graph[module.name] = {name for name, line in module.imports if line in top and name in known}
+    circles = [name for name in graph if name in _reached(graph, name)]
+    assert not circles
+
+
+def _reached(graph, start):
+    """All modules that one imports, directly or through others."""
+    seen, todo = set(), list(graph[start])
+    while todo:
+        name = todo.pop()
+        if name not in seen:
+            seen.add(name)
+            todo += graph[name]
+    return seen
+
+
 def test_a_third_party_is_imported_only_in_the_rooms_that_wrap_it(modules_of_room):
     for module in modules_of_room:
         room = room_of(module.name)

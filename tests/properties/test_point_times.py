@@ -17,7 +17,7 @@ def sweep(timestamp_ns: int, times: list[int]) -> LidarFrame:
     return LidarFrame(timestamp_ns, LidarPoints(positions, timestamps_ns=np.array(times, np.int64)))
 
 
-@given(stamp=TIMESTAMPS, times=st.lists(INT64, max_size=50), period=PERIODS)
+@given(timestamp=TIMESTAMPS, times=st.lists(INT64, max_size=50), period=PERIODS)
 @settings(deadline=None)
 def test_any_times_at_all_are_judged(timestamp: int, times: list[int], period: int) -> None:
     timed = timed_frame(sweep(timestamp, times), period)
@@ -27,7 +27,7 @@ def test_any_times_at_all_are_judged(timestamp: int, times: list[int], period: i
 
 
 @given(
-    stamp=TIMESTAMPS,
+    timestamp=TIMESTAMPS,
     period=st.integers(10**6, 10**10),
     span=st.floats(0.001, 500.0),
     location=st.sampled_from(["timestamp", "zero", "elsewhere"]),

@@ -678,7 +678,7 @@ def _open(drive: RawDrive, ledger: Ledger) -> Scene:
     reported = {
         "drive": drive.folder.resolve().name,
         "rectified": rectified,
-        "calibration": _reading_plain(calibration),
+        "calibration": _plain_text(calibration),
     }
     return Scene(
         (*sensors, *own),
@@ -691,7 +691,7 @@ def _open(drive: RawDrive, ledger: Ledger) -> Scene:
     )
 
 
-def _reading_plain(calibration: _RawCalibration) -> dict[str, dict[str, str]]:
+def _plain_text(calibration: _RawCalibration) -> dict[str, dict[str, str]]:
     return {name: dict(texts) for name, texts in calibration.texts.items()}
 
 

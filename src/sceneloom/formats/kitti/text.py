@@ -195,12 +195,12 @@ def note_unread(folder: Path, known: Iterable[str], ledger: Ledger) -> None:
         others = sorted(path.name for path in folder.iterdir() if path.name not in names)
     others = [name for name in others if not name.startswith((".", "README", "readme"))]
     if others:
-        shown = ", ".join(others[:_NUMBERED_SHOWN]) + (", …" if len(others) > _NUMBERED_SHOWN else "")
+        shown = ", ".join(others[:_NUMBERS_SHOWN]) + (", …" if len(others) > _NUMBERS_SHOWN else "")
         message = f"nothing is read of {shown}"
         ledger.note(WarningKind.SKIPPED, "not-read", str(folder), message, count=len(others))
 
 
-_NUMBERED_SHOWN = 5
+_NUMBERS_SHOWN = 5
 
 
 def sequences_called(sequences: Iterable[str], wanted: str) -> list[str]:

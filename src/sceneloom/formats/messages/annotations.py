@@ -92,7 +92,7 @@ def _annotation_ids(keys: Sequence[_Key]) -> list[str]:
     return [name if seen[name] == 1 else f"{topic.strip('/')}/{name}" for topic, name in keys]
 
 
-def _boxes_cuboid(
+def _cuboid_of_boxes(
     identifier: str | int, track: _Track, locations: Locations, survey: Survey, location: str
 ) -> CuboidAnnotation | None:
     """Make the cuboid of an object; None where none of its boxes can be placed in the world."""
@@ -230,7 +230,7 @@ def _cuboids(survey: Survey, locations: Locations) -> list[tuple[_Key, Annotatio
         tracks |= _gather(topic.name, survey.of(topic, Boxes3DRecord), survey)
     location = f"{survey.log.name}: boxes"
     made = [
-        (key, _boxes_cuboid(identifier, track, locations, survey, location))
+        (key, _cuboid_of_boxes(identifier, track, locations, survey, location))
         for (key, track), identifier in zip(tracks.items(), _annotation_ids([*tracks]), strict=True)
     ]
     return [(key, annotation) for key, annotation in made if annotation is not None]

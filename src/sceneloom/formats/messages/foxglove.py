@@ -116,9 +116,24 @@ _Parsed = tuple[Any, memoryview]
 
 _DTYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
 
+_TYPES = {name: number for number, name in _DTYPES.items()}
+
 _MATCHING_ID = 0
 
 _LINE_LOOP, _LINE_STRIP, _LINE_LIST = 2, 3, 4
+
+
+_Parts = list[bytes | memoryview]
+
+
+_DIAGONAL = 2
+
+
+_VIDEOS = frozenset({"h264", "h265", "vp9", "av1"})
+
+_FACES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 0.35}
+
+_EDGES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 1.0}
 
 
 def _time_ns(timestamp: Any) -> int:
@@ -134,7 +149,33 @@ def _rotation(quaternion: Any) -> Float64Array:
     return np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
 
 
-def _transforms(parsed: _Parsed) -> Iterable[TransformRecord]:
+def _time(time_ns: int) -> dict[str, int]:
+    seconds, nanos = divmod(time_ns, 1_000_000_000)
+    return {"seconds": seconds, "nanos": nanos}
+
+
+def _xyz(values: Any) -> dict[str, float]:
+    return dict(zip("xyz", map(float, values), strict=True))
+
+
+def _xyzw(values: Any) -> dict[str, float]:
+    return dict(zip("xyzw", map(float, values), strict=True))
+
+
+def _message(schema: str, data: memoryview | None = None, **fields: Any) -> tuple[str, _Parts]:
+    message_type = foxglove_type(schema)
+    rest = serialised(message_type(**fields))
+    if data is None:
+        return schema, [rest]
+    number = message_type.DESCRIPTOR.fields_by_name["data"].number
+    return schema, [rest, field_head(number, len(data)), data]
+
+
+def _pairs(reported: Mapping[str, str]) -> list[dict[str, str]]:
+    return [{"key": key, "value": value} for key, value in reported.items()]
+
+
+def _read_transforms(parsed: _Parsed) -> Iterable[TransformRecord]:
     message = parsed[0]
     for transform in getattr(message, "transforms", [message]):
         yield TransformRecord(
@@ -146,7 +187,18 @@ def _transforms(parsed: _Parsed) -> Iterable[TransformRecord]:
         )
 
 
-def _cloud(parsed: _Parsed) -> Sequence[CloudRecord]:
+def _write_transform(record: TransformRecord) -> tuple[str, _Parts]:
+    return _message(
+        "foxglove.FrameTransform",
+        timestamp=_time(record.timestamp_ns),
+        parent_frame_id=record.parent,
+        child_frame_id=record.child,
+        translation=_xyz(record.position),
+        rotation=_xyzw(record.quaternion_xyzw),
+    )
+
+
+def _read_cloud(parsed: _Parsed) -> Sequence[CloudRecord]:
     message, data = parsed
     fields = tuple(
         PackedField(field.name, field.offset, np.dtype(_DTYPES.get(field.type, "u1")).newbyteorder("<"))
@@ -166,6 +218,21 @@ def _cloud(parsed: _Parsed) -> Sequence[CloudRecord]:
     ]
 
 
+def _write_cloud(record: CloudRecord) -> tuple[str, _Parts]:
+    return _message(
+        "foxglove.PointCloud",
+        record.data,
+        timestamp=_time(record.timestamp_ns),
+        frame_id=record.frame_id,
+        pose={"position": _xyz((0, 0, 0)), "orientation": _xyzw((0, 0, 0, 1))},
+        point_stride=record.stride,
+        fields=[
+            {"name": field.name, "offset": field.offset, "type": _TYPES[field.dtype.str[1:]]}
+            for field in record.fields
+        ],
+    )
+
+
 def _rigid(pose: Any) -> RigidTransform | None:
     quaternion = _rotation(pose.orientation)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -175,19 +242,38 @@ def _rigid(pose: Any) -> RigidTransform | None:
     return RigidTransform.from_quaternion(_vector(pose.position), quaternion)
 
 
-def _image(parsed: _Parsed) -> Sequence[ImageRecord]:
+def _read_image(parsed: _Parsed) -> Sequence[ImageRecord]:
     message, data = parsed
     size = message.encoding, message.width, message.height, message.step
     return [ImageRecord(_time_ns(message.timestamp), message.frame_id, *size, data)]
 
 
-def _compressed_image(parsed: _Parsed) -> Sequence[CompressedImageRecord]:
+def _write_image(record: ImageRecord) -> tuple[str, _Parts]:
+    return _message(
+        "foxglove.RawImage",
+        record.data,
+        timestamp=_time(record.timestamp_ns),
+        frame_id=record.frame_id,
+        width=record.width,
+        height=record.height,
+        encoding=record.encoding,
+        step=record.step,
+    )
+
+
+def _read_compressed_image(parsed: _Parsed) -> Sequence[CompressedImageRecord]:
     message, data = parsed
     form = message.format.lower().removeprefix("image/").replace("jpg", "jpeg")
     return [CompressedImageRecord(_time_ns(message.timestamp), message.frame_id, form, data)]
 
 
-def _camera_model(parsed: _Parsed) -> Sequence[CameraModelRecord]:
+def _write_compressed_image(record: CompressedImageRecord) -> tuple[str, _Parts]:
+    schema = "foxglove.CompressedVideo" if record.form in _VIDEOS else "foxglove.CompressedImage"
+    head = {"timestamp": _time(record.timestamp_ns), "frame_id": record.frame_id, "format": record.form}
+    return _message(schema, record.data, **head)
+
+
+def _read_camera_model(parsed: _Parsed) -> Sequence[CameraModelRecord]:
     message = parsed[0]
     return [
         CameraModelRecord(
@@ -203,7 +289,22 @@ def _camera_model(parsed: _Parsed) -> Sequence[CameraModelRecord]:
     ]
 
 
-def _poses(parsed: _Parsed) -> Iterable[PoseRecord]:
+def _write_camera_model(record: CameraModelRecord) -> tuple[str, _Parts]:
+    return _message(
+        "foxglove.CameraCalibration",
+        timestamp=_time(record.timestamp_ns),
+        frame_id=record.frame_id,
+        width=record.width,
+        height=record.height,
+        distortion_model=record.model,
+        D=record.coefficients,
+        K=record.k,
+        R=np.eye(3).reshape(-1).tolist(),
+        P=record.p,
+    )
+
+
+def _read_poses(parsed: _Parsed) -> Iterable[PoseRecord]:
     message = parsed[0]
     for pose in getattr(message, "poses", None) or [message.pose]:
         reported = pose.HasField("orientation")
@@ -216,7 +317,16 @@ def _poses(parsed: _Parsed) -> Iterable[PoseRecord]:
         )
 
 
-def _fixes(parsed: _Parsed) -> Iterable[FixRecord]:
+def _write_pose(record: PoseRecord) -> tuple[str, _Parts]:
+    pose: dict[str, Any] = {"position": _xyz(record.position)}
+    if record.quaternion_xyzw is not None:
+        pose["orientation"] = _xyzw(record.quaternion_xyzw)
+    return _message(
+        "foxglove.PoseInFrame", timestamp=_time(record.timestamp_ns), frame_id=record.frame_id, pose=pose
+    )
+
+
+def _read_fixes(parsed: _Parsed) -> Iterable[FixRecord]:
     message = parsed[0]
     for fix in getattr(message, "fixes", [message]):
         known = fix.position_covariance_type != 0 and len(fix.position_covariance) == 9
@@ -229,12 +339,33 @@ def _fixes(parsed: _Parsed) -> Iterable[FixRecord]:
         )
 
 
+def _write_fix(record: FixRecord) -> tuple[str, _Parts]:
+    latitude, longitude, altitude = record.lla
+    fields: dict[str, Any] = {"latitude": latitude, "longitude": longitude, "altitude": altitude}
+    if record.variances is not None:
+        fields["position_covariance"] = np.diag(record.variances).reshape(-1).tolist()
+        fields["position_covariance_type"] = _DIAGONAL
+    return _message(
+        "foxglove.LocationFix", timestamp=_time(record.timestamp_ns), frame_id=record.frame_id, **fields
+    )
+
+
 def _read_sample(content: Mapping[str, Any]) -> Sequence[SampleRecord]:
     """Read a measurement of ours."""
     timestamp = content["timestamp"]
     values = {name: tuple(map(float, row)) for name, row in content["values"].items()}
     timestamp_ns = int(timestamp["sec"]) * 1_000_000_000 + int(timestamp["nsec"])
     return [SampleRecord(timestamp_ns, str(content["frame_id"]), values)]
+
+
+def _write_sample(record: SampleRecord) -> tuple[str, _Parts]:
+    seconds, nanos = divmod(record.timestamp_ns, 1_000_000_000)
+    content = {
+        "timestamp": {"sec": seconds, "nsec": nanos},
+        "frame_id": record.frame_id,
+        "values": record.values,
+    }
+    return SAMPLE_SCHEMA, [msgspec.json.encode(content)]
 
 
 def _reported(pairs: Iterable[Any]) -> dict[str, str]:
@@ -247,7 +378,7 @@ def _pick(reported: dict[str, str], keys: Iterable[str]) -> str | None:
     return None if name is None else reported.pop(name)
 
 
-def _boxes_3d(parsed: _Parsed) -> Sequence[Boxes3DRecord]:
+def _read_boxes_3d(parsed: _Parsed) -> Sequence[Boxes3DRecord]:
     message = parsed[0]
     boxes: list[Box3D] = []
     others = 0
@@ -277,10 +408,33 @@ def _boxes_3d(parsed: _Parsed) -> Sequence[Boxes3DRecord]:
     )
 
 
+def _write_boxes_3d(record: Boxes3DRecord) -> tuple[str, _Parts]:
+    time = _time(record.timestamp_ns)
+    entities = [
+        {
+            "timestamp": time,
+            "frame_id": box.frame_id,
+            "id": box.id,
+            "frame_locked": True,
+            "metadata": _pairs({**({} if box.label is None else {"label": box.label}), **box.reported}),
+            "cubes": [
+                {
+                    "pose": {"position": _xyz(box.center), "orientation": _xyzw(box.quaternion_xyzw)},
+                    "size": _xyz(box.size_lwh),
+                    "color": _FACES,
+                }
+            ],
+        }
+        for box in record.boxes
+    ]
+    gone = [{"timestamp": time, "type": _MATCHING_ID, "id": identifier} for identifier in record.gone]
+    return _message("foxglove.SceneUpdate", deletions=gone, entities=entities)
+
+
 _OTHER_PLOTS = ("arrows", "spheres", "cylinders", "lines", "triangles", "models")
 
 
-def _boxes_2d(parsed: _Parsed) -> Iterable[Boxes2DRecord]:
+def _read_boxes_2d(parsed: _Parsed) -> Iterable[Boxes2DRecord]:
     message = parsed[0]
     by_time: dict[int, list[Box2D]] = {}
     others = len(message.circles)
@@ -301,6 +455,25 @@ def _boxes_2d(parsed: _Parsed) -> Iterable[Boxes2DRecord]:
         yield Boxes2DRecord(timestamp_ns, "", tuple(boxes), 0 if number else others)
 
 
+def _write_boxes_2d(record: Boxes2DRecord) -> tuple[str, _Parts]:
+    time, points = _time(record.timestamp_ns), []
+    for box in record.boxes:
+        left, top, width, height = box.box_ltwh
+        corners = ((left, top), (left + width, top), (left + width, top + height), (left, top + height))
+        reported = {"id": box.id, **({} if box.label is None else {"label": box.label}), **box.reported}
+        points.append(
+            {
+                "timestamp": time,
+                "type": _LINE_LOOP,
+                "points": [{"x": x, "y": y} for x, y in corners],
+                "outline_color": _EDGES,
+                "thickness": 2.0,
+                "metadata": _pairs(reported),
+            }
+        )
+    return _message("foxglove.ImageAnnotations", points=points)
+
+
 def _upright(points: Float64Array) -> tuple[float, float, float, float] | None:
     """Left, top, width and height of a drawing whose points are the corners of an upright box; None of others."""
     if len(points) < 4 or not np.isfinite(points).all():
@@ -316,20 +489,20 @@ _Reader = Callable[[_Parsed], Iterable[AnyRecord]]
 
 READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
     {
-        "foxglove.FrameTransform": (Kind.TRANSFORM, _transforms),
-        "foxglove.FrameTransforms": (Kind.TRANSFORM, _transforms),
-        "foxglove.PointCloud": (Kind.CLOUD, _cloud),
-        "foxglove.RawImage": (Kind.IMAGE, _image),
-        "foxglove.CompressedImage": (Kind.COMPRESSED_IMAGE, _compressed_image),
-        "foxglove.CompressedVideo": (Kind.VIDEO, _compressed_image),
-        "foxglove.CameraCalibration": (Kind.CAMERA_MODEL, _camera_model),
-        "foxglove.PoseInFrame": (Kind.POSE, _poses),
-        "foxglove.PosesInFrame": (Kind.POSE, _poses),
-        "foxglove.Odometry": (Kind.POSE, _poses),
-        "foxglove.LocationFix": (Kind.FIX, _fixes),
-        "foxglove.LocationFixes": (Kind.FIX, _fixes),
-        "foxglove.SceneUpdate": (Kind.BOXES_3D, _boxes_3d),
-        "foxglove.ImageAnnotations": (Kind.BOXES_2D, _boxes_2d),
+        "foxglove.FrameTransform": (Kind.TRANSFORM, _read_transforms),
+        "foxglove.FrameTransforms": (Kind.TRANSFORM, _read_transforms),
+        "foxglove.PointCloud": (Kind.CLOUD, _read_cloud),
+        "foxglove.RawImage": (Kind.IMAGE, _read_image),
+        "foxglove.CompressedImage": (Kind.COMPRESSED_IMAGE, _read_compressed_image),
+        "foxglove.CompressedVideo": (Kind.VIDEO, _read_compressed_image),
+        "foxglove.CameraCalibration": (Kind.CAMERA_MODEL, _read_camera_model),
+        "foxglove.PoseInFrame": (Kind.POSE, _read_poses),
+        "foxglove.PosesInFrame": (Kind.POSE, _read_poses),
+        "foxglove.Odometry": (Kind.POSE, _read_poses),
+        "foxglove.LocationFix": (Kind.FIX, _read_fixes),
+        "foxglove.LocationFixes": (Kind.FIX, _read_fixes),
+        "foxglove.SceneUpdate": (Kind.BOXES_3D, _read_boxes_3d),
+        "foxglove.ImageAnnotations": (Kind.BOXES_2D, _read_boxes_2d),
     }
 )
 """The schemas that are read, by name: what they state, and what reads them."""
@@ -482,21 +655,6 @@ def _timestamp(content: bytes) -> int | None:
     return parts[1] * _NANOSECONDS + parts[2]
 
 
-_Parts = list[bytes | memoryview]
-
-_NUMERIC = {"u1": 1, "i1": 2, "u2": 3, "i2": 4, "u4": 5, "i4": 6, "f4": 7, "f8": 8}
-
-_DIAGONAL = 2
-
-_FOXGLOVE_WRITING_LINE_LOOP = 2
-
-_VIDEOS = frozenset({"h264", "h265", "vp9", "av1"})
-
-_FACES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 0.35}
-
-_EDGES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 1.0}
-
-
 def encode(record: AnyRecord) -> tuple[str, _Parts]:
     """Give the schema of a record's message, and the message.
 
@@ -509,175 +667,17 @@ def encode(record: AnyRecord) -> tuple[str, _Parts]:
     return write(record)
 
 
-def _time(time_ns: int) -> dict[str, int]:
-    seconds, nanos = divmod(time_ns, 1_000_000_000)
-    return {"seconds": seconds, "nanos": nanos}
-
-
-def _xyz(values: Any) -> dict[str, float]:
-    return dict(zip("xyz", map(float, values), strict=True))
-
-
-def _xyzw(values: Any) -> dict[str, float]:
-    return dict(zip("xyzw", map(float, values), strict=True))
-
-
-def _message(schema: str, data: memoryview | None = None, **fields: Any) -> tuple[str, _Parts]:
-    message_type = foxglove_type(schema)
-    rest = serialised(message_type(**fields))
-    if data is None:
-        return schema, [rest]
-    number = message_type.DESCRIPTOR.fields_by_name["data"].number
-    return schema, [rest, field_head(number, len(data)), data]
-
-
-def _transform(record: TransformRecord) -> tuple[str, _Parts]:
-    return _message(
-        "foxglove.FrameTransform",
-        timestamp=_time(record.timestamp_ns),
-        parent_frame_id=record.parent,
-        child_frame_id=record.child,
-        translation=_xyz(record.position),
-        rotation=_xyzw(record.quaternion_xyzw),
-    )
-
-
-def _foxglove_writing_cloud(record: CloudRecord) -> tuple[str, _Parts]:
-    return _message(
-        "foxglove.PointCloud",
-        record.data,
-        timestamp=_time(record.timestamp_ns),
-        frame_id=record.frame_id,
-        pose={"position": _xyz((0, 0, 0)), "orientation": _xyzw((0, 0, 0, 1))},
-        point_stride=record.stride,
-        fields=[
-            {"name": field.name, "offset": field.offset, "type": _NUMERIC[field.dtype.str[1:]]}
-            for field in record.fields
-        ],
-    )
-
-
-def _foxglove_writing_image(record: ImageRecord) -> tuple[str, _Parts]:
-    return _message(
-        "foxglove.RawImage",
-        record.data,
-        timestamp=_time(record.timestamp_ns),
-        frame_id=record.frame_id,
-        width=record.width,
-        height=record.height,
-        encoding=record.encoding,
-        step=record.step,
-    )
-
-
-def _foxglove_writing_compressed_image(record: CompressedImageRecord) -> tuple[str, _Parts]:
-    schema = "foxglove.CompressedVideo" if record.form in _VIDEOS else "foxglove.CompressedImage"
-    head = {"timestamp": _time(record.timestamp_ns), "frame_id": record.frame_id, "format": record.form}
-    return _message(schema, record.data, **head)
-
-
-def _foxglove_writing_camera_model(record: CameraModelRecord) -> tuple[str, _Parts]:
-    return _message(
-        "foxglove.CameraCalibration",
-        timestamp=_time(record.timestamp_ns),
-        frame_id=record.frame_id,
-        width=record.width,
-        height=record.height,
-        distortion_model=record.model,
-        D=record.coefficients,
-        K=record.k,
-        R=np.eye(3).reshape(-1).tolist(),
-        P=record.p,
-    )
-
-
-def _pose(record: PoseRecord) -> tuple[str, _Parts]:
-    pose: dict[str, Any] = {"position": _xyz(record.position)}
-    if record.quaternion_xyzw is not None:
-        pose["orientation"] = _xyzw(record.quaternion_xyzw)
-    return _message(
-        "foxglove.PoseInFrame", timestamp=_time(record.timestamp_ns), frame_id=record.frame_id, pose=pose
-    )
-
-
-def _fix(record: FixRecord) -> tuple[str, _Parts]:
-    latitude, longitude, altitude = record.lla
-    fields: dict[str, Any] = {"latitude": latitude, "longitude": longitude, "altitude": altitude}
-    if record.variances is not None:
-        fields["position_covariance"] = np.diag(record.variances).reshape(-1).tolist()
-        fields["position_covariance_type"] = _DIAGONAL
-    return _message(
-        "foxglove.LocationFix", timestamp=_time(record.timestamp_ns), frame_id=record.frame_id, **fields
-    )
-
-
-def _sample(record: SampleRecord) -> tuple[str, _Parts]:
-    seconds, nanos = divmod(record.timestamp_ns, 1_000_000_000)
-    content = {
-        "timestamp": {"sec": seconds, "nsec": nanos},
-        "frame_id": record.frame_id,
-        "values": record.values,
-    }
-    return SAMPLE_SCHEMA, [msgspec.json.encode(content)]
-
-
-def _foxglove_writing_boxes_3d(record: Boxes3DRecord) -> tuple[str, _Parts]:
-    time = _time(record.timestamp_ns)
-    entities = [
-        {
-            "timestamp": time,
-            "frame_id": box.frame_id,
-            "id": box.id,
-            "frame_locked": True,
-            "metadata": _pairs({**({} if box.label is None else {"label": box.label}), **box.reported}),
-            "cubes": [
-                {
-                    "pose": {"position": _xyz(box.center), "orientation": _xyzw(box.quaternion_xyzw)},
-                    "size": _xyz(box.size_lwh),
-                    "color": _FACES,
-                }
-            ],
-        }
-        for box in record.boxes
-    ]
-    gone = [{"timestamp": time, "type": _MATCHING_ID, "id": identifier} for identifier in record.gone]
-    return _message("foxglove.SceneUpdate", deletions=gone, entities=entities)
-
-
-def _foxglove_writing_boxes_2d(record: Boxes2DRecord) -> tuple[str, _Parts]:
-    time, points = _time(record.timestamp_ns), []
-    for box in record.boxes:
-        left, top, width, height = box.box_ltwh
-        corners = ((left, top), (left + width, top), (left + width, top + height), (left, top + height))
-        reported = {"id": box.id, **({} if box.label is None else {"label": box.label}), **box.reported}
-        points.append(
-            {
-                "timestamp": time,
-                "type": _FOXGLOVE_WRITING_LINE_LOOP,
-                "points": [{"x": x, "y": y} for x, y in corners],
-                "outline_color": _EDGES,
-                "thickness": 2.0,
-                "metadata": _pairs(reported),
-            }
-        )
-    return _message("foxglove.ImageAnnotations", points=points)
-
-
-def _pairs(reported: Mapping[str, str]) -> list[dict[str, str]]:
-    return [{"key": key, "value": value} for key, value in reported.items()]
-
-
 _WRITERS: Mapping[type[Any], Callable[[Any], tuple[str, _Parts]]] = MappingProxyType(
     {
-        TransformRecord: _transform,
-        CloudRecord: _foxglove_writing_cloud,
-        ImageRecord: _foxglove_writing_image,
-        CompressedImageRecord: _foxglove_writing_compressed_image,
-        CameraModelRecord: _foxglove_writing_camera_model,
-        PoseRecord: _pose,
-        FixRecord: _fix,
-        SampleRecord: _sample,
-        Boxes3DRecord: _foxglove_writing_boxes_3d,
-        Boxes2DRecord: _foxglove_writing_boxes_2d,
+        TransformRecord: _write_transform,
+        CloudRecord: _write_cloud,
+        ImageRecord: _write_image,
+        CompressedImageRecord: _write_compressed_image,
+        CameraModelRecord: _write_camera_model,
+        PoseRecord: _write_pose,
+        FixRecord: _write_fix,
+        SampleRecord: _write_sample,
+        Boxes3DRecord: _write_boxes_3d,
+        Boxes2DRecord: _write_boxes_2d,
     }
 )

@@ -300,12 +300,12 @@ def _log(location: Location, scene: SceneRow, ledger: Ledger) -> LogRow | None:
     log = next((row for row in iter_rows(location.tables, "log") if row.token == scene.log_token), None)
     if log is None:
         ledger.fault(
-            "dangling-tokens", _selection_dangling(location, "scene", scene.token, "log", scene.log_token)
+            "dangling-tokens", _dangling_token(location, "scene", scene.token, "log", scene.log_token)
         )
     return log
 
 
-def _selection_dangling(location: Location, table: str, token: str, other: str, wanted: str) -> DataError:
+def _dangling_token(location: Location, table: str, token: str, other: str, wanted: str) -> DataError:
     """The fault of a row that names a row of another table which is not there."""
     problem = f"{other}_token {wanted!r} leads to no row of {other}.json"
     return DataError(location.tables / f"{table}.json", f"row {token}", problem)
@@ -362,12 +362,12 @@ def _followed(
     calibration = calibrations.get(row.calibrated_sensor_token)
     fault = None
     if row.ego_pose_token not in poses:
-        fault = _selection_dangling(location, "sample_data", row.token, "ego_pose", row.ego_pose_token)
+        fault = _dangling_token(location, "sample_data", row.token, "ego_pose", row.ego_pose_token)
     elif calibration is None:
         wanted = row.calibrated_sensor_token
-        fault = _selection_dangling(location, "sample_data", row.token, "calibrated_sensor", wanted)
+        fault = _dangling_token(location, "sample_data", row.token, "calibrated_sensor", wanted)
     elif calibration.sensor_token not in sensors:
-        fault = _selection_dangling(
+        fault = _dangling_token(
             location, "calibrated_sensor", calibration.token, "sensor", calibration.sensor_token
         )
     if fault is not None or calibration is None:
@@ -647,14 +647,14 @@ def _dangling(
     """What is wrong with the tokens of a row."""
     location, table = tables.location, "sample_annotation"
     if row.instance_token not in instances:
-        return _selection_dangling(location, table, row.token, "instance", row.instance_token)
+        return _dangling_token(location, table, row.token, "instance", row.instance_token)
     category = instances[row.instance_token].category_token
     if category not in names["category"]:
-        return _selection_dangling(location, "instance", row.instance_token, "category", category)
+        return _dangling_token(location, "instance", row.instance_token, "category", category)
     if row.visibility_token and row.visibility_token not in names["visibility"]:
-        return _selection_dangling(location, table, row.token, "visibility", row.visibility_token)
+        return _dangling_token(location, table, row.token, "visibility", row.visibility_token)
     lost = next((token for token in row.attribute_tokens if token not in names["attribute"]), None)
-    return None if lost is None else _selection_dangling(location, table, row.token, "attribute", lost)
+    return None if lost is None else _dangling_token(location, table, row.token, "attribute", lost)
 
 
 def _cuboid(
@@ -824,7 +824,7 @@ def open_nuscenes(
         sensors=sensors,
         annotations=annotations,
         trajectories=MappingProxyType({} if trajectory is None else {trajectory.name: trajectory}),
-        metadata=_scene_from_tables_about(tables),
+        metadata=_scene_metadata(tables),
         source=f"{path}/{tables.scene.name}" if tables.others else str(path),
         format="nuscenes",
         warnings=ledger.warnings,
@@ -843,7 +843,7 @@ def _note_left_out(tables: _SceneTables, ledger: Ledger) -> None:
         )
 
 
-def _scene_from_tables_about(tables: _SceneTables) -> MappingProxyType[str, Any]:
+def _scene_metadata(tables: _SceneTables) -> MappingProxyType[str, Any]:
     """What the tables state that the model has no other location for, and how the angles of the boxes are meant."""
     rows = {"scene": tables.scene, "log": tables.log}
     about: dict[str, Any] = {

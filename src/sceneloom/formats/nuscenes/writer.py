@@ -30,7 +30,7 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Key, PointsFrame, key_of
 
-_WrittenTablesRow = Mapping[str, Any]
+_Row = Mapping[str, Any]
 
 
 class _TableWriter:
@@ -614,7 +614,7 @@ class _Writer:
         self.losses.add("trajectories.positions", what, beyond, Support.APPROXIMATED)
 
     def _write_sensors(self) -> None:
-        sensors: Iterable[_WrittenTablesRow] = (
+        sensors: Iterable[_Row] = (
             {"token": channel.token, "channel": channel.name, "modality": channel.modality}
             | ({} if channel.name == channel.sensor.id else {"sensor_id": channel.sensor.id})
             for channel in self.plan.channels
@@ -835,7 +835,7 @@ def _placed(transform: RigidTransform) -> dict[str, list[float]]:
     }
 
 
-def _write_table(folder: Path, name: str, rows: Iterable[_WrittenTablesRow]) -> None:
+def _write_table(folder: Path, name: str, rows: Iterable[_Row]) -> None:
     """Write a whole table."""
     with _TableWriter(folder, name) as table:
         for row in rows:

@@ -298,7 +298,7 @@ def copy_to_matroska(
             return None
         codec, index = reader.codec, reader.index
     taken = np.arange(len(index)) if frame_indices is None else np.asarray(frame_indices, np.int64)
-    if not _can_be_cut(index, taken) or codec not in _codecs_of_matroska():
+    if not _can_be_cut(index, taken) or codec not in _matroska_codecs():
         return None
     times = _PacketTimes.of(index.part(taken), None)
     is_taken = np.zeros(len(index), np.bool_)
@@ -308,7 +308,7 @@ def copy_to_matroska(
 
 
 @cache
-def _codecs_of_matroska() -> frozenset[str]:
+def _matroska_codecs() -> frozenset[str]:
     """Names of the codecs that can be put into Matroska."""
     with open_container(BytesIO(), "matroska") as container:
         return frozenset(container.supported_codecs)
@@ -478,7 +478,7 @@ class AnnexBPackets:
         chosen = np.arange(len(index)) if indices is None else np.asarray(indices, np.int64)
         if len(chosen) != count:
             raise DataError(name, "", f"{len(chosen)} images; expected {count} as the camera has")
-        self.obstacle = _video_packets_obstacle(video.codec, index, chosen)
+        self.obstacle = _packets_obstacle(video.codec, index, chosen)
         positions = index.positions[chosen] if self.obstacle is None else np.zeros(0, np.int64)
         self.order = np.argsort(positions).astype(np.int64)
         self.reordered = bool((np.diff(self.order) < 0).any())
@@ -498,7 +498,7 @@ class AnnexBPackets:
             opened.close()
 
 
-def _video_packets_obstacle(codec: str, index: VideoIndex, chosen: Sequence[int] | Int64Array) -> str | None:
+def _packets_obstacle(codec: str, index: VideoIndex, chosen: Sequence[int] | Int64Array) -> str | None:
     """Why the packets cannot be handed on; None where they can."""
     if codec not in _FILTERS:
         return f"messages hold H.264 and HEVC, the video is {codec}"

@@ -113,7 +113,7 @@ _X264 = "chromaloc=1:mbtree=0"
 """Chroma is averaged over each square of four pixels; H.264 supposes it at the left edge where a stream is silent.
 Without macroblock trees, since with them the same images now and then gave other bytes."""
 
-_WRITER_LOSSLESS = MappingProxyType({"level": "3", "slices": "4", "slicecrc": "1", "g": "1", "threads": "2"})
+_FFV1_OPTIONS = MappingProxyType({"level": "3", "slices": "4", "slicecrc": "1", "g": "1", "threads": "2"})
 
 _ENCODERS = MappingProxyType(
     {
@@ -121,8 +121,8 @@ _ENCODERS = MappingProxyType(
         "h264": _Encoder(
             "libx264", "yuv420p", {"preset": "fast", "threads": "2", "x264-params": _X264}, halves=True
         ),
-        "ffv1": _Encoder("ffv1", "bgr0", _WRITER_LOSSLESS),
-        "ffv1-gray16": _Encoder("ffv1", "gray16le", _WRITER_LOSSLESS, sixteen_bits=True),
+        "ffv1": _Encoder("ffv1", "bgr0", _FFV1_OPTIONS),
+        "ffv1-gray16": _Encoder("ffv1", "gray16le", _FFV1_OPTIONS, sixteen_bits=True),
     }
 )
 

@@ -135,7 +135,7 @@ def _check_mode(path: Path, mode: int) -> None:
 
 @contextmanager
 def file_faults(path: Path) -> Iterator[None]:
-    """Rotate what the operating system says of a file into a DataError."""
+    """Turn what the operating system says of a file into a DataError."""
     try:
         yield
     except OSError as error:

@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
 
 from sceneloom.arrays import Float32Array, Int64Array, UInt8Array, check_array
 from sceneloom.cameras.camera import Camera
@@ -17,6 +16,9 @@ from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.base.files import check_pixels, check_regular, read_bytes
 from sceneloom.formats.base.output import replacing
 from sceneloom.scene.cameras import CameraImage
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 _PNG_HEAD = struct.Struct(">8s4x4sIIBB")
 
@@ -180,7 +182,7 @@ _FORMS = ("PNG", "JPEG")
 
 _EIGHT_BIT_MODES = {"1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "YCbCr", "CMYK"}
 
-_IMAGES_FAULTS = (OSError, ValueError, SyntaxError, Image.DecompressionBombError, EOFError, MemoryError)
+_IMAGES_FAULTS = (OSError, ValueError, SyntaxError, EOFError, MemoryError)
 
 
 def is_jpeg(path: Path) -> bool:
@@ -188,12 +190,14 @@ def is_jpeg(path: Path) -> bool:
     return path.suffix.lower() in {".jpg", ".jpeg"}
 
 
-def _open_image_file(path: Path) -> Image.Image:
+def _open_image_file(path: Path) -> "Image.Image":
     """Read the head of an image.
 
     Raises:
         DataError: it is no PNG and no JPEG, or cannot be read.
     """
+    from PIL import UnidentifiedImageError
+
     try:
         return open_image(path, _FORMS)
     except UnidentifiedImageError as error:
@@ -203,7 +207,7 @@ def _open_image_file(path: Path) -> Image.Image:
 
 
 def images_image_size(path: Path) -> tuple[int, int]:
-    """Width and height of a image [px], from its head."""
+    """Width and height of an image [px], from its head."""
     with _open_image_file(path) as image:
         width, height = image.size
     return width, height
@@ -260,7 +264,7 @@ class ImageFile:
             raise DataError(self.path, "", problem)
 
 
-def _pixel_type(image: Image.Image) -> str:
+def _pixel_type(image: "Image.Image") -> str:
     """The type of the pixels in the file: Pillow makes 8 bits of colours of 16 without a word."""
     stored = [str(arguments) for _, _, _, arguments in getattr(image, "tile", [])]
     return next((kind.rstrip("BLN") for kind in stored if ";16" in kind), image.mode)

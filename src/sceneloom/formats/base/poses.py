@@ -159,7 +159,7 @@ def stationary_ego(*faults: str) -> Loss:
 
 
 def field_of(sensor: ShootingSensor) -> str:
-    """The path of a camera's images or images, for loss reports."""
+    """The path of a camera's images or depth images, for loss reports."""
     return f"sensors[{sensor.id}].{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
 
 

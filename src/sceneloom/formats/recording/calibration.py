@@ -368,7 +368,7 @@ def _converted(path: Path, name: str, value: object, shape: Any) -> Any:
 CALIBRATION_FILE = "calibration.json"
 
 _Duration = Annotated[float, Meta(ge=0, le=10)]
-"""How long a image takes [s]."""
+"""How long an image takes [s]."""
 
 _SAME_MATRIX = 1e-6
 """Elements of two matrices that are closer are the same number, written with other digits."""

@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 import numpy as np
-from PIL import Image, UnidentifiedImageError
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array
 from sceneloom.cameras.camera import Camera
@@ -41,6 +40,9 @@ from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import Poses, poses_along
 from sceneloom.warnings import WarningKind
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 _NUMBERED = re.compile(r"(\d{8})\.png")
 
@@ -112,7 +114,7 @@ class PngFolder:
     def close(self) -> None:
         """Do nothing: no file stays open."""
 
-    def _checked(self, index: int, modes: Collection[str], expected: str) -> Image.Image:
+    def _checked(self, index: int, modes: Collection[str], expected: str) -> "Image.Image":
         if not 0 <= index < self.count:
             raise DataError(self.name, f"image {index}", f"does not exist: the folder holds {self.count}")
         location, image = image_name(index), self._open(index)
@@ -126,19 +128,21 @@ class PngFolder:
         image.close()
         raise DataError(self.name, location, problem)
 
-    def _decoded(self, image: Image.Image, mode: str, dtype: type[np.generic], index: int) -> AnyArray:
+    def _decoded(self, image: "Image.Image", mode: str, dtype: type[np.generic], index: int) -> AnyArray:
         try:
             return np.array(image.convert(mode)).astype(dtype)
         except (OSError, ValueError, SyntaxError) as error:
             raise DataError(self.name, image_name(index), f"cannot be decoded: {error}") from error
 
-    def _open(self, index: int) -> Image.Image:
+    def _open(self, index: int) -> "Image.Image":
+        from PIL import UnidentifiedImageError
+
         location = image_name(index)
         try:
             return open_image(self._folder / location, ("PNG",))
         except UnidentifiedImageError as error:
             raise DataError(self.name, location, "is no PNG image") from error
-        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        except (OSError, ValueError, SyntaxError) as error:
             raise DataError(self.name, location, f"cannot be read: {error}") from error
 
 

@@ -60,14 +60,14 @@ if TYPE_CHECKING:
 
 
 _EXPOSURE = "exposureTimeSeconds"
-"""The field that says how long a image was exposed [s], on the camera or on a image."""
+"""The field that says how long an image was exposed [s], on the camera or on an image."""
 
 
 _LONGEST_EXPOSURE = 3600.0
 
 
 def exposure_ns(fields: Mapping[str, Any], otherwise_ns: int) -> int:
-    """How long a image was exposed [ns], as its fields state."""
+    """How long an image was exposed [ns], as its fields state."""
     seconds = fields.get(_EXPOSURE)
     if isinstance(seconds, int | float) and 0 <= seconds < _LONGEST_EXPOSURE:
         return round(seconds * 1e9)

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
 from threading import Lock
@@ -42,7 +42,6 @@ from sceneloom.formats.video.index import (
     read_table_index,
     source_name,
 )
-from sceneloom.kernels.images import conversion_factors, rgb_from_halved_chroma
 from sceneloom.scene.cameras import CameraImage, VideoContent
 
 
@@ -262,6 +261,8 @@ class _ColourFormula:
 
     def rgb(self, frame: VideoFrame) -> UInt8Array:
         """Give (height, width, 3) uint8 of an image of even size in three planes of bytes."""
+        from sceneloom.kernels.images import rgb_from_halved_chroma
+
         luma, blue, red = (_rows(plane) for plane in frame.planes)
         rgb = np.empty((frame.height, frame.width, 3), np.uint8)
         lines = rgb.reshape(frame.height, 3 * frame.width)
@@ -269,10 +270,14 @@ class _ColourFormula:
         return rgb
 
 
-_FORMULAS = tuple(
-    _ColourFormula(conversion_factors(*shares, full=full), half_columns)
-    for shares, full, half_columns in product(_SHARES, (False, True), (0, 1))
-)
+@lru_cache(maxsize=1)
+def _formulas() -> tuple[_ColourFormula, ...]:
+    from sceneloom.kernels.images import conversion_factors
+
+    return tuple(
+        _ColourFormula(conversion_factors(*shares, full=full), half_columns)
+        for shares, full, half_columns in product(_SHARES, (False, True), (0, 1))
+    )
 
 
 def _formula_like_converter(frame: VideoFrame) -> _ColourFormula | None:
@@ -288,7 +293,7 @@ def _formula_like_converter(frame: VideoFrame) -> _ColourFormula | None:
     for plane in probe.planes:
         plane.update(random.integers(60, 190, plane.buffer_size, dtype=np.uint8).tobytes())
     expected = _convert(probe, VideoReformatter()).astype(np.int16)
-    for formula in _FORMULAS:
+    for formula in _formulas():
         if np.abs(formula.rgb(probe) - expected).max() <= 1:
             return formula
     return None

@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.spatial.transform import Rotation
 
-from sceneloom.formats.base.text_tables import NamePattern, parse_timestamp
+from sceneloom.formats.base.text_tables import parse_timestamp
 from sceneloom.formats.points.cloud import TYPES, parse_layout
 from sceneloom.formats.points.files import read_cloud
+from sceneloom.formats.rig.manifest import NamePattern
 from sceneloom.formats.rig.reader import Edge, FrameTree
 from sceneloom.geometry.rigid import RigidTransform
 

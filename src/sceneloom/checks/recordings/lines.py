@@ -20,14 +20,14 @@ from sceneloom.checks.recordings.times import Kind, streams_of, streams_of_kind
 from sceneloom.checks.rule import HINT, WARNING, FrameInHand, Hit, Rule, Subject
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
 from sceneloom.formats.recording.lines import FrameColumns, time_order, view
-from sceneloom.formats.recording.losses import (
+from sceneloom.formats.recording.reader import VIO_CONFIG_FILE
+from sceneloom.formats.recording.vio_config import (
     KNOWN_KEYS,
     VioConfig,
     read_vio_config,
     repeated_keys,
     similar_key,
 )
-from sceneloom.formats.recording.reader import VIO_CONFIG_FILE
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.scene import Scene

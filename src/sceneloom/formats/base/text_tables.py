@@ -30,7 +30,7 @@ _DATE = re.compile(
 
 _LONGEST = 60
 
-_PLACEHOLDERS: Mapping[str, str] = {
+PLACEHOLDERS: Mapping[str, str] = {
     "s": "seconds",
     "ms": "milliseconds",
     "us": "microseconds",
@@ -78,7 +78,7 @@ def _unit_hint(number: Decimal, unit: str | None, hint: str) -> str:
     if not fits:
         return ""
     fit = (likely or fits)[0]
-    sign = next(sign for sign, name in _PLACEHOLDERS.items() if name == fit)
+    sign = next(sign for sign, name in PLACEHOLDERS.items() if name == fit)
     return f"; is {hint.format(unit=fit, sign=sign)} meant?"
 
 
@@ -106,68 +106,6 @@ def shifted(timestamps_ns: Int64Array, offset_ns: int, file: object, location: s
     if max(abs(end + offset_ns) for end in ends) > FARTHEST_NS:
         raise DataError(file, location, f"times with {offset_ns / 1e9:g} s added are beyond the year 2261")
     return timestamps_ns + offset_ns
-
-
-class NamePattern:
-    """A pattern of file names with numbers in it: `{s}_{ns}`, `*__{us}`, `frame_{index}`.
-
-    `*` stands for any text. Units that are named add up. The pattern has to fit the whole name, or the whole name
-    without its endings.
-
-    Attributes:
-        indexed: whether the names hold an index instead of a time.
-    """
-
-    def __init__(self, pattern: str) -> None:
-        """Compile the pattern.
-
-        Raises:
-            TimestampError: it names nothing, something unknown, or something twice.
-        """
-        self._text = pattern
-        expression, names = "", []
-        for part in re.split(r"(\{[^{}]*\}|\*)", pattern):
-            if part == "*":
-                expression += ".*?"
-            elif part.startswith("{") and part.endswith("}"):
-                names.append(part[1:-1])
-                digits = r"\d+\.\d+|\d+" if part == "{s}" else r"\d+"
-                expression += f"(?P<{part[1:-1]}>{digits})" if names[-1] in (*_PLACEHOLDERS, "index") else ""
-            else:
-                expression += re.escape(part)
-        known = ", ".join(f"{{{name}}}" for name in (*_PLACEHOLDERS, "index"))
-        unknown = [name for name in names if name not in (*_PLACEHOLDERS, "index")]
-        if unknown or not names or len(set(names)) != len(names) or ("index" in names and len(names) > 1):
-            raise TimestampError(f"{pattern!r}; expected some of {known}, each once, {{index}} alone")
-        self.indexed = names == ["index"]
-        self._expression = re.compile(expression, re.ASCII)
-
-    def read(self, name: str) -> int:
-        """Read the time [ns], or the index, out of a file name.
-
-        Raises:
-            TimestampError: the name does not fit.
-        """
-        match = self._match(name)
-        if match is None:
-            raise TimestampError(f"{name!r} does not fit the pattern {self._text!r}")
-        if self.indexed:
-            return int(match["index"][:18])
-        timestamp_ns = sum(
-            parse_timestamp(text, _PLACEHOLDERS[unit], hint="`{{{sign}}}`")
-            for unit, text in match.groupdict().items()
-        )
-        if timestamp_ns > FARTHEST_NS:
-            raise TimestampError(f"{name!r} gives a time beyond the year 2261 by the pattern {self._text!r}")
-        return timestamp_ns
-
-    def _match(self, name: str) -> "re.Match[str] | None":
-        while name:
-            match = self._expression.fullmatch(name)
-            if match is not None or "." not in name:
-                return match
-            name = name.rpartition(".")[0]
-        return None
 
 
 FILE_COLUMNS = ("file", "filename", "file_name", "path", "image", "image_name", "pcd", "cloud", "name")
@@ -469,11 +407,6 @@ def number_texts(numbers: Float64Array) -> list[str]:
     return _encode(numbers.tolist()).decode()[1:-1].split(",") if len(numbers) else []
 
 
-def row_texts(rows: Float64Array) -> list[str]:
-    """Write rows of finite numbers, (N, K) float64, each as its numbers with commas between them."""
-    return _encode(rows.tolist()).decode()[2:-2].split("],[") if len(rows) else []
-
-
 def seconds_text(timestamp_ns: int, file_seconds: float | None = None) -> str:
     """Write a time as seconds.
 
@@ -526,21 +459,6 @@ class TimeWriter:
     def raw(self, timestamp_ns: int, file_seconds: float | None = None) -> msgspec.Raw:
         """The same, ready to be put into JSON."""
         return msgspec.Raw(self.text(timestamp_ns, file_seconds).encode())
-
-
-def writing_order(timestamps_ns: Int64Array, file_seconds: Float64Array | None) -> Int64Array:
-    """The order in which samples are written: by time, those of one nanosecond by the numbers that they came from.
-
-    Args:
-        timestamps_ns: (N,) int64 [ns].
-        file_seconds: (N,) float64 [s], the numbers, or None where there are none.
-
-    Returns:
-        (N,) int64, row that stands at each location.
-    """
-    if file_seconds is None:
-        return np.argsort(timestamps_ns, kind="stable").astype(np.int64)
-    return np.lexsort((file_seconds, timestamps_ns)).astype(np.int64)
 
 
 def nanoseconds(seconds: Float64Array) -> Int64Array:

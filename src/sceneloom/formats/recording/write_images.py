@@ -38,8 +38,14 @@ from sceneloom.formats.recording.calibration import (
 from sceneloom.formats.recording.cameras import OWN_FIELDS, FrameNotes, choose_images, image_name
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.legacy import has_old_frame, with_frames
-from sceneloom.formats.recording.losses import frame_rate, main_receiver
-from sceneloom.formats.recording.write_lines import FRAMES, LineStream, OneByOne, WrittenLine, make_line
+from sceneloom.formats.recording.write_lines import (
+    FRAMES,
+    LineStream,
+    OneByOne,
+    WrittenLine,
+    main_receiver,
+    make_line,
+)
 from sceneloom.formats.video.reader import VideoReader
 from sceneloom.formats.video.remux import copy_to_matroska
 from sceneloom.formats.video.writer import VideoWriter, is_lossless
@@ -678,7 +684,7 @@ def open_sink(
     if isinstance(sensor, DepthCameraSensor):
         copied = _copied(sensor, path, rows, codecs=("ffv1",)) and _all_stepped(sensor)
         return (
-            _CopiedVideo(sensor) if copied else _EncodedVideo(_DepthImages(sensor), path, frame_rate(sensor))
+            _CopiedVideo(sensor) if copied else _EncodedVideo(_DepthImages(sensor), path, _frame_rate(sensor))
         )
     if images == "png":
         return _PngImages(sensor, folder / f"frames{index + 1}")
@@ -687,7 +693,7 @@ def open_sink(
     codec = _ENCODED_AS.get(images, images)
     if images == "copy" and sensor.video is not None and is_lossless(sensor.video.codec):
         codec = "ffv1"
-    encoded = _EncodedVideo(_ColorImages(sensor, codec), path, frame_rate(sensor))
+    encoded = _EncodedVideo(_ColorImages(sensor, codec), path, _frame_rate(sensor))
     if sensor.video is not None and images in {*_ENCODED_AS, sensor.video.codec}:
         what = f"encoded anew as {_SPELT[codec]}: the video could not be copied for these images alone"
         field = f"sensors[{sensor.id}].video"
@@ -1096,3 +1102,15 @@ def _index_before(sensor: ShootingSensor, location: int) -> int:
 def _time(shot: Shot) -> tuple[int, float]:
     seconds = shot.extras.get("file_seconds")
     return shot.timestamp_ns, shot.timestamp_ns / 1e9 if seconds is None else seconds
+
+
+_DEFAULT_FPS = 10.0
+
+
+def _frame_rate(sensor: ShootingSensor) -> float:
+    """Nominal images a second."""
+    timestamps = shots_of(sensor).timestamps_ns
+    if sensor.fps:
+        return sensor.fps
+    span = (int(timestamps[-1]) - int(timestamps[0])) * 1e-9 if len(timestamps) > 1 else 0.0
+    return (len(timestamps) - 1) / span if span > 0 else _DEFAULT_FPS

@@ -13,13 +13,10 @@ from sceneloom.formats.base.text_tables import (
     TimeWriter,
     exact_seconds,
     number_texts,
-    row_texts,
-    writing_order,
     written_seconds,
 )
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.lines import RECORD_KEYS, ROOT_KEYS
-from sceneloom.formats.recording.losses import main_receiver
 from sceneloom.formats.recording.reader import BAROMETER, GPS_ORIGIN, RECEIVER
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory
@@ -604,3 +601,29 @@ def _given(name: str, value: float) -> dict[str, float]:
 def origin_for(name: str) -> tuple[str, str]:
     """A root key of its own; where the format has another meaning for that key, a `pose` that bears the name."""
     return ("pose", name) if name in ROOT_KEYS - {"groundTruth"} or not name else (name, name)
+
+
+def main_receiver(receivers: Sequence[GnssSensor]) -> list[GnssSensor]:
+    """Give the one whose lines are `gps` lines: the one that is called so, else the first that has no other name."""
+    others = [sensor for sensor in receivers if sensor.id != "rtkgps"]
+    return [sensor for sensor in others if sensor.id == "gnss"][:1] or others[:1]
+
+
+def row_texts(rows: Float64Array) -> list[str]:
+    """Write rows of finite numbers, (N, K) float64, each as its numbers with commas between them."""
+    return msgspec.json.encode(rows.tolist()).decode()[2:-2].split("],[") if len(rows) else []
+
+
+def writing_order(timestamps_ns: Int64Array, file_seconds: Float64Array | None) -> Int64Array:
+    """The order in which samples are written: by time, those of one nanosecond by the numbers that they came from.
+
+    Args:
+        timestamps_ns: (N,) int64 [ns].
+        file_seconds: (N,) float64 [s], the numbers, or None where there are none.
+
+    Returns:
+        (N,) int64, row that stands at each location.
+    """
+    if file_seconds is None:
+        return np.argsort(timestamps_ns, kind="stable").astype(np.int64)
+    return np.lexsort((file_seconds, timestamps_ns)).astype(np.int64)

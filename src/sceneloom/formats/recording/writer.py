@@ -23,9 +23,9 @@ from sceneloom.formats.recording.calibration import CALIBRATION_FILE
 from sceneloom.formats.recording.cameras import FrameNotes
 from sceneloom.formats.recording.lidars import XYZIRT
 from sceneloom.formats.recording.lines import LIDAR_MODELS
-from sceneloom.formats.recording.losses import of_recording, shooting_sensors, unreplayable, unwritten
 from sceneloom.formats.recording.reader import RANKS
 from sceneloom.formats.recording.spec import DATA_FILE
+from sceneloom.formats.recording.vio_config import unknown_keys
 from sceneloom.formats.recording.write_images import (
     IMAGES,
     FrameLines,
@@ -48,6 +48,7 @@ from sceneloom.formats.recording.write_lines import (
     SharedText,
     WrittenLine,
     completed,
+    main_receiver,
     make_line,
     merged_lines,
     origin_for,
@@ -59,12 +60,12 @@ from sceneloom.formats.recording.write_lines import (
 from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between, conjugate_quaternion, rotate_vectors
-from sceneloom.scene.cameras import ShootingSensor, shots_of
-from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, ShootingSensor, shots_of
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.ego import check_one_ego
-from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor
 from sceneloom.scene.poses import Poses, PoseSource, Trajectory, same_direction
-from sceneloom.scene.scene import Scene, check_camera_models
+from sceneloom.scene.scene import Scene, Sensor, check_camera_models
 from sceneloom.scene.types import Coordinates, PointsFrame
 
 
@@ -131,15 +132,15 @@ class _WritingPlan:
         ego_path = _ego_path(scene)
         check_one_ego(scene, ego_path)
         scene = each_mounted(scene, ego_path)
-        found = shooting_sensors(scene)
+        found = _shooting_sensors(scene)
         cameras = [camera for camera in found if len(shots_of(camera))] or found
         losses: list[Loss] = []
         if ego_path is None and not trajectories:
             ego_path = _ride_along([*scene.lidars, *cameras], trajectories, losses)
         imu = _written_imu(scene)
-        losses += unwritten(scene, cameras, [trajectory for trajectory, _ in trajectories], imu)
+        losses += _unwritten(scene, cameras, [trajectory for trajectory, _ in trajectories], imu)
         losses += _of_unplaced(scene, trajectories)
-        losses += unreplayable(cameras, scene.lidars, imu, notes.vio_config)
+        losses += _unreplayable(cameras, scene.lidars, imu, notes.vio_config)
         mounted: list[ShootingSensor | LidarSensor] = [*cameras, *scene.lidars]
         mounts = [_mount(sensor, ego_path, losses) for sensor in mounted]
         return cls(scene, notes, cameras, scene.lidars, mounts, trajectories, imu, ego_path, losses)
@@ -535,7 +536,7 @@ class _RecordingWriter:
         rows = image_rows(plan.cameras, plan.notes.frame_lines)
         with ExitStack() as stack:
             sinks = self._open_sinks(rows, stack)
-            keep = of_recording(plan.scene)
+            keep = _of_recording(plan.scene)
             frames = FrameLines(plan.cameras, sinks, rows, self._times, keep_extras=keep)
             images = frames.stream()
             shared = SharedLines(plan.notes.shared_lines, self._hosts(images))
@@ -640,3 +641,226 @@ def _time_losses(times: TimeWriter) -> list[Loss]:
             field="timestamps", what=what, count=times.inexact, support=Support.CONVERTED, largest_error=worst
         )
     ]
+
+
+def _shooting_sensors(scene: Scene) -> Sequence[ShootingSensor]:
+    """The cameras in the order of `cameraInd`: as they were read from a recording, else those of depth last.
+
+    The vendor's software takes the first two for a pair of stereo images, or for an image and its depth.
+    """
+    found = [sensor for sensor in scene.sensors if isinstance(sensor, CameraSensor | DepthCameraSensor)]
+    if _of_recording(scene):
+        return found
+    return sorted(found, key=lambda sensor: isinstance(sensor, DepthCameraSensor))
+
+
+def _of_recording(scene: Scene) -> bool:
+    """Whether a scene was read from a recording, be it through a scene file."""
+    return scene.format == "recording" or "recording" in scene.metadata
+
+
+_FIELD = "replay"
+"""Under which these stand in a loss report: the recording holds the data all the same."""
+
+_NEEDED = ("accelerometer", "gyroscope")
+
+_MOST_CAMERAS = 2
+
+
+def _unreplayable(
+    cameras: Sequence[ShootingSensor],
+    lidars: Sequence[LidarSensor],
+    imu: ImuSensor | None,
+    vio_config: str | None,
+) -> list[Loss]:
+    """Name what will not be replayed as it was meant.
+
+    Args:
+        cameras: what is written, in the order of `cameraInd`.
+        lidars: what is written.
+        imu: what is written.
+        vio_config: the text of `vio_config.yaml`.
+    """
+    return [
+        *_of_missing(cameras, imu),
+        *_of_cameras(cameras),
+        *_of_equal_times(cameras, imu),
+        *_of_lidars(lidars),
+        *_of_settings(vio_config),
+    ]
+
+
+def _of_missing(cameras: Sequence[ShootingSensor], imu: ImuSensor | None) -> Iterator[Loss]:
+    there = {name for name, samples in imu.streams.items() if len(samples)} if imu is not None else set()
+    missing = [name for name in _NEEDED if name not in there]
+    if missing and any(len(shots_of(camera)) for camera in cameras):
+        yield _loss(f"the vendor's software gives no output without {' and '.join(missing)}")
+
+
+def _of_cameras(cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
+    if len(cameras) > _MOST_CAMERAS:
+        names = ", ".join(str(camera.id) for camera in cameras[_MOST_CAMERAS:])
+        yield _loss(
+            f"the vendor's software uses the first two cameras, not {names}", len(cameras) - _MOST_CAMERAS
+        )
+    if cameras and isinstance(cameras[0], DepthCameraSensor):
+        yield _loss(f"the vendor's software tracks in the first camera, and {cameras[0].id} measures depth")
+
+
+def _of_equal_times(cameras: Sequence[ShootingSensor], imu: ImuSensor | None) -> Iterator[Loss]:
+    if imu is None or not cameras:
+        return
+    timestamps: Int64Array = np.concatenate([shots_of(camera).timestamps_ns for camera in cameras])
+    measured = [samples.timestamps_ns for name, samples in imu.streams.items() if name in _NEEDED]
+    equal = int(np.isin(np.unique(timestamps), np.concatenate([*measured, np.zeros(0, np.int64)])).sum())
+    if equal:
+        yield _loss(
+            "images have the very times of IMU samples, which makes the vendor's diagnosis suspect that their times "
+            "were not measured; they are written as they are",
+            equal,
+        )
+
+
+def _of_lidars(lidars: Sequence[LidarSensor]) -> Iterator[Loss]:
+    if len(lidars) > 1:
+        yield _loss("the vendor's software does not report lidars apart (`lidarInd`)", len(lidars))
+
+
+def _of_settings(vio_config: str | None) -> Iterator[Loss]:
+    unknown = unknown_keys(vio_config or "")
+    if unknown:
+        named = ", ".join(unknown)
+        yield _loss(
+            f"the vendor's software may stop at settings that are not publicly known: {named}", len(unknown)
+        )
+
+
+def _loss(what: str, count: int = 1) -> Loss:
+    return Loss(field=_FIELD, what=what, count=count, support=Support.KEPT)
+
+
+_NO_FIELD = "left out: the format has none"
+
+_RECORDING_EXTRAS = {"calibration", "lidarInd"}
+
+
+def _unwritten(
+    scene: Scene,
+    cameras: Sequence[ShootingSensor],
+    trajectories: Sequence[Trajectory],
+    imu: ImuSensor | None,
+) -> list[Loss]:
+    """Name everything of a scene that its recording will not hold.
+
+    Args:
+        scene: what is written.
+        cameras: those of its cameras that are written.
+        trajectories: what is written as trajectories.
+        imu: the inertial unit that is written.
+    """
+    return [
+        *_of_root(scene),
+        *(loss for sensor in scene.sensors for loss in _of_sensor(sensor)),
+        *_of_odometry(scene, trajectories),
+        *_unwritten_of_cameras(scene, cameras),
+        *_of_repeated(scene, imu),
+        *_of_ids(scene, cameras, imu),
+        *_of_order(scene, cameras, imu),
+        *_of_antennas(scene),
+        *_of_default(scene, trajectories),
+    ]
+
+
+def _of_root(scene: Scene) -> Iterator[Loss]:
+    counts = {
+        "annotations": len(scene.annotations),
+        "attributes": len(scene.attributes),
+        **{f"metadata.{name}": 1 for name in scene.metadata if name != "recording"},
+        **{f"extras.{name}": 1 for name in scene.extras},
+    }
+    yield from (Loss(field=name, what=_NO_FIELD, count=count) for name, count in counts.items() if count)
+
+
+def _of_sensor(sensor: Sensor) -> Iterator[Loss]:
+    if isinstance(sensor, RadarSensor | PointsSensor | PlainSensor):
+        yield Loss(field=f"sensors[{sensor.id}]", what=_NO_FIELD)
+        return
+    for name in sensor.extras:
+        if name not in _RECORDING_EXTRAS:
+            yield Loss(field=f"sensors[{sensor.id}].{name}", what=_NO_FIELD)
+    if sensor.parent_id is not None:
+        yield Loss(field=f"sensors[{sensor.id}].parent_id", what=_NO_FIELD)
+
+
+def _of_odometry(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[Loss]:
+    """The format knows no sensors of the ego's own motion, but trajectories."""
+    names = {trajectory.name for trajectory in trajectories} - set(scene.trajectories)
+    for sensor in scene.sensors:
+        if isinstance(sensor, OdometrySensor):
+            written = f"written as trajectory {str(sensor.id)!r}"
+            if sensor.poses.static:
+                written = "left out: the format has no path without end"
+            elif str(sensor.id) not in names:
+                written = "left out: a trajectory says the same"
+            left_out = written.startswith("left out")
+            yield Loss(
+                field=f"sensors[{sensor.id}]",
+                what=written,
+                support=Support.DROPPED if left_out else Support.CONVERTED,
+            )
+
+
+def _unwritten_of_cameras(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
+    for camera in _shooting_sensors(scene):
+        if camera not in cameras:
+            yield Loss(
+                field=f"sensors[{camera.id}]", what="left out: it has no images, while other cameras have"
+            )
+
+
+def _of_repeated(scene: Scene, imu: ImuSensor | None) -> Iterator[Loss]:
+    for sensor in [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor) and sensor is not imu]:
+        yield Loss(field=f"sensors[{sensor.id}]", what=f"left out: the format has one {sensor.type} only")
+
+
+def _of_ids(scene: Scene, cameras: Sequence[ShootingSensor], imu: ImuSensor | None) -> Iterator[Loss]:
+    """The ids that reading gives differ from the scene's: the format knows sensors by number only."""
+    lidars = scene.lidars
+    names: dict[str, Sequence[Sensor]] = {
+        "camera": cameras,
+        "lidar": lidars,
+        "imu": [] if imu is None else [imu],
+        "gnss": main_receiver([sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]),
+    }
+    for name, sensors in names.items():
+        for index, sensor in enumerate(sensors):
+            numbered = name == "camera" or (name == "lidar" and len(lidars) > 1)
+            found = f"{name}{index}" if numbered else name
+            if sensor.id != found:
+                yield Loss(field=f"sensors[{sensor.id}].id", what=f"read back as {found!r}")
+
+
+def _of_order(scene: Scene, cameras: Sequence[ShootingSensor], imu: ImuSensor | None) -> Iterator[Loss]:
+    receivers = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
+    found = [sensor.id for sensor in (*scene.lidars, *cameras, *([] if imu is None else [imu]), *receivers)]
+    if found != [sensor.id for sensor in scene.sensors if sensor.id in found]:
+        what = "read back in another order: lidars, cameras, those of depth last, IMU, satellite receivers"
+        yield Loss(field="sensors", what=what)
+
+
+def _of_antennas(scene: Scene) -> Iterator[Loss]:
+    """The locations of antennas but that of the one receiver for which the format has a field."""
+    found = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
+    for sensor in found:
+        if sensor.mount is not None and sensor not in main_receiver(found):
+            yield Loss(field=f"sensors[{sensor.id}].mount", what=_NO_FIELD)
+
+
+def _of_default(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[Loss]:
+    default = next(iter(scene.trajectories), None)
+    names = [trajectory.name for trajectory in trajectories]
+    if default != "groundTruth" and "groundTruth" in names:
+        yield Loss(field="trajectories.order", what=f"read back with 'groundTruth' first, not {default!r}")
+    for trajectory in trajectories:
+        if trajectory.covariances is not None:
+            yield Loss(field=f"trajectories.{trajectory.name}.covariances", what=_NO_FIELD)

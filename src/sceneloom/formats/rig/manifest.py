@@ -23,8 +23,8 @@ from sceneloom.formats.base.files import read_bytes, why_no_file
 from sceneloom.formats.base.text_tables import (
     FARTHEST_NS,
     FILE_COLUMNS,
+    PLACEHOLDERS,
     TIME_COLUMNS,
-    NamePattern,
     Table,
     TimestampError,
     parse_timestamp,
@@ -1179,3 +1179,65 @@ def line_timestamps(path: Path, unit: str | None) -> Int64Array:
         except TimestampError as error:
             raise DataError(path, f"line {number}", str(error)) from None
     return np.array(timestamps, np.int64)
+
+
+class NamePattern:
+    """A pattern of file names with numbers in it: `{s}_{ns}`, `*__{us}`, `frame_{index}`.
+
+    `*` stands for any text. Units that are named add up. The pattern has to fit the whole name, or the whole name
+    without its endings.
+
+    Attributes:
+        indexed: whether the names hold an index instead of a time.
+    """
+
+    def __init__(self, pattern: str) -> None:
+        """Compile the pattern.
+
+        Raises:
+            TimestampError: it names nothing, something unknown, or something twice.
+        """
+        self._text = pattern
+        expression, names = "", []
+        for part in re.split(r"(\{[^{}]*\}|\*)", pattern):
+            if part == "*":
+                expression += ".*?"
+            elif part.startswith("{") and part.endswith("}"):
+                names.append(part[1:-1])
+                digits = r"\d+\.\d+|\d+" if part == "{s}" else r"\d+"
+                expression += f"(?P<{part[1:-1]}>{digits})" if names[-1] in (*PLACEHOLDERS, "index") else ""
+            else:
+                expression += re.escape(part)
+        known = ", ".join(f"{{{name}}}" for name in (*PLACEHOLDERS, "index"))
+        unknown = [name for name in names if name not in (*PLACEHOLDERS, "index")]
+        if unknown or not names or len(set(names)) != len(names) or ("index" in names and len(names) > 1):
+            raise TimestampError(f"{pattern!r}; expected some of {known}, each once, {{index}} alone")
+        self.indexed = names == ["index"]
+        self._expression = re.compile(expression, re.ASCII)
+
+    def read(self, name: str) -> int:
+        """Read the time [ns], or the index, out of a file name.
+
+        Raises:
+            TimestampError: the name does not fit.
+        """
+        match = self._match(name)
+        if match is None:
+            raise TimestampError(f"{name!r} does not fit the pattern {self._text!r}")
+        if self.indexed:
+            return int(match["index"][:18])
+        timestamp_ns = sum(
+            parse_timestamp(text, PLACEHOLDERS[unit], hint="`{{{sign}}}`")
+            for unit, text in match.groupdict().items()
+        )
+        if timestamp_ns > FARTHEST_NS:
+            raise TimestampError(f"{name!r} gives a time beyond the year 2261 by the pattern {self._text!r}")
+        return timestamp_ns
+
+    def _match(self, name: str) -> "re.Match[str] | None":
+        while name:
+            match = self._expression.fullmatch(name)
+            if match is not None or "." not in name:
+                return match
+            name = name.rpartition(".")[0]
+        return None

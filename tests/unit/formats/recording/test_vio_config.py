@@ -2,14 +2,14 @@
 
 import pytest
 
-from sceneloom.formats.recording.losses import (
+from sceneloom.formats.recording.spec import FORMAT
+from sceneloom.formats.recording.vio_config import (
     KNOWN_KEYS,
     read_vio_config,
     repeated_keys,
     similar_key,
     unknown_keys,
 )
-from sceneloom.formats.recording.spec import FORMAT
 
 # set: wrapper-base of the vendor's ROS 2 node, with a comment, a list in each form and a quoted text
 TEXT = """\

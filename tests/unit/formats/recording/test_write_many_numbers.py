@@ -7,14 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from sceneloom.formats.base.text_tables import (
-    TimeWriter,
-    exact_seconds,
-    number_texts,
-    row_texts,
-    seconds_texts,
-)
-from sceneloom.formats.recording.write_lines import OneByOne, WrittenLine, merged_lines
+from sceneloom.formats.base.text_tables import TimeWriter, exact_seconds, number_texts, seconds_texts
+from sceneloom.formats.recording.write_lines import OneByOne, WrittenLine, merged_lines, row_texts
 
 SPANS = {
     "around zero": (-(10**7), 10**7),

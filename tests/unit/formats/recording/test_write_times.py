@@ -5,7 +5,8 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
-from sceneloom.formats.base.text_tables import TimeWriter, means, seconds_text, writing_order
+from sceneloom.formats.base.text_tables import TimeWriter, means, seconds_text
+from sceneloom.formats.recording.write_lines import writing_order
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sceneloom.formats.base.text_tables import NamePattern, TimestampError, parse_timestamp
+from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
+from sceneloom.formats.rig.manifest import NamePattern
 
 
 @pytest.mark.parametrize(

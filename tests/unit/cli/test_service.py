@@ -258,7 +258,7 @@ def test_nobody_at_the_address_unknown_checks_and_reports_are_reported(
 ):
     from sceneloom.db34t.conformance import examination
 
-    monkeypatch.setattr(examination, "_PATIENCE_S", 1.0)
+    monkeypatch.setattr(examination, "PATIENCE_S", 1.0)
     nobody = call("conformance", "127.0.0.1:1", "--quiet")
     assert nobody.code == 1
     assert nobody.err.startswith("sceneloom: 127.0.0.1:1: no server answers there; is it running")

@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from hashlib import blake2b
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Protocol
 from urllib.parse import unquote
 
 import msgspec
@@ -29,95 +28,43 @@ OUTCOME = ".outcome"
 """Name of the file beside a draft that says what came of the try."""
 
 
-class Outputs(Protocol):
-    """Where outputs are put."""
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """Where outputs are put: a folder on disk, or a location in a store.
+
+    Attributes:
+        location: its path or address.
+        there: names of what was there when the run began; None for a folder on disk.
+    """
+
+    location: str = field(repr=False)
+    there: frozenset[str] | None = None
 
     @property
     def name(self) -> str:
-        """What people call it, without secrets."""
-        ...
-
-    @property
-    def location(self) -> str:
-        """Its path or address."""
-        ...
+        """Its path, or its address without secrets."""
+        return redacted(self.location)
 
     @property
     def target(self) -> str:
         """The address that workers send outputs to; "" where the run moves them."""
-        ...
+        return "" if self.there is None else self.location
 
     def has(self, name: str) -> bool:
-        """Whether an output is there."""
-        ...
+        """Whether an output is there; in a store, whether it was when the run began."""
+        return Path(self.location, name).exists() if self.there is None else name in self.there
 
     def accept(self, task: Task) -> None:
-        """Put what a worker made in its location, unless that has sent it there."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class FolderOutputs:
-    """A folder on disk."""
-
-    folder: Path
-    target: str = ""
-
-    @property
-    def name(self) -> str:
-        """Its path."""
-        return str(self.folder)
-
-    @property
-    def location(self) -> str:
-        """Its path."""
-        return str(self.folder)
-
-    def has(self, name: str) -> bool:
-        """Whether an output is there."""
-        return (self.folder / name).exists()
-
-    def accept(self, task: Task) -> None:
-        """Move an output to its location, after what else the verb wrote beside it.
+        """Move an output to its folder, after what else the verb wrote beside it; to a store the worker has sent it.
 
         Raises:
             OSError: it cannot be moved.
         """
-        for made in _own_last(task.draft):
-            _outputs_move(made, self.folder / made.name)
+        for made in _own_last(task.draft) if self.there is None else ():
+            _move_in_place(made, Path(self.location, made.name))
 
 
-@dataclass(frozen=True, slots=True)
-class StoreOutputs:
-    """A location in a store.
-
-    Attributes:
-        target: its address.
-        there: names of what was there when the run began.
-    """
-
-    target: str = field(repr=False)
-    there: frozenset[str]
-
-    @property
-    def name(self) -> str:
-        """Its address without secrets."""
-        return redacted(self.target)
-
-    @property
-    def location(self) -> str:
-        """Its address."""
-        return self.target
-
-    def has(self, name: str) -> bool:
-        """Whether an output was there when the run began."""
-        return name in self.there
-
-    def accept(self, task: Task) -> None:
-        """Nothing is left to do: the worker has sent it."""
-
-
-class Claim(msgspec.Struct, frozen=True, kw_only=True):
+class _Claim(msgspec.Struct, frozen=True, kw_only=True):
     """What says in a store whose outputs lie there.
 
     Attributes:
@@ -133,7 +80,7 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
     begun: str
 
 
-def claimed(url: str, *, run: str, record: Path) -> StoreOutputs:
+def claimed(url: str, *, run: str, record: Path) -> Outputs:
     """Claim a location in a store for the run of one record.
 
     Two runs that begin within the same moment are distinguished where the store refuses to put an object twice, as S3,
@@ -154,7 +101,7 @@ def claimed(url: str, *, run: str, record: Path) -> StoreOutputs:
     location = f"{url.rstrip('/')}/{CLAIM}"
     check_remote_output(location, overwrite=True)
     begun = datetime.now(UTC).isoformat(timespec="seconds")
-    ours = Claim(run=run, record=str(record.absolute()), host=socket.gethostname(), begun=begun)
+    ours = _Claim(run=run, record=str(record.absolute()), host=socket.gethostname(), begun=begun)
     there = _claim(put_first(location, msgspec.json.encode(ours)), location)
     if there.run != run:
         raise OutputError(
@@ -162,12 +109,12 @@ def claimed(url: str, *, run: str, record: Path) -> StoreOutputs:
             f"{there.begun}; `--resume --record` goes on with it, or choose another location. If that record is lost, "
             f"remove {CLAIM} there"
         )
-    return StoreOutputs(url, frozenset(names_below(url)))
+    return Outputs(url, frozenset(names_below(url)))
 
 
-def _claim(content: bytes, location: str) -> Claim:
+def _claim(content: bytes, location: str) -> _Claim:
     try:
-        return msgspec.json.decode(content, type=Claim)
+        return msgspec.json.decode(content, type=_Claim)
     except msgspec.MsgspecError as error:
         raise OutputError(
             f"{redacted(location)}: is not the claim of a run: {error}; choose another location"
@@ -204,14 +151,15 @@ def _own_last(draft: Path) -> list[Path]:
     return sorted(made, key=lambda path: path == draft)
 
 
-def _outputs_move(made: Path, location: Path) -> None:
+def _move_in_place(made: Path, location: Path) -> None:
     """Put something in its location in one step; a folder that is there steps aside first."""
-    if location.is_dir() and not location.is_symlink() and made.is_dir() and exchange(made, location):
-        return
     if location.is_dir() and not location.is_symlink():
-        shutil.rmtree(location) if not made.is_dir() else location.rename(
-            made.with_name(f"{made.name}.before")
-        )
+        if not made.is_dir():
+            shutil.rmtree(location)
+        elif exchange(made, location):
+            return
+        else:
+            location.rename(made.with_name(f"{made.name}.before"))
     made.replace(location)
 
 
@@ -304,9 +252,9 @@ def _move(made: Path, location: Path) -> None:
     """Move something in one step, onto another disk, too."""
     location.parent.mkdir(parents=True, exist_ok=True)
     if made.stat().st_dev == location.parent.stat().st_dev:
-        _outputs_move(made, location)
+        _move_in_place(made, location)
         return
     with TemporaryDirectory(prefix=f".{location.name}-", dir=location.parent) as workplace:
         copy = Path(workplace, location.name)
         shutil.copytree(made, copy) if made.is_dir() else shutil.copy2(made, copy)
-        _outputs_move(copy, location)
+        _move_in_place(copy, location)

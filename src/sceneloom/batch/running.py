@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from hashlib import blake2b
 from html import escape
-from itertools import groupby
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
@@ -22,7 +21,6 @@ import msgspec
 
 from sceneloom.batch.jobs import Input, Job, Outcome, State, Task, output_names, with_files
 from sceneloom.batch.outputs import (
-    FolderOutputs,
     Locations,
     Outputs,
     bring,
@@ -56,29 +54,24 @@ def _open_outputs(store: str, record: Record, *, resume: bool) -> Outputs:
     Raises:
         OutputError: it has, or the location is that of another run.
     """
-    known = record.reported()
+    known, drives = record.reported(), len(record.rows())
     before, now = known.get("store", ""), redacted(store)
-    if before != now and record.rows():
+    if before != now and drives:
         location = before or "it"
         raise OutputError(
             f"{record.folder}: holds the record of a run with outputs in {location}; name another one"
         )
-    _refuse_known(record, resume=resume)
+    if drives and not resume:
+        raise OutputError(
+            f"{record.folder}: holds a run over {drives} drives already; `--resume` goes on with it, "
+            "or choose another folder"
+        )
     record.notify("store", now)
     if not store:
-        return FolderOutputs(record.folder)
+        return Outputs(str(record.folder))
     name = known.get("run") or secrets.token_hex(8)
     record.notify("run", name)
     return claimed(store, run=name, record=record.folder)
-
-
-def _refuse_known(record: Record, *, resume: bool) -> None:
-    known = len(record.rows())
-    if known and not resume:
-        raise OutputError(
-            f"{record.folder}: holds a run over {known} drives already; `--resume` goes on with it, "
-            "or choose another folder"
-        )
 
 
 def _prepare(job: Job, record: Record, outputs: Outputs) -> None:
@@ -311,10 +304,10 @@ class _Run:
         self.meant = {row.number: asked[_drive_key(row.input, row.part)] for row in rows}
         counts = Counter(row.state for row in rows)
         done = counts[State.DONE]
+        output, record = self.outputs.name, str(self.record.folder)
         self.summary = RunSummary(
-            output=self.outputs.name, record=str(self.record.folder), verb=self.job.verb, total=len(rows),
-            done=done, skipped=done,
-        )  # fmt: skip
+            output=output, record=record, verb=self.job.verb, total=len(rows), done=done, skipped=done
+        )
         self.due = [(0.0, row.number, 1) for row in rows if row.state is not State.DONE]
         heapq.heapify(self.due)
 
@@ -526,18 +519,16 @@ def write_page(figures: RunFigures, target: Path, *, overwrite: bool = False) ->
     workers = [
         (n, f"{a:.1f}", f"{b:.1f}", f"{most / 1e6:.0f}", name) for name, n, a, b, most in figures.workers
     ]
-    tables: tuple[tuple[str, tuple[str, ...], Sequence[tuple[Any, ...]]], ...] = (
-        ("Why drives failed", ("drives", "cause", "first"), causes),
-        ("Time by stage", ("stage", "seconds"), [(name, f"{taken:.1f}") for name, taken in stages]),
-        ("Slowest drives", ("drive", "seconds"), [(name, f"{taken:.1f}") for name, taken in figures.slowest]),
-        ("Workers", ("drives", "seconds", "of processor", "most memory [MB]", "worker"), workers),
+    body = [f"<p>{escape(fact)}</p>" for fact in facts]
+    body += _table("Why drives failed", ("drives", "cause", "first"), causes)
+    body += _table("Time by stage", ("stage", "seconds"), [(name, f"{taken:.1f}") for name, taken in stages])
+    body += _table(
+        "Slowest drives", ("drive", "seconds"), [(name, f"{taken:.1f}") for name, taken in figures.slowest]
     )
-    body = "\n".join(
-        [*(f"<p>{escape(fact)}</p>" for fact in facts), *(_table(*table) for table in tables if table[2])]
-    )
+    body += _table("Workers", ("drives", "seconds", "of processor", "most memory [MB]", "worker"), workers)
     title = escape(f"{figures.verb} over {sum(figures.states.values())} drives")
     with replacing(target, overwrite=overwrite) as draft:
-        draft.write_text(_PAGE.format(title=title, body=body), encoding="utf-8")
+        draft.write_text(_PAGE.format(title=title, body="\n".join(body)), encoding="utf-8")
 
 
 def format_metrics(
@@ -560,27 +551,23 @@ def format_metrics(
     run = {"verb": summary.verb, "output": summary.output}
     states = {"done": summary.done, "failed": summary.failed, "left": summary.left}
     updated = time.time() if now is None else now
-    samples: list[tuple[str, str, str, dict[str, str], float]] = [
-        *(
-            ("drives", "gauge", "Drives of the run.", {"state": name}, count)
-            for name, count in states.items()
-        ),
-        ("skipped", "gauge", "Drives that an earlier run had done.", {}, summary.skipped),
-        ("retries_total", "counter", "Tries beyond the first ones.", {}, summary.retried),
-        ("run_seconds", "gauge", "How long the run has taken.", {}, summary.seconds),
-        ("processor_seconds_total", "counter", "Of all workers' processors.", {}, summary.processor_seconds),
-        ("worker_peak_bytes", "gauge", "The most memory that any worker had.", {}, peak_bytes),
-        ("updated_timestamp_seconds", "gauge", "When this was written.", {}, updated),
-        *(
-            ("stage_seconds_total", "counter", "Wall time of each stage of the work.", {"stage": name}, taken)
-            for name, taken in (stages or {}).items()
-        ),
-    ]
+    none: dict[str, str] = {}
+    metrics: list[tuple[str, str, str, list[tuple[dict[str, str], float]]]] = [
+        ("drives", "gauge", "Drives of the run.", [({"state": name}, n) for name, n in states.items()]),
+        ("skipped", "gauge", "Drives that an earlier run had done.", [(none, summary.skipped)]),
+        ("retries_total", "counter", "Tries beyond the first ones.", [(none, summary.retried)]),
+        ("run_seconds", "gauge", "How long the run has taken.", [(none, summary.seconds)]),
+        ("processor_seconds_total", "counter", "Of all workers' processors.", [(none, summary.processor_seconds)]),
+        ("worker_peak_bytes", "gauge", "The most memory that any worker had.", [(none, peak_bytes)]),
+        ("updated_timestamp_seconds", "gauge", "When this was written.", [(none, updated)]),
+        ("stage_seconds_total", "counter", "Wall time of each stage of the work.",
+         [({"stage": name}, taken) for name, taken in (stages or {}).items()]),
+    ]  # fmt: skip
     lines = []
-    for (name, kind, reported), group in groupby(samples, key=lambda sample: sample[:3]):
+    for name, kind, reported, samples in metrics:
         full = f"sceneloom_batch_{name}"
-        lines += [f"# HELP {full} {reported}", f"# TYPE {full} {kind}"]
-        for *_, own, value in group:
+        lines += [f"# HELP {full} {reported}", f"# TYPE {full} {kind}"] if samples else []
+        for own, value in samples:
             labels = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in {**run, **own}.items())
             lines.append(f"{full}{{{labels}}} {value}")
     return "\n".join(lines) + "\n"
@@ -669,7 +656,8 @@ def _workers(ended: Iterable[Row]) -> tuple[tuple[str, int, float, float, int], 
     )
 
 
-def _table(title: str, heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
+    """A table with its title; nothing without rows."""
     head = "".join(f'<th scope="col">{escape(one)}</th>' for one in heads)
     body = "".join(f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>\n" for row in rows)
-    return f"<h2>{escape(title)}</h2>\n<table>\n<tr>{head}</tr>\n{body}</table>"
+    return [f"<h2>{escape(title)}</h2>\n<table>\n<tr>{head}</tr>\n{body}</table>"] if rows else []

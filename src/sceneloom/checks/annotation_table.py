@@ -99,45 +99,15 @@ class PartTable:
             yield Hit(self.location(subject, part) + inside, state(row), count=count)
 
 
-def cuboid_paths(subject: Subject) -> PartTable:
-    """The paths of all cuboids."""
-    return _tables(subject)["cuboids"]
-
-
-def _activations(subject: Subject) -> PartTable:
-    """The activations of all cuboids."""
-    return _tables(subject)["activations"]
-
-
-def projections(subject: Subject) -> PartTable:
-    """The projections of all cuboids."""
-    return _tables(subject)["projections"]
-
-
-def point_projections(subject: Subject) -> PartTable:
-    """The projections of all points of points annotations."""
-    return _tables(subject)["point_projections"]
-
-
-def box_paths(subject: Subject) -> PartTable:
-    """The paths of all boxes in images."""
-    return _tables(subject)["boxes"]
-
-
-def shape_paths(subject: Subject) -> PartTable:
-    """The paths of all shapes."""
-    return _tables(subject)["shapes"]
-
-
-def point_paths(subject: Subject) -> PartTable:
-    """The paths of all points of points annotations."""
-    return _tables(subject)["points"]
+def annotation_parts(subject: Subject, kind: str) -> PartTable:
+    """All paths of "cuboids", "boxes", "shapes" or named "points", or all of another kind of `_KINDS`."""
+    return subject.table("parts of annotations", _made_tables)[kind]
 
 
 def cuboid_rows(subject: Subject) -> Float64Array:
     """The rows of all cuboids' paths, (R, 9) float64 as in `CuboidPath`."""
     return subject.table(
-        "rows of cuboids", lambda inner: cuboid_paths(inner).rows(lambda path: path.values, 9)
+        "rows of cuboids", lambda inner: annotation_parts(inner, "cuboids").rows(lambda path: path.values, 9)
     )
 
 
@@ -146,21 +116,18 @@ _SAME_TIME_NS = 30_000_000
 
 def cuboids_at(subject: Subject, sweep: LidarFrame) -> Float64Array:
     """The finite rows of cuboids that have a keyframe at the time of a sweep, (K, 9)."""
-    rows, times = cuboid_rows(subject), cuboid_paths(subject).timestamps_ns
+    rows, times = cuboid_rows(subject), annotation_parts(subject, "cuboids").timestamps_ns
     now = np.minimum(np.abs(times - sweep.timestamp_ns), np.abs(times - sweep.reference_ns)) < _SAME_TIME_NS
     return np.asarray(rows[now & np.isfinite(rows).all(axis=1)])
 
 
-def _tables(subject: Subject) -> dict[str, PartTable]:
-    return subject.table("parts of annotations", _made_tables)
-
-
 _Entries = list[tuple[int, str, Any]]
+
+_KINDS = ("cuboids", "activations", "projections", "point_projections", "boxes", "shapes", "points")
 
 
 def _made_tables(subject: Subject) -> dict[str, PartTable]:
-    names = ("cuboids", "activations", "projections", "point_projections", "boxes", "shapes", "points")
-    entries: dict[str, _Entries] = {name: [] for name in names}
+    entries: dict[str, _Entries] = {name: [] for name in _KINDS}
     for number, annotation in enumerate(subject.scene.annotations):
         if isinstance(annotation, CuboidAnnotation):
             entries["cuboids"].append((number, ".path", annotation.path))
@@ -252,10 +219,9 @@ def timed_parts(subject: Subject) -> PartTable:
 
 
 def _timed_parts(subject: Subject) -> PartTable:
-    tables = _tables(subject)
     entries: _Entries = [
         (int(number), suffix, part)
-        for table in tables.values()
+        for table in (annotation_parts(subject, kind) for kind in _KINDS)
         for number, suffix, part in zip(table.numbers, table.suffixes, table.parts, strict=True)
     ]
     for number, annotation in enumerate(subject.scene.annotations):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, read_only
-from sceneloom.checks.annotation_table import PartTable, cuboid_paths, cuboid_rows, cuboids_at
+from sceneloom.checks.annotation_table import PartTable, annotation_parts, cuboid_rows, cuboids_at
 from sceneloom.checks.point_frames import frames_spread, points_in_world
 from sceneloom.checks.rule import ERROR, HINT, WARNING, FrameInHand, Hit, Rule, Subject, repaired_annotations
 from sceneloom.geometry.euler import ORDERS, AngleUnit, rotation_from_cuboid_angles
@@ -119,7 +119,7 @@ def _moving(subject: Subject) -> tuple[Float64Array, Float64Array]:
 
 def _moving_over(subject: Subject, stride: int) -> tuple[Float64Array, Float64Array]:
     """The same, from half the stride before a keyframe to half of it after."""
-    table, rows = cuboid_paths(subject), cuboid_rows(subject)
+    table, rows = annotation_parts(subject, "cuboids"), cuboid_rows(subject)
     if len(rows) <= stride:
         return np.zeros((0, 9)), np.zeros((0, 3))
     owners, finite = table.owners, np.asarray(np.isfinite(rows).all(axis=1))
@@ -287,7 +287,7 @@ def _not_finite(subject: Subject) -> Iterator[Hit]:
 
 
 def _hits(subject: Subject, bad: BoolArray, state: Callable[[int], str]) -> Iterator[Hit]:
-    return cuboid_paths(subject).hits(subject, bad, state, within=".values")
+    return annotation_parts(subject, "cuboids").hits(subject, bad, state, within=".values")
 
 
 def _in_any(bad: BoolArray) -> BoolArray:
@@ -335,7 +335,7 @@ def _absurd_size(subject: Subject) -> Iterator[Hit]:
 
 
 def _size_changes(subject: Subject) -> Iterator[Hit]:
-    table, sizes = cuboid_paths(subject), np.abs(cuboid_rows(subject)[:, :3])
+    table, sizes = annotation_parts(subject, "cuboids"), np.abs(cuboid_rows(subject)[:, :3])
     before, after = sizes[:-1], sizes[1:]
     smaller, larger = np.minimum(before, after), np.maximum(before, after)
     jumps = (larger > _SIZE_FACTOR * smaller) & (larger - smaller > _SIZE_CHANGE_M) & np.isfinite(larger)
@@ -354,7 +354,7 @@ def _from_second(table: PartTable, bad_steps: BoolArray) -> BoolArray:
 
 def _jumps(subject: Subject) -> Iterator[Hit]:
     """Find keyframes that no vehicle could reach, or that lie off the trajectory between their neighbours."""
-    table, positions = cuboid_paths(subject), cuboid_rows(subject)[:, 3:6]
+    table, positions = annotation_parts(subject, "cuboids"), cuboid_rows(subject)[:, 3:6]
     seconds = np.diff(table.timestamps_ns) / 1e9
     forward = table.inner & (seconds > 0)
     trajectory = np.linalg.norm(np.diff(positions, axis=0), axis=1)
@@ -389,8 +389,8 @@ def _off_the_trajectory(positions: Float64Array, seconds: Float64Array, forward:
 
 
 def _stationary_moves(subject: Subject) -> Iterator[Hit]:
-    for path, annotation in subject.annotations():
-        if isinstance(annotation, CuboidAnnotation) and annotation.stationary:
+    for path, annotation in subject.annotations_of(CuboidAnnotation):
+        if annotation.stationary:
             positions = annotation.path.values[:, 3:6]
             spread = float(np.linalg.norm(np.ptp(positions, axis=0))) if len(positions) > 1 else 0.0
             if spread > _STATIONARY_M:
@@ -398,7 +398,7 @@ def _stationary_moves(subject: Subject) -> Iterator[Hit]:
 
 
 def _cuboids_rotations(subject: Subject) -> Iterator[Hit]:
-    table, rows = cuboid_paths(subject), cuboid_rows(subject)
+    table, rows = annotation_parts(subject, "cuboids"), cuboid_rows(subject)
     steps = np.diff(table.timestamps_ns)
     reading = _Reading.of(subject)
     half_rotation = 180.0 if reading.unit == AngleUnit.DEGREES else np.pi

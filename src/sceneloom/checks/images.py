@@ -3,7 +3,8 @@
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import BinaryIO
+from functools import partial
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -11,16 +12,13 @@ from sceneloom.arrays import BoolArray, Float64Array, UInt8Array
 from sceneloom.cameras.camera import MODELS
 from sceneloom.checks.annotation_table import (
     PartTable,
-    box_paths,
+    annotation_parts,
     camera_rows,
-    point_projections,
-    projections,
-    shape_paths,
 )
+from sceneloom.checks.faults import as_read, warnings_of_code
 from sceneloom.checks.rule import ERROR, HINT, WARNING, FrameInHand, Hit, Rule, Subject, timestamps_of
 from sceneloom.errors import DataError
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
-from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, key_of
 
 _SHORTEST, _LONGEST = 0.05, 30.0
@@ -39,15 +37,6 @@ def _cameras(subject: Subject) -> Iterator[tuple[str, CameraSensor | DepthCamera
             yield path, sensor
 
 
-def _warnings(code: str) -> Callable[[Subject], Iterator[Hit]]:
-    """Report what the reader remarked under a code."""
-
-    def find(subject: Subject) -> Iterator[Hit]:
-        return (Hit(n.location, n.message, n.count) for n in subject.notes if n.code == code)
-
-    return find
-
-
 def _unknown_models(subject: Subject) -> Iterator[Hit]:
     for path, sensor in _cameras(subject):
         if sensor.camera.model not in MODELS:
@@ -57,11 +46,8 @@ def _unknown_models(subject: Subject) -> Iterator[Hit]:
 
 def _centre_outside(subject: Subject) -> Iterator[Hit]:
     for path, sensor in _cameras(subject):
-        camera_model = sensor.camera
-        for name, centre, length in (
-            ("cx", camera_model.cx, camera_model.width),
-            ("cy", camera_model.cy, camera_model.height),
-        ):
+        camera = sensor.camera
+        for name, centre, length in (("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height)):
             if not -0.5 <= centre <= length - 0.5:
                 problem = f"{centre:g}; expected a pixel of the image, which has {length}"
                 yield Hit(f"{path}.intrinsics.{name}", problem)
@@ -69,18 +55,16 @@ def _centre_outside(subject: Subject) -> Iterator[Hit]:
 
 def _odd_focal_lengths(subject: Subject) -> Iterator[Hit]:
     for path, sensor in _cameras(subject):
-        camera_model = sensor.camera
-        if camera_model.model in _OWN_FOCAL_MEANING:
+        camera = sensor.camera
+        if camera.model in _OWN_FOCAL_MEANING:
             continue
-        larger, smaller = max(camera_model.fx, camera_model.fy), min(camera_model.fx, camera_model.fy)
-        size = max(camera_model.width, camera_model.height)
+        larger, smaller = max(camera.fx, camera.fy), min(camera.fx, camera.fy)
+        size = max(camera.width, camera.height)
         if larger > _MOST_UNEQUAL * smaller:
-            yield Hit(
-                f"{path}.intrinsics",
-                f"fx {camera_model.fx:g}, fy {camera_model.fy:g}; expected nearly equal ones",
-            )
+            problem = f"fx {camera.fx:g}, fy {camera.fy:g}; expected nearly equal ones"
+            yield Hit(f"{path}.intrinsics", problem)
         elif not _SHORTEST * size <= larger <= _LONGEST * size:
-            problem = f"focal length {larger:g} px for images of {camera_model.width}x{camera_model.height}"
+            problem = f"focal length {larger:g} px for images of {camera.width}x{camera.height}"
             yield Hit(f"{path}.intrinsics", problem)
 
 
@@ -115,22 +99,17 @@ def _images_in(open_video: Callable[[], BinaryIO]) -> int:
         return reader.count
 
 
-def _as_read(scene: Scene) -> Scene:
-    """What the reader brought into order needs only to be written."""
-    return scene
-
-
 # fmt: off
 CAMERA_RULES: tuple[Rule, ...] = (
     Rule("video-or-images", WARNING, "A camera has a video or images, not both.",
          "Leave one of them out; the video is taken, the images are carried along.",
-         find=_warnings("video-and-images")),
+         find=warnings_of_code("video-and-images")),
     Rule("camera-model-known", WARNING,
          "The distortion model of a camera is a known one.",
          "Use one of the known models; `sceneloom edit camera-model` fits one to another.", find=_unknown_models),
     Rule("distortion-length", HINT, "The distortion has as many numbers as its model.",
          "Write zeros for those that are missing, which is how they are read.",
-         find=_warnings("short-distortion"), fix=_as_read),
+         find=warnings_of_code("short-distortion"), fix=as_read),
     Rule("principal-point", WARNING, "The principal point lies inside the image.",
          "See whether the camera model was calibrated for another size, or the image cut without moving cx and cy.",
          find=_centre_outside),
@@ -151,7 +130,7 @@ _PLAIN = 4
 
 
 @dataclass(slots=True)
-class CameraFacts:
+class _CameraFacts:
     """The images of one camera so far.
 
     Attributes:
@@ -170,42 +149,37 @@ class CameraFacts:
     repeated: list[int] = field(default_factory=list)
     plain: list[tuple[int, str]] = field(default_factory=list)
 
+    def add(self, number: int, image: CameraImage | None, sensor: CameraSensor) -> None:
+        """Take in one more image; None for one that could not be decoded."""
+        if image is None:
+            self.digest = None
+            return
+        rgb, camera = image.rgb, sensor.camera
+        self.count += 1
+        height, width = rgb.shape[:2]
+        if (width, height) != (camera.width, camera.height) and image.camera == camera.resized(width, height):
+            self.other_sizes.append((number, width, height))
+        digest = zlib.crc32(np.ascontiguousarray(rgb).data)
+        if digest == self.digest:
+            self.repeated.append(number)
+        self.digest = digest
+        colour = _one_colour(rgb)
+        if colour is not None:
+            self.plain.append((number, colour))
 
-def _facts(subject: Subject) -> dict[tuple[type, Identifier], CameraFacts]:
+
+def _facts(subject: Subject) -> dict[tuple[type, Identifier], _CameraFacts]:
     return subject.table("facts of cameras", lambda _: {})
 
 
 def _look(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     """Take an image in once for all rules; what all show is stated at the end."""
-    yield from ()
-    latest = subject.table("the image in hand", lambda _: {"path": ""})
-    if latest["path"] == frame.path or not isinstance(frame.sensor, CameraSensor):
-        return
-    latest["path"] = frame.path
-    key = key_of(frame.sensor.id)
-    facts = _facts(subject).setdefault(key, CameraFacts(frame.sensor_path))
-    if isinstance(frame.frame, CameraImage):
-        _take(facts, frame.sensor, frame.number, frame.frame)
-    else:
-        facts.digest = None
-
-
-def _take(facts: CameraFacts, sensor: CameraSensor, number: int, image: CameraImage) -> None:
-    rgb = image.rgb
-    facts.count += 1
-    height, width = rgb.shape[:2]
-    camera_model = sensor.camera
-    if (width, height) != (camera_model.width, camera_model.height) and image.camera == camera_model.resized(
-        width, height
-    ):
-        facts.other_sizes.append((number, width, height))
-    digest = zlib.crc32(np.ascontiguousarray(rgb).data)
-    if digest == facts.digest:
-        facts.repeated.append(number)
-    facts.digest = digest
-    colour = _one_colour(rgb)
-    if colour is not None:
-        facts.plain.append((number, colour))
+    latest, sensor = subject.table("the image in hand", lambda _: {"path": ""}), frame.sensor
+    if latest["path"] != frame.path and isinstance(sensor, CameraSensor):
+        latest["path"] = frame.path
+        facts = _facts(subject).setdefault(key_of(sensor.id), _CameraFacts(frame.sensor_path))
+        facts.add(frame.number, frame.frame if isinstance(frame.frame, CameraImage) else None, sensor)
+    return iter(())
 
 
 def _one_colour(rgb: UInt8Array) -> str | None:
@@ -260,17 +234,24 @@ def _boxes(subject: Subject) -> Iterator[tuple[PartTable, Float64Array, str]]:
     """All boxes in images, (R, 4) `left top width height` [px], each with its table and its name there."""
 
     def made(_: Subject) -> list[tuple[PartTable, Float64Array, str]]:
-        paths, seen = box_paths(subject), projections(subject)
+        paths = annotation_parts(subject, "boxes")
         return [
             (paths, paths.rows(lambda path: path.values, 4), ".values"),
-            (seen, seen.rows(lambda part: _or_nan(part.boxes, len(part.timestamps_ns), 4), 4), ".boxes"),
+            _projected(subject, "projections", "boxes", 4),
         ]
 
     yield from subject.table("boxes in images", made)
 
 
-def _or_nan(values: Float64Array | None, count: int, columns: int) -> Float64Array:
-    return np.full((count, columns), np.nan) if values is None else values
+def _projected(subject: Subject, kind: str, name: str, columns: int) -> tuple[PartTable, Float64Array, str]:
+    """What projections of a kind hold, (R, columns), with NaN where there is nothing."""
+
+    def values(part: Any) -> Float64Array:
+        stated: Float64Array | None = getattr(part, name)
+        return np.full((len(part.timestamps_ns), columns), np.nan) if stated is None else stated
+
+    parts = annotation_parts(subject, kind)
+    return parts, parts.rows(values, columns), f".{name}"
 
 
 def _box_hits(subject: Subject, judge: Callable[[Float64Array], BoolArray], expected: str) -> Iterator[Hit]:
@@ -306,32 +287,23 @@ def _without_area(subject: Subject) -> Iterator[Hit]:
 
 
 def _partly_finite(subject: Subject) -> Iterator[Hit]:
-    for table, boxes, name in _boxes(subject):
-        bad = ~np.isfinite(boxes).all(axis=1)
-        if name == ".boxes":
-            bad &= ~_null(boxes)
+    for table, values, name in (*_boxes(subject), _projected(subject, "point_projections", "points", 2)):
+        bad = ~np.isfinite(values).all(axis=1)
+        if name != ".values":
+            bad &= ~_null(values)
 
-        def state(row: int, boxes: Float64Array = boxes) -> str:
-            return f"{boxes[row].tolist()}; expected finite numbers"
+        def state(row: int, values: Float64Array = values) -> str:
+            return f"{values[row].tolist()}; expected finite numbers"
 
         yield from table.hits(subject, np.asarray(bad), state, within=name)
-    points = point_projections(subject)
-    spots = points.rows(lambda part: _or_nan(part.points, len(part.timestamps_ns), 2), 2)
-    bad = ~np.isfinite(spots).all(axis=1) & ~_null(spots)
-    yield from points.hits(
-        subject,
-        np.asarray(bad),
-        lambda row: f"{spots[row].tolist()}; expected finite numbers",
-        within=".points",
-    )
 
 
 def _null_confirmed(subject: Subject) -> Iterator[Hit]:
-    named = ((projections(subject), "boxes", 4), (point_projections(subject), "points", 2))
-    for table, name, columns in named:
+    for kind, name in (("projections", "boxes"), ("point_projections", "points")):
+        table = annotation_parts(subject, kind)
         for number, part in enumerate(table.parts):
-            values = _or_nan(getattr(part, name), len(part.timestamps_ns), columns)
-            if part.confirmed is None or getattr(part, name) is None:
+            values = getattr(part, name)
+            if part.confirmed is None or values is None:
                 continue
             rows = np.flatnonzero(_null(values) & np.array([flag is True for flag in part.confirmed], bool))
             if len(rows):
@@ -345,12 +317,11 @@ def _extents(subject: Subject) -> Iterator[tuple[PartTable, Float64Array, str]]:
         corners = boxes.copy()
         corners[:, 2:] += boxes[:, :2]
         yield table, corners, name
-    shapes = shape_paths(subject)
+    shapes = annotation_parts(subject, "shapes")
     if len(shapes.timestamps_ns):
         yield shapes, np.array([_around(v) for path in shapes.parts for v in path.vertices]), ".values"
-    points = point_projections(subject)
-    spots = points.rows(lambda part: _or_nan(part.points, len(part.timestamps_ns), 2), 2)
-    yield points, np.hstack([spots, spots]), ".points"
+    points, spots, name = _projected(subject, "point_projections", "points", 2)
+    yield points, np.hstack([spots, spots]), name
 
 
 def _around(vertices: Float64Array) -> list[float]:
@@ -379,14 +350,6 @@ def _outside(subject: Subject, *, wholly: bool) -> Iterator[Hit]:
         yield from table.hits(subject, bad, state, within=name)
 
 
-def _outside_image(subject: Subject) -> Iterator[Hit]:
-    return _outside(subject, wholly=True)
-
-
-def _beyond_image(subject: Subject) -> Iterator[Hit]:
-    return _outside(subject, wholly=False)
-
-
 # fmt: off
 BOX_RULES: tuple[Rule, ...] = (
     Rule("box-not-finite", ERROR,
@@ -399,11 +362,11 @@ BOX_RULES: tuple[Rule, ...] = (
          find=_without_area),
     Rule("box-outside-image", WARNING, "What is drawn into an image overlaps it.",
          "Look whether it counts pixels of an image of another size, or belongs to another camera.",
-         find=_outside_image),
+         find=partial(_outside, wholly=True)),
     Rule("box-beyond-image", HINT,
          f"What is drawn into an image ends at its edges, give or take {_SLACK_PX:g} px.",
          "Clip it to the image if it means what is seen, and keep it if it means the whole object.",
-         find=_beyond_image),
+         find=partial(_outside, wholly=False)),
     Rule("null-box-confirmed", WARNING, "A projection that a person confirmed is there.",
          "Take the confirmation out, or draw what is missing.", find=_null_confirmed),
 )

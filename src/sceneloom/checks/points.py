@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Int64Array, UInt8Array, read_only
+from sceneloom.arrays import Int64Array, UInt8Array, read_only
 from sceneloom.checks.rule import ERROR, HINT, WARNING, FrameInHand, Hit, Rule, Subject, repaired_annotations
 from sceneloom.scene.annotations import Annotation, LabeledPoints, LabeledPointsAnnotation
 from sceneloom.scene.clouds import (
@@ -28,20 +28,18 @@ _FAR_M = 10_000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CloudFacts:
+class _CloudFacts:
     """The points of one frame.
 
     Attributes:
         count: how many.
-        not_finite: of them, how many have a location that is not finite.
+        not_finite: of them, how many have a position that is not finite.
         at_origin: how many lie exactly at the origin.
         far: how many have a coordinate beyond `_FAR_M`.
         farthest: the largest coordinate [m], 0 without points.
         levels: (256,) int64, how many have each intensity; None without intensities.
-        coloured: how many have a colour.
-        white: how many of these are white.
-        black: how many are black.
-        digest: of the locations.
+        colours: (3,) int64, how many have a colour, are white, are black.
+        digest: of the positions.
     """
 
     count: int
@@ -49,11 +47,9 @@ class CloudFacts:
     at_origin: int
     far: int
     farthest: float
-    levels: Int64Array | None = None
-    coloured: int = 0
-    white: int = 0
-    black: int = 0
-    digest: int = 0
+    levels: Int64Array | None
+    colours: Int64Array
+    digest: int
 
 
 @dataclass(slots=True, eq=False)
@@ -62,51 +58,40 @@ class _SensorFacts:
 
     Attributes:
         path: of the sensor.
-        numbers: of the frames that could be read.
-        counts: of their points.
-        levels: (256,) int64, sums of `CloudFacts.levels`; None without intensities.
-        coloured, white, black: sums of these.
+        counts: of the points of each frame that could be read, by its number.
+        levels, colours: sums of those of the frames.
         digest: of the latest frame.
         repeated: numbers of frames with the very points of the frame before.
     """
 
     path: str
-    numbers: list[int] = field(default_factory=list)
-    counts: list[int] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)
     levels: Int64Array | None = None
-    coloured: int = 0
-    white: int = 0
-    black: int = 0
+    colours: Int64Array = field(default_factory=lambda: np.zeros(3, np.int64))
     digest: int | None = None
     repeated: list[int] = field(default_factory=list)
 
-    def add(self, number: int, facts: CloudFacts) -> None:
+    def add(self, number: int, facts: _CloudFacts) -> None:
         """Take in one more frame."""
-        self.numbers.append(number)
-        self.counts.append(facts.count)
+        self.counts[number] = facts.count
         if facts.levels is not None:
             self.levels = facts.levels if self.levels is None else self.levels + facts.levels
-        self.coloured += facts.coloured
-        self.white += facts.white
-        self.black += facts.black
+        self.colours = self.colours + facts.colours
         if facts.count and facts.digest == self.digest:
             self.repeated.append(number)
         self.digest = facts.digest
 
 
-_SensorKey = tuple[type, Identifier]
-
-
-def _sensor_facts(subject: Subject) -> dict[_SensorKey, _SensorFacts]:
+def _sensor_facts(subject: Subject) -> dict[tuple[type, Identifier], _SensorFacts]:
     """What is known of each sensor with points, by the frames read so far."""
     return subject.table("facts of sensors", lambda _: {})
 
 
-def _cloud_facts(subject: Subject, frame: FrameInHand) -> CloudFacts | None:
-    """Give the facts of a frame in hand, found at the first asking; None for images and what cannot be read."""
+def _cloud_facts(subject: Subject, frame: FrameInHand) -> _CloudFacts | None:
+    """Give the facts of a frame in hand, computed once; None for images and what cannot be read."""
     if not isinstance(frame.frame, LidarFrame | RadarFrame):
         return None
-    latest = subject.table("facts of the frame in hand", lambda _: dict[str, CloudFacts]())
+    latest = subject.table("facts of the frame in hand", lambda _: dict[str, _CloudFacts]())
     if frame.path not in latest:
         latest.clear()
         latest[frame.path] = facts = _facts_of(frame.frame.points)
@@ -115,7 +100,7 @@ def _cloud_facts(subject: Subject, frame: FrameInHand) -> CloudFacts | None:
     return latest[frame.path]
 
 
-def _facts_of(points: LidarPoints | RadarPoints) -> CloudFacts:
+def _facts_of(points: LidarPoints | RadarPoints) -> _CloudFacts:
     """Look through the points of one frame."""
     positions = points.positions
     x, y, z = np.abs(positions).T
@@ -123,16 +108,15 @@ def _facts_of(points: LidarPoints | RadarPoints) -> CloudFacts:
     finite = np.isfinite(largest)
     colors = points.colors if isinstance(points, LidarPoints) else None
     intensities = points.intensities if isinstance(points, LidarPoints) else None
-    return CloudFacts(
+    colours = (0, 0, 0) if colors is None else (len(colors), _count_of(colors, 255), _count_of(colors, 0))
+    return _CloudFacts(
         count=len(positions),
         not_finite=int(len(positions) - np.count_nonzero(finite)),
         at_origin=int(np.count_nonzero(largest == 0)),
         far=int(np.count_nonzero(finite & (largest > _FAR_M))),
         farthest=float(largest[finite].max(initial=0.0)),
         levels=None if intensities is None else np.bincount(intensities, minlength=256),
-        coloured=0 if colors is None else len(colors),
-        white=0 if colors is None else _count_of(colors, 255),
-        black=0 if colors is None else _count_of(colors, 0),
+        colours=np.array(colours, np.int64),
         digest=zlib.crc32(np.ascontiguousarray(positions).data),
     )
 
@@ -185,36 +169,31 @@ def _far(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
 
 
 def _map_not_finite(subject: Subject) -> Iterator[Hit]:
-    for path, positions in _maps(subject):
-        bad = int(np.count_nonzero(~np.isfinite(positions).all(axis=1)))
+    for path, sensor in subject.sensors_of(PointsSensor):
+        bad = int(np.count_nonzero(~np.isfinite(sensor.positions).all(axis=1)))
         if bad:
-            message = f"{bad} of {len(positions)} points have a location that is not finite"
+            message = f"{bad} of {len(sensor.positions)} points have a location that is not finite"
             yield Hit(f"{path}.points.positions", message, count=bad)
 
 
 def _map_far(subject: Subject) -> Iterator[Hit]:
-    for path, positions in _maps(subject):
+    for path, sensor in subject.sensors_of(PointsSensor):
+        positions = sensor.positions
         far = positions[np.isfinite(positions) & (np.abs(positions) > _FAR_M)]
         if len(far):
             message = f"coordinates up to {np.abs(far).max():.0f} m, too far for float32"
             yield Hit(f"{path}.points.positions", message)
 
 
-def _maps(subject: Subject) -> Iterator[tuple[str, Float32Array]]:
-    for path, sensor in subject.sensors():
-        if isinstance(sensor, PointsSensor):
-            yield path, sensor.positions
-
-
 def _seen(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    """Take the frame in; what it shows together with the others is stated at the end."""
+    """Take the frame in; what it shows together with the others is reported at the end."""
     _cloud_facts(subject, frame)
-    yield from ()
+    return iter(())
 
 
 def _without_points(subject: Subject) -> Iterator[Hit]:
     for facts in _sensor_facts(subject).values():
-        empty = [number for number, count in zip(facts.numbers, facts.counts, strict=True) if count == 0]
+        empty = [number for number, count in facts.counts.items() if count == 0]
         if empty:
             message = f"{len(empty)} of {len(facts.counts)} frames have no points"
             yield Hit(f"{facts.path}.frames[{empty[0]}]", message, count=len(empty))
@@ -222,11 +201,9 @@ def _without_points(subject: Subject) -> Iterator[Hit]:
 
 def _collapsed(subject: Subject) -> Iterator[Hit]:
     for facts in _sensor_facts(subject).values():
-        usual = float(np.median(facts.counts))
+        usual = float(np.median(list(facts.counts.values())))
         few = [
-            (number, count)
-            for number, count in zip(facts.numbers, facts.counts, strict=True)
-            if 0 < count < _COLLAPSED_SHARE * usual
+            (number, count) for number, count in facts.counts.items() if 0 < count < _COLLAPSED_SHARE * usual
         ]
         if few and usual >= _ENOUGH_POINTS:
             number, count = few[0]
@@ -267,10 +244,9 @@ def _reported_intensities(facts: _SensorFacts) -> str | None:
 
 def _all_one_colour(subject: Subject) -> Iterator[Hit]:
     for facts in _sensor_facts(subject).values():
-        if facts.coloured < _ENOUGH_POINTS:
-            continue
-        for name, count in (("white", facts.white), ("black", facts.black)):
-            if count == facts.coloured:
+        coloured, white, black = facts.colours.tolist()
+        for name, count in (("white", white), ("black", black)):
+            if coloured >= _ENOUGH_POINTS and count == coloured:
                 yield Hit(f"{facts.path}.frames[].points.colors", f"all {count} points are {name}")
 
 
@@ -342,7 +318,7 @@ POINT_RULES: tuple[Rule, ...] = (
 # fmt: on
 
 
-class Entry(NamedTuple):
+class _Entry(NamedTuple):
     """Labelled points of one sensor or frame: where they stand, whose they are, and which."""
 
     path: str
@@ -350,19 +326,18 @@ class Entry(NamedTuple):
     points: LabeledPoints
 
 
-FrameKey = tuple[type, Identifier, int | None]
+_FrameKey = tuple[type, Identifier, int | None]
 
 
-def _entries(subject: Subject) -> dict[FrameKey, list[Entry]]:
+def _entries(subject: Subject) -> dict[_FrameKey, list[_Entry]]:
     """All labelled points by sensor and frame."""
 
-    def made(inner: Subject) -> dict[FrameKey, list[Entry]]:
-        entries: dict[FrameKey, list[Entry]] = defaultdict(list)
-        for path, annotation in inner.annotations():
-            if isinstance(annotation, LabeledPointsAnnotation):
-                for k, points in enumerate(annotation.labeled_points):
-                    key = (type(points.sensor_id), points.sensor_id, points.sensor_frame)
-                    entries[key].append(Entry(f"{path}.labeled_points[{k}]", annotation, points))
+    def made(inner: Subject) -> dict[_FrameKey, list[_Entry]]:
+        entries: dict[_FrameKey, list[_Entry]] = defaultdict(list)
+        for path, annotation in inner.annotations_of(LabeledPointsAnnotation):
+            for k, points in enumerate(annotation.labeled_points):
+                key = (type(points.sensor_id), points.sensor_id, points.sensor_frame)
+                entries[key].append(_Entry(f"{path}.labeled_points[{k}]", annotation, points))
         return entries
 
     return subject.table("labelled points by frame", made)
@@ -393,7 +368,7 @@ def _beyond_frame(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     yield from _beyond(entries.get((*key, frame.number), []), count, f"frame {frame.number}")
 
 
-def _beyond(entries: list[Entry], count: int, whole: str) -> Iterator[Hit]:
+def _beyond(entries: list[_Entry], count: int, whole: str) -> Iterator[Hit]:
     for entry in entries:
         beyond = entry.points.point_ids[entry.points.point_ids >= count]
         if len(beyond):
@@ -448,7 +423,7 @@ def _once(points: LabeledPoints) -> LabeledPoints:
 
 def _of_two(subject: Subject) -> Iterator[Hit]:
     """Find points that belong to two instances: of one frame's instances, sorted by point, two neighbours."""
-    shared: dict[tuple[int, int], list[tuple[Entry, Entry, int]]] = defaultdict(list)
+    shared: dict[tuple[int, int], list[tuple[_Entry, _Entry, int]]] = defaultdict(list)
     for entries in _entries(subject).values():
         instances = [entry for entry in entries if entry.annotation.is_instance]
         if len({id(entry.annotation) for entry in instances}) < 2:

@@ -247,16 +247,6 @@ POSE_RULES: tuple[Rule, ...] = (
 # fmt: on
 
 
-def _adjustments(subject: Subject) -> list[tuple[str, LocalizationAdjustment]]:
-    return [(path, a) for path, a in subject.annotations() if isinstance(a, LocalizationAdjustment)]
-
-
-def _calibrations(subject: Subject) -> Iterator[tuple[str, CameraCalibration]]:
-    for path, annotation in subject.annotations():
-        if isinstance(annotation, CameraCalibration):
-            yield path, annotation
-
-
 def _not_applied(subject: Subject) -> Iterator[Hit]:
     pending = {key_of(correction.id): correction for correction in subject.scene.pending_corrections}
     for path, annotation in subject.annotations():
@@ -266,7 +256,7 @@ def _not_applied(subject: Subject) -> Iterator[Hit]:
 
 
 def _several_adjustments(subject: Subject) -> Iterator[Hit]:
-    found = _adjustments(subject)
+    found = list(subject.annotations_of(LocalizationAdjustment))
     for path, adjustment in found[1:]:
         yield Hit(path, f"{adjustment.id!r} is one of {len(found)}, the first is {found[0][0]}; expected one")
 
@@ -280,7 +270,7 @@ def _adjustment_short(subject: Subject) -> Iterator[Hit]:
     if span is None:
         return
     period_ns = scene_period_ns(subject.scene)
-    for path, adjustment in _adjustments(subject):
+    for path, adjustment in subject.annotations_of(LocalizationAdjustment):
         poses = adjustment.poses
         if len(poses.timestamps_ns) < 2:
             continue
@@ -294,7 +284,7 @@ def _adjustment_short(subject: Subject) -> Iterator[Hit]:
 
 def _several_calibrations(subject: Subject) -> Iterator[Hit]:
     by_camera: dict[tuple[type, Identifier], list[str]] = defaultdict(list)
-    for path, calibration in _calibrations(subject):
+    for path, calibration in subject.annotations_of(CameraCalibration):
         by_camera[type(calibration.sensor_id), calibration.sensor_id].append(path)
     for (_, sensor_id), paths in by_camera.items():
         for path in paths[1:]:
@@ -302,13 +292,13 @@ def _several_calibrations(subject: Subject) -> Iterator[Hit]:
 
 
 def _calibrates_nothing(subject: Subject) -> Iterator[Hit]:
-    for path, calibration in _calibrations(subject):
+    for path, calibration in subject.annotations_of(CameraCalibration):
         if calibration.poses is None and calibration.intrinsics is None and not calibration.time_offset_ns:
             yield Hit(path, "neither poses nor intrinsics nor a time offset; expected one of them")
 
 
 def _other_image_size(subject: Subject) -> Iterator[Hit]:
-    for path, calibration in _calibrations(subject):
+    for path, calibration in subject.annotations_of(CameraCalibration):
         sensor, camera_model = subject.sensor(calibration.sensor_id), calibration.intrinsics
         if camera_model is None or not isinstance(sensor, CameraSensor):
             continue

@@ -14,12 +14,13 @@ from sceneloom.formats.recording.reader import RecordingContents
 from sceneloom.scene.annotations import Annotation
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
-from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import NOMINAL_PERIOD_NS, Scene, Sensor
 from sceneloom.scene.types import Identifier, key_of
 from sceneloom.warnings import DataWarning, Severity
 
 _Table = TypeVar("_Table")
+
+_Kind = TypeVar("_Kind")
 
 ERROR, WARNING, HINT = Severity.ERROR, Severity.WARNING, Severity.HINT
 
@@ -57,15 +58,15 @@ class Subject:
 
     Attributes:
         scene: as far as it could be read.
-        header: the file's own header where it is an `.sfs` file, else None.
+        header: the header of an `.sfs` file, else None.
         faults: what was found wrong while the file was read.
-        sensor_paths: where each sensor of the scene stands in its file; empty: counted in the scene.
-        annotation_paths: where each annotation stands; empty: counted in the scene.
-        warnings: what the reader assumed, repaired or left out this time; None: all that the scene reports.
+        sensor_paths: path of each sensor in its file; empty: counted in the scene.
+        annotation_paths: path of each annotation; empty: counted in the scene.
+        warnings: what the reader assumed, repaired or left out this time; None: all warnings of the scene.
         fetch: gives arrays of the header with their values, which those of a file behind a URL may lack.
-        recording: what the files of a recording state, lines in the order of the file; None for other formats.
-        frame_numbers: the numbers in the file of the frames and images of a sensor, by the path of their list, where
-            some were left out.
+        recording: the parsed files of a recording, lines in the order of the file; None for other formats.
+        frame_numbers: numbers in the file of the frames and images of a sensor, by the path of their list, where some
+            were left out.
         cache: what `table` keeps.
     """
 
@@ -98,7 +99,7 @@ class Subject:
 
     @property
     def notes(self) -> Sequence[DataWarning]:
-        """What the reader remarked; of a scene file not what was remarked when it was made."""
+        """Warnings of the reader; of a scene file not those of when it was made."""
         return self.scene.warnings if self.warnings is None else self.warnings
 
     def fetched(self, array: AnyArray) -> AnyArray:
@@ -130,9 +131,19 @@ class Subject:
         """All annotations with their paths."""
         return zip(self.annotation_paths, self.scene.annotations, strict=True)
 
+    def sensors_of(self, kind: type[_Kind]) -> Iterator[tuple[str, _Kind]]:
+        """All sensors of a class with their paths."""
+        return ((path, sensor) for path, sensor in self.sensors() if isinstance(sensor, kind))
+
+    def annotations_of(self, kind: type[_Kind]) -> Iterator[tuple[str, _Kind]]:
+        """All annotations of a class with their paths."""
+        return ((path, annotation) for path, annotation in self.annotations() if isinstance(annotation, kind))
+
     def sensor_path(self, sensor: Sensor) -> str:
         """`sensors[3]`."""
-        return self.table("paths of sensors", _paths_of_sensors)[id(sensor)]
+        return self.table("paths of sensors", lambda inner: {id(one): path for path, one in inner.sensors()})[
+            id(sensor)
+        ]
 
     def is_left_out(self, kind: str, identifier: Identifier) -> bool:
         """Whether the file lists a sensor or annotation (`kind`: "sensors", "annotations") that has not been read.
@@ -147,7 +158,10 @@ class Subject:
 
     def sensor(self, sensor_id: Identifier) -> Sensor | None:
         """The sensor of that id, of that very type, or None."""
-        return self.table("sensors by id", _sensors_by_id).get((type(sensor_id), sensor_id))
+        known = self.table(
+            "sensors by id", lambda inner: {key_of(one.id): one for one in inner.scene.sensors}
+        )
+        return known.get((type(sensor_id), sensor_id))
 
 
 def _ids(subject: Subject, kind: str) -> frozenset[tuple[type, Identifier]]:
@@ -155,14 +169,6 @@ def _ids(subject: Subject, kind: str) -> frozenset[tuple[type, Identifier]]:
     things = listed if isinstance(listed, list) else []
     ids = (thing.get("id") for thing in things if isinstance(thing, dict))
     return frozenset(key_of(identifier) for identifier in ids if isinstance(identifier, str | int))
-
-
-def _paths_of_sensors(subject: Subject) -> dict[int, str]:
-    return {id(sensor): path for path, sensor in subject.sensors()}
-
-
-def _sensors_by_id(subject: Subject) -> dict[tuple[type, Identifier], Sensor]:
-    return {key_of(sensor.id): sensor for sensor in subject.scene.sensors}
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,40 +242,6 @@ class Rule:
     profiles: frozenset[CheckProfile] = ALL_PROFILES
 
 
-@dataclass(slots=True)
-class _Observation:
-    """The first frame of a sensor in which something was seen, and how many there are."""
-
-    path: str
-    problem: str
-    frames: int = 0
-
-
-def note_observation(subject: Subject, rule: str, frame: FrameInHand, field: str, problem: str) -> None:
-    """Remember that something was seen in a field of a frame.
-
-    The first problem of a sensor is the one that is reported.
-    """
-    observations = _observations(subject, rule)
-    seen = observations.setdefault(frame.sensor_path, _Observation(f"{frame.path}.{field}", problem))
-    seen.frames += 1
-
-
-def observations_of(rule: str) -> Find:
-    """Report what was remembered for a rule: one hit for each sensor."""
-
-    def conclude(subject: Subject) -> Iterator[Hit]:
-        for seen in _observations(subject, rule).values():
-            yield Hit(seen.path, seen.problem, seen.frames)
-
-    return conclude
-
-
-def _observations(subject: Subject, rule: str) -> dict[str, _Observation]:
-    found: dict[str, _Observation] = subject.table(f"observations of {rule}", lambda _: {})
-    return found
-
-
 def timestamps_of(sensor: Sensor) -> Int64Array:
     """The times of a sensor's frames or images, (N,) int64 [ns]; none for sensors without frames."""
     if isinstance(sensor, CameraSensor):
@@ -301,50 +273,3 @@ def repaired_annotations(scene: Scene, repair: Callable[[Annotation], Annotation
     if all(new is old for new, old in zip(annotations, scene.annotations, strict=True)):
         return scene
     return replace(scene, annotations=annotations)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Reordered:
-    """Reads the frames of another sequence in another order; goes to other processes as those do."""
-
-    read: Callable[[int], Any]
-    order: tuple[int, ...]
-
-    def __call__(self, k: int) -> Any:
-        return self.read(self.order[k])
-
-
-def _sorted_frames(frames: LazyFrames[Any]) -> LazyFrames[Any]:
-    """The same frames in the order of their times; those of one time stay as they are among each other."""
-    return chosen_frames(frames, np.argsort(frames.timestamps_ns, kind="stable").astype(np.int64))
-
-
-def chosen_frames(frames: LazyFrames[Any], rows: Int64Array) -> LazyFrames[Any]:
-    """Some of the frames, (M,) numbers of them, in that order."""
-    read = _Reordered(frames.__getitem__, tuple(rows.tolist()))
-    return LazyFrames(frames.timestamps_ns[rows], read)
-
-
-def _is_sorted(frames: LazyFrames[Any]) -> bool:
-    """Whether the frames stand in the order of their times."""
-    timestamps_ns = frames.timestamps_ns
-    return not (timestamps_ns[1:] < timestamps_ns[:-1]).any()
-
-
-def with_sorted_frames(scene: Scene) -> Scene:
-    """Sort the frames of every sensor by time; images of a video stay, since the video has its own order."""
-    sensors = tuple(map(_sorted, scene.sensors))
-    changed = any(new is not old for new, old in zip(sensors, scene.sensors, strict=True))
-    return replace(scene, sensors=sensors) if changed else scene
-
-
-def _sorted(sensor: Sensor) -> Sensor:
-    if isinstance(sensor, LidarSensor) and not _is_sorted(sensor.frames):
-        return replace(sensor, frames=_sorted_frames(sensor.frames))
-    if isinstance(sensor, RadarSensor) and not _is_sorted(sensor.frames):
-        return replace(sensor, frames=_sorted_frames(sensor.frames))
-    if isinstance(sensor, CameraSensor) and sensor.video is None and not _is_sorted(sensor.images):
-        return replace(sensor, images=_sorted_frames(sensor.images))
-    if isinstance(sensor, DepthCameraSensor) and sensor.video is None and not _is_sorted(sensor.frames):
-        return replace(sensor, frames=_sorted_frames(sensor.frames))
-    return sensor

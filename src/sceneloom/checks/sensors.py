@@ -77,19 +77,15 @@ def _empty(subject: Subject) -> Iterator[Hit]:
             yield Hit(path, f"{sensor.type} {sensor.id!r} has no {what}")
 
 
-def _unknown_types(subject: Subject) -> Iterator[Hit]:
-    for path, sensor in subject.sensors():
-        if isinstance(sensor, PlainSensor):
-            near = nearest(str(sensor.type), tuple(SENSOR_RECORDS))
-            yield Hit(
-                f"{path}.type", f"{sensor.type!r}{near}; its fields are carried along and not understood"
-            )
+def _unknown_sensor_types(subject: Subject) -> Iterator[Hit]:
+    return _unknown_of(subject.sensors_of(PlainSensor), tuple(SENSOR_RECORDS))
 
 
-def nearest(name: str, known: Sequence[str]) -> str:
-    """Name the known word that is most like another one, as a part of a message; empty where none is."""
-    near = get_close_matches(name.casefold(), known, n=1)
-    return f", which is like {near[0]!r}" if near else ""
+def _unknown_of(parts: Iterator[tuple[str, Any]], known: Sequence[str]) -> Iterator[Hit]:
+    for path, part in parts:
+        near = get_close_matches(str(part.type).casefold(), known, n=1)
+        hint = f", which is like {near[0]!r}" if near else ""
+        yield Hit(f"{path}.type", f"{part.type!r}{hint}; its fields are kept and not used")
 
 
 def _similar_ids(subject: Subject) -> Iterator[Hit]:
@@ -110,7 +106,7 @@ def _dangling_parents(subject: Subject) -> Iterator[Hit]:
             yield Hit(f"{path}.parent_id", f"{parent_id!r} is no sensor of the scene; it has {known}")
 
 
-def _parent_cycles(subject: Subject) -> Iterator[Hit]:
+def _sensor_cycles(subject: Subject) -> Iterator[Hit]:
     parents: dict[Key, Key] = {
         key_of(s.id): (type(s.parent_id), s.parent_id)
         for s in subject.scene.sensors
@@ -154,16 +150,15 @@ def _infinite_samples(subject: Subject) -> Iterator[Hit]:
 
 
 def _off_the_earth(subject: Subject) -> Iterator[Hit]:
-    for path, sensor in subject.sensors():
-        if isinstance(sensor, GnssSensor):
-            latitudes, longitudes = sensor.positions_lla[:, 0], sensor.positions_lla[:, 1]
-            wrong = np.flatnonzero((np.abs(latitudes) > 90) | (np.abs(longitudes) > 180))
-            if len(wrong):
-                k = wrong[0]
-                problem = (
-                    f"latitude {latitudes[k]}, longitude {longitudes[k]}; expected at most 90 and 180 degrees"
-                )
-                yield Hit(f"{path}.positions_lla[{k}]", problem, len(wrong))
+    for path, sensor in subject.sensors_of(GnssSensor):
+        latitudes, longitudes = sensor.positions_lla[:, 0], sensor.positions_lla[:, 1]
+        wrong = np.flatnonzero((np.abs(latitudes) > 90) | (np.abs(longitudes) > 180))
+        if len(wrong):
+            k = wrong[0]
+            problem = (
+                f"latitude {latitudes[k]}, longitude {longitudes[k]}; expected at most 90 and 180 degrees"
+            )
+            yield Hit(f"{path}.positions_lla[{k}]", problem, len(wrong))
 
 
 # fmt: off
@@ -174,14 +169,14 @@ SENSOR_RULES: tuple[Rule, ...] = (
          "Leave the sensor out if it is not used, or find its data.", find=_empty),
     Rule("sensor-type-known", WARNING, "Every sensor is of a type that the format lists.",
          "Use one of points, lidar, radar, camera and odometry; other programs may refuse the file.",
-         find=_unknown_types),
+         find=_unknown_sensor_types),
     Rule("sensor-ids-distinct", HINT, "No two ids of sensors differ only in being a number and a text.",
          "Use one kind: programs that compare ids as texts take both for one.", find=_similar_ids),
     Rule("sensor-parent-known", ERROR, "The parent of a sensor is a sensor of the scene.",
          'Name the parent by its id, of the same type (1 is not "1"), or leave `parent_id` out.',
          find=_dangling_parents),
     Rule("sensor-parent-cycle", ERROR, "No sensor is its own parent, directly or over others.",
-         "Leave `parent_id` out of one of them.", find=_parent_cycles),
+         "Leave `parent_id` out of one of them.", find=_sensor_cycles),
     Rule("sample-times-increasing", WARNING,
          "Samples of inertial sensors and fixes of satellite receivers have strictly increasing times.",
          "Sort them, and leave out those that stand there twice.", find=unless_recording(_disordered_samples)),
@@ -195,22 +190,17 @@ SENSOR_RULES: tuple[Rule, ...] = (
 # fmt: on
 
 
-def _key(identifier: Identifier) -> Key:
-    return type(identifier), identifier
-
-
-def _numbers_by_id(subject: Subject) -> dict[Key, int]:
-    return {_key(annotation.id): k for k, annotation in enumerate(subject.scene.annotations)}
-
-
 def _known_ids(subject: Subject) -> Mapping[Key, int]:
-    return subject.table("numbers of annotations by id", _numbers_by_id)
+    return subject.table(
+        "numbers of annotations by id",
+        lambda inner: {key_of(a.id): k for k, a in enumerate(inner.scene.annotations)},
+    )
 
 
 def _unknown(kind: str, identifier: Identifier, known: Mapping[Key, Any]) -> str:
     """Report that nothing has this id, and whether something has it as text instead of a number."""
     twin: Identifier | None = str(identifier) if isinstance(identifier, int) else _as_integer(identifier)
-    if twin is not None and _key(twin) in known:
+    if twin is not None and key_of(twin) in known:
         return f"{identifier!r} is no {kind}; there is one {twin!r}, which is another id"
     return f"{identifier!r} is no {kind} of the scene"
 
@@ -220,25 +210,20 @@ def _as_integer(text: str) -> int | None:
     return int(text) if text.isascii() and text.isdigit() and len(text) <= 18 else None
 
 
-def _references_unknown_types(subject: Subject) -> Iterator[Hit]:
-    for path, annotation in subject.annotations():
-        if isinstance(annotation, PlainAnnotation):
-            near = nearest(annotation.type, tuple(ANNOTATION_RECORDS))
-            yield Hit(
-                f"{path}.type", f"{annotation.type!r}{near}; its fields are carried along and not understood"
-            )
+def _unknown_annotation_types(subject: Subject) -> Iterator[Hit]:
+    return _unknown_of(subject.annotations_of(PlainAnnotation), tuple(ANNOTATION_RECORDS))
 
 
 def _unknown_parents(subject: Subject) -> Iterator[Hit]:
     known = _known_ids(subject)
     for path, annotation in subject.annotations():
         parent_id = annotation.parent_id
-        if parent_id is None or _key(parent_id) in known or subject.is_left_out("annotations", parent_id):
+        if parent_id is None or key_of(parent_id) in known or subject.is_left_out("annotations", parent_id):
             continue
         yield Hit(f"{path}.parent_id", _unknown("annotation", parent_id, known))
 
 
-def _references_parent_cycles(subject: Subject) -> Iterator[Hit]:
+def _annotation_cycles(subject: Subject) -> Iterator[Hit]:
     """Follow each annotation's parents; one that is met again on the same way lies on a cycle."""
     known, annotations = _known_ids(subject), subject.scene.annotations
     settled: set[int] = set()
@@ -248,7 +233,7 @@ def _references_parent_cycles(subject: Subject) -> Iterator[Hit]:
         while number is not None and number not in settled and number not in trajectory:
             trajectory[number] = None
             parent_id = annotations[number].parent_id
-            number = None if parent_id is None else known.get(_key(parent_id))
+            number = None if parent_id is None else known.get(key_of(parent_id))
         if number is not None and number in trajectory:
             cycle = list(trajectory)[list(trajectory).index(number) :]
             names = " in ".join(repr(annotations[k].id) for k in [*cycle[:5], number])
@@ -258,13 +243,13 @@ def _references_parent_cycles(subject: Subject) -> Iterator[Hit]:
 
 
 def _unknown_sensors(subject: Subject) -> Iterator[Hit]:
-    known = {_key(sensor.id): sensor for sensor in subject.scene.sensors}
+    known = {key_of(sensor.id): sensor for sensor in subject.scene.sensors}
     named = [(_location(subject, mention), mention.sensor_id) for mention in sensor_mentions(subject)]
     for k, attribute in enumerate(subject.scene.attributes):
         if attribute.sensor_id is not None:
             named.append((f"attributes[{k}].sensor_id", attribute.sensor_id))
     for location, sensor_id in named:
-        if _key(sensor_id) not in known and not subject.is_left_out("sensors", sensor_id):
+        if key_of(sensor_id) not in known and not subject.is_left_out("sensors", sensor_id):
             yield Hit(location, _unknown("sensor", sensor_id, known))
 
 
@@ -274,7 +259,7 @@ def _several_for_a_sensor(subject: Subject) -> Iterator[Hit]:
         for location, parts in _parts_of_sensors(path, annotation):
             first: dict[Key, int] = {}
             for k, part in enumerate(parts):
-                before = first.setdefault(_key(part.sensor_id), k)
+                before = first.setdefault(key_of(part.sensor_id), k)
                 if before != k:
                     problem = (
                         f"{part.sensor_id!r} has one already, at [{before}]; expected one for each sensor"
@@ -325,35 +310,29 @@ def _a(sensor: Sensor) -> str:
     return f"{'an' if word[:1] in 'aeiou' else 'a'} {word}"
 
 
-def _links(subject: Subject) -> Iterator[tuple[str, LinkAnnotation]]:
-    for path, annotation in subject.annotations():
-        if isinstance(annotation, LinkAnnotation):
-            yield path, annotation
-
-
 def _unknown_link_ends(subject: Subject) -> Iterator[Hit]:
     known = _known_ids(subject)
-    for path, link in _links(subject):
+    for path, link in subject.annotations_of(LinkAnnotation):
         for name in ("from_id", "to_id"):
             identifier = getattr(link, name)
-            if _key(identifier) not in known and not subject.is_left_out("annotations", identifier):
+            if key_of(identifier) not in known and not subject.is_left_out("annotations", identifier):
                 yield Hit(f"{path}.{name}", _unknown("annotation", identifier, known))
 
 
 def _links_to_themselves(subject: Subject) -> Iterator[Hit]:
-    for path, link in _links(subject):
-        if _key(link.from_id) == _key(link.to_id):
+    for path, link in subject.annotations_of(LinkAnnotation):
+        if key_of(link.from_id) == key_of(link.to_id):
             yield Hit(path, f"leads from {link.from_id!r} to itself; expected two annotations")
-        elif _key(link.id) in (_key(link.from_id), _key(link.to_id)):
+        elif key_of(link.id) in (key_of(link.from_id), key_of(link.to_id)):
             yield Hit(path, f"one end is the link {link.id!r} itself; expected two other annotations")
 
 
 def _unused(subject: Subject) -> Iterator[Hit]:
-    used = {_key(a.parent_id) for a in subject.scene.annotations if a.parent_id is not None}
-    for _, link in _links(subject):
-        used |= {_key(link.from_id), _key(link.to_id)}
+    used = {key_of(a.parent_id) for a in subject.scene.annotations if a.parent_id is not None}
+    for _, link in subject.annotations_of(LinkAnnotation):
+        used |= {key_of(link.from_id), key_of(link.to_id)}
     for path, annotation in subject.annotations():
-        if _says_nothing(annotation) and _key(annotation.id) not in used:
+        if _says_nothing(annotation) and key_of(annotation.id) not in used:
             yield Hit(
                 path, f"the {annotation.type} {annotation.id!r} has no members, no links and no attributes"
             )
@@ -363,7 +342,7 @@ def _says_nothing(annotation: Annotation) -> bool:
     return isinstance(annotation, ObjectAnnotation | GroupAnnotation) and not annotation.attributes
 
 
-def _unused_attributes_of_points(subject: Subject) -> Iterator[Hit]:
+def _unknown_points(subject: Subject) -> Iterator[Hit]:
     for path, annotation in subject.annotations():
         count = len(getattr(annotation, "paths", ()))
         for k, attribute in enumerate(getattr(annotation, "attributes", ())):
@@ -396,10 +375,10 @@ REFERENCE_RULES: tuple[Rule, ...] = (
          'Name an annotation that exists, with the type of its id (1 is not "1"), or leave `parent_id` out.',
          find=_unknown_parents),
     Rule("annotation-parent-cycle", ERROR, "No annotation is its own parent, nor a parent of its parents.",
-         "Leave one `parent_id` of the cycle out.", find=_references_parent_cycles),
+         "Leave one `parent_id` of the cycle out.", find=_annotation_cycles),
     Rule("annotation-type-known", WARNING, "Every annotation is of a type that the format lists.",
          "Correct the type; an annotation of another type is carried along, and nothing computes with it.",
-         find=_references_unknown_types),
+         find=_unknown_annotation_types),
     Rule("part-of-sensor-once", WARNING, "An annotation has one activation and one projection for each sensor.",
          "Join them: their timestamps, and what belongs to each.", find=_several_for_a_sensor),
     Rule("annotation-sensor-unknown", ERROR,
@@ -416,7 +395,7 @@ REFERENCE_RULES: tuple[Rule, ...] = (
          "Name the other annotation, or take the link out.", find=_links_to_themselves),
     Rule("attribute-point-unknown", ERROR,
          "The point that an attribute of a points annotation is for is one of its points.",
-         "Count points from 0, in the order of `paths`.", find=_unused_attributes_of_points),
+         "Count points from 0, in the order of `paths`.", find=_unknown_points),
     Rule("annotation-unused", HINT, "Objects and groups have members, links or attributes.",
          "Take it out if nothing belongs to it.", find=_unused),
     Rule("label-spellings", HINT, "A label is spelt in one way throughout a scene.",

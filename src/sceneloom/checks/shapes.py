@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sceneloom.arrays import Float64Array, read_only
-from sceneloom.checks.annotation_table import point_paths
+from sceneloom.checks.annotation_table import annotation_parts
 from sceneloom.checks.rule import ERROR, HINT, WARNING, Hit, Rule, Subject, repaired_annotations
 from sceneloom.scene.annotations import AttributePath, PointsAnnotation, ShapeAnnotation, ShapeType
 from sceneloom.scene.scene import Scene
@@ -40,15 +40,9 @@ _MOST_VERTICES = 1_000
 """Longer outlines are not searched for crossings: the search grows with the square."""
 
 
-def _shapes(subject: Subject) -> Iterator[tuple[str, ShapeAnnotation]]:
-    for path, annotation in subject.annotations():
-        if isinstance(annotation, ShapeAnnotation):
-            yield path, annotation
-
-
 def _hits_of(subject: Subject, judge: Callable[[ShapeAnnotation, Float64Array], str | None]) -> Iterator[Hit]:
     """Give a hit for each shape that has keyframes of which `judge` says something; the first one is reported."""
-    for path, shape in _shapes(subject):
+    for path, shape in subject.annotations_of(ShapeAnnotation):
         found = [
             (k, stated) for k, v in enumerate(shape.path.vertices) if (stated := judge(shape, v)) is not None
         ]
@@ -86,7 +80,7 @@ def _not_finite(subject: Subject) -> Iterator[Hit]:
         )
 
     yield from _hits_of(subject, judge)
-    table = point_paths(subject)
+    table = annotation_parts(subject, "points")
     for number, path in enumerate(table.parts):
         rows = np.flatnonzero(~np.isfinite(path.values).all(axis=1))
         if len(rows):
@@ -158,7 +152,7 @@ def _sides(starts: Float64Array, stops: Float64Array, points: Float64Array) -> F
 
 
 def _counts_change(subject: Subject) -> Iterator[Hit]:
-    for path, shape in _shapes(subject):
+    for path, shape in subject.annotations_of(ShapeAnnotation):
         counts = [len(vertices) for vertices in shape.path.vertices]
         changes = [k for k in range(1, len(counts)) if counts[k] != counts[k - 1]]
         if changes:
@@ -173,7 +167,7 @@ def _counts_change(subject: Subject) -> Iterator[Hit]:
 def _pairs_as_triples(subject: Subject) -> Iterator[Hit]:
     """Outlines in space whose rows fit pairs as well: smoother, whole, or beside others that are pairs."""
     others = any(warning.code == "no-height" for warning in subject.notes)
-    for path, shape in _shapes(subject):
+    for path, shape in subject.annotations_of(ShapeAnnotation):
         if shape.type not in _OUTLINES_IN_SPACE or not shape.path.vertices:
             continue
         rows = [vertices.reshape(-1) for vertices in shape.path.vertices]
@@ -199,14 +193,8 @@ def _bends(vertices: Float64Array) -> float:
     return float(np.linalg.norm(np.diff(vertices, n=2, axis=0), axis=1).sum())
 
 
-def _points_of(subject: Subject) -> Iterator[tuple[str, PointsAnnotation]]:
-    for path, annotation in subject.annotations():
-        if isinstance(annotation, PointsAnnotation):
-            yield path, annotation
-
-
 def _counts_of_points(subject: Subject) -> Iterator[Hit]:
-    for path, points in _points_of(subject):
+    for path, points in subject.annotations_of(PointsAnnotation):
         count = len(points.paths)
         if points.labels is not None and len(points.labels) != count:
             yield Hit(f"{path}.labels", f"{len(points.labels)} labels for {count} points; expected as many")
@@ -220,7 +208,7 @@ def _counts_of_points(subject: Subject) -> Iterator[Hit]:
 
 
 def _ids_of_points(subject: Subject) -> Iterator[Hit]:
-    for path, points in _points_of(subject):
+    for path, points in subject.annotations_of(PointsAnnotation):
         seen: dict[tuple[type, object], int] = {}
         for k, point in enumerate(points.paths):
             if point.id is None:

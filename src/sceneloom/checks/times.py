@@ -1,7 +1,7 @@
 """Rules about times: of frames and images, of the points of a sweep, and of annotations."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,9 +9,8 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Int64Array, read_only
 from sceneloom.checks.annotation_table import (
     PartTable,
+    annotation_parts,
     camera_rows,
-    point_projections,
-    projections,
     timed_parts,
 )
 from sceneloom.checks.faults import as_read
@@ -25,15 +24,13 @@ from sceneloom.checks.rule import (
     Rule,
     Subject,
     frames_path,
-    note_observation,
-    observations_of,
     period_ns,
     repaired_annotations,
     seconds,
     timestamps_of,
     unless_recording,
-    with_sorted_frames,
 )
+from sceneloom.editing.move_points import chosen_frames
 from sceneloom.formats.sfs.clock import (
     READABLE_TICKS_NS,
     UINT32_MAX,
@@ -83,6 +80,22 @@ def _out_of_order(*, in_videos: bool) -> Find:
     return find
 
 
+def _with_sorted_frames(scene: Scene) -> Scene:
+    """Sort the frames of every sensor by time; images of a video stay, since the video has its own order."""
+    sensors = tuple(map(_sorted, scene.sensors))
+    changed = any(new is not old for new, old in zip(sensors, scene.sensors, strict=True))
+    return replace(scene, sensors=sensors) if changed else scene
+
+
+def _sorted(sensor: Any) -> Any:
+    name = "images" if isinstance(sensor, CameraSensor) else "frames"
+    frames = getattr(sensor, name, None)
+    if frames is None or getattr(sensor, "video", None) is not None:
+        return sensor
+    chosen = chosen_frames(frames, np.argsort(frames.timestamps_ns, kind="stable"))
+    return sensor if chosen is frames else replace(sensor, **{name: chosen})
+
+
 def _of_one_time(subject: Subject) -> Iterator[Hit]:
     for path, sensor in subject.sensors():
         timestamps_ns = timestamps_of(sensor)
@@ -104,43 +117,40 @@ def _too_many_a_second(subject: Subject) -> Iterator[Hit]:
                 yield Hit(frames_path(path, sensor), problem)
 
 
-def _gaps(subject: Subject) -> Iterator[Hit]:
+def _intervals(subject: Subject) -> Iterator[tuple[str, Int64Array, float]]:
+    """Path of the frames, intervals between them, and the usual one [ns], of sensors with frames enough for a rate."""
     for path, sensor in subject.sensors():
         timestamps_ns = timestamps_of(sensor)
-        if len(timestamps_ns) < _FEWEST_FOR_A_RATE:
-            continue
-        intervals, usual = np.diff(timestamps_ns), period_ns(timestamps_ns)
+        if len(timestamps_ns) >= _FEWEST_FOR_A_RATE:
+            yield frames_path(path, sensor), np.diff(timestamps_ns), period_ns(timestamps_ns)
+
+
+def _gaps(subject: Subject) -> Iterator[Hit]:
+    for path, intervals, usual in _intervals(subject):
         for k in np.flatnonzero(intervals > _GAP * usual).tolist():
             missing = round(intervals[k] / usual) - 1
             problem = (
                 f"{seconds(intervals[k])} to the next frame, {seconds(usual)} usually; {missing} seem missing"
             )
-            yield Hit(f"{frames_path(path, sensor)}[{k}]", problem, max(missing, 1))
+            yield Hit(f"{path}[{k}]", problem, max(missing, 1))
 
 
 def _doubled(subject: Subject) -> Iterator[Hit]:
-    for path, sensor in subject.sensors():
-        timestamps_ns = timestamps_of(sensor)
-        if len(timestamps_ns) < _FEWEST_FOR_A_RATE:
-            continue
-        intervals, usual = np.diff(timestamps_ns), period_ns(timestamps_ns)
+    for path, intervals, usual in _intervals(subject):
         for k in np.flatnonzero((intervals > 0) & (intervals < _DOUBLED * usual)).tolist():
             problem = f"{seconds(intervals[k])} after the frame before, {seconds(usual)} usually"
-            yield Hit(f"{frames_path(path, sensor)}[{k + 1}]", problem)
+            yield Hit(f"{path}[{k + 1}]", problem)
 
 
 def _uneven(subject: Subject) -> Iterator[Hit]:
-    for path, sensor in subject.sensors():
-        timestamps_ns = timestamps_of(sensor)
-        usual = period_ns(timestamps_ns)
-        intervals = np.diff(timestamps_ns)
+    for path, intervals, usual in _intervals(subject):
         plain = intervals[(intervals <= _GAP * usual) & (intervals >= _DOUBLED * usual)]
         if len(plain) < _FEWEST_FOR_A_RATE:
             continue
         spread_ns = float(np.std(plain))
         if spread_ns > _JITTER * usual:
             problem = f"intervals of {seconds(usual)} vary by {seconds(spread_ns)} (one standard deviation)"
-            yield Hit(frames_path(path, sensor), problem)
+            yield Hit(path, problem)
 
 
 def _fps_differs(subject: Subject) -> Iterator[Hit]:
@@ -187,7 +197,7 @@ def _with_time_offset(scene: Scene) -> Scene:
 # fmt: off
 TIME_RULES: tuple[Rule, ...] = (
     Rule("frame-times-increasing", ERROR, "Frames and images of a sensor stand in the order of their times.",
-         "Sort them by time.", find=_out_of_order(in_videos=False), fix=with_sorted_frames),
+         "Sort them by time.", find=_out_of_order(in_videos=False), fix=_with_sorted_frames),
     Rule("video-times-increasing", ERROR, "The timestamps of a video stand in the order of its images.",
          "Find out which images the timestamps belong to.", find=_out_of_order(in_videos=True)),
     Rule("frame-times-unique", ERROR, "No two frames or images of a sensor have one time.",
@@ -228,6 +238,35 @@ _ROUNDING_NS = 1_000
 _ON_ANOTHER_CLOCK = 100
 """Times so many periods away are not late, but of another clock, which another rule reports."""
 
+
+@dataclass(slots=True)
+class _Observation:
+    """The first frame of a sensor in which something was seen, and how many there are."""
+
+    path: str
+    problem: str
+    frames: int = 0
+
+
+def _observations(subject: Subject, rule: str) -> dict[str, _Observation]:
+    return subject.table(f"observations of {rule}", lambda _: {})
+
+
+def _note_observation(subject: Subject, rule: str, frame: FrameInHand, problem: str) -> None:
+    """Remember a problem with the times of a frame's points; the first one of a sensor is reported."""
+    first = _Observation(f"{frame.path}.points.timestamps", problem)
+    _observations(subject, rule).setdefault(frame.sensor_path, first).frames += 1
+
+
+def _observations_of(rule: str) -> Find:
+    """Report what was remembered for a rule: one hit for each sensor."""
+
+    def conclude(subject: Subject) -> Iterator[Hit]:
+        return (Hit(seen.path, seen.problem, seen.frames) for seen in _observations(subject, rule).values())
+
+    return conclude
+
+
 _WHAT: dict[PointTimes, str] = {
     PointTimes.RELATIVE: "count from the frame's own timestamp; expected times on the scene's clock",
     PointTimes.OTHER_CLOCK: "are on another clock than the frame's timestamp",
@@ -260,7 +299,7 @@ def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
         problem = f"are {float(max(factor, 1 / factor)):g} times too {'large' if factor > 1 else 'small'}"
     if problem is not None:
         problem = f"they {problem}; the first is {timed.raw.first_ns} ns"
-        note_observation(subject, "point-times-clock", frame, "points.timestamps", problem)
+        _note_observation(subject, "point-times-clock", frame, problem)
     return ()
 
 
@@ -308,7 +347,7 @@ def _all_equal(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
             problem = (
                 f"all {len(times)} are {int(times[0])} ns; they state nothing about the motion in the sweep"
             )
-            note_observation(subject, "point-times-equal", frame, "points.timestamps", problem)
+            _note_observation(subject, "point-times-equal", frame, problem)
     return ()
 
 
@@ -329,7 +368,7 @@ def _outside_the_sweep(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
     elif late > 0:
         problem = f"points reach to {seconds(late)} beyond the end of the next sweep"
     if problem is not None:
-        note_observation(subject, "point-times-frame", frame, "points.timestamps", problem)
+        _note_observation(subject, "point-times-frame", frame, problem)
     return ()
 
 
@@ -341,13 +380,13 @@ POINT_TIME_RULES: tuple[Rule, ...] = (
          find=_widths, fix=as_read),
     Rule("point-times-clock", WARNING, "Times of points are on the clock of their frames, in its unit.",
          "Write absolute times; in microseconds of 32 bits choose a time_offset, or write nanoseconds.",
-         find=_relative_in_file, look=_not_on_the_clock, conclude=observations_of("point-times-clock")),
+         find=_relative_in_file, look=_not_on_the_clock, conclude=_observations_of("point-times-clock")),
     Rule("point-times-frame", HINT, "No point lies before its frame, nor after the next one.",
          "Timestamp frames at their earliest point: writing the scene does.", look=_outside_the_sweep,
-         conclude=observations_of("point-times-frame")),
+         conclude=_observations_of("point-times-frame")),
     Rule("point-times-equal", HINT, "Points of a sweep have times of their own.",
          "Leave the times out if the sensor gives none; with them, the motion during a sweep can be undone.",
-         look=_all_equal, conclude=observations_of("point-times-equal")),
+         look=_all_equal, conclude=_observations_of("point-times-equal")),
 )
 # fmt: on
 
@@ -450,25 +489,18 @@ def _empty(subject: Subject) -> Iterator[Hit]:
     for part in np.flatnonzero(np.diff(table.starts) == 0).tolist():
         if table.suffixes[part].startswith(".path"):
             yield Hit(table.location(subject, part), "no keyframes; expected at least one")
-    for path, annotation in subject.annotations():
-        if isinstance(annotation, PointsAnnotation) and not annotation.paths:
+    for path, annotation in subject.annotations_of(PointsAnnotation):
+        if not annotation.paths:
             yield Hit(f"{path}.paths", "no points; expected at least one")
 
 
 def _bounds(subject: Subject) -> tuple[int, int] | None:
     """When annotations may begin and end [ns]: within the sensors' times and one sweep more at each end."""
-    return subject.table("the scene's time with a sweep around it", _make_bounds)
-
-
-_LEAST_NS, _MOST_NS = -(2**63), 2**63 - 1
-
-
-def _make_bounds(subject: Subject) -> tuple[int, int] | None:
-    span = time_span(subject.scene)
+    span = subject.table("the scene's time", lambda inner: time_span(inner.scene))
     if span is None:
         return None
     period_ns = scene_period_ns(subject.scene)
-    return max(span[0] - period_ns, _LEAST_NS), min(span[1] + period_ns, _MOST_NS)
+    return max(span[0] - period_ns, -(2**63)), min(span[1] + period_ns, 2**63 - 1)
 
 
 def _outside(subject: Subject) -> Iterator[Hit]:
@@ -478,14 +510,13 @@ def _outside(subject: Subject) -> Iterator[Hit]:
         return
     for part in np.flatnonzero(np.diff(table.starts) > 0).tolist() if _may_be_outside(table, bounds) else ():
         times = table.timestamps_ns[table.starts[part] : table.starts[part + 1]]
-        if _is_outside(int(times.min()), int(times.max()), bounds) and not _holds_always(
-            subject, table, part
-        ):
+        outside = _is_outside(int(times.min()), int(times.max()), bounds)
+        if outside and not _holds_always(subject, table, part):
             nearest = int(times.min()) if times.min() > bounds[1] else int(times.max())
             yield Hit(
                 f"{table.location(subject, part)}.timestamps", _stated_outside(nearest, bounds), len(times)
             )
-    for path, event in _events(subject):
+    for path, event in subject.annotations_of(EventAnnotation):
         length_ns = event.duration_ns or 0
         stop_ns = event.start_ns + (int(length_ns) if 0 < length_ns < np.inf else 0)
         if _is_outside(event.start_ns, stop_ns, bounds):
@@ -547,20 +578,12 @@ def _stated_outside(time_ns: int, bounds: tuple[int, int]) -> str:
     return f"{away:.3f} s {side} ({time_ns} ns; the sensors' times are {first_ns} to {last_ns} ns)"
 
 
-def _events(subject: Subject) -> Iterator[tuple[str, EventAnnotation]]:
-    for path, annotation in subject.annotations():
-        if isinstance(annotation, EventAnnotation):
-            yield path, annotation
-
-
 def _negative_durations(subject: Subject) -> Iterator[Hit]:
-    for path, event in _events(subject):
+    for path, event in subject.annotations_of(EventAnnotation):
         if event.duration_ns is not None and not event.duration_ns >= 0:
             yield Hit(f"{path}.duration", f"{event.duration_ns} ns; expected a duration of 0 or more")
-    for path, annotation in subject.annotations():
-        for k, activation in enumerate(
-            annotation.activations if isinstance(annotation, CuboidAnnotation) else ()
-        ):
+    for path, cuboid in subject.annotations_of(CuboidAnnotation):
+        for k, activation in enumerate(cuboid.activations):
             bad = [row for row, length in enumerate(activation.durations_ns or ()) if not length >= 0]
             if bad:
                 length = (activation.durations_ns or ())[bad[0]]
@@ -569,7 +592,7 @@ def _negative_durations(subject: Subject) -> Iterator[Hit]:
 
 
 def _without_image(subject: Subject) -> Iterator[Hit]:
-    for table in (projections(subject), point_projections(subject)):
+    for table in (annotation_parts(subject, "projections"), annotation_parts(subject, "point_projections")):
         times_ns, bad = table.timestamps_ns, np.zeros(len(table.timestamps_ns), bool)
         for camera, rows in camera_rows(subject, table):
             bad[rows] = _far_from_images(camera.images.timestamps_ns, times_ns[rows])

@@ -4,10 +4,9 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum, StrEnum
-from io import BytesIO
 from math import prod
 from types import MappingProxyType
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -17,12 +16,20 @@ from sceneloom.errors import OptionError
 from sceneloom.geometry.rotations import angle_between, normalise_quaternion, quaternion_from_matrix
 from sceneloom.scene.annotations import CuboidAnnotation, CuboidPath, PointPath, locations_of
 from sceneloom.scene.annotations_at import CuboidAngles, cuboid_poses, point_at
-from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, VideoContent
+from sceneloom.scene.cameras import (
+    CameraImage,
+    CameraSensor,
+    DepthCameraSensor,
+    DepthFrame,
+    ShootingSensor,
+    VideoContent,
+)
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
+from sceneloom.scene.ego import Posed
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, Sensor, frame_times
-from sceneloom.scene.types import Key, Progress, key_of
+from sceneloom.scene.types import Progress, key_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +41,7 @@ class _Tolerances:
         degrees: of rotations.
         nanoseconds: of timestamps; frames so near in time are the same frame.
         pixels: of what is drawn into images.
-        other_timestamps: whether a path may be reported at other timestamps, if it is the same way within the
-            tolerances.
+        other_timestamps: whether a path may be reported at other timestamps, if it is the same within the tolerances.
 
     Raises:
         OptionError: one is negative or not a number.
@@ -52,6 +58,16 @@ class _Tolerances:
             value = getattr(self, each.name)
             if not 0.0 <= value < float("inf"):
                 raise OptionError(f"tolerance {value} {each.name}; expected a number from 0 on")
+
+    def limit(self, unit: str) -> float:
+        """The tolerance of a unit; 0 for what has to be equal."""
+        limits = {
+            _METRES: self.metres,
+            _DEGREES: self.degrees,
+            _NANOSECONDS: self.nanoseconds,
+            _PIXELS: self.pixels,
+        }
+        return limits.get(unit, 0.0)
 
 
 _METRES, _DEGREES, _NANOSECONDS, _PIXELS, _EXACT = "m", "deg", "ns", "px", ""
@@ -78,19 +94,8 @@ _FIELDS: Mapping[tuple[str, str], str] = MappingProxyType(
 
 
 def _unit_of(owner: str, name: str) -> str:
-    """What a field of a class is counted in; "" where it has to be equal."""
+    """The unit of a field of a class; "" where it has to be equal."""
     return _NANOSECONDS if name.endswith("_ns") else _FIELDS.get((owner, name), _EXACT)
-
-
-def _limit_of(tolerances: _Tolerances, unit: str) -> float:
-    """The tolerance of a unit."""
-    limits = {
-        _METRES: tolerances.metres,
-        _DEGREES: tolerances.degrees,
-        _NANOSECONDS: tolerances.nanoseconds,
-        _PIXELS: tolerances.pixels,
-    }
-    return limits.get(unit, 0.0)
 
 
 class Change(StrEnum):
@@ -140,115 +145,71 @@ class SceneDifferences(msgspec.Struct, frozen=True, kw_only=True):
         return not self.differences
 
 
-@dataclass(slots=True)
-class _Findings:
-    """Gathers differences; those of the frames of one sensor become one."""
-
-    found: dict[tuple[str, Change], Difference] = field(default_factory=dict)
-    not_compared: dict[str, None] = field(default_factory=dict)
-
-    def add(
-        self,
-        path: str,
-        change: Change,
-        message: str,
-        *,
-        amount: float | None = None,
-        unit: str = "",
-        frame: int | None = None,
-    ) -> None:
-        """Add a difference; of several in frames the largest one is reported."""
-        key = (path, change)
-        made = Difference(path=path, change=change, message=message, amount=amount, unit=unit, frame=frame)
-        before = self.found.get(key)
-        if before is not None:
-            largest = made if (amount or 0.0) > (before.amount or 0.0) else before
-            made = msgspec.structs.replace(largest, count=before.count + 1)
-        self.found[key] = made
-
-    def pass_over(self, what: str) -> None:
-        """Report that something was not compared."""
-        self.not_compared[what] = None
-
-    def reported(self) -> SceneDifferences:
-        """All that was found."""
-        return SceneDifferences(differences=tuple(self.found.values()), not_compared=tuple(self.not_compared))
-
-
-class Locations(NamedTuple):
-    """A trajectory at some times: locations or sizes (M, G, 3) [m], and quaternions (M, 4) where it rotates."""
+class _PathSamples(NamedTuple):
+    """A path at some times: positions or sizes (M, G, 3) [m], and quaternions (M, 4) where it has orientations."""
 
     straight: Float64Array
     quaternions_xyzw: Float64Array | None
 
 
-def _cuboid(path: CuboidPath, times_ns: Int64Array, angles: CuboidAngles) -> Locations:
+def _cuboid(path: CuboidPath, times_ns: Int64Array, angles: CuboidAngles) -> _PathSamples:
     poses = cuboid_poses(CuboidAnnotation("", path), times_ns, angles=angles)
-    return Locations(np.stack([poses.centers_world, poses.sizes_lwh], axis=1), poses.quaternions_xyzw)
+    return _PathSamples(np.stack([poses.centers_world, poses.sizes_lwh], axis=1), poses.quaternions_xyzw)
 
 
-def _poses(path: Poses, times_ns: Int64Array, _: CuboidAngles) -> Locations:
+def _poses(path: Poses, times_ns: Int64Array, _: CuboidAngles) -> _PathSamples:
     poses = path.interpolate(times_ns)
-    return Locations(poses.positions[:, None], poses.quaternions_xyzw)
+    return _PathSamples(poses.positions[:, None], poses.quaternions_xyzw)
 
 
-def _trajectory(trajectory: Trajectory, times_ns: Int64Array, angles: CuboidAngles) -> Locations:
+def _trajectory(trajectory: Trajectory, times_ns: Int64Array, angles: CuboidAngles) -> _PathSamples:
     if trajectory.quaternions_xyzw is not None:
         return _poses(trajectory.poses, times_ns, angles)
-    locations, _ = point_at(PointPath(trajectory.timestamps_ns, trajectory.positions), times_ns)
-    return Locations(locations[:, None], None)
+    return _point(PointPath(trajectory.timestamps_ns, trajectory.positions), times_ns, angles)
 
 
-def _point(path: PointPath, times_ns: Int64Array, _: CuboidAngles) -> Locations:
-    locations, _there = point_at(path, times_ns)
-    return Locations(locations_of(locations), None)
+def _point(path: PointPath, times_ns: Int64Array, _: CuboidAngles) -> _PathSamples:
+    return _PathSamples(locations_of(point_at(path, times_ns)[0]), None)
 
 
-_TRAJECTORIES: Mapping[str, tuple[Callable[[Any, Int64Array, CuboidAngles], Locations], tuple[str, ...]]] = (
+_POSE_FIELDS = ("timestamps_ns", "positions", "quaternions_xyzw")
+
+_PATHS: Mapping[type, tuple[Callable[[Any, Int64Array, CuboidAngles], _PathSamples], tuple[str, ...]]] = (
     MappingProxyType(
         {
-            "CuboidPath": (_cuboid, ("timestamps_ns", "values")),
-            "Poses": (_poses, ("timestamps_ns", "positions", "quaternions_xyzw")),
-            "Trajectory": (
-                _trajectory,
-                ("timestamps_ns", "positions", "quaternions_xyzw", "file_seconds", "covariances"),
-            ),
-            "PointPath": (_point, ("timestamps_ns", "values")),
+            CuboidPath: (_cuboid, ("timestamps_ns", "values")),
+            Poses: (_poses, _POSE_FIELDS),
+            Trajectory: (_trajectory, (*_POSE_FIELDS, "file_seconds", "covariances")),
+            PointPath: (_point, ("timestamps_ns", "values")),
         }
     )
 )
-"""How a path of each class is asked for times, and the fields that make the trajectory."""
+"""How a path of each class is sampled, and the fields that it consists of."""
 
 
-def _is_trajectory(value: Any) -> bool:
-    """Whether a value is a path that can be asked for any time: with timestamps, in order, and whole points."""
-    if type(value).__name__ not in _TRAJECTORIES or len(value.timestamps_ns) == 0:
+def _is_path(value: Any) -> bool:
+    """Whether a value is a path that can be sampled at any time: with timestamps, in order, and whole points."""
+    if type(value) not in _PATHS or len(value.timestamps_ns) == 0:
         return False
     whole = not isinstance(value, PointPath) or value.values.shape[1] % 3 == 0
     return whole and bool((np.diff(value.timestamps_ns) > 0).all())
 
 
-def _trajectories_apart(
-    a: Any, b: Any, angles: tuple[CuboidAngles, CuboidAngles]
-) -> tuple[float, float] | None:
-    """Give how far two paths of one class are apart [m] and [deg], at the timestamps of both.
+def _paths_apart(a: Any, b: Any, angles: tuple[CuboidAngles, CuboidAngles]) -> tuple[float, float] | None:
+    """Give how far two paths of one class are apart [m] and [deg]; None if they begin or end at other times.
 
-    None if their times differ.
-
-    Between timestamps both go straight, so that locations are farthest apart at a timestamp of one of them.
+    Both are straight between timestamps, so that positions are farthest apart at a timestamp of one of them.
     """
     first, second = a.timestamps_ns, b.timestamps_ns
     if (first[0], first[-1]) != (second[0], second[-1]) or getattr(a, "static", 0) != getattr(b, "static", 0):
         return None
-    times = np.union1d(first, second)
-    at = _TRAJECTORIES[type(a).__name__][0]
+    times, at = np.union1d(first, second), _PATHS[type(a)][0]
     here, there = at(a, times, angles[0]), at(b, times, angles[1])
     if here.straight.shape != there.straight.shape:
         return None
     metres = float(np.nan_to_num(np.linalg.norm(here.straight - there.straight, axis=2), nan=np.inf).max())
     if here.quaternions_xyzw is None or there.quaternions_xyzw is None:
-        same = here.quaternions_xyzw is there.quaternions_xyzw
-        return metres, 0.0 if same else np.inf
+        return metres, 0.0 if here.quaternions_xyzw is there.quaternions_xyzw else np.inf
     rotations = np.degrees(angle_between(here.quaternions_xyzw, there.quaternions_xyzw))
     return metres, float(np.nan_to_num(rotations, nan=np.inf).max())
 
@@ -267,7 +228,7 @@ def apart(a: AnyArray, b: AnyArray, unit: str) -> Float64Array | None:
     Returns:
         (N,) float64.
     """
-    if not (_is_number(a) and _is_number(b)):
+    if not (a.dtype.kind in "biuf" and b.dtype.kind in "biuf"):
         return None
     if a.ndim == 0:
         a, b = a[None], b[None]
@@ -281,10 +242,6 @@ def apart(a: AnyArray, b: AnyArray, unit: str) -> Float64Array | None:
         return distances
     largest: Float64Array = np.abs(difference).reshape(len(difference), columns).max(axis=1, initial=0.0)
     return largest
-
-
-def _is_number(array: AnyArray) -> bool:
-    return array.dtype.kind in "biuf"
 
 
 def _difference(a: AnyArray, b: AnyArray) -> Float64Array:
@@ -315,7 +272,7 @@ _SHOWN = 60
 """Characters of a value that are reported."""
 
 _CUBOIDS = {("CuboidPath", "values"), ("Projection", "cuboids"), ("Activation", "cuboids")}
-"""Class and field of cuboid rows, whose angles are compared as rotates."""
+"""Class and field of cuboid rows, whose angles are compared as rotations."""
 
 _KEYS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -331,165 +288,268 @@ _KEYS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Comparison:
-    """Compares values and reports what it finds.
+    """Compares values and gathers what differs; differences in the frames of one sensor become one.
 
     Attributes:
-        findings: where differences are reported.
         tolerances: how much may differ.
         angles: how the angles of cuboids are meant in the two scenes.
+        pixels: whether images whose bytes differ or are not there are decoded.
+        on_frame: called after each frame.
         frame: number of the frame that is compared, or None.
+        found: the differences.
+        not_compared: what was not compared.
     """
 
-    findings: _Findings
     tolerances: _Tolerances
-    angles: tuple[CuboidAngles, CuboidAngles] = (CuboidAngles(), CuboidAngles())
+    angles: tuple[CuboidAngles, CuboidAngles]
+    pixels: bool
+    on_frame: Callable[[], None]
     frame: int | None = None
+    found: dict[tuple[str, Change], Difference] = field(default_factory=dict)
+    not_compared: dict[str, None] = field(default_factory=dict)
 
     def add(
         self, path: str, change: Change, message: str, amount: float | None = None, unit: str = ""
     ) -> None:
-        """Report a difference."""
-        self.findings.add(path, change, message, amount=amount, unit=unit, frame=self.frame)
+        """Add a difference; of several in frames the largest one is reported."""
+        made = Difference(
+            path=path, change=change, message=message, amount=amount, unit=unit, frame=self.frame
+        )
+        before = self.found.get((path, change))
+        if before is not None:
+            largest = made if (amount or 0.0) > (before.amount or 0.0) else before
+            made = msgspec.structs.replace(largest, count=before.count + 1)
+        self.found[path, change] = made
 
-    def values(self, path: str, a: Any, b: Any, *, owner: str = "", name: str = "") -> None:
+    def changed(self, path: str, message: str, amount: float | None = None, unit: str = "") -> None:
+        """Add a difference of what both scenes have."""
+        self.add(path, Change.CHANGED, message, amount, unit)
+
+    def values(self, path: str, a: Any, b: Any, owner: str = "", name: str = "") -> None:
         """Compare two values of the field `name` of a class."""
         if a is b:
             return
         if a is None or b is None:
-            change = Change.ADDED if a is None else Change.REMOVED
-            self.add(path, change, _shown(b if a is None else a))
+            self.add(path, Change.ADDED if a is None else Change.REMOVED, _shown(b if a is None else a))
             return
         compare = next((compare for fits, compare in _KINDS if fits(a) and fits(b)), None)
         if compare is None:
-            self.add(path, Change.CHANGED, f"{_shown(a)}; then {_shown(b)}")
+            self.changed(path, f"{_shown(a)}; then {_shown(b)}")
             return
         compare(self, path, a, b, owner, name)
 
-    def records(self, path: str, a: Any, b: Any, *, skipped: Iterable[str] = ()) -> None:
+    def records(
+        self, path: str, a: Any, b: Any, _owner: str = "", _name: str = "", *, skipped: Iterable[str] = ()
+    ) -> None:
         """Compare two records field by field."""
         if type(a) is not type(b):
-            self.add(path, Change.CHANGED, f"{type(a).__name__}; then {type(b).__name__}")
+            self.changed(path, f"{type(a).__name__}; then {type(b).__name__}")
             return
-        owner = type(a).__name__
-        passed = {*skipped, *self._trajectories(path, a, b)}
+        passed = {*skipped, *self._paths(path, a, b)}
         for each in fields(a):
             if each.name not in passed:
                 inner = f"{path}.{each.name}" if path else each.name
-                self.values(inner, getattr(a, each.name), getattr(b, each.name), owner=owner, name=each.name)
+                self.values(inner, getattr(a, each.name), getattr(b, each.name), type(a).__name__, each.name)
 
-    def _trajectories(self, path: str, a: Any, b: Any) -> tuple[str, ...]:
-        """Compare two paths reported at other timestamps as ways; gives the fields that this settles."""
-        if not (_is_trajectory(a) and _is_trajectory(b)):
+    def _paths(self, path: str, a: Any, b: Any) -> tuple[str, ...]:
+        """Compare two paths of other timestamps by sampling them; gives the fields that this settles."""
+        if not (_is_path(a) and _is_path(b)):
             return ()
-        count, other = len(a.timestamps_ns), len(b.timestamps_ns)
-        if count == other:
-            away = np.abs(a.timestamps_ns - b.timestamps_ns)
-            if away.max() <= self.tolerances.nanoseconds:
-                return ()
-        found = _trajectories_apart(a, b, self.angles)
+        count, other, limits = len(a.timestamps_ns), len(b.timestamps_ns), self.tolerances
+        if count == other and np.abs(a.timestamps_ns - b.timestamps_ns).max() <= limits.nanoseconds:
+            return ()
+        found = _paths_apart(a, b, self.angles)
         if found is None:
             return ()
         metres, degrees = found
-        within = metres <= self.tolerances.metres and degrees <= self.tolerances.degrees
-        if not (self.tolerances.other_timestamps and within):
-            message = (
-                f"{count} timestamps; then {other}; as ways up to {metres:.3g} m and {degrees:.3g} deg apart"
+        if not (limits.other_timestamps and metres <= limits.metres and degrees <= limits.degrees):
+            reported = (
+                f"{count} timestamps; then {other}; as paths up to {metres:.3g} m and {degrees:.3g} deg apart"
             )
-            self.add(path, Change.CHANGED, message, metres, _METRES)
-        return _TRAJECTORIES[type(a).__name__][1]
-
-    def record(self, path: str, a: Any, b: Any, _owner: str, _name: str) -> None:
-        """Compare two records field by field."""
-        self.records(path, a, b)
+            self.changed(path, reported, metres, _METRES)
+        return _PATHS[type(a)][1]
 
     def mapping(self, path: str, a: Mapping[Any, Any], b: Mapping[Any, Any], _owner: str, _name: str) -> None:
         """Compare two mappings key by key."""
-        self._members(
-            path,
-            {repr(key): value for key, value in a.items()},
-            {repr(key): value for key, value in b.items()},
-        )
+        first, second = ({repr(key): value for key, value in one.items()} for one in (a, b))
+        self.members(path, first, second, _shown, self.values)
 
-    def _members(self, path: str, a: Mapping[str, Any], b: Mapping[str, Any]) -> None:
+    def members(
+        self,
+        path: str,
+        a: Mapping[Any, Any],
+        b: Mapping[Any, Any],
+        shown: Callable[[Any], str],
+        compare: Callable[[str, Any, Any], None],
+    ) -> None:
+        """Compare what has keys: what only one has, and what both have."""
         for key, value in a.items():
             if key not in b:
-                self.add(f"{path}[{key}]", Change.REMOVED, _shown(value))
+                self.add(f"{path}[{_key_text(key)}]", Change.REMOVED, shown(value))
         for key, value in b.items():
             if key in a:
-                self.values(f"{path}[{key}]", a[key], value)
+                compare(f"{path}[{_key_text(key)}]", a[key], value)
             else:
-                self.add(f"{path}[{key}]", Change.ADDED, _shown(value))
+                self.add(f"{path}[{_key_text(key)}]", Change.ADDED, shown(value))
 
     def sequence(self, path: str, a: Sequence[Any], b: Sequence[Any], owner: str, name: str) -> None:
-        """Compare two lists, member by member or by what reports their members apart."""
+        """Compare two lists, by the keys of their members or member by member."""
         keyed = _keyed(a), _keyed(b)
         if keyed[0] is not None and keyed[1] is not None:
-            self._members(path, keyed[0], keyed[1])
+            self.members(path, keyed[0], keyed[1], _shown, self.values)
             return
         if len(a) != len(b):
-            self.add(path, Change.CHANGED, f"{len(a)} values; then {len(b)}", abs(len(a) - len(b)))
+            self.changed(path, f"{len(a)} values; then {len(b)}", abs(len(a) - len(b)))
         for k, (first, second) in enumerate(zip(a, b, strict=False)):
-            self.values(f"{path}[{k}]", first, second, owner=owner, name=name)
+            self.values(f"{path}[{k}]", first, second, owner, name)
 
     def arrays(self, path: str, a: AnyArray, b: AnyArray, owner: str, name: str) -> None:
         """Compare two arrays: kind and shape, then row by row."""
         if a.dtype != b.dtype or a.shape != b.shape:
-            self.add(
-                path,
-                Change.CHANGED,
-                f"{_form(a)}; then {_form(b)}",
-                abs(len(a) - len(b)) if a.ndim and b.ndim else None,
-            )
-            return
-        if (owner, name) in _CUBOIDS:
+            amount = abs(len(a) - len(b)) if a.ndim and b.ndim else None
+            self.changed(path, f"{_form(a)}; then {_form(b)}", amount)
+        elif (owner, name) in _CUBOIDS:
             self._cuboids(path, a, b)
-            return
-        unit = _unit_of(owner, name)
-        if owner == "VertexPath" and a.ndim == 2:
-            unit = _METRES if a.shape[1] == 3 else _PIXELS
-        self._rows(path, a, b, unit)
+        elif owner == "VertexPath" and a.ndim == 2:
+            self._rows(path, a, b, _METRES if a.shape[1] == 3 else _PIXELS)
+        else:
+            self._rows(path, a, b, _unit_of(owner, name))
 
     def _rows(self, path: str, a: AnyArray, b: AnyArray, unit: str) -> None:
         away = apart(a, b, unit)
         if away is None:
             if not np.array_equal(a, b):
-                self.add(path, Change.CHANGED, f"{_form(a)} of other values")
+                self.changed(path, f"{_form(a)} of other values")
             return
-        wrong = np.flatnonzero(away > _limit_of(self.tolerances, unit))
+        wrong = np.flatnonzero(away > self.tolerances.limit(unit))
         if len(wrong):
             worst = int(np.argmax(away))
             rows = f"{len(wrong)} of {len(away)} rows" if len(away) > 1 else "the values"
-            self.add(path, Change.CHANGED, f"{rows} differ, row {worst} most", float(away[worst]), unit)
+            self.changed(path, f"{rows} differ, row {worst} most", float(away[worst]), unit)
 
     def _cuboids(self, path: str, a: AnyArray, b: AnyArray) -> None:
-        """Sizes and locations in metres, angles as rotates, each by the reading of its own scene."""
+        """Sizes and positions in metres, angles as rotations, each by the reading of its own scene."""
         self._rows(f"{path}.size", a[:, :3], b[:, :3], _METRES)
         self._rows(f"{path}.position", a[:, 3:6], b[:, 3:6], _METRES)
-        if self.angles[0] == self.angles[1] and np.array_equal(a[:, 6:], b[:, 6:], equal_nan=True):
-            return
-        first, second = self.angles[0].quaternions(a[:, 6:]), self.angles[1].quaternions(b[:, 6:])
-        self._rows(f"{path}.rotation", first, second, _DEGREES)
+        if self.angles[0] != self.angles[1] or not np.array_equal(a[:, 6:], b[:, 6:], equal_nan=True):
+            first, second = self.angles[0].quaternions(a[:, 6:]), self.angles[1].quaternions(b[:, 6:])
+            self._rows(f"{path}.rotation", first, second, _DEGREES)
 
     def number(self, path: str, a: float, b: float, owner: str, name: str) -> None:
         """Compare two numbers."""
-        unit = _unit_of(owner, name)
-        away = abs(a - b)
-        if a == b or (math.isnan(a) and math.isnan(b)) or away <= _limit_of(self.tolerances, unit):
-            return
-        self.add(path, Change.CHANGED, f"{a!r}; then {b!r}", float(away), unit)
+        unit, away = _unit_of(owner, name), abs(a - b)
+        if not (a == b or (math.isnan(a) and math.isnan(b)) or away <= self.tolerances.limit(unit)):
+            self.changed(path, f"{a!r}; then {b!r}", float(away), unit)
 
     def plain(self, path: str, a: Any, b: Any, _owner: str, _name: str) -> None:
         """Compare two values that are equal or not."""
         if a != b:
-            self.add(path, Change.CHANGED, f"{_shown(a)}; then {_shown(b)}")
+            self.changed(path, f"{_shown(a)}; then {_shown(b)}")
+
+    def sensors(self, path: str, a: Sensor, b: Sensor) -> None:
+        """Compare two sensors and their frames, those of the same time in pairs."""
+        self.records(path, a, b, skipped=("frames", "images", "video"))
+        if isinstance(a, CameraSensor) and isinstance(b, CameraSensor):
+            videos = self._videos(f"{path}.images", a, b)
+            self._frames(
+                f"{path}.images", a.images, b.images, lambda inner, *pair: inner.images(*pair, videos)
+            )
+        elif isinstance(a, DepthCameraSensor) and isinstance(b, DepthCameraSensor):
+            videos = self._videos(f"{path}.frames", a, b)
+            self._frames(
+                f"{path}.frames", a.frames, b.frames, lambda inner, *pair: inner.depth_images(*pair, videos)
+            )
+        elif (
+            isinstance(a, LidarSensor | RadarSensor)
+            and isinstance(b, LidarSensor | RadarSensor)
+            and a.type == b.type
+        ):
+            self._frames(f"{path}.frames", a.frames, b.frames, _Comparison.clouds)
+
+    def _frames(
+        self,
+        path: str,
+        first: LazyFrames[Any],
+        second: LazyFrames[Any],
+        compare: Callable[["_Comparison", str, Any, Any], None],
+    ) -> None:
+        """Compare frames of the same time, read one pair after the other."""
+        for k, n in pairs(first.timestamps_ns, second.timestamps_ns, self.tolerances.nanoseconds):
+            inner = replace(self, frame=n if k is None else k)
+            if k is None:
+                inner.add(f"{path}[]", Change.ADDED, f"at {int(second.timestamps_ns[n or 0])} ns")
+            elif n is None:
+                inner.add(f"{path}[]", Change.REMOVED, f"at {int(first.timestamps_ns[k])} ns")
+            else:
+                compare(inner, f"{path}[]", first[k], second[n])
+            self.on_frame()
+
+    def clouds(self, path: str, a: LidarFrame | RadarFrame, b: LidarFrame | RadarFrame) -> None:
+        """Compare two sweeps; of different numbers of points only the numbers are reported."""
+        count, other = len(a.points), len(b.points)
+        self.records(path, a, b, skipped=() if count == other else ("points",))
+        if count != other:
+            self.changed(f"{path}.points", f"{count} points; then {other}", abs(count - other), "points")
+
+    def images(self, path: str, a: CameraImage, b: CameraImage, videos: bool | None) -> None:  # noqa: FBT001
+        """Compare two images: camera models, then files byte by byte; those of a video by `videos`, or decoded."""
+        self.records(path, a, b, skipped=("decode", "encoded"))
+        equal = videos
+        if a.encoded is not None or b.encoded is not None:
+            equal = None if a.encoded is None or b.encoded is None else a.encoded() == b.encoded()
+        if equal:
+            return
+        if self.pixels:
+            self._pixels(f"{path}.rgb", a.rgb, b.rgb)
+        elif equal is None:
+            self.not_compared[f"{path}: images without files of their own; decode them to compare them"] = (
+                None
+            )
+        elif videos is None:
+            self.changed(f"{path}.content", "other bytes")
+
+    def depth_images(self, path: str, a: DepthFrame, b: DepthFrame, videos: bool | None) -> None:  # noqa: FBT001
+        """Compare two depth images: camera models, then the videos that they are of, or decoded."""
+        self.records(path, a, b, skipped=("decode",))
+        if videos and a.scale == b.scale:
+            return
+        if self.pixels:
+            self._pixels(f"{path}.depth", a.depth, b.depth)
+        else:
+            self.not_compared[f"{path}: depth images; decode them to compare them"] = None
+
+    def _pixels(self, path: str, first: AnyArray, second: AnyArray) -> None:
+        if first.shape != second.shape:
+            sizes = f"{first.shape[1]}x{first.shape[0]} pixels; then {second.shape[1]}x{second.shape[0]}"
+            self.changed(path, sizes)
+            return
+        colours = first.dtype == np.uint8
+        away = np.abs(first.astype(np.int16 if colours else np.float64) - second)
+        if not away.any():
+            return
+        if colours:
+            reported, unit = f"the mean difference of a channel, {int(away.max())} at most", "of 255"
+        else:
+            reported, unit = f"the mean difference of a depth, {float(away.max()):g} m at most", "m"
+        self.changed(path, reported, float(away.mean()), unit)
+
+    def _videos(self, path: str, first: ShootingSensor, second: ShootingSensor) -> bool | None:
+        """Whether the videos of two cameras are equal; None where there are not two of the same frames."""
+        a, b = first.video, second.video
+        if a is None or b is None or a.frame_indices != b.frame_indices:
+            return None
+        equal = _same_files(a, b)
+        if not self.pixels and not equal:
+            self.changed(f"{path}.video", f"{a.codec}; then {b.codec} of other bytes")
+        return equal
 
 
-def _values_is_number(value: Any) -> bool:
+def _key_text(key: Any) -> str:
+    return key if isinstance(key, str) else repr(key[1])
+
+
+def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str | bytes | bool)
 
 
 def _is_record(value: Any) -> bool:
@@ -498,11 +558,11 @@ def _is_record(value: Any) -> bool:
 
 _KINDS: tuple[tuple[Callable[[Any], bool], Callable[..., None]], ...] = (
     (lambda value: isinstance(value, np.ndarray), _Comparison.arrays),
-    (_is_text, _Comparison.plain),
-    (_values_is_number, _Comparison.number),
+    (lambda value: isinstance(value, str | bytes | bool), _Comparison.plain),
+    (_is_number, _Comparison.number),
     (lambda value: isinstance(value, Mapping), _Comparison.mapping),
     (lambda value: isinstance(value, list | tuple), _Comparison.sequence),
-    (_is_record, _Comparison.record),
+    (_is_record, _Comparison.records),
     (callable, lambda *_: None),
 )
 """How two values of one kind are compared; functions, which open and decode, are not."""
@@ -539,9 +599,6 @@ def _shown(value: Any) -> str:
     return text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"
 
 
-_PIECE = 1 << 20
-
-
 def pairs(
     first_ns: Int64Array, second_ns: Int64Array, tolerance_ns: float
 ) -> Iterator[tuple[int | None, int | None]]:
@@ -570,164 +627,17 @@ def pairs(
                 n += 1
 
 
-def _compare_frames(
-    comparison: _Comparison,
-    path: str,
-    first: LazyFrames[Any],
-    second: LazyFrames[Any],
-    compare: Callable[[_Comparison, str, Any, Any], None],
-    on_frame: Callable[[], None],
-) -> None:
-    """Compare frames of the same time, read one pair after the other.
-
-    Args:
-        comparison: compares and reports.
-        path: of the frames.
-        first, second: the frames.
-        compare: compares two of them.
-        on_frame: reported after each.
-    """
-    tolerance_ns = comparison.tolerances.nanoseconds
-    for k, n in pairs(first.timestamps_ns, second.timestamps_ns, tolerance_ns):
-        if k is None:
-            timestamp = int(second.timestamps_ns[n or 0])
-            replace(comparison, frame=n).add(f"{path}[]", Change.ADDED, f"at {timestamp} ns")
-        elif n is None:
-            timestamp = int(first.timestamps_ns[k])
-            replace(comparison, frame=k).add(f"{path}[]", Change.REMOVED, f"at {timestamp} ns")
-        else:
-            compare(replace(comparison, frame=k), f"{path}[]", first[k], second[n])
-        on_frame()
-
-
-def _compare_images(
-    comparison: _Comparison,
-    path: str,
-    first: CameraSensor,
-    second: CameraSensor,
-    on_frame: Callable[[], None],
-    *,
-    pixels: bool,
-) -> None:
-    """Compare images of the same time: their camera models, and their files byte by byte.
-
-    Images without a file of their own are those of a video, which is compared as one, or have to be decoded.
-
-    Args:
-        pixels: decode images whose bytes differ or are not there, and report how far their pixels differ.
-    """
-    videos = _videos(comparison, path, first, second, reported=not pixels)
-
-    def compare(inner: _Comparison, location: str, a: CameraImage, b: CameraImage) -> None:
-        inner.records(location, a, b, skipped=("decode", "encoded"))
-        equal = videos if a.encoded is None and b.encoded is None else _same_bytes(a, b)
-        if equal:
-            return
-        if pixels:
-            _compare_pixels(inner, location, a, b)
-        elif equal is None:
-            inner.findings.pass_over(
-                f"{path}[]: images without files of their own; decode them to compare them"
-            )
-        elif videos is None:
-            inner.add(f"{location}.content", Change.CHANGED, "other bytes")
-
-    _compare_frames(comparison, path, first.images, second.images, compare, on_frame)
-
-
-def _compare_depth_images(
-    comparison: _Comparison,
-    path: str,
-    first: DepthCameraSensor,
-    second: DepthCameraSensor,
-    on_frame: Callable[[], None],
-    *,
-    pixels: bool,
-) -> None:
-    """Compare depth images of the same time: their camera models, and their videos, else their depths where asked for.
-
-    Args:
-        pixels: decode images that no equal videos hold, and report how far their depths differ.
-    """
-    videos = _videos(comparison, path, first, second, reported=not pixels)
-
-    def compare(inner: _Comparison, location: str, a: DepthFrame, b: DepthFrame) -> None:
-        inner.records(location, a, b, skipped=("decode",))
-        if videos and a.scale == b.scale:
-            return
-        if pixels:
-            _compare_depths(inner, location, a, b)
-        else:
-            inner.findings.pass_over(f"{path}[]: depth images; decode them to compare them")
-
-    _compare_frames(comparison, path, first.frames, second.frames, compare, on_frame)
-
-
-def _compare_depths(comparison: _Comparison, path: str, a: DepthFrame, b: DepthFrame) -> None:
-    first, second = a.depth, b.depth
-    if first.shape != second.shape:
-        message = f"{first.shape[1]}x{first.shape[0]} pixels; then {second.shape[1]}x{second.shape[0]}"
-        comparison.add(f"{path}.depth", Change.CHANGED, message)
-        return
-    away = np.abs(first.astype(np.float64) - second)
-    if away.any():
-        message = f"the mean difference of a depth, {float(away.max()):g} m at most"
-        comparison.add(f"{path}.depth", Change.CHANGED, message, float(away.mean()), "m")
-
-
-def _same_bytes(a: CameraImage, b: CameraImage) -> bool | None:
-    """Whether the files of two images are equal; None where one has none."""
-    if a.encoded is None or b.encoded is None:
-        return None
-    return a.encoded() == b.encoded()
-
-
-def _videos(
-    comparison: _Comparison,
-    path: str,
-    first: CameraSensor | DepthCameraSensor,
-    second: CameraSensor | DepthCameraSensor,
-    *,
-    reported: bool,
-) -> bool | None:
-    """Whether the videos behind two cameras are equal, `reported` where they are not; None where there are not two."""
-    a, b = first.video, second.video
-    if a is None or b is None:
-        return None
-    if a.frame_indices != b.frame_indices:
-        return None
-    equal = _same_files(a, b)
-    if reported and not equal:
-        comparison.add(f"{path}.video", Change.CHANGED, f"{a.codec}; then {b.codec} of other bytes")
-    return equal
+_CHUNK = 1 << 20
 
 
 def _same_files(a: VideoContent, b: VideoContent) -> bool:
     with a.open() as first, b.open() as second:
-        return all(piece == other for piece, other in _chunks(first, second))
-
-
-def _chunks(first: BinaryIO | BytesIO, second: BinaryIO | BytesIO) -> Iterator[tuple[bytes, bytes]]:
-    while True:
-        piece, other = first.read(_PIECE), second.read(_PIECE)
-        yield piece, other
-        if not piece or not other:
-            return
-
-
-def _compare_pixels(comparison: _Comparison, path: str, a: CameraImage, b: CameraImage) -> None:
-    first, second = a.rgb, b.rgb
-    if first.shape != second.shape:
-        message = f"{first.shape[1]}x{first.shape[0]} pixels; then {second.shape[1]}x{second.shape[0]}"
-        comparison.add(f"{path}.rgb", Change.CHANGED, message)
-        return
-    away = np.abs(first.astype(np.int16) - second.astype(np.int16))
-    if away.any():
-        message = f"the mean difference of a channel, {int(away.max())} at most"
-        comparison.add(f"{path}.rgb", Change.CHANGED, message, float(away.mean()), "of 255")
-
-
-_FRAMED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
+        while True:
+            chunk = first.read(_CHUNK)
+            if chunk != second.read(_CHUNK):
+                return False
+            if not chunk:
+                return True
 
 
 @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
@@ -751,7 +661,7 @@ def diff_scenes(
     Args:
         first, second: the scenes.
         tolerance_m: largest distance of locations, sizes and translations that counts as none [m].
-        tolerance_deg: largest rotate [deg]; quaternions of one rotation are equal whatever their sign, and so are
+        tolerance_deg: largest rotation [deg]; quaternions of one rotation are equal whatever their sign, and so are
             cuboids whose angles are reported in another unit or order.
         tolerance_ns: largest difference of timestamps [ns].
         tolerance_px: largest difference of what is drawn into images [px].
@@ -767,96 +677,36 @@ def diff_scenes(
     for scene in (first, second):
         if not isinstance(scene, Scene):
             raise OptionError(f"{scene!r}; expected a scene: `sceneloom.open` gives that of a file")
-    findings = _Findings()
-    comparison = _Comparison(
-        findings,
-        _Tolerances(tolerance_m, tolerance_deg, tolerance_ns, tolerance_px, other_timestamps),
-        (CuboidAngles.of(first), CuboidAngles.of(second)),
-    )
-    steps = _Steps(max(_frames(first), _frames(second)), progress)
+    total, done = max(map(_frame_count, (first, second))), 0
+
+    def on_frame() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, max(total, done))
+
+    tolerances = _Tolerances(tolerance_m, tolerance_deg, tolerance_ns, tolerance_px, other_timestamps)
+    comparison = _Comparison(tolerances, (CuboidAngles.of(first), CuboidAngles.of(second)), pixels, on_frame)
     for name in ("time_offset_ns", "metadata", "attributes"):
-        comparison.values(name, getattr(first, name), getattr(second, name), owner="Scene", name=name)
-    comparison.values("extras", _extras(first), _extras(second), owner="Scene", name="extras")
+        comparison.values(name, getattr(first, name), getattr(second, name), "Scene", name)
+    # the unit of times that holds where it is not stated
+    a, b = ({"time_unit": "microseconds", **scene.extras} for scene in (first, second))
+    comparison.values("extras", a, b, "Scene", "extras")
     comparison.values("trajectories", first.trajectories, second.trajectories)
-
-    def compare_sensors(path: str, a: Sensor, b: Sensor) -> None:
-        _compare_sensor(comparison, path, a, b, steps.one, pixels=pixels)
-
-    _compare_members(comparison, "sensors", first.sensors, second.sensors, compare_sensors)
-    _compare_members(comparison, "annotations", first.annotations, second.annotations, comparison.records)
-    return findings.reported()
-
-
-def _extras(scene: Scene) -> Mapping[str, Any]:
-    """The further fields of a scene, with the unit of times that holds where it is not stated."""
-    return {"time_unit": "microseconds", **scene.extras}
+    for name, compare in (("sensors", comparison.sensors), ("annotations", comparison.records)):
+        here, there = ({key_of(one.id): one for one in getattr(scene, name)} for scene in (first, second))
+        comparison.members(name, here, there, _named, compare)
+        if [key for key in here if key in there] != [key for key in there if key in here]:
+            comparison.changed(name, "in another order")
+    return SceneDifferences(
+        differences=tuple(comparison.found.values()), not_compared=tuple(comparison.not_compared)
+    )
 
 
-@dataclass(slots=True)
-class _Steps:
-    total: int
-    progress: Progress | None
-    done: int = 0
-
-    def one(self) -> None:
-        """Count a frame."""
-        self.done += 1
-        if self.progress is not None:
-            self.progress(self.done, max(self.total, self.done))
-
-
-def _frames(scene: Scene) -> int:
-    return sum(len(frame_times(sensor)) for sensor in scene.sensors if isinstance(sensor, _FRAMED))
-
-
-def _compare_members(
-    comparison: _Comparison,
-    path: str,
-    first: Iterable[Any],
-    second: Iterable[Any],
-    compare: Callable[[str, Any, Any], None],
-) -> None:
-    """Compare what has ids: what only one has, what both have, and in which order."""
-    a: Mapping[Key, Any] = {key_of(member.id): member for member in first}
-    b: Mapping[Key, Any] = {key_of(member.id): member for member in second}
-    for key, member in a.items():
-        if key not in b:
-            comparison.add(f"{path}[{member.id!r}]", Change.REMOVED, _named(member))
-    for key, member in b.items():
-        if key not in a:
-            comparison.add(f"{path}[{member.id!r}]", Change.ADDED, _named(member))
-        else:
-            compare(f"{path}[{member.id!r}]", a[key], member)
-    if [key for key in a if key in b] != [key for key in b if key in a]:
-        comparison.add(path, Change.CHANGED, "in another order")
+def _frame_count(scene: Scene) -> int:
+    return sum(len(frame_times(sensor)) for sensor in scene.sensors if isinstance(sensor, Posed))
 
 
 def _named(member: Any) -> str:
     label = getattr(member, "label", None)
     return str(member.type) if label is None else f"{member.type} {_shown(label)}"
-
-
-def _compare_sensor(
-    comparison: _Comparison, path: str, a: Sensor, b: Sensor, on_frame: Callable[[], None], *, pixels: bool
-) -> None:
-    comparison.records(path, a, b, skipped=("frames", "images", "video"))
-    if isinstance(a, CameraSensor) and isinstance(b, CameraSensor):
-        _compare_images(comparison, f"{path}.images", a, b, on_frame, pixels=pixels)
-    elif isinstance(a, DepthCameraSensor) and isinstance(b, DepthCameraSensor):
-        _compare_depth_images(comparison, f"{path}.frames", a, b, on_frame, pixels=pixels)
-    elif isinstance(a, LidarSensor | RadarSensor) and type(a) is type(b):
-        _compare_frames(comparison, f"{path}.frames", a.frames, b.frames, _compare_cloud, on_frame)
-
-
-def _compare_cloud(
-    comparison: _Comparison, path: str, a: LidarFrame | RadarFrame, b: LidarFrame | RadarFrame
-) -> None:
-    """Compare two frames; of different numbers of points only the numbers are reported."""
-    if len(a.points) == len(b.points):
-        comparison.records(path, a, b)
-        return
-    comparison.records(path, a, b, skipped=("points",))
-    count, other = len(a.points), len(b.points)
-    comparison.add(
-        f"{path}.points", Change.CHANGED, f"{count} points; then {other}", abs(count - other), "points"
-    )

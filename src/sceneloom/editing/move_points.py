@@ -251,8 +251,8 @@ def _frame_of_chosen(
 
 
 def chosen_frames(frames: LazyFrames[Any], numbers: Int64Array) -> LazyFrames[Any]:
-    """Give the frames with these numbers, (M,) int64."""
-    if len(numbers) == len(frames):
+    """Give the frames with these numbers, (M,) int64, in that order; the very frames where these are all of them."""
+    if np.array_equal(numbers, np.arange(len(frames))):
         return frames
     return LazyFrames(frames.timestamps_ns[numbers], partial(_numbered_frame, frames, numbers))
 

@@ -226,7 +226,7 @@ def test_paths_reported_at_other_timestamps_are_compared_as_ways():
     found = only(scene, fewer)
     assert (found.path, found.unit) == ("sensors[7].poses", "m")
     assert found.amount == pytest.approx(0.0, abs=1e-12)
-    assert found.message.startswith("3 timestamps; then 2; as ways up to")
+    assert found.message.startswith("3 timestamps; then 2; as paths up to")
     assert diff_scenes(scene, fewer, tolerance_m=1e-9, tolerance_deg=1e-6, other_timestamps=True).equal
     bent = a_path(np.array([0, 50, 200]))
     aside = np.array([[0, 0, 0], [0, 0.3, 0], [0, 0, 0]])

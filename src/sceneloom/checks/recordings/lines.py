@@ -1,12 +1,9 @@
-"""Rules about the lines and files of a recording: what it ought to have, `frames` and `lidar` lines.
-
-`vio_config.yaml`.
-"""
+"""Rules about the lines and files of a recording: what it has, `frames` and `lidar` lines, `vio_config.yaml`."""
 
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -15,9 +12,10 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.checks.faults import as_read, warnings_of_code
+from sceneloom.checks.point_frames import frames_spread
 from sceneloom.checks.recordings.calibration import stereo_pairs
 from sceneloom.checks.recordings.times import Kind, streams_of, streams_of_kind
-from sceneloom.checks.rule import HINT, WARNING, FrameInHand, Hit, Rule, Subject
+from sceneloom.checks.rule import HINT, WARNING, Find, FrameInHand, Hit, Rule, Subject
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
 from sceneloom.formats.recording.lines import FrameColumns, time_order, view
 from sceneloom.formats.recording.reader import VIO_CONFIG_FILE
@@ -115,10 +113,14 @@ _NO_STEP = 0.1
 """Taken for the time from line to line [s] where the lines notify none."""
 
 
-def _frames(subject: Subject) -> FrameColumns | None:
-    """The lines in the order of the file, or None where there are none."""
-    columns = None if subject.recording is None else subject.recording.columns.frames
-    return columns if columns is not None and len(columns.numbers) else None
+def _over_frames(judge: Callable[[FrameColumns], Iterator[Hit]]) -> Find:
+    """A rule over the `frames` lines of a recording, in the order of the file, where there are any."""
+
+    def find(subject: Subject) -> Iterator[Hit]:
+        frames = None if subject.recording is None else subject.recording.columns.frames
+        return judge(frames) if frames is not None and len(frames.numbers) else iter(())
+
+    return find
 
 
 def _by_time(frames: FrameColumns) -> tuple[Int64Array, Int64Array]:
@@ -131,29 +133,21 @@ def _at(line: int) -> str:
     return f"data.jsonl: line {line}"
 
 
-def _begin(subject: Subject) -> Iterator[Hit]:
-    frames = _frames(subject)
-    if frames is not None:
-        numbers, lines = _by_time(frames)
-        if numbers.min() != 0:
-            row = int(numbers.argmin())
-            yield Hit(_at(lines[row]), f"number: the first is {numbers[row]}; expected 0")
+def _begin(frames: FrameColumns) -> Iterator[Hit]:
+    numbers, lines = _by_time(frames)
+    if numbers.min() != 0:
+        row = int(numbers.argmin())
+        yield Hit(_at(lines[row]), f"number: the first is {numbers[row]}; expected 0")
 
 
-def _order(subject: Subject) -> Iterator[Hit]:
-    frames = _frames(subject)
-    if frames is None:
-        return
+def _order(frames: FrameColumns) -> Iterator[Hit]:
     numbers, lines = _by_time(frames)
     for row in np.flatnonzero(np.diff(numbers) <= 0).tolist():
         reported = f"number: {numbers[row + 1]} after {numbers[row]}; expected {numbers[row] + 1}"
         yield Hit(_at(lines[row + 1]), reported)
 
 
-def _gaps(subject: Subject) -> Iterator[Hit]:
-    frames = _frames(subject)
-    if frames is None:
-        return
+def _gaps(frames: FrameColumns) -> Iterator[Hit]:
     numbers, lines = _by_time(frames)
     for row in np.flatnonzero(np.diff(numbers) > 1).tolist():
         before, after = int(numbers[row]), int(numbers[row + 1])
@@ -163,11 +157,8 @@ def _gaps(subject: Subject) -> Iterator[Hit]:
         )
 
 
-def _without_cameras(subject: Subject) -> Iterator[Hit]:
+def _without_cameras(frames: FrameColumns) -> Iterator[Hit]:
     """Lines that lack a camera which other lines have."""
-    frames = _frames(subject)
-    if frames is None:
-        return
     if not frames.cameras:
         yield Hit(
             _at(frames.lines[0]), "frames: no line names a camera; expected one entry each", len(frames.lines)
@@ -181,10 +172,7 @@ def _without_cameras(subject: Subject) -> Iterator[Hit]:
             yield Hit(_at(frames.lines[int(lacking[0])]), reported, len(lacking))
 
 
-def _entry_times(subject: Subject) -> Iterator[Hit]:
-    frames = _frames(subject)
-    if frames is None:
-        return
+def _entry_times(frames: FrameColumns) -> Iterator[Hit]:
     line_seconds = view(frames.seconds)
     steps = np.diff(np.sort(line_seconds))
     period = float(np.median(steps[steps > 0])) if (steps > 0).any() else _NO_STEP
@@ -202,9 +190,9 @@ def _entry_times(subject: Subject) -> Iterator[Hit]:
 
 
 def _out_of_step(subject: Subject) -> Iterator[Hit]:
-    frames = _frames(subject)
-    if frames is None:
+    if subject.recording is None:
         return
+    frames = subject.recording.columns.frames
     for pair in stereo_pairs(subject):
         rows, apart = _apart(frames, pair.first, pair.second)
         wrong = np.flatnonzero(np.abs(apart) > IN_STEP)
@@ -219,9 +207,8 @@ def _out_of_step(subject: Subject) -> Iterator[Hit]:
 
 def _apart(frames: FrameColumns, first: int, second: int) -> tuple[Int64Array, Float64Array]:
     """Rows of lines that have both cameras, and how much later the second camera's image is [s]."""
-    none = np.zeros(0, np.int64)
     if first not in frames.cameras or second not in frames.cameras:
-        return none, np.zeros(0)
+        return np.zeros(0, np.int64), np.zeros(0)
     a, b = frames.cameras[first], frames.cameras[second]
     rows, in_a, in_b = np.intersect1d(
         np.asarray(a.rows, np.int64), np.asarray(b.rows, np.int64), assume_unique=True, return_indices=True
@@ -233,21 +220,22 @@ def _apart(frames: FrameColumns, first: int, second: int) -> tuple[Int64Array, F
 FRAME_LINE_RULES: tuple[Rule, ...] = (
     Rule("frame-numbers-begin", HINT, "`number` of the first `frames` line is 0.",
          "Count from 0: what counts from elsewhere takes other images of the video in some programs.",
-         find=_begin, fix=_counted_anew),
+         find=_over_frames(_begin), fix=_counted_anew),
     Rule("frame-numbers-increasing", WARNING,
          "`number` grows from `frames` line to `frames` line, in the order of their times.",
          "See which image each line means: it is known by its number; `--fix` numbers them by time, and the video "
-         "with them.", find=_order, fix=_counted_anew),
+         "with them.", find=_over_frames(_order), fix=_counted_anew),
     Rule("frame-numbers-gaps", WARNING, "`number` grows by one from `frames` line to `frames` line.",
          "See whether frames were dropped; `--fix` numbers the lines anew and takes images without a line out.",
-         find=_gaps, fix=_counted_anew),
+         find=_over_frames(_gaps), fix=_counted_anew),
     Rule("frames-without-camera", WARNING, "Every `frames` line names every camera.",
          "Add the camera, with `missingBitmap` where it has no image: the vendor's software refuses other lines.",
-         find=_without_cameras, fix=_with_all_cameras),
+         find=_over_frames(_without_cameras), fix=_with_all_cameras),
     Rule("frames-missing-bitmap", HINT, "No entry of a `frames` line says `missingBitmap`.",
          "See whether the camera dropped images.", find=warnings_of_code("missing-bitmaps")),
     Rule("frame-entry-times", WARNING, "`frames[].time` lies within half a period of its line's time.",
-         "Write the time at which the image was taken, on the clock of the other lines.", find=_entry_times),
+         "Write the time at which the image was taken, on the clock of the other lines.",
+         find=_over_frames(_entry_times)),
     Rule("stereo-in-step", WARNING,
          f"Cameras that look the same way take their images within {IN_STEP * 1e3:g} ms.",
          "Trigger both together, or give them lines of their own: a pair is taken for one moment.",
@@ -279,46 +267,33 @@ def _doubled(subject: Subject) -> Iterator[Hit]:
             seen.setdefault(name, line)
 
 
-@dataclass(slots=True)
-class _Ranges:
-    """Middle distances of the points of some sweeps of one lidar [m]."""
-
-    path: str
-    wanted: frozenset[int]
-    found: list[float] = field(default_factory=list)
-
-
-def _ranges(subject: Subject) -> dict[str, _Ranges]:
-    return subject.table("middle ranges of lidars", lambda _: {})
+def _ranges(subject: Subject) -> dict[str, list[float]]:
+    """Median distances of the points of some sweeps of each lidar [m]."""
+    return subject.table("median ranges of lidars", lambda _: {})
 
 
 def _look(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    """Take the middle distance of some sweeps; what they report is stated at the end."""
-    yield from ()
+    """Take the median distance of some sweeps; what they show is reported at the end."""
     sweep, lidar = frame.frame, frame.sensor
-    if subject.recording is None or not isinstance(lidar, LidarSensor) or not isinstance(sweep, LidarFrame):
-        return
-    ranges = _ranges(subject).get(frame.sensor_path)
-    if ranges is None:
-        spread = np.linspace(0, len(lidar.frames) - 1, _LOOKED_AT).astype(int)
-        ranges = _ranges(subject)[frame.sensor_path] = _Ranges(frame.sensor_path, frozenset(spread.tolist()))
-    if frame.number in ranges.wanted:
-        distances = np.linalg.norm(sweep.points.positions.astype(np.float64), axis=1)
-        distances = distances[np.isfinite(distances) & (distances > 0)]
-        if len(distances) >= _FEWEST:
-            ranges.found.append(float(np.median(distances)))
+    if subject.recording is not None and isinstance(lidar, LidarSensor) and isinstance(sweep, LidarFrame):
+        found = _ranges(subject).setdefault(frame.sensor_path, [])
+        if frame.number in frames_spread(len(lidar.frames), _LOOKED_AT):
+            distances = np.linalg.norm(sweep.points.positions.astype(np.float64), axis=1)
+            distances = distances[np.isfinite(distances) & (distances > 0)]
+            found += [float(np.median(distances))] if len(distances) >= _FEWEST else []
+    return iter(())
 
 
 def _absurd(subject: Subject) -> Iterator[Hit]:
-    for ranges in _ranges(subject).values():
-        middle = float(np.median(ranges.found)) if ranges.found else 1.0
+    for path, found in _ranges(subject).items():
+        middle = float(np.median(found)) if found else 1.0
         if NEAREST <= middle <= FARTHEST:
             continue
         meant = (
             "probably millimetres or centimetres" if middle > FARTHEST else "probably kilometres, or noise"
         )
         reported = f"half of the points are farther than {middle:.3g} m; expected {NEAREST:g} to {FARTHEST:g}: {meant}"
-        yield Hit(f"{ranges.path}.frames[].points.positions", reported, len(ranges.found))
+        yield Hit(f"{path}.frames[].points.positions", reported, len(found))
 
 
 # fmt: off
@@ -333,10 +308,8 @@ LIDAR_LINE_RULES: tuple[Rule, ...] = (
 
 def _text(subject: Subject) -> str:
     """The text of the settings; "" where there are none, and for what is no recording."""
-    if subject.recording is None:
-        return ""
-    kept = subject.scene.metadata.get("recording", {})
-    text = kept.get("vio_config") if hasattr(kept, "get") else None
+    kept = None if subject.recording is None else subject.scene.metadata.get("recording")
+    text = kept.get("vio_config") if isinstance(kept, Mapping) else None
     return text if isinstance(text, str) else ""
 
 

@@ -84,10 +84,11 @@ def _shifted(subject: Subject) -> Iterator[Hit]:
     period = max(periods[0], periods[1])
     if abs(periods[0] - periods[1]) > _SAME_PERIOD * period:
         return
+    uneven = abs(len(accelerometer) - len(gyroscope))
     at_start = float(accelerometer.seconds[0] - gyroscope.seconds[0])
     at_end = float(accelerometer.seconds[-1] - gyroscope.seconds[-1])
     shift = 0.5 * (at_start + at_end)
-    is_steady = abs(at_start - at_end) <= _SAME_SHIFT_PERIODS * period + _between_counts(streams) * period
+    is_steady = abs(at_start - at_end) <= _SAME_SHIFT_PERIODS * period + uneven * period
     if is_steady and SHIFT_PERIODS * period < abs(shift) <= APART_SECONDS:
         later = "after" if shift > 0 else "before"
         problem = (
@@ -96,10 +97,6 @@ def _shifted(subject: Subject) -> Iterator[Hit]:
             f"{SHIFT_PERIODS:g} intervals of {period * 1e3:.1f} ms"
         )
         yield Hit(accelerometer.whole, problem)
-
-
-def _between_counts(streams: dict[Kind, Stream]) -> int:
-    return abs(len(streams[Kind.ACCELEROMETER]) - len(streams[Kind.GYROSCOPE]))
 
 
 # fmt: off
@@ -149,14 +146,13 @@ _UNITS_OF_PULL: tuple[tuple[float, float, str], ...] = (
 )
 
 
-def magnitudes(stream: Stream) -> Float64Array:
+def _magnitudes(stream: Stream) -> Float64Array:
     """How long each sample's vector is, (N,)."""
-    lengths: Float64Array = np.sqrt(np.einsum("nk,nk->n", stream.values, stream.values))
-    return lengths
+    return np.asarray(np.sqrt(np.einsum("nk,nk->n", stream.values, stream.values)))
 
 
 def _mean_pull(stream: Stream) -> float:
-    return float(magnitudes(stream).mean())
+    return float(_magnitudes(stream).mean())
 
 
 def _pull_is_plausible(mean: float) -> bool:
@@ -181,7 +177,7 @@ def _hard_pulls(subject: Subject) -> Iterator[Hit]:
 
 def _beyond(stream: Stream, limit: float, unit: str) -> Iterator[Hit]:
     """Report the samples that are longer than a limit, in the position of the first."""
-    lengths = magnitudes(stream)
+    lengths = _magnitudes(stream)
     rows = np.flatnonzero(~(lengths <= limit))
     if len(rows):
         row = int(rows[0])
@@ -213,17 +209,17 @@ def _mean_noise(values: Float64Array) -> Float64Array:
     return means
 
 
-def rotations_too_long(stream: Stream) -> bool:
+def _rotates_too_long(stream: Stream) -> bool:
     """Whether a gyroscope is faster than anything rotates for so long that it is no shock."""
-    fast = int(np.count_nonzero(magnitudes(stream) > FASTEST_ROTATION))
+    fast = int(np.count_nonzero(_magnitudes(stream) > FASTEST_ROTATION))
     seconds = fast * (stream.period or 0.0)
     return seconds > LONGEST_FAST_ROTATION and fast > FAST_ROTATION_SHARE * len(stream)
 
 
 def _wrong_unit_of_rotations(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.GYROSCOPE):
-        if rotations_too_long(stream):
-            lengths = magnitudes(stream)
+        if _rotates_too_long(stream):
+            lengths = _magnitudes(stream)
             fast = int(np.count_nonzero(lengths > FASTEST_ROTATION))
             problem = (
                 f"{fast} samples are faster than {FASTEST_ROTATION:g} rad/s, up to {lengths.max():.4g}: "
@@ -234,7 +230,7 @@ def _wrong_unit_of_rotations(subject: Subject) -> Iterator[Hit]:
 
 def _fast_rotations(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.GYROSCOPE):
-        if not rotations_too_long(stream):
+        if not _rotates_too_long(stream):
             yield from _beyond(stream, FASTEST_ROTATION, "rad/s")
 
 
@@ -249,9 +245,9 @@ IMU_VALUE_RULES: tuple[Rule, ...] = (
          "Above a quarter of the rate, accelerations are 2.5 m/s² at most on average.",
          "Mount the sensor where it shakes less, or filter before thinning out its samples.", find=_noise),
     Rule("gyroscope-unit", ERROR,
-         "Rotate rates are rad/s: faster than 20 for no longer than a shock takes, 0.2 s or 0.1 % of the time.",
+         "Angular velocities are in rad/s: above 20 for no longer than a shock takes, 0.2 s or 0.1 % of the time.",
          "Write rad/s; degrees per second are 57.3 times as large.", find=_wrong_unit_of_rotations),
-    Rule("gyroscope-range", WARNING, "No yaw rate is faster than 20 rad/s.",
+    Rule("gyroscope-range", WARNING, "No angular velocity exceeds 20 rad/s.",
          "See whether the sensor was hit, or its samples are torn.", find=_fast_rotations),
 )
 # fmt: on
@@ -328,7 +324,7 @@ def _out_of_range(kind: Kind) -> Find:
     def find(subject: Subject) -> Iterator[Hit]:
         limits = _RANGES[kind]
         for stream in streams_of_kind(subject, kind):
-            values = magnitudes(stream) if kind is Kind.MAGNETOMETER else stream.values[:, 0]
+            values = _magnitudes(stream) if kind is Kind.MAGNETOMETER else stream.values[:, 0]
             wrong = np.flatnonzero(~((values >= limits.lowest) & (values <= limits.highest)))
             if len(wrong):
                 row = int(wrong[0])
@@ -349,7 +345,7 @@ def _other_unit(usual: float, others: tuple[tuple[float, float, str], ...]) -> s
 def _weak_field(subject: Subject) -> Iterator[Hit]:
     yield from _out_of_range(Kind.MAGNETOMETER)(subject)
     for stream in streams_of_kind(subject, Kind.MAGNETOMETER):
-        usual = float(np.median(magnitudes(stream)))
+        usual = float(np.median(_magnitudes(stream)))
         if usual < _WEAKEST_FIELD:
             problem = f"the median length is {usual:.4g}; the earth's field is 22 to 67 µT"
             yield Hit(stream.whole, f"{problem}{_other_unit(usual, _UNITS_OF_WEAK_FIELDS)}")

@@ -12,7 +12,6 @@ from sceneloom.checks.rule import ERROR, WARNING, Hit, Rule, Subject
 from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.motion.ego_trajectory import usable_fixes
 from sceneloom.scene.motion import GnssSensor
-from sceneloom.scene.poses import Trajectory
 
 LOWEST, HIGHEST = -500.0, 10_000.0
 """Altitudes [m] between the Dead Sea's shore and the highest roads, with room for aeroplanes."""
@@ -41,25 +40,22 @@ _RADIANS = (np.pi / 2, np.pi)
 
 def _on_earth(stream: Stream) -> BoolArray:
     """Which fixes are on the earth, (N,) bool."""
-    latitudes, longitudes = stream.values[:, 0], stream.values[:, 1]
-    usable: BoolArray = (np.abs(latitudes) <= 90) & (np.abs(longitudes) <= 180)
-    return usable
+    return np.asarray((np.abs(stream.values[:, 0]) <= 90) & (np.abs(stream.values[:, 1]) <= 180))
 
 
-def _non_finite(stream: Stream) -> BoolArray:
+def _at_origin(stream: Stream) -> BoolArray:
     """Which fixes are exactly at 0, 0, (N,) bool."""
-    nowhere: BoolArray = (stream.values[:, :2] == 0).all(axis=1)
-    return nowhere
+    return np.asarray((stream.values[:, :2] == 0).all(axis=1))
 
 
-def locations_in_order(stream: Stream) -> Int64Array:
-    """Rows of the fixes that are locations, the first of each time, (M,) int64."""
-    rows = np.flatnonzero(_on_earth(stream) & ~_non_finite(stream))
+def _fixes_in_order(stream: Stream) -> Int64Array:
+    """Rows of the fixes that are positions, the first of each time, (M,) int64."""
+    rows = np.flatnonzero(_on_earth(stream) & ~_at_origin(stream))
     first: Int64Array = rows[np.diff(stream.seconds[rows], prepend=-np.inf) > 0]
     return first
 
 
-def _notify(
+def _column_hits(
     stream: Stream, wrong: BoolArray, column: str, values: Float64Array, expected: str
 ) -> Iterator[Hit]:
     rows = np.flatnonzero(wrong)
@@ -79,14 +75,14 @@ def _off_the_earth(subject: Subject) -> Iterator[Hit]:
         expected = "degrees within 90 and 180"
         if (wrong & (np.abs(locations[:, 0]) <= 180) & (np.abs(locations[:, 1]) <= 90)).any():
             expected += ": are latitude and longitude exchanged?"
-        yield from _notify(stream, wrong, "latitude, longitude", locations, expected)
+        yield from _column_hits(stream, wrong, "latitude, longitude", locations, expected)
 
 
 def _at_zero(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.GNSS):
-        locations, nowhere = stream.values[:, :2], _non_finite(stream)
+        locations, nowhere = stream.values[:, :2], _at_origin(stream)
         expected = "a location: receivers write 0, 0 before they know one"
-        yield from _notify(stream, nowhere, "latitude, longitude", locations, expected)
+        yield from _column_hits(stream, nowhere, "latitude, longitude", locations, expected)
         others = locations[~nowhere]
         if len(others) and (np.abs(others) <= _RADIANS).all():
             problem = f"all latitudes and longitudes are {_shown(others[0])} or near it: are these radians?"
@@ -100,7 +96,7 @@ def _altitudes(subject: Subject) -> Iterator[Hit]:
         expected = f"{LOWEST:g} to {HIGHEST:g} m"
         if len(altitudes) and HIGHEST < abs(float(np.median(altitudes))) <= 1000 * HIGHEST:
             expected += ": is it in millimetres?"
-        yield from _notify(stream, wrong, "altitude", altitudes, expected)
+        yield from _column_hits(stream, wrong, "altitude", altitudes, expected)
 
 
 def _accuracies(subject: Subject) -> Iterator[Hit]:
@@ -109,49 +105,35 @@ def _accuracies(subject: Subject) -> Iterator[Hit]:
             stated = stream.values[:, column]
             wrong = ~np.isnan(stated) & ~((stated > 0) & (stated <= WORST_ACCURACY))
             expected = f"more than 0 and at most {WORST_ACCURACY:g} m, or none where it is not known"
-            yield from _notify(stream, wrong, name, stated, expected)
+            yield from _column_hits(stream, wrong, name, stated, expected)
 
 
 def _jumps(subject: Subject) -> Iterator[Hit]:
     for stream in streams_of_kind(subject, Kind.GNSS):
-        rows = locations_in_order(stream)
+        rows = _fixes_in_order(stream)
         if len(rows) < 2:
             continue
         seconds, fixes = stream.seconds[rows], stream.values[rows]
-        locations = enu_from_geodetic(
-            np.column_stack([fixes[:, :2], np.zeros(len(fixes))]), [*fixes[0, :2], 0.0]
-        )
-        sigmas = _sigmas(fixes[:, 3])
-        off, allowed = _off_the_trajectory(seconds, locations[:, :2], sigmas)
-        too_far = _too_far(seconds, locations[:, :2], sigmas)
-        peaks = _peaks(off, allowed)
+        flat = np.column_stack([fixes[:, :2], np.zeros(len(fixes))])
+        positions, sigmas = enu_from_geodetic(flat, flat[0])[:, :2], _sigmas(fixes[:, 3])
+        off, allowed = _off_the_trajectory(seconds, positions, sigmas)
+        too_far, peaks = _too_far(seconds, positions, sigmas), _peaks(off, allowed)
         too_far[1:] &= ~peaks[:-1]
+        steps = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1)
         for k in np.flatnonzero(peaks | too_far).tolist():
-            row = int(rows[k])
-            yield Hit(location(stream, row), _reported(stream, row, seconds, locations, sigmas, off, k))
-
-
-def _reported(
-    stream: Stream,
-    row: int,
-    seconds: Float64Array,
-    locations: Float64Array,
-    sigmas: Float64Array,
-    off: Float64Array,
-    k: int,
-) -> str:
-    before = max(k - 1, 0)
-    step = float(np.linalg.norm(locations[k] - locations[before]))
-    speed = step / (seconds[k] - seconds[before]) if k else 0.0
-    lies = f"lies {off[k]:.1f} m off the trajectory between its neighbours, " if off[k] > 0 else "lies "
-    there = f"{step:.1f} m from the one before, {speed:.0f} m/s"
-    return f"{stream.at(row)} {lies}{there}; its accuracy is {sigmas[k]:.2g} m"
+            speed = steps[k] / (seconds[k] - seconds[k - 1]) if k else 0.0
+            lies = (
+                f"lies {off[k]:.1f} m off the trajectory between its neighbours, " if off[k] > 0 else "lies "
+            )
+            problem = (
+                f"{stream.at(int(rows[k]))} {lies}{steps[k]:.1f} m from the one before, {speed:.0f} m/s; its accuracy "
+                f"is {sigmas[k]:.2g} m"
+            )
+            yield Hit(location(stream, int(rows[k])), problem)
 
 
 def _sigmas(accuracies: Float64Array) -> Float64Array:
-    is_stated = (accuracies > 0) & (accuracies <= WORST_ACCURACY)
-    sigmas: Float64Array = np.where(is_stated, accuracies, UNKNOWN_ACCURACY)
-    return sigmas
+    return np.where((accuracies > 0) & (accuracies <= WORST_ACCURACY), accuracies, UNKNOWN_ACCURACY)
 
 
 def _off_the_trajectory(
@@ -267,7 +249,7 @@ def _rotated_left(gyroscope: Stream, accelerometer: Stream) -> tuple[Float64Arra
 
 def _rotations_of(fixes: Stream) -> tuple[Float64Array, Float64Array] | None:
     """The times in the middle of each leg, (L,) [s], and the rotations between them to the left, (L - 1,) [rad]."""
-    usable = locations_in_order(fixes)
+    usable = _fixes_in_order(fixes)
     usable = usable[:: len(usable) // _MOST_FIXES + 1]
     if len(usable) <= _FEWEST_ROTATIONS:
         return None
@@ -331,62 +313,46 @@ _ROTATED_HEIGHTS = -0.7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Case:
-    """A trajectory and the fixes during it, locations along the ground as complex numbers [m].
+    """A trajectory and the fixes during it, positions on the ground as complex numbers, east + i north [m].
 
     Attributes:
-        fixes: (M,) complex, east and north.
-        ups: (M,) height of the fixes.
-        seconds: (M,) of the fixes, counted from the trajectory's first pose.
-        trajectory: the trajectory.
+        name: of the trajectory.
+        fixes, trajectory: (M,) complex, positions of the fixes and of the trajectory at their times.
+        ups, heights: (M,) heights of both.
         tolerance: so far apart they still agree.
         vertical: accuracy of the heights.
     """
 
+    name: str
     fixes: np.ndarray[tuple[int], np.dtype[np.complex128]]
+    trajectory: np.ndarray[tuple[int], np.dtype[np.complex128]]
     ups: Float64Array
-    seconds: Float64Array
-    trajectory: Trajectory
+    heights: Float64Array
     tolerance: float
     vertical: float
 
-    def locations(self) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
-        """Where the trajectory was at the time of each fix: (N,) x + iy [m], world."""
-        return np.asarray(self._at(0) + 1j * self._at(1))
-
-    def heights(self) -> Float64Array:
-        """How high the trajectory was at the time of each fix, (N,) [m]."""
-        return self._at(2)
-
-    def _at(self, axis: int) -> Float64Array:
-        seconds = (self.trajectory.timestamps_ns - self.trajectory.timestamps_ns[0]) / 1e9
-        return np.interp(self.seconds, seconds, self.trajectory.positions[:, axis])
-
 
 def _cases(subject: Subject) -> Iterator[_Case]:
-    receivers = [s for s in subject.scene.sensors if isinstance(s, GnssSensor)]
-    if not receivers or not len(receivers[0].timestamps_ns):
+    receiver = next((s for s in subject.scene.sensors if isinstance(s, GnssSensor)), None)
+    if receiver is None or not len(receiver.timestamps_ns):
         return
-    receiver = receivers[0]
-    # a fix at 0, 0 before reception would else be the location from which all are seen
+    # a fix at 0, 0 before reception would else be the position from which all are seen
     usable = usable_fixes(receiver) & np.isfinite(receiver.positions_lla).all(axis=1)
     for trajectory in subject.scene.trajectories.values():
-        during = usable & (receiver.timestamps_ns >= trajectory.timestamps_ns[0])
-        rows = np.flatnonzero(during & (receiver.timestamps_ns <= trajectory.timestamps_ns[-1]))
+        times_ns = trajectory.timestamps_ns
+        during = usable & (receiver.timestamps_ns >= times_ns[0]) & (receiver.timestamps_ns <= times_ns[-1])
+        rows = np.flatnonzero(during)
         if len(rows) < _FEWEST_FIXES:
             continue
         enu = enu_from_geodetic(receiver.positions_lla[rows], receiver.positions_lla[rows[0]])
+        fixes = np.asarray(enu[:, 0] + 1j * enu[:, 1])
+        own, at = (times_ns - times_ns[0]) / 1e9, (receiver.timestamps_ns[rows] - times_ns[0]) / 1e9
+        x, y, z = (np.interp(at, own, axis) for axis in trajectory.positions.T)
         length = float(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum())
-        accuracy = _usual(receiver.accuracies[rows])
-        case = _Case(
-            fixes=enu[:, 0] + 1j * enu[:, 1],
-            ups=enu[:, 2],
-            seconds=(receiver.timestamps_ns[rows] - trajectory.timestamps_ns[0]) / 1e9,
-            trajectory=trajectory,
-            tolerance=max(NEAREST_REPORTED, _ACCURACIES * accuracy),
-            vertical=_usual(receiver.vertical_accuracies[rows]),
-        )
-        reach = _DRIFT * min(length, float(np.abs(np.diff(case.fixes)).sum()))
-        yield _Case(case.fixes, case.ups, case.seconds, trajectory, case.tolerance + reach, case.vertical)
+        near = max(NEAREST_REPORTED, _ACCURACIES * _usual(receiver.accuracies[rows]))
+        tolerance = near + _DRIFT * min(length, float(np.abs(np.diff(fixes)).sum()))
+        vertical = _usual(receiver.vertical_accuracies[rows])
+        yield _Case(trajectory.name, fixes, np.asarray(x + 1j * y), enu[:, 2], z, tolerance, vertical)
 
 
 def _usual(accuracies: Float64Array) -> float:
@@ -399,11 +365,10 @@ def _fit(case: _Case, *, mirrored: bool = False) -> float:
 
     It is laid once more without the farthest ones.
     """
-    locations = case.locations()
-    trajectories = np.conj(locations) if mirrored else locations
-    kept = np.ones(len(trajectories), np.bool_)
+    positions = np.conj(case.trajectory) if mirrored else case.trajectory
+    kept = np.ones(len(positions), np.bool_)
     for _ in range(2):
-        wanted, given = case.fixes - case.fixes[kept].mean(), trajectories - trajectories[kept].mean()
+        wanted, given = case.fixes - case.fixes[kept].mean(), positions - positions[kept].mean()
         product = np.vdot(given[kept], wanted[kept])
         rotation = product / np.abs(product) if product else 1.0
         away = np.abs(wanted - rotation * given)
@@ -414,7 +379,7 @@ def _fit(case: _Case, *, mirrored: bool = False) -> float:
 def _far_apart(subject: Subject) -> Iterator[Hit]:
     for case in _cases(subject):
         spread = float(min(np.abs(case.fixes - case.fixes.mean()).max(), np.inf))
-        moved = float(np.abs(case.locations() - case.locations().mean()).max())
+        moved = float(np.abs(case.trajectory - case.trajectory.mean()).max())
         if max(spread, moved) < max(_LEAST_SPREAD, 2.0 * case.tolerance):
             continue
         away, mirrored = _fit(case), _fit(case, mirrored=True)
@@ -428,12 +393,12 @@ def _far_apart(subject: Subject) -> Iterator[Hit]:
         )
         if is_mirrored:
             reported += f", and it is {mirrored:.1f} m if x and y are exchanged, or one is negated (mirrored)"
-        yield Hit(f"trajectories[{case.trajectory.name}]", reported)
+        yield Hit(f"trajectories[{case.name}]", reported)
 
 
 def _upside_down(subject: Subject) -> Iterator[Hit]:
     for case in _cases(subject):
-        ups, heights = case.ups - case.ups.mean(), case.heights() - case.heights().mean()
+        ups, heights = case.ups - case.ups.mean(), case.heights - case.heights.mean()
         if ups.std() < max(_HEIGHTS_REPORT * case.vertical, _LEAST_SPREAD) or heights.std() == 0:
             continue
         correlation = float((ups * heights).mean() / (ups.std() * heights.std()))
@@ -442,7 +407,7 @@ def _upside_down(subject: Subject) -> Iterator[Hit]:
                 f"z falls where the fixes climb (correlation {correlation:.2f}): probably z of the world "
                 f"points down"
             )
-            yield Hit(f"trajectories[{case.trajectory.name}]", reported)
+            yield Hit(f"trajectories[{case.name}]", reported)
 
 
 # fmt: off

@@ -15,7 +15,8 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.checks.faults import as_read
-from sceneloom.checks.rule import HINT, WARNING, Find, Hit, Rule, Subject, chosen_frames
+from sceneloom.checks.rule import HINT, WARNING, Find, Hit, Rule, Subject
+from sceneloom.editing.move_points import chosen_frames
 from sceneloom.formats.recording.lines import (
     Columns,
     LineLog,

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from operator import itemgetter
 from types import MappingProxyType
 from typing import Any
@@ -18,8 +19,9 @@ from sceneloom.errors import OptionError
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import usable_positions
-from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
+from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.ego import Posed
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.poses import Poses, Trajectory
@@ -44,7 +46,7 @@ _REPORTS = MappingProxyType(
 
 
 def _positions_from_start(scene: Scene, *, fixes: str = "drop") -> Scene:
-    """Move the world so that the ego begins at its origin and looks along x; up stays up.
+    """Move the world so that the ego begins at its origin and faces along x; up stays up.
 
     Args:
         scene: as it is.
@@ -82,19 +84,13 @@ def _first_pose(scene: Scene) -> RigidTransform | None:
 
     None without any pose.
     """
-    trajectories: list[Poses | Trajectory] = [
-        trajectory for trajectory in scene.trajectories.values() if len(trajectory.positions)
-    ]
-    trajectories += [s.poses for s in scene.sensors if isinstance(s, OdometrySensor)]
-    posed = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
-    trajectories += [
-        s.poses
-        for s in scene.sensors
-        if isinstance(s, posed) and s.poses is not None and s.coordinates is Coordinates.WORLD
-    ]
-    if not trajectories:
+    paths: list[Poses | Trajectory] = [one for one in scene.trajectories.values() if len(one.positions)]
+    paths += [s.poses for s in scene.sensors if isinstance(s, OdometrySensor)]
+    posed = [s for s in scene.sensors if isinstance(s, Posed) and s.coordinates is Coordinates.WORLD]
+    paths += [s.poses for s in posed if s.poses is not None]
+    if not paths:
         return None
-    position, rotation = trajectories[0].positions[0], trajectories[0].quaternions_xyzw
+    position, rotation = paths[0].positions[0], paths[0].quaternions_xyzw
     forward = np.array([1.0, 0.0, 0.0])
     if rotation is not None:
         forward = RigidTransform.from_quaternion(np.zeros(3), rotation[0]).rotate(forward)
@@ -208,11 +204,8 @@ class _FieldSweep:
     def fields(self, fields: Mapping[str, Any], location: str) -> Mapping[str, Any]:
         """Give free fields without telling ones."""
         kept = self._mapping(fields, location)
-        return (
-            fields
-            if len(kept) == len(fields) and all(kept[k] is fields[k] for k in kept)
-            else MappingProxyType(kept)
-        )
+        same = len(kept) == len(fields) and all(kept[k] is fields[k] for k in kept)
+        return fields if same else MappingProxyType(kept)
 
     def _metadata(self, metadata: Mapping[str, Any]) -> Mapping[str, Any]:
         kept: dict[str, Any] = {}
@@ -257,7 +250,7 @@ class _FieldSweep:
         if len(frames):
             # what the first one reports stands for all
             self.fields(frames[0].extras, f"{location}.extras")
-        return LazyFrames(frames.timestamps_ns, _Swept(frames, self.kinds))
+        return LazyFrames(frames.timestamps_ns, partial(_swept_frame, frames, self.kinds))
 
     def _part(self, part: Any, location: str) -> Any:
         changes: dict[str, Any] = {}
@@ -290,11 +283,8 @@ class _FieldSweep:
                 for k, one in enumerate(value)
                 if not self._goes("", one, f"{location}[{k}]")
             ]
-            return (
-                value
-                if len(kept) == len(value) and all(a is b for a, b in zip(kept, value, strict=True))
-                else kept
-            )
+            same = len(kept) == len(value) and all(a is b for a, b in zip(kept, value, strict=True))
+            return value if same else kept
         return value
 
     def _goes(self, name: str, value: Any, location: str) -> bool:
@@ -315,13 +305,7 @@ def kind_of(name: str, value: Any) -> str | None:
         parts = {called} if kind == "file" else {called, *called.split("_")}
         if any(words(part) for part in parts):
             return kind
-    texts = (
-        [value]
-        if isinstance(value, str)
-        else [v for v in value if isinstance(v, str)]
-        if isinstance(value, tuple)
-        else []
-    )
+    texts = [one for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, str)]
     return next((kind for kind, looks in _LOOKS.items() if any(looks(text) for text in texts)), None)
 
 
@@ -334,17 +318,10 @@ _LOOKS: Mapping[str, Callable[[str], Any]] = MappingProxyType(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Swept:
-    """Reads frames without telling fields; what `LazyFrames` asks for."""
-
-    frames: LazyFrames[Any]
-    kinds: frozenset[str]
-
-    def __call__(self, k: int) -> Any:
-        frame = self.frames[k]
-        extras = _FieldSweep(self.kinds).fields(frame.extras, "")
-        return frame if extras is frame.extras else replace(frame, extras=extras)
+def _swept_frame(frames: LazyFrames[Any], kinds: frozenset[str], k: int) -> Any:
+    frame = frames[k]
+    extras = _FieldSweep(kinds).fields(frame.extras, "")
+    return frame if extras is frame.extras else replace(frame, extras=extras)
 
 
 def _clock_from_zero(scene: Scene) -> Scene:

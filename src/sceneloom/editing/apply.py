@@ -1,13 +1,13 @@
 """Scenes with their corrections applied: localization adjustments and camera calibrations."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.cameras.camera import Camera
 from sceneloom.editing.move_points import FrameChange
 from sceneloom.editing.move_world import EGO_ID, free_id, moved_trajectory, moved_world, to_world
 from sceneloom.editing.references import assumed, ours_of, skipped, with_ours, with_warnings
@@ -25,8 +25,9 @@ from sceneloom.scene.annotations import (
     effect_of,
 )
 from sceneloom.scene.annotations_at import ANNOTATIONS_FRAME
-from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
+from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.ego import Posed
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses, PoseSource, Trajectory
@@ -46,61 +47,30 @@ def _calibrated_camera(sensor: CameraSensor, calibration: CameraCalibration) -> 
     docs/CONVENTIONS.md.
     """
     shift_ns = round(calibration.time_offset_ns or 0)
-    camera_model = calibration.intrinsics
     rotated = sensor if calibration.poses is None else _rotated(sensor, calibration.poses, shift_ns)
     timestamps_ns = sensor.images.timestamps_ns + shift_ns
-    images = LazyFrames(
-        timestamps_ns,
-        CalibratedImages(sensor.images, sensor.camera, camera_model, calibration.poses, shift_ns),
-    )
+    images = LazyFrames(timestamps_ns, partial(_calibrated_image, sensor, calibration, shift_ns))
     poses = None if rotated.poses is None else _reaching(rotated.poses, timestamps_ns, abs(shift_ns))
-    return replace(rotated, camera=camera_model or sensor.camera, images=images, poses=poses)
+    return replace(rotated, camera=calibration.intrinsics or sensor.camera, images=images, poses=poses)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibratedImages:
-    """Reads images and corrects what is stated for them; what `LazyFrames` asks for.
-
-    Attributes:
-        images: as they were.
-        old_camera_model: that of the camera.
-        camera_model: the calibrated one, or None.
-        camera_from_calibrated: over time, its end poses held beyond its ends; or None.
-        shift_ns: added to their timestamps.
-    """
-
-    images: LazyFrames[CameraImage]
-    old_camera_model: Camera
-    camera_model: Camera | None
-    camera_from_calibrated: Poses | None
-    shift_ns: int
-
-    def __call__(self, k: int) -> CameraImage:
-        """Give image `k`, not decoded.
-
-        Raises:
-            DataError: it cannot be read.
-        """
-        image = self.images[k]
-        mount = image.mount
-        if mount is not None and self.camera_from_calibrated is not None:
-            at = self.camera_from_calibrated.held(np.array([image.timestamp_ns + self.shift_ns], np.int64))
-            mount = mount @ RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0])
-        return replace(
-            image,
-            timestamp_ns=image.timestamp_ns + self.shift_ns,
-            camera=self._camera_model(image),
-            mount=mount,
-        )
-
-    def _camera_model(self, image: CameraImage) -> Camera:
-        """The calibrated camera model, for the size of this very image."""
-        if self.camera_model is None:
-            return image.camera
-        size = image.camera.width, image.camera.height
-        if size == (self.old_camera_model.width, self.old_camera_model.height):
-            return self.camera_model
-        return self.camera_model.resized(*size)
+def _calibrated_image(
+    sensor: CameraSensor, calibration: CameraCalibration, shift_ns: int, k: int
+) -> CameraImage:
+    """Image `k`, not decoded, with its own mounting and camera model corrected."""
+    image = sensor.images[k]
+    timestamp_ns, mount, camera = (
+        image.timestamp_ns + shift_ns,
+        image.mount,
+        calibration.intrinsics or image.camera,
+    )
+    if mount is not None and calibration.poses is not None:
+        at = calibration.poses.held(np.array([timestamp_ns], np.int64))
+        mount = mount @ RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0])
+    size = image.camera.width, image.camera.height
+    if calibration.intrinsics is not None and size != (sensor.camera.width, sensor.camera.height):
+        camera = camera.resized(*size)
+    return replace(image, timestamp_ns=timestamp_ns, camera=camera, mount=mount)
 
 
 def _only_pose(path: Poses) -> RigidTransform | None:
@@ -171,18 +141,13 @@ def _reaching(path: Poses, timestamps_ns: Int64Array, reach_ns: int) -> Poses:
 def _shifted_annotation(annotation: Annotation, sensor_id: Identifier, shift_ns: int) -> Annotation:
     """Give an annotation whose times in the images of a camera follow these."""
     key = key_of(sensor_id)
-    if isinstance(annotation, Box2DAnnotation) and key_of(annotation.sensor_id) == key:
-        times = annotation.path.timestamps_ns + shift_ns
-        return replace(annotation, path=replace(annotation.path, timestamps_ns=times))
-    if (
-        isinstance(annotation, ShapeAnnotation)
-        and annotation.dimensions == 2
-        and annotation.sensor_id is not None
-    ):
-        if key_of(annotation.sensor_id) != key:
+    if isinstance(annotation, Box2DAnnotation | ShapeAnnotation):
+        if annotation.sensor_id is None or key_of(annotation.sensor_id) != key:
             return annotation
-        times = annotation.path.timestamps_ns + shift_ns
-        return replace(annotation, path=replace(annotation.path, timestamps_ns=times))
+        if isinstance(annotation, ShapeAnnotation) and annotation.dimensions != 2:
+            return annotation
+        path: Any = replace(annotation.path, timestamps_ns=annotation.path.timestamps_ns + shift_ns)
+        return replace(annotation, path=path)
     if isinstance(annotation, CuboidAnnotation):
         return replace(
             annotation,
@@ -348,14 +313,9 @@ def _frame(scene: Scene) -> Coordinates:
     """
     frames: dict[Coordinates, Identifier] = {}
     for sensor in scene.sensors:
-        if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
-            continue
-        if sensor.poses is not None:
+        if isinstance(sensor, Posed) and sensor.poses is not None:
             frames[sensor.coordinates] = sensor.id
-        if (
-            not isinstance(sensor, CameraSensor | DepthCameraSensor)
-            and sensor.points_frame is not PointsFrame.SENSOR
-        ):
+        if isinstance(sensor, LidarSensor | RadarSensor) and sensor.points_frame is not PointsFrame.SENSOR:
             frames[Coordinates(sensor.points_frame.value)] = sensor.id
     if len(frames) > 1:
         raise OptionError(

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -142,10 +143,8 @@ def convert_camera_models(
 
 
 def _with_camera_model(sensor: CameraSensor, camera: Camera, camera_models: "_CameraModels") -> CameraSensor:
-    images = LazyFrames(
-        sensor.images.timestamps_ns, _Relensed(sensor.images, camera_models, {sensor.camera: camera})
-    )
-    return replace(sensor, camera=camera, images=images)
+    read = partial(_refitted_image, sensor.images, camera_models, {sensor.camera: camera})
+    return replace(sensor, camera=camera, images=LazyFrames(sensor.images.timestamps_ns, read))
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,22 +166,15 @@ class _CameraModels:
         return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Relensed:
-    """Reads images with camera models of the new model; a camera model that an image has of its own is fitted then."""
-
-    images: LazyFrames[CameraImage]
-    camera_models: _CameraModels
-    known: dict[Camera, Camera] = field(default_factory=dict)
-
-    def __call__(self, k: int) -> CameraImage:
-        image = self.images[k]
-        exact = image.camera
-        if exact not in self.known:
-            self.known[exact] = (
-                exact if exact.model == self.camera_models.model else self.camera_models.fit(exact).camera
-            )
-        return replace(image, camera=self.known[exact])
+def _refitted_image(
+    images: LazyFrames[CameraImage], camera_models: _CameraModels, known: dict[Camera, Camera], k: int
+) -> CameraImage:
+    """An image with a camera model of the new model; one that an image has of its own is fitted then."""
+    image = images[k]
+    if image.camera not in known:
+        own = image.camera
+        known[own] = own if own.model == camera_models.model else camera_models.fit(own).camera
+    return replace(image, camera=known[image.camera])
 
 
 _CORNER = 0.5
@@ -378,7 +370,9 @@ def _bent(scene: Scene) -> int:
 
 
 def _undistorted_camera_sensor(sensor: CameraSensor, target: Camera) -> CameraSensor:
-    images = LazyFrames(sensor.images.timestamps_ns, _Undistorted(sensor.images, _Maps(target)))
+    images = LazyFrames(
+        sensor.images.timestamps_ns, partial(_undistorted_image, sensor.images, _Maps(target))
+    )
     return replace(
         sensor, camera=target, images=images, video=None, extras=_without_distortion(sensor.extras)
     )
@@ -411,29 +405,12 @@ class _Maps:
         return _Maps, (self.target,)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Undistorted:
-    """Reads images; what `LazyFrames` asks for."""
-
-    images: LazyFrames[CameraImage]
-    maps: _Maps
-
-    def __call__(self, k: int) -> CameraImage:
-        image = self.images[k]
-        extras = {name: value for name, value in image.extras.items() if name not in _OF_OLD_PIXELS}
-        return replace(
-            image,
-            camera=self.maps.target,
-            decode=_Decode(image, self.maps),
-            encoded=None,
-            extras=MappingProxyType(extras),
-        )
+def _undistorted_image(images: LazyFrames[CameraImage], maps: _Maps, k: int) -> CameraImage:
+    image = images[k]
+    kept = {name: value for name, value in image.extras.items() if name not in _OF_OLD_PIXELS}
+    decode, extras = partial(_undistorted_rgb, image, maps), MappingProxyType(kept)
+    return replace(image, camera=maps.target, decode=decode, encoded=None, extras=extras)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Decode:
-    image: CameraImage
-    maps: _Maps
-
-    def __call__(self) -> UInt8Array:
-        return self.maps.of(self.image.camera).apply(self.image.rgb)
+def _undistorted_rgb(image: CameraImage, maps: _Maps) -> UInt8Array:
+    return maps.of(image.camera).apply(image.rgb)

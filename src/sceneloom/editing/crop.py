@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -12,12 +11,13 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array
 from sceneloom.editing.move_points import (
     KNOWN,
-    CloudSensor,
     FrameChange,
     OnPoints,
     chosen_frames,
     chosen_map,
     points_change,
+    renumbered_frames,
+    renumbered_map,
     with_chosen_points,
 )
 from sceneloom.editing.move_world import frames_ns
@@ -53,10 +53,9 @@ from sceneloom.scene.annotations import (
     locations_of,
 )
 from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame, cuboid_at, point_at, shape_at
-from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
+from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
-from sceneloom.scene.ego import EgoMotion, sensor_source
-from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.ego import EgoMotion, Posed, sensor_source
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.scene import Scene, Sensor, scene_period_ns
@@ -110,12 +109,9 @@ def _check_ego(scene: Scene, kept: tuple[object, ...], ids: NewIds) -> None:
     gone = [s for s in scene.sensors if isinstance(s, OdometrySensor) and ids.gone(s.id)]
     left = any(isinstance(sensor, OdometrySensor) for sensor in kept)
     for sensor in kept if gone else ():
-        on_ego = isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor) and (
-            sensor.coordinates is Coordinates.EGO
-        )
-        if on_ego and not left:
+        if isinstance(sensor, Posed) and sensor.coordinates is Coordinates.EGO and not left:
             raise OptionError(
-                f"{scene.source}: sensor {getattr(sensor, 'id', None)!r} is in ego coordinates and needs the odometry "
+                f"{scene.source}: sensor {sensor.id!r} is in ego coordinates and needs the odometry "
                 f"sensor {gone[0].id!r}; bring the scene into the world first: `sceneloom edit to-world`"
             )
 
@@ -527,11 +523,7 @@ def _ego(
     scene: Scene, regions: tuple[_Region, ...], trajectory: str | None, heading: str | None
 ) -> EgoMotion | None:
     """The ego trajectory, if something may need it."""
-    posed = [
-        s
-        for s in scene.sensors
-        if isinstance(s, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor)
-    ]
+    posed = [s for s in scene.sensors if isinstance(s, Posed)]
     on_ego = any(s.mount is not None or s.coordinates is Coordinates.EGO for s in posed)
     asked = any(region.frame is PointsFrame.EGO for region in regions)
     if trajectory is None and not asked and not (on_ego and scene.trajectories):
@@ -562,17 +554,15 @@ class _Crop:
         )
 
     def _sensor(self, sensor: Sensor) -> Sensor:
-        if isinstance(sensor, LidarSensor):
-            return self._cloud(sensor)
-        if isinstance(sensor, RadarSensor):
+        if isinstance(sensor, LidarSensor | RadarSensor):
             return self._cloud(sensor)
         if isinstance(sensor, PointsSensor):
             rows = np.flatnonzero(self._held_once(sensor.positions))
-            self.changes[key_of(sensor.id)] = Renumbering(rows=partial(_always, rows))
+            self.changes[key_of(sensor.id)] = renumbered_map(rows)
             return chosen_map(sensor, rows)
         return sensor
 
-    def _cloud(self, sensor: CloudSensor) -> CloudSensor:
+    def _cloud(self, sensor: LidarSensor | RadarSensor) -> Sensor:
         placed = self._placed_points(sensor)
         numbers = _known(placed, sensor.frames.timestamps_ns)
         lost = len(sensor.frames) - len(numbers)
@@ -580,9 +570,11 @@ class _Crop:
         location = f"sensors[{sensor.id}].frames"
         self.warnings.append(skipped("frames-beyond-the-trajectory", location, what, count=lost))
         choice = _FrameChoice(placed)
-        self.changes[key_of(sensor.id)] = Renumbering(numbers, partial(_rows_of, sensor.frames, choice))
-        frames = chosen_frames(sensor.frames, numbers)
-        return replace(sensor, frames=with_chosen_points(frames, choice, sensor.id, self.on_points))
+        self.changes[key_of(sensor.id)] = renumbered_frames(numbers, sensor.frames, choice)
+        frames: Any = with_chosen_points(
+            chosen_frames(sensor.frames, numbers), choice, sensor.id, self.on_points
+        )
+        return replace(sensor, frames=frames)
 
     def _placed_points(self, sensor: LidarSensor | RadarSensor) -> tuple[_Placed, ...]:
         """The regions, each with what takes the sensor's points into its frame."""
@@ -641,13 +633,3 @@ def _known(placed: tuple[_Placed, ...], times_ns: Int64Array) -> Int64Array:
         if change is not None:
             known &= change.at(times_ns).coverage <= KNOWN
     return np.flatnonzero(known)
-
-
-def _always(rows: Int64Array, number: int | None) -> Int64Array:  # noqa: ARG001 - a map has one frame only
-    return rows
-
-
-def _rows_of(
-    frames: LazyFrames[LidarFrame] | LazyFrames[RadarFrame], choice: _FrameChoice, number: int | None
-) -> Int64Array | None:
-    return None if number is None else choice(frames[number])

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -118,34 +118,15 @@ def _stated_of(attribute: AttributePath) -> tuple[Any, ...]:
     return attribute.name, sensor, attribute.static, attribute.point_index
 
 
-_Item_co = TypeVar("_Item_co", covariant=True)
-
 _Moving = TypeVar("_Moving", LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 
 _MOUNT_TOLERANCE = 1e-9
 """Mountings of the parts of one sensor that differ by more are two mountings [m], [rad]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _JoinedFrames(Generic[_Item_co]):
-    """Reads the frames of two parts; what `LazyFrames` asks for.
-
-    Attributes:
-        parts: the two.
-        locations: (N, 2) int64, of each frame its part and its number there.
-    """
-
-    parts: tuple[LazyFrames[_Item_co], LazyFrames[_Item_co]]
-    locations: Int64Array
-
-    def __call__(self, k: int) -> _Item_co:
-        """Read frame `k`.
-
-        Raises:
-            DataError: it cannot be read.
-        """
-        part, number = (int(location) for location in self.locations[k])
-        return self.parts[part][number]
+def _frame_of_parts(parts: tuple[LazyFrames[Any], LazyFrames[Any]], locations: Int64Array, k: int) -> Any:
+    part, number = locations[k].tolist()
+    return parts[part][number]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,7 +174,9 @@ class _Joint:
     def frames(self, first: LazyFrames[Any], second: LazyFrames[Any]) -> LazyFrames[Any]:
         """The frames of the whole."""
         timestamps = [(first, second)[part].timestamps_ns[number] for part, number in self.locations.tolist()]
-        return LazyFrames(np.array(timestamps, np.int64), _JoinedFrames((first, second), self.locations))
+        return LazyFrames(
+            np.array(timestamps, np.int64), partial(_frame_of_parts, (first, second), self.locations)
+        )
 
 
 _Joined = tuple[Sensor, _Joint | None]
@@ -218,16 +201,9 @@ def _joined_sensor(first: Sensor, second: Sensor, name: str) -> _Joined:
     return joined
 
 
-def _lidar(first: LidarSensor, second: LidarSensor, name: str) -> _Joined:
+def _cloud(first: Any, second: Any, name: str) -> _Joined:
     joint = _cloud_joint(first, second, name)
-    frames = joint.frames(first.frames, second.frames)
-    return replace(_placed(first, second, name), frames=frames), joint
-
-
-def _radar(first: RadarSensor, second: RadarSensor, name: str) -> _Joined:
-    joint = _cloud_joint(first, second, name)
-    frames = joint.frames(first.frames, second.frames)
-    return replace(_placed(first, second, name), frames=frames), joint
+    return replace(_placed(first, second, name), frames=joint.frames(first.frames, second.frames)), joint
 
 
 def _cloud_joint(first: Any, second: Any, name: str) -> _Joint:
@@ -359,8 +335,8 @@ def _unchanging(first: Any, second: Any, name: str) -> _Joined:
 
 _SENSOR_JOINS: Mapping[type, Callable[[Any, Any, str], _Joined]] = MappingProxyType(
     {
-        LidarSensor: _lidar,
-        RadarSensor: _radar,
+        LidarSensor: _cloud,
+        RadarSensor: _cloud,
         CameraSensor: _camera,
         DepthCameraSensor: _camera,
         OdometrySensor: _odometry,
@@ -611,12 +587,8 @@ def _different_drives(first: Scene, second: Scene) -> list[str]:
 
 def _nothing_relates(first: Scene, second: Scene) -> bool:
     """Whether `_different_drives` had nothing to compare but times, which of clocks that begin at 0 state nothing."""
-    pairs = (
-        (_cities(first.metadata), _cities(second.metadata)),
-        (_fixes(first), _fixes(second)),
-        (_ego(first), _ego(second)),
-    )
-    return not any(here and there for here, there in pairs)
+    evidence = ((_cities(scene.metadata), _fixes(scene), _ego(scene)) for scene in (first, second))
+    return not any(here and there for here, there in zip(*evidence, strict=True))
 
 
 def _cities(metadata: Mapping[str, Any], depth: int = 0) -> set[str]:
@@ -631,17 +603,9 @@ def _cities(metadata: Mapping[str, Any], depth: int = 0) -> set[str]:
 
 
 def _span_ns(scene: Scene) -> tuple[int, int] | None:
-    times = [timestamps for sensor in scene.sensors if len(timestamps := frame_times(sensor))]
-    times += [
-        trajectory.timestamps_ns
-        for trajectory in scene.trajectories.values()
-        if len(trajectory.timestamps_ns)
-    ]
-    if not times:
-        return None
-    return min(int(timestamps.min()) for timestamps in times), max(
-        int(timestamps.max()) for timestamps in times
-    )
+    stated = [*map(frame_times, scene.sensors), *(one.timestamps_ns for one in scene.trajectories.values())]
+    times = np.concatenate([np.zeros(0, np.int64), *stated])
+    return (int(times.min()), int(times.max())) if len(times) else None
 
 
 def _duration(seconds: float) -> str:
@@ -741,15 +705,13 @@ def _stated_otherwise(annotation: Annotation, mine: CuboidAngles, theirs: Cuboid
     return replace(
         annotation,
         path=CuboidPath(path.timestamps_ns, _rows(path.values, mine, theirs), path.extras),
-        activations=tuple(
-            entry if entry.cuboids is None else replace(entry, cuboids=_rows(entry.cuboids, mine, theirs))
-            for entry in annotation.activations
-        ),
-        projections=tuple(
-            entry if entry.cuboids is None else replace(entry, cuboids=_rows(entry.cuboids, mine, theirs))
-            for entry in annotation.projections
-        ),
+        activations=tuple(_with_rows(entry, mine, theirs) for entry in annotation.activations),
+        projections=tuple(_with_rows(entry, mine, theirs) for entry in annotation.projections),
     )
+
+
+def _with_rows(entry: Any, mine: CuboidAngles, theirs: CuboidAngles) -> Any:
+    return entry if entry.cuboids is None else replace(entry, cuboids=_rows(entry.cuboids, mine, theirs))
 
 
 def _rows(rows: Float64Array, mine: CuboidAngles, theirs: CuboidAngles) -> Float64Array:

@@ -29,6 +29,7 @@ from sceneloom.scene.ego import EgoMotion, points_source
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import Poses, PoseSamples, PoseSource
 from sceneloom.scene.scene import Scene
+from sceneloom.scene.time_range import Renumbering
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame
 
 KNOWN = 1
@@ -259,3 +260,21 @@ def chosen_frames(frames: LazyFrames[Any], numbers: Int64Array) -> LazyFrames[An
 
 def _numbered_frame(frames: LazyFrames[Any], numbers: Int64Array, k: int) -> Any:
     return frames[int(numbers[k])]
+
+
+def renumbered_frames(numbers: Int64Array, frames: LazyFrames[Any], choose: _Choose) -> Renumbering:
+    """What becomes of the numbers of frames and of their points: frames that stay, of their points those chosen."""
+    return Renumbering(numbers, partial(_chosen_rows, frames, choose))
+
+
+def _chosen_rows(frames: LazyFrames[Any], choose: _Choose, number: int | None) -> Int64Array | None:
+    return None if number is None else choose(frames[number])
+
+
+def renumbered_map(rows: Int64Array) -> Renumbering:
+    """What becomes of the numbers of a map's points of which some rows stay."""
+    return Renumbering(rows=partial(_same_rows, rows))
+
+
+def _same_rows(rows: Int64Array, number: int | None) -> Int64Array:  # noqa: ARG001 - a map has one frame only
+    return rows

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -61,7 +62,7 @@ class Hiding:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _SmoothedTrajectory:
+class _Track:
     """A thing that is seen in one camera's images for some time.
 
     Attributes:
@@ -84,7 +85,7 @@ def find_hidings(
         scene: whose images.
         boxes: a list; boxes of one track are joined by straight lines in time.
         labels: those of the scene's own boxes and outlines in images that are to be hidden, too.
-        hold: what a track or an annotation is hidden longer before its first and after its last image [s].
+        hold: how much longer a track or an annotation is hidden before its first and after its last image [s].
 
     Raises:
         OptionError: a camera is not there, or not stated where there are several; no annotation bears a label.
@@ -116,15 +117,15 @@ def _camera_id(scene: Scene, stated: str | None) -> Identifier:
     return match
 
 
-def _drawn(scene: Scene, labels: tuple[str, ...]) -> dict[Key, list[_SmoothedTrajectory]]:
+def _drawn(scene: Scene, labels: tuple[str, ...]) -> dict[Key, list[_Track]]:
     """The ways of all annotations in images that bear one of some labels, by camera."""
-    trajectories: dict[Key, list[_SmoothedTrajectory]] = {}
+    trajectories: dict[Key, list[_Track]] = {}
     known = [one for one in scene.annotations if isinstance(one, Box2DAnnotation | ShapeAnnotation)]
     flat = [one for one in known if isinstance(one, Box2DAnnotation) or one.dimensions == 2]
     there = {one.label for one in flat}
     for annotation in flat:
         if annotation.label in labels and annotation.sensor_id is not None:
-            trajectories.setdefault(key_of(annotation.sensor_id), []).append(_trajectory_of(annotation))
+            trajectories.setdefault(key_of(annotation.sensor_id), []).append(_drawn_track(annotation))
     missing = [label for label in labels if label not in there]
     if missing:
         raise OptionError(
@@ -134,7 +135,7 @@ def _drawn(scene: Scene, labels: tuple[str, ...]) -> dict[Key, list[_SmoothedTra
     return trajectories
 
 
-def _trajectory_of(annotation: Box2DAnnotation | ShapeAnnotation) -> _SmoothedTrajectory:
+def _drawn_track(annotation: Box2DAnnotation | ShapeAnnotation) -> _Track:
     if isinstance(annotation, Box2DAnnotation):
         values = annotation.path.values
         corners = np.concatenate([values[:, :2], values[:, :2] + values[:, 2:]], axis=1)
@@ -146,15 +147,13 @@ def _trajectory_of(annotation: Box2DAnnotation | ShapeAnnotation) -> _SmoothedTr
     return _in_order(times, np.array(bounds, np.float64).reshape(-1, 4), bool(annotation.stationary))
 
 
-def _in_order(times_ns: Int64Array, boxes: Float64Array, always: bool) -> _SmoothedTrajectory:  # noqa: FBT001 - as of `_SmoothedTrajectory`
+def _in_order(times_ns: Int64Array, boxes: Float64Array, always: bool) -> _Track:  # noqa: FBT001 - as of `_Track`
     """The trajectory by rising times: annotations may be stored in any order."""
     order = np.argsort(times_ns, kind="stable")
-    return _SmoothedTrajectory(times_ns[order], boxes[order], always)
+    return _Track(times_ns[order], boxes[order], always)
 
 
-def _hiding(
-    camera: CameraSensor, listed: list[ImageBox], drawn: list[_SmoothedTrajectory], hold_ns: int
-) -> Hiding:
+def _hiding(camera: CameraSensor, listed: list[ImageBox], drawn: list[_Track], hold_ns: int) -> Hiding:
     times_ns = camera.images.timestamps_ns
     reach_ns = _half_period_ns(times_ns)
     parts: list[tuple[Int64Array, Float64Array]] = []
@@ -171,12 +170,8 @@ def _hiding(
             parts.append((np.array([image]), np.array([box.box_xyxy], np.float64)))
         else:
             track.append((time_ns, box.box_xyxy))
-    trajectories = [*drawn, *(_track(rows) for rows in tracks.values())]
-    parts += [
-        _along(trajectory, times_ns, reach_ns, hold_ns)
-        for trajectory in trajectories
-        if len(trajectory.times_ns)
-    ]
+    all_tracks = [*drawn, *(_listed_track(rows) for rows in tracks.values())]
+    parts += [_along(track, times_ns, reach_ns, hold_ns) for track in all_tracks if len(track.times_ns)]
     images = np.concatenate([rows for rows, _ in parts] or [np.zeros(0, np.int64)]).astype(np.int64)
     boxes = np.concatenate([corners for _, corners in parts] or [np.zeros((0, 4))])
     given = len(listed) + sum(len(trajectory.times_ns) for trajectory in drawn)
@@ -197,21 +192,19 @@ def _image_of(box: ImageBox, times_ns: Int64Array, reach_ns: int) -> int | None:
     return nearest if abs(int(times_ns[nearest]) - box.timestamp_ns) <= reach_ns else None
 
 
-def _track(rows: list[tuple[int, tuple[float, ...]]]) -> _SmoothedTrajectory:
+def _listed_track(rows: list[tuple[int, tuple[float, ...]]]) -> _Track:
     ordered = sorted(rows, key=lambda row: row[0])
-    return _SmoothedTrajectory(
+    return _Track(
         np.array([time for time, _ in ordered], np.int64), np.array([box for _, box in ordered], np.float64)
     )
 
 
 def _along(
-    trajectory: _SmoothedTrajectory, times_ns: Int64Array, reach_ns: int, hold_ns: int
+    trajectory: _Track, times_ns: Int64Array, reach_ns: int, hold_ns: int
 ) -> tuple[Int64Array, Float64Array]:
     """The images in which a trajectory is seen, (M,), and its boxes in them, (M, 4)."""
-    first_ns, last_ns = (
-        int(trajectory.times_ns[0]) - hold_ns - reach_ns,
-        int(trajectory.times_ns[-1]) + hold_ns + reach_ns,
-    )
+    first_ns = int(trajectory.times_ns[0]) - hold_ns - reach_ns
+    last_ns = int(trajectory.times_ns[-1]) + hold_ns + reach_ns
     seen = np.arange(len(times_ns))
     if not trajectory.always:
         seen = np.flatnonzero((times_ns >= first_ns) & (times_ns <= last_ns))
@@ -427,17 +420,13 @@ def _looks_like_image(value: Any) -> bool:
 def _images_without_embedded(camera: CameraSensor) -> CameraSensor:
     """Give a camera whose images have no copies in their free fields, read when they are."""
     images = camera.images
-    return replace(camera, images=LazyFrames(images.timestamps_ns, _Cleaned(images)))
+    return replace(camera, images=LazyFrames(images.timestamps_ns, partial(_image_without_embedded, images)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Cleaned:
-    images: LazyFrames[CameraImage]
-
-    def __call__(self, k: int) -> CameraImage:
-        image = self.images[k]
-        kept = _EmbeddedImages().fields(image.extras, "images[]")
-        return image if kept is image.extras else replace(image, extras=kept)
+def _image_without_embedded(images: LazyFrames[CameraImage], k: int) -> CameraImage:
+    image = images[k]
+    kept = _EmbeddedImages().fields(image.extras, "images[]")
+    return image if kept is image.extras else replace(image, extras=kept)
 
 
 _NO_BOXES = np.zeros((0, 4), np.int64)
@@ -498,62 +487,43 @@ def hide_in_images(
 def regions_of(scene: Scene, hidings: tuple[Hiding, ...], *, margin: float) -> dict[Key, HiddenRegions]:
     """The pixels to hide in each camera's images, by the camera's id and its type."""
     cameras = {key_of(camera.id): camera.camera for camera in scene.cameras}
+    keyed = ((key_of(hiding.camera_id), hiding) for hiding in hidings)
     return {
-        key_of(hiding.camera_id): hidden_regions(
-            hiding,
-            cameras[key_of(hiding.camera_id)].width,
-            cameras[key_of(hiding.camera_id)].height,
-            margin=margin,
-        )
-        for hiding in hidings
+        key: hidden_regions(hiding, cameras[key].width, cameras[key].height, margin=margin)
+        for key, hiding in keyed
     }
 
 
 def _hidden_camera(camera: CameraSensor, regions: HiddenRegions, fill: str) -> CameraSensor:
     if not regions.pixels:
         return camera
-    images = LazyFrames(camera.images.timestamps_ns, _Hidden(camera.images, regions.pixels, fill))
-    return replace(camera, images=images, video=None)
+    read = partial(_hidden_image, camera.images, regions.pixels, fill)
+    return replace(camera, images=LazyFrames(camera.images.timestamps_ns, read), video=None)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Hidden:
-    """Reads images; what `LazyFrames` asks for."""
-
-    images: LazyFrames[CameraImage]
-    pixels: Mapping[int, Int64Array]
-    fill: str
-
-    def __call__(self, k: int) -> CameraImage:
-        image, boxes = self.images[k], self.pixels.get(k, _NO_BOXES)
-        if not len(boxes):
-            return image
-        return replace(image, decode=_Decode(image, boxes, self.fill), encoded=None)
+def _hidden_image(
+    images: LazyFrames[CameraImage], pixels: Mapping[int, Int64Array], fill: str, k: int
+) -> CameraImage:
+    image, boxes = images[k], pixels.get(k, _NO_BOXES)
+    if not len(boxes):
+        return image
+    return replace(image, decode=partial(_decoded, image, boxes, fill), encoded=None)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Decode:
-    image: CameraImage
-    boxes: Int64Array
-    fill: str
-
-    def __call__(self) -> UInt8Array:
-        return filled(self.image.rgb, self.boxes, fill=self.fill)
+def _decoded(image: CameraImage, boxes: Int64Array, fill: str) -> UInt8Array:
+    return filled(image.rgb, boxes, fill=fill)
 
 
 def _without_colours(sensor: LidarSensor | PointsSensor) -> LidarSensor | PointsSensor:
     if isinstance(sensor, PointsSensor):
         return replace(sensor, colors=None)
-    return replace(sensor, frames=LazyFrames(sensor.frames.timestamps_ns, _Colourless(sensor.frames)))
+    frames = sensor.frames
+    return replace(sensor, frames=LazyFrames(frames.timestamps_ns, partial(_colourless_frame, frames)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Colourless:
-    frames: LazyFrames[LidarFrame]
-
-    def __call__(self, k: int) -> LidarFrame:
-        frame = self.frames[k]
-        return replace(frame, points=replace(frame.points, colors=None))
+def _colourless_frame(frames: LazyFrames[LidarFrame], k: int) -> LidarFrame:
+    frame = frames[k]
+    return replace(frame, points=replace(frame.points, colors=None))
 
 
 def _reported(hidings: tuple[Hiding, ...], regions: Mapping[Key, HiddenRegions]) -> list[DataWarning]:

@@ -1,10 +1,8 @@
-"""What edits keep consistent: warnings and metadata of their own, ids and references to them.
-
-And camera indices of points.
-"""
+"""What edits keep consistent: warnings, our metadata, ids and references to them, camera indices of points."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -141,8 +139,7 @@ def _entries(entries: Iterable[Any], sensors: NewIds) -> tuple[Any, ...]:
 
 def _with_attributes(annotation: Any, sensors: NewIds) -> Any:
     stated: tuple[AttributePath, ...] = getattr(annotation, "attributes", ())
-    named = [attribute for attribute in stated if attribute.sensor_id is not None]
-    if not named:
+    if all(attribute.sensor_id is None for attribute in stated):
         return annotation
     return replace(annotation, attributes=attributes_of(stated, sensors))
 
@@ -190,12 +187,7 @@ def with_sensor_parent(sensor: Sensor, ids: NewIds) -> Sensor:
 
 def metadata_of(ours: Mapping[str, Any], sensors: NewIds) -> dict[str, Any]:
     """Give our metadata with sensors named by their new ids, without what is stated for sensors that are gone."""
-    return {name: _renamed(name, value, sensors) for name, value in ours.items()}
-
-
-def _renamed(name: str, value: Any, sensors: NewIds) -> Any:
-    rename: Callable[[Any, NewIds], Any] | None = _NAMING.get(name)
-    return value if rename is None else rename(value, sensors)
+    return {name: _NAMING[name](value, sensors) if name in _NAMING else value for name, value in ours.items()}
 
 
 def _entries_naming(value: Any, sensors: NewIds) -> Any:
@@ -246,31 +238,6 @@ _UNSEEN = 255
 """The `camera_index` of a point that no camera coloured."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RecountedFrames:
-    """Reads sweeps and counts the cameras of their points anew; what `LazyFrames` asks for.
-
-    Attributes:
-        frames: as they were.
-        table: (256,) uint8, new number of each camera by its old one.
-    """
-
-    frames: LazyFrames[LidarFrame]
-    table: UInt8Array
-
-    def __call__(self, k: int) -> LidarFrame:
-        """Read sweep `k`.
-
-        Raises:
-            DataError: it cannot be read.
-        """
-        frame = self.frames[k]
-        index = frame.points.camera_index
-        if index is None:
-            return frame
-        return replace(frame, points=replace(frame.points, camera_index=self.table[index]))
-
-
 def recounted(lidar: LidarSensor, numbers: dict[int, int]) -> LidarSensor:
     """Give a lidar whose points name their cameras by new numbers, by the old ones; of others, no camera.
 
@@ -282,8 +249,14 @@ def recounted(lidar: LidarSensor, numbers: dict[int, int]) -> LidarSensor:
     table = np.full(256, _UNSEEN, np.uint8)
     for old, new in numbers.items():
         table[old] = new
-    timestamps_ns = lidar.frames.timestamps_ns
-    return replace(lidar, frames=LazyFrames(timestamps_ns, RecountedFrames(lidar.frames, table)))
+    read = partial(_recounted_frame, lidar.frames, table)
+    return replace(lidar, frames=LazyFrames(lidar.frames.timestamps_ns, read))
+
+
+def _recounted_frame(frames: LazyFrames[LidarFrame], table: UInt8Array, k: int) -> LidarFrame:
+    frame = frames[k]
+    index = frame.points.camera_index
+    return frame if index is None else replace(frame, points=replace(frame.points, camera_index=table[index]))
 
 
 def without_cameras(scene: Scene, kept: Scene) -> Scene:

@@ -2,17 +2,22 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array, FloatArray, Int64Array
-from sceneloom.editing.move_points import CloudSensor, OnPoints, chosen_map, with_chosen_points
+from sceneloom.editing.move_points import (
+    OnPoints,
+    chosen_map,
+    renumbered_frames,
+    renumbered_map,
+    with_chosen_points,
+)
 from sceneloom.editing.references import with_ours, with_warnings
 from sceneloom.errors import OptionError
-from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, Shooting, chosen_shots
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, chosen_shots
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
-from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.time_range import Renumbering, renumbered
 from sceneloom.scene.types import Identifier, Key, key_of
@@ -38,10 +43,7 @@ def one_per_cube(positions: FloatArray, side: float, *, keep: str = _NEAREST) ->
     """
     from sceneloom.kernels.surface_map import first_of_cubes, nearest_of_cubes, number_cubes
 
-    if not 0 < side < np.inf:
-        raise OptionError(f"voxel {side}; expected a positive number of metres")
-    if keep not in _KEEPERS:
-        raise OptionError(f"keep {keep!r}; expected one of {', '.join(_KEEPERS)}")
+    _check_cubes(side, keep)
     points: Float64Array = np.ascontiguousarray(positions, np.float64)
     numbers = np.empty(len(points), np.int64)
     chosen = np.empty(number_cubes(points, side, numbers), np.int64)
@@ -49,6 +51,13 @@ def one_per_cube(positions: FloatArray, side: float, *, keep: str = _NEAREST) ->
     if keep == _NEAREST:
         nearest_of_cubes(points, numbers, chosen)
     return np.sort(chosen)
+
+
+def _check_cubes(side: float, keep: str) -> None:
+    if not 0 < side < np.inf:
+        raise OptionError(f"voxel {side}; expected a positive number of metres")
+    if keep not in _KEEPERS:
+        raise OptionError(f"keep {keep!r}; expected one of {', '.join(_KEEPERS)}")
 
 
 def evenly(count: int, wanted: int) -> Int64Array:
@@ -78,10 +87,7 @@ class Thinning:
     points: int | None = None
 
     def __post_init__(self) -> None:
-        if self.voxel is not None and not 0 < self.voxel < np.inf:
-            raise OptionError(f"voxel {self.voxel}; expected a positive number of metres")
-        if self.keep not in _KEEPERS:
-            raise OptionError(f"keep {self.keep!r}; expected one of {', '.join(_KEEPERS)}")
+        _check_cubes(1.0 if self.voxel is None else self.voxel, self.keep)
         if self.share is not None and not 0 < self.share <= 1:
             raise OptionError(f"share {self.share}; expected more than 0 and at most 1")
         if self.points is not None and self.points < 1:
@@ -175,50 +181,26 @@ def _thinned(
 ) -> Sensor:
     """Thin one sensor, and note what became of the numbers of its frames and points."""
     key = key_of(sensor.id)
-    if isinstance(sensor, CameraSensor):
-        return _every_shot(sensor, every)
-    if isinstance(sensor, DepthCameraSensor):
+    if isinstance(sensor, CameraSensor | DepthCameraSensor):
         return _every_shot(sensor, every)
     if isinstance(sensor, PointsSensor) and thinning.changes:
         rows = thinning.rows(sensor.positions)
-        changes[key] = Renumbering(rows=partial(_always, rows))
+        changes[key] = renumbered_map(rows)
         return chosen_map(sensor, rows)
-    if isinstance(sensor, LidarSensor):
-        return _thinned_cloud(sensor, thinning, every, changes, on_points)
-    if isinstance(sensor, RadarSensor):
-        return _thinned_cloud(sensor, thinning, every, changes, on_points)
-    return sensor
-
-
-def _thinned_cloud(
-    sensor: CloudSensor,
-    thinning: Thinning,
-    every: int,
-    changes: dict[Key, Renumbering],
-    on_points: OnPoints | None,
-) -> CloudSensor:
-    frames = sensor.frames
+    if not isinstance(sensor, LidarSensor | RadarSensor):
+        return sensor
+    frames: Any = sensor.frames
     numbers = np.arange(0, len(frames), every)
-    if not thinning.changes:
-        changes[key_of(sensor.id)] = Renumbering(numbers)
-        return replace(sensor, frames=frames[::every])
-    changes[key_of(sensor.id)] = Renumbering(numbers, partial(_rows_of, frames, thinning))
-    return replace(sensor, frames=with_chosen_points(frames, thinning, sensor.id, on_points)[::every])
+    changes[key] = Renumbering(numbers)
+    if thinning.changes:
+        changes[key] = renumbered_frames(numbers, frames, thinning)
+        frames = with_chosen_points(frames, thinning, sensor.id, on_points)
+    return replace(sensor, frames=frames[::every])
 
 
-def _every_shot(camera: Shooting, every: int) -> Shooting:
+def _every_shot(camera: Any, every: int) -> Any:
     """A camera with every so many-th of its images or depth images, from the first."""
     if every == 1:
         return camera
     thinned = chosen_shots(camera, slice(None, None, every))
     return thinned if thinned.fps is None else replace(thinned, fps=thinned.fps / every)
-
-
-def _always(rows: Int64Array, number: int | None) -> Int64Array:  # noqa: ARG001 - a map has one frame only
-    return rows
-
-
-def _rows_of(
-    frames: LazyFrames[LidarFrame] | LazyFrames[RadarFrame], thinning: Thinning, number: int | None
-) -> Int64Array | None:
-    return None if number is None else thinning(frames[number])

@@ -1,15 +1,22 @@
-"""Runs: what is due, what failed, what is taken up again."""
+"""Runs: order, tries, resuming, killed processes, statistics, pages and metrics."""
 
 import os
+import re
 import sqlite3
+import threading
 from contextlib import closing
+from functools import partial
+from html.parser import HTMLParser
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 
-from sceneloom.batch import State, run
+from sceneloom.batch import Outcome, RunSummary, State, run
+from sceneloom.batch.outputs import record_folder
 from sceneloom.batch.record import FOLDER, Record
-from sceneloom.errors import DataError, OutputError
+from sceneloom.batch.running import MetricsFile, format_metrics, read_figures, write_page
+from sceneloom.errors import DataError, OptionError, OutputError
 
 
 def outputs(folder):
@@ -161,3 +168,206 @@ def test_what_stops_a_run_leaves_no_half_output_and_no_lock(tmp_path, drives, jo
     assert not (tmp_path / "out" / FOLDER / "drafts").exists()
     again = run(job("copy", locations), tmp_path / "out", executor=inline(), resume=True)
     assert (again.done, again.skipped) == (2, 1)
+
+
+SECOND = 10**9
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A run of 9 drives, one each second for 2 s of its own, of which two failed alike; a tenth is waiting."""
+    with Record.held(tmp_path / "out") as record:
+        record.notify("verb", "fuse")
+        record.notify("sceneloom", "1.2.3")
+        record.add([(f"in/{k}.sfs", {}, f"{k}.sfs") for k in range(1, 11)])
+        for k in range(1, 10):
+            record.begin(k, 1 + (k == 3))
+            failed = k in {4, 8}
+            stages = {"stages": {"reading": 0.5, "fusing": 0.5}} if k == 9 else {}
+            outcome = Outcome(
+                number=k, seconds=2.0 + (k == 5), processor_seconds=1.5, peak_bytes=k * 10**6, worker=f"host:{k % 2}",
+                kind="DataError" if failed else "", error=f"in/{k}.sfs: line {k}: <7>; expected 8" if failed else "",
+                report=None if failed else {"seconds": 1.25} | stages,
+            )  # fmt: skip
+            record.end(outcome, State.FAILED if failed else State.DONE, finished_ns=(100 + k) * SECOND)
+    return tmp_path / "out"
+
+
+def test_figures_are_those_of_the_record(folder):
+    figures = read_figures(folder)
+    assert figures.states == {"waiting": 1, "running": 0, "done": 7, "failed": 2}
+    assert (figures.begun_ns, figures.ended_ns, figures.seconds) == (99 * SECOND, 109 * SECOND, 10.0)
+    assert figures.tries == 10
+    assert figures.slowest[0] == ("in/5.sfs", 3.0)
+    (cause,) = figures.causes
+    assert cause == ("DataError", "in/4.sfs: line 4: <7>; expected 8", ("in/4.sfs", "in/8.sfs"))
+    assert figures.workers == (("host:0", 4, 8.0, 6.0, 8 * 10**6), ("host:1", 5, 11.0, 7.5, 9 * 10**6))
+    # seven done: six of 1.25 s each at work, 0.75 s each beside it, and one of them a second more; one with its stages
+    assert figures.stages == pytest.approx(
+        {"the verb at work": 6 * 1.25, "everything else": 6 * 0.75 + 1.0 + 1.0, "reading": 0.5, "fusing": 0.5}
+    )
+
+
+class Reader(HTMLParser):
+    """What a page shows, and what it would ask for."""
+
+    def __init__(self):
+        super().__init__()
+        self.texts, self.asked, self.open = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.open += [tag] if tag != "meta" else []
+        self.asked += [value for name, value in attrs if name in {"src", "href", "srcset", "data"}]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+def test_the_page_shows_them_and_asks_for_nothing(folder, tmp_path):
+    write_page(read_figures(folder), tmp_path / "run.html")
+    reader = Reader()
+    text = (tmp_path / "run.html").read_text("utf-8")
+    reader.feed(text)
+    assert (reader.open, reader.asked) == ([], [])
+    assert not re.search(r"url\(|@import|<script", text)
+    shown = " ".join(reader.texts)
+    for reported in ("fuse over 10 drives", "7 done, 2 failed", "10 tries", "54.0 drives a minute",
+                 "DataError: in/4.sfs: line 4: <7>; expected 8", "host:1"):  # fmt: skip
+        assert reported in shown
+    assert "<td>in/5.sfs</td><td>3.0</td>" in text
+    with pytest.raises(OutputError, match="exists already"):
+        write_page(read_figures(folder), tmp_path / "run.html")
+
+
+def test_a_run_that_has_only_begun_has_a_page(tmp_path):
+    with Record.held(tmp_path / "out") as record:
+        record.add([("a.sfs", {}, "a.sfs")])
+    figures = read_figures(tmp_path / "out")
+    assert (figures.seconds, figures.workers) == (0.0, ())
+    write_page(figures, tmp_path / "run.html")
+    assert "1 waiting" in (tmp_path / "run.html").read_text("utf-8")
+
+
+def test_text_for_prometheus_has_a_type_for_each_figure_and_escaped_labels():
+    summary = RunSummary(
+        output='o"u\\t\n',
+        record="r",
+        verb="fuse",
+        total=9,
+        done=4,
+        failed=1,
+        retried=2,
+        seconds=8.5,
+        processor_seconds=16.0,
+    )
+    text = format_metrics(summary, peak_bytes=7, stages={'read"ing': 1.5}, now=12.0)
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    run = r'verb="fuse",output="o\"u\\t\n"'
+    assert f'sceneloom_batch_drives{{{run},state="left"}} 4' in lines
+    assert f"sceneloom_batch_retries_total{{{run}}} 2" in lines
+    assert rf'sceneloom_batch_stage_seconds_total{{{run},stage="read\"ing"}} 1.5' in lines
+    assert f"sceneloom_batch_updated_timestamp_seconds{{{run}}} 12.0" in lines
+    assert {line.split("{")[0] for line in lines} == set(re.findall(r"# TYPE (\S+) (?:gauge|counter)", text))
+
+
+def test_the_file_of_metrics_ends_with_what_the_run_ended_with(tmp_path, drives, job, inline):
+    file = MetricsFile(tmp_path / "batch.prom")
+    run(
+        job("refuse", drives("a.sfs", "bad.sfs", "c.sfs")),
+        tmp_path / "out",
+        executor=inline(),
+        reported=file.reported,
+    )
+    text = (tmp_path / "batch.prom").read_text()
+    assert 'state="done"} 2' in text
+    assert 'state="failed"} 1' in text
+    assert [path.name for path in tmp_path.glob("*.prom*")] == ["batch.prom"]
+
+
+QUERY = "X-Amz-Signature={}&X-Amz-Date={}&Expires={}"
+
+
+@pytest.fixture
+def web(tmp_path):
+    """A web server over a folder, and the requests to it."""
+    asked = []
+
+    class Handler(SimpleHTTPRequestHandler):
+        def log_message(self, *_):
+            asked.append((self.command, self.path))
+
+    (tmp_path / "web").mkdir()
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(tmp_path / "web")))
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
+    thread.start()
+    yield tmp_path / "web", f"http://127.0.0.1:{server.server_port}", asked
+    server.shutdown()
+    server.server_close()
+    thread.join()
+    __import__("fsspec").filesystem("http").clear_instance_cache()
+
+
+def signed(web, name, secret):
+    return f"{web[1]}/{name}?{QUERY.format(secret, secret, secret)}"
+
+
+def test_no_secret_is_kept_or_reported_anywhere(tmp_path, job, inline, web):
+    (web[0] / "a.sfs").write_text("one")
+    reported, metrics = [], MetricsFile(tmp_path / "run.prom")
+    locations = [signed(web, name, "hush") for name in ("a.sfs", "bad.sfs", "odd.sfs", "gone.sfs")]
+
+    def notify(summary, outcome):
+        reported.append(repr((summary, outcome)))
+        metrics.reported(summary, outcome)
+
+    summary = run(
+        job("fetch", locations, options={"truth": locations[0]}, retries=0),
+        tmp_path / "out",
+        executor=inline(),
+        reported=notify,
+    )
+    assert (summary.done, summary.failed) == (1, 3)
+    assert (tmp_path / "out" / "a.txt").read_text() == "one"
+    write_page(read_figures(tmp_path / "out"), tmp_path / "run.html")
+    with Record.opened(tmp_path / "out") as record:
+        reported += [repr((row, record.report(row.number))) for row in record.rows()]
+        assert "X-Amz-Signature=***" in record.rows()[0].input
+        assert record.report(1)["inner"][0]["reported"].startswith("read http")
+    reported += [path.read_bytes().decode("latin-1") for path in tmp_path.rglob("*") if path.is_file()]
+    assert len(reported) > 8
+    assert not any("hush" in text for text in reported)
+
+
+def test_drives_are_known_again_when_they_are_signed_anew_and_looked_at_without_reading(
+    tmp_path, job, inline, web
+):
+    for name in ("a.sfs", "b.sfs"):
+        (web[0] / name).write_text(name)
+    out = tmp_path / "out"
+    run(job("fetch", [signed(web, name, "first") for name in ("a.sfs", "b.sfs")]), out, executor=inline())
+    (web[0] / "b.sfs").write_text("other content")
+    web[2].clear()
+    executor = inline()
+    again = [signed(web, name, "second") for name in ("a.sfs", "b.sfs")]
+    summary = run(job("fetch", again), out, executor=executor, resume=True)
+    assert (summary.skipped, summary.done) == (1, 2)
+    assert [task.location for task in executor.tasks] == again[1:]
+    assert {command for command, path in web[2] if path.startswith("/a.sfs")} == {"HEAD"}
+    assert (out / "b.txt").read_text() == "other content"
+
+
+def test_drives_that_only_secrets_distinguish_are_refused(tmp_path, job, inline, web):
+    locations = [signed(web, "a.sfs", secret) for secret in ("one", "two")]
+    with pytest.raises(OptionError, match="differ in secrets only") as caught:
+        run(job("fetch", locations), tmp_path / "out", executor=inline())
+    assert "one" not in str(caught.value).replace("done", "")
+
+
+def test_the_folder_of_a_record_has_no_secret_in_its_name():
+    assert record_folder("s3://me:hush@bucket/x?token=hush") == record_folder(
+        "s3://me:other@bucket/x?token=new"
+    )
+    assert "hush" not in str(record_folder("s3://bucket/x?token=hush"))

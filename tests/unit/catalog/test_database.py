@@ -1,12 +1,33 @@
-"""SQL reads the catalogue, and can do nothing else; what is damaged is named."""
+"""Queries of a catalogue: SQL, selections, and odd questions."""
 
+import csv
+import io
+import json
+import re
 import shutil
 from itertools import product
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pymap3d import enu2geodetic
+from pymap3d.vincenty import vdist
 
-from sceneloom.catalog import TABLES, opened, query, update
+from sceneloom.batch.jobs import find_inputs
+from sceneloom.catalog import (
+    SHOWN,
+    TABLES,
+    Result,
+    Selection,
+    format_csv,
+    iter_list,
+    opened,
+    query,
+    records,
+    sql_of,
+    update,
+)
 from sceneloom.catalog.database import Database
 from sceneloom.catalog.storage import read_part
 from sceneloom.errors import DataError, OptionError
@@ -199,3 +220,236 @@ def test_updates_of_files_with_wrong_bytes_end_well_or_name_them(copied, drives,
         assert not update(copied, drives, checks="none").failed
         assert query(copied, "SELECT count(*) FROM scenes").rows == [(3,)]
         assert query(copied, "SELECT count(*) FROM annotations").rows[0][0] > 200
+
+
+def spans(catalogue, drive, **wanted):
+    result = query(catalogue, Selection(**wanted))
+    return [(row[1], row[2]) for row in result.rows if row[0] == str(drive)]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "expected"),
+    [
+        ({"labels": ("PEDESTRIAN*",)}, [(2.0, 3.1)]),
+        ({"labels": ("car",), "start": 8.0}, [(8.0, 10.0)]),
+        ({"labels": ("car",), "stop": "1970-01-01T00:00:01"}, [(0.0, 1.0)]),
+        ({"count": 2}, [(2.0, 3.1)]),
+        ({"count": 3}, []),
+        ({"labels": ("nothing",)}, []),
+        ({"types": ("box_2d",)}, []),
+        ({"speed": (0.0, 6.0)}, [(0.0, 4.9)]),  # of half a second, no more than 0.05 s at 15 m/s
+        ({"attributes": (("Weather", "rain"),)}, [(4.0, 10.0)]),
+        ({"attributes": (("weather", "dry"),), "labels": ("car",)}, [(0.0, 4.0)]),
+        ({"attributes": (("colour", "red"),), "count": 1}, [(0.0, 10.0)]),
+        ({"attributes": (("colour", "red"),), "labels": ("ped*",)}, []),
+        ({"findings": ("no-such-rule",)}, []),
+        ({"distance": (0.0, 15.0), "labels": ("car",)}, [(6.0, 7.5)]),  # 11.2 m east or west of it
+        ({}, [(0.0, 10.0)]),
+    ],
+    ids=str,
+)
+def test_spans_are_those_in_which_all_holds(catalogue, drives, wanted, expected):
+    found = spans(catalogue, drives[0], **wanted)
+    assert np.array(found).reshape(-1) == pytest.approx(np.array(expected).reshape(-1))
+
+
+def test_locations_are_found_by_metres_on_the_ellipsoid_also_across_the_date_line(catalogue, drives):
+    for drive, origin in ((drives[0], (48.0, 11.0)), (drives[1], (-33.9, 179.9999))):
+        found = spans(catalogue, drive, near=(*origin, 40.0))
+        t = np.arange(100) / 10
+        east = np.where(t < 5, 5 * t, 25 + 15 * (t - 5))
+        latitude, longitude, _ = enu2geodetic(east, 0 * t, 0 * t, *origin, 0)
+        away = np.array([vdist(*origin, *p)[0] for p in zip(latitude, longitude, strict=True)])
+        assert found == [(0.0, pytest.approx(t[away <= 40.0][-1] + 0.1))]
+
+
+def test_findings_choose_drives(catalogue, drives):
+    rules = query(catalogue, "SELECT DISTINCT rule, path FROM findings JOIN scenes USING (scene)").rows
+    assert rules, "the drives state less than the rules want"
+    rule = rules[0][0]
+    chosen = query(catalogue, Selection(findings=(rule,)), show="drives")
+    assert [row[0] for row in chosen.rows] == sorted(path for name, path in rules if name == rule)
+
+
+def test_rows_are_the_boxes_themselves(catalogue, drives):
+    result = query(catalogue, Selection(labels=("ped*",)), show="rows")
+    mine = [row for row in records(result) if row["path"] == str(drives[0])]
+    assert len(mine) == 11
+    assert mine[0]["left_px"] is None
+    assert format_csv(result).count("\n") == len(result.rows) + 1
+
+
+def test_a_gap_joins_spans_and_a_margin_widens_them(catalogue, drives):
+    wanted = Selection(labels=("car",), distance=(10.2, 15.0))
+    both = [row[1:3] for row in query(catalogue, wanted, gap=0.2).rows if row[0] == str(drives[0])]
+    assert len(both) == 2
+    one = [row[1:3] for row in query(catalogue, wanted, gap=2.0, margin=0.5).rows if row[0] == str(drives[0])]
+    assert one == [pytest.approx((both[0][0] - 0.5, both[1][1] + 0.5))]
+
+
+def test_lists_are_what_a_batch_takes(catalogue, drives, tmp_path):
+    lines = list(iter_list(query(catalogue, Selection(labels=("ped*",)))))
+    (tmp_path / "found.jsonl").write_text("\n".join(lines))
+    inputs = find_inputs((), (tmp_path / "found.jsonl",))
+    assert [drive.location for drive in inputs] == list(map(str, drives[:2]))
+    assert inputs[0].options == {"start": 2.0, "stop": json.loads(lines[0])["stop"]}
+    with pytest.raises(OptionError, match="needs the column `path`"):
+        list(iter_list(query(catalogue, "SELECT 1 AS start")))
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        lambda: Selection(speed=(5.0, 1.0)),
+        lambda: Selection(near=(91.0, 0.0, 1.0)),
+        lambda: Selection(distance=(float("nan"), 1.0)),
+    ],
+)
+def test_bounds_that_cannot_be_are_refused(wanted):
+    with pytest.raises(OptionError):
+        wanted()
+
+
+def test_times_that_are_none_are_refused(catalogue):
+    with pytest.raises(OptionError, match="'noon'"):
+        query(catalogue, Selection(start="noon"))
+    with pytest.raises(OptionError, match="rows"):
+        query(catalogue, Selection(), show="all")
+
+
+ODD = (
+    "SELECT '\ud800'",
+    "SELECT 1\0",
+    "SELECT DATE '290000-01-01'",
+    "SELECT 'infinity'::DATE",
+    "SELECT INTERVAL 99999999 YEAR",
+    "SELECT now()",
+    "SELECT TIMESTAMP_NS '2024-01-01 00:00:00.123456789'",
+    "SELECT 170141183460469231731687303715884105727::HUGEINT, 'nan'::DOUBLE, '-inf'::DOUBLE",
+    "SELECT [1, NULL], {'a': 'x'}, MAP{1: 2}, '\\xAA'::BLOB, TIME '24:00:00', '101'::BIT",
+    "SELECT [DATE '2024-01-01', NULL], {'a': 'nan'::DOUBLE}, MAP{[1]: 2}",
+    "SELECT path, path, path AS path_1 FROM scenes",
+    "SELECT error('x')",
+    "SELECT 9223372036854775807 + 1",
+    "SELECT COLUMNS('(') FROM scenes",
+    "SELECT path, 'nan'::DOUBLE AS start, 'x' AS stop FROM scenes",
+    "EXPLAIN ANALYZE SELECT * FROM scenes",
+    "DESCRIBE scenes",
+    "PREPARE x AS SELECT 1",
+    "SELECT $name",
+    "/*",
+    "'",
+)
+WORDS = (
+    *("SELECT", "FROM", "WHERE", "GROUP BY", "ORDER BY", "LIMIT", "UNION", "JOIN", "USING", "(scene)", "AS", "WITH"),
+    *("count(*)", "min(distance)", "any_value(label)", "*", ",", "(", ")", "'", '"', ";", "--", "=", "<", "IN", "NOT"),
+    *("NULL", "1", "-1", "1e400", "'x'", "'[a'", "true", "?", "$1", "::INTEGER", "::TIMESTAMP", "::JSON", "%", "||"),
+    *TABLES,
+    *("label", "seconds", "timestamp_ns", "nothing", "a.b", "x[1]", "{'k': 1}", "[1]", "CASE", "END", "OVER ()"),
+)  # fmt: skip
+numbers = st.floats() | st.integers(-5, 5).map(float)
+texts = st.text(st.characters(codec=None), max_size=8) | st.sampled_from(
+    ["*", "[", "[!", "car", "Car", "'", "%"]
+)
+pairs = st.tuples(numbers, numbers)
+selections = st.fixed_dictionaries(
+    {},
+    optional={
+        "labels": st.lists(texts, max_size=3).map(tuple),
+        "types": st.lists(st.sampled_from(["cuboid", "box_2d"]) | texts, max_size=2).map(tuple),
+        "start": numbers | texts | st.datetimes().map(str),
+        "stop": numbers | texts,
+        "near": st.tuples(numbers | st.just(48.0), numbers | st.just(11.0), numbers),
+        "speed": pairs,
+        "distance": pairs,
+        "count": st.integers() | st.just(1),
+        "attributes": st.lists(st.tuples(texts, texts), max_size=2).map(tuple),
+        "findings": st.lists(texts, max_size=2).map(tuple),
+    },
+)
+patient = settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+@pytest.fixture(scope="module")
+def database(catalogue):
+    with opened(catalogue) as database:
+        yield database
+
+
+def check(result: Result) -> None:
+    """What was found can be written in all forms."""
+    assert json.loads(json.dumps(records(result), allow_nan=False)) == records(result)
+    assert all(len(row) == len(result.columns) for row in records(result))
+    assert len(list(csv.reader(io.StringIO(format_csv(result))))) >= 1
+    try:
+        assert all(json.loads(line)["path"] for line in iter_list(result))
+    except OptionError as error:
+        assert "path" in str(error)  # noqa: PT017 - many results are no lists
+
+
+@pytest.mark.parametrize("sql", ODD)
+def test_odd_sql_gives_rows_or_is_refused(catalogue, sql):
+    try:
+        result = query(catalogue, sql)
+    except OptionError as error:
+        assert re.fullmatch("SQL(?!.*Traceback).*", str(error))  # noqa: PT017 - the one or the other
+    else:
+        check(result)
+
+
+@patient
+@given(words=st.lists(st.sampled_from(WORDS) | texts, max_size=12))
+def test_words_in_any_order_give_rows_or_are_refused(database, words):
+    try:
+        result = database.query(" ".join(["SELECT", *words]), limit=20)
+    except OptionError:
+        return
+    check(result)
+
+
+@patient
+@given(
+    wanted=selections,
+    show=st.sampled_from([*SHOWN]),
+    gap=numbers,
+    margin=numbers,
+    limit=st.none() | st.integers(),
+)
+def test_any_filters_give_rows_or_are_refused(database, wanted, show, gap, margin, limit):
+    try:
+        sql, values = sql_of(Selection(**wanted), show=show, gap=gap, margin=margin)
+        result = database.query(sql, values, limit=limit)
+    except OptionError:
+        return
+    assert limit is None or len(result.rows) <= limit
+    check(result)
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        {"start": "nan"},
+        {"stop": float("nan")},
+        {"near": (0.0, 0.0, float("nan"))},
+        {"near": (0.0, 0.0, -1.0)},
+        {"count": 0},
+        {"distance": (float("nan"), 1.0)},
+    ],
+)
+def test_numbers_that_nothing_can_fit_are_refused(catalogue, wanted):
+    with pytest.raises(OptionError):
+        query(catalogue, Selection(**wanted))
+
+
+def test_decimals_are_numbers_in_lists_and_json_and_exact_in_csv(catalogue):
+    found = query(catalogue, "SELECT path, 0.5 AS start, 12345678901234567.25 AS stop FROM scenes LIMIT 1")
+    assert (records(found)[0]["start"], json.loads(next(iter_list(found)))["start"]) == (0.5, 0.5)
+    assert format_csv(found).endswith(",0.5,12345678901234567.25\n")
+
+
+def test_gap_and_margin_may_be_without_bound(catalogue):
+    rows = query(catalogue, Selection(labels=("car",)), gap=float("inf"), margin=float("inf"))
+    assert [row[1] for row in rows.rows] == [0.0, 0.0]
+    assert [json.loads(line).keys() for line in iter_list(rows)] == [{"path", "start"}] * 2

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.checks import all_rules, validate
+from sceneloom.checks import Rule, all_rules, validate
 from sceneloom.scene import (
     CameraImage,
     CameraSensor,
@@ -104,6 +104,12 @@ def found() -> Found:
         return [(finding.path, finding.message) for finding in report.findings]
 
     return run
+
+
+@pytest.fixture
+def keeps() -> Callable[[Any, tuple[Rule, ...]], bool]:
+    """Whether no rule of a table finds anything in a scene."""
+    return lambda source, table: validate(source, rules=[rule.id for rule in table]).findings == ()
 
 
 @pytest.fixture

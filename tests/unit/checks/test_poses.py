@@ -1,27 +1,25 @@
-"""Rules about where sensors and the ego are."""
+"""Rules about poses of sensors and the ego, and about corrections."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from sceneloom.cameras.camera import Camera
+from sceneloom.checks.poses import CORRECTION_RULES, POSE_RULES
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import quaternion_from_rotation_vector
-from sceneloom.scene import Coordinates, PointsFrame, Trajectory
+from sceneloom.scene import (
+    CameraCalibration,
+    Coordinates,
+    ImuSensor,
+    LocalizationAdjustment,
+    PointsFrame,
+    Trajectory,
+    VectorSamples,
+)
 
 PERIOD = 100_000_000
-
-RULES = (
-    "sensor-placed",
-    "ego-trajectory-known",
-    "poses-cover-frames",
-    "poses-jump",
-    "poses-rotation",
-    "trajectory-times-increasing",
-    "ego-odometry",
-    "ego-odometry-unique",
-    "ego-points-placed",
-)
 MOUNT = RigidTransform(np.eye(3), np.zeros(3))
 
 
@@ -30,12 +28,12 @@ def trajectory(sound, name="ego"):
     return {name: Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)}
 
 
-def test_a_sound_scene_keeps_all_of_them(sound, found):
+def test_a_sound_scene_keeps_all_of_them(sound, keeps):
     mounted = sound.lidar(id="mounted", poses=None, mount=MOUNT)
     scene = sound.scene(
         sound.lidar(), sound.camera(), mounted, sound.odometry(), trajectories=trajectory(sound)
     )
-    assert [found(scene, rule) for rule in RULES] == [[]] * len(RULES)
+    assert keeps(scene, POSE_RULES)
 
 
 def test_a_sensor_without_poses_and_mounting_is_found(sound, found):
@@ -135,3 +133,58 @@ def test_several_odometry_sensors_need_a_parent_that_says_which(sound, found):
     named = sound.camera(coordinates=Coordinates.EGO, parent_id=2)
     assert found(sound.scene(named, *two), "ego-odometry-unique") == []
     assert found(sound.scene(replace(named, parent_id="2"), *two), "ego-odometry-unique")
+
+
+def test_a_sound_scene_keeps_all_rules_about_corrections(sound, keeps):
+    annotations = (
+        LocalizationAdjustment("a", sound.path(np.array([PERIOD, 4 * PERIOD]))),
+        CameraCalibration("c", "front", time_offset_ns=5),
+        CameraCalibration("d", "back", intrinsics=sound.camera().camera),
+    )
+    scene = sound.scene(sound.lidar(), sound.camera(), sound.camera(id="back"), annotations=annotations)
+    assert keeps(scene, [rule for rule in CORRECTION_RULES if rule.id != "corrections-not-applied"])
+
+
+def test_a_second_adjustment_is_found(sound, found):
+    scene = sound.scene(annotations=tuple(LocalizationAdjustment(k, sound.path()) for k in "ab"))
+    assert [path for path, _ in found(scene, "localization-adjustments-several")] == ["annotations[1]"]
+
+
+def test_an_adjustment_that_ends_more_than_a_sweep_too_soon_is_found(sound, found):
+    for last, hits in ((4 * PERIOD, 0), (4 * PERIOD - 1, 1)):
+        adjustment = LocalizationAdjustment("a", sound.path(np.array([0, last])))
+        assert len(found(sound.scene(annotations=(adjustment,)), "localization-adjustment-short")) == hits
+
+
+def test_an_adjustment_need_not_cover_what_inertial_sensors_measured_before_and_after(sound, found):
+    timestamps = np.arange(-20, 40) * PERIOD
+    imu = ImuSensor("imu", {"gyroscope": VectorSamples(timestamps, np.zeros((60, 3)))})
+    adjustment = LocalizationAdjustment("a", sound.path(np.array([0, 5 * PERIOD])))
+    scene = sound.scene(sound.lidar(), imu, annotations=(adjustment,))
+    assert found(scene, "localization-adjustment-short") == []
+
+
+def test_an_adjustment_of_one_pose_may_hold_throughout(sound, found):
+    adjustment = LocalizationAdjustment("a", sound.path(np.array([0])))
+    assert found(sound.scene(annotations=(adjustment,)), "localization-adjustment-short") == []
+
+
+def test_a_second_calibration_of_a_camera_is_found(sound, found):
+    first = CameraCalibration("c", "front", time_offset_ns=5)
+    scene = sound.scene(annotations=(first, replace(first, id="d")))
+    assert [path for path, _ in found(scene, "camera-calibrations-several")] == ["annotations[1]"]
+
+
+def test_a_calibration_that_says_nothing_is_found(sound, found):
+    scene = sound.scene(
+        annotations=(CameraCalibration("c", "front"), CameraCalibration("d", "front", sound.path()))
+    )
+    assert [path for path, _ in found(scene, "camera-calibration-empty")] == ["annotations[0]"]
+
+
+def test_a_calibrated_camera_model_for_other_images_is_found(sound, found):
+    camera_model = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
+    scene = sound.scene(annotations=(CameraCalibration("c", "front", intrinsics=camera_model),))
+    assert found(scene, "camera-calibration-size") == [
+        ("annotations[0].intrinsics", "64 x 48 px; the camera's images are 32 x 24 px")
+    ]

@@ -1,25 +1,24 @@
-"""Rules about shapes and points annotations."""
+"""Rules about shapes, points annotations and attributes."""
 
 import numpy as np
 import pytest
 
+from sceneloom.checks.shapes import ATTRIBUTE_RULES, SHAPE_RULES
 from sceneloom.geometry.rotations import matrix_from_quaternion
-from sceneloom.scene import PointPath, PointsAnnotation, ShapeAnnotation, ShapeType, VertexPath
+from sceneloom.scene import (
+    AttributePath,
+    ObjectAnnotation,
+    PointPath,
+    PointsAnnotation,
+    ShapeAnnotation,
+    ShapeType,
+    VertexPath,
+)
 
 TIMES = np.arange(2, dtype=np.int64) * 100_000_000
 SQUARE = np.array([[0.0, 0], [4, 0], [4, 4], [0, 4]])
 BOW_TIE = SQUARE[[0, 2, 1, 3]]
 TILT = matrix_from_quaternion(np.array([0.3, -0.5, 0.2, 0.8]) / np.linalg.norm([0.3, -0.5, 0.2, 0.8]))
-RULES = (
-    "shape-vertices",
-    "point-of-several",
-    "shape-not-finite",
-    "polygon-not-flat",
-    "polygon-crosses-itself",
-    "vertex-count-changes",
-    "points-annotation-counts",
-    "points-annotation-ids",
-)
 FLAT_TYPES = [kind for kind in ShapeType if kind.value.endswith("_2d")]
 
 
@@ -39,7 +38,7 @@ def points(**fields):
     return PointsAnnotation("hand", **{"paths": paths, **fields})
 
 
-def test_a_sound_scene_keeps_all_of_them(sound, found):
+def test_a_sound_scene_keeps_all_of_them(sound, keeps):
     annotations = [
         shape(ShapeType.POLYGON_2D, SQUARE, SQUARE + 1),
         lifted(SQUARE),
@@ -48,7 +47,7 @@ def test_a_sound_scene_keeps_all_of_them(sound, found):
         points(labels=("tip", "root"), projections=((), ())),
     ]
     scenes = [sound.scene(annotations=(annotation,)) for annotation in annotations]
-    assert [[found(scene, rule) for rule in RULES] for scene in scenes] == [[[]] * len(RULES)] * len(scenes)
+    assert all(keeps(scene, SHAPE_RULES) for scene in scenes)
 
 
 @pytest.mark.parametrize(
@@ -170,4 +169,58 @@ def test_points_of_one_id_are_found_and_those_without_are_not(sound, found):
     scene = sound.scene(annotations=(points(paths=(*named, nameless, nameless)),))
     assert found(scene, "points-annotation-ids") == [
         ("annotations[0].paths[3].id", "'a' is the id of paths[0], too")
+    ]
+
+
+def holder(*attributes):
+    return ObjectAnnotation("o", attributes=attributes)
+
+
+def test_a_sound_scene_keeps_all_rules_about_attributes(sound, keeps):
+    attributes = (
+        AttributePath("colour", ("red",), static=True),
+        AttributePath("state", ("parked", "moving"), TIMES),
+        AttributePath("speed", (1, 2.5), TIMES),
+        AttributePath("lights", (("left", "brake"), ()), TIMES),
+    )
+    scene = sound.scene(annotations=(holder(*attributes),), attributes=attributes)
+    assert keeps(scene, ATTRIBUTE_RULES)
+
+
+@pytest.mark.parametrize("value", [True, None, {"a": 1}, ("a", 1)])
+def test_values_that_the_format_does_not_have_are_found(sound, found, value):
+    attribute = AttributePath("state", ("parked", value), TIMES)
+    scene = sound.scene(annotations=(holder(attribute),), attributes=(attribute,))
+    assert [path for path, _ in found(scene, "attribute-value-type")] == [
+        "attributes[0].values[1]",
+        "annotations[0].attributes[0].values[1]",
+    ]
+
+
+def test_text_and_numbers_alternately_are_reported(sound, found):
+    scene = sound.scene(annotations=(holder(AttributePath("lane", (1, "2"), TIMES)),))
+    assert [message for _, message in found(scene, "attribute-kinds-mixed")] == [
+        "'lane' is a number and text alternately"
+    ]
+
+
+def test_static_values_that_differ_are_found_and_equal_ones_reported_once(sound, found, fixed):
+    changing = AttributePath("colour", ("red", "blue"), TIMES, static=True)
+    repeated = AttributePath("make", ("vw", "vw"), TIMES, static=True)
+    scene = sound.scene(annotations=(holder(changing, repeated),))
+    assert [path for path, _ in found(scene, "attribute-static-changes")] == [
+        "annotations[0].attributes[0].values[1]"
+    ]
+    assert [path for path, _ in found(scene, "attribute-static-repeats")] == ["annotations[0].attributes[1]"]
+    [repaired] = fixed(scene, "attribute-static-repeats").annotations
+    assert repaired.attributes[0] is changing
+    assert (repaired.attributes[1].values, repaired.attributes[1].timestamps_ns.tolist()) == (("vw",), [0])
+
+
+def test_values_that_change_need_times(sound, found):
+    unequal = AttributePath("state", ("parked",), TIMES)
+    scene = sound.scene(annotations=(holder(AttributePath("state", ("parked", "moving")), unequal),))
+    assert found(scene, "attribute-times") == [
+        ("annotations[0].attributes[0]", "'state' has 2 values and no timestamps"),
+        ("annotations[0].attributes[1]", "'state' has 2 timestamps and 1 values"),
     ]

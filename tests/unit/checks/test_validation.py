@@ -1,16 +1,30 @@
-"""Validating: which rules run, what is reported how often, and what fixing writes."""
+"""Validation: reports, fixes, profiles, the page about the checks, and injected faults."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import sceneloom
+from sceneloom.cameras.camera import Camera
 from sceneloom.checks import Hit, Rule, all_rules, chosen_rules, validate
 from sceneloom.checks.rule import Subject
 from sceneloom.checks.validation import catalogue, find_all, findings_of
 from sceneloom.errors import OptionError, OutputError, UnknownFormatError
-from sceneloom.scene import LazyFrames, Severity
+from sceneloom.formats import open_scene
+from sceneloom.formats.sfs.writer import write_scene
+from sceneloom.scene import (
+    AttributePath,
+    CuboidAnnotation,
+    CuboidPath,
+    LabeledPoints,
+    LabeledPointsAnnotation,
+    LazyFrames,
+    Severity,
+)
+from sceneloom.simulate import CameraSpec, Faults, LidarSpec, SensorFaults, TrafficSpec, simulate_street
 
 PERIOD, SECOND = 100_000_000, 1_000_000_000
 POSE = [0, 0, 0, 0, 0, 0, 1]
@@ -266,3 +280,118 @@ def test_fixes_leave_a_sound_scene_as_it_is(sound):
             assert fixed.sensors == scene.sensors, rule.id
             assert fixed.annotations == scene.annotations, rule.id
             assert find_all(Subject(fixed), [rule]) == {rule.id: []}
+
+
+REPAIRED = {
+    "annotation-times-increasing",
+    "cuboid-negative-size",
+    "labelled-point-twice",
+    "attribute-static-repeats",
+}
+
+
+def test_a_file_with_everything_that_can_be_repaired_is_repaired(sound, tmp_path):
+    rows = np.tile([-4.0, 2, 1.5, 1, 2, 0, 0, 0, 30], (3, 1))
+    repeated = AttributePath("make", ("vw", "vw"), np.array([0, PERIOD]), static=True)
+    annotations = (
+        CuboidAnnotation(
+            "car",
+            CuboidPath(np.array([PERIOD, 0, PERIOD]), rows),
+            label="car",
+            attributes=(repeated,),
+        ),
+        LabeledPointsAnnotation(
+            "road", (LabeledPoints("top", np.array([7, 7, 3], np.uint32), 0),), label="road"
+        ),
+    )
+    write_scene(sound.scene(annotations=annotations), tmp_path / "drive.sfs")
+    before = validate(tmp_path / "drive.sfs")
+    assert {f.rule for f in before.findings if f.fixable} == REPAIRED
+    report = validate(tmp_path / "drive.sfs", fix=tmp_path / "repaired.sfs")
+    assert {finding.rule for finding in report.fixed} == REPAIRED
+    assert not {finding.rule for finding in report.findings} & REPAIRED
+    with open_scene(tmp_path / "repaired.sfs") as scene:
+        car, road = scene.annotations
+        assert car.path.timestamps_ns.tolist() == [0, PERIOD]
+        assert car.path.values[:, 0].tolist() == [4.0, 4.0]
+        assert car.attributes[0].values == ("vw",)
+        assert road.labeled_points[0].point_ids.tolist() == [7, 3]
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "checks.md"
+
+
+def row(rule):
+    """The line of the page that a rule has."""
+    marks = ", ".join([rule.severity, *(["fix"] if rule.fixable else [])])
+    return f"| `{rule.id}` | {marks} | {rule.summary} | {rule.remedy} |"
+
+
+def test_the_page_lists_every_rule_and_no_other():
+    listed = [line for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| `") and "|" in line]
+    rows = [line for line in listed if line.count("|") == 5]
+    both = [row(rule) for rule in catalogue() if not rule.only_in]
+    scale = [row(rule) for rule in catalogue() if rule.only_in]
+    assert rows == both + scale
+
+
+def test_rules_that_the_page_names_for_a_check_of_scales_are_there():
+    text = PAGE.read_text("utf-8").split("## What Scale's validator checks")[1].split("\n## ")[0]
+    known = {rule.id for rule in catalogue()}
+    lines = [line for line in text.splitlines() if line.startswith("| ")][1:]
+    cells = [cell for line in lines for cell in line.split("|")[2:4]]
+    named = {name.strip("` ") for cell in cells for name in cell.split(",") if "`" in name}
+    assert named
+    assert named <= known
+
+
+def test_rules_that_the_page_names_for_recordings_are_there():
+    text = PAGE.read_text("utf-8").split("\n## Recordings")[1].split("\n## ")[0]
+    known = {rule.id for rule in catalogue()}
+    lines = [line for line in text.splitlines() if line.startswith("| ") and "`" in line]
+    named = {name for line in lines for name in re.findall(r"`([a-z0-9-]+)`", line.split("|")[3])}
+    assert named > {"lines-in-order", "fixes-jump"}
+    assert named <= known
+
+
+START = 1_000_000_000
+PERIOD_OF_INJECTED = 100_000_000
+BLIND = ((START, START + 2 * PERIOD_OF_INJECTED),)
+STUCK = ((START + 4 * PERIOD_OF_INJECTED, START + 7 * PERIOD_OF_INJECTED),)
+CAMERA_MODEL = Camera("pinhole", 48, 32, 40.0, 40.0, 23.5, 15.5)
+
+
+def drive(**faults):
+    sensors = {name: SensorFaults(**injected) for name, injected in faults.items()}
+    return simulate_street(
+        2,
+        frames=8,
+        lidar=LidarSpec(beams=16, steps=300),
+        cameras=(CameraSpec(CAMERA_MODEL),),
+        traffic=TrafficSpec(),
+        faults=Faults(sensors=sensors) if sensors else None,
+    ).scene
+
+
+def found_in(scene):
+    """Rules that found something, with the sensor or part of the scene that they found it in."""
+    findings = validate(scene).findings
+    usual = {"annotation-beyond-scene"}
+    return {(f.rule, f.path.split(".")[0]) for f in findings if f.rule not in usual}
+
+
+def test_a_clean_drive_has_no_fault():
+    assert found_in(drive()) == set()
+
+
+def test_injected_faults_are_found_where_they_are_and_nowhere_else():
+    injected = {"blind": BLIND, "stuck": STUCK}
+    scene = drive(lidar={**injected, "intensity_scale": 0.005}, camera0=injected)
+    locations = {sensor.id: f"sensors[{k}]" for k, sensor in enumerate(scene.sensors)}
+    assert found_in(scene) == {
+        ("frame-without-points", locations["lidar"]),
+        ("frame-repeated", locations["lidar"]),
+        ("intensity-scale", locations["lidar"]),
+        ("image-plain", locations["camera0"]),
+        ("image-repeated", locations["camera0"]),
+    }

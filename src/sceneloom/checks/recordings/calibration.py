@@ -24,26 +24,12 @@ from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.scene import Scene, Sensor
 
 CAMERA_KEYS = frozenset(
-    {
-        "model",
-        "distortionModel",
-        "distortionCoefficients",
-        "focalLengthX",
-        "focalLengthY",
-        "principalPointX",
-        "principalPointY",
-        "imageWidth",
-        "imageHeight",
-        "imuToCamera",
-        "imuToCameraMatrix",
-        "imuToCameraShiftSeconds",
-        "shutterRollTimeSeconds",
-        "rollingShutterLeftToRight",
-        "exposureTimeSeconds",
-        "depthScale",
-        "depthToCamera",
-        "cameraInd",
-    }
+    (
+        *("model", "distortionModel", "distortionCoefficients", "focalLengthX", "focalLengthY", "cameraInd"),
+        *("principalPointX", "principalPointY", "imageWidth", "imageHeight", "depthScale", "depthToCamera"),
+        *("imuToCamera", "imuToCameraMatrix", "imuToCameraShiftSeconds"),
+        *("shutterRollTimeSeconds", "rollingShutterLeftToRight", "exposureTimeSeconds"),
+    )
 )
 
 LIDAR_KEYS = frozenset({"model", "lidarInd", "imuToLidar", "imuToLidarMatrix"})
@@ -110,12 +96,10 @@ def _plain(name: str) -> str:
 def _unknown_keys(subject: Subject) -> Iterator[Hit]:
     if subject.recording is None:
         return
-    content = subject.recording.calibration.content
-    yield from _strange("calibration.json: ", content, ROOT_KEYS)
-    for location, entry in _entries(subject, "cameras"):
-        yield from _strange(f"{location}.", entry, CAMERA_KEYS)
-    for location, entry in _entries(subject, "lidars"):
-        yield from _strange(f"{location}.", entry, LIDAR_KEYS)
+    yield from _strange("calibration.json: ", subject.recording.calibration.content, ROOT_KEYS)
+    for name, known in (("cameras", CAMERA_KEYS), ("lidars", LIDAR_KEYS)):
+        for location, entry in _entries(subject, name):
+            yield from _strange(f"{location}.", entry, known)
 
 
 def _strange(location: str, entry: Mapping[str, Any], known: frozenset[str]) -> Iterator[Hit]:
@@ -181,8 +165,8 @@ _NEAR = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class _CameraModel:
-    """Numbers of a camera model, for images of a size [px].
+class _Intrinsics:
+    """Intrinsics of a calibration, for images of a size [px].
 
     Attributes:
         location: where they stand.
@@ -199,19 +183,23 @@ class _CameraModel:
     height: int
 
 
-def _camera_models(subject: Subject) -> Iterator[_CameraModel]:
-    """The camera models of the calibration that are complete, each with the image size that it is for."""
+def _intrinsics(subject: Subject) -> Iterator[_Intrinsics]:
+    """The intrinsics of the calibration that are complete, each with the image size that it is for."""
     if subject.recording is None:
         return
-    folder = str(subject.recording.folder)
     sizes = {str(c.id): (c.camera.width, c.camera.height) for c in subject.scene.cameras}
     for index, camera in sorted(subject.recording.calibration.cameras.items()):
-        size = _size(camera.parameters) or sizes.get(f"camera{index}")
         p = camera.parameters
+        size = _size(p) or sizes.get(f"camera{index}")
         numbers = (p.focalLengthX, p.focalLengthY, p.principalPointX, p.principalPointY)
-        fx, fy, cx, cy = (float("nan") if number is None else float(number) for number in numbers)
         if size is not None and None not in numbers:
-            yield _CameraModel(camera.location.removeprefix(folder).lstrip("/"), fx, fy, cx, cy, *size)
+            fx, fy, cx, cy = (float("nan") if number is None else float(number) for number in numbers)
+            yield _Intrinsics(_in_folder(subject, camera.location), fx, fy, cx, cy, *size)
+
+
+def _in_folder(subject: Subject, location: str) -> str:
+    folder = "" if subject.recording is None else str(subject.recording.folder)
+    return location.removeprefix(folder).lstrip("/")
 
 
 def _size(parameters: CameraParameters) -> tuple[int, int] | None:
@@ -222,25 +210,20 @@ def _size(parameters: CameraParameters) -> tuple[int, int] | None:
 
 
 def _focal_lengths(subject: Subject) -> Iterator[Hit]:
-    for camera_model in _camera_models(subject):
-        larger, smaller = max(camera_model.fx, camera_model.fy), min(camera_model.fx, camera_model.fy)
+    for k in _intrinsics(subject):
+        larger, smaller = max(k.fx, k.fy), min(k.fx, k.fy)
         if smaller <= 0:
-            yield Hit(
-                f"{camera_model.location}.focalLengthX",
-                f"{camera_model.fx:g}, focalLengthY {camera_model.fy:g}; expected positive numbers",
+            problem = f"{k.fx:g}, focalLengthY {k.fy:g}; expected positive numbers"
+        elif not SHORTEST * k.width <= larger <= LONGEST * k.width:
+            problem = (
+                f"{k.fx:g} px for images {k.width} px wide; expected {SHORTEST * k.width:g} to {LONGEST * k.width:g}"
+                f"{_unit(larger)}"
             )
-        elif not SHORTEST * camera_model.width <= larger <= LONGEST * camera_model.width:
-            reported = (
-                f"{camera_model.fx:g} px for images {camera_model.width} px wide; "
-                f"expected {SHORTEST * camera_model.width:g} to {LONGEST * camera_model.width:g}"
-            )
-            yield Hit(f"{camera_model.location}.focalLengthX", f"{reported}{_unit(larger)}")
         elif larger > MOST_UNEQUAL * smaller:
-            reported = (
-                f"{camera_model.fx:g}, focalLengthY {camera_model.fy:g}; expected nearly equal ones, as of "
-                f"square pixels"
-            )
-            yield Hit(f"{camera_model.location}.focalLengthX", reported)
+            problem = f"{k.fx:g}, focalLengthY {k.fy:g}; expected nearly equal ones, as of square pixels"
+        else:
+            continue
+        yield Hit(f"{k.location}.focalLengthX", problem)
 
 
 def _unit(focal_length: float) -> str:
@@ -250,29 +233,23 @@ def _unit(focal_length: float) -> str:
 
 
 def _principal_points(subject: Subject) -> Iterator[Hit]:
-    for camera_model in _camera_models(subject):
-        off_x = abs(camera_model.cx - (camera_model.width - 1) / 2) / camera_model.width
-        off_y = abs(camera_model.cy - (camera_model.height - 1) / 2) / camera_model.height
-        if max(off_x, off_y) > OFF_CENTRE:
-            reported = (
-                f"{camera_model.cx:g}, principalPointY {camera_model.cy:g} in images of "
-                f"{camera_model.width}x{camera_model.height}; expected a point "
-                f"near {(camera_model.width - 1) / 2:g}, {(camera_model.height - 1) / 2:g}"
+    for k in _intrinsics(subject):
+        x, y = (k.width - 1) / 2, (k.height - 1) / 2
+        if max(abs(k.cx - x) / k.width, abs(k.cy - y) / k.height) > OFF_CENTRE:
+            problem = (
+                f"{k.cx:g}, principalPointY {k.cy:g} in images of {k.width}x{k.height}; expected a point near "
+                f"{x:g}, {y:g}{_meant(k)}"
             )
-            yield Hit(f"{camera_model.location}.principalPointX", f"{reported}{_meant(camera_model)}")
+            yield Hit(f"{k.location}.principalPointX", problem)
 
 
-def _meant(camera_model: _CameraModel) -> str:
-    if abs(camera_model.cx) <= 1 and abs(camera_model.cy) <= 1:
+def _meant(k: _Intrinsics) -> str:
+    if abs(k.cx) <= 1 and abs(k.cy) <= 1:
         return ": probably in parts of the image"
-    if _is_near(camera_model.cy, camera_model.width / 2) and _is_near(
-        camera_model.cx, camera_model.height / 2
-    ):
+    if _is_near(k.cy, k.width / 2) and _is_near(k.cx, k.height / 2):
         return ": probably x and y are exchanged"
     for times in _HALVES:
-        if _is_near(camera_model.cx, times * camera_model.width / 2) and _is_near(
-            camera_model.cy, times * camera_model.height / 2
-        ):
+        if _is_near(k.cx, times * k.width / 2) and _is_near(k.cy, times * k.height / 2):
             return f": probably for images {times:g} times as wide and high"
     return ""
 
@@ -377,18 +354,17 @@ def _mounts(subject: Subject) -> Iterator[tuple[str, str, RigidTransform]]:
     for index, camera in sorted(calibration.cameras.items()):
         if camera.camera_from_imu is not None:
             yield (
-                _location(subject, camera.location, "imuToCamera"),
+                f"{_in_folder(subject, camera.location)}.imuToCamera",
                 f"camera {index}",
                 camera.camera_from_imu,
             )
     for index, lidar in sorted(calibration.lidars.items()):
         if lidar.lidar_from_imu is not None:
-            yield _location(subject, lidar.location, "imuToLidar"), f"lidar {index}", lidar.lidar_from_imu
+            yield f"{_in_folder(subject, lidar.location)}.imuToLidar", f"lidar {index}", lidar.lidar_from_imu
 
 
-def _location(subject: Subject, location: str, key: str) -> str:
-    folder = "" if subject.recording is None else str(subject.recording.folder)
-    return f"{location.removeprefix(folder).lstrip('/')}.{key}"
+def _camera_mounts(subject: Subject) -> list[tuple[str, str, RigidTransform]]:
+    return [mount for mount in _mounts(subject) if mount[1].startswith("camera")]
 
 
 def _far(subject: Subject) -> Iterator[Hit]:
@@ -402,8 +378,7 @@ def _far(subject: Subject) -> Iterator[Hit]:
 
 
 def _same(subject: Subject) -> Iterator[Hit]:
-    cameras = [(location, name, m) for location, name, m in _mounts(subject) if name.startswith("camera")]
-    for (_, first, a), (location, second, b) in combinations(cameras, 2):
+    for (_, first, a), (location, second, b) in combinations(_camera_mounts(subject), 2):
         moved = float(np.abs(a.translation - b.translation).max())
         rotated = float(np.abs(a.rotation - b.rotation).max())
         if moved < _SAME_LOCATION and rotated < _SAME_ROTATION:
@@ -415,46 +390,31 @@ def _inverted(subject: Subject) -> Iterator[Hit]:
     up = _up_imu(subject)
     if up is None:
         return
-    for location, name, mount in _mounts(subject):
-        if not name.startswith("camera"):
-            continue
-        given, inverse = _posture(mount.rotation, up), _posture(mount.rotation.T, up)
-        if given.rolled > _ROLLED_DEG and inverse.rolled < _UPRIGHT_DEG and inverse.steep < _ROLLED_DEG:
-            reported = (
-                f"{name} lies {given.rolled:.0f}° off upright, by the accelerometer, and its inverse stands upright: "
+    for location, name, mount in _camera_mounts(subject):
+        (rolled, _), (inverse, steep) = _posture(mount.rotation, up), _posture(mount.rotation.T, up)
+        if rolled > _ROLLED_DEG and inverse < _UPRIGHT_DEG and abs(steep) < _ROLLED_DEG:
+            problem = (
+                f"{name} lies {rolled:.0f}° off upright, by the accelerometer, and its inverse stands upright: "
                 "probably inverted or transposed; expected the matrix that takes points of the IMU into the camera"
             )
-            yield Hit(location, reported)
+            yield Hit(location, problem)
 
 
 def _steep(subject: Subject) -> Iterator[Hit]:
     up = _up_imu(subject)
     if up is None:
         return
-    for location, name, mount in _mounts(subject):
-        given = _posture(mount.rotation, up)
-        if name.startswith("camera") and given.steep > _STEEP_DEG:
-            reported = (
-                f"{name} looks {given.steep:.0f}° {'up' if given.looks_up else 'down'}, by the accelerometer"
-            )
-            yield Hit(location, reported)
+    for location, name, mount in _camera_mounts(subject):
+        _, steep = _posture(mount.rotation, up)
+        if abs(steep) > _STEEP_DEG:
+            way = "up" if steep > 0 else "down"
+            yield Hit(location, f"{name} looks {abs(steep):.0f}° {way}, by the accelerometer")
 
 
-@dataclass(frozen=True, slots=True)
-class _Posture:
-    """How a camera stands: angle of the image's lower side off down, and of its view off level [deg]."""
-
-    rolled: float
-    steep: float
-    looks_up: bool
-
-
-def _posture(camera_from_imu: Float64Array, up_imu: Float64Array) -> _Posture:
-    """How a camera of that rotation (3, 3) stands where `up_imu` (3,), of length 1, points up."""
+def _posture(camera_from_imu: Float64Array, up_imu: Float64Array) -> tuple[float, float]:
+    """Angles of the image's lower side off down, and of the view above level [deg]; `up_imu` (3,) is of length 1."""
     _, down, ahead = np.clip(camera_from_imu @ up_imu * (1.0, -1.0, 1.0), -1.0, 1.0)
-    return _Posture(
-        float(np.degrees(np.arccos(down))), float(np.degrees(abs(np.arcsin(ahead)))), bool(ahead > 0)
-    )
+    return float(np.degrees(np.arccos(down))), float(np.degrees(np.arcsin(ahead)))
 
 
 def _up_imu(subject: Subject) -> Float64Array | None:
@@ -468,28 +428,21 @@ def _up_imu(subject: Subject) -> Float64Array | None:
     lengths = np.linalg.norm(some, axis=1)
     mean = some.mean(axis=0) if len(some) else np.zeros(3)
     length = float(np.linalg.norm(mean))
-    steady = length > 0.8 * float(lengths.mean()) if len(some) and lengths.any() else False
-    return mean / length if steady else None
+    return mean / length if lengths.any() and length > 0.8 * float(lengths.mean()) else None
 
 
 def _baselines(subject: Subject) -> Iterator[Hit]:
     for pair in stereo_pairs(subject):
-        location = f"calibration.json: cameras[{pair.second}].imuToCamera"
         length, names = float(np.linalg.norm(pair.baseline)), f"cameras {pair.first} and {pair.second}"
-        if length < _NARROWEST_BASELINE:
-            if length >= _SAME_LOCATION:
-                reported = f"{names} look the same way from {length * 1e3:.1f} mm apart"
-                yield Hit(
-                    location,
-                    f"{reported}; expected {_NARROWEST_BASELINE * 1e3:g} mm to {WIDEST_BASELINE:g} m",
-                )
+        if _SAME_LOCATION <= length < _NARROWEST_BASELINE:
+            problem = f"{length * 1e3:.1f} mm apart; expected {_NARROWEST_BASELINE * 1e3:g} mm to {WIDEST_BASELINE:g} m"
         elif length > WIDEST_BASELINE:
             hint = ": probably millimetres" if length > FARTHEST else ""
-            reported = (
-                f"{names} look the same way from {length:.2f} m apart; expected {WIDEST_BASELINE:g} m at "
-                f"most{hint}"
-            )
-            yield Hit(location, reported)
+            problem = f"{length:.2f} m apart; expected {WIDEST_BASELINE:g} m at most{hint}"
+        else:
+            continue
+        location = f"calibration.json: cameras[{pair.second}].imuToCamera"
+        yield Hit(location, f"{names} look the same way from {problem}")
 
 
 def _left_and_right(subject: Subject) -> Iterator[Hit]:

@@ -1,4 +1,4 @@
-"""Faults of frames lines, calibrations and lidar files of a stereo rig are found, and nothing in a sound one."""
+"""Rules about calibrations, `frames` lines, lidar files and images of a stereo rig."""
 
 import copy
 import json
@@ -315,3 +315,124 @@ def test_what_is_wrong_with_a_rig_is_found(found, name):
 
 def test_every_rule_about_rigs_is_shown_by_a_case():
     assert {rule for _, expected in INJECTED.values() for rule in expected} == set(RULES)
+
+
+WIDTH, HEIGHT, FRAMES_OF_IMAGES = 384, 192, 5
+RULE = "stereo-images"
+
+
+def camera_of_images(y):
+    """A camera_of_images that looks along x of a vehicle whose z points up, `y` to the left."""
+    return {
+        "model": "pinhole",
+        "focalLengthX": 300.0,
+        "focalLengthY": 300.0,
+        "principalPointX": 191.5,
+        "principalPointY": 95.5,
+        "imageWidth": WIDTH,
+        "imageHeight": HEIGHT,
+        "imuToCamera": [
+            [0.0, -1.0, 0.0, y],
+            [0.0, 0.0, -1.0, 0.0],
+            [1.0, 0.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ],
+    }
+
+
+SOUND = (camera_of_images(0.0), camera_of_images(-0.5))
+
+
+def textures():
+    """Images of a wall with blots of 6 pixels, another part of it each time."""
+    random = np.random.default_rng(3)
+    blots = random.integers(20, 235, (FRAMES_OF_IMAGES, HEIGHT // 6, WIDTH // 6), np.uint8)
+    return np.repeat(np.repeat(blots, 6, axis=1), 6, axis=2)
+
+
+def write_video(path, images):
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=10, options={"threads": "1"})
+        (stream.height, stream.width), stream.pix_fmt = images[0].shape, "bgr0"
+        for grey in images:
+            pixels = np.repeat(grey[:, :, None], 3, axis=2)
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
+            container.mux(stream.encode(frame.reformat(format="bgr0")))
+        container.mux(stream.encode())
+
+
+@pytest.fixture
+def found_of_images(tmp_path):
+    """What the rule says of a stereo pair, the second camera_of_images half a metre to the right of the first."""
+
+    def run(first, second, *, cameras=SOUND):
+        write_video(tmp_path / "data.mkv", first)
+        write_video(tmp_path / "data2.mkv", second)
+        lines = [
+            {"frames": [{"cameraInd": 0}, {"cameraInd": 1}], "number": k, "time": 0.1 * k}
+            for k in range(FRAMES_OF_IMAGES)
+        ]
+        (tmp_path / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+        (tmp_path / "calibration.json").write_text(json.dumps({"cameras": list(cameras)}))
+        return [finding.message for finding in validate(tmp_path, rules=[RULE]).findings]
+
+    return run
+
+
+# a wall 10 m away: focal length 300 px times 0.5 m over 10 m
+SHIFT = 15
+
+
+def test_a_wall_that_the_right_camera_sees_farther_left_is_sound(found_of_images):
+    images = textures()
+    assert found_of_images(images, np.roll(images, -SHIFT, axis=2)) == []
+
+
+def test_exchanged_videos_are_found(found_of_images):
+    images = textures()
+    messages = found_of_images(np.roll(images, -SHIFT, axis=2), images)
+    assert len(messages) == 1
+    assert "against the side on which their mountings put them" in messages[0]
+
+
+def test_exchanged_entries_are_found(found_of_images):
+    images = textures()
+    shifted = np.roll(images, -SHIFT, axis=2)
+    assert len(found_of_images(images, shifted, cameras=(camera_of_images(-0.5), camera_of_images(0.0)))) == 1
+
+
+def test_small_images_are_looked_at_as_they_are(found_of_images):
+    small = {"imageWidth": 96, "imageHeight": 96, "principalPointX": 47.5, "principalPointY": 47.5}
+    camera_model = {**small, "focalLengthX": 80.0, "focalLengthY": 80.0}
+    images = textures()[:, :96, :96]
+    cameras = ({**camera_of_images(0.0), **camera_model}, {**camera_of_images(-0.5), **camera_model})
+    # 80 px times 0.5 m over 10 m
+    shifted = np.roll(images, -4, axis=2)
+    assert found_of_images(images, shifted, cameras=cameras) == []
+    assert len(found_of_images(shifted, images, cameras=cameras)) == 1
+
+
+def test_cameras_in_one_location_report_no_side(found_of_images):
+    images = textures()
+    assert (
+        found_of_images(
+            images, np.roll(images, -SHIFT, axis=2), cameras=(camera_of_images(0.0), camera_of_images(0.0))
+        )
+        == []
+    )
+
+
+@pytest.mark.parametrize("shift", [0, -1])
+def test_nothing_is_stated_where_all_is_far_away(found_of_images, shift):
+    images = textures()
+    assert found_of_images(images, np.roll(images, shift, axis=2)) == []
+
+
+def test_nothing_is_stated_for_images_that_show_nothing_or_do_not_match(found_of_images):
+    flat = np.full((FRAMES_OF_IMAGES, HEIGHT, WIDTH), 90, np.uint8)
+    assert found_of_images(flat, flat) == []
+
+
+def test_nothing_is_stated_for_images_that_have_nothing_in_common(found_of_images):
+    images = textures()
+    assert found_of_images(images, images[::-1, ::-1]) == []

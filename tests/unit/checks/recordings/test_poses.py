@@ -1,0 +1,567 @@
+"""Rules about trajectories of recordings: steps, and agreement with IMU and fixes."""
+
+import json
+import shutil
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sceneloom
+from sceneloom import write
+from sceneloom.cameras.camera import Camera
+from sceneloom.checks import validate
+from sceneloom.errors import SceneloomError
+from sceneloom.simulate import CameraSpec, GnssSpec, ImuSpec, LidarSpec, camera_mount, simulate_street
+
+RULES = ["pose-steps", "pose-rotations", "poses-jump", "poses-rotation"]
+
+
+@pytest.fixture
+def findings(written):
+    """What rules about steps state of a drive, those of scenes included."""
+
+    def run(drive):
+        return [(f.rule, f.path, f.message) for f in validate(written(drive), rules=RULES).findings]
+
+    return run
+
+
+def rotated(line, degrees):
+    half = np.radians(degrees) / 2
+    rotation = {"x": 0.0, "y": 0.0, "z": float(np.sin(half)), "w": float(np.cos(half))}
+    return {**line, "groundTruth": {**line["groundTruth"], "orientation": rotation}}
+
+
+def test_a_pose_that_is_off_is_reported_once_with_its_line(findings, drive, written, line_of):
+    wrong = drive.streams["groundTruth"][50]
+    wrong["groundTruth"]["position"]["y"] = 30.0
+    [(rule, location, message)] = findings(drive)
+    assert (rule, location) == ("pose-steps", line_of(written(drive), wrong))
+    assert message.startswith("groundTruth at 3.500000 s is 30.00 m from the pose 0.050 s before, 600.1 m/s")
+
+
+def test_nothing_moves_at_two_hundred_metres_a_second(findings, drive):
+    for k, line in enumerate(drive.streams["groundTruth"]):
+        line["groundTruth"]["position"]["x"] = 10.0 * k
+    assert {rule for rule, _, _ in findings(drive)} == {"pose-steps"}
+
+
+def test_starting_and_braking_hard_are_no_jumps(findings, drive):
+    for k, line in enumerate(drive.streams["groundTruth"]):
+        line["groundTruth"]["position"]["x"] = 0.5 * 9.0 * max(k / 20 - 4.0, 0.0) ** 2
+    assert findings(drive) == []
+
+
+def test_a_pose_that_is_rotated_is_reported_once_with_its_line(findings, drive, written, line_of):
+    stream = drive.streams["groundTruth"]
+    stream[:] = [rotated(line, 90.0 * np.sin(k / 40)) for k, line in enumerate(stream)]
+    assert findings(drive) == []
+    stream[30] = rotated(stream[30], 175.0)
+    [(rule, location, _)] = findings(drive)
+    assert (rule, location) == ("pose-rotations", line_of(written(drive), stream[30]))
+
+
+def test_a_single_torn_yaw_rate_does_not_speak_against_the_poses(written, drive):
+    angles = np.degrees(0.8 * np.sin(0.9 * np.array(drive.times(20.0))))
+    stream = drive.streams["groundTruth"]
+    stream[:] = [rotated(line, angle) for line, angle in zip(stream, angles.tolist(), strict=True)]
+    for line in drive.streams["gyroscope"]:
+        line["sensor"]["values"] = [0.0, 0.0, 0.8 * 0.9 * float(np.cos(0.9 * line["time"]))]
+    drive.streams["gyroscope"][400]["sensor"]["values"] = [99.0, 0.0, 0.0]
+    rules = ["gyroscope-scale", "poses-clock", "poses-against-gyroscope", "gyroscope-range"]
+    assert [f.rule for f in validate(written(drive), rules=rules).findings] == ["gyroscope-range"]
+
+
+OVER_VALUES = {"accelerometer-unit", "gyroscope-unit", "fixes-on-earth"}
+
+
+"""Rules over values, which no reader judges."""
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """A recording of all kinds of lines, with nothing wrong in it."""
+    camera_model = Camera("pinhole", 48, 32, 30.0, 30.0, 23.5, 15.5)
+    cameras = [CameraSpec(camera_model, camera_mount(position=(1.5, y, 1.5))) for y in (0.25, -0.25)]
+    drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=cameras)
+    folder = tmp_path_factory.mktemp("sound") / "drive"
+    sceneloom.write(drive.scene, folder, format="recording")
+    return folder
+
+
+def refusals(folder, out):
+    """What verbs that read a recording whole raise, by their names."""
+
+    def fuse():
+        with sceneloom.open(folder) as scene:
+            sceneloom.fuse(scene)
+
+    verbs = {
+        "open": lambda: sceneloom.open(folder).close(),
+        "fuse": fuse,
+        "convert": lambda: sceneloom.convert(folder, out / "again", overwrite=True),
+    }
+    found = {}
+    for name, run in verbs.items():
+        try:
+            run()
+        except SceneloomError as error:
+            found[name] = str(error)
+    return found
+
+
+def check_agreement(folder, out):
+    """Whether a recording is refused, by all or by none."""
+    report = sceneloom.validate(folder)
+    errors = {
+        f.rule: f.message for f in report.findings if f.severity == "error" and f.rule not in OVER_VALUES
+    }
+    refused = refusals(folder, out)
+    assert bool(errors) == bool(refused), (errors, refused)
+    return bool(refused)
+
+
+def change(folder, edit, name="calibration.json"):
+    path = folder / name
+    content = json.loads(path.read_text())
+    edit(content)
+    path.write_text(json.dumps(content))
+
+
+def change_lines(folder, edit):
+    path = folder / "data.jsonl"
+    path.write_text("".join(line + "\n" for line in edit(path.read_text().splitlines())))
+
+
+def first_with(lines, key, edit, which=0):
+    """Edit one line that has a key."""
+    at = [k for k, line in enumerate(lines) if f'"{key}"' in line][which]
+    content = json.loads(lines[at])
+    edit(content)
+    return [*lines[:at], json.dumps(content), *lines[at + 1 :]]
+
+
+def camera(folder, edit, index=0):
+    change(folder, lambda content: edit(content["cameras"][index]))
+
+
+def spoil(folder, name, edit):
+    path = folder / name
+    path.write_bytes(edit(path.read_bytes()))
+
+
+SHIFTED = np.eye(4) + np.eye(4, k=3)
+REFUSED = {
+    "no calibration": lambda d: (d / "calibration.json").unlink(),
+    "no cameras in it": lambda d: change(d, lambda c: c.pop("cameras")),
+    "an empty list of cameras": lambda d: change(d, lambda c: c.update(cameras=[])),
+    "one camera too few": lambda d: change(d, lambda c: c["cameras"].pop()),
+    "no imuToCamera": lambda d: camera(d, lambda c: c.pop("imuToCamera")),
+    "no imuToCamera of the second": lambda d: camera(d, lambda c: c.pop("imuToCamera"), 1),
+    "two matrices": lambda d: camera(d, lambda c: c.update(imuToCameraMatrix=SHIFTED.tolist())),
+    "two matrices of a lidar": lambda d: change(
+        d, lambda c: c["lidars"][0].update(imuToLidarMatrix=SHIFTED.tolist())
+    ),
+    "no focal length": lambda d: camera(d, lambda c: c.pop("focalLengthX")),
+    "no principal point": lambda d: camera(d, lambda c: c.pop("principalPointY")),
+    "no model": lambda d: camera(d, lambda c: c.pop("model")),
+    "an unknown model": lambda d: camera(d, lambda c: c.update(model="plate")),
+    "too many coefficients": lambda d: camera(d, lambda c: c.update(distortionCoefficients=[0.1] * 7)),
+    "a matrix of 2 x 2": lambda d: camera(d, lambda c: c.update(imuToCamera=[[1, 0], [0, 1]])),
+    "a mirror": lambda d: camera(d, lambda c: c.update(imuToCamera=np.diag([1, 1, -1, 1]).tolist())),
+    "a calibration that is a list": lambda d: (d / "calibration.json").write_text("[]"),
+    "a torn calibration": lambda d: spoil(d, "calibration.json", lambda b: b[:-20]),
+    "no video": lambda d: (d / "data2.mkv").unlink(),
+    "an empty video": lambda d: spoil(d, "data.mkv", lambda b: b""),
+    "a cut video": lambda d: spoil(d, "data.mkv", lambda b: b[:-200]),
+    "two videos": lambda d: shutil.copy(d / "data.mkv", d / "data.mp4"),
+    "a lost line of images": lambda d: change_lines(
+        d, lambda x: [t for t in x if '"number":2' not in t.replace(" ", "")]
+    ),
+    "no lines of images": lambda d: change_lines(d, lambda x: [t for t in x if '"frames"' not in t]),
+    "a blank line": lambda d: change_lines(d, lambda x: [*x[:9], "", *x[9:]]),
+    "a torn line": lambda d: spoil(d, "data.jsonl", lambda b: b[:-9]),
+    "an empty log": lambda d: spoil(d, "data.jsonl", lambda b: b""),
+    "a log in UTF-16": lambda d: spoil(d, "data.jsonl", lambda b: b.decode().encode("utf-16")),
+    "a pose rotated by 2": lambda d: change_lines(
+        d, lambda x: first_with(x, "groundTruth", lambda c: c["groundTruth"]["orientation"].update(w=2.0))
+    ),
+    "a line without time": lambda d: change_lines(d, lambda x: first_with(x, "gps", lambda c: c.pop("time"))),
+    "a fix without altitude": lambda d: change_lines(
+        d, lambda x: first_with(x, "gps", lambda c: c["gps"].pop("altitude"))
+    ),
+    "a sample of two": lambda d: change_lines(
+        d, lambda x: first_with(x, "sensor", lambda c: c["sensor"].update(values=[1, 2]))
+    ),
+    "an unknown lidar": lambda d: change_lines(
+        d, lambda x: first_with(x, "lidar", lambda c: c["lidar"].update(model="other"))
+    ),
+    "a lost sweep": lambda d: next((d / "lidar").iterdir()).unlink(),
+    "a cut sweep": lambda d: spoil(next((d / "lidar").iterdir()), "", lambda b: b[:-1]),
+    "no number": lambda d: change_lines(d, lambda x: first_with(x, "frames", lambda c: c.pop("number"))),
+    "a camera model of its own that is none": lambda d: change_lines(
+        d,
+        lambda x: first_with(
+            x, "frames", lambda c: c["frames"][0].update(cameraParameters={"model": "plate"})
+        ),
+    ),
+}
+PASSED = {
+    "as it is": lambda d: None,
+    "no lidars in the calibration": lambda d: change(d, lambda c: c.pop("lidars")),
+    "two equal matrices": lambda d: camera(d, lambda c: c.update(imuToCameraMatrix=c["imuToCamera"])),
+    "blank last lines": lambda d: spoil(d, "data.jsonl", lambda b: b + b"\n\r\n  \n"),
+    "a byte order mark": lambda d: spoil(d, "data.jsonl", lambda b: b"\xef\xbb\xbf" + b),
+    "one in the calibration": lambda d: spoil(d, "calibration.json", lambda b: b"\xef\xbb\xbf" + b),
+    "a pose without orientation": lambda d: change_lines(
+        d, lambda x: first_with(x, "groundTruth", lambda c: c["groundTruth"].pop("orientation"), 7)
+    ),
+    "a gap in the numbers": lambda d: change_lines(
+        d, lambda x: [t for t in x if '"number":1' not in t.replace(" ", "")]
+    ),
+    "no fixes": lambda d: change_lines(d, lambda x: [t for t in x if '"gps"' not in t]),
+    "lines out of order": lambda d: change_lines(d, lambda x: x[::-1]),
+    "a strange line": lambda d: change_lines(d, lambda x: [*x, '{"trigger":1,"time":1.0}']),
+}
+
+
+@pytest.mark.parametrize("name", [*REFUSED, *PASSED])
+@pytest.mark.few(20)
+def test_what_is_refused_has_an_error_and_nothing_else_has(sound, tmp_path, name):
+    folder = shutil.copytree(sound, tmp_path / "drive")
+    {**REFUSED, **PASSED}[name](folder)
+    assert check_agreement(folder, tmp_path) == (name in REFUSED)
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        ("no imuToCamera", "mounts-missing"),
+        ("no imuToCamera of the second", "mounts-missing"),
+        ("no video", "missing-videos"),
+        ("an empty video", "unreadable-videos"),
+        ("a cut video", "unreadable-videos"),
+    ],
+)
+def test_one_fault_of_a_recording_is_one_finding(sound, tmp_path, name, rule):
+    folder = shutil.copytree(sound, tmp_path / "drive")
+    REFUSED[name](folder)
+    assert [finding.rule for finding in sceneloom.validate(folder).findings] == [rule]
+
+
+def test_an_empty_camera_is_found_beside_the_missing_video_of_another_one(sound, tmp_path):
+    folder = shutil.copytree(sound, tmp_path / "drive")
+    (folder / "data2.mkv").unlink()
+    change(folder, lambda content: content["cameras"].append(content["cameras"][0]))
+    assert "sensor-empty" in {finding.rule for finding in sceneloom.validate(folder).findings}
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_they_agree_on_lines_and_calibrations_changed_at_random(sound, tmp_path, seed):
+    generator = np.random.default_rng(seed)
+    folder = shutil.copytree(sound, tmp_path / "drive")
+    name = "calibration.json" if seed % 3 == 0 else "data.jsonl"
+    texts = (folder / name).read_text().splitlines()
+    at = int(generator.integers(len(texts)))
+    content = texts[at] if name == "calibration.json" else _mutated(json.loads(texts[at]), generator)
+    texts[at] = json.dumps(content) if not isinstance(content, str) else content[: len(content) // 2]
+    (folder / name).write_text("\n".join(texts) + "\n")
+    check_agreement(folder, tmp_path)
+
+
+def _mutated(value, generator):
+    """Leave out a part of an object or list, or exchange a value for one of another kind."""
+    others = partial(generator.choice, [0, 3, 9])
+    if isinstance(value, dict | list) and value and others():
+        key = (
+            generator.choice(list(value)) if isinstance(value, dict) else int(generator.integers(len(value)))
+        )
+        changed = value.copy()
+        if others():
+            changed[key] = _mutated(changed[key], generator)
+        else:
+            changed.pop(key)
+        return changed
+    return [None, "text", -1, 1e12, [], {}][int(generator.integers(6))]
+
+
+def test_they_agree_on_real_recordings(data_dir, tmp_path):
+    folders = sorted(path for path in (data_dir / "recordings").iterdir() if (path / "data.jsonl").exists())
+    assert folders
+    for folder in folders:
+        report = sceneloom.validate(folder, frames=False)
+        assert "error" not in {finding.severity for finding in report.findings}
+        sceneloom.open(folder).close()
+
+
+RULES_OF_CONVENTIONS = (
+    "poses-against-gravity",
+    "poses-against-gyroscope",
+    "gyroscope-scale",
+    "poses-clock",
+    "poses-against-gnss",
+    "heights-against-gnss",
+)
+NORTH_EAST_DOWN = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+FLIP = np.diag([1.0, -1.0, 1.0])
+CAMERA = {
+    "model": "pinhole",
+    "focalLengthX": 300,
+    "focalLengthY": 300,
+    "principalPointX": 160,
+    "principalPointY": 100,
+    "imageWidth": 320,
+    "imageHeight": 200,
+    "imuToCamera": [[0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, -1], [0, 0, 0, 1]],
+}
+CAMERA_FROM_IMU = Rotation.from_matrix([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory):
+    """The lines of 14 s of driving through bends, with IMU, fixes and the true poses; without images and points."""
+    scene = simulate_street(
+        3,
+        frames=140,
+        lidar=LidarSpec(beams=4, steps=60),
+        cameras=(),
+        imu=ImuSpec(rate_hz=100.0),
+        gnss=GnssSpec(rate_hz=5.0),
+        trajectory_hz=25.0,
+    ).scene
+    numbers = replace(scene, sensors=tuple(s for s in scene.sensors if s.id in {"imu", "gnss"}))
+    folder = tmp_path_factory.mktemp("drive") / "recording"
+    write(numbers, folder)
+    return [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
+
+
+@pytest.fixture
+def found(lines, tmp_path):
+    """What the rules state of the lines after something was done to each."""
+
+    def run(injected):
+        changed = sorted((injected(json.loads(json.dumps(line))) for line in lines), key=lambda x: x["time"])
+        folder = tmp_path / "injected"
+        folder.mkdir()
+        (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in changed))
+        (folder / "calibration.json").write_text(json.dumps({"cameras": [CAMERA]}))
+        return {
+            finding.rule: finding.message for finding in validate(folder, rules=RULES_OF_CONVENTIONS).findings
+        }
+
+    return run
+
+
+def poses(change):
+    """Change position and rotation of every true pose; the change gives the four numbers as they are written."""
+
+    def injected(line):
+        if "groundTruth" in line:
+            pose = line["groundTruth"]
+            position = np.array([pose["position"][k] for k in "xyz"])
+            rotation = Rotation.from_quat([pose["orientation"][k] for k in "xyzw"])
+            position, quaternion = change(position, rotation)
+            pose["position"] = dict(zip("xyz", map(float, position), strict=True))
+            pose["orientation"] = dict(zip("xyzw", map(float, quaternion), strict=True))
+        return line
+
+    return injected
+
+
+def samples(kind, change):
+    """Change the values of every sample of a sensor."""
+
+    def injected(line):
+        if line.get("sensor", {}).get("type") == kind:
+            line["sensor"]["values"] = np.asarray(change(np.array(line["sensor"]["values"]))).tolist()
+        return line
+
+    return injected
+
+
+def shifted(key, seconds):
+    """Shift the times of all lines with a key."""
+
+    def injected(line):
+        line["time"] += seconds if key in line else 0.0
+        return line
+
+    return injected
+
+
+def flipped(rotation):
+    """A rotation seen in a mirror that negates y, as the four numbers of its quaternion."""
+    return Rotation.from_matrix(FLIP @ rotation.as_matrix() @ FLIP).as_quat()
+
+
+WORLD_UP_IS_Y = Rotation.from_euler("x", -90, degrees=True)
+WORLD_DOWN_IS_Z = Rotation.from_euler("x", 180, degrees=True)
+INJECTED = {
+    "quaternions inverted": (
+        poses(lambda p, r: (p, r.inv().as_quat())),
+        {"poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate"},
+    ),
+    "world to device": (
+        poses(lambda p, r: (-r.inv().apply(p), r.inv().as_quat())),
+        {
+            "poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate",
+            "poses-against-gnss": "half of the fixes lie more than",
+        },
+    ),
+    "z down": (
+        poses(lambda p, r: (WORLD_DOWN_IS_Z.apply(p), (WORLD_DOWN_IS_Z * r).as_quat())),
+        {"poses-against-gravity": "180° off up", "poses-against-gnss": "mirrored"},
+    ),
+    "north, east, down": (
+        poses(lambda p, r: (NORTH_EAST_DOWN.apply(p), (NORTH_EAST_DOWN * r).as_quat())),
+        {"poses-against-gravity": "180° off up", "poses-against-gnss": "x and y are exchanged"},
+    ),
+    "y up": (
+        poses(lambda p, r: (WORLD_UP_IS_Y.apply(p), (WORLD_UP_IS_Y * r).as_quat())),
+        {"poses-against-gravity": "90° off up"},
+    ),
+    "left-handed": (
+        poses(lambda p, r: (FLIP @ p, flipped(r))),
+        {
+            "poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate",
+            "poses-against-gnss": "mirrored",
+        },
+    ),
+    "left-handed positions": (
+        poses(lambda p, r: (FLIP @ p, r.as_quat())),
+        {"poses-against-gnss": "mirrored"},
+    ),
+    "w first": (
+        poses(lambda p, r: (p, r.as_quat()[[3, 0, 1, 2]])),
+        {
+            "poses-against-gravity": "off up",
+            "poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate",
+        },
+    ),
+    "w last": (
+        poses(lambda p, r: (p, r.as_quat()[[1, 2, 3, 0]])),
+        {"poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate"},
+    ),
+    "poses of the camera": (
+        poses(lambda p, r: (p, (r * CAMERA_FROM_IMU.inv()).as_quat())),
+        {
+            "poses-against-gravity": "off up",
+            "poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate",
+        },
+    ),
+    "orientations that do not rotate": (
+        poses(lambda p, r: (p, [0.0, 0.0, 0.0, 1.0])),
+        {"poses-against-gyroscope": "the orientations do not rotate"},
+    ),
+    "millimetres": (
+        poses(lambda p, r: (1000 * p, r.as_quat())),
+        {"poses-against-gnss": "half of the fixes lie more than"},
+    ),
+    "gyroscope in degrees": (
+        samples("gyroscope", np.degrees),
+        {"gyroscope-scale": "degrees per second"},
+    ),
+    "gyroscope's axes exchanged": (
+        samples("gyroscope", lambda v: v[[1, 2, 0]]),
+        {"poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate"},
+    ),
+    "gyroscope's signs rotated": (
+        samples("gyroscope", lambda v: -v),
+        {"poses-against-gyroscope": "rates of the orientations and of the gyroscope correlate"},
+    ),
+    "accelerometer's signs rotated": (
+        samples("accelerometer", lambda v: -v),
+        {"poses-against-gravity": "180° off up"},
+    ),
+    "accelerometer's axes exchanged": (
+        samples("accelerometer", lambda v: v[[1, 2, 0]]),
+        {"poses-against-gravity": "90° off up"},
+    ),
+    "IMU late": (
+        shifted("sensor", 0.5),
+        {"poses-clock": "if the IMU's times are 0.50 s later"},
+    ),
+    "IMU early": (
+        shifted("sensor", -0.5),
+        {"poses-clock": "if the IMU's times are 0.50 s earlier"},
+    ),
+    "IMU very late": (
+        shifted("sensor", 0.1),
+        {"poses-clock": "if the IMU's times are 0.10 s later"},
+    ),
+}
+
+
+def test_fixes_before_reception_put_no_other_out_of_location(found):
+    """They stand at 0, 0, from where the others lie nearly around a quarter of the earth."""
+
+    def injected(line):
+        if "gps" in line:
+            line["gps"]["longitude"] += 60.0
+            if line["time"] < 2.0:
+                line["gps"].update(latitude=0.0, longitude=0.0)
+        return line
+
+    assert found(injected) == {}
+
+
+def test_nothing_is_stated_for_a_drive_as_it_was(found):
+    assert found(lambda line: line) == {}
+
+
+@pytest.mark.parametrize("name", INJECTED)
+@pytest.mark.few(6)
+def test_a_wrong_convention_is_found_where_it_disagrees(found, name):
+    injected, expected = INJECTED[name]
+    messages = found(injected)
+    assert set(messages) == set(expected)
+    for rule, words in expected.items():
+        assert words in messages[rule]
+
+
+NOISE = np.random.default_rng(5)
+DEVICE = Rotation.from_euler("xyz", [90, 20, 50], degrees=True)
+WORLD = Rotation.from_euler("z", 130, degrees=True)
+
+
+def rotated_device(line):
+    """Mount the whole device another way: its poses and its IMU rotate together."""
+    line = poses(lambda p, r: (p, (r * DEVICE).as_quat()))(line)
+    for kind in ("gyroscope", "accelerometer"):
+        line = samples(kind, lambda v: DEVICE.inv().apply(v))(line)
+    return line
+
+
+SOUND = {
+    "another mounting": rotated_device,
+    "a world rotated about z": poses(
+        lambda p, r: (WORLD.apply(p) + np.array([90, -4, 7]), (WORLD * r).as_quat())
+    ),
+    "a gyroscope full of noise": samples("gyroscope", lambda v: v + NOISE.standard_normal(3)),
+    "orientations full of noise": poses(
+        lambda p, r: (p, (r * Rotation.from_rotvec(0.03 * NOISE.standard_normal(3))).as_quat())
+    ),
+    "a biased IMU": samples("gyroscope", lambda v: v + np.array([0.05, -0.05, 0.1])),
+    "positions with noise": poses(lambda p, r: (p + 0.5 * NOISE.standard_normal(3), r.as_quat())),
+}
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_nothing_is_stated_for_what_is_allowed_or_only_noisy(found, name):
+    assert found(SOUND[name]) == {}
+
+
+def test_nothing_is_stated_for_a_vehicle_that_stands(found):
+    stationary = poses(lambda p, r: (0.0 * p, [0.0, 0.0, 0.0, 1.0]))
+    still = samples("gyroscope", lambda v: 0.002 * NOISE.standard_normal(3))
+    level = samples("accelerometer", lambda v: [0.1, 0.0, 9.81])
+
+    def injected(line):
+        if "gps" in line:
+            line["gps"].update(latitude=60.17, longitude=24.94, altitude=14.0)
+        return level(still(stationary(line)))
+
+    assert found(injected) == {}

@@ -19,7 +19,7 @@ from tests.peers import python_with
 
 import sceneloom
 from sceneloom.batch import Input, Job, run
-from sceneloom.batch.outputs import claimed
+from sceneloom.batch.running import claimed
 from sceneloom.errors import DataError, OutputError
 from sceneloom.formats.remote import stores
 from sceneloom.formats.remote.mirror import find_urls

@@ -1,40 +1,196 @@
-"""Run one verb over many drives, resume a run, and report its statistics."""
+"""Run one verb over many drives and resume a run: where outputs go, which drives are due, tries and their ends."""
 
 import heapq
-import re
+import os
 import secrets
 import shutil
+import socket
 import time
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from hashlib import blake2b
-from html import escape
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
+from urllib.parse import unquote
 
 import msgspec
 
-from sceneloom.batch.jobs import Input, Job, Outcome, State, Task, output_names, with_files
-from sceneloom.batch.outputs import (
-    Locations,
-    Outputs,
-    bring,
-    check_further,
-    check_locations,
-    claimed,
-    record_folder,
-)
+from sceneloom.batch.jobs import Further, Input, Job, Outcome, State, Task, output_names, with_files
 from sceneloom.batch.record import Record, Row
-from sceneloom.batch.workers import Executor, ProcessPool, Warming, draft_of
+from sceneloom.batch.workers import Executor, ProcessPool, Warming, bring, draft_of, put
 from sceneloom.errors import OptionError, OutputError, redacted
 from sceneloom.formats.base.files import fingerprint, is_url
-from sceneloom.formats.base.output import replacing
 from sceneloom.version import __version__
+
+CLAIM = ".sceneloom-run"
+"""Name of the object in a store that says whose outputs lie there."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Outputs:
+    """Where outputs are put: a folder on disk, or a location in a store.
+
+    Attributes:
+        location: its path or address.
+        there: names of what was there when the run began; None for a folder on disk.
+    """
+
+    location: str = field(repr=False)
+    there: frozenset[str] | None = None
+
+    @property
+    def name(self) -> str:
+        """Its path, or its address without secrets."""
+        return redacted(self.location)
+
+    @property
+    def target(self) -> str:
+        """The address that workers send outputs to; "" where the run moves them."""
+        return "" if self.there is None else self.location
+
+    def has(self, name: str) -> bool:
+        """Whether an output is there; in a store, whether it was when the run began."""
+        return Path(self.location, name).exists() if self.there is None else name in self.there
+
+    def accept(self, task: Task) -> None:
+        """Move an output to its folder, after what else the verb wrote beside it; to a store the worker has sent it.
+
+        Raises:
+            OSError: it cannot be moved.
+        """
+        if self.there is None:
+            put(task.draft, Path(self.location))
+
+
+class _Claim(msgspec.Struct, frozen=True, kw_only=True):
+    """What says in a store whose outputs lie there.
+
+    Attributes:
+        run: name of the run, which its record knows, too.
+        record: where that is.
+        host: on which machine.
+        begun: when.
+    """
+
+    run: str
+    record: str
+    host: str
+    begun: str
+
+
+def claimed(url: str, *, run: str, record: Path) -> _Outputs:
+    """Claim a location in a store for the run of one record.
+
+    Two runs that begin within the same moment are distinguished where the store refuses to put an object twice, as S3,
+    Cloud Storage and Azure do; where it does not, the later one may take the claim while the other one goes on.
+
+    Args:
+        url: the location.
+        run: name of the run.
+        record: where its record is.
+
+    Raises:
+        OutputError: the outputs of another run lie there, or the store cannot be written to.
+        MissingExtraError: what writes to such addresses is not installed.
+    """
+    from sceneloom.formats.remote.mirror import names_below
+    from sceneloom.formats.remote.uploads import check_remote_output, put_first
+
+    location = f"{url.rstrip('/')}/{CLAIM}"
+    check_remote_output(location, overwrite=True)
+    begun = datetime.now(UTC).isoformat(timespec="seconds")
+    ours = _Claim(run=run, record=str(record.absolute()), host=socket.gethostname(), begun=begun)
+    there = _claim(put_first(location, msgspec.json.encode(ours)), location)
+    if there.run != run:
+        raise OutputError(
+            f"{redacted(url)}: holds the outputs of a run whose record is {there.record} on {there.host}, begun "
+            f"{there.begun}; `--resume --record` goes on with it, or choose another location. If that record is lost, "
+            f"remove {CLAIM} there"
+        )
+    return _Outputs(url, frozenset(names_below(url)))
+
+
+def _claim(content: bytes, location: str) -> _Claim:
+    try:
+        return msgspec.json.decode(content, type=_Claim)
+    except msgspec.MsgspecError as error:
+        raise OutputError(
+            f"{redacted(location)}: is not the claim of a run: {error}; choose another location"
+        ) from error
+
+
+def record_folder(url: str) -> Path:
+    """Where the record of a run is by default whose outputs lie in a store: in a folder of the user's own state.
+
+    Source: XDG Base Directory Specification 0.8, `XDG_STATE_HOME`.
+    """
+    state = os.environ.get("XDG_STATE_HOME", "")
+    base = Path(state) if Path(state).is_absolute() else Path.home() / ".local" / "state"
+    shown = redacted(url).rstrip("/")
+    name = shown.rpartition("/")[2]
+    reported = "".join(sign if sign.isalnum() or sign in "-_." else "_" for sign in name).lstrip(".")[:60]
+    return base / "sceneloom" / "runs" / f"{reported}-{blake2b(shown.encode(), digest_size=4).hexdigest()}"
+
+
+def _check_further(wanted: Iterable[Further], store: str) -> None:
+    """Refuse locations that are not where the outputs go, on disk or in a store, or that cannot be folders.
+
+    Raises:
+        OptionError: one is in a store and the outputs are not, or the other way round.
+        OutputError: a file lies where a folder is to be.
+    """
+    for one in wanted:
+        if is_url(one.location) != bool(store):
+            asked, others = ("on disk", "into a store") if store else ("in a store", "on disk")
+            raise OptionError(
+                f"--{one.option}: {redacted(one.location)} is {asked}, and outputs go {others}; expected both in one"
+            )
+        if not store and Path(one.folder).exists() and not Path(one.folder).is_dir():
+            raise OutputError(f"{one.folder}: is a file; expected a folder or a new name")
+
+
+def _check_locations(locations: Sequence[str]) -> None:
+    """Refuse locations of which two are one.
+
+    Raises:
+        OptionError: the same location twice.
+    """
+    seen: set[str] = set()
+    for location in locations:
+        known = location if is_url(location) else str(Path(location).absolute())
+        if known in seen:
+            raise OptionError(
+                f"{redacted(location)}: two outputs of one drive would go there; name other locations"
+            )
+        seen.add(known)
+
+
+class _Locations:
+    """What is there already, in folders each of which is looked at once."""
+
+    def __init__(self) -> None:
+        self._names: dict[str, frozenset[str]] = {}
+
+    def has(self, location: str) -> bool:
+        """Whether there is a file or folder.
+
+        Raises:
+            DataError: a store cannot be read.
+        """
+        if not is_url(location):
+            return Path(location).exists()
+        folder, _, name = location.rstrip("/").rpartition("/")
+        if folder not in self._names:
+            from sceneloom.formats.remote.mirror import names_below
+
+            self._names[folder] = frozenset(names_below(folder))
+        return unquote(name) in self._names[folder]
+
 
 _DriveKey = tuple[str, tuple[tuple[str, Any], ...]]
 """What reports drives apart: where they are, and what counts for them alone."""
@@ -43,7 +199,7 @@ _SIDE_BY_SIDE = 16
 """How many drives are looked at together."""
 
 
-def _open_outputs(store: str, record: Record, *, resume: bool) -> Outputs:
+def _open_outputs(store: str, record: Record, *, resume: bool) -> _Outputs:
     """Give where outputs go; a record belongs to one location for good.
 
     Args:
@@ -68,13 +224,13 @@ def _open_outputs(store: str, record: Record, *, resume: bool) -> Outputs:
         )
     record.notify("store", now)
     if not store:
-        return Outputs(str(record.folder))
+        return _Outputs(str(record.folder))
     name = known.get("run") or secrets.token_hex(8)
     record.notify("run", name)
     return claimed(store, run=name, record=record.folder)
 
 
-def _prepare(job: Job, record: Record, outputs: Outputs) -> None:
+def _prepare(job: Job, record: Record, outputs: _Outputs) -> None:
     """Enter the drives, and let those be done anew that changed.
 
     Raises:
@@ -82,7 +238,7 @@ def _prepare(job: Job, record: Record, outputs: Outputs) -> None:
         OptionError: drives differ in secrets of their addresses only, or two outputs of one in nothing.
         DataError: the server of a drive does not answer.
     """
-    locations = Locations()
+    locations = _Locations()
     known = {_drive_key(row.input, row.part): row for row in record.rows()}
     asked = _asked_drives(job)
     taken = {row.output for row in known.values()}
@@ -94,7 +250,7 @@ def _prepare(job: Job, record: Record, outputs: Outputs) -> None:
         if outputs.has(free):
             raise OutputError(f"{outputs.name.rstrip('/')}/{free}: exists already; choose another folder")
         further = _further_locations(job, free)
-        check_locations([f"{outputs.location.rstrip('/')}/{free}", *further.values()])
+        _check_locations([f"{outputs.location.rstrip('/')}/{free}", *further.values()])
         for location in filter(locations.has, further.values()):
             raise OutputError(f"{redacted(location)}: exists already; choose another folder")
         taken.add(free)
@@ -145,10 +301,10 @@ def _files_of(job: Job, drive: Input) -> dict[str, Any]:
 
 
 def _done_rows(
-    job: Job, outputs: Outputs, record: Record, rows: Mapping[int, Row], meant: Mapping[int, Input]
+    job: Job, outputs: _Outputs, record: Record, rows: Mapping[int, Row], meant: Mapping[int, Input]
 ) -> set[int]:
     """Drives that are done as the job wants them, where neither they nor their outputs changed since."""
-    locations = Locations()
+    locations = _Locations()
 
     def has_further(number: int) -> bool:
         report = record.report(number) if job.further else None
@@ -261,7 +417,7 @@ def run(
     store = str(output) if is_url(output) else ""
     if record is not None and not store:
         raise OptionError(f"{output}: outputs on disk have their record beside them; name none")
-    check_further(job.further, store)
+    _check_further(job.further, store)
     folder = (record or record_folder(store)) if store else Path(output)
     with ExitStack() as ending:
         ending.callback(pool.stop)
@@ -283,7 +439,7 @@ class _Run:
 
     job: Job
     record: Record
-    outputs: Outputs
+    outputs: _Outputs
     executor: Executor
     reported: Reported | None
     summary: RunSummary = field(init=False)
@@ -414,250 +570,3 @@ class _Run:
     def _count(self, **more: int) -> None:
         changed = {name: getattr(self.summary, name) + count for name, count in more.items()}
         self.summary = msgspec.structs.replace(self.summary, **changed)
-
-
-_MOST_SHOWN = 20
-
-_WRITE_EVERY_SECONDS = 5.0
-
-_NUMBERS = re.compile(r"\d+(?:\.\d+)?")
-
-_ESCAPES = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})
-
-_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
-<meta name="viewport" content="width=device-width, initial-scale=1"><style>
-:root {{ color-scheme: light dark; }}
-body {{ margin: auto; max-width: 64rem; padding: 1rem; font: 16px/1.5 system-ui, sans-serif; overflow-wrap: anywhere; }}
-table {{ border-collapse: collapse; width: 100%; }}
-th, td {{ text-align: left; padding: .2rem .7rem .2rem 0; border-bottom: 1px solid #8886; vertical-align: top; }}
-</style></head><body><h1>{title}</h1>
-{body}
-</body></html>
-"""
-
-
-class RunFigures(msgspec.Struct, frozen=True, kw_only=True):
-    """A run as a whole, with the drives that an earlier run did.
-
-    Attributes:
-        folder, verb, version: of the run.
-        states: number of drives in each state.
-        tries: of all drives together.
-        begun_ns, ended_ns: when the first try began and the last one ended [ns since 1970]; None before.
-        slowest: the drives that took longest, and their seconds.
-        causes: why drives failed, the most frequent first: class of the error, its text of the first drive, the drives.
-        stages: seconds of each stage over all drives, and of the rest.
-        workers: name, drives, seconds, seconds of its processor, most memory [byte].
-        drive_seconds: of all drives that ended, in order [s].
-    """
-
-    folder: str
-    verb: str
-    version: str
-    states: Mapping[str, int]
-    tries: int
-    begun_ns: int | None
-    ended_ns: int | None
-    slowest: tuple[tuple[str, float], ...]
-    causes: tuple[tuple[str, str, tuple[str, ...]], ...]
-    stages: Mapping[str, float]
-    workers: tuple[tuple[str, int, float, float, int], ...]
-    drive_seconds: tuple[float, ...]
-
-    @property
-    def seconds(self) -> float:
-        """From the first begin to the last end [s]."""
-        return ((self.ended_ns or 0) - (self.begun_ns or 0)) * 1e-9
-
-
-def read_figures(folder: Path) -> RunFigures:
-    """Read the record in a folder, also while the run goes on.
-
-    Raises:
-        DataError: there is no record of a run.
-    """
-    with Record.opened(folder) as record:
-        run, rows = record.reported(), record.rows()
-        reports = {row.number: record.report(row.number) for row in rows if row.state is State.DONE}
-    ended = [row for row in rows if row.finished_ns is not None]
-    begun_ns = min((_ended_ns(row) - round(_seconds(row.seconds) * 1e9) for row in ended), default=None)
-    slowest = sorted(((row.name, _seconds(row.seconds)) for row in ended), key=lambda one: -one[1])
-    return RunFigures(
-        folder=str(folder),
-        verb=str(run.get("verb", "")),
-        version=str(run.get("sceneloom", "")),
-        states={str(state): sum(row.state is state for row in rows) for state in State},
-        tries=sum(row.attempts for row in rows),
-        begun_ns=begun_ns,
-        ended_ns=max(map(_ended_ns, ended), default=None),
-        slowest=tuple(slowest[:_MOST_SHOWN]),
-        causes=_causes(row for row in rows if row.state is State.FAILED),
-        stages=_stages(rows, reports),
-        workers=_workers(ended),
-        drive_seconds=tuple(sorted(_seconds(row.seconds) for row in ended)),
-    )
-
-
-def write_page(figures: RunFigures, target: Path, *, overwrite: bool = False) -> None:
-    """Write a page of HTML that needs nothing from elsewhere.
-
-    Raises:
-        OutputError: it exists, or cannot be written.
-    """
-    counts = ", ".join(f"{count} {state}" for state, count in figures.states.items() if count)
-    facts = [f"{counts}; {figures.tries} tries", f"{figures.folder}, by sceneloom {figures.version}"]
-    if figures.begun_ns is not None and figures.seconds > 0:
-        begun, times = datetime.fromtimestamp(figures.begun_ns // 10**9, UTC), figures.drive_seconds
-        rate = 60.0 * len(times) / figures.seconds
-        facts.append(
-            f"begun {begun:%Y-%m-%d %H:%M:%S} UTC; {figures.seconds:.0f} s; {rate:.1f} drives a minute"
-        )
-        facts.append(f"a drive: median {times[len(times) // 2]:.1f} s, at most {times[-1]:.1f} s")
-    stages = sorted(figures.stages.items(), key=lambda stage: -stage[1])
-    causes = [(len(drives), f"{kind}: {error}", drives[0]) for kind, error, drives in figures.causes]
-    workers = [
-        (n, f"{a:.1f}", f"{b:.1f}", f"{most / 1e6:.0f}", name) for name, n, a, b, most in figures.workers
-    ]
-    body = [f"<p>{escape(fact)}</p>" for fact in facts]
-    body += _table("Why drives failed", ("drives", "cause", "first"), causes)
-    body += _table("Time by stage", ("stage", "seconds"), [(name, f"{taken:.1f}") for name, taken in stages])
-    body += _table(
-        "Slowest drives", ("drive", "seconds"), [(name, f"{taken:.1f}") for name, taken in figures.slowest]
-    )
-    body += _table("Workers", ("drives", "seconds", "of processor", "most memory [MB]", "worker"), workers)
-    title = escape(f"{figures.verb} over {sum(figures.states.values())} drives")
-    with replacing(target, overwrite=overwrite) as draft:
-        draft.write_text(_PAGE.format(title=title, body="\n".join(body)), encoding="utf-8")
-
-
-def format_metrics(
-    summary: RunSummary,
-    *,
-    peak_bytes: int = 0,
-    stages: Mapping[str, float] | None = None,
-    now: float | None = None,
-) -> str:
-    """Give the state of a run as text for Prometheus.
-
-    Args:
-        summary: of the run.
-        peak_bytes: the most memory that any of its workers had.
-        stages: seconds of each stage over all drives [s].
-        now: when that was so [s since 1970]; by default, now.
-
-    Source: Prometheus, "Exposition formats", text format 0.0.4.
-    """
-    run = {"verb": summary.verb, "output": summary.output}
-    states = {"done": summary.done, "failed": summary.failed, "left": summary.left}
-    updated = time.time() if now is None else now
-    none: dict[str, str] = {}
-    metrics: list[tuple[str, str, str, list[tuple[dict[str, str], float]]]] = [
-        ("drives", "gauge", "Drives of the run.", [({"state": name}, n) for name, n in states.items()]),
-        ("skipped", "gauge", "Drives that an earlier run had done.", [(none, summary.skipped)]),
-        ("retries_total", "counter", "Tries beyond the first ones.", [(none, summary.retried)]),
-        ("run_seconds", "gauge", "How long the run has taken.", [(none, summary.seconds)]),
-        ("processor_seconds_total", "counter", "Of all workers' processors.", [(none, summary.processor_seconds)]),
-        ("worker_peak_bytes", "gauge", "The most memory that any worker had.", [(none, peak_bytes)]),
-        ("updated_timestamp_seconds", "gauge", "When this was written.", [(none, updated)]),
-        ("stage_seconds_total", "counter", "Wall time of each stage of the work.",
-         [({"stage": name}, taken) for name, taken in (stages or {}).items()]),
-    ]  # fmt: skip
-    lines = []
-    for name, kind, reported, samples in metrics:
-        full = f"sceneloom_batch_{name}"
-        lines += [f"# HELP {full} {reported}", f"# TYPE {full} {kind}"] if samples else []
-        for own, value in samples:
-            labels = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in {**run, **own}.items())
-            lines.append(f"{full}{{{labels}}} {value}")
-    return "\n".join(lines) + "\n"
-
-
-@dataclass(slots=True)
-class MetricsFile:
-    """A file of metrics for node exporter's textfile collector, written anew at most every few seconds.
-
-    Attributes:
-        path: of the file; one that is there is replaced.
-    """
-
-    path: Path
-    _peak_bytes: int = 0
-    _stages: Counter[str] = field(default_factory=Counter)
-    _due: float = 0.0
-
-    def reported(self, summary: RunSummary, outcome: Outcome) -> None:
-        """Count the outcome of a try, and write the file when it is due.
-
-        Raises:
-            OutputError: the file cannot be written.
-        """
-        self._peak_bytes = max(self._peak_bytes, outcome.peak_bytes)
-        stages = outcome.report.get("stages") if isinstance(outcome.report, dict) else None
-        self._stages.update(stages if isinstance(stages, dict) else {})
-        if time.monotonic() < self._due and summary.left:
-            return
-        with replacing(self.path, overwrite=True) as draft:
-            text = format_metrics(summary, peak_bytes=self._peak_bytes, stages=self._stages)
-            draft.write_text(text, encoding="utf-8")
-        self._due = time.monotonic() + _WRITE_EVERY_SECONDS
-
-
-def _ended_ns(row: Row) -> int:
-    return row.finished_ns or 0
-
-
-def _seconds(value: Any) -> float:
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else 0.0
-
-
-def _causes(failed: Iterable[Row]) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
-    """Group errors that differ in names of drives and in numbers only."""
-    alike: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
-    for row in failed:
-        text = ((row.error or "").strip().splitlines() or [""])[-1]
-        alike[row.kind or "", _NUMBERS.sub("#", text.replace(row.input, "…"))].append((text, row.name))
-    most = sorted(alike.items(), key=lambda item: -len(item[1]))
-    return tuple((kind, rows[0][0], tuple(name for _, name in rows)) for (kind, _), rows in most)
-
-
-def _stages(rows: Iterable[Row], reports: Mapping[int, Any]) -> dict[str, float]:
-    """Add up the stages of all drives; the rest is starting, importing, compiling and what has no stage."""
-    found: dict[str, float] = defaultdict(float)
-    for row in rows:
-        report = reports.get(row.number)
-        if not isinstance(report, dict) or row.seconds is None:
-            continue
-        stages = report.get("stages")
-        if not isinstance(stages, dict):
-            if report.get("seconds") is None:
-                continue
-            stages = {"the verb at work": report["seconds"]}
-        for name, value in stages.items():
-            found[str(name)] += _seconds(value)
-        found["everything else"] += max(row.seconds - sum(map(_seconds, stages.values())), 0.0)
-    return dict(found)
-
-
-def _workers(ended: Iterable[Row]) -> tuple[tuple[str, int, float, float, int], ...]:
-    rows: dict[str, list[Row]] = defaultdict(list)
-    for row in ended:
-        if row.worker:
-            rows[row.worker].append(row)
-    return tuple(
-        (
-            name,
-            len(own),
-            sum(_seconds(row.seconds) for row in own),
-            sum(_seconds(row.processor_seconds) for row in own),
-            max(row.peak_bytes or 0 for row in own),
-        )
-        for name, own in sorted(rows.items())
-    )
-
-
-def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
-    """A table with its title; nothing without rows."""
-    head = "".join(f'<th scope="col">{escape(one)}</th>' for one in heads)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>\n" for row in rows)
-    return [f"<h2>{escape(title)}</h2>\n<table>\n<tr>{head}</tr>\n{body}</table>"] if rows else []

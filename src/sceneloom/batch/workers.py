@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import shutil
 import signal
 import socket
 import sys
@@ -18,15 +19,21 @@ from multiprocessing.context import ForkServerContext, SpawnContext
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import get_temp_dir
 from pathlib import Path
-from tempfile import gettempdir
+from tempfile import TemporaryDirectory, gettempdir
 from typing import Any, Protocol
 
-from sceneloom.batch.jobs import Outcome, Task, with_files
-from sceneloom.batch.outputs import bring, drafts_of, send
+from sceneloom.batch.jobs import Outcome, Task, name_of, with_files
 from sceneloom.errors import SceneloomError, ignore_warnings_of_extreme_numbers, redacted
-from sceneloom.formats.base.files import late_fingerprint
+from sceneloom.formats.base.files import is_url, late_fingerprint
+from sceneloom.formats.base.output import exchange
 from sceneloom.kernels.cache import find_kernel_cache
 from sceneloom.stages import stage, timed
+
+OUTCOME = ".outcome"
+"""Name of the file beside a draft that says what came of the try."""
+
+_FURTHER = ".further"
+"""Name of the folder beside a draft in which a verb writes its further outputs, which go to locations of their own."""
 
 NUMBA = "NUMBA_NUM_THREADS"
 
@@ -80,7 +87,7 @@ def _done(task: Task) -> dict[str, Any]:
     seen = with_files(late_fingerprint(task.location), task.files)
     draft = draft_of(task)
     draft.parent.mkdir(parents=True, exist_ok=True)
-    further = drafts_of(draft, task.further)
+    further = _drafts_of(draft, task.further)
     for location in further.values():
         location.parent.mkdir(parents=True, exist_ok=True)
     module, _, name = task.call.partition(":")
@@ -94,7 +101,7 @@ def _done(task: Task) -> dict[str, Any]:
     if task.target:
         with stage("sending"):
             bring(draft, task.further)
-            send(draft, task.target)
+            _send(draft, task.target)
     if isinstance(report, dict) and any(location.exists() for location in further.values()):
         report["further"] = {
             option: task.further[option] for option, location in further.items() if location.exists()
@@ -105,6 +112,87 @@ def _done(task: Task) -> dict[str, Any]:
 def draft_of(task: Task) -> Path:
     """Where the output of a task is written on this machine."""
     return Path(gettempdir()) / task.draft if task.target else task.draft
+
+
+def put(draft: Path, folder: Path) -> None:
+    """Move an output to its folder, after what else the verb wrote beside it.
+
+    Raises:
+        OSError: it cannot be moved.
+    """
+    for made in _made(draft):
+        _move_in_place(made, folder / made.name)
+
+
+def _send(draft: Path, target: str) -> None:
+    """Send an output to a store, after what else the verb wrote beside it; each object appears whole or not at all.
+
+    Raises:
+        OutputError: the store cannot be written to.
+    """
+    from sceneloom.formats.remote.uploads import upload
+
+    for made in _made(draft):
+        upload(made, f"{target.rstrip('/')}/{made.name}")
+
+
+def _made(draft: Path) -> list[Path]:
+    made = [path for path in draft.parent.iterdir() if path.name not in {_FURTHER, OUTCOME}]
+    return sorted(made, key=lambda path: path == draft)
+
+
+def _move_in_place(made: Path, location: Path) -> None:
+    """Put something in its location in one step; a folder that is there steps aside first."""
+    if location.is_dir() and not location.is_symlink():
+        if not made.is_dir():
+            shutil.rmtree(location)
+        elif exchange(made, location):
+            return
+        else:
+            location.rename(made.with_name(f"{made.name}.before"))
+    made.replace(location)
+
+
+def _drafts_of(draft: Path, locations: Mapping[str, str]) -> dict[str, Path]:
+    """Where a verb writes its further outputs, by option.
+
+    Args:
+        draft: of its own output.
+        locations: where they belong, by option.
+    """
+    return {
+        option: draft.parent / _FURTHER / option / name_of(location) for option, location in locations.items()
+    }
+
+
+def bring(draft: Path, locations: Mapping[str, str]) -> None:
+    """Put what was written into its locations: each appears whole or not at all.
+
+    Raises:
+        OSError: it cannot be moved.
+        OutputError: a store cannot be written to.
+    """
+    for option, made in _drafts_of(draft, locations).items():
+        if not made.exists():
+            continue
+        if is_url(locations[option]):
+            from sceneloom.formats.remote.uploads import upload
+
+            upload(made, locations[option])
+        else:
+            _move(made, Path(locations[option]))
+
+
+def _move(made: Path, location: Path) -> None:
+    """Move something in one step, onto another disk, too."""
+    location.parent.mkdir(parents=True, exist_ok=True)
+    if made.stat().st_dev == location.parent.stat().st_dev:
+        _move_in_place(made, location)
+        return
+    with TemporaryDirectory(prefix=f".{location.name}-", dir=location.parent) as workplace:
+        copy = Path(workplace, location.name)
+        shutil.copytree(made, copy) if made.is_dir() else shutil.copy2(made, copy)
+        _move_in_place(copy, location)
 
 
 def _without_secrets(reported: Any) -> Any:

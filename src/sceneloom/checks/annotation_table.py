@@ -10,17 +10,14 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from sceneloom.checks.rule import Hit, Subject
 from sceneloom.scene.annotations import (
-    Annotation,
     Box2DAnnotation,
-    CameraCalibration,
     CuboidAnnotation,
-    LocalizationAdjustment,
     PointsAnnotation,
     ShapeAnnotation,
 )
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarFrame
-from sceneloom.scene.types import Identifier, key_of
+from sceneloom.scene.types import key_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +97,7 @@ class PartTable:
 
 
 def annotation_parts(subject: Subject, kind: str) -> PartTable:
-    """All paths of "cuboids", "boxes", "shapes" or named "points", or all of another kind of `_KINDS`."""
+    """All paths of "cuboids", "boxes", "shapes" or named "points", or all of another kind of `PART_KINDS`."""
     return subject.table("parts of annotations", _made_tables)[kind]
 
 
@@ -123,11 +120,11 @@ def cuboids_at(subject: Subject, sweep: LidarFrame) -> Float64Array:
 
 _Entries = list[tuple[int, str, Any]]
 
-_KINDS = ("cuboids", "activations", "projections", "point_projections", "boxes", "shapes", "points")
+PART_KINDS = ("cuboids", "activations", "projections", "point_projections", "boxes", "shapes", "points")
 
 
 def _made_tables(subject: Subject) -> dict[str, PartTable]:
-    entries: dict[str, _Entries] = {name: [] for name in _KINDS}
+    entries: dict[str, _Entries] = {name: [] for name in PART_KINDS}
     for number, annotation in enumerate(subject.scene.annotations):
         if isinstance(annotation, CuboidAnnotation):
             entries["cuboids"].append((number, ".path", annotation.path))
@@ -164,74 +161,3 @@ def camera_rows(subject: Subject, table: PartTable) -> Iterator[tuple[CameraSens
         rows = np.flatnonzero(of_rows == number)
         if len(rows):
             yield camera, rows
-
-
-@dataclass(frozen=True, slots=True)
-class SensorMention:
-    """A location that names a sensor.
-
-    Attributes:
-        number: of the annotation.
-        suffix: where in it (`.projections[1].sensor_id`).
-        sensor_id: the id that stands there.
-        annotation: the annotation itself.
-        part: what names the sensor: the annotation, or an activation, a projection, an attribute, labelled points.
-    """
-
-    number: int
-    suffix: str
-    sensor_id: Identifier
-    annotation: Annotation
-    part: Any
-
-
-def sensor_mentions(subject: Subject) -> list[SensorMention]:
-    """All locations in annotations that name a sensor."""
-    return subject.table("mentions of sensors", lambda inner: list(_mentions(inner)))
-
-
-_NAMING_PARTS = ("activations", "projections", "attributes", "labeled_points")
-
-
-def _mentions(subject: Subject) -> Iterator[SensorMention]:
-    for number, annotation in enumerate(subject.scene.annotations):
-        own = getattr(annotation, "sensor_id", None)
-        if own is not None:
-            yield SensorMention(number, ".sensor_id", own, annotation, annotation)
-        for name in _NAMING_PARTS:
-            for k, part in enumerate(getattr(annotation, name, ())):
-                for inside, named in _naming(part):
-                    suffix = f".{name}[{k}]{inside}.sensor_id"
-                    yield SensorMention(number, suffix, named.sensor_id, annotation, named)
-
-
-def _naming(part: Any) -> Iterator[tuple[str, Any]]:
-    """The parts of a part that name a sensor: the points of a points annotation have several projections each."""
-    if isinstance(part, tuple):
-        yield from ((f"[{k}]", inner) for k, inner in enumerate(part))
-    elif part.sensor_id is not None:
-        yield "", part
-
-
-def timed_parts(subject: Subject) -> PartTable:
-    """Everything of annotations that has timestamps, attributes and poses included."""
-    return subject.table("timed parts of annotations", _timed_parts)
-
-
-def _timed_parts(subject: Subject) -> PartTable:
-    entries: _Entries = [
-        (int(number), suffix, part)
-        for table in (annotation_parts(subject, kind) for kind in _KINDS)
-        for number, suffix, part in zip(table.numbers, table.suffixes, table.parts, strict=True)
-    ]
-    for number, annotation in enumerate(subject.scene.annotations):
-        for k, attribute in enumerate(getattr(annotation, "attributes", ())):
-            if attribute.timestamps_ns is not None:
-                entries.append((number, f".attributes[{k}]", attribute))
-        poses = annotation.poses if isinstance(annotation, _WITH_POSES) else None
-        if poses is not None:
-            entries.append((number, ".poses", poses))
-    return PartTable.of(entries)
-
-
-_WITH_POSES = LocalizationAdjustment | CameraCalibration

@@ -2,13 +2,13 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.checks.annotation_table import SensorMention, sensor_mentions
 from sceneloom.checks.rule import ERROR, HINT, WARNING, Hit, Rule, Subject, unless_recording
 from sceneloom.formats.sfs.schema import ANNOTATION_RECORDS, SENSOR_RECORDS
 from sceneloom.scene.annotations import (
@@ -40,6 +40,53 @@ _EMPTYING = frozenset({"missing-videos", "unreadable-videos", "unmatched-images"
 """Faults of a recording that leave a camera without images."""
 
 
+@dataclass(frozen=True, slots=True)
+class _SensorMention:
+    """A location that names a sensor.
+
+    Attributes:
+        number: of the annotation.
+        suffix: where in it (`.projections[1].sensor_id`).
+        sensor_id: the id that stands there.
+        annotation: the annotation itself.
+        part: what names the sensor: the annotation, or an activation, a projection, an attribute, labelled points.
+    """
+
+    number: int
+    suffix: str
+    sensor_id: Identifier
+    annotation: Annotation
+    part: Any
+
+
+def _sensor_mentions(subject: Subject) -> list[_SensorMention]:
+    """All locations in annotations that name a sensor."""
+    return subject.table("mentions of sensors", lambda inner: list(_mentions(inner)))
+
+
+_NAMING_PARTS = ("activations", "projections", "attributes", "labeled_points")
+
+
+def _mentions(subject: Subject) -> Iterator[_SensorMention]:
+    for number, annotation in enumerate(subject.scene.annotations):
+        own = getattr(annotation, "sensor_id", None)
+        if own is not None:
+            yield _SensorMention(number, ".sensor_id", own, annotation, annotation)
+        for name in _NAMING_PARTS:
+            for k, part in enumerate(getattr(annotation, name, ())):
+                for inside, named in _naming(part):
+                    suffix = f".{name}[{k}]{inside}.sensor_id"
+                    yield _SensorMention(number, suffix, named.sensor_id, annotation, named)
+
+
+def _naming(part: Any) -> Iterator[tuple[str, Any]]:
+    """The parts of a part that name a sensor: the points of a points annotation have several projections each."""
+    if isinstance(part, tuple):
+        yield from ((f"[{k}]", inner) for k, inner in enumerate(part))
+    elif part.sensor_id is not None:
+        yield "", part
+
+
 def _nothing(subject: Subject) -> Iterator[Hit]:
     if subject.holds_nothing:
         yield Hit("sensors", "neither a sensor nor an annotation nor a trajectory")
@@ -63,7 +110,7 @@ def _empty(subject: Subject) -> Iterator[Hit]:
 
     Cameras of a recording are passed over where each of them has a fault of its video that says why it is empty.
     """
-    named = {(type(mention.sensor_id), mention.sensor_id) for mention in sensor_mentions(subject)}
+    named = {(type(mention.sensor_id), mention.sensor_id) for mention in _sensor_mentions(subject)}
     empty = [
         (path, sensor)
         for path, sensor in subject.sensors()
@@ -244,7 +291,7 @@ def _annotation_cycles(subject: Subject) -> Iterator[Hit]:
 
 def _unknown_sensors(subject: Subject) -> Iterator[Hit]:
     known = {key_of(sensor.id): sensor for sensor in subject.scene.sensors}
-    named = [(_location(subject, mention), mention.sensor_id) for mention in sensor_mentions(subject)]
+    named = [(_location(subject, mention), mention.sensor_id) for mention in _sensor_mentions(subject)]
     for k, attribute in enumerate(subject.scene.attributes):
         if attribute.sensor_id is not None:
             named.append((f"attributes[{k}].sensor_id", attribute.sensor_id))
@@ -276,7 +323,7 @@ def _parts_of_sensors(path: str, annotation: Annotation) -> Iterator[tuple[str, 
             yield f"{path}.projections[{k}]", of_point
 
 
-def _location(subject: Subject, mention: SensorMention) -> str:
+def _location(subject: Subject, mention: _SensorMention) -> str:
     return subject.annotation_paths[mention.number] + mention.suffix
 
 
@@ -284,7 +331,7 @@ _CLOUDS = (LidarSensor, RadarSensor, PointsSensor)
 
 
 def _wrong_sensors(subject: Subject) -> Iterator[Hit]:
-    for mention in sensor_mentions(subject):
+    for mention in _sensor_mentions(subject):
         sensor = subject.sensor(mention.sensor_id)
         expected = _expected_sensor(mention.part)
         if sensor is None or expected is None or isinstance(sensor, PlainSensor):

@@ -8,10 +8,10 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Int64Array, read_only
 from sceneloom.checks.annotation_table import (
+    PART_KINDS,
     PartTable,
     annotation_parts,
     camera_rows,
-    timed_parts,
 )
 from sceneloom.checks.faults import as_read
 from sceneloom.checks.rule import (
@@ -39,7 +39,14 @@ from sceneloom.formats.sfs.clock import (
     point_times_dtype,
 )
 from sceneloom.formats.sfs.container import RawBytes
-from sceneloom.scene.annotations import AttributePath, CuboidAnnotation, EventAnnotation, PointsAnnotation
+from sceneloom.scene.annotations import (
+    AttributePath,
+    CameraCalibration,
+    CuboidAnnotation,
+    EventAnnotation,
+    LocalizationAdjustment,
+    PointsAnnotation,
+)
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
 from sceneloom.scene.point_times import PointTimes, RawTimes, timed_frame
@@ -400,8 +407,31 @@ _SAME_IMAGE = 4
 """A time within this part of an image's interval means that image."""
 
 
+def _timed_parts(subject: Subject) -> PartTable:
+    """Everything of annotations that has timestamps, attributes and poses included."""
+    return subject.table("timed parts of annotations", _all_timed_parts)
+
+
+def _all_timed_parts(subject: Subject) -> PartTable:
+    entries: list[tuple[int, str, Any]] = [
+        (int(number), suffix, part)
+        for table in (annotation_parts(subject, kind) for kind in PART_KINDS)
+        for number, suffix, part in zip(table.numbers, table.suffixes, table.parts, strict=True)
+    ]
+    for number, annotation in enumerate(subject.scene.annotations):
+        for k, attribute in enumerate(getattr(annotation, "attributes", ())):
+            if attribute.timestamps_ns is not None:
+                entries.append((number, f".attributes[{k}]", attribute))
+        poses = (
+            annotation.poses if isinstance(annotation, LocalizationAdjustment | CameraCalibration) else None
+        )
+        if poses is not None:
+            entries.append((number, ".poses", poses))
+    return PartTable.of(entries)
+
+
 def _not_increasing(subject: Subject) -> Iterator[Hit]:
-    table = timed_parts(subject)
+    table = _timed_parts(subject)
     times = table.timestamps_ns
     bad = np.zeros(len(times), bool)
     bad[1:] = (times[1:] <= times[:-1]) & table.inner
@@ -485,7 +515,7 @@ def _taken(column: Any, rows: Sequence[int]) -> Any:
 
 
 def _empty(subject: Subject) -> Iterator[Hit]:
-    table = timed_parts(subject)
+    table = _timed_parts(subject)
     for part in np.flatnonzero(np.diff(table.starts) == 0).tolist():
         if table.suffixes[part].startswith(".path"):
             yield Hit(table.location(subject, part), "no keyframes; expected at least one")
@@ -505,7 +535,7 @@ def _bounds(subject: Subject) -> tuple[int, int] | None:
 
 def _outside(subject: Subject) -> Iterator[Hit]:
     """Find what lies outside as a whole, and not just beside the scene."""
-    bounds, table = _bounds(subject), timed_parts(subject)
+    bounds, table = _bounds(subject), _timed_parts(subject)
     if bounds is None:
         return
     for part in np.flatnonzero(np.diff(table.starts) > 0).tolist() if _may_be_outside(table, bounds) else ():
@@ -535,7 +565,7 @@ def _may_be_outside(table: PartTable, bounds: tuple[int, int]) -> bool:
 
 def _beyond(subject: Subject) -> Iterator[Hit]:
     """Count the parts that reach beyond the scene, or lie just beside it, and name the one that reaches farthest."""
-    bounds, table = _bounds(subject), timed_parts(subject)
+    bounds, table = _bounds(subject), _timed_parts(subject)
     if bounds is None:
         return
     times = table.timestamps_ns

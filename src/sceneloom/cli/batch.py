@@ -276,7 +276,7 @@ def _all_reported(reported: "Reported | None", metrics: Path | None) -> "Reporte
     """Report the file of metrics, too, if there is one."""
     if metrics is None:
         return reported
-    from sceneloom.batch.running import MetricsFile
+    from sceneloom.batch.figures import MetricsFile
     from sceneloom.formats.base.output import check_output
 
     check_output(metrics, overwrite=True)
@@ -500,10 +500,10 @@ def status(
     verbose: bool,
 ) -> None:
     """Report the state of the run into OUTPUT, a folder or a URL, while it goes on, too."""
+    from sceneloom.batch.figures import read_figures, write_page
     from sceneloom.batch.jobs import State
-    from sceneloom.batch.outputs import record_folder
     from sceneloom.batch.record import Record
-    from sceneloom.batch.running import read_figures, write_page
+    from sceneloom.batch.running import record_folder
     from sceneloom.errors import redacted
 
     folder = record or (record_folder(output) if isinstance(output, str) else output)

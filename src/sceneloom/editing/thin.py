@@ -182,7 +182,8 @@ def _thinned(
     """Thin one sensor, and note what became of the numbers of its frames and points."""
     key = key_of(sensor.id)
     if isinstance(sensor, CameraSensor | DepthCameraSensor):
-        return _every_shot(sensor, every)
+        thinned: Sensor = _every_shot(sensor, every)
+        return thinned
     if isinstance(sensor, PointsSensor) and thinning.changes:
         rows = thinning.rows(sensor.positions)
         changes[key] = renumbered_map(rows)

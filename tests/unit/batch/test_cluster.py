@@ -11,8 +11,8 @@ from distributed import LocalCluster
 
 from sceneloom.batch import Task, run
 from sceneloom.batch.cluster import DaskCluster, run_packed
-from sceneloom.batch.outputs import OUTCOME
 from sceneloom.batch.record import Record
+from sceneloom.batch.workers import OUTCOME
 from sceneloom.errors import OptionError
 from sceneloom.version import __version__
 

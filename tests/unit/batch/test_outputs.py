@@ -8,8 +8,8 @@ import pytest
 from sceneloom.batch import run
 from sceneloom.batch.cluster import DaskCluster
 from sceneloom.batch.jobs import Further
-from sceneloom.batch.outputs import CLAIM, record_folder
 from sceneloom.batch.record import Record
+from sceneloom.batch.running import CLAIM, record_folder
 from sceneloom.batch.workers import ProcessPool
 from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.remote import stores

@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 
 from sceneloom.batch import Outcome, RunSummary, State, run
-from sceneloom.batch.outputs import record_folder
 from sceneloom.batch.record import FOLDER, Record
-from sceneloom.batch.running import MetricsFile, format_metrics, read_figures, write_page
+from sceneloom.batch.running import MetricsFile, format_metrics, read_figures, record_folder, write_page
 from sceneloom.errors import DataError, OptionError, OutputError
 
 

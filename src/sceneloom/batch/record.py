@@ -156,7 +156,7 @@ class Record:
             connection.execute("PRAGMA synchronous = NORMAL")
             connection.executescript(_TABLES)
             record = cls(folder, connection)
-            record.notify("version", _VERSION) if not record.reported() else record._check()
+            record.keep("version", _VERSION) if not record.reported() else record._check()
             yield record
 
     @property
@@ -164,7 +164,7 @@ class Record:
         """Where outputs are written before they are whole."""
         return self.folder / FOLDER / _DRAFTS
 
-    def notify(self, name: str, value: Any) -> None:
+    def keep(self, name: str, value: Any) -> None:
         """Keep something of the run as a whole."""
         with self._connection:
             self._connection.execute("INSERT OR REPLACE INTO run VALUES (?, ?)", (name, json.dumps(value)))
@@ -270,7 +270,7 @@ class Record:
 
 @contextmanager
 def _connected(uri: str, file: Path) -> Iterator[sqlite3.Connection]:
-    """Open a database; whatever is wrong with it until it is closed is reported its file."""
+    """Open a database; whatever is wrong with it until it is closed is an error of its file."""
     try:
         with closing(sqlite3.connect(uri, uri=True)) as connection:
             yield connection

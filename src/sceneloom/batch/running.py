@@ -222,11 +222,11 @@ def _open_outputs(store: str, record: Record, *, resume: bool) -> _Outputs:
             f"{record.folder}: holds a run over {drives} drives already; `--resume` goes on with it, "
             "or choose another folder"
         )
-    record.notify("store", now)
+    record.keep("store", now)
     if not store:
         return _Outputs(str(record.folder))
     name = known.get("run") or secrets.token_hex(8)
-    record.notify("run", name)
+    record.keep("run", name)
     return claimed(store, run=name, record=record.folder)
 
 
@@ -256,10 +256,10 @@ def _prepare(job: Job, record: Record, outputs: _Outputs) -> None:
         taken.add(free)
         new.append((drive.name, drive.options, free))
     record.add(new)
-    record.notify("verb", job.verb)
-    record.notify("sceneloom", __version__)
+    record.keep("verb", job.verb)
+    record.keep("sceneloom", __version__)
     reported = {**job.options, **job.files}
-    record.notify("options", {name: redacted(repr(value)) for name, value in reported.items()})
+    record.keep("options", {name: redacted(repr(value)) for name, value in reported.items()})
     meant = {row.number: asked[key] for key, row in known.items() if key in asked}
     done = _done_rows(
         job, outputs, record, {row.number: row for row in known.values() if row.number in meant}, meant

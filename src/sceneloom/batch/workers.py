@@ -83,7 +83,7 @@ def _message(error: BaseException) -> str:
 
 
 def _done(task: Task) -> dict[str, Any]:
-    """Do the verb, and send what it wrote to where it belongs if that is a store; gives what is reported it."""
+    """Do the verb, and send what it wrote to where it belongs if that is a store; gives what is reported of it."""
     seen = with_files(late_fingerprint(task.location), task.files)
     draft = draft_of(task)
     draft.parent.mkdir(parents=True, exist_ok=True)
@@ -373,7 +373,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let processes that are started now have one thread in each library, unless the user stated otherwise."""
+    """Let processes that are started now have one thread in each library, unless the user set other numbers."""
     # Numba, which may be at work here, looks at its own again and again: workers set it themselves
     wanted = {name: "1" for name in THREADS if name not in os.environ and name != NUMBA}
     os.environ.update(wanted)

@@ -150,7 +150,7 @@ def _write_part(table: Any, scenes: Any, path: Path) -> None:
 
     Args:
         table: rows, as a table of pyarrow.
-        scenes: what its footer reports them, as values that JSON has.
+        scenes: what its footer lists, as values that JSON has.
         path: of the file.
     """
     _, parquet = pyarrow()
@@ -187,7 +187,7 @@ def read_part(path: Path) -> Any:
 
 
 def read_footer(path: Path) -> tuple[int, Any]:
-    """Read how many rows a file has, and what it reports its scenes.
+    """Read how many rows a file has, and the scenes that its footer lists.
 
     Raises:
         DataError: it is not there, is no Parquet file, ends before its end, or states nothing of scenes.
@@ -308,7 +308,7 @@ _IN_ORDER = (*(table for table in TABLES if table != "scenes"), "scenes")
 
 
 class Entry(msgspec.Struct, frozen=True, array_like=True):
-    """What is reported a scene in each file that holds it.
+    """What each file that holds a scene states of it.
 
     Attributes:
         path: where its drive is.
@@ -327,7 +327,7 @@ class Fresh:
 
     Attributes:
         scene: its name.
-        entry: what is reported it.
+        entry: what files state of it.
         folder: its rows (`write_draft`).
         rows: how many the longest table has.
     """
@@ -364,7 +364,7 @@ class Parts:
 
     @property
     def entries(self) -> dict[str, Entry]:
-        """What is reported all scenes, by their names."""
+        """The entries of all scenes, by their names."""
         return {scene: entry for part in self._parts.values() for scene, entry in part.entries.items()}
 
     @property
@@ -454,7 +454,7 @@ def _read(layout: Layout, number: int) -> _Part:
         except DataError as error:
             part.damage.append(error)
         except msgspec.ValidationError as error:
-            part.damage.append(DataError(location, "", f"reports its scenes what cannot be: {error}"))
+            part.damage.append(DataError(location, "", f"lists scenes that cannot be: {error}"))
     return part
 
 

@@ -53,7 +53,7 @@ def _placed_sensors(subject: Subject) -> Iterator[tuple[str, Placed]]:
 
 
 def _without_position(subject: Subject) -> Iterator[Hit]:
-    """Sensors that nothing locations; not cameras of a recording, whose missing mounting is an error already."""
+    """Sensors of unknown position; not cameras of a recording, whose missing mounting is an error already."""
     reported = any(fault.code == "mounts-missing" for fault in subject.faults)
     for path, sensor in _placed_sensors(subject):
         if reported and isinstance(sensor, CameraSensor):

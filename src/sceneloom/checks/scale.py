@@ -55,7 +55,7 @@ def _scene_faults(subject: Subject) -> Iterator[Hit]:
 
 
 def _type_of(record: Any) -> str:
-    """The type that a sensor or annotation says, "" where it says none."""
+    """The type of a sensor or annotation, "" where it has none."""
     kind = record.get("type") if isinstance(record, dict) else None
     return kind if isinstance(kind, str) else ""
 

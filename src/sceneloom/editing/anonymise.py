@@ -156,7 +156,7 @@ _LINES = (
 
 _RECORDING, _OURS = "recording", "sceneloom"
 
-_OURS_TELLING = frozenset({"enu_origin", "world_from_file", "cropped", "source", "sources"})
+_OURS_REVEALING = frozenset({"enu_origin", "world_from_file", "cropped", "source", "sources"})
 """Entries of our own part of the metadata that report a location or a name; others are numbers that readers need."""
 
 
@@ -175,7 +175,7 @@ class Telltale:
 
 @dataclass(slots=True)
 class _FieldSweep:
-    """Takes telling fields out of a scene, and keeps where they were.
+    """Removes revealing fields from a scene, and lists where they were.
 
     Attributes:
         kinds: what must not be reported.
@@ -188,7 +188,7 @@ class _FieldSweep:
     left: list[Telltale] = field(default_factory=list)
 
     def scene(self, scene: Scene) -> Scene:
-        """Give the scene without telling fields; those of frames are taken out when these are read."""
+        """Give the scene without revealing fields; those of frames are removed when these are read."""
         attributes = tuple(
             one for one in scene.attributes if not self._goes(one.name, one.values, f"attributes.{one.name}")
         )
@@ -202,7 +202,7 @@ class _FieldSweep:
         )
 
     def fields(self, fields: Mapping[str, Any], location: str) -> Mapping[str, Any]:
-        """Give free fields without telling ones."""
+        """Give free fields without revealing ones."""
         kept = self._mapping(fields, location)
         same = len(kept) == len(fields) and all(kept[k] is fields[k] for k in kept)
         return fields if same else MappingProxyType(kept)
@@ -227,12 +227,12 @@ class _FieldSweep:
 
     def _ours(self, value: Any, location: str) -> Any:
         if isinstance(value, Mapping):
-            telling = [name for name in value if name in _OURS_TELLING and "location" in self.kinds]
-            self.found += [Telltale(f"{location}.{name}", "location") for name in telling]
+            revealing = [name for name in value if name in _OURS_REVEALING and "location" in self.kinds]
+            self.found += [Telltale(f"{location}.{name}", "location") for name in revealing]
             return {
                 name: self._ours(one, f"{location}.{name}")
                 for name, one in value.items()
-                if name not in telling
+                if name not in revealing
             }
         if isinstance(value, list | tuple):
             return [self._ours(one, f"{location}[{k}]") for k, one in enumerate(value)]

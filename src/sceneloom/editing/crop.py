@@ -213,7 +213,7 @@ class _Region:
             raise OptionError(f"range {self.reach}; expected a positive number of metres")
 
     def holds(self, points: FloatArray) -> BoolArray:
-        """Report which points (..., 3) [m] of the frame lie in it; one that is not finite lies nowhere."""
+        """Report which points (..., 3) [m] of the frame lie in it; one that is not finite does not."""
         inside: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
         if self.box is not None:
             inside &= (points >= self.box[:3]).all(axis=-1) & (points <= self.box[3:]).all(axis=-1)

@@ -99,7 +99,7 @@ class _Keyframer:
         looks_ns: (L,) int64 [ns], ascending, when paths shall be true besides at their keyframes: the times of the
             scene's frames, since annotations are about what these show.
         added_before: what an earlier change added, to be taken away again.
-        statistics: reported all choices.
+        statistics: of all choices.
     """
 
     change: FrameChange
@@ -218,7 +218,7 @@ class _AnnotationMover:
         return self.keyframer.change
 
     def moved(self, annotations: Iterable[Annotation]) -> tuple[Annotation, ...]:
-        """Give the annotations in the new frame; those that are nowhere known there are left out."""
+        """Give the annotations in the new frame; those that are known at no time there are left out."""
         found = [self._moved(annotation) for annotation in annotations]
         return tuple(annotation for annotation in found if annotation is not None)
 
@@ -485,7 +485,7 @@ EGO_ID = "ego"
 """Id of an odometry sensor that is made, if it is free."""
 
 
-def _odometry_telling(scene: Scene, path: Poses) -> OdometrySensor | None:
+def _odometry_of(scene: Scene, path: Poses) -> OdometrySensor | None:
     """The odometry sensor that reports this very path; None where there is none."""
     for sensor in scene.sensors:
         if isinstance(sensor, OdometrySensor) and same_direction(sensor.poses, path):
@@ -495,7 +495,7 @@ def _odometry_telling(scene: Scene, path: Poses) -> OdometrySensor | None:
 
 def with_odometry(scene: Scene, path: Poses) -> tuple[Scene, Identifier]:
     """Give the scene with an odometry sensor that reports this path, and the sensor's id."""
-    reported = _odometry_telling(scene, path)
+    reported = _odometry_of(scene, path)
     if reported is not None:
         return scene, reported.id
     sensor = OdometrySensor(free_id(scene, EGO_ID), path)
@@ -868,7 +868,7 @@ def _poses_in_world(
         sensor: which one.
         ego: the ego trajectory, if it is needed.
         reach_ns: how far beyond a path's ends its velocity is continued.
-        anew: take the ego trajectory even where the sensor reports its location in the world.
+        anew: take the ego trajectory even where the poses of the sensor are in the world.
 
     Returns:
         The path; None where it is not known.

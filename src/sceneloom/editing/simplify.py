@@ -61,14 +61,13 @@ def simplify_scene(
 ) -> Scene:
     """Leave out the timestamps of paths that the others report well enough.
 
-    Interpolating what stays gives every timestamp that was left out within the tolerances: of a cuboid centre, size and
-    rotate, of a keypoint its location, of a pose location and rotate. First and last timestamps stay, values that stay
-    are not changed.
+    Interpolating the others gives each one within the tolerances: centre, size and rotation of a cuboid, position of a
+    keypoint, position and rotation of a pose. First and last timestamps stay; values that stay are not changed.
 
     Args:
         scene: the scene.
         tolerance_m: largest distance of locations and largest difference of sizes [m].
-        tolerance_deg: largest angle between rotates [deg].
+        tolerance_deg: largest angle between rotations [deg].
         cuboids: of cuboids.
         keypoints: of points annotations.
         poses: of sensors, trajectories and localisation adjustments.

@@ -176,8 +176,8 @@ SECOND = 10**9
 def folder(tmp_path):
     """A run of 9 drives, one each second for 2 s of its own, of which two failed alike; a tenth is waiting."""
     with Record.held(tmp_path / "out") as record:
-        record.notify("verb", "fuse")
-        record.notify("sceneloom", "1.2.3")
+        record.keep("verb", "fuse")
+        record.keep("sceneloom", "1.2.3")
         record.add([(f"in/{k}.sfs", {}, f"{k}.sfs") for k in range(1, 11)])
         for k in range(1, 10):
             record.begin(k, 1 + (k == 3))

@@ -110,7 +110,7 @@ IN_STEP = 0.002
 """Images of a stereo pair are taken within this time [s]."""
 
 _NO_STEP = 0.1
-"""Taken for the time from line to line [s] where the lines notify none."""
+"""Taken for the time from line to line [s] where the lines show none."""
 
 
 def _over_frames(judge: Callable[[FrameColumns], Iterator[Hit]]) -> Find:

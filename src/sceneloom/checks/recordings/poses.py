@@ -33,7 +33,7 @@ _INTERVAL = 0.2
 """Rates are compared over so long [s], or over the time from pose to pose where that is longer."""
 
 _LONGEST_INTERVAL = 1.0
-"""Poses farther apart [s] do not notify how the device rotated between them."""
+"""Poses farther apart [s] do not show how the device rotated between them."""
 
 _MOST_INTERVALS = 2_000
 
@@ -200,14 +200,13 @@ def _finite_rows(*arrays: Float64Array) -> BoolArray:
 def _of_own_time(stream: Stream, usable: BoolArray) -> Int64Array:
     """The usable poses that are the first of their time, (M,) int64."""
     rows = np.flatnonzero(usable)
-    first: Int64Array = rows[np.diff(stream.seconds[rows], prepend=-np.inf) > 0]
-    return first
+    return np.asarray(rows[np.diff(stream.seconds[rows], prepend=-np.inf) > 0])
 
 
-def _first_of_each(wrong: BoolArray) -> Iterator[int]:
+def _first_of_each(wrong: BoolArray) -> list[int]:
     """Steps that are wrong; of those that follow each other, as to a wrong pose and back, the first."""
-    later = np.concatenate([[False], wrong[:-1]])
-    yield from np.flatnonzero(wrong & ~later).tolist()
+    found: list[int] = np.flatnonzero(wrong & ~np.concatenate([[False], wrong[:-1]])).tolist()
+    return found
 
 
 def _jumps(subject: Subject) -> Iterator[Hit]:
@@ -216,8 +215,7 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
         rows = _of_own_time(stream, _finite_rows(positions))
         times = np.diff(stream.seconds[rows])
         steps = np.linalg.norm(np.diff(positions[rows], axis=0), axis=1)
-        wrong = beyond_neighbours(steps, times, FASTEST, STEP_FACTOR, STEP_MARGIN)
-        for k in _first_of_each(wrong):
+        for k in _first_of_each(beyond_neighbours(steps, times, FASTEST, STEP_FACTOR, STEP_MARGIN)):
             row = int(rows[k + 1])
             problem = (
                 f"{stream.at(row)} is {steps[k]:.2f} m from the pose {times[k]:.3f} s before, "
@@ -227,19 +225,16 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
 
 
 def _rotations(subject: Subject) -> Iterator[Hit]:
+    limits = (FASTEST_ROTATION_DEG, ROTATION_FACTOR, ROTATION_MARGIN_DEG)
     for stream in streams_of_kind(subject, Kind.POSES):
         quaternions_xyzw = stream.values[:, 3:]
         norms = np.sqrt((quaternions_xyzw * quaternions_xyzw).sum(axis=1))
-        is_unit: BoolArray = np.abs(norms - 1.0) <= GREATEST_NORM_ERROR
-        rows = _of_own_time(stream, is_unit)
+        rows = _of_own_time(stream, np.asarray(np.abs(norms - 1.0) <= GREATEST_NORM_ERROR))
         if len(rows) < 2:
             continue
         times = np.diff(stream.seconds[rows])
         rotations = np.degrees(angle_between(quaternions_xyzw[rows[:-1]], quaternions_xyzw[rows[1:]]))
-        wrong = beyond_neighbours(
-            rotations, times, FASTEST_ROTATION_DEG, ROTATION_FACTOR, ROTATION_MARGIN_DEG
-        )
-        for k in _first_of_each(wrong):
+        for k in _first_of_each(beyond_neighbours(rotations, times, *limits)):
             row = int(rows[k + 1])
             problem = (
                 f"{stream.at(row)} is rotated by {rotations[k]:.1f} degrees against the pose {times[k]:.3f} s before, "
@@ -262,7 +257,7 @@ POSE_STEP_RULES: tuple[Rule, ...] = (
 # fmt: on
 
 _LEAST_CORRELATION = 0.8
-"""Rotate rates of orientations and of the gyroscope that correlate less do not agree."""
+"""Angular velocities of orientations and gyroscope that correlate less do not agree."""
 
 _GREATEST_TILT_DEG = 25.0
 """So far off up the mean of the accelerometer may be: a vehicle that brakes all the time leaves 20°."""

@@ -176,7 +176,7 @@ def _hard_pulls(subject: Subject) -> Iterator[Hit]:
 
 
 def _beyond(stream: Stream, limit: float, unit: str) -> Iterator[Hit]:
-    """Report the samples that are longer than a limit, in the position of the first."""
+    """Report the samples that are longer than a limit, at the line of the first."""
     lengths = _magnitudes(stream)
     rows = np.flatnonzero(~(lengths <= limit))
     if len(rows):

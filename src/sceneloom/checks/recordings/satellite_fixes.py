@@ -190,12 +190,12 @@ FIX_RULES: tuple[Rule, ...] = (
 # fmt: on
 
 LEAST_CORRELATION = -0.8
-"""Rotates that correlate worse were taken to the other side."""
+"""Rotations that correlate worse have the other sign."""
 
 _FEWEST_ROTATIONS = 6
 
 _LEAST_ROTATION = 0.1
-"""Root mean square of the rotations from leg to leg [rad] that notify a side."""
+"""Root mean square of the rotations from leg to leg [rad] that show a side."""
 
 _SHORTEST_LEG = 5.0
 
@@ -229,7 +229,7 @@ def _mirrored(subject: Subject) -> Iterator[Hit]:
         found = float((rotations * measured).sum()) / length if length > 0 else 0.0
         if found < LEAST_CORRELATION:
             problem = (
-                f"{len(rotations)} rotates of the trajectory correlate by {found:.2f} with those that the gyroscope "
+                f"{len(rotations)} rotations of the trajectory correlate by {found:.2f} with those that the gyroscope "
                 f"measured about "
                 "the accelerometer's up: are latitude and longitude exchanged, or do accelerations point down at rest?"
             )

@@ -32,6 +32,7 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.time_range import chosen_fixes
 
 _FEWEST_FOR_A_RATE = 4
 """Fewer samples do not report what is usual."""
@@ -294,16 +295,7 @@ def _samples_once(samples: VectorSamples) -> VectorSamples:
 def _fixes_once(sensor: GnssSensor) -> GnssSensor:
     values = np.column_stack([sensor.positions_lla, sensor.accuracies, sensor.vertical_accuracies])
     kept = _first_of_equals(sensor.timestamps_ns, values)
-    if kept.all():
-        return sensor
-    return replace(
-        sensor,
-        timestamps_ns=read_only(sensor.timestamps_ns[kept]),
-        positions_lla=read_only(sensor.positions_lla[kept]),
-        accuracies=read_only(sensor.accuracies[kept]),
-        vertical_accuracies=read_only(sensor.vertical_accuracies[kept]),
-        file_seconds=None if sensor.file_seconds is None else read_only(sensor.file_seconds[kept]),
-    )
+    return sensor if kept.all() else chosen_fixes(sensor, kept)
 
 
 def _first_of_equals(timestamps_ns: Int64Array, values: Float64Array) -> BoolArray:
@@ -465,12 +457,16 @@ def _gap_threshold(stream: Stream, period: float) -> float:
     return max(GAP_SECONDS, GAP_PERIODS * period)
 
 
+def _with_periods(subject: Subject, *, irregular: bool) -> Iterator[tuple[Stream, float]]:
+    """The streams of kinds that come regularly, or of those that do not, with their usual intervals [s]."""
+    for stream in streams_of(subject):
+        if stream.period is not None and (stream.kind in _IRREGULAR) is irregular:
+            yield stream, stream.period
+
+
 def _gaps(*, irregular: bool) -> Find:
     def find(subject: Subject) -> Iterator[Hit]:
-        for stream in streams_of(subject):
-            period = stream.period
-            if period is None or (stream.kind in _IRREGULAR) is not irregular:
-                continue
+        for stream, period in _with_periods(subject, irregular=irregular):
             gaps = np.flatnonzero(stream.intervals - period > _gap_threshold(stream, period))
             for row in gaps.tolist():
                 length = float(stream.intervals[row])
@@ -485,17 +481,9 @@ def _gaps(*, irregular: bool) -> Find:
 
 
 def _single_losses(subject: Subject) -> Iterator[Hit]:
-    """Samples that are missing one by one; where they are many, the stream is uneven.
-
-    And of images all are reported.
-    """
-    for stream in streams_of(subject):
-        period = stream.period
-        if (
-            period is None
-            or stream.kind in _IRREGULAR | _FRAMES
-            or _off(stream, period).mean() > JITTER_SHARE
-        ):
+    """Samples that are missing one by one; where they are many the stream is uneven, and of images all are reported."""
+    for stream, period in _with_periods(subject, irregular=False):
+        if stream.kind in _FRAMES or _off(stream, period).mean() > JITTER_SHARE:
             continue
         more = stream.intervals - period
         lacking = np.flatnonzero(
@@ -514,10 +502,7 @@ def _single_losses(subject: Subject) -> Iterator[Hit]:
 
 def _uneven(*, irregular: bool) -> Find:
     def find(subject: Subject) -> Iterator[Hit]:
-        for stream in streams_of(subject):
-            period = stream.period
-            if period is None or (stream.kind in _IRREGULAR) is not irregular:
-                continue
+        for stream, period in _with_periods(subject, irregular=irregular):
             off = _off(stream, period)
             share = float(off.mean())
             if share > JITTER_SHARE:

@@ -59,7 +59,14 @@ from sceneloom.scene.ego import EgoMotion, Posed, sensor_source
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.scene import Scene, Sensor, scene_period_ns
-from sceneloom.scene.time_range import Interval, Renumbering, chosen_interval, cut_scene, renumbered
+from sceneloom.scene.time_range import (
+    Interval,
+    Renumbering,
+    chosen_interval,
+    cut_scene,
+    renumbered,
+    select_rows,
+)
 from sceneloom.scene.types import Coordinates, Identifier, Key, PointsFrame, key_of
 from sceneloom.warnings import DataWarning
 
@@ -330,15 +337,7 @@ def _cropped_cuboid(crop: _SpaceCrop, annotation: CuboidAnnotation) -> CuboidAnn
 def _between(entry: Any, timestamps_ns: Int64Array) -> Any:
     """Of an activation or a projection what lies between the first and the last keyframe."""
     kept = (entry.timestamps_ns >= timestamps_ns[0]) & (entry.timestamps_ns <= timestamps_ns[-1])
-    rows = np.flatnonzero(kept)
-    chosen: dict[str, Any] = {"timestamps_ns": entry.timestamps_ns[rows]}
-    for name in ("durations_ns", "cuboids", "boxes", "confirmed"):
-        values = getattr(entry, name, None)
-        if values is not None:
-            chosen[name] = (
-                tuple(values[row] for row in rows.tolist()) if isinstance(values, tuple) else values[rows]
-            )
-    return replace(entry, **chosen)
+    return select_rows(entry, np.flatnonzero(kept))
 
 
 def _cropped_shape(crop: _SpaceCrop, annotation: ShapeAnnotation) -> ShapeAnnotation | None:

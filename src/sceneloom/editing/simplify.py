@@ -16,7 +16,6 @@ from sceneloom.geometry.thinning import thin_greedily
 from sceneloom.scene.annotations import (
     Annotation,
     CuboidAnnotation,
-    CuboidPath,
     LocalizationAdjustment,
     PointPath,
     PointsAnnotation,
@@ -27,6 +26,7 @@ from sceneloom.scene.ego import Posed
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.time_range import select_rows
 from sceneloom.warnings import DataWarning, WarningKind
 
 _ROUNDING = 1e-9
@@ -180,7 +180,7 @@ class _Thinner:
         rows = self.rows("cuboids", path.timestamps_ns, straight, quaternions)
         if len(rows) == len(path.timestamps_ns):
             return annotation
-        return replace(annotation, path=CuboidPath(path.timestamps_ns[rows], path.values[rows], path.extras))
+        return replace(annotation, path=select_rows(path, rows))
 
     def points(self, annotation: PointsAnnotation) -> PointsAnnotation:
         return replace(annotation, paths=tuple(self._point(path) for path in annotation.paths))
@@ -189,15 +189,11 @@ class _Thinner:
         if path.values.shape[1] % 3:
             return path
         rows = self.rows("keypoints", path.timestamps_ns, locations_of(path.values))
-        if len(rows) == len(path.timestamps_ns):
-            return path
-        return replace(path, timestamps_ns=path.timestamps_ns[rows], values=path.values[rows])
+        return path if len(rows) == len(path.timestamps_ns) else select_rows(path, rows)
 
     def poses(self, kind: str, path: Poses) -> Poses:
         rows = self.rows(kind, path.timestamps_ns, path.positions[:, None], path.quaternions_xyzw)
-        if len(rows) == len(path.timestamps_ns):
-            return path
-        return Poses(path.timestamps_ns[rows], path.positions[rows], path.quaternions_xyzw[rows])
+        return path if len(rows) == len(path.timestamps_ns) else select_rows(path, rows)
 
     def adjustment(self, annotation: LocalizationAdjustment) -> LocalizationAdjustment:
         return replace(annotation, poses=self.poses("adjustments", annotation.poses))
@@ -212,16 +208,7 @@ class _Thinner:
     def trajectory(self, trajectory: Trajectory) -> Trajectory:
         quaternions = trajectory.quaternions_xyzw
         rows = self.rows("trajectories", trajectory.timestamps_ns, trajectory.positions[:, None], quaternions)
-        if len(rows) == len(trajectory.timestamps_ns):
-            return trajectory
-        return replace(
-            trajectory,
-            timestamps_ns=trajectory.timestamps_ns[rows],
-            positions=trajectory.positions[rows],
-            quaternions_xyzw=None if quaternions is None else quaternions[rows],
-            file_seconds=None if trajectory.file_seconds is None else trajectory.file_seconds[rows],
-            covariances=None if trajectory.covariances is None else trajectory.covariances[rows],
-        )
+        return trajectory if len(rows) == len(trajectory.timestamps_ns) else select_rows(trajectory, rows)
 
 
 def _in_tolerances(away: Float64Array, tolerance: float) -> Float64Array:

@@ -32,7 +32,7 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor
-from sceneloom.scene.time_range import chosen_fixes
+from sceneloom.scene.time_range import select_rows
 
 _FEWEST_FOR_A_RATE = 4
 """Fewer samples do not report what is usual."""
@@ -286,16 +286,13 @@ def _images_once(camera: CameraSensor) -> CameraSensor:
 
 def _samples_once(samples: VectorSamples) -> VectorSamples:
     kept = _first_of_equals(samples.timestamps_ns, samples.values)
-    if kept.all():
-        return samples
-    seconds = None if samples.file_seconds is None else read_only(samples.file_seconds[kept])
-    return VectorSamples(read_only(samples.timestamps_ns[kept]), read_only(samples.values[kept]), seconds)
+    return samples if kept.all() else select_rows(samples, kept)
 
 
 def _fixes_once(sensor: GnssSensor) -> GnssSensor:
     values = np.column_stack([sensor.positions_lla, sensor.accuracies, sensor.vertical_accuracies])
     kept = _first_of_equals(sensor.timestamps_ns, values)
-    return sensor if kept.all() else chosen_fixes(sensor, kept)
+    return sensor if kept.all() else select_rows(sensor, kept)
 
 
 def _first_of_equals(timestamps_ns: Int64Array, values: Float64Array) -> BoolArray:

@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from sceneloom.batch import Outcome, RunSummary, State, run
+from sceneloom.batch.figures import MetricsFile, format_metrics, read_figures, write_page
 from sceneloom.batch.record import FOLDER, Record
-from sceneloom.batch.running import MetricsFile, format_metrics, read_figures, record_folder, write_page
+from sceneloom.batch.running import record_folder
 from sceneloom.errors import DataError, OptionError, OutputError
 
 

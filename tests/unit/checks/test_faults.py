@@ -11,7 +11,7 @@ import sceneloom
 from sceneloom.checks import validate
 from sceneloom.checks.faults import FAULT_RULES
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs.schema import copied, parse_path
+from sceneloom.formats.sfs.reader import copied, parse_path
 from sceneloom.scene import DataWarning, LazyFrames, LidarSensor, WarningKind
 
 POSE = [0, 0, 0, 0, 0, 0, 1]

@@ -46,5 +46,5 @@ FORMAT = FormatSpec(
     drives=partial(drives_in, is_drive=is_log),
     reader="sceneloom.formats.argoverse2.reader:open_argoverse2",
     read_options=("lenient", "sequence", "one_lidar", "distorted"),
-    instead="Argoverse 2 is only read; write a scene file (drive.sfs) or a recording (a folder) in its location",
+    instead="Argoverse 2 is only read; write a scene file (drive.sfs) or a recording (a folder) instead",
 )

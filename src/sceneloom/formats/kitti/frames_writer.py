@@ -20,6 +20,7 @@ from sceneloom.formats.base.images import ImageFile
 from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.formats.base.poses import each_mounted, mounting, stationary_ego
+from sceneloom.formats.base.written_ego import ego_trajectory
 from sceneloom.formats.kitti.calibration import Mounted
 from sceneloom.formats.kitti.sensors import LIDAR_ID, camera_id
 from sceneloom.geometry.rigid import RigidTransform
@@ -30,8 +31,8 @@ from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.contents import KINDS
 from sceneloom.scene.ego import EgoMotion, check_one_ego
-from sceneloom.scene.motion import GnssSensor, OdometrySensor
-from sceneloom.scene.poses import Poses, PoseSource
+from sceneloom.scene.motion import GnssSensor
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates, PointsFrame
 
@@ -281,25 +282,6 @@ class Choice:
         self.losses.extend([*losses, *writer.losses])
 
 
-def ego_trajectory(scene: Scene) -> Poses | None:
-    """The ego trajectory: the first trajectory with orientations, else by odometry, else by a sensor's own poses."""
-    for trajectory in scene.trajectories.values():
-        if trajectory.quaternions_xyzw is not None:
-            return trajectory.poses
-    for sensor in scene.sensors:
-        if isinstance(sensor, OdometrySensor):
-            return sensor.poses
-    posed_sensors: list[LidarSensor | CameraSensor] = [*scene.lidars, *scene.cameras]
-    for posed in posed_sensors:
-        if posed.poses is None or posed.coordinates is not Coordinates.WORLD:
-            continue
-        if posed.mount is None:
-            return posed.poses
-        egos = PoseSource(posed.poses, posed.mount.inverse()).at(posed.poses.timestamps_ns)
-        return replace(posed.poses, positions=egos.positions, quaternions_xyzw=egos.quaternions_xyzw)
-    return None
-
-
 def _lidar(scene: Scene, path: Poses | None, losses: Losses) -> tuple[LidarSensor | None, RigidTransform]:
     if not scene.lidars:
         return None, RigidTransform.identity()
@@ -510,7 +492,7 @@ def _time_losses(
     count = int((errors > 0).sum())
     if not count:
         return []
-    what = "the frame's time in its location: a frame has one time for all sensors [s]"
+    what = "the frame's time instead: a frame has one time for all sensors [s]"
     worst = float(errors.max()) / 1e9
     return [Loss(field=name, what=what, count=count, support=Support.APPROXIMATED, largest_error=worst)]
 

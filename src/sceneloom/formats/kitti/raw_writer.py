@@ -15,6 +15,7 @@ from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.poses import mounting
+from sceneloom.formats.base.written_ego import ego_trajectory
 from sceneloom.formats.kitti.calibration import CAMERAS, Mounted, files_lidar_from_lidar
 from sceneloom.formats.kitti.frames_writer import (
     NONE,
@@ -22,7 +23,6 @@ from sceneloom.formats.kitti.frames_writer import (
     Choice,
     SweepFiles,
     Timeline,
-    ego_trajectory,
     kept_of,
     nearest_frames,
     write_image,

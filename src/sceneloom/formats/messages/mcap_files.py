@@ -345,7 +345,7 @@ class _Chunk:
         size: of all of them.
         times_ns: first and last time of its messages [ns], None where it has none.
         index: log times of the messages of each channel and their offsets, packed one after another.
-        described: channels that were described in this chunk, or one before that was written in its location.
+        described: channels that were described in this chunk, or one before that was written instead.
     """
 
     def __init__(self) -> None:

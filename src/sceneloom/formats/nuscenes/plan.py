@@ -16,7 +16,7 @@ from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.losses import Loss, Support, field_losses
 from sceneloom.formats.base.output import file_stems
 from sceneloom.formats.base.poses import each_mounted, ego_in_world, mounting
-from sceneloom.formats.kitti.frames_writer import ego_trajectory
+from sceneloom.formats.base.written_ego import ego_trajectory
 from sceneloom.formats.nuscenes.spec import SUPPORTS
 from sceneloom.formats.nuscenes.tables import (
     KEY_FRAMES,

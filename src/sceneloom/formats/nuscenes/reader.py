@@ -566,7 +566,7 @@ def _build_camera(tables: _SceneTables, data: _SensorData) -> Sensor:
 
 
 def _about(data: _SensorData) -> Mapping[str, Any]:
-    """What the tables state about a sensor that the model has no other location for."""
+    """What the tables state about a sensor that the model has no field for."""
     return MappingProxyType(
         {
             "token": data.sensor.token,
@@ -844,7 +844,7 @@ def _note_left_out(tables: _SceneTables, ledger: Ledger) -> None:
 
 
 def _scene_metadata(tables: _SceneTables) -> MappingProxyType[str, Any]:
-    """What the tables state that the model has no other location for, and how the angles of the boxes are meant."""
+    """What the tables state that the model has no field for, and the convention of box angles."""
     rows = {"scene": tables.scene, "log": tables.log}
     about: dict[str, Any] = {
         "version": tables.location.tables.name,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar, cast, overload
+from typing import Any, cast, overload
 
 import msgspec
 import numpy as np
@@ -15,8 +15,8 @@ from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, read
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import ImageReader, images_image_size
+from sceneloom.formats.base.json_files import read_json
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import choose_drive, drives_in
 from sceneloom.formats.pandaset.pickles import PickledFrame, read_pickled_frame
@@ -88,26 +88,6 @@ class _Fix(msgspec.Struct):
     height: float
     xvel: float | None = None
     yvel: float | None = None
-
-
-_Kind = TypeVar("_Kind")
-
-
-def read_json(path: Path, kind: type[_Kind]) -> _Kind:
-    """Read a JSON file of one kind.
-
-    Raises:
-        DataError: it is missing, no JSON, or a value is missing or of another kind.
-    """
-    if not path.is_file():
-        raise DataError(path, "", "is not there")
-    try:
-        return msgspec.json.decode(read_bytes(path), type=kind)
-    except msgspec.ValidationError as error:
-        problem, _, location = str(error).partition(" - at `")
-        raise DataError(path, location.rstrip("`"), problem) from error
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise DataError(path, "", f"is no JSON: {error}") from error
 
 
 def _read_times(path: Path, count: int) -> Int64Array:

@@ -38,5 +38,5 @@ FORMAT = FormatSpec(
     drives=partial(drives_in, is_drive=is_drive),
     reader="sceneloom.formats.pandaset.reader:open_pandaset",
     read_options=("lenient", "sequence"),
-    instead="PandaSet is only read; write a scene file (drive.sfs) or a recording (a folder) in its location",
+    instead="PandaSet is only read; write a scene file (drive.sfs) or a recording (a folder) instead",
 )

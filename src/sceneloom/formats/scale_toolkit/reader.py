@@ -14,9 +14,9 @@ from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import IMAGE_SUFFIXES, ImageReader, images_image_size
+from sceneloom.formats.base.json_files import read_json
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import as_positive
-from sceneloom.formats.pandaset.reader import read_json
 from sceneloom.formats.points.cloud import find_roles
 from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.points.mapping import PointMapping, detect_scale

@@ -22,7 +22,7 @@ from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.calibrate.measures import Change
 from sceneloom.calibrate.refinement import Refinement, refine
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.simulate import Faults, SensorFaults, plant, simulate_street
+from sceneloom.simulate import Faults, SensorFaults, inject, simulate_street
 
 DATA = Path(os.environ.get("SCENELOOM_DATA", "../shared/data"))
 
@@ -58,7 +58,7 @@ def _repaired(seed: int) -> tuple[Refinement, np.ndarray, float]:
     wrong = SensorFaults(
         rotation_deg=tuple(rotation.tolist()), shift=tuple(shift.tolist()), time_offset_ns=30_000_000
     )
-    frames = calibration_frames(plant(drive, Faults({"camera0": wrong})).scene)
+    frames = calibration_frames(inject(drive, Faults({"camera0": wrong})).scene)
     found, seconds = _refined(frames)
     truth = drive.scene.cameras[0].mount.inverse() @ drive.scene.lidars[0].mount
     step = step_between(found.camera_from_lidar, truth)

@@ -15,7 +15,7 @@ from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.calibrate.health import CalibrationHealth, Verdict, check_frames
 from sceneloom.calibrate.measures import Change
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.simulate import Faults, SensorFaults, plant, simulate_street
+from sceneloom.simulate import Faults, SensorFaults, inject, simulate_street
 
 Frames = tuple[CalibrationFrame, ...]
 
@@ -76,7 +76,7 @@ def simulated_drives(seeds: range) -> None:
     for name, fault in FAULTS.items():
         healths = []
         for drive in drives:
-            scene = plant(drive, Faults({"camera0": fault})).scene if fault.named else drive.scene
+            scene = inject(drive, Faults({"camera0": fault})).scene if fault.named else drive.scene
             healths.append(check_frames(calibration_frames(scene, most=8)))
         row(f"simulated: {name}", healths)
 

@@ -18,7 +18,7 @@ from sceneloom.pipeline import deskewed_scene
 from sceneloom.scene import LazyFrames, Scene
 from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import LidarSpec, PathSpec, SimulatedDrive, simulate_street
-from sceneloom.simulate.gnss_imu import ImuSpec
+from sceneloom.simulate.drive import ImuSpec
 from sceneloom.simulate.trajectory import Stop
 
 TRAJECTORIES = {"nothing": "identity", "imu": "imu", "lidar": "lidar", "truth": "groundTruth"}

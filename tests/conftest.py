@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from tests.peers import python_with
 
-from sceneloom.kernels.cache import compile_kernels, lacks_kernels
+from sceneloom.kernels.cache import PACKAGES, compile_kernels, lacks_kernels
 
 settings.register_profile("default", max_examples=20, derandomize=True, database=None, deadline=None)
 settings.register_profile(
@@ -40,7 +40,7 @@ def pytest_configure(config: pytest.Config) -> None:
     claims = Path(config.option.basetemp).parent / "kernels"
     claims.mkdir(exist_ok=True)
     package = Path(__file__).parents[1] / "src" / "sceneloom"
-    sources = [*package.glob("kernels/[a-z]*.py"), *package.glob("cameras/[a-z]*.py")]
+    sources = [source for name in PACKAGES for source in package.glob(f"{name}/[a-z]*.py")]
     for source in sorted(sources, key=lambda source: source.stat().st_size, reverse=True):
         try:
             (claims / f"{source.parent.name}.{source.stem}").touch(exist_ok=False)

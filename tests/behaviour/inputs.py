@@ -20,7 +20,7 @@ from sceneloom.simulate import (
     annotate,
     detect_2d,
     detect_3d,
-    plant,
+    inject,
     sensor_mount,
     simulate_street,
 )
@@ -62,7 +62,7 @@ def make_inputs(folder: Path) -> None:
         path=PathSpec(speeds=(10.0, 12.0)),
     )
     wrong = Faults({"camera0": SensorFaults(rotation_deg=(0.5, -0.6, 0.4))})
-    sceneloom.write(plant(rotated, wrong).scene, folder / "rotated", images="png")
+    sceneloom.write(inject(rotated, wrong).scene, folder / "rotated", images="png")
 
     corner = sensor_mount(position=(1.5, 0.6, 0.9), yaw_deg=70.0, pitch_deg=3.0, roll_deg=-4.0)
     lidars = (

@@ -10,8 +10,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street
 from sceneloom.simulate.casting import Rays, cast
-from sceneloom.simulate.objects import Material, PackedShapes, Pattern, Shape, ShapeKind
-from sceneloom.simulate.street import GroundMap, Street
+from sceneloom.simulate.street import GroundMap, Material, PackedShapes, Pattern, Shape, ShapeKind, Street
 
 NO_GROUND = GroundMap(np.zeros((2, 2, 4), np.float32), np.zeros(2))
 PLAIN = Material(Pattern.PLAIN, ((90.0, 90.0, 90.0),) * 3)

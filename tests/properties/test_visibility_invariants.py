@@ -9,12 +9,17 @@ from hypothesis.extra import numpy as hnp
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import ViewRequest, VisibilitySettings, find_visible, fuse_by_projection
-from sceneloom.colouring.visibility import look_around, measure_spacings, measure_surface_distance
+from sceneloom.colouring.algorithms import mark_nearest
+from sceneloom.colouring.blending import paint_points
+from sceneloom.colouring.visibility import (
+    look_around,
+    mark_unhidden,
+    measure_extent,
+    measure_spacings,
+    measure_surface_distance,
+)
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.colours import draw_depths, mark_nearest, paint_points
-from sceneloom.kernels.direction_grid import measure_extent
-from sceneloom.kernels.occlusion import mark_unhidden
-from sceneloom.kernels.projection import map_directions, pixel_numbers
+from sceneloom.kernels.projection import draw_depths, map_directions, pixel_numbers
 
 GUARD = 64
 STILL = np.eye(4)

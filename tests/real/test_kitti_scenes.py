@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.projection import project
-from sceneloom.colouring.box_outlines import box_extents
+from sceneloom.colouring.cuboid_projection import box_extents
 from sceneloom.formats import open_scene, write_scene
 from sceneloom.geometry.boxes import box_corners, points_in_box
 from sceneloom.geometry.rigid import RigidTransform

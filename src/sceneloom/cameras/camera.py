@@ -30,7 +30,8 @@ class Model(NamedTuple):
     """A row of the table of models.
 
     Attributes:
-        module: where the model is; imported on first use, since it loads the compiler.
+        module: where the model is, as a constant of its name in capitals; imported on first use, since it loads the
+            compiler.
         coefficient_names: what the coefficients are called, in order.
         chart: what the domain is a disk of.
         source: where the formula comes from.
@@ -71,31 +72,29 @@ _SFS = "Sensor Fusion Scene's own library"
 
 MODELS: Mapping[str, Model] = MappingProxyType(
     {
-        "pinhole": _row("pinhole", "", Chart.PERSPECTIVE, "Hartley and Zisserman 2004"),
+        "pinhole": _row("perspective", "", Chart.PERSPECTIVE, "Hartley and Zisserman 2004"),
         "brown_conrady": _row(
-            "brown_conrady",
+            "perspective",
             "k1 k2 p1 p2 k3 k4 k5 k6 lx ly s1 s2 s3 s4 tx ty",
             Chart.PERSPECTIVE,
             "OpenCV",
         ),
         "fisheye": _row("fisheye", "k1 k2 k3 k4", Chart.ANGLE, "OpenCV; Kannala and Brandt 2006"),
-        "mod_equi_fish": _row("mod_equi_fish", "k1 k2 k3 k4", Chart.ANGLE, _SFS),
-        "mod_kannala": _row("mod_kannala", "k1 k2 k3 k4", Chart.ANGLE, _SFS),
-        "cylindrical": _row(
-            "cylindrical", "", Chart.PANORAMA, "the usual cylindrical panorama", assumed=True
-        ),
+        "mod_equi_fish": _row("fisheye", "k1 k2 k3 k4", Chart.ANGLE, _SFS),
+        "mod_kannala": _row("fisheye", "k1 k2 k3 k4", Chart.ANGLE, _SFS),
+        "cylindrical": _row("panorama", "", Chart.PANORAMA, "the usual cylindrical panorama", assumed=True),
         "equirectangular": _row(
-            "equirectangular", "", Chart.PANORAMA, "the usual equirectangular panorama", assumed=True
+            "panorama", "", Chart.PANORAMA, "the usual equirectangular panorama", assumed=True
         ),
         "omnidirectional": _row("omnidirectional", "k1 k2 k3 k4 p1 p2 xi lx ly", Chart.SPHERE, _MEI),
         "fisheye_rad_tan_prism": _row(
-            "fisheye_rad_tan_prism",
+            "fisheye",
             "k1 k2 k3 k4 k5 k6 p1 p2 s1 s2 s3 s4",
             Chart.ANGLE,
             "Project Aria, Fisheye624",
         ),
         "fisheye_radial_custom": _row(
-            "fisheye_radial_custom",
+            "fisheye",
             "k1 k2 k3 k4 k5 k6 p1 p2 dcx dcy",
             Chart.ANGLE,
             "after the models beside it",
@@ -104,7 +103,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
             pixel_axes={"dcx": "u", "dcy": "v"},
         ),
         "ftheta": _row(
-            "ftheta",
+            "fisheye",
             "k1 k2 k3 k4 k5",
             Chart.ANGLE,
             "after other camera models of the name",
@@ -113,13 +112,13 @@ MODELS: Mapping[str, Model] = MappingProxyType(
             pixel_axes=dict.fromkeys(("k1", "k2", "k3", "k4", "k5"), "uv"),
         ),
         "kannala_brandt18": _row(
-            "kannala_brandt18",
+            "fisheye",
             "k0 k1 k2 k3 l1 l2 l3 i1 i2 i3 i4 m1 m2 m3 j1 j2 j3 j4",
             Chart.ANGLE,
             "Kannala and Brandt 2006",
         ),
         "omnidir": _row(
-            "omnidir", "k1 k2 s xi p1 p2", Chart.SPHERE, f"OpenCV; {_MEI}", pixel_axes={"s": "u"}
+            "omnidirectional", "k1 k2 s xi p1 p2", Chart.SPHERE, f"OpenCV; {_MEI}", pixel_axes={"s": "u"}
         ),
     }
 )

@@ -1,38 +1,19 @@
-"""What all compiled camera models share: signatures, the formulas that a model registers, angles.
+"""The formulas that camera models share, and the names by which the loops of `compiled` ask for a model's own.
 
-Distortion terms and charts of rays.
+The numbers of a camera are a named tuple, of a class of its own for every model (`numbers_of`): `fx, fy, cx, cy`, all
+coefficients in the model's order, then the limit of its domain, the radius of a disk in the model's `Chart`. A function
+that raises `NotImplementedError` here is a name: `formula_of` registers what it means for a class, and the compiler
+takes the formula of the class at hand. Numbers and tuples are handed on, never arrays: an array that is handed on
+inside a loop has its references counted for every point, which takes ten times as long as the projection.
 
-Every model compiles the same three functions:
-
-- `project_into_image(points_world, camera_from_world, camera model, width, height, kept)` is the hot path. It fills
-  `PointsInImage` with the points that fall into the image, in ascending order of their ids, and returns how
-  many those are.
-- `project_points(points_camera, camera model, pixels)` gives a pixel for every point, NaN outside the model's domain.
-- `unproject_pixels(pixels, camera model, rays)` gives a unit ray for every pixel, NaN where the model has none.
-
-`camera_model` is `fx, fy, cx, cy`, all coefficients of the model in its own order, then the domain limit, which is the
-radius of a disk of the model's own chart (`charts`), and not always an angle. Models that see behind the plane
-z = 0 keep points of depth zero or less. Models with bends that are not radial also compile `fold_radius(camera model)`,
-from which their domain limit comes.
-
-The loops (`loops`) and searches (`solving`, `domain`) are written once. They take the camera model as a named tuple,
-and the formulas of its model by their names in `formulas`. Numbers and tuples go around in them, never arrays: an array
-handed on inside a loop has its references counted for every point, which takes ten times as long as the projection.
-
-And the compiler takes those of the camera model at hand.
-
-A camera model is a named tuple of numbers, of a class of its own for every projection model. A model says with
-`formula_of` what a name means for its class; the loops of `loops` and the searches of `solving` are written
-once and compiled for each.
-
-The relative errors are some 2e-16: a millionth of a millionth of a pixel.
+Three charts take a direction to a plane, and back to a ray:
 
 - perspective: (X, Y)/Z, for rays ahead of the camera;
 - by angle: θ (X, Y)/sqrt(X² + Y²), θ the angle off the axis, for all rays but the one straight back;
 - by sphere: (X, Y)/(Z + ξ P), P the distance of the point: the unit sphere seen from ξ behind its centre.
 
-The first three functions are what `project_point` means for models of each chart, the next three
-`ray_of_chart`; they take the model's own `distort` and `pixel_of_plane`.
+Own arctangent, sine and cosine, since those of the C library cannot be vectorised; their relative errors are some
+2e-16: a millionth of a millionth of a pixel.
 
 Source: Mei and Rives 2007, "Single View Point Omnidirectional Camera Calibration from Planar Grids", eq. 1 and 3,
 for the sphere.
@@ -40,143 +21,124 @@ for the sphere.
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
-from numba import float32, float64, int32, int64, njit, types, void
+from numba import njit
 from numba.extending import overload
-from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from sceneloom.cameras.projection import PointsInImage
-
-_named_tuple: Any = types.NamedTuple
-
-_READ_ONLY_ROWS = types.Array(float64, 2, "C", readonly=True)
-
-_READ_ONLY_NUMBERS = types.Array(float64, 1, "C", readonly=True)
-
-IMAGE_SIGNATURE = int64(
-    _READ_ONLY_ROWS,
-    _READ_ONLY_ROWS,
-    _READ_ONLY_NUMBERS,
-    int64,
-    int64,
-    _named_tuple(
-        (int64[::1], float32[:, ::1], int32[::1], float32[::1], float32[::1], float32[::1], float32[::1]),
-        PointsInImage,
-    ),
-)
-
-ROWS_SIGNATURE = void(_READ_ONLY_ROWS, _READ_ONLY_NUMBERS, float64[:, ::1])
-
-FOLD_SIGNATURE = float64(_READ_ONLY_NUMBERS)
+from sceneloom.cameras.camera import MODELS
 
 # Of the fast mathematics only fused multiply-add: the others would let a NaN slip through the tests.
 PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
-
-KERNEL: dict[str, Any] = {**PART, "cache": True}
-
 INLINE: dict[str, Any] = {**PART, "forceinline": True}
-
-BLOCK = 512
-"""Points that are projected at once, by vector instructions, before those in the image are picked out."""
 
 MINIMUM_DEPTH = 1e-6
 """Perspective models see only what lies at least so far in front of the camera [m]."""
 
-first_numbers: Any = to_fixed_tuple
-"""Gives the first numbers of an array as a tuple: `first_numbers(numbers, count)`, the count a constant."""
-
-
-@njit(**INLINE)
-def pose_numbers(m):  # type: ignore[no-untyped-def]
-    """Give the twelve numbers of a (3, 4) matrix, row by row."""
-    return (
-        m[0, 0], m[0, 1], m[0, 2], m[0, 3],
-        m[1, 0], m[1, 1], m[1, 2], m[1, 3],
-        m[2, 0], m[2, 1], m[2, 2], m[2, 3],
-    )  # fmt: skip
-
-
-@njit(**INLINE)
-def camera_coordinates(x, y, z, pose):  # type: ignore[no-untyped-def]
-    """Take one world point into the camera frame."""
-    return (
-        pose[0] * x + pose[1] * y + pose[2] * z + pose[3],
-        pose[4] * x + pose[5] * y + pose[6] * z + pose[7],
-        pose[8] * x + pose[9] * y + pose[10] * z + pose[11],
-    )
-
-
-_Formula = Callable[..., Any]
-
+Formula = Callable[..., Any]
 _OPTIONS: Any = INLINE
 
 
-def project_point(x: Any, y: Any, z: Any, camera_model: Any) -> Any:
+def numbers_of(model: str, module: str, *, computed: str = "") -> Any:
+    """Make the class of the numbers of a model's cameras, called as the model is in camel case.
+
+    Args:
+        model: a name out of `MODELS`.
+        module: the `__name__` of the module that keeps the class, by which kept kernels find it again.
+        computed: names of what `prepared` adds; the class is then called `...Prepared`.
+    """
+    name = model.title().replace("_", "") + ("Prepared" if computed else "")
+    fields = ("fx", "fy", "cx", "cy", *MODELS[model].coefficient_names, "limit", *computed.split())
+    numbers: Any = NamedTuple(name, [(field, float) for field in fields])  # type: ignore[misc]
+    numbers.__module__ = module
+    return numbers
+
+
+def prepared(given: Any, c: Any) -> Any:
+    """Give what the other formulas take: the numbers, or those with what is computed once; `given` is a plain tuple."""
+    raise NotImplementedError
+
+
+def project_point(x: Any, y: Any, z: Any, c: Any) -> Any:
     """Give the pixel u, v of a point of the camera frame; u is NaN where the point is out of the domain."""
     raise NotImplementedError
 
 
-def distance_at(angle: Any, camera_model: Any) -> Any:
+def distance_at(angle: Any, c: Any) -> Any:
     """Give the distance from the image's centre at an angle off the axis, and its slope over the angle."""
     raise NotImplementedError
 
 
-def distort(a: Any, b: Any, camera_model: Any) -> Any:
+def distort(a: Any, b: Any, c: Any) -> Any:
     """Take a location of the undistorted chart to the plane: x, y, dx/da, dx/db, dy/da, dy/db."""
     raise NotImplementedError
 
 
-def pixel_of_plane(x: Any, y: Any, camera_model: Any) -> Any:
+def pixel_of_plane(x: Any, y: Any, c: Any) -> Any:
     """Give the pixel u, v of a distorted location on the plane; u is NaN where there is none."""
     raise NotImplementedError
 
 
-def plane_of_pixel(u: Any, v: Any, camera_model: Any) -> Any:
+def plane_of_pixel(u: Any, v: Any, c: Any) -> Any:
     """Undo `pixel_of_plane`: give the location x, y that a pixel shows."""
     raise NotImplementedError
 
 
-def ray_of_chart(a: Any, b: Any, camera_model: Any) -> Any:
+def ray_of_chart(a: Any, b: Any, c: Any) -> Any:
     """Give the unit ray that a location of the undistorted chart stands for."""
     raise NotImplementedError
 
 
-def ray_of_pixel(u: Any, v: Any, camera_model: Any) -> Any:
+def ray_of_pixel(u: Any, v: Any, c: Any) -> Any:
     """Give the unit ray of a pixel, for models that can be solved for it; NaN where there is none."""
     raise NotImplementedError
 
 
-def centred_pixel(x: Any, y: Any, camera_model: Any) -> Any:
-    """Put in the focal lengths and the principal point: `pixel_of_plane` of most models."""
-    return camera_model.fx * x + camera_model.cx, camera_model.fy * y + camera_model.cy
+def rays_of_pixels(pixels: Any, rays: Any, c: Any) -> Any:
+    """Write a unit ray for every pixel, NaN where there is none: a loop of `compiled`."""
+    raise NotImplementedError
 
 
-def plane_of_centred_pixel(u: Any, v: Any, camera_model: Any) -> Any:
-    """Take out the principal point and the focal lengths: `plane_of_pixel` of most models."""
-    return (u - camera_model.cx) / camera_model.fx, (v - camera_model.cy) / camera_model.fy
+def formula_of(numbers: type, name: Formula) -> Callable[[Formula], Formula]:
+    """Register the decorated function as what a name means for cameras with numbers of this class."""
 
+    def register(function: Formula) -> Formula:
+        def choose(*types: Any) -> Formula | None:
+            return function if getattr(types[-1], "instance_class", None) is numbers else None
 
-def formula_of(camera_model_class: type, generic: _Formula) -> Callable[[_Formula], _Formula]:
-    """Report that the decorated function is what `generic` does for camera models of `camera_model_class`.
-
-    The last argument.
-    """
-
-    def register(function: _Formula) -> _Formula:
-        def choose(*types: Any) -> _Formula | None:
-            return function if getattr(types[-1], "instance_class", None) is camera_model_class else None
-
-        overload(generic, jit_options=_OPTIONS, strict=False)(choose)
+        overload(name, jit_options=_OPTIONS, strict=False)(choose)
         return function
 
     return register
 
 
-def use_formulas(camera_model_class: type, formulas: Mapping[_Formula, _Formula]) -> None:
-    """Report for several names at once what they mean for camera models of `camera_model_class`."""
-    for generic, function in formulas.items():
-        formula_of(camera_model_class, generic)(function)
+def use_formulas(numbers: type, formulas: Mapping[Formula, Formula]) -> None:
+    """Register several formulas, by name, for cameras with numbers of this class."""
+    for name, function in formulas.items():
+        formula_of(numbers, name)(function)
+
+
+def as_given(_given: Any, c: Any) -> Any:
+    """Compute nothing beforehand: `prepared` of most models."""
+    return c
+
+
+def centred_pixel(x: Any, y: Any, c: Any) -> Any:
+    """Put in the focal lengths and the principal point: `pixel_of_plane` of most models."""
+    return c.fx * x + c.cx, c.fy * y + c.cy
+
+
+def plane_of_centred_pixel(u: Any, v: Any, c: Any) -> Any:
+    """Take out the principal point and the focal lengths: `plane_of_pixel` of most models."""
+    return (u - c.cx) / c.fx, (v - c.cy) / c.fy
+
+
+CENTRED: dict[Formula, Formula] = {
+    prepared: as_given,
+    pixel_of_plane: centred_pixel,
+    plane_of_pixel: plane_of_centred_pixel,
+}
+"""What most models share."""
 
 
 _EIGHTH = math.tan(math.pi / 8)
@@ -248,6 +210,15 @@ def sine_and_cosine(angle):  # type: ignore[no-untyped-def]
 
 
 @njit(**INLINE)
+def odd_polynomial(s, k1, k2, k3, k4):  # type: ignore[no-untyped-def]
+    """Give p(t)/t and p'(t) of p(t) = t + k1 t³ + k2 t⁵ + k3 t⁷ + k4 t⁹, with s = t²."""
+    return (
+        1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4))),
+        1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4))),
+    )
+
+
+@njit(**INLINE)
 def stretch(a, b, g, g_s):  # type: ignore[no-untyped-def]
     """Stretch (a, b) by the factor g(s), s = a² + b², whose slope is g_s: location and slopes as of `distort`."""
     mixed = 2.0 * a * b * g_s
@@ -312,83 +283,8 @@ def bend_image(stretched, p1, p2, s1, s2, s3, s4):  # type: ignore[no-untyped-de
     )
 
 
-def pixel_in_perspective(x: Any, y: Any, z: Any, camera_model: Any) -> Any:
-    """Give the pixel of a point by its location on the plane z = 1."""
-    a, b = x / z, y / z
-    to_x, to_y, _, _, _, _ = distort(a, b, camera_model)
-    u, v = pixel_of_plane(to_x, to_y, camera_model)
-    known = (z > MINIMUM_DEPTH) & (a * a + b * b < camera_model.limit * camera_model.limit)
-    return (u if known else math.nan), v
-
-
-def pixel_by_angle(x: Any, y: Any, z: Any, camera_model: Any) -> Any:
-    """Give the pixel of a point by its direction and its angle off the axis."""
-    side = math.sqrt(x * x + y * y)
-    angle = angle_off_axis(side, z)
-    scale = angle / side if side > 0.0 else 0.0
-    to_x, to_y, _, _, _, _ = distort(x * scale, y * scale, camera_model)
-    u, v = pixel_of_plane(to_x, to_y, camera_model)
-    known = (angle < camera_model.limit) & ((side > 0.0) | (z > 0.0))
-    return (u if known else math.nan), v
-
-
-def pixel_by_sphere(x: Any, y: Any, z: Any, camera_model: Any) -> Any:
-    """Give the pixel of a point by its location on the plane of the shifted sphere.
-
-    With ξ > 1 the farther part of the sphere hides behind the nearer one.
-    """
-    distance = math.sqrt(x * x + y * y + z * z)
-    depth = z + camera_model.xi * distance
-    a, b = x / depth, y / depth
-    to_x, to_y, _, _, _, _ = distort(a, b, camera_model)
-    u, v = pixel_of_plane(to_x, to_y, camera_model)
-    ahead = (depth > MINIMUM_DEPTH * distance) & (
-        (camera_model.xi <= 1.0) | (distance + camera_model.xi * z > 0.0)
-    )
-    return (u if ahead & (a * a + b * b < camera_model.limit * camera_model.limit) else math.nan), v
-
-
-def ray_in_perspective(a: Any, b: Any, _camera_model: Any) -> Any:
+def ray_in_perspective(a: Any, b: Any, _c: Any) -> Any:
     """Give the unit ray through (a, b) on the plane z = 1; NaN where that is too far out for numbers."""
     scale = 1.0 / math.sqrt(a * a + b * b + 1.0)
     scale = scale if scale > 0.0 else math.nan
     return a * scale, b * scale, scale
-
-
-def ray_by_angle(a: Any, b: Any, _camera_model: Any) -> Any:
-    """Give the unit ray that lies as far off the axis as (a, b) from the middle."""
-    angle = math.sqrt(a * a + b * b)
-    sine, cosine = sine_and_cosine(angle)
-    scale = sine / angle if angle > 0.0 else 1.0
-    return a * scale, b * scale, cosine
-
-
-def ray_by_sphere(a: Any, b: Any, camera_model: Any) -> Any:
-    """Give the unit ray of a location on the plane of the shifted sphere."""
-    square = a * a + b * b
-    scale = (camera_model.xi + math.sqrt(1.0 + (1.0 - camera_model.xi * camera_model.xi) * square)) / (
-        1.0 + square
-    )
-    return a * scale, b * scale, scale - camera_model.xi
-
-
-def sphere_rim(xi: float) -> float:
-    """The distance from the axis, on the plane of the shifted sphere, that none of its locations reaches."""
-    if xi <= -1.0:
-        return 0.0
-    return 1.0 / math.sqrt(xi * xi - 1.0) if xi > 1.0 else math.inf
-
-
-def pixel_off_axis(x: Any, y: Any, z: Any, camera_model: Any) -> Any:
-    """Give the pixel of a point: in its direction from the centre, as far as `distance_at` says.
-
-    Right ahead there is no direction: that point is seen only where the distance vanishes there.
-    """
-    side = math.sqrt(x * x + y * y)
-    angle = angle_off_axis(side, z)
-    distance, _ = distance_at(angle, camera_model)
-    scale = distance / side if side > 0.0 else 0.0
-    u, v = pixel_of_plane(x * scale, y * scale, camera_model)
-    ahead = (side == 0.0) & (z > 0.0) & (distance == 0.0)
-    known = (angle < camera_model.limit) & (((side > 0.0) & (distance > 0.0)) | ahead)
-    return (u if known else math.nan), v

@@ -1,132 +1,141 @@
-"""Projection over a shifted unit sphere, with radial and tangential distortion: mirrors and very wide camera models.
+"""Camera models over a shifted unit sphere, for mirrors and very wide lenses: `omnidirectional` and `omnidir`.
 
-With P the distance of the point, x = X/(Z + ξ P), y = Y/(Z + ξ P), s = x² + y², a = x + lx and b = y + ly
+With P the distance of a point, x = X/(Z + ξ P), y = Y/(Z + ξ P) and s = x² + y². The domain is the disk sqrt(s) < limit
+in which the mapping does not fold; with ξ > 1 also the nearer part of the sphere, 1 + ξ Z/P > 0. It may reach behind
+the plane of the camera.
 
-    x' = a g + 2 p1 a b + p2 (s + 2 a²),  y' = b g + p1 (s + 2 b²) + 2 p2 a b
-    g = 1 + k1 s + k2 s² + k3 s³ + k4 s⁴
-
-The domain is the disk sqrt(s) < limit in which the mapping does not fold; with ξ > 1 also the nearer part of the
-sphere, 1 + ξ Z/P > 0. It may reach behind the plane of the camera.
-
-Source: Mei and Rives 2007, "Single View Point Omnidirectional Camera Calibration from Planar Grids", eq. 1 to 5. The
-order of the coefficients, and lx and ly, are those of the Sensor Fusion Scene format; that k4 takes part is assumed.
+Source: Mei and Rives 2007, "Single View Point Omnidirectional Camera Calibration from Planar Grids", eq. 1 to 5.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-from numba import njit
-
-from sceneloom.cameras.formulas import (
-    FOLD_SIGNATURE,
-    IMAGE_SIGNATURE,
-    INLINE,
-    KERNEL,
-    ROWS_SIGNATURE,
-    centred_pixel,
-    distort,
-    first_numbers,
-    formula_of,
-    pixel_by_sphere,
-    pixel_of_plane,
-    plane_of_centred_pixel,
-    plane_of_pixel,
-    project_point,
-    ray_by_sphere,
-    ray_of_chart,
-    shift_and_decentre,
-    sphere_rim,
-    use_formulas,
-)
-from sceneloom.cameras.loops import (
+from sceneloom.cameras.compiled import (
+    compiled_fold,
+    compiled_model,
     first_positive_root,
     look_through_chart,
-    pick_points,
-    position_points,
-    radius_without_fold,
 )
-from sceneloom.kernels.cache import kernel
-
-
-class OmnidirectionalModel(NamedTuple):
-    """The numbers of a camera model, as the compiled functions take them apart."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    k1: float
-    k2: float
-    k3: float
-    k4: float
-    p1: float
-    p2: float
-    xi: float
-    lx: float
-    ly: float
-    limit: float
-
-
-_COUNT = len(OmnidirectionalModel._fields)
-
-use_formulas(
-    OmnidirectionalModel,
-    {
-        project_point: pixel_by_sphere,
-        pixel_of_plane: centred_pixel,
-        plane_of_pixel: plane_of_centred_pixel,
-        ray_of_chart: ray_by_sphere,
-    },
+from sceneloom.cameras.formulas import (
+    CENTRED,
+    MINIMUM_DEPTH,
+    Formula,
+    distort,
+    formula_of,
+    numbers_of,
+    pixel_of_plane,
+    plane_of_pixel,
+    project_point,
+    ray_of_chart,
+    rays_of_pixels,
+    shift_and_decentre,
+    use_formulas,
 )
 
 
-@formula_of(OmnidirectionalModel, distort)
-def _distort(a: Any, b: Any, camera_model: Any) -> Any:
+def _pixel_by_sphere(x: Any, y: Any, z: Any, c: Any) -> Any:
+    """Give the pixel of a point by its location on the plane of the shifted sphere.
+
+    With ξ > 1 the farther part of the sphere hides behind the nearer one.
+    """
+    distance = math.sqrt(x * x + y * y + z * z)
+    depth = z + c.xi * distance
+    a, b = x / depth, y / depth
+    to_x, to_y, _, _, _, _ = distort(a, b, c)
+    u, v = pixel_of_plane(to_x, to_y, c)
+    ahead = (depth > MINIMUM_DEPTH * distance) & ((c.xi <= 1.0) | (distance + c.xi * z > 0.0))
+    return (u if ahead & (a * a + b * b < c.limit * c.limit) else math.nan), v
+
+
+def _ray_by_sphere(a: Any, b: Any, c: Any) -> Any:
+    """Give the unit ray of a location on the plane of the shifted sphere."""
+    square = a * a + b * b
+    scale = (c.xi + math.sqrt(1.0 + (1.0 - c.xi * c.xi) * square)) / (1.0 + square)
+    return a * scale, b * scale, scale - c.xi
+
+
+def _sphere_rim(xi: float) -> float:
+    """The distance from the axis, on the plane of the shifted sphere, that none of its locations reaches."""
+    if xi <= -1.0:
+        return 0.0
+    return 1.0 / math.sqrt(xi * xi - 1.0) if xi > 1.0 else math.inf
+
+
+_BY_SPHERE: dict[Formula, Formula] = {
+    **CENTRED,
+    project_point: _pixel_by_sphere,
+    ray_of_chart: _ray_by_sphere,
+    rays_of_pixels: look_through_chart,
+}
+
+
+# With radial and tangential distortion, a = x + lx and b = y + ly:
+#
+#     x' = a g + 2 p1 a b + p2 (s + 2 a²),  y' = b g + p1 (s + 2 b²) + 2 p2 a b
+#     g = 1 + k1 s + k2 s² + k3 s³ + k4 s⁴
+#
+# The order of the coefficients, and lx and ly, are those of the Sensor Fusion Scene format; that k4 takes part is
+# assumed.
+
+Omnidirectional = numbers_of("omnidirectional", __name__)
+use_formulas(Omnidirectional, _BY_SPHERE)
+
+
+@formula_of(Omnidirectional, distort)
+def _distort(a: Any, b: Any, c: Any) -> Any:
     s = a * a + b * b
-    g = 1.0 + s * (camera_model.k1 + s * (camera_model.k2 + s * (camera_model.k3 + s * camera_model.k4)))
-    g_s = camera_model.k1 + s * (
-        2.0 * camera_model.k2 + s * (3.0 * camera_model.k3 + s * 4.0 * camera_model.k4)
-    )
-    return shift_and_decentre(
-        a, b, g, g_s, camera_model.lx, camera_model.ly, camera_model.p1, camera_model.p2
-    )
+    g = 1.0 + s * (c.k1 + s * (c.k2 + s * (c.k3 + s * c.k4)))
+    g_s = c.k1 + s * (2.0 * c.k2 + s * (3.0 * c.k3 + s * 4.0 * c.k4))
+    return shift_and_decentre(a, b, g, g_s, c.lx, c.ly, c.p1, c.p2)
 
 
-def domain_limit(coefficients: tuple[float, ...]) -> float:
-    """The distance from the axis on the plane of the sphere up to which no two rays share a pixel."""
+def _limit(coefficients: tuple[float, ...]) -> float:
     k1, k2, k3, k4, p1, p2, xi, lx, ly = coefficients
     fold = math.sqrt(first_positive_root([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0]))
-    limit = min(fold, sphere_rim(xi))
-    if not any((p1, p2, lx, ly)):
-        return limit
-    return float(fold_radius(np.array((1.0, 1.0, 0.0, 0.0, *coefficients, limit))))
+    limit = min(fold, _sphere_rim(xi))
+    return _fold(coefficients, limit) if any((p1, p2, lx, ly)) else limit
 
 
-@njit(**INLINE)
-def _camera_model(numbers):  # type: ignore[no-untyped-def]
-    return OmnidirectionalModel(*first_numbers(numbers, _COUNT))
+OMNIDIRECTIONAL = compiled_model(Omnidirectional, _limit)
+_fold = compiled_fold(Omnidirectional)
 
 
-@kernel(IMAGE_SIGNATURE, **KERNEL)
-def project_into_image(points_world, camera_from_world, camera_model, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the image; see `compiled`."""
-    return pick_points(points_world, camera_from_world, _camera_model(camera_model), width, height, kept)
+# As OpenCV has it, with two radial coefficients and a skewed image, the skew s in pixels:
+#
+#     x' = x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²)
+#     y' = y (1 + k1 r² + k2 r⁴) + p1 (r² + 2 y²) + 2 p2 x y
+#     u = fx x' + s y' + cx,  v = fy y' + cy
+#
+# Source: OpenCV documentation, "Omnidirectional Camera Calibration" (omnidir). The order of the coefficients is that of
+# the Spectacular AI recording format.
+
+Omnidir = numbers_of("omnidir", __name__)
 
 
-@kernel(ROWS_SIGNATURE, **KERNEL)
-def project_points(points_camera, camera_model, pixels):  # type: ignore[no-untyped-def]
-    """Give a pixel for every point; see `compiled`."""
-    position_points(points_camera, _camera_model(camera_model), pixels)
+def _skewed_pixel(x: Any, y: Any, c: Any) -> Any:
+    return c.fx * x + c.s * y + c.cx, c.fy * y + c.cy
 
 
-@kernel(ROWS_SIGNATURE, **KERNEL)
-def unproject_pixels(pixels, camera_model, rays):  # type: ignore[no-untyped-def]
-    """Give a unit ray for every pixel; see `compiled`."""
-    look_through_chart(pixels, _camera_model(camera_model), rays)
+def _plane_of_skewed_pixel(u: Any, v: Any, c: Any) -> Any:
+    y = (v - c.cy) / c.fy
+    return (u - c.cx - c.s * y) / c.fx, y
 
 
-@kernel(FOLD_SIGNATURE, **KERNEL)
-def fold_radius(camera_model: Any) -> Any:
-    """Give the radius of the chart's disk up to which nothing folds, the given limit at most."""
-    return radius_without_fold(_camera_model(camera_model))
+use_formulas(Omnidir, {**_BY_SPHERE, pixel_of_plane: _skewed_pixel, plane_of_pixel: _plane_of_skewed_pixel})
+
+
+@formula_of(Omnidir, distort)
+def _distort_by_two(a: Any, b: Any, c: Any) -> Any:
+    s = a * a + b * b
+    g, g_s = 1.0 + s * (c.k1 + s * c.k2), c.k1 + s * 2.0 * c.k2
+    return shift_and_decentre(a, b, g, g_s, 0.0, 0.0, c.p1, c.p2)
+
+
+def _limit_by_two(coefficients: tuple[float, ...]) -> float:
+    k1, k2, _, xi, p1, p2 = coefficients
+    limit = min(math.sqrt(first_positive_root([5 * k2, 3 * k1, 1.0])), _sphere_rim(xi))
+    return _fold_by_two(coefficients, limit) if any((p1, p2)) else limit
+
+
+OMNIDIR = compiled_model(Omnidir, _limit_by_two)
+_fold_by_two = compiled_fold(Omnidir)

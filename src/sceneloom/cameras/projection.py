@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from functools import lru_cache
 from importlib import import_module
-from typing import NamedTuple, Protocol, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,8 +51,17 @@ _LARGEST_COEFFICIENT = 1e12
 _ProjectionKernel = Callable[[Float64Array, Float64Array, Float64Array, int, int, PointsInImage], int]
 
 
-class ModelModule(Protocol):
-    """What the module of a model offers; `compiled` describes the functions."""
+class CompiledModel(NamedTuple):
+    """The functions of a camera model; where they take a camera, it is its `intrinsics_vector`.
+
+    Attributes:
+        project_into_image: as `projection_kernel` describes it.
+        project_points: takes points_camera (N, 3), the camera and pixels (N, 2), which it writes; NaN outside the
+            domain.
+        unproject_pixels: takes pixels (N, 2), the camera and unit rays (N, 3), which it writes; NaN where there
+            is none.
+        domain_limit: computes the limit of the domain from all coefficients.
+    """
 
     project_into_image: _ProjectionKernel
     project_points: Callable[[Float64Array, Float64Array, Float64Array], None]
@@ -67,8 +76,8 @@ def _model(name: str) -> Model:
 
 
 @lru_cache(maxsize=64)
-def _module(name: str) -> ModelModule:
-    return cast("ModelModule", import_module(_model(name).module))
+def _compiled(name: str) -> CompiledModel:
+    return cast("CompiledModel", getattr(import_module(_model(name).module), name.upper()))
 
 
 def check_camera(camera: Camera) -> None:
@@ -100,7 +109,7 @@ def projection_kernel(model: str) -> _ProjectionKernel:
     Raises:
         CalibrationError: there is no such model.
     """
-    return _module(model).project_into_image
+    return _compiled(model).project_into_image
 
 
 @lru_cache(maxsize=256)
@@ -117,7 +126,7 @@ def intrinsics_vector(camera: Camera) -> Float64Array:
     check_camera(camera)
     missing = len(MODELS[camera.model].coefficient_names) - len(camera.coefficients)
     coefficients = (*camera.coefficients, *(0.0,) * missing)
-    limit = _module(camera.model).domain_limit(coefficients)
+    limit = _compiled(camera.model).domain_limit(coefficients)
     return read_only((camera.fx, camera.fy, camera.cx, camera.cy, *coefficients, limit), np.float64)
 
 
@@ -165,7 +174,7 @@ def project_unbounded(camera: Camera, points_camera: ArrayLike) -> Float64Array:
     """
     points = _rows("points_camera", points_camera, 3)
     pixels = np.empty((len(points), 2))
-    _module(camera.model).project_points(points, intrinsics_vector(camera), pixels)
+    _compiled(camera.model).project_points(points, intrinsics_vector(camera), pixels)
     return pixels
 
 
@@ -182,7 +191,7 @@ def project_beyond_domain(model: str, numbers: ArrayLike, points_camera: ArrayLi
     """
     points = _rows("points_camera", points_camera, 3)
     pixels = np.empty((len(points), 2))
-    _module(model).project_points(points, read_only((*np.asarray(numbers), np.inf), np.float64), pixels)
+    _compiled(model).project_points(points, read_only((*np.asarray(numbers), np.inf), np.float64), pixels)
     return pixels
 
 
@@ -226,7 +235,7 @@ def unproject(camera: Camera, pixels: ArrayLike) -> Float64Array:
     """
     locations = _rows("pixels", pixels, 2)
     rays = np.empty((len(locations), 3))
-    _module(camera.model).unproject_pixels(locations, intrinsics_vector(camera), rays)
+    _compiled(camera.model).unproject_pixels(locations, intrinsics_vector(camera), rays)
     return rays
 
 

@@ -1,5 +1,6 @@
 """The points of a cloud in one image, and the algorithms of sensor-data fusion by name."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -7,8 +8,17 @@ from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
+from numba import boolean, void
 
-from sceneloom.arrays import Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array, check_array
+from sceneloom.arrays import (
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    Int32Array,
+    Int64Array,
+    UInt8Array,
+    check_array,
+)
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import PointsInImage, intrinsics_vector, projection_kernel
 from sceneloom.colouring.blending import blend_colours, colour_points, estimate_normals
@@ -16,8 +26,13 @@ from sceneloom.colouring.results import FusedView, LidarTrajectory
 from sceneloom.colouring.rolling_shutter import ShutterDirection, project_by_lines
 from sceneloom.colouring.visibility import Looks, VisibilitySettings, find_visible
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.colours import draw_depths, mark_nearest
-from sceneloom.kernels.projection import pixel_numbers
+from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.projection import draw_depths, pixel_numbers
+from sceneloom.kernels.signatures import (
+    IN_F32_1D,
+    IN_F32_2D,
+    IN_I32_1D,
+)
 from sceneloom.kernels.thread_pool import ThreadPool
 from sceneloom.scene.types import Identifier
 
@@ -330,3 +345,26 @@ ALGORITHMS: Mapping[str, FusionAlgorithm] = MappingProxyType(
 
 Source: DB34/T 4101-2022, table 2, property `fusion_algorithm`.
 """
+
+
+_NOTHING, _STATIC = np.float32(0.0), np.float32(math.inf)
+
+
+@kernel(void(IN_I32_1D, IN_F32_1D, IN_F32_2D, boolean[::1]))
+def mark_nearest(
+    pixel_numbers: Int32Array, depths: Float32Array, depth_image: Float32Array, visible: BoolArray
+) -> None:
+    """Mark the points that are the nearest of their pixel, as a z-buffer over all of them says.
+
+    Args:
+        pixel_numbers: (M,), counted row by row; negative outside the image.
+        depths: (M,) [m].
+        depth_image: (H, W) [m], least depth of each pixel, 0 for nothing.
+        visible: (M,), written; equally near points are all visible, and so is a point of a very wide camera model that
+            lies beside or behind the camera (depth <= 0), with which no depth can be compared.
+    """
+    image = depth_image.reshape(depth_image.size)
+    for i in range(depths.shape[0]):
+        inside = (pixel_numbers[i] >= 0) & (pixel_numbers[i] < image.shape[0])
+        nearest = image[np.uint32(pixel_numbers[i])] if inside else -_STATIC
+        visible[i] = inside & (depths[i] <= max(nearest, _NOTHING))

@@ -3,18 +3,41 @@
 With surface normals and the source of each colour.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, radians
 
 import numpy as np
+from numba import boolean, float32, float64, int64, uint8, void
 
-from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, check_array
+from sceneloom.arrays import (
+    AnyArray,
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    Int32Array,
+    Int64Array,
+    UInt8Array,
+    check_array,
+)
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import OptionError
-from sceneloom.kernels.colours import mark_outlines, paint_points, sample_between_pixels, weigh_samples
-from sceneloom.kernels.surface_map import number_cubes
+from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.projection import BLOCK, sample_between_pixels
+from sceneloom.kernels.signatures import (
+    IN_BOOL_1D,
+    IN_F32_1D,
+    IN_F32_2D,
+    IN_F64_1D,
+    IN_F64_2D,
+    IN_I32_1D,
+    IN_I64_1D,
+    IN_U8_3D,
+    part,
+)
 from sceneloom.kernels.thread_pool import ThreadPool
+from sceneloom.kernels.voxels import number_cubes
 
 NO_CAMERA = 255
 """In `camera_index`: no image shows the point; its colour is then 255, 255, 255."""
@@ -459,3 +482,228 @@ def _add_agreeing(samples: _Samples, agreement: float, total: _Sum) -> None:
 def _levels(colors: Float32Array) -> UInt8Array:
     levels: UInt8Array = np.rint(np.clip(colors, 0.0, 255.0)).astype(np.uint8)
     return levels
+
+
+_GREEN, _BLUE = np.uint64(1), np.uint64(2)
+
+
+@part
+def _number_painted(
+    pixel_numbers: Int32Array, size: int, visible: BoolArray, point_ids: Int64Array, count: int, numbers: AnyArray
+) -> None:  # fmt: skip
+    """Write the points' pixels, of which there are `size`; -1 for points that are unseen or do not exist."""
+    for i in range(numbers.shape[0]):
+        inside = np.uint32(pixel_numbers[i]) < np.uint32(size)
+        painted = inside & visible[i] & (np.uint64(point_ids[i]) < np.uint64(count))
+        numbers[i] = pixel_numbers[i] if painted else np.int32(-1)
+
+
+@part
+def _choose(
+    point_ids: Int64Array, flat_pixels: Float32Array, width: int, height: int, eccentricities: Float64Array,
+    numbers: AnyArray,
+) -> None:  # fmt: skip
+    """Cross out, likewise, points that were seen more centrally before."""
+    center_u, center_v = 0.5 * (width - 1), 0.5 * (height - 1)
+    per_square = 4.0 / np.float64(width * width + height * height)
+    for i in range(numbers.shape[0]):
+        if numbers[i] < 0:
+            continue
+        k = np.uint64(point_ids[i])
+        du, dv = flat_pixels[2 * i] - center_u, flat_pixels[2 * i + 1] - center_v
+        eccentricity = (du * du + dv * dv) * per_square
+        if eccentricity < eccentricities[k]:
+            eccentricities[k] = eccentricity
+        else:
+            numbers[i] = -1
+
+
+@part
+def _paint_block(
+    numbers: AnyArray, point_ids: Int64Array, flat_rgb: UInt8Array, camera: int, flat_colors: UInt8Array,
+    camera_index: UInt8Array,
+) -> None:  # fmt: skip
+    """Copy the colours of the pixels of a block of points."""
+    for i in range(point_ids.shape[0]):
+        if numbers[i] >= 0:
+            k = np.uint64(point_ids[i])
+            source, target = np.uint64(3) * np.uint64(numbers[i]), np.uint64(3) * k
+            # Read as one before written, since for the compiler a colour might lie where the next is read.
+            red, green, blue = flat_rgb[source], flat_rgb[source + _GREEN], flat_rgb[source + _BLUE]
+            flat_colors[target], flat_colors[target + _GREEN], flat_colors[target + _BLUE] = red, green, blue
+            camera_index[k] = camera
+
+
+@kernel(
+    void(
+        IN_I64_1D, IN_F32_2D, IN_I32_1D, IN_BOOL_1D, IN_U8_3D, uint8, float64[::1], uint8[:, ::1], uint8[::1],
+    )
+)  # fmt: skip
+def paint_points(
+    point_ids: Int64Array,
+    pixels: Float32Array,
+    pixel_numbers: Int32Array,
+    visible: BoolArray,
+    rgb: UInt8Array,
+    camera: int,
+    eccentricities: Float64Array,
+    colors: UInt8Array,
+    camera_index: UInt8Array,
+) -> None:
+    """Give each visible point its nearest pixel's colour if this image shows it more centrally than those before.
+
+    Args:
+        point_ids: (M,), rows of the outputs.
+        pixels: (M, 2) [px].
+        pixel_numbers: (M,), the nearest ones, counted row by row; negative outside the image.
+        visible: (M,).
+        rgb: (H, W, 3), the image.
+        camera: number to write into `camera_index`.
+        eccentricities: (N,), updated: least squared distance so far from an image's centre, in half diagonals; or
+            (0,) where this image is the only one.
+        colors: (N, 3), updated.
+        camera_index: (N,), updated.
+    """
+    height, width = rgb.shape[0], rgb.shape[1]
+    flat_pixels, flat_rgb, flat_colors = (
+        pixels.reshape(pixels.size),
+        rgb.reshape(rgb.size),
+        colors.reshape(colors.size),
+    )
+    count = point_ids.shape[0]
+    numbers, size = np.empty(BLOCK, np.int32), width * height
+    for start in range(0, count, BLOCK):
+        stop = min(start + BLOCK, count)
+        block, ids = numbers[: stop - start], point_ids[start:stop]
+        _number_painted(
+            pixel_numbers[start:stop], size, visible[start:stop], ids, camera_index.shape[0], block
+        )
+        if eccentricities.shape[0] > 0:
+            _choose(ids, flat_pixels[2 * start : 2 * stop], width, height, eccentricities, block)
+        _paint_block(block, ids, flat_rgb, camera, flat_colors, camera_index)
+
+
+_LEAST_DEPTH = np.float32(0.05)
+"""Points beside the camera_model or behind it, which wide camera_models show, too.
+
+Have no inverse depth to compare [m].
+"""
+
+
+@kernel(void(IN_F32_2D, IN_F32_1D, IN_BOOL_1D, int64, int64, float64, float64, float64, boolean[::1]))
+def mark_outlines(
+    pixels: Float32Array,
+    depths: Float32Array,
+    visible: BoolArray,
+    width: int,
+    height: int,
+    cell_px: float,
+    slope: float,
+    margin: float,
+    near_outline: BoolArray,
+) -> None:
+    """Mark points that have a nearer surface, or behind them a farther visible one, beside them in the image.
+
+    On one surface, the inverse depth changes by at most `slope` over the reach of three cells; `margin` [m] is what
+    counts as a step besides.
+
+    Args:
+        pixels: (M, 2) [px].
+        depths: (M,) [m]; points that are not in front of the camera model are never marked.
+        visible: (M,).
+        width, height: of the image [px].
+        cell_px: side of the cells; neighbours are looked for in three by three of them.
+        slope: [1/m].
+        margin: [m].
+        near_outline: (M,), written.
+    """
+    columns, rows = int(width / cell_px) + 3, int(height / cell_px) + 3
+    nearest = np.zeros((rows, columns), np.float32)
+    farthest = np.full((rows, columns), np.float32(np.inf))
+    locations = np.empty((pixels.shape[0], 2), np.int32)
+    for i in range(pixels.shape[0]):
+        column = min(max(int((pixels[i, 0] + 0.5) / cell_px), 0), columns - 3) + 1
+        row = min(max(int((pixels[i, 1] + 0.5) / cell_px), 0), rows - 3) + 1
+        locations[i, 0], locations[i, 1] = column, row
+        if not depths[i] > _LEAST_DEPTH:
+            continue
+        inverse = float32(1.0) / depths[i]
+        nearest[row, column] = max(nearest[row, column], inverse)
+        if visible[i]:
+            farthest[row, column] = min(farthest[row, column], inverse)
+    for i in range(pixels.shape[0]):
+        near_outline[i] = False
+        if not depths[i] > _LEAST_DEPTH:
+            continue
+        inverse = float32(1.0) / depths[i]
+        step = slope + margin * inverse * inverse
+        high, low = inverse, inverse
+        for row in range(locations[i, 1] - 1, locations[i, 1] + 2):
+            for column in range(locations[i, 0] - 1, locations[i, 0] + 2):
+                high = max(high, nearest[row, column])
+                low = min(low, farthest[row, column])
+        near_outline[i] = (high - inverse > step) | (inverse - low > step)
+
+
+@kernel(
+    void(
+        IN_F64_2D, IN_I64_1D, IN_F32_2D, IN_BOOL_1D, IN_BOOL_1D, IN_F32_2D, IN_I64_1D, IN_F64_2D, int64, int64, int64,
+        IN_F64_1D, float32[::1],
+    )
+)  # fmt: skip
+def weigh_samples(
+    points_world: Float64Array,
+    point_ids: Int64Array,
+    pixels: Float32Array,
+    visible: BoolArray,
+    near_outline: BoolArray,
+    normals_world: Float32Array,
+    times_ns: Int64Array,
+    world_from_camera: Float64Array,
+    width: int,
+    height: int,
+    image_ns: int,
+    numbers: Float64Array,
+    weights: Float32Array,
+) -> None:
+    """Report how far the colour of each point in an image is to be trusted, 0 for points that are not visible.
+
+    The weight is the product of five: the cosine between the line of sight and the surface's normal, or the camera's
+    axis where none is known; 1 / (1 + (distance / d)²); 1 / (1 + (time apart / t)²); a ramp from the image's border
+    inwards; and a factor for points beside an outline.
+
+    Args:
+        points_world: (N, 3) [m].
+        point_ids: (M,), rows of `points_world`, `normals_world` and `times_ns`.
+        pixels: (M, 2) [px].
+        visible, near_outline: (M,).
+        normals_world: (N, 3) unit vectors, 0 where not known; or (0, 3).
+        times_ns: (N,) [ns]; or (0,).
+        world_from_camera: (3, 4) or (4, 4).
+        width, height: of the image [px].
+        image_ns: its time [ns].
+        numbers: d [m], t [s], width of the ramp as a share of the image's shorter side, least factor of the border,
+            least cosine, factor beside an outline.
+        weights: (M,), written.
+    """
+    ramp_px = max(numbers[2] * min(width, height), 1e-6)
+    for i in range(point_ids.shape[0]):
+        if not visible[i]:
+            weights[i] = 0.0
+            continue
+        k = point_ids[i]
+        x = points_world[k, 0] - world_from_camera[0, 3]
+        y = points_world[k, 1] - world_from_camera[1, 3]
+        z = points_world[k, 2] - world_from_camera[2, 3]
+        distance = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+        nx, ny, nz = 0.0, 0.0, 0.0
+        if normals_world.shape[0] > 0:
+            nx, ny, nz = normals_world[k, 0], normals_world[k, 1], normals_world[k, 2]
+        if nx == 0.0 and ny == 0.0 and nz == 0.0:
+            nx, ny, nz = world_from_camera[0, 2], world_from_camera[1, 2], world_from_camera[2, 2]
+        cosine = max(abs(nx * x + ny * y + nz * z) / distance, numbers[4])
+        apart = (times_ns[k] - image_ns) * 1e-9 if times_ns.shape[0] > 0 else 0.0
+        border_px = min(pixels[i, 0], width - 1 - pixels[i, 0], pixels[i, 1], height - 1 - pixels[i, 1])
+        border = min(max((border_px + 0.5) / ramp_px, numbers[3]), 1.0)
+        weight = cosine * border / (1.0 + (distance / numbers[0]) ** 2) / (1.0 + (apart / numbers[1]) ** 2)
+        weights[i] = weight * (numbers[5] if near_outline[i] else 1.0)

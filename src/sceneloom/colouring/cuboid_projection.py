@@ -2,26 +2,22 @@
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array, check_array
+from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array, check_array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.cameras.projection import project, unproject
-from sceneloom.colouring.box_outlines import (
-    CENTRE_TO_CORNER,
-    Rolling,
-    box_extents,
-    rolled_extents,
-    widest_angle,
-)
+from sceneloom.cameras.projection import project, project_unbounded, unproject
 from sceneloom.colouring.cuboid_points import activation_of, points_in_world, points_position, with_attributes
 from sceneloom.colouring.rolling_shutter import ShutterDirection, pixels_by_lines, project_by_lines
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.geometry.boxes import box_corners
+from sceneloom.geometry.boxes import EDGES, box_corners
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions
-from sceneloom.kernels.boxes import count_evidence, count_observations
+from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import inlined
 from sceneloom.scene.annotations import Activation, Annotation, AttributePath, CuboidAnnotation, Projection
 from sceneloom.scene.annotations_at import Boxes, BoxTable, cuboid_at
 from sceneloom.scene.cameras import CameraSensor, Shutter
@@ -33,6 +29,496 @@ from sceneloom.scene.sampling import ALL, Choice, choose_ego, chosen_sensors, lo
 from sceneloom.scene.scene import Scene, check_camera_models, sweep_period_ns
 from sceneloom.scene.types import Identifier, Progress, key_of
 from sceneloom.warnings import DataWarning, WarningKind
+
+CENTRE_TO_CORNER = 0.5
+"""Source: "pixels", READING in docs/CONVENTIONS.md: corner = centre + 0.5."""
+
+
+_EDGES: Int64Array = read_only(EDGES, np.int64)
+
+
+class _Steps(NamedTuple):
+    """How closely edges are followed.
+
+    Attributes:
+        limits: (L,) float64 [rad], rising: of a box whose longest edge covers up to so much …
+        counts: (L,) int64, … each edge is cut in so many steps.
+    """
+
+    limits: Float64Array
+    counts: Int64Array
+
+
+FINE = _Steps(read_only([0.05, 0.2, np.inf], np.float64), read_only([4, 12, 64], np.int64))
+"""Within 0.1 px for all but what stands right before a bent camera model."""
+
+
+COARSE = _Steps(
+    read_only([0.1, 0.2, 0.4, 0.8, 1.6, np.inf], np.float64), read_only([3, 5, 8, 14, 32, 64], np.int64)
+)
+"""Within 1 px, and three times as quick."""
+
+
+_ROUNDS = 24
+"""How often the step in which an edge leaves the camera model is halved."""
+
+
+_BORDER_STEPS = 33
+
+
+@lru_cache(maxsize=256)
+def widest_angle(camera: Camera) -> float:
+    """The largest angle off the axis that the image shows [rad]; π where its border lies beyond the camera model."""
+    along = np.linspace(0.0, 1.0, _BORDER_STEPS)
+    u = np.concatenate([along, along, np.zeros_like(along), np.ones_like(along)]) * camera.width - 0.5
+    v = np.concatenate([np.zeros_like(along), np.ones_like(along), along, along]) * camera.height - 0.5
+    rays = unproject(camera, np.column_stack([u, v]))
+    if not np.isfinite(rays).all():
+        return float(np.pi)
+    return float(np.arccos(np.clip(rays[:, 2], -1.0, 1.0)).max())
+
+
+def box_extents(
+    camera: Camera, corners_camera: Float64Array, *, steps: _Steps = FINE
+) -> tuple[Float64Array, Float64Array]:
+    """Bound what an image shows of boxes.
+
+    Args:
+        camera: the camera model.
+        corners_camera: (B, 8, 3) float64 [m], in the order of `geometry.boxes.CORNER_SIGNS`; none at the camera, no
+            edge through it.
+        steps: how closely edges are followed.
+
+    Returns:
+        extents: (B, 4) float64 [px], corner convention, left, top, right, bottom; infinities the wrong way round where
+            nothing of a box is in the image.
+        shares: (B,) float64, which share of its edges, in equal angles, is in the image; 1 where all of it is.
+
+    Raises:
+        CalibrationError: the camera model is unknown.
+    """
+    corners = np.ascontiguousarray(corners_camera)
+    directions, starts = sample_edges(corners, _EDGES, steps.limits, steps.counts)
+    pixels = project_unbounded(camera, directions)
+    pixels += CENTRE_TO_CORNER
+    width, height = float(camera.width), float(camera.height)
+    extents, shares, leaving = bound_edges(pixels, starts, len(EDGES), width, height)
+    if len(leaving):
+        ends = _limits(camera, directions[leaving[:, 1]], directions[leaving[:, 2]])
+        extend_bounds(extents, leaving, pixels[leaving[:, 1]], ends, width, height)
+    extend_to_corners(extents, corners, *_image_corner_rays(camera))
+    return extents, shares
+
+
+def _limits(camera: Camera, known: Float64Array, unknown: Float64Array) -> Float64Array:
+    """Pixels (L, 2), corner convention, where steps leave the camera model between directions within and beyond it."""
+    middles, pixels = known.copy(), np.zeros((len(known), 2))
+    for _ in range(_ROUNDS):
+        halve_steps(known, unknown, middles, pixels)
+        pixels = project_unbounded(camera, middles)
+    halve_steps(known, unknown, middles, pixels)
+    return project_unbounded(camera, known) + CENTRE_TO_CORNER
+
+
+@lru_cache(maxsize=256)
+def _image_corner_rays(camera: Camera) -> tuple[Float64Array, Float64Array]:
+    """Give the corners of the image (4, 2) [px], corner convention, and the rays (4, 3) that they look along."""
+    corners = np.array([[0.0, 0.0], [camera.width, 0.0], [camera.width, camera.height], [0.0, camera.height]])
+    return read_only(corners), read_only(unproject(camera, corners - CENTRE_TO_CORNER))
+
+
+_NOTHING = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rolling:
+    """What happened while the lines of an image were taken.
+
+    Attributes:
+        trajectory: of the camera.
+        drifts_world: (B, 8, 3) float64 [m], how far the corners of the boxes went from the first line to the last.
+    """
+
+    trajectory: ShutterDirection
+    drifts_world: Float64Array
+
+    def __post_init__(self) -> None:
+        check_array("rolling.drifts_world", self.drifts_world, (None, 8, 3), np.float64)
+
+
+def rolled_extents(
+    camera: Camera,
+    corners_camera: Float64Array,
+    drifts: Float64Array,
+    trajectory: ShutterDirection,
+    *,
+    steps: _Steps = FINE,
+) -> tuple[Float64Array, Float64Array]:
+    """Bound what an image of a rolling shutter shows of boxes.
+
+    Args:
+        camera: the camera model.
+        corners_camera: (B, 8, 3) float64 [m], as of `box_extents`, in the frame of the camera at the image's time.
+        drifts: (B, 8, 3) float64 [m], how far they go in that frame from the first line to the last.
+        trajectory: of the camera, line by line.
+        steps: how closely edges are followed.
+
+    Returns:
+        extents, shares: as `box_extents`.
+
+    Raises:
+        CalibrationError: the camera model is unknown.
+    """
+    corners = np.ascontiguousarray(corners_camera)
+    directions, starts = sample_edges(corners, _EDGES, steps.limits, steps.counts)
+    edges = _Edges.of(corners, drifts, directions, starts)
+    pixels = edges.pixels(edges.shares, camera, trajectory)
+    width, height = float(camera.width), float(camera.height)
+    extents, shares, leaving = bound_edges(pixels, starts, len(_EDGES), width, height)
+    if len(leaving):
+        ends = _rolled_limits(edges, leaving, camera, trajectory)
+        extend_bounds(extents, leaving, pixels[leaving[:, 1]], ends, width, height)
+    _extend_to_corners(extents, corners, drifts, camera, trajectory)
+    return extents, shares
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Edges:
+    """Points on the edges of boxes: where each edge begins and where it leads, (P, 2, 3) [m], with its drift.
+
+    `shares` (P,) is how far along its edge each point lies.
+    """
+
+    ends: Float64Array
+    drifts: Float64Array
+    shares: Float64Array
+
+    @classmethod
+    def of(
+        cls, corners: Float64Array, drifts: Float64Array, directions: Float64Array, starts: Int64Array
+    ) -> "_Edges":
+        """Put the directions of `sample_edges` on their edges."""
+        counts = np.diff(starts)
+        boxes = np.repeat(np.arange(len(corners)), counts)
+        samples = counts[boxes] // len(_EDGES)
+        locations = np.arange(len(directions)) - starts[boxes]
+        joined = _EDGES[locations // np.maximum(samples, 1)]
+        ends, moves = corners[boxes[:, None], joined], drifts[boxes[:, None], joined]
+        return cls(
+            ends, moves, _shares_along(ends, directions, locations % samples / np.maximum(samples - 1, 1))
+        )
+
+    def some(self, rows: Int64Array) -> "_Edges":
+        return _Edges(self.ends[rows], self.drifts[rows], self.shares[rows])
+
+    def pixels(self, shares: Float64Array, camera: Camera, trajectory: ShutterDirection) -> Float64Array:
+        """Where points so far along their edges lie, (P, 2) [px], corner convention."""
+        first, second = 1.0 - shares[:, None], shares[:, None]
+        points = first * self.ends[:, 0] + second * self.ends[:, 1]
+        drifts = first * self.drifts[:, 0] + second * self.drifts[:, 1]
+        return pixels_by_lines(points, drifts, camera, trajectory) + CENTRE_TO_CORNER
+
+
+def _shares_along(ends: Float64Array, directions: Float64Array, even: Float64Array) -> Float64Array:
+    """Report how far along edges directions meet them, (P,); evenly spread where an edge points at the camera."""
+    first, along = ends[:, 0], ends[:, 1] - ends[:, 0]
+    normals = np.cross(first, ends[:, 1])
+    above = (np.cross(first, directions) * normals).sum(axis=1)
+    below = -(np.cross(along, directions) * normals).sum(axis=1)
+    scale = (first * first).sum(axis=1) * (along * along).sum(axis=1)
+    met = np.abs(below) > _NOTHING * scale
+    shares: Float64Array = np.clip(np.where(met, above / np.where(met, below, 1.0), even), 0.0, 1.0)
+    return shares
+
+
+def _rolled_limits(
+    edges: _Edges, leaving: Int64Array, camera: Camera, trajectory: ShutterDirection
+) -> Float64Array:
+    """Pixels (L, 2), corner convention, where steps leave the camera model between points within and beyond it."""
+    steps = edges.some(leaving[:, 1])
+    known, unknown = steps.shares.copy(), edges.shares[leaving[:, 2]].copy()
+    for _ in range(_ROUNDS):
+        middle = 0.5 * (known + unknown)
+        within = np.isfinite(steps.pixels(middle, camera, trajectory)[:, 0])
+        known, unknown = np.where(within, middle, known), np.where(within, unknown, middle)
+    return steps.pixels(known, camera, trajectory)
+
+
+def _extend_to_corners(
+    extents: Float64Array,
+    corners: Float64Array,
+    drifts: Float64Array,
+    camera: Camera,
+    trajectory: ShutterDirection,
+) -> None:
+    """Let bounds hold those corners of the image that look at a box: two at the first line, two at the last."""
+    locations, rays = _image_corner_rays(camera)
+    at_end = locations[:, trajectory.axis] > 0
+    for chosen, line, share in ((~at_end, 0, -0.5), (at_end, -1, 0.5)):
+        pose = trajectory.lines_from_middle[line]
+        there = (corners + share * drifts) @ pose[:, :3].T + pose[:, 3]
+        some = np.flatnonzero(chosen)
+        extend_to_corners(extents, np.ascontiguousarray(there), locations[some], rays[some])
+
+
+_FLAT = 1e-12
+"""An edge that covers no more than this angle points at the camera [rad]."""
+
+
+@inlined
+def _unit(x, y, z):  # type: ignore[no-untyped-def]
+    length = np.sqrt(x * x + y * y + z * z)
+    return x / length, y / length, z / length
+
+
+@inlined
+def _arc(units, first, last):  # type: ignore[no-untyped-def]
+    """Where an edge heads at a right angle to its beginning, and how far [rad]."""
+    ax, ay, az = units[first, 0], units[first, 1], units[first, 2]
+    bx, by, bz = units[last, 0], units[last, 1], units[last, 2]
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    cosine, sine = ax * bx + ay * by + az * bz, np.sqrt(cx * cx + cy * cy + cz * cz)
+    if sine > _FLAT:
+        tx, ty, tz = (bx - cosine * ax) / sine, (by - cosine * ay) / sine, (bz - cosine * az) / sine
+    else:
+        tx, ty, tz = 0.0, 0.0, 0.0
+    return tx, ty, tz, np.arctan2(sine, cosine)
+
+
+@kernel(
+    "Tuple((float64[:,::1], int64[::1]))(float64[:,:,::1], Array(int64, 2, 'C', readonly=True), "
+    "Array(float64, 1, 'C', readonly=True), Array(int64, 1, 'C', readonly=True))"
+)
+def sample_edges(
+    corners: Float64Array, edges: Int64Array, limits: Float64Array, steps: Int64Array
+) -> tuple[Float64Array, Int64Array]:
+    """Follow the edges of boxes in equal angles as seen from the origin.
+
+    Args:
+        corners: (B, 8, 3) [m], none at the origin, no edge through it.
+        edges: (E, 2), the corners that each edge joins.
+        limits: (L,) [rad], rising; how much the longest edge of a box covers at most for it to get …
+        steps: (L,) … so many steps along each edge.
+
+    Returns:
+        directions: (P, 3) float64, unit: edge by edge of box by box, both ends included.
+        starts: (B + 1,) int64, where the directions of each box begin.
+    """
+    boxes, count = len(corners), len(edges)
+    starts = np.zeros(boxes + 1, np.int64)
+    units, arcs = np.empty((boxes, 8, 3)), np.empty((boxes, count, 4))
+    for b in range(boxes):
+        for c in range(8):
+            units[b, c, 0], units[b, c, 1], units[b, c, 2] = _unit(
+                corners[b, c, 0], corners[b, c, 1], corners[b, c, 2]
+            )
+        longest = 0.0
+        for e in range(count):
+            tx, ty, tz, angle = _arc(units[b], edges[e, 0], edges[e, 1])
+            arcs[b, e, 0], arcs[b, e, 1], arcs[b, e, 2], arcs[b, e, 3] = tx, ty, tz, angle
+            longest = max(longest, angle)
+        k = 0
+        while k < len(limits) - 1 and longest > limits[k]:
+            k += 1
+        starts[b + 1] = starts[b] + count * (steps[k] + 1)
+    directions = np.empty((starts[boxes], 3))
+    for b in range(boxes):
+        samples = (starts[b + 1] - starts[b]) // count
+        for e in range(count):
+            first = edges[e, 0]
+            ax, ay, az = units[b, first, 0], units[b, first, 1], units[b, first, 2]
+            tx, ty, tz, angle = arcs[b, e, 0], arcs[b, e, 1], arcs[b, e, 2], arcs[b, e, 3]
+            step_cosine, step_sine = np.cos(angle / (samples - 1)), np.sin(angle / (samples - 1))
+            cosine, sine, row = 1.0, 0.0, starts[b] + e * samples
+            for k in range(samples):
+                directions[row + k, 0] = cosine * ax + sine * tx
+                directions[row + k, 1] = cosine * ay + sine * ty
+                directions[row + k, 2] = cosine * az + sine * tz
+                cosine, sine = (
+                    cosine * step_cosine - sine * step_sine,
+                    sine * step_cosine + cosine * step_sine,
+                )
+    return directions, starts
+
+
+@inlined
+def _extend(extents, b, u0, v0, u1, v1, width, height):  # type: ignore[no-untyped-def]
+    """Let the bounds of a box hold the part of a segment that lies in the image.
+
+    Source: Liang and Barsky 1984, "A New Concept and Method for Line Clipping".
+    """
+    du, dv, enter, leave = u1 - u0, v1 - v0, 0.0, 1.0
+    # a segment along a border is between that pair of borders for ever, or never
+    if du == 0.0:
+        if u0 < 0.0 or u0 > width:
+            return
+    else:
+        low, high = -u0 / du, (width - u0) / du
+        enter, leave = max(enter, min(low, high)), min(leave, max(low, high))
+    if dv == 0.0:
+        if v0 < 0.0 or v0 > height:
+            return
+    else:
+        low, high = -v0 / dv, (height - v0) / dv
+        enter, leave = max(enter, min(low, high)), min(leave, max(low, high))
+    if enter <= leave:
+        for share in (enter, leave):
+            u, v = u0 + share * du, v0 + share * dv
+            extents[b, 0], extents[b, 1] = min(extents[b, 0], u), min(extents[b, 1], v)
+            extents[b, 2], extents[b, 3] = max(extents[b, 2], u), max(extents[b, 3], v)
+
+
+@inlined
+def _bulge(before, middle, after):  # type: ignore[no-untyped-def]
+    """Where a parabola through three locations rotates; the middle one where it does not rotate near it."""
+    bend, slope = before - 2.0 * middle + after, (after - before) / 2.0
+    if bend != 0.0 and abs(slope) <= abs(bend):
+        return middle - slope * slope / (2.0 * bend)
+    return middle
+
+
+@kernel(
+    "Tuple((float64[:,::1], float64[::1], int64[:,::1]))(float64[:,::1], int64[::1], int64, float64, float64)"
+)
+def bound_edges(
+    pixels: Float64Array, starts: Int64Array, count: int, width: float, height: float
+) -> tuple[Float64Array, Float64Array, Int64Array]:
+    """Bound the edges of boxes within the image.
+
+    Args:
+        pixels: (P, 2) [px], corner convention, of `sample_edges`; NaN beyond the camera model.
+        starts: (B + 1,), where those of each box begin.
+        count: edges of each box.
+        width, height: of the image [px].
+
+    Returns:
+        extents: (B, 4) float64 [px], left, top, right, bottom; infinities the wrong way round where no edge is in the
+            image.
+        shares: (B,) float64, which share of the directions the image shows.
+        leaving: (L, 3) int64, steps in which an edge leaves the camera model: the box, the row within and the row
+            beyond.
+    """
+    boxes, lost = len(starts) - 1, 0
+    extents, shares = np.empty((boxes, 4)), np.empty(boxes)
+    leaving = np.empty((len(pixels), 3), np.int64)
+    for b in range(boxes):
+        extents[b, 0] = extents[b, 1] = np.inf
+        extents[b, 2] = extents[b, 3] = -np.inf
+        samples, inside = (starts[b + 1] - starts[b]) // count, 0
+        for e in range(count):
+            first = starts[b] + e * samples
+            for k in range(first, first + samples):
+                u, v = pixels[k, 0], pixels[k, 1]
+                within = 0.0 <= u <= width and 0.0 <= v <= height
+                inside += within
+                if within and first < k < first + samples - 1:
+                    # how far curved edges reach between their samples
+                    rotation_u = _bulge(pixels[k - 1, 0], u, pixels[k + 1, 0])
+                    rotation_v = _bulge(pixels[k - 1, 1], v, pixels[k + 1, 1])
+                    extents[b, 0], extents[b, 2] = (
+                        min(extents[b, 0], rotation_u),
+                        max(extents[b, 2], rotation_u),
+                    )
+                    extents[b, 1], extents[b, 3] = (
+                        min(extents[b, 1], rotation_v),
+                        max(extents[b, 3], rotation_v),
+                    )
+                if k == first:
+                    continue
+                here, before = np.isfinite(u), np.isfinite(pixels[k - 1, 0])
+                if here and before:
+                    _extend(extents, b, pixels[k - 1, 0], pixels[k - 1, 1], u, v, width, height)
+                elif here or before:
+                    leaving[lost, 0] = b
+                    leaving[lost, 1], leaving[lost, 2] = (k, k - 1) if here else (k - 1, k)
+                    lost += 1
+        shares[b] = inside / max(starts[b + 1] - starts[b], 1)
+        extents[b, 0], extents[b, 1] = max(extents[b, 0], 0.0), max(extents[b, 1], 0.0)
+        extents[b, 2], extents[b, 3] = min(extents[b, 2], width), min(extents[b, 3], height)
+    return extents, shares, leaving[:lost].copy()
+
+
+@kernel("void(float64[:,::1], int64[:,::1], float64[:,::1], float64[:,::1], float64, float64)")
+def extend_bounds(
+    extents: Float64Array,
+    leaving: Int64Array,
+    begin: Float64Array,
+    end: Float64Array,
+    width: float,
+    height: float,
+) -> None:
+    """Let bounds hold the last parts of edges that leave the camera model.
+
+    Args:
+        extents: (B, 4) [px], changed.
+        leaving: (L, 3) of `bound_edges`.
+        begin, end: (L, 2) [px], corner convention, where those parts begin and end.
+        width, height: of the image [px].
+    """
+    for k in range(len(leaving)):
+        _extend(extents, leaving[k, 0], begin[k, 0], begin[k, 1], end[k, 0], end[k, 1], width, height)
+
+
+@kernel("void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1])")
+def halve_steps(
+    known: Float64Array, unknown: Float64Array, middles: Float64Array, pixels: Float64Array
+) -> None:
+    """Take the half of each step in which it leaves the camera model, and give the middle of that.
+
+    Args:
+        known, unknown: (L, 3), changed: directions within the camera model and beyond it.
+        middles: (L, 3), unit, between them; changed.
+        pixels: (L, 2), where those are in the image; NaN beyond the camera model.
+    """
+    for k in range(len(known)):
+        if np.isfinite(pixels[k, 0]):
+            known[k] = middles[k]
+        else:
+            unknown[k] = middles[k]
+        x, y, z = _unit(known[k, 0] + unknown[k, 0], known[k, 1] + unknown[k, 1], known[k, 2] + unknown[k, 2])
+        middles[k, 0], middles[k, 1], middles[k, 2] = x, y, z
+
+
+@kernel(
+    "void(float64[:,::1], float64[:,:,::1], Array(float64, 2, 'C', readonly=True), "
+    "Array(float64, 2, 'C', readonly=True))"
+)
+def extend_to_corners(
+    extents: Float64Array, corners: Float64Array, locations: Float64Array, rays: Float64Array
+) -> None:
+    """Let bounds hold those corners of the image that look at a box.
+
+    Args:
+        extents: (B, 4) [px], changed.
+        corners: (B, 8, 3) [m], in the order of `geometry.boxes.CORNER_SIGNS`.
+        locations: (C, 2) [px], corner convention.
+        rays: (C, 3), along which they look; NaN for none.
+
+    Source: Kay and Kajiya 1986, "Ray Tracing Complex Scenes": a ray is in a box while it is between all pairs of faces.
+    """
+    for b in range(len(extents)):
+        for c in range(len(rays)):
+            enter, leave = -np.inf, np.inf
+            for axis in range(3):
+                last = 1 if axis == 0 else (3 if axis == 1 else 4)
+                along, middle, square = 0.0, 0.0, 0.0
+                for k in range(3):
+                    half = (corners[b, 0, k] - corners[b, last, k]) / 2.0
+                    along += half * rays[c, k]
+                    middle += half * (corners[b, 0, k] + corners[b, 6, k]) / 2.0
+                    square += half * half
+                first, second = (middle - square) / along, (middle + square) / along
+                enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+            if enter <= leave and enter > 0.0 and np.isfinite(rays[c, 0]):
+                extents[b, 0], extents[b, 2] = (
+                    min(extents[b, 0], locations[c, 0]),
+                    max(extents[b, 2], locations[c, 0]),
+                )
+                extents[b, 1], extents[b, 3] = (
+                    min(extents[b, 1], locations[c, 1]),
+                    max(extents[b, 3], locations[c, 1]),
+                )
+
 
 _LATEST_PERIODS = 2
 """A sweep that began more than so many periods before an image is no evidence of it."""
@@ -693,3 +1179,140 @@ def _beyond(view: _View) -> DataWarning:
         message=message,
         count=view.unplaced,
     )
+
+
+_BEHIND = 1e-9
+"""Of two boxes that begin at the same location, to this share of the distance, neither hides the other."""
+
+
+@inlined
+def _centre(k, b, centers, lines, drifts):  # type: ignore[no-untyped-def]
+    """Where a box is from where ray k begins, while the line of the ray was taken."""
+    x, y, z = centers[b, 0], centers[b, 1], centers[b, 2]
+    if len(lines):
+        x += lines[k, 3] * drifts[b, 0] - lines[k, 0]
+        y += lines[k, 3] * drifts[b, 1] - lines[k, 1]
+        z += lines[k, 3] * drifts[b, 2] - lines[k, 2]
+    return x, y, z
+
+
+@inlined
+def _crossing(x, y, z, centre, b, rotations, halves):  # type: ignore[no-untyped-def]
+    """Where a ray from the origin enters and leaves a box, in lengths of the ray; the first is larger if it misses."""
+    near, far = -np.inf, np.inf
+    for axis in range(3):
+        along = rotations[b, 0, axis] * x + rotations[b, 1, axis] * y + rotations[b, 2, axis] * z
+        middle = (
+            rotations[b, 0, axis] * centre[0]
+            + rotations[b, 1, axis] * centre[1]
+            + rotations[b, 2, axis] * centre[2]
+        )
+        if along == 0.0:
+            if abs(middle) > halves[b, axis]:
+                return 1.0, 0.0
+            continue
+        first, last = (middle - halves[b, axis]) / along, (middle + halves[b, axis]) / along
+        near, far = max(near, min(first, last)), min(far, max(first, last))
+    return near, far
+
+
+@inlined
+def _entry(x, y, z, centre, b, rotations, halves):  # type: ignore[no-untyped-def]
+    """Where a ray from the origin enters a box, in lengths of the ray; infinity where it misses it or starts in it."""
+    near, far = _crossing(x, y, z, centre, b, rotations, halves)
+    if near <= far and near > 0.0:
+        return near
+    return np.inf
+
+
+@kernel(
+    "void(float64[:,::1], int64[::1], float64[:,::1], float64[:,:,::1], float64[:,::1], float64[:,::1], "
+    "float64[:,::1], int64[::1], int64[::1], int64[::1], int64[::1])"
+)
+def count_observations(
+    rays: Float64Array,
+    ray_starts: Int64Array,
+    centers: Float64Array,
+    rotations: Float64Array,
+    halves: Float64Array,
+    lines: Float64Array,
+    drifts: Float64Array,
+    rival_starts: Int64Array,
+    rivals: Int64Array,
+    met: Int64Array,
+    hidden: Int64Array,
+) -> None:
+    """Count the rays that meet each box, and those of them that meet another one before.
+
+    Args:
+        rays: (R, 3) from the origin, or from where `lines` says; one with a NaN meets nothing.
+        ray_starts: (B + 1,), which rays belong to each box.
+        centers: (B, 3) [m].
+        rotations: (B, 3, 3), whose columns are the boxes' axes.
+        halves: (B, 3) [m], half of length, width and height.
+        lines: (R, 4), of a rolling shutter, where each ray begins [m], and at which share of the time in which the
+            image was taken, -0.5 to 0.5; (0, 4) where it was taken at once.
+        drifts: (B, 3) [m], how far the boxes go in that time; of no account without `lines`.
+        rival_starts: (B + 1,), which of `rivals` belong to each box.
+        rivals: numbers of the boxes that may stand before it.
+        met: (B,), filled.
+        hidden: (B,), filled.
+
+    Source: Kay and Kajiya 1986, "Ray Tracing Complex Scenes": a ray is in a box while it is between all pairs of faces.
+    """
+    for b in range(len(centers)):
+        met[b] = hidden[b] = 0
+        for k in range(ray_starts[b], ray_starts[b + 1]):
+            x, y, z = rays[k, 0], rays[k, 1], rays[k, 2]
+            own = _entry(x, y, z, _centre(k, b, centers, lines, drifts), b, rotations, halves)
+            if not own < np.inf:
+                continue
+            met[b] += 1
+            for r in range(rival_starts[b], rival_starts[b + 1]):
+                rival = rivals[r]
+                centre = _centre(k, rival, centers, lines, drifts)
+                if _entry(x, y, z, centre, rival, rotations, halves) < own * (1.0 - _BEHIND):
+                    hidden[b] += 1
+                    break
+
+
+@kernel(
+    "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], "
+    "float64[:,::1], float64[:,::1], float64, int64[:,::1])"
+)
+def count_evidence(
+    points: Float64Array,
+    pixels: Float64Array,
+    extents: Float64Array,
+    centers: Float64Array,
+    rotations: Float64Array,
+    halves: Float64Array,
+    lines: Float64Array,
+    drifts: Float64Array,
+    margin: float,
+    evidence: Int64Array,
+) -> None:
+    """Count the points that lie before each box, as the camera sees them, and those that lie on or in it.
+
+    Args:
+        points: (N, 3) [m], from where the camera saw them: the origin, or where `lines` says.
+        pixels: (N, 2) [px], where they are in the image; NaN for those that are not.
+        extents: (B, 4) [px], left, top, right, bottom of each box in the image.
+        centers, rotations, halves, lines, drifts: as in `count_observations`, a ray being that to a point.
+        margin: how far outside its faces a point still counts as on a box [m].
+        evidence: (B, 2), filled: points before it, points on it.
+    """
+    evidence[:] = 0
+    for i in range(len(points)):
+        u, v = pixels[i, 0], pixels[i, 1]
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        slack = margin / np.sqrt(x * x + y * y + z * z)
+        for b in range(len(centers)):
+            if extents[b, 0] <= u <= extents[b, 2] and extents[b, 1] <= v <= extents[b, 3]:
+                centre = _centre(i, b, centers, lines, drifts)
+                near, far = _crossing(x, y, z, centre, b, rotations, halves)
+                if near <= far and far > 0.0:
+                    if near - slack > 1.0:
+                        evidence[b, 0] += 1
+                    elif far + slack >= 1.0:
+                        evidence[b, 1] += 1

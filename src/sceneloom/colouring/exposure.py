@@ -13,16 +13,29 @@ another keeps its mean brightness; it is named as alone.
 """
 
 import itertools
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numba import float32, void
 
-from sceneloom.arrays import Float32Array, Float64Array, FloatArray, Int64Array
+from sceneloom.arrays import (
+    Float32Array,
+    Float64Array,
+    FloatArray,
+    Int64Array,
+    UInt8Array,
+)
 from sceneloom.colouring.blending import near_outlines
 from sceneloom.colouring.results import FusedView
-from sceneloom.kernels.colours import measure_contrasts, sample_between_pixels
+from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.projection import sample_between_pixels
+from sceneloom.kernels.signatures import (
+    IN_F32_2D,
+    IN_U8_3D,
+)
 
 _CUBE = 0.15
 """Side of the cubes by which locations are found again in other sweeps [m]."""
@@ -328,3 +341,32 @@ def _groups(nodes: Sequence[_Node], links: Sequence[ExposureLink]) -> tuple[list
             groups = [group for group in groups if group not in joined] + [joined[0] | joined[1]]
     several = len(groups) > 1 or any(len(group) > 1 for group in groups)
     return groups, [next(iter(group)) for group in groups if len(group) == 1 and several]
+
+
+_CONTRAST_STEP_PX = 2.0
+"""How far from a point's pixel the image is looked at to report how plain it is there [px]."""
+
+
+@kernel(void(IN_F32_2D, IN_U8_3D, float32[::1]))
+def measure_contrasts(pixels: Float32Array, rgb: UInt8Array, contrasts: Float32Array) -> None:
+    """Report by how much an image changes around locations: the greatest difference of a channel among five pixels.
+
+    Args:
+        pixels: (M, 2) [px], finite.
+        rgb: (H, W, 3).
+        contrasts: (M,), written, 0 to 255.
+    """
+    height, width = rgb.shape[0], rgb.shape[1]
+    for i in range(pixels.shape[0]):
+        greatest = 0
+        for c in range(3):
+            low, high = 255, 0
+            for k in range(5):
+                du = _CONTRAST_STEP_PX * ((k == 1) - (k == 2))
+                dv = _CONTRAST_STEP_PX * ((k == 3) - (k == 4))
+                column = min(max(math.floor(pixels[i, 0] + du + 0.5), 0), width - 1)
+                row = min(max(math.floor(pixels[i, 1] + dv + 0.5), 0), height - 1)
+                value = int(rgb[row, column, c])
+                low, high = min(low, value), max(high, value)
+            greatest = max(greatest, high - low)
+        contrasts[i] = greatest

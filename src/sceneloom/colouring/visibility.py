@@ -49,24 +49,40 @@ lost, 0.5 to 2.8 %, and 1 to 2 %. What the lidar could not see conceals nothing:
 parked cars, and up to 33 % of what they hide pass. The figures stand in docs/fusion.md.
 """
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import cos, degrees, isfinite, isnan, log, pi, radians, sin
+from typing import Any
 
 import numpy as np
+from numba import boolean, float32, float64, int32, int64, void
 
-from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, check_array
+from sceneloom.arrays import (
+    AnyArray,
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    Int32Array,
+    Int64Array,
+    check_array,
+)
 from sceneloom.colouring.results import LidarTrajectory
 from sceneloom.errors import OptionError
-from sceneloom.kernels.direction_grid import (
-    find_neighbours,
-    find_slopes,
-    measure_across,
-    measure_along_axes,
-    measure_extent,
-)
-from sceneloom.kernels.occlusion import mark_unhidden
+from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.projection import map_directions
+from sceneloom.kernels.signatures import (
+    IN_F32_1D,
+    IN_F32_2D,
+    IN_F64_1D,
+    IN_F64_2D,
+    IN_I32_1D,
+    IN_I32_2D,
+    IN_I64_1D,
+    IN_I64_2D,
+    inlined,
+    part,
+)
 from sceneloom.kernels.thread_pool import ALONE, ThreadPool
 
 _CELL = radians(0.1)
@@ -293,7 +309,7 @@ _FEWEST = 64
 
 _SPARSER_THAN = 1.5
 
-_UNEVEN_LINES_SAMPLES = 2048
+_SAMPLES_OF_PARTS = 2048
 
 _TILE_ACROSS, _TILE_ALONG = radians(1.0), radians(8.0)
 
@@ -340,7 +356,7 @@ def split_by_spacing(directions: Float32Array, inverse_ranges: Float32Array, lin
     Returns:
         Parts in which spacings are alike within a factor of two; less than a hundredth of the points makes no part.
     """
-    neighbours = look_around(directions, inverse_ranges, samples=_UNEVEN_LINES_SAMPLES)
+    neighbours = look_around(directions, inverse_ranges, samples=_SAMPLES_OF_PARTS)
     of_samples = _around(neighbours)
     lines = _sparse_lines(neighbours, of_samples, lines)
     tiles, columns = _tiles(directions, lines.angle)
@@ -655,3 +671,1038 @@ def _with(measured: _Reach, window_deg: float | None, near_deg: float | None) ->
     if near_deg is not None:
         measured = _Reach(measured.window, radians(near_deg), radians(near_deg))
     return measured if window_deg is None else replace(measured, window=radians(window_deg))
+
+
+_SLACK = np.float32(0.001)
+"""Rounding may put a point a hair beyond the border of its cell; cells count as so much nearer to each other."""
+
+
+_CHUNK = 1024
+"""Cells whose bounds are made at once, in the nearest cache."""
+
+
+_NOTHING, _STATIC = np.float32(0.0), np.float32(math.inf)
+
+
+_ONE = np.float32(1.0)
+
+
+@part
+def _drop_upright(
+    dropped: Float32Array, source: Float32Array, down: Float32Array, from_y: Any, sign: Any, reach: Any, slope: Any
+) -> None:  # fmt: skip
+    """Write what the cells of one row still have at the border of the next row, `from_y + sign * down` away."""
+    for i in range(dropped.shape[0]):
+        gap = max(from_y + sign * down[i], _NOTHING)
+        dropped[i] = source[i] - slope * gap if gap <= reach else _NOTHING
+
+
+@part
+def _raise_to_three(target: Float32Array, source: Float32Array) -> None:
+    """Lift `target` to the largest of the three cells around its location, which lies one farther in `source`."""
+    for i in range(target.shape[0]):
+        target[i] = max(target[i], source[i], source[i + 1], source[i + 2])
+
+
+@part
+def _raise_along(
+    target: Float32Array, source: Float32Array, right: Float32Array, reach: Any, slope: Any
+) -> None:
+    """Lift `target` to its own cell, and to what the cells on both sides still have at its border."""
+    for i in range(target.shape[0]):
+        from_left = max(_ONE - _SLACK - right[i], _NOTHING)
+        from_right = max(right[i + 2] - _SLACK, _NOTHING)
+        left = source[i] - slope * from_left if from_left <= reach else _NOTHING
+        other = source[i + 2] - slope * from_right if from_right <= reach else _NOTHING
+        target[i] = max(target[i], source[i + 1], left, other)
+
+
+@part
+def _raise_by_locations(
+    target: Float32Array, start: int, columns: int, nearest: Float32Array, right: Float32Array,
+    down: Float32Array, reach_x: Any, reach_y: Any, slope: Any, room: Float32Array,
+) -> None:  # fmt: skip
+    """Lift the bounds of a run of cells to what hides alone in the same cell or the eight around it.
+
+    What a surface gains on the way is taken along the rows or up and down alone, which is no more than all of it.
+    """
+    size = target.shape[0] + 2
+    first = start - 1
+    _raise_along(target, nearest[first : first + size], right[first : first + size], reach_x, slope)
+    for first, from_y, sign in (
+        (start - 1 - columns, _ONE - _SLACK, -_ONE),
+        (start - 1 + columns, -_SLACK, _ONE),
+    ):
+        _drop_upright(
+            room[:size],
+            nearest[first : first + size],
+            down[first : first + size],
+            from_y,
+            sign,
+            reach_y,
+            slope,
+        )
+        _raise_to_three(target, room[:size])
+
+
+@part
+def _raise_to_pairs(joined: Float32Array, squares: Float32Array, below: Float32Array) -> None:
+    """Join the largest of squares of cells to that of squares one wider; `below` begins a row farther down."""
+    for i in range(joined.shape[0] - 1):
+        joined[i] = max(squares[i], squares[i + 1], below[i], below[i + 1])
+
+
+@part
+def _join_squares(nearest: Float32Array, columns: int, border: int) -> Float32Array:
+    """Give the largest inverse range of all squares of cells.
+
+    Returns:
+        (border, cells) float32 [1/m]: of the squares of 2, 3, … border + 1 cells a side, right and down of each cell.
+    """
+    levels = np.empty((border, nearest.shape[0]), np.float32)
+    last = nearest
+    for k in range(border):
+        whole = nearest.shape[0] - columns
+        levels[k, whole:] = _NOTHING
+        _raise_to_pairs(levels[k, :whole], last[:whole], last[columns:])
+        levels[k, whole - 1] = _NOTHING
+        last = levels[k]
+    return levels
+
+
+@part
+def _raise_to(target: Float32Array, source: Float32Array, drop: Any) -> None:
+    """Lift `target` to `source - drop` where that is larger."""
+    for i in range(target.shape[0]):
+        target[i] = max(source[i] - drop, target[i])
+
+
+@part
+def _pair(largest: Float32Array, from_opposite: Float32Array) -> None:
+    """Write the larger of the smaller of the opposite quadrants."""
+    for i in range(from_opposite.shape[0]):
+        from_opposite[i] = max(min(largest[0, i], largest[2, i]), min(largest[1, i], largest[3, i]))
+
+
+@part
+def _raise_by_squares(
+    levels: Float32Array, columns: int, size: int, slope: Any, start: int,
+    from_any: Float32Array, from_opposite: Float32Array, largest: Float32Array,
+) -> None:  # fmt: skip
+    """Bound a run of cells from `start` on by the squares around them, less what a surface gains on the way to them.
+
+    A single thing may be `size` cells away; what lies in the next cells is left out of `from_any`.
+    """
+    count = from_any.shape[0]
+    largest[:], from_any[:] = _NOTHING, _NOTHING
+    for k in range(1, levels.shape[0] + 1):
+        drop, level = slope * max(np.float32(k) - _ONE - _SLACK, _NOTHING), levels[k - 1]
+        for quadrant, corner in enumerate((0, -k, -k - k * columns, -k * columns)):
+            square = level[start + corner : start + corner + count]
+            _raise_to(largest[quadrant, :count], square, drop)
+            if 1 < k <= size:
+                _raise_to(from_any, square, drop)
+    _pair(largest, from_opposite)
+    _raise_to(from_any, from_opposite, _NOTHING)
+
+
+@part
+def _bound_cells(
+    nearest: Float32Array, right: Float32Array, down: Float32Array, columns: int, border: int, slope: Any,
+    reach_x: Any, reach_y: Any, from_any: Float32Array, from_opposite: Float32Array,
+) -> None:  # fmt: skip
+    """Bound for each cell of some rows the inverse range of what can hide anything in it.
+
+    Args:
+        nearest, right, down: (cells,) float32, as of `direction_grid`, with `border` rows more above and below.
+        columns, border: of the grid.
+        slope: what a surface may gain [1/m/cell].
+        reach_x, reach_y: how far a single thing hides [cells].
+        from_any: (cells,) float32 [1/m], written: of what hides alone or with another; the first and the last
+            `border` are left.
+        from_opposite: (cells,) float32 [1/m], written likewise: of what hides with another: the smaller of two
+            opposite quadrants, the larger of the two pairs.
+    """
+    levels, largest = (
+        _join_squares(nearest, columns, border),
+        np.empty((4, _CHUNK), np.float32),
+    )
+    room = np.empty(_CHUNK + 2, np.float32)
+    margin, above, size = border * (columns + 1), border * columns, math.ceil(max(reach_x, reach_y))
+    # Rows are taken as one long line: what reaches over their ends meets empty cells only.
+    for start in range(margin, nearest.shape[0] - margin, _CHUNK):
+        stop = min(start + _CHUNK, nearest.shape[0] - margin)
+        bounded, opposite = (
+            from_any[start - above : stop - above],
+            from_opposite[start - above : stop - above],
+        )
+        _raise_by_squares(levels, columns, size, slope, start, bounded, opposite, largest)
+        _raise_by_locations(bounded, start, columns, nearest, right, down, reach_x, reach_y, slope, room)
+
+
+_POINTS_AT_ONCE = 2048
+"""Points that are picked from at once: few of them stay, and what is begun anew for each block is shared by many."""
+
+
+_QUARTER, _BEHIND = np.float32(0.25), np.float32(1e-3)
+
+
+@part
+def _list_cells(size_x: int, size_y: int, columns: int) -> tuple[Int64Array, Float32Array, Float32Array]:
+    """List the cells of a window so many to each side of a middle one, the middle first, then ring by ring.
+
+    Returns:
+        offsets: (K,) int64, from the number of the middle cell.
+        right, down: (K,) float32, the same as columns and rows.
+    """
+    count, size = 0, (2 * size_x + 1) * (2 * size_y + 1)
+    offsets, right, down = np.empty(size, np.int64), np.empty(size, np.float32), np.empty(size, np.float32)
+    for ring in range(max(size_x, size_y) + 1):
+        for dy in range(-min(ring, size_y), min(ring, size_y) + 1):
+            for dx in range(-min(ring, size_x), min(ring, size_x) + 1):
+                if max(abs(dx), abs(dy)) == ring:
+                    offsets[count], right[count], down[count] = dy * columns + dx, dx, dy
+                    count += 1
+    return offsets, right, down
+
+
+@part
+def _shift(
+    rightward: Float32Array, downward: Float32Array, eye_fractions: Float32Array, eyes: Float64Array, per_cell: Any,
+) -> None:  # fmt: skip
+    """Put shifts [cells m] in the position of directions: of what lies there, per inverse range, when the eye moves.
+
+    It moves from the lidar to the camera.
+
+    Source: the derivative of Snyder 1987, eq. 24-1 and 24-2, along the part of the eye's trajectory across the line of
+        sight.
+    """
+    first_x, first_y, first_z = np.float32(eyes[0, 0]), np.float32(eyes[0, 1]), np.float32(eyes[0, 2])
+    trajectory_x, trajectory_y, trajectory_z = (
+        np.float32(eyes[1, 0] - eyes[0, 0]), np.float32(eyes[1, 1] - eyes[0, 1]), np.float32(eyes[1, 2] - eyes[0, 2])
+    )  # fmt: skip
+    for n in range(eye_fractions.shape[0]):
+        squared = rightward[n] * rightward[n] + downward[n] * downward[n]
+        half = np.float32(math.sqrt(max(_ONE - _QUARTER * squared, _BEHIND)))
+        scale, x, y = _ONE / half, half * rightward[n], half * downward[n]
+        z = _ONE - np.float32(0.5) * squared
+        eye_x = first_x + eye_fractions[n] * trajectory_x
+        eye_y = first_y + eye_fractions[n] * trajectory_y
+        eye_z = first_z + eye_fractions[n] * trajectory_z
+        along = x * eye_x + y * eye_y + z * eye_z
+        across = along + _QUARTER * scale * scale * (eye_z - along * z)
+        scale *= per_cell
+        rightward[n], downward[n] = (eye_x - x * across) * scale, (eye_y - y * across) * scale
+
+
+@inlined
+def _threshold(inverse: Any, limits: tuple[Any, Any, Any, Any]) -> Any:
+    """Give the inverse range beyond which something is nearer than a point."""
+    return inverse + limits[2] * inverse * inverse + limits[3] * inverse
+
+
+@part
+def _pick(
+    inverse_ranges: Float32Array, numbers: AnyArray, from_any: Float32Array, limits: tuple[Any, Any, Any, Any],
+    visible: BoolArray, picked: AnyArray, thresholds: Float32Array,
+) -> int:  # fmt: skip
+    """List the points of a block that something may hide; let all others be seen that are in a cell."""
+    for i in range(numbers.shape[0]):
+        visible[i] = numbers[i] > 0
+        # Nothing exceeds what is static.
+        thresholds[i] = _threshold(inverse_ranges[i], limits) if numbers[i] > 0 else _STATIC
+    count = 0
+    for i in range(numbers.shape[0]):
+        if from_any[np.uint32(numbers[i])] > thresholds[i]:
+            picked[count] = i
+            count += 1
+    return count
+
+
+@part
+def _gather(
+    picked: AnyArray, rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array,
+    numbers: AnyArray, per_cell: Any, limits: tuple[Any, Any, Any, Any], cells: AnyArray, room: Float32Array,
+) -> None:  # fmt: skip
+    """Put side by side what is asked of the listed points: cell, location in it, threshold, square of the slope."""
+    for k in range(picked.shape[0]):
+        i = np.uint32(picked[k])
+        a, b = rightward[i], downward[i]
+        cells[k] = numbers[i]
+        room[0, k], room[1, k] = fraction(a, per_cell), fraction(b, per_cell)
+        room[2, k] = _threshold(inverse_ranges[i], limits)
+        room[3, k] = limits[1] / max(_ONE - _QUARTER * (a * a + b * b), _BEHIND)
+
+
+@inlined
+def _gains(excess: Any, x: Any, y: Any, slope_squared: Any) -> Any:
+    """Report whether something is nearer by more than a surface gains over so short a distance."""
+    return excess * excess > slope_squared * (x * x + y * y)
+
+
+@inlined
+def _in_ellipse(x: Any, y: Any, near: tuple[Any, Any, Any]) -> Any:
+    return near[0] * (x * x) + near[1] * (x * y) + near[2] * (y * y) <= _ONE
+
+
+@part
+def _search_beside(
+    cells: AnyArray, a: Float32Array, b: Float32Array, thresholds: Float32Array, slopes_squared: Float32Array,
+    nearest: Float32Array, right: Float32Array, down: Float32Array,
+    window: tuple[Int64Array, Float32Array, Float32Array], near: tuple[Any, Any, Any],
+    alone: AnyArray, others: AnyArray,
+) -> tuple[int, int]:  # fmt: skip
+    """List the points that anything in the ellipse around them hides, and the others; give how many each are."""
+    hidden, free = 0, 0
+    for k in range(cells.shape[0]):
+        found = False
+        for j in range(window[0].shape[0]):
+            c = np.uint64(cells[k] + window[0][j])
+            excess = nearest[c] - thresholds[k]
+            if excess > _NOTHING:
+                x, y = right[c] + (window[1][j] - a[k]), down[c] + (window[2][j] - b[k])
+                if _in_ellipse(x, y, near) and _gains(excess, x, y, slopes_squared[k]):
+                    found = True
+                    break
+        alone[hidden], others[free] = k, k
+        hidden += found
+        free += not found
+    return hidden, free
+
+
+@part
+def _search_nearing(
+    listed: AnyArray, cells: AnyArray, a: Float32Array, b: Float32Array, thresholds: Float32Array,
+    slopes_squared: Float32Array, nearest: Float32Array, right: Float32Array, down: Float32Array,
+    window: tuple[Int64Array, Float32Array, Float32Array], near: tuple[Any, Any, Any],
+    inverse_ranges: Float32Array, shift_x: Float32Array, shift_y: Float32Array, nearing: Any,
+    others: AnyArray, free: int,
+) -> int:  # fmt: skip
+    """Add those of the listed points to `others` that nothing hides which came nearer from the lidar to the camera."""
+    for n in range(listed.shape[0]):
+        k = np.uint32(listed[n])
+        found = False
+        for j in range(window[0].shape[0]):
+            c = np.uint64(cells[k] + window[0][j])
+            excess = nearest[c] - thresholds[k]
+            if excess > _NOTHING:
+                x, y = right[c] + (window[1][j] - a[k]), down[c] + (window[2][j] - b[k])
+                gained = nearest[c] - inverse_ranges[n]
+                x_from, y_from = x - gained * shift_x[n], y - gained * shift_y[n]
+                came = x * x_from + y * y_from <= nearing * (x_from * x_from + y_from * y_from)
+                if came and _in_ellipse(x, y, near) and _gains(excess, x, y, slopes_squared[k]):
+                    found = True
+                    break
+        others[free] = k
+        free += not found
+    return free
+
+
+@part
+def _search_between(
+    listed: AnyArray, picked: AnyArray, cells: AnyArray, a: Float32Array, b: Float32Array,
+    thresholds: Float32Array, slopes_squared: Float32Array, nearest: Float32Array, right: Float32Array,
+    down: Float32Array, window: tuple[Int64Array, Float32Array, Float32Array], window_squared: Any,
+    visible: BoolArray,
+) -> None:  # fmt: skip
+    """Write which of the listed points things in opposite quadrants around them do not hide."""
+    for n in range(listed.shape[0]):
+        k = np.uint32(listed[n])
+        # Each quadrant holds one of its two borders, so that opposite directions lie in opposite quadrants.
+        first, second, third, fourth, hidden = False, False, False, False, False
+        for j in range(window[0].shape[0]):
+            c = np.uint64(cells[k] + window[0][j])
+            excess = nearest[c] - thresholds[k]
+            if excess > _NOTHING:
+                x, y = right[c] + (window[1][j] - a[k]), down[c] + (window[2][j] - b[k])
+                if x * x + y * y <= window_squared and _gains(excess, x, y, slopes_squared[k]):
+                    first |= (x > _NOTHING) & (y >= _NOTHING)
+                    second |= (x <= _NOTHING) & (y > _NOTHING)
+                    third |= (x < _NOTHING) & (y <= _NOTHING)
+                    fourth |= (x >= _NOTHING) & (y < _NOTHING)
+                    hidden = (first & third) | (second & fourth)
+                    if hidden:
+                        break
+        visible[picked[k]] = not hidden
+
+
+@part
+def _keep_bounded(
+    listed: AnyArray, picked: AnyArray, cells: AnyArray, thresholds: Float32Array, from_opposite: Float32Array,
+    visible: BoolArray,
+) -> int:  # fmt: skip
+    """Keep those listed that things in opposite quadrants may hide, and let the others be seen; give their count."""
+    count = 0
+    for n in range(listed.shape[0]):
+        k = np.uint32(listed[n])
+        visible[picked[k]] = True
+        listed[count] = k
+        count += from_opposite[np.uint32(cells[k])] > thresholds[k]
+    return count
+
+
+@part
+def _gather_trajectories(
+    listed: AnyArray, picked: AnyArray, rightward: Float32Array, downward: Float32Array,
+    inverse_ranges: Float32Array, point_ids: Int64Array, fractions: Float32Array, room: Float32Array,
+) -> None:  # fmt: skip
+    """Put side by side inverse range, direction and how far along the lidar was, of the listed points."""
+    for n in range(listed.shape[0]):
+        i = np.uint32(picked[listed[n]])
+        room[0, n], room[1, n], room[2, n] = inverse_ranges[i], rightward[i], downward[i]
+        room[3, n] = fractions[point_ids[i]]
+
+
+@part
+def _decide(
+    picked: AnyArray, rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array,
+    numbers: AnyArray, per_cell: Any, nearest: Float32Array, right: Float32Array, down: Float32Array,
+    from_opposite: Float32Array,
+    beside: tuple[Int64Array, Float32Array, Float32Array], around: tuple[Int64Array, Float32Array, Float32Array],
+    near: tuple[Any, Any, Any], limits: tuple[Any, Any, Any, Any],
+    eyes: Float64Array, point_ids: Int64Array, fractions: Float32Array, nearing: Any, visible: BoolArray,
+    lists: AnyArray, room: Float32Array,
+) -> None:  # fmt: skip
+    """Write which of the listed points of a block are not hidden."""
+    count = picked.shape[0]
+    cells, alone, others, a, b = lists[0, :count], lists[1], lists[2], room[0], room[1]
+    _gather(picked, rightward, downward, inverse_ranges, numbers, per_cell, limits, cells, room)
+    hidden, free = _search_beside(
+        cells, a, b, room[2], room[3], nearest, right, down, beside, near, alone, others
+    )
+    for n in range(hidden):
+        visible[picked[alone[n]]] = False
+    if eyes.shape[0] > 0:
+        _gather_trajectories(
+            alone[:hidden], picked, rightward, downward, inverse_ranges, point_ids, fractions, room[4:]
+        )
+        _shift(room[5], room[6], room[7, :hidden], eyes, per_cell)
+        free = _search_nearing(
+            alone[:hidden], cells, a, b, room[2], room[3], nearest, right, down, beside, near,
+            room[4], room[5], room[6], nearing, others, free,
+        )  # fmt: skip
+    free = _keep_bounded(others[:free], picked, cells, room[2], from_opposite, visible)
+    _search_between(
+        others[:free], picked, cells, a, b, room[2], room[3], nearest, right, down, around, limits[0], visible
+    )
+
+
+@kernel(
+    void(
+        IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_I32_1D, float64, int64, IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_F32_1D,
+        IN_F32_1D, int64, int64, int64, IN_F32_1D, IN_F64_2D, IN_I64_1D, IN_F32_1D, boolean[::1],
+    )
+)  # fmt: skip
+def _search_hiding(
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, numbers: AnyArray,
+    per_cell: float, columns: int, nearest: Float32Array, right: Float32Array, down: Float32Array,
+    from_any: Float32Array, from_opposite: Float32Array, size_x: int, size_y: int, border: int,
+    limits: Float32Array, eyes: Float64Array, point_ids: Int64Array, fractions: Float32Array, visible: BoolArray,
+) -> None:  # fmt: skip
+    """Write which points nothing hides; most of them only need the bounds of their cells.
+
+    Args:
+        rightward, downward, inverse_ranges: (M,) points, as of `occlusion.mark_unhidden`.
+        numbers: (M,) int32, their cells, 0 for none.
+        per_cell: cells in a radian.
+        columns: of the grid.
+        nearest, right, down: (cells,) what the cells hold.
+        from_any, from_opposite: (cells,) their bounds.
+        size_x, size_y: how many columns and rows away a single thing hides.
+        border: how many cells away anything hides.
+        limits: (8,) in cells: square of the window, square of the slope; margin and its share; p, q, r of the ellipse;
+            nearing.
+        eyes, point_ids, fractions: as of `occlusion.mark_unhidden`.
+        visible: (M,), written.
+    """
+    count, pitch, share = inverse_ranges.shape[0], np.float32(per_cell), limits[7]
+    rule, near = (limits[0], limits[1], limits[2], limits[3]), (limits[4], limits[5], limits[6])
+    beside, around = _list_cells(size_x, size_y, columns), _list_cells(border, border, columns)
+    picked, lists, room = (
+        np.empty(_POINTS_AT_ONCE, np.int32), np.empty((3, _POINTS_AT_ONCE + 1), np.int32),
+        np.empty((8, _POINTS_AT_ONCE), np.float32),
+    )  # fmt: skip
+    for start in range(0, count, _POINTS_AT_ONCE):
+        stop = min(start + _POINTS_AT_ONCE, count)
+        seen, inverse, block = visible[start:stop], inverse_ranges[start:stop], numbers[start:stop]
+        found = _pick(inverse, block, from_any, rule, seen, picked, room[2])
+        _decide(
+            picked[:found], rightward[start:stop], downward[start:stop], inverse, block, pitch,
+            nearest, right, down, from_opposite, beside, around, near, rule,
+            eyes, point_ids[start:stop], fractions, share, seen, lists, room,
+        )  # fmt: skip
+
+
+_ROUNDS = 4
+"""Some parts of a cloud hide much and others nothing: each thread takes so many chunks."""
+
+
+@kernel(
+    void(
+        IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_F32_1D, float64, int64, int64, int64, int64, int32[::1], int64[::1],
+    )
+)  # fmt: skip
+def _keep_nearest(
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, hiding: Float32Array, cell: float,
+    first_column: int, first_row: int, columns: int, rows: int, numbers: AnyArray, keys: AnyArray,
+) -> None:  # fmt: skip
+    """Number the cells of some points, and write for each cell the key of its nearest; 0 where none is."""
+    keys[:] = 0
+    grid = (np.float32(1.0 / cell), np.int32(first_column), np.int32(first_row), columns, rows)
+    keep_nearest(rightward, downward, inverse_ranges, hiding, grid, numbers, keys)
+    keys[0] = 0
+
+
+@kernel(void(int64[:, ::1], int64, int64, float32[::1], float32[::1], float32[::1]))
+def _read_keys(
+    keys: AnyArray, start: int, stop: int, nearest: Float32Array, right: Float32Array, down: Float32Array
+) -> None:
+    """Take the largest keys of some cells apart, out of several tables."""
+    whole = keys[0, start:stop]
+    for part in range(1, keys.shape[0]):
+        other = keys[part, start:stop]
+        for c in range(whole.shape[0]):
+            whole[c] = max(whole[c], other[c])
+    read_keys(whole, nearest[start:stop], right[start:stop], down[start:stop])
+
+
+@kernel(
+    void(
+        IN_F32_1D, IN_F32_1D, IN_F32_1D, int64, int64, float64, float64, float64, float32[::1], float32[::1],
+    )
+)  # fmt: skip
+def _bound_hiding(
+    nearest: Float32Array, right: Float32Array, down: Float32Array, columns: int, border: int, slope: float,
+    reach_x: float, reach_y: float, from_any: Float32Array, from_opposite: Float32Array,
+) -> None:  # fmt: skip
+    """Write the bounds of some rows' cells, `border` rows in from both ends."""
+    _bound_cells(
+        nearest, right, down, columns, border, np.float32(slope), np.float32(reach_x), np.float32(reach_y),
+        from_any, from_opposite,
+    )  # fmt: skip
+
+
+def mark_unhidden(
+    directions: Float32Array,
+    inverse_ranges: Float32Array,
+    hiding: Float32Array,
+    extent: Float32Array,
+    cell: float,
+    window: float,
+    near_xx: float,
+    near_xy: float,
+    near_yy: float,
+    slope: float,
+    margin: float,
+    margin_share: float,
+    eyes: Float64Array,
+    point_ids: Int64Array,
+    fractions: Float32Array,
+    nearing: float,
+    visible: BoolArray,
+    *,
+    thread_pool: ThreadPool = ALONE,
+) -> None:
+    """Write which points no nearer points hide.
+
+    Only the nearest point of each cell can hide others. Two bounds per cell let most points pass with one read each.
+
+    Args:
+        directions: (2, M) in the equal-area map [rad].
+        inverse_ranges: (M,) [1/m]; a point with 0 takes no part and is not visible.
+        hiding: (M,) [1/m], the same for points that may hide others, 0 for those that shall not.
+        extent: (4,) of the points, as of `direction_grid.measure_extent`.
+        cell: size of a cell [rad], at least 0.001, which bounds the memory.
+        window: within it two things on opposite sides of a point hide it [rad].
+        near_xx, near_xy, near_yy: p, q, r of the ellipse p x² + q x y + r y² <= 1 in which a single thing hides
+            [1/rad²].
+        slope: largest gradient of the inverse range on a surface that does not hide itself [1/m/rad].
+        margin: how much nearer than a point something must be to hide it [m] …
+        margin_share: … plus this share of the point's range.
+        eyes: (2, 3) [m], camera frame, where the lidar was first and last; (0, 3) where that is not known.
+        point_ids: (M,), each point's row in `fractions`.
+        fractions: (N,), how far between its two locations the lidar was, 0 to 1.
+        nearing: to what share of its distance in the lidar's eyes a single thing must have come to hide; of no account
+            where `eyes` are not known.
+        visible: (M,), written.
+        thread_pool: the threads that share the work; what comes out is the same.
+    """
+    # From here on lengths are in cells.
+    xx, xy, yy = near_xx * cell * cell, near_xy * cell * cell, near_yy * cell * cell
+    area = xx * yy - 0.25 * xy * xy
+    reach_x, reach_y, radius = math.sqrt(yy / area), math.sqrt(xx / area), window / cell
+    size_x, size_y = math.ceil(reach_x), math.ceil(reach_y)
+    border = max(math.ceil(radius), size_x, size_y)
+    points = directions[0], directions[1], inverse_ranges
+    first_column, first_row, columns, rows = position_grid(extent, cell, border)
+    cells, numbers = columns * rows, np.empty(len(inverse_ranges), np.int32)
+    keys = np.empty((thread_pool.size, cells), np.int64)
+
+    def keep(part: int, a: int, b: int) -> None:
+        some, corner = _some(points, a, b), (cell, first_column, first_row)
+        _keep_nearest(*some, hiding[a:b], *corner, columns, rows, numbers[a:b], keys[part])
+
+    thread_pool.share(len(numbers), keep)
+    held, bounds = np.empty((3, cells), np.float32), np.empty((2, cells), np.float32)
+    thread_pool.share(cells, lambda _, a, b: _read_keys(keys, a, b, held[0], held[1], held[2]))
+
+    def bound(_: int, first: int, last: int) -> None:
+        # Each has the rows around its own as well.
+        around = _some((held[0], held[1], held[2]), first * columns, (last + 2 * border) * columns)
+        own = slice((first + border) * columns, (last + border) * columns)
+        reach = (slope * cell, reach_x, reach_y)
+        _bound_hiding(*around, columns, border, *reach, bounds[0, own], bounds[1, own])
+
+    thread_pool.share(rows - 2 * border, bound)
+    limits = (radius * radius, (slope * cell) ** 2, margin, margin_share, xx, xy, yy, nearing)
+    rule = np.array(limits, np.float32)
+
+    def search(_: int, a: int, b: int) -> None:
+        _search_hiding(
+            *_some(points, a, b), numbers[a:b], 1.0 / cell, columns, held[0], held[1], held[2],
+            bounds[0], bounds[1], size_x, size_y, border, rule, eyes, point_ids[a:b], fractions, visible[a:b],
+        )  # fmt: skip
+
+    thread_pool.share(len(numbers), search, rounds=_ROUNDS)
+
+
+_Rows = tuple[Float32Array, Float32Array, Float32Array]
+
+
+def _some(rows: _Rows, start: int, stop: int) -> _Rows:
+    return rows[0][start:stop], rows[1][start:stop], rows[2][start:stop]
+
+
+_BLOCK = 512
+"""Points whose cells are numbered at once, by vector instructions."""
+
+
+_EDGE = np.float32(2.1)
+"""No direction lies farther than this from the axis in the equal-area map."""
+
+
+_LEAST, _GREATEST, _SIGN = np.int32(-(2**31)), np.int32(2**31 - 1), np.int32(31)
+
+
+_PARTS, _LAST_PART = np.float32(65536.0), np.int32(0xFFFF)
+
+
+_PART = np.float32(1.0 / 65536.0)
+"""How finely the location in a cell is kept: float32 knows it no better, but at the far edge of the map."""
+
+
+@part
+def _is_placed(a: Any, b: Any, inverse_range: Any) -> Any:
+    """Report whether a point takes part; NaN does not."""
+    return (inverse_range > _NOTHING) & (inverse_range < _STATIC) & (abs(a) <= _EDGE) & (abs(b) <= _EDGE)
+
+
+@part
+def _step(value: Any, placed: Any, per_cell: Any) -> Any:
+    """Count cells from the edge of the map."""
+    return np.int32((value if placed else _NOTHING) * per_cell + _EDGE * per_cell)
+
+
+@part
+def fraction(value: Any, per_cell: Any) -> Any:
+    """Give how far into its cell a direction lies, 0 to 1."""
+    steps = value * per_cell + _EDGE * per_cell
+    return steps - np.float32(np.int32(steps))
+
+
+@part
+def _number(column: Any, row: Any, grid: tuple[Any, Any, Any, int, int]) -> Any:
+    """Give the number of a cell; in 32 bits at each step, as Numba would go on in 64, of which vectors hold half."""
+    _, first_column, first_row, columns, _ = grid
+    before = np.int32(np.int32(row - first_row) * np.int32(columns))
+    return np.int32(before + np.int32(column - first_column))
+
+
+@part
+def _order(bits: Any) -> Any:
+    """Rotate the bits of a float into an integer that is ordered as the floats are, and back."""
+    return np.int32(bits ^ np.int32(np.int32(bits >> _SIGN) & _GREATEST))
+
+
+@kernel(void(IN_F32_1D, IN_F32_1D, IN_F32_1D, float32[::1]))
+def _measure_extent(
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, extent: Float32Array
+) -> None:
+    """Write the extent of some points; by integers, since vectors find no least of floats that may be NaN."""
+    a_bits, b_bits, found = rightward.view(np.int32), downward.view(np.int32), extent.view(np.int32)
+    left, right, top, bottom = _GREATEST, _LEAST, _GREATEST, _LEAST
+    for i in range(inverse_ranges.shape[0]):
+        placed = _is_placed(rightward[i], downward[i], inverse_ranges[i])
+        a, b = _order(a_bits[i]), _order(b_bits[i])
+        left, right = min(left, a if placed else _GREATEST), max(right, a if placed else _LEAST)
+        top, bottom = min(top, b if placed else _GREATEST), max(bottom, b if placed else _LEAST)
+    if left <= right:
+        found[0], found[1], found[2], found[3] = _order(left), _order(right), _order(top), _order(bottom)
+    else:
+        extent[0] = extent[2] = _STATIC
+        extent[1] = extent[3] = -_STATIC
+
+
+def measure_extent(
+    directions: Float32Array, inverse_ranges: Float32Array, *, thread_pool: ThreadPool = ALONE
+) -> Float32Array:
+    """Give how far points reach in the equal-area map.
+
+    Args:
+        directions: (2, M) in the equal-area map [rad].
+        inverse_ranges: (M,) [1/m]; only points between zero and infinity take part.
+        thread_pool: the threads that share the points.
+
+    Returns:
+        (4,) float32 [rad]: the least and the greatest rightward, the least and the greatest downward; infinity and
+        minus infinity where no point takes part.
+    """
+    found = np.empty((thread_pool.size, 4), np.float32)
+
+    def measure(part: int, a: int, b: int) -> None:
+        _measure_extent(directions[0, a:b], directions[1, a:b], inverse_ranges[a:b], found[part])
+
+    thread_pool.share(len(inverse_ranges), measure)
+    extent: Float32Array = found.min(axis=0)
+    extent[1::2] = found[:, 1::2].max(axis=0)
+    return extent
+
+
+@part
+def _fit_grid(extent: Float32Array, cell: float, border: int) -> tuple[Any, Any, Any, int, int]:
+    """Fit the smallest grid around some points that has `border` empty cells on each side.
+
+    Args:
+        extent: what `measure_extent` gives for them.
+        cell: size of a cell [rad].
+        border: cells, at least 1.
+
+    Returns:
+        per_cell: 1 / cell.
+        first_column, first_row: of the grid, counted from the edge of the map.
+        columns, rows: of the grid, border included.
+    """
+    per_cell, some = np.float32(1.0 / cell), extent[0] <= extent[1]
+    left, right = _step(extent[0], some, per_cell), _step(extent[1], some, per_cell)
+    top, bottom = _step(extent[2], some, per_cell), _step(extent[3], some, per_cell)
+    columns, rows = int(right - left) + 1 + 2 * border, int(bottom - top) + 1 + 2 * border
+    return per_cell, np.int32(left - border), np.int32(top - border), columns, rows
+
+
+@kernel(void(IN_F32_1D, float64, int64, int64[::1]))
+def _position_grid(extent: Float32Array, cell: float, border: int, grid: AnyArray) -> None:
+    _, grid[0], grid[1], grid[2], grid[3] = _fit_grid(extent, cell, border)
+
+
+def position_grid(extent: Float32Array, cell: float, border: int) -> list[int]:
+    """Give what `_fit_grid` gives but for the first: first column and row, columns and rows."""
+    grid = np.empty(4, np.int64)
+    _position_grid(extent, cell, border, grid)
+    first_and_sizes: list[int] = grid.tolist()
+    return first_and_sizes
+
+
+@part
+def _number_cells(
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array,
+    grid: tuple[Any, Any, Any, int, int], numbers: AnyArray,
+) -> None:  # fmt: skip
+    """Write each point's cell, int32 row * columns + column; 0, where no other point is, if it takes no part."""
+    per_cell = grid[0]
+    for i in range(numbers.shape[0]):
+        a, b = rightward[i], downward[i]
+        placed = _is_placed(a, b, inverse_ranges[i])
+        number = _number(_step(a, placed, per_cell), _step(b, placed, per_cell), grid)
+        numbers[i] = number if placed else np.int32(0)
+
+
+@part
+def _rank(
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, counting: Float32Array,
+    grid: tuple[Any, Any, Any, int, int], numbers: AnyArray, keys: AnyArray,
+) -> None:  # fmt: skip
+    """Write each point's cell, as `_number_cells`, and its key: inverse range, then how far right and down in the cell.
+
+    The bits of positive floats are ordered as the floats are, so all fits one integer, whose maximum is that of the
+    nearest point. Of equally near ones it is the one farther right.
+    """
+    per_cell, bits = grid[0], counting.view(np.int32)
+    for i in range(numbers.shape[0]):
+        a, b = rightward[i], downward[i]
+        placed = _is_placed(a, b, inverse_ranges[i])
+        steps_a = (a if placed else _NOTHING) * per_cell + _EDGE * per_cell
+        steps_b = (b if placed else _NOTHING) * per_cell + _EDGE * per_cell
+        column, row = np.int32(steps_a), np.int32(steps_b)
+        right = np.int32((steps_a - np.float32(column)) * _PARTS)
+        down = np.int32((steps_b - np.float32(row)) * _PARTS)
+        number = _number(column, row, grid)
+        numbers[i] = number if placed else np.int32(0)
+        keys[i] = (np.int64(bits[i]) << 32) | (np.int64(right) << 16) | np.int64(down)
+
+
+@part
+def keep_nearest(
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, counting: Float32Array,
+    grid: tuple[Any, Any, Any, int, int], numbers: AnyArray, keys: AnyArray,
+) -> None:  # fmt: skip
+    """Write each point's cell, and raise the key of each cell to that of its nearest point.
+
+    Args:
+        rightward, downward, inverse_ranges: (M,) float32, as of `measure_extent`.
+        counting: (M,) float32 [1/m], by what they count as near; 0 for a point that is nearer than none.
+        grid: what `_fit_grid` gives.
+        numbers: (M,) int32, written; 0, where no point is, for a point that takes no part.
+        keys: (cells,) int64, raised.
+    """
+    block_keys = np.empty(_BLOCK, np.int64)
+    for start in range(0, numbers.shape[0], _BLOCK):
+        stop = min(start + _BLOCK, numbers.shape[0])
+        block = numbers[start:stop]
+        _rank(
+            rightward[start:stop], downward[start:stop], inverse_ranges[start:stop], counting[start:stop], grid,
+            block, block_keys,
+        )  # fmt: skip
+        for k in range(block.shape[0]):
+            cell = np.uint32(block[k])
+            keys[cell] = max(block_keys[k], keys[cell])
+
+
+@part
+def read_keys(keys: AnyArray, nearest: Float32Array, right: Float32Array, down: Float32Array) -> None:
+    """Take keys apart.
+
+    Args:
+        keys: (cells,) int64.
+        nearest: (cells,) float32 [1/m], written: inverse range of the nearest point, 0 where the cell is empty.
+        right, down: (cells,) float32, written: how far into the cell it lies, 0 to 1.
+    """
+    nearest_bits = nearest.view(np.int32)
+    for c in range(keys.shape[0]):
+        nearest_bits[c] = np.int32(keys[c] >> 32)
+        right[c] = np.float32(np.int32(keys[c] >> 16) & _LAST_PART) * _PART
+        down[c] = np.float32(np.int32(keys[c]) & _LAST_PART) * _PART
+
+
+@kernel(
+    void(
+        IN_F32_1D, IN_F32_1D, IN_F32_1D, int64, int64, IN_F32_1D, float64, int64, int32[::1], int32[::1],
+    )
+)  # fmt: skip
+def _occupy(
+    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, first: int, count: int,
+    extent: Float32Array, cell: float, border: int, sampled: AnyArray, holders: AnyArray,
+) -> None:  # fmt: skip
+    """Put the numbers of some of `count` points, the first of them `first`, from 1 on into their cells.
+
+    The last point in a cell holds it; cells without a point hold 0. The cells of evenly drawn points go to `sampled`;
+    0 for a point without a cell.
+    """
+    grid, numbers = _fit_grid(extent, cell, border), np.empty(_BLOCK, np.int32)
+    holders[:] = 0
+    samples = min(sampled.shape[0], count)
+    taken = -(-first * samples // count)
+    for start in range(0, inverse_ranges.shape[0], _BLOCK):
+        stop = min(start + _BLOCK, inverse_ranges.shape[0])
+        block, before = numbers[: stop - start], first + start
+        _number_cells(rightward[start:stop], downward[start:stop], inverse_ranges[start:stop], grid, block)
+        for k in range(block.shape[0]):
+            holders[np.uint32(block[k])] = before + k + 1
+        while taken < samples and taken * count // samples < first + stop:
+            sampled[taken] = block[taken * count // samples - before]
+            taken += 1
+    holders[0] = 0
+
+
+@kernel(
+    void(
+        IN_I32_2D, int64, IN_I32_1D, IN_I64_1D, IN_I64_1D, IN_I64_1D, IN_F64_1D, float64[:, ::1], int64[:, ::1],
+    )
+)  # fmt: skip
+def _find_holders(
+    holders: Int32Array, columns: int, sampled: Int32Array, right: Int64Array, down: Int64Array, sectors: Int64Array,
+    distances: Float64Array, found: Float64Array, neighbours: Int64Array,
+) -> None:  # fmt: skip
+    """Look around the sampled cells for those that any of the threads found to be held."""
+    found[:], neighbours[:] = math.nan, -1
+    offsets = np.empty(right.shape[0], np.int32)
+    for k in range(offsets.shape[0]):
+        offsets[k] = down[k] * columns + right[k]
+    for s in range(sampled.shape[0]):
+        missing = found.shape[1] if sampled[s] > 0 else 0
+        for k in range(offsets.shape[0] if missing > 0 else 0):
+            location = np.uint32(sampled[s] + offsets[k])
+            holder = holders[0, location]
+            for part in range(1, holders.shape[0]):
+                holder = max(holder, holders[part, location])
+            if holder > 0 and neighbours[s, sectors[k]] < 0:
+                found[s, sectors[k]], neighbours[s, sectors[k]] = distances[k], holder - 1
+                missing -= 1
+                if missing == 0:
+                    break
+
+
+def find_neighbours(
+    directions: Float32Array,
+    inverse_ranges: Float32Array,
+    extent: Float32Array,
+    cell: float,
+    right: Int64Array,
+    down: Int64Array,
+    sectors: Int64Array,
+    distances: Float64Array,
+    found: Float64Array,
+    neighbours: Int64Array,
+    *,
+    thread_pool: ThreadPool = ALONE,
+) -> None:
+    """Write how far it is from some points, evenly drawn from the cloud, to the next point in each sector.
+
+    Sample s of S is point s * M // S; of fewer points than S, every one is drawn once.
+
+    Args:
+        directions: (2, M) in the equal-area map [rad].
+        inverse_ranges: (M,) [1/m]; 0 for a point that takes no part.
+        extent: (4,) of the points, as of `direction_grid.measure_extent`.
+        cell: resolution [rad]; what lies in one cell is not distinguished.
+        right, down: (K,) columns and rows to the cells that are looked at, the nearest first.
+        sectors: (K,) number of the sector in which such a cell lies.
+        distances: (K,) how far such a cell is, in any unit.
+        found: (samples, sectors), written: the distance of the first occupied cell; NaN for none.
+        neighbours: (samples, sectors), written: a point in that cell; -1 for none.
+        thread_pool: the threads that share the points; what comes out is the same.
+    """
+    reach, count = int(max(1, np.abs(right).max(), np.abs(down).max())), len(inverse_ranges)
+    _, _, columns, rows = position_grid(extent, cell, reach)
+    sampled, holders = np.zeros(len(found), np.int32), np.empty((thread_pool.size, columns * rows), np.int32)
+
+    def occupy(part: int, a: int, b: int) -> None:
+        some = directions[0, a:b], directions[1, a:b], inverse_ranges[a:b]
+        _occupy(*some, a, count, extent, cell, reach, sampled, holders[part])
+
+    thread_pool.share(count, occupy)
+    _find_holders(holders, columns, sampled, right, down, sectors, distances, found, neighbours)
+
+
+@part
+def _slope(
+    directions: Float32Array, inverse_ranges: Float32Array, own: int, one: int, other: int, nothing: float,
+    margin: float, margin_share: float,
+) -> float:  # fmt: skip
+    """Give how the inverse range changes from one neighbour to the other, NaN where the point is not on their line."""
+    x, y, inverse = (
+        float64(directions[0, own]),
+        float64(directions[1, own]),
+        float64(inverse_ranges[own]),
+    )
+    to_one = math.hypot(directions[0, one] - x, directions[1, one] - y)
+    to_other = math.hypot(directions[0, other] - x, directions[1, other] - y)
+    apart = max(to_one + to_other, nothing)
+    first, second = float64(inverse_ranges[one]), float64(inverse_ranges[other])
+    off = abs(inverse - (first * to_other + second * to_one) / apart)
+    # The map widens angles off its axis by up to 1 / cos(θ/2).
+    scale = math.sqrt(max(1.0 - 0.25 * (x * x + y * y), 0.0))
+    straight = off <= margin * inverse * inverse + margin_share * inverse
+    return scale * abs(first - second) / apart if straight else math.nan
+
+
+@kernel(void(IN_F32_2D, IN_F32_1D, IN_I64_1D, IN_I64_2D, float64, float64, float64, float64[::1]))
+def find_slopes(
+    directions: Float32Array,
+    inverse_ranges: Float32Array,
+    points: Int64Array,
+    neighbours: Int64Array,
+    nothing: float,
+    margin: float,
+    margin_share: float,
+    slopes: Float64Array,
+) -> None:
+    """Write how fast the inverse range changes around some points, along the straightest steepest line there.
+
+    Args:
+        directions: (2, M) in the equal-area map [rad].
+        inverse_ranges: (M,) [1/m].
+        points: (S,) rows of `inverse_ranges`.
+        neighbours: (S, sectors), likewise, -1 for none; sectors half of their number apart are opposite.
+        nothing: neighbours nearer than this together count as so far apart [rad].
+        margin: how far from the line between two opposite neighbours a point may lie [m] …
+        margin_share: … plus this share of its range.
+        slopes: (S,) [1/m/rad], written: the largest of all lines, NaN for a point that lies on none.
+    """
+    half = neighbours.shape[1] // 2
+    for s in range(points.shape[0]):
+        slopes[s] = math.nan
+        for axis in range(half):
+            one, other = neighbours[s, axis], neighbours[s, axis + half]
+            if one >= 0 and other >= 0:
+                slope = _slope(
+                    directions, inverse_ranges, points[s], one, other, nothing, margin, margin_share
+                )
+                slopes[s] = slopes[s] if slope <= slopes[s] or math.isnan(slope) else slope
+
+
+@part
+def _count_steps(distances: Float64Array, axis: int, cell: float, counts: AnyArray) -> int:
+    """Count how often neighbours on an axis are so far away, by the square of the distance in cells; give their sum."""
+    half, last, known = distances.shape[1] // 2, counts.shape[0] - 1, 0
+    counts[:] = 0
+    for s in range(distances.shape[0]):
+        for sector in (axis, axis + half):
+            steps = distances[s, sector] / cell
+            if not math.isnan(steps):
+                counts[np.uint32(min(steps * steps + 0.5, last))] += 1
+                known += 1
+    return known
+
+
+@part
+def _mean_of_middle(counts: AnyArray, known: int) -> float:
+    """Average the middle half of roots of which each is there so many times."""
+    first, last, before, total = known // 4, known - known // 4, 0, 0.0
+    for square in range(counts.shape[0]):
+        behind = before + counts[square]
+        total += max(min(behind, last) - max(before, first), 0) * math.sqrt(square)
+        before = behind
+    return total / (last - first)
+
+
+@kernel(void(IN_F64_2D, float64, int64, int64, float64[::1]))
+def measure_along_axes(
+    distances: Float64Array, cell: float, reach: int, fewest: int, spacings: Float64Array
+) -> None:
+    """Write how far apart neighbours are along each axis: robust as the median, but not bound to whole cells.
+
+    Args:
+        distances: (S, sectors) [rad], between middles of cells; NaN for none. Opposite sectors make an axis.
+        cell: size of a cell [rad].
+        reach: how many cells away neighbours are at most.
+        fewest: known distances along an axis.
+        spacings: (sectors / 2,) [rad], written: mean of the middle half of the distances; NaN for too few.
+    """
+    counts = np.empty(reach * reach + 1, np.int64)
+    for axis in range(spacings.shape[0]):
+        known = _count_steps(distances, axis, cell, counts)
+        spacings[axis] = cell * _mean_of_middle(counts, known) if known >= fewest else math.nan
+
+
+@kernel(void(IN_F64_2D, int64, float64[::1]))
+def measure_across(distances: Float64Array, fewest: int, spacings: Float64Array) -> None:
+    """Write the upper quartile of each point's distances to its neighbours.
+
+    Args:
+        distances: (S, sectors), in any unit; NaN for none.
+        fewest: known distances of a point, at least 1.
+        spacings: (S,), written; NaN for too few.
+    """
+    ordered = np.empty(distances.shape[1])
+    for s in range(distances.shape[0]):
+        known = 0
+        for sector in range(distances.shape[1]):
+            distance = distances[s, sector]
+            if not math.isnan(distance):
+                location = known
+                while location > 0 and ordered[location - 1] > distance:
+                    ordered[location] = ordered[location - 1]
+                    location -= 1
+                ordered[location] = distance
+                known += 1
+        spacings[s] = ordered[min(3 * known // 4, known - 1)] if known >= fewest else math.nan

@@ -35,7 +35,7 @@ from sceneloom.db34t.types import INTEGER_RANGES, NANOSECONDS, BasicType, Timest
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.images import EncodedImage
 from sceneloom.formats.recording.lidars import XYZIRT
-from sceneloom.kernels.colours import draw_depths
+from sceneloom.kernels.projection import draw_depths
 from sceneloom.scene.cameras import CameraImage, DepthFrame
 from sceneloom.scene.clouds import LidarFrame, LidarPoints
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm

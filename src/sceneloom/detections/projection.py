@@ -51,7 +51,7 @@ from scipy.optimize import linear_sum_assignment
 from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, project_unbounded, unproject
-from sceneloom.colouring.box_outlines import CENTRE_TO_CORNER, COARSE, box_extents
+from sceneloom.colouring.cuboid_projection import CENTRE_TO_CORNER, COARSE, box_extents
 from sceneloom.detections.detectors import FAMILIES, SAYS_NOTHING, SIZES, kind_name, numbers_of, table_rows
 from sceneloom.detections.results import NO_BOX, DetectionPair, FusedBoxes
 from sceneloom.detections.settings import (

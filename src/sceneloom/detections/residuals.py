@@ -24,7 +24,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
-from sceneloom.colouring.box_outlines import CENTRE_TO_CORNER
+from sceneloom.colouring.cuboid_projection import CENTRE_TO_CORNER
 from sceneloom.detections.detectors import numbers_of
 from sceneloom.detections.projection import boxes_with_area, boxes_with_position, project_outlines
 from sceneloom.detections.results import DetectionPair

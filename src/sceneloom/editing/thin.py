@@ -41,7 +41,7 @@ def one_per_cube(positions: FloatArray, side: float, *, keep: str = _NEAREST) ->
     Raises:
         OptionError: the side is not positive, or `keep` is not one of those.
     """
-    from sceneloom.kernels.surface_map import first_of_cubes, nearest_of_cubes, number_cubes
+    from sceneloom.kernels.voxels import first_of_cubes, nearest_of_cubes, number_cubes
 
     _check_cubes(side, keep)
     points: Float64Array = np.ascontiguousarray(positions, np.float64)

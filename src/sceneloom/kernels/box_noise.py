@@ -4,13 +4,13 @@ The update of a 3D box by the sides of an image box, and positions of objects th
 """
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import inlined, part
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _find_sides(pixels, n, box, limits, border, sides, m):  # type: ignore[no-untyped-def]
     """Fill in the corners that bound a box in an image, -1 for both of a pair of sides that it may cut."""
     seen = True
@@ -29,10 +29,7 @@ def _find_sides(pixels, n, box, limits, border, sides, m):  # type: ignore[no-un
 
 @kernel(
     "Tuple((int64[::1], int64[:,::1], float64[:,::1]))(float64[:,:,::1], float64[:,:,::1], int64[::1], "
-    "float64[:,::1], float64, float64, float64, float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "float64[:,::1], float64, float64, float64, float64)"
 )
 def shifted_sides(
     corners: Float64Array,
@@ -76,7 +73,7 @@ def shifted_sides(
     return rows, sides, shifted
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _add_slope(shifted, step, m, side, axis, rotation, axes, n, signs, weight, row):  # type: ignore[no-untyped-def]
     """Add to a row how a side moves with the middle of its box and its sizes, (6,), times a weight."""
     for c in range(3):
@@ -86,7 +83,7 @@ def _add_slope(shifted, step, m, side, axis, rotation, axes, n, signs, weight, r
             row[k + 3] += along * axes[n, c, k] * signs[k] / 2.0
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _update(states, covariances, n, row, residual, variance, gain):  # type: ignore[no-untyped-def]
     """One scalar update of a state and its covariance; `gain` is room for six numbers."""
     spread = variance
@@ -104,7 +101,7 @@ def _update(states, covariances, n, row, residual, variance, gain):  # type: ign
             covariances[n, i, k] = changed
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _deviation(box, number, sigmas, n):  # type: ignore[no-untyped-def]
     """Deviation of a number of the image: of the middle across or upright, or of the height [px]."""
     scale = box[2] - box[0] if number == 0 else box[3] - box[1]
@@ -114,10 +111,7 @@ def _deviation(box, number, sigmas, n):  # type: ignore[no-untyped-def]
 @kernel(
     "void(float64[:,::1], float64[:,:,::1], Array(float64, 2, 'C', readonly=True), float64[:,:,::1], "
     "Array(float64, 2, 'C', readonly=True), float64[:,:,::1], int64[::1], int64[:,::1], float64[:,:,:,::1], float64, "
-    "int64[::1], float64[:,::1], float64[:,::1], float64, float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "int64[::1], float64[:,::1], float64[:,::1], float64, float64)"
 )
 def update_by_sides(
     states: Float64Array,

@@ -3,7 +3,7 @@
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -12,12 +12,24 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, TypeVar, cast
 
-_DECORATED = re.compile(r"^@kernel\(", re.MULTILINE)
-_IMPORTED = re.compile(r"^\s*(?:from|import) (sceneloom\.[\w.]+)(?: import \(?([\w, \n]+))?", re.MULTILINE)
+_MAKERS: Mapping[re.Pattern[str], int] = {
+    re.compile(r"^@kernel\(", re.MULTILINE): 1,
+    re.compile(r"^\w+ = compiled_model\(", re.MULTILINE): 3,
+    re.compile(r"^\w+ = compiled_fold\(", re.MULTILINE): 1,
+}
+"""How many kernels each place that matches declares; the latter two are factories of `cameras.compiled`."""
+
+_IMPORTED = re.compile(
+    r"^\s*(?:from|import) (sceneloom\.[\w.]+)(?: import (?:\(([^)]*)|([\w, ]+)))?", re.MULTILINE
+)
 _PACKAGE = Path(__file__).parents[1]
-_ROOMS = ("kernels", "cameras")
+PACKAGES = ("kernels", "cameras", "colouring", "simulate")
+"""Those with kernels."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+
+OPTIONS: Mapping[str, Any] = {"nogil": True, "error_model": "numpy"}
+"""Of all kernels: the interpreter is let go, and dividing by zero gives infinity or NaN."""
 
 _declared: dict[str, list[Callable[[], None]]] = {}
 """What compiles each kernel of the modules that are imported, by the module's name."""
@@ -30,12 +42,12 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
     """Declare a function that is compiled for these types, and no others, at its first call.
 
     Importing a module compiles and loads nothing, so what a program never calls costs it nothing. Compiled kernels
-    are kept for the next process, and used as long as the source of their module and of all that it imports here is
-    the same, whenever that was installed. Threads may call a kernel for the first time at the same time.
+    are kept for the next process, and used as long as the source of their module and of the modules with kernels that
+    it imports is the same, whenever that was installed. Threads may call a kernel for the first time at the same time.
 
     Args:
         signatures: one signature, or a list of them, as `numba.njit` takes them.
-        **options: the same of `numba.njit`; `cache` is set.
+        **options: the same of `numba.njit`, beside `OPTIONS`; `cache` is set.
 
     Source: Numba's manual, "Eager compilation": with signatures other types are converted or refused, never
     compiled for.
@@ -43,7 +55,7 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
     import numba
     from numba.core.compiler_lock import global_compiler_lock
 
-    options["cache"] = True
+    options = {**OPTIONS, **options, "cache": True}
     all_signatures = signatures if isinstance(signatures, list) else [signatures]
 
     def declare(function: _Function) -> _Function:
@@ -57,7 +69,7 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
                     return
                 kept_as = getattr(dispatcher._cache, "_cache_file", None)  # noqa: SLF001
                 if kept_as is not None:
-                    kept_as._source_stamp = source_digest(Path(function.__code__.co_filename))  # noqa: SLF001
+                    kept_as._source_stamp = source_digest(_source_of(function))  # noqa: SLF001
                 if _reports and not _is_kept(function):
                     for report in tuple(_reports):
                         report(f"{function.__module__}.{function.__name__}")
@@ -99,7 +111,7 @@ class KernelCache:
     """The kept kernels of one Python.
 
     Attributes:
-        folder: where those of this room are kept.
+        folder: where they are kept.
         writable: whether new ones can be kept.
         kernels: how many there are.
         compiled: how many of them are kept, compiled from their present source.
@@ -126,15 +138,16 @@ def find_kernel_cache() -> KernelCache:
     """
     counts = {
         source: count
-        for room in _ROOMS
-        for source in sorted((_PACKAGE / room).glob("*.py"))
+        for package in PACKAGES
+        for source in sorted((_PACKAGE / package).glob("*.py"))
         if (count := _count_kernels(source))
     }
     elsewhere = os.environ.get("NUMBA_CACHE_DIR")
     beside = Path(__file__).parent / "__pycache__"
     folder = Path(elsewhere) if elsewhere else beside
     writable = _can_write(folder)
-    compiled = sum(min(count, _count_kept(source, elsewhere)) for source, count in counts.items())
+    kept = _count_kept(counts)
+    compiled = sum(min(count, kept[source]) for source, count in counts.items())
     users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
     usable = writable or any(map(_can_write, (beside, users)))
     return KernelCache(folder, writable, sum(counts.values()), compiled, usable)
@@ -154,11 +167,11 @@ def _can_write(folder: Path) -> bool:
 
 def lacks_kernels(module: str) -> bool:
     """Whether a module, by its whole name, has kernels that are not kept yet: calling them takes seconds then."""
-    package, _, room = module.rpartition(".")[0].rpartition(".")
-    source = _PACKAGE / room / f"{module.rpartition('.')[2]}.py"
-    if package != _PACKAGE.name or room not in _ROOMS:
+    parts = module.split(".")
+    source = _PACKAGE.parent.joinpath(*parts).with_suffix(".py")
+    if len(parts) != 3 or parts[0] != _PACKAGE.name or parts[1] not in PACKAGES:
         return False
-    return _count_kept(source, os.environ.get("NUMBA_CACHE_DIR")) < _count_kernels(source)
+    return _count_kept([source])[source] < _count_kernels(source)
 
 
 @contextmanager
@@ -174,25 +187,29 @@ def reporting_compiling(report: Callable[[str], None]) -> Iterator[None]:
 def _count_kernels(source: Path) -> int:
     if not source.is_file() or source == Path(__file__):
         return 0
-    return len(_DECORATED.findall(source.read_text("utf-8")))
+    text = source.read_text("utf-8")
+    return sum(count * len(pattern.findall(text)) for pattern, count in _MAKERS.items())
 
 
-def _count_kept(source: Path, elsewhere: str | None, name: str = "*") -> int:
-    """Count the functions of a module of which an index of versions compiled from the present source is kept."""
-    if not source.is_file():
-        return 0
-    python = f"py{sys.version_info.major}{sys.version_info.minor}"
-    pattern = f"{source.stem}.{name}-*.{python}.nbi"
-    kept = (
-        Path(elsewhere).glob(f"**/{pattern}") if elsewhere else source.parent.glob(f"__pycache__/{pattern}")
-    )
-    digest = source_digest(source).encode()
-    return len({index.name for index in kept if digest in index.read_bytes()})
+def _count_kept(sources: Collection[Path], name: str = "*") -> dict[Path, int]:
+    """Count, for each module, the functions of which an index of versions compiled from the present source is kept."""
+    digests = {source: source_digest(source).encode() for source in sources if source.is_file()}
+    pattern = f"*.{name}-*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
+    if elsewhere := os.environ.get("NUMBA_CACHE_DIR"):
+        found = list(Path(elsewhere).glob(f"**/{pattern}"))
+    else:
+        found = [i for folder in {s.parent for s in digests} for i in folder.glob(f"__pycache__/{pattern}")]
+    contents = {index.name: index.read_bytes() for index in found}
+    counts = {s: sum(digest in content for content in contents.values()) for s, digest in digests.items()}
+    return {source: counts.get(source, 0) for source in sources}
 
 
 @cache
 def source_digest(source: Path) -> str:
-    """Name the content of a module and of all modules of ours that it imports, which its kernels may call."""
+    """Name the content of a module and of all that its kernels may be made of.
+
+    These are the modules that it imports from `PACKAGES` and from the top of the project: nothing else is compiled.
+    """
     known: set[Path] = set()
     waiting = [source]
     digest = blake2b(digest_size=16)
@@ -203,13 +220,22 @@ def source_digest(source: Path) -> str:
         known.add(path)
         text = path.read_text("utf-8")
         digest.update(text.encode())
-        for module, names in _IMPORTED.findall(text):
+        for module, several, one_line in _IMPORTED.findall(text):
+            if module.count(".") > 1 and module.split(".")[1] not in PACKAGES:
+                continue
             found = _PACKAGE.parent.joinpath(*module.split("."))
-            members = (found / f"{name.split(' as ')[0].strip()}.py" for name in names.split(","))
+            names = (several or one_line).split(",")
+            members = (found / f"{name.split(' as ')[0].strip()}.py" for name in names)
             waiting += [found.with_suffix(".py"), *sorted(members)]
     return digest.hexdigest()
 
 
+def _source_of(function: Callable[..., Any]) -> Path:
+    """The file of a function's module, where a change makes it another function."""
+    module = sys.modules.get(function.__module__)
+    return Path(getattr(module, "__file__", None) or function.__code__.co_filename)
+
+
 def _is_kept(function: Callable[..., Any]) -> bool:
-    source = Path(function.__code__.co_filename)
-    return _count_kept(source, os.environ.get("NUMBA_CACHE_DIR"), function.__qualname__) > 0
+    source = _source_of(function)
+    return _count_kept([source], function.__qualname__)[source] > 0

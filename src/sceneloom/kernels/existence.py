@@ -8,10 +8,10 @@ module only.
 """
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import inlined
 
 (
     PRIOR,
@@ -51,7 +51,7 @@ _LIMIT = float(np.log((1.0 - _SUREST) / _SUREST))
 _TABLE, _REPORTED = "Array(float64, 2, 'C', readonly=True)", "Array(float64, 1, 'C', readonly=True)"
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _reported(score, is_logit):  # type: ignore[no-untyped-def]
     """Logarithm of the odds that a score names; NaN for one that is no number."""
     if is_logit:
@@ -60,13 +60,13 @@ def _reported(score, is_logit):  # type: ignore[no-untyped-def]
     return np.log(share / (1.0 - share))
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _within(reported, low, kind, table):  # type: ignore[no-untyped-def]
     """What a score reports, no lower and no higher than is known of such scores; columns from `low` on."""
     return min(max(reported, table[kind, low]), table[kind, low + 1])
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _alone(reported, low, kind, table):  # type: ignore[no-untyped-def]
     """Logarithm of the odds of a box by its own detector; a score that is no number leaves the prior."""
     if np.isnan(reported):
@@ -74,7 +74,7 @@ def _alone(reported, low, kind, table):  # type: ignore[no-untyped-def]
     return table[kind, low + 2] + table[kind, low + 3] * _within(reported, low, kind, table)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _agreed(reported_3d, reported_2d, overlap, kind, table):  # type: ignore[no-untyped-def]
     """Logarithm of the odds of an object that both detectors report."""
     if np.isnan(reported_3d):
@@ -89,7 +89,7 @@ def _agreed(reported_3d, reported_2d, overlap, kind, table):  # type: ignore[no-
     )
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _openness(height, seen_share, kind, table):  # type: ignore[no-untyped-def]
     """How openly an image shows an object so high [px], of which so much is seen: 0 to 1."""
     low, high = table[kind, LOW_PX], table[kind, HIGH_PX]
@@ -99,7 +99,7 @@ def _openness(height, seen_share, kind, table):  # type: ignore[no-untyped-def]
     return tall * min(seen_share / table[kind, SEEN_SHARE], 1.0)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _missing(weak_odds, openness, kind, table):  # type: ignore[no-untyped-def]
     """Logarithm of the chance that an image has no box of an object that lies so openly in it.
 
@@ -110,7 +110,7 @@ def _missing(weak_odds, openness, kind, table):  # type: ignore[no-untyped-def]
     return np.log1p(-recall * openness)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _weakness(found, odds, openness, kind, table):  # type: ignore[no-untyped-def]
     """What an object adds to the logarithm of the odds that the image's detector works poorly.
 
@@ -123,24 +123,24 @@ def _weakness(found, odds, openness, kind, table):  # type: ignore[no-untyped-de
     return np.log(weak / (1.0 - likely * table[kind, RECALL_2D] * openness))
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _missed(odds, chance):  # type: ignore[no-untyped-def]
     """Logarithm of the odds of an object that one detector reports, and the other had this chance to find."""
     return odds + np.log1p(-chance)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _chance_in_sweep(distance, kind, table):  # type: ignore[no-untyped-def]
     """Chance that the detector of sweeps finds an object so far away [m]."""
     return table[kind, RECALL_3D] if distance <= table[kind, FARTHEST_3D] else 0.0
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _probability(odds):  # type: ignore[no-untyped-def]
     return 1.0 / (1.0 + np.exp(-odds))
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _overlap(one, i, other, j):  # type: ignore[no-untyped-def]
     """Intersection over union of two boxes of an image."""
     wide = min(one[i, 2], other[j, 2]) - max(one[i, 0], other[j, 0])
@@ -153,10 +153,7 @@ def _overlap(one, i, other, j):  # type: ignore[no-untyped-def]
 
 @kernel(
     f"Tuple((float64[::1], float64[::1], float64[::1]))({_REPORTED}, int64[::1], boolean, boolean, int64[::1], "
-    f"{_TABLE})",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    f"{_TABLE})"
 )
 def reported_odds(
     scores: Float64Array,
@@ -191,10 +188,7 @@ def reported_odds(
 
 @kernel(
     "float64[::1](float64[:,::1], float64[::1], int64[::1], float64[::1], float64[::1], float64[:,::1], float64[::1], "
-    f"int64[::1], {_TABLE})",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    f"int64[::1], {_TABLE})"
 )
 def scores_of_sweep(
     outlines_xyxy: Float64Array,
@@ -243,12 +237,7 @@ def scores_of_sweep(
     return scores
 
 
-@kernel(
-    f"float64[::1](int64[::1], float64[::1], float64[::1], int64[::1], {_TABLE})",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-)
+@kernel(f"float64[::1](int64[::1], float64[::1], float64[::1], int64[::1], {_TABLE})")
 def scores_of_image(
     rows: Int64Array,
     distances: Float64Array,

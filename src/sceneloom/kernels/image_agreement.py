@@ -3,31 +3,26 @@
 And over maps with their derivatives.
 """
 
-import numba
-from numba import float32, float64, int16, int32, int64, types, uint8, void
+from numba import float64, int16, types, void
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.projection import PART
-
-_IDS = types.Array(int64, 1, "C", readonly=True)
-
-_PIXELS = types.Array(float32, 2, "C", readonly=True)
-
-_IMAGE = types.Array(float32, 2, "C", readonly=True)
-
-_STACK = types.Array(float32, 3, "C", readonly=True)
-
-_NUMBERS = types.Array(float32, 1, "C", readonly=True)
-
-_KINDS = types.Array(uint8, 1, "C", readonly=True)
+from sceneloom.kernels.signatures import (
+    IN_F32_1D,
+    IN_F32_2D,
+    IN_F32_3D,
+    IN_F64_1D,
+    IN_F64_2D,
+    IN_I32_1D,
+    IN_I64_1D,
+    IN_U8_1D,
+    inlined,
+)
 
 _CELLS = types.Array(int16, 1, "C", readonly=True)
 
-_TABLE = types.Array(float64, 2, "C", readonly=True)
 
-
-@numba.njit(inline="always", **PART)
+@inlined
 def _between(image, u, v):  # type: ignore[no-untyped-def]
     """Interpolate an image between its pixels; beyond its outer pixels' centres these hold."""
     height, width = image.shape
@@ -40,10 +35,7 @@ def _between(image, u, v):  # type: ignore[no-untyped-def]
     return upper + b * (lower - upper)
 
 
-@kernel(
-    void(_IDS, _PIXELS, _KINDS, _NUMBERS, _CELLS, _STACK, float64[::1], float64[::1]),
-    cache=True, nogil=True, error_model="numpy",
-)  # fmt: skip
+@kernel(void(IN_I64_1D, IN_F32_2D, IN_U8_1D, IN_F32_1D, _CELLS, IN_F32_3D, float64[::1], float64[::1]))  # fmt: skip
 def sum_edges(
     point_ids: Int64Array,
     pixels: Float32Array,
@@ -73,7 +65,7 @@ def sum_edges(
         totals[cells[point]] += weight
 
 
-@kernel(void(_IDS, _PIXELS, _NUMBERS, _IMAGE, float64[:, ::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(void(IN_I64_1D, IN_F32_2D, IN_F32_1D, IN_F32_2D, float64[:, ::1]))
 def fill_histogram(
     point_ids: Int64Array,
     pixels: Float32Array,
@@ -102,10 +94,7 @@ def fill_histogram(
         histogram[row + 1, column + 1] += p * q
 
 
-@kernel(
-    void(_IDS, _PIXELS, _NUMBERS, _CELLS, _IMAGE, _TABLE, float64[::1], float64[::1]),
-    cache=True, nogil=True, error_model="numpy",
-)  # fmt: skip
+@kernel(void(IN_I64_1D, IN_F32_2D, IN_F32_1D, _CELLS, IN_F32_2D, IN_F64_2D, float64[::1], float64[::1]))  # fmt: skip
 def sum_by_table(
     point_ids: Int64Array,
     pixels: Float32Array,
@@ -135,21 +124,11 @@ def sum_by_table(
         totals[cells[point]] += 1.0
 
 
-_SLOPES = types.Array(float32, 3, "C", readonly=True)
-
-_ROWS = types.Array(int32, 1, "C", readonly=True)
-
-_MAPS = types.Array(float32, 3, "C", readonly=True)
-
-_STEP = types.Array(float64, 1, "C", readonly=True)
-
-
 @kernel(
     void(
-        _PIXELS, _SLOPES, _STEP, _NUMBERS, _ROWS, _ROWS, _MAPS,
-        float64[::1], float64[::1], float64[:, ::1],
-    ),
-    cache=True, nogil=True, error_model="numpy",
+        IN_F32_2D, IN_F32_3D, IN_F64_1D, IN_F32_1D, IN_I32_1D, IN_I32_1D, IN_F32_3D, float64[::1], float64[::1],
+        float64[:, ::1],
+    )
 )  # fmt: skip
 def sum_maps(
     pixels: Float32Array,

@@ -3,50 +3,46 @@
 import math
 from typing import Any
 
-import numba
 import numpy as np
-from numba import boolean, float32, int16, int64, types, uint8, void
+from numba import boolean, float32, int16, int64, uint8, void
 
 from sceneloom.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import IN_F32_2D, IN_F32_3D, IN_U8_2D, IN_U8_3D, inlined
 
 _FRACTION_BITS = 5
 """Of a level. With one more, the sum of brightness and colour would leave 16 bits."""
 
 _ROUNDED = 1 << (_FRACTION_BITS - 1)
 
-_PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "always"}
-
-_READ_2D = types.Array(uint8, 2, "C", readonly=True)
-
 
 # compiled by itself: in place, the product becomes one of 64 bits
-@kernel(int16(int16, int16), nogil=True, error_model="numpy")
+@kernel(int16(int16, int16))
 def _high(a: Any, b: Any) -> Any:
     """The upper half of the product of two 16-bit numbers, rounded down: one instruction for many pixels."""
     return np.int16(np.int32(np.int32(a) * np.int32(b)) >> 16)
 
 
-@numba.njit(**_PART)
+@inlined
 def _centred(level):  # type: ignore[no-untyped-def]
     """A level without its middle, filling 16 bits."""
     return np.int16(np.int16(np.int16(level) - 128) << 8)
 
 
-@numba.njit(**_PART)
+@inlined
 def _scale(colour, factor, scaled):  # type: ignore[no-untyped-def]
     for k in range(len(scaled)):
         scaled[k] = _high(_centred(colour[k]), factor)
 
 
-@numba.njit(**_PART)
+@inlined
 def _scale_both(blue, blue_factor, red, red_factor, scaled):  # type: ignore[no-untyped-def]
     for k in range(len(scaled)):
         of_blue, of_red = _high(_centred(blue[k]), blue_factor), _high(_centred(red[k]), red_factor)
         scaled[k] = np.int16(of_blue + of_red + np.int16(1))
 
 
-@numba.njit(**_PART)
+@inlined
 def _spread(scaled, spread, half_columns):  # type: ignore[no-untyped-def]
     """Give each pixel of a row its colour: linear between samples on even columns, or midway between two columns."""
     last = len(scaled) - 1
@@ -65,7 +61,7 @@ def _spread(scaled, spread, half_columns):  # type: ignore[no-untyped-def]
         spread[2 * last] = spread[2 * last + 1] = scaled[last]
 
 
-@numba.njit(**_PART)
+@inlined
 def _level(bright, near, far):  # type: ignore[no-untyped-def]
     """A pixel's level, from its brightness and the colours of the rows of samples next to it."""
     colour = np.int16(near + np.int16(np.int16(far - near + 2) >> 2))
@@ -73,7 +69,7 @@ def _level(bright, near, far):  # type: ignore[no-untyped-def]
     return np.uint8(min(max(level, np.int16(0)), np.int16(255)))
 
 
-@numba.njit(**_PART)
+@inlined
 def _spread_colours(blue, red, factors, half_columns, scaled, spread):  # type: ignore[no-untyped-def]
     """Give each column what one row of samples adds to red, green and blue."""
     _scale(red, np.int16(factors[2]), scaled)
@@ -84,7 +80,7 @@ def _spread_colours(blue, red, factors, half_columns, scaled, spread):  # type: 
     _spread(scaled, spread[2], half_columns)
 
 
-@numba.njit(**_PART)
+@inlined
 def _paint(luma, near, far, factors, line):  # type: ignore[no-untyped-def]
     """Fill a row of pixels, which lies a quarter of the trajectory from one row of samples to the next one."""
     gain, offset = np.int16(factors[0]), np.int16(factors[1])
@@ -97,12 +93,7 @@ def _paint(luma, near, far, factors, line):  # type: ignore[no-untyped-def]
         line[3 * x + 2] = _level(bright, blues[x], far_blues[x])
 
 
-@kernel(
-    void(_READ_2D, _READ_2D, _READ_2D, int64[::1], int64, uint8[:, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(IN_U8_2D, IN_U8_2D, IN_U8_2D, int64[::1], int64, uint8[:, ::1]))
 def rgb_from_halved_chroma(
     luma: UInt8Array,
     blue: UInt8Array,
@@ -163,17 +154,7 @@ def conversion_factors(red_share: float, blue_share: float, *, full: bool) -> In
     return np.array([round(gain), offset, *scaled], np.int64)
 
 
-_IN_F32_3D = types.Array(float32, 3, "C", readonly=True)
-
-_IN_U8_3D = types.Array(uint8, 3, "C", readonly=True)
-
-
-@kernel(
-    void(_IN_U8_3D, _IN_F32_3D, uint8[:, :, ::1], boolean[:, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(IN_U8_3D, IN_F32_3D, uint8[:, :, ::1], boolean[:, ::1]))
 def resample_bilinear(rgb: UInt8Array, locations: Float32Array, out: UInt8Array, filled: BoolArray) -> None:
     """Fill an image with what another one shows at given locations; what has no location there is left as it is.
 
@@ -215,10 +196,7 @@ def resample_bilinear(rgb: UInt8Array, locations: Float32Array, out: UInt8Array,
                 out[i, j, c] = np.uint8(value + np.float32(0.5))
 
 
-_IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
-
-
-@kernel(void(_IN_F32_2D, int64, float32[:, ::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(void(IN_F32_2D, int64, float32[:, ::1]))
 def corner_strengths(grey: Float32Array, half: int, strengths: Float32Array) -> None:
     """Report how well a window around each pixel can be distinguished from its neighbours, in both directions.
 
@@ -257,7 +235,7 @@ def corner_strengths(grey: Float32Array, half: int, strengths: Float32Array) -> 
             strengths[i, j] = max(least * share, np.float32(0.0))
 
 
-@numba.njit(inline="always")
+@inlined
 def _between(grey: Float32Array, u: float, v: float) -> float:
     """The brightness at a location between four pixels."""
     j, i = math.floor(u), math.floor(v)
@@ -267,7 +245,7 @@ def _between(grey: Float32Array, u: float, v: float) -> float:
     return float((1.0 - b) * upper + b * lower)
 
 
-@numba.njit(inline="always")
+@inlined
 def _holds(grey: Float32Array, u: float, v: float, half: int) -> bool:
     """Whether a window around a location, and one pixel more, lies inside the image."""
     height, width = grey.shape
@@ -275,12 +253,7 @@ def _holds(grey: Float32Array, u: float, v: float, half: int) -> bool:
     return bool((u >= reach) & (v >= reach) & (u < width - reach - 1) & (v < height - reach - 1))
 
 
-@kernel(
-    void(_IN_F32_2D, _IN_F32_2D, _IN_F32_2D, int64, int64, float32[:, ::1], boolean[::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(IN_F32_2D, IN_F32_2D, IN_F32_2D, int64, int64, float32[:, ::1], boolean[::1]))
 def follow_corners(
     first: Float32Array,
     second: Float32Array,

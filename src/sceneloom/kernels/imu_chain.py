@@ -7,36 +7,22 @@ gyroscope, bias of the accelerometer: 15 numbers.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import boolean, float64, int64, types
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.poses import (
-    right_slope,
-    rotation_of_vector,
-    rotation_vector,
-    times,
-    times_cross,
-    transposed_times,
-)
-from sceneloom.kernels.surface_map import INNER
+from sceneloom.kernels.poses import rotation_of_vector
+from sceneloom.kernels.signatures import IN_F64_1D, IN_F64_2D, IN_F64_3D, IN_I64_1D
 
-ROTATION, _SPEED, TRAJECTORY = slice(0, 3), slice(3, 6), slice(6, 9)
+DELTA_ROTATION, _DELTA_VELOCITY, DELTA_POSITION = slice(0, 3), slice(3, 6), slice(6, 9)
 """Rows of what is summed up: rotation vector [rad], velocity [m/s], position [m]."""
 
 _V, _M = float64[::1], float64[:, ::1]
 
-_TIMES = types.Array(int64, 1, "C", readonly=True)
 
-_READ_1D = types.Array(float64, 1, "C", readonly=True)
-
-_READ_2D = types.Array(float64, 2, "C", readonly=True)
-
-
-@kernel(types.void(_V, _V, float64, _V, _M), **INNER)
+@kernel(types.void(_V, _V, float64, _V, _M))
 def _rotation_between(
     before: Float64Array, after: Float64Array, h: float, v: Float64Array, m: Float64Array
 ) -> None:
@@ -48,7 +34,7 @@ def _rotation_between(
     rotation_of_vector(v, m)
 
 
-@kernel(types.void(_M, float64, _M, _M, _V, _V), **INNER)
+@kernel(types.void(_M, float64, _M, _M, _V, _V))
 def _step(
     readings: Float64Array,
     h: float,
@@ -88,7 +74,7 @@ def _step(
             rotation[i, k] = at_end[i, k]
 
 
-@kernel(types.void(_M, float64, _M, _M), **INNER)
+@kernel(types.void(_M, float64, _M, _M))
 def _carry_slopes(work: Float64Array, h: float, slopes: Float64Array, pull: Float64Array) -> None:
     """Carry the slopes by the biases, (9, 6), over one step; `pull` is written: how a rotation rotates the force.
 
@@ -117,7 +103,7 @@ def _carry_slopes(work: Float64Array, h: float, slopes: Float64Array, pull: Floa
             slopes[i, k] = rotated[i, k] - (h if i == k else 0.0)
 
 
-@kernel(types.void(_M, float64, _M, _M, float64, float64), **INNER)
+@kernel(types.void(_M, float64, _M, _M, float64, float64))
 def _carry_covariance(
     work: Float64Array,
     h: float,
@@ -160,7 +146,7 @@ def _carry_covariance(
         covariance[6 + i, 3 + i] += h * h / 2.0 * accelerometer
 
 
-@kernel(types.void(_TIMES, _READ_2D, int64, int64, _READ_1D, _V, _V), **INNER)
+@kernel(types.void(IN_I64_1D, IN_F64_2D, int64, int64, IN_F64_1D, _V, _V))
 def _reading_at(
     times_ns: Int64Array, samples: Float64Array, after: int, time_ns: int, bias: Float64Array,
     rate: Float64Array, force: Float64Array,
@@ -179,12 +165,9 @@ def _reading_at(
 
 @kernel(
     types.void(
-        _TIMES, _READ_2D, _TIMES, _READ_2D, _READ_2D, float64[:, :, ::1], _M, _M, float64[:, :, ::1],
+        IN_I64_1D, IN_F64_2D, IN_I64_1D, IN_F64_2D, IN_F64_2D, float64[:, :, ::1], _M, _M, float64[:, :, ::1],
         float64[:, :, ::1],
-    ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+    )
 )  # fmt: skip
 def preintegrate(
     times_ns: Int64Array,
@@ -243,11 +226,9 @@ def preintegrate(
 
 @kernel(
     types.void(
-        _TIMES, _READ_2D, _TIMES, _READ_2D, _TIMES, _TIMES, float64[:, :, ::1], _M, _M, float64[:, :, ::1]
-    ),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
+        IN_I64_1D, IN_F64_2D, IN_I64_1D, IN_F64_2D, IN_I64_1D, IN_I64_1D, float64[:, :, ::1], _M, _M,
+        float64[:, :, ::1],
+    )
 )  # fmt: skip
 def preintegrate_until(
     times_ns: Int64Array,
@@ -306,7 +287,7 @@ def preintegrate_until(
 
 SIZE = 15
 
-MOTION_CHAIN_ROTATION, POSITION, VELOCITY, GYROSCOPE, ACCELEROMETER = (
+ROTATION, POSITION, VELOCITY, GYROSCOPE, ACCELEROMETER = (
     slice(0, 3),
     slice(3, 6),
     slice(6, 9),
@@ -315,19 +296,14 @@ MOTION_CHAIN_ROTATION, POSITION, VELOCITY, GYROSCOPE, ACCELEROMETER = (
 )
 """Where what stands in a state."""
 
-_MOTION_CHAIN_V, _MOTION_CHAIN_M, _T = float64[::1], float64[:, ::1], float64[:, :, ::1]
-
-_READ_3D = types.Array(float64, 3, "C", readonly=True)
-
-_LOCATIONS = types.Array(int64, 1, "C", readonly=True)
-
-_COMPILED: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+_T = float64[:, :, ::1]
 
 
 @kernel(
-    types.void(_MOTION_CHAIN_M, _MOTION_CHAIN_M, _READ_2D, _MOTION_CHAIN_V, _T, _T, _MOTION_CHAIN_M, int64),
-    **INNER,
-)
+    types.void(
+        _M, _M, IN_F64_2D, _V, _T, _T, _M, int64,
+    )
+)  # fmt: skip
 def _add_pair(
     first: Float64Array, second: Float64Array, information: Float64Array, residual: Float64Array,
     blocks: Float64Array, couplings: Float64Array, right: Float64Array, i: int,
@@ -360,10 +336,9 @@ def _add_pair(
 
 @kernel(
     types.void(
-        _READ_2D, _READ_2D, _READ_2D, _READ_2D, _READ_1D, _MOTION_CHAIN_V, _MOTION_CHAIN_M, _MOTION_CHAIN_M
-    ),
-    **INNER,
-)
+        IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_F64_1D, _V, _M, _M,
+    )
+)  # fmt: skip
 def _rotation_residual(
     rotation: Float64Array, after: Float64Array, measured: Float64Array, slope: Float64Array, change: Float64Array,
     residual: Float64Array, first: Float64Array, second: Float64Array,
@@ -412,7 +387,7 @@ def _rotation_residual(
             )
 
 
-@kernel(float64(_READ_2D, _READ_2D, _T, _T, _MOTION_CHAIN_M), **_COMPILED)
+@kernel(float64(IN_F64_2D, IN_F64_2D, _T, _T, _M))
 def add_walk(
     biases: Float64Array,
     walk: Float64Array,
@@ -441,10 +416,9 @@ def add_walk(
 
 @kernel(
     float64(
-        _READ_3D, _READ_2D, _READ_2D, _READ_2D, _READ_1D, float64, _LOCATIONS, _READ_3D, _READ_2D, _READ_2D, _READ_3D,
-        _READ_3D, _READ_2D, _T, _T, _MOTION_CHAIN_M,
-    ),
-    **_COMPILED,
+        IN_F64_3D, IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_F64_1D, float64, IN_I64_1D, IN_F64_3D, IN_F64_2D, IN_F64_2D,
+        IN_F64_3D, IN_F64_3D, IN_F64_2D, _T, _T, _M,
+    )
 )  # fmt: skip
 def add_inertial(
     rotations: Float64Array, positions: Float64Array, velocities: Float64Array, biases: Float64Array,
@@ -517,9 +491,8 @@ def add_inertial(
 
 @kernel(
     float64(
-        _READ_3D, _READ_2D, _LOCATIONS, _READ_3D, _READ_2D, _READ_3D, _T, _T, _MOTION_CHAIN_M, _MOTION_CHAIN_M,
-    ),
-    **_COMPILED,
+        IN_F64_3D, IN_F64_2D, IN_I64_1D, IN_F64_3D, IN_F64_2D, IN_F64_3D, _T, _T, _M, _M,
+    )
 )  # fmt: skip
 def add_relative_poses(
     rotations: Float64Array, positions: Float64Array, locations: Int64Array, delta_rotations: Float64Array,
@@ -571,10 +544,7 @@ def add_relative_poses(
     return cost
 
 
-@kernel(
-    float64(_READ_2D, _READ_2D, _READ_1D, _LOCATIONS, float64, _T, _T, _MOTION_CHAIN_M),
-    **_COMPILED,
-)
+@kernel(float64(IN_F64_2D, IN_F64_2D, IN_F64_1D, IN_I64_1D, float64, _T, _T, _M))
 def add_coasting(
     positions: Float64Array, velocities: Float64Array, seconds: Float64Array, locations: Int64Array, density: float,
     blocks: Float64Array, couplings: Float64Array, right: Float64Array,
@@ -619,10 +589,9 @@ def add_coasting(
 
 @kernel(
     float64(
-        _READ_3D, _READ_2D, _READ_2D, _READ_2D, _LOCATIONS, _READ_1D, _READ_2D, _READ_2D, _READ_1D, _READ_3D, _READ_2D,
-        _READ_2D, _T, _MOTION_CHAIN_M, _MOTION_CHAIN_M,
-    ),
-    **_COMPILED,
+        IN_F64_3D, IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_I64_1D, IN_F64_1D, IN_F64_2D, IN_F64_2D, IN_F64_1D, IN_F64_3D,
+        IN_F64_2D, IN_F64_2D, _T, _M, _M,
+    )
 )  # fmt: skip
 def add_fixes(
     rotations: Float64Array, positions: Float64Array, velocities: Float64Array, biases: Float64Array,
@@ -682,10 +651,9 @@ def add_fixes(
 
 @kernel(
     float64(
-        _READ_3D, _READ_2D, _LOCATIONS, _READ_2D, _READ_1D, _READ_1D, _T, _MOTION_CHAIN_M, _MOTION_CHAIN_V
-    ),
-    **_COMPILED,
-)
+        IN_F64_3D, IN_F64_2D, IN_I64_1D, IN_F64_2D, IN_F64_1D, IN_F64_1D, _T, _M, _V,
+    )
+)  # fmt: skip
 def add_body_speeds(
     rotations: Float64Array, velocities: Float64Array, locations: Int64Array, axes: Float64Array,
     speeds: Float64Array, information: Float64Array, blocks: Float64Array, right: Float64Array,
@@ -726,10 +694,7 @@ def add_body_speeds(
     return cost
 
 
-_BLOCK_CHAIN_M = float64[:, ::1]
-
-
-@kernel(boolean(_BLOCK_CHAIN_M), **INNER)
+@kernel(boolean(_M))
 def _factor(matrix: Float64Array) -> bool:
     """Put the Cholesky factor into the lower half; False where the matrix is not positive definite."""
     n = matrix.shape[0]
@@ -749,7 +714,7 @@ def _factor(matrix: Float64Array) -> bool:
     return True
 
 
-@kernel(types.void(_BLOCK_CHAIN_M, _BLOCK_CHAIN_M), **INNER)
+@kernel(types.void(_M, _M))
 def _solve_columns(factor: Float64Array, right: Float64Array) -> None:
     """Put the solution of L Lᵀ X = B instead of B, (n, m)."""
     n, m = right.shape
@@ -772,11 +737,10 @@ def _solve_columns(factor: Float64Array, right: Float64Array) -> None:
 
 
 @kernel(
-    int64(_READ_3D, _READ_3D, _READ_2D, float64, float64[:, :, ::1], float64[:, :, ::1], _BLOCK_CHAIN_M),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+    int64(
+        IN_F64_3D, IN_F64_3D, IN_F64_2D, float64, float64[:, :, ::1], float64[:, :, ::1], _M,
+    )
+)  # fmt: skip
 def solve_chain(
     blocks: Float64Array,
     couplings: Float64Array,
@@ -834,12 +798,7 @@ def solve_chain(
     return -1
 
 
-@kernel(
-    types.void(_READ_3D, _READ_3D, float64[:, :, ::1], float64[:, :, ::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(types.void(IN_F64_3D, IN_F64_3D, float64[:, :, ::1], float64[:, :, ::1]))
 def chain_covariances(
     factors: Float64Array, gains: Float64Array, covariances: Float64Array, between: Float64Array
 ) -> None:
@@ -876,3 +835,88 @@ def chain_covariances(
                 covariances[i, r, c] += total
                 if c != r:
                     covariances[i, c, r] = covariances[i, r, c]
+
+
+_SMALL = 1e-5
+"""Angles [rad] below which the next term of the series is below rounding."""
+
+
+@kernel(types.void(_M, _V))
+def rotation_vector(matrix: Float64Array, vector: Float64Array) -> None:
+    """Write the rotation vector of a rotation matrix, its angle at most π."""
+    x, y, z = matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]
+    sine2, cosine2 = math.sqrt(x * x + y * y + z * z), matrix[0, 0] + matrix[1, 1] + matrix[2, 2] - 1.0
+    angle = math.atan2(sine2, cosine2)
+    if cosine2 > -1.999:
+        scale = 0.5 if sine2 < _SMALL else angle / sine2
+        vector[0], vector[1], vector[2] = scale * x, scale * y, scale * z
+        return
+    # near half a rotation the axis is the column of R + Rᵀ + (1 - trace) I with the largest diagonal
+    best = 0
+    for k in range(1, 3):
+        if matrix[k, k] > matrix[best, best]:
+            best = k
+    norm2 = 0.0
+    for k in range(3):
+        vector[k] = matrix[k, best] + matrix[best, k]
+    vector[best] += 1.0 - (matrix[0, 0] + matrix[1, 1] + matrix[2, 2])
+    for k in range(3):
+        norm2 += vector[k] * vector[k]
+    sign = 1.0 if vector[0] * x + vector[1] * y + vector[2] * z >= 0.0 else -1.0
+    scale = sign * angle / math.sqrt(norm2)
+    for k in range(3):
+        vector[k] *= scale
+
+
+@kernel(types.void(_V, float64, _M))
+def right_slope(vector: Float64Array, sign: float, matrix: Float64Array) -> None:
+    """Write J with Exp(v + δ) ≈ Exp(v) Exp(J δ) for sign 1, and for sign -1 the inverse of it.
+
+    Source: Chirikjian 2012, "Stochastic Models, Information Theory, and Lie Groups 2", section 10.6.
+    """
+    x, y, z = vector[0], vector[1], vector[2]
+    angle2 = x * x + y * y + z * z
+    if sign > 0.0:
+        if angle2 < _SMALL * _SMALL:
+            a, b = -0.5, 1.0 / 6.0
+        else:
+            angle = math.sqrt(angle2)
+            a, b = -(1.0 - math.cos(angle)) / angle2, (angle - math.sin(angle)) / (angle2 * angle)
+    elif angle2 < _SMALL * _SMALL:
+        a, b = 0.5, 1.0 / 12.0
+    else:
+        angle = math.sqrt(angle2)
+        a = 0.5
+        b = 1.0 / angle2 - 0.5 / (angle * math.tan(0.5 * angle))
+    matrix[0, 0], matrix[0, 1], matrix[0, 2] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    matrix[1, 0], matrix[1, 1], matrix[1, 2] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
+    matrix[2, 0], matrix[2, 1], matrix[2, 2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
+
+
+@kernel(types.void(_M, _M, _M))
+def times(first: Float64Array, second: Float64Array, product: Float64Array) -> None:
+    """Write the product of two (3, 3) matrices into a third."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = (
+                first[i, 0] * second[0, j] + first[i, 1] * second[1, j] + first[i, 2] * second[2, j]
+            )
+
+
+@kernel(types.void(_M, _M, _M))
+def transposed_times(first: Float64Array, second: Float64Array, product: Float64Array) -> None:
+    """Write the product of the transposed first and the second (3, 3) matrix into a third."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = (
+                first[0, i] * second[0, j] + first[1, i] * second[1, j] + first[2, i] * second[2, j]
+            )
+
+
+@kernel(types.void(_M, _V, _M))
+def times_cross(matrix: Float64Array, vector: Float64Array, product: Float64Array) -> None:
+    """Write matrix · [vector]×, (3, 3), where [v]× w = v × w."""
+    x, y, z = vector[0], vector[1], vector[2]
+    for i in range(3):
+        a, b, c = matrix[i, 0], matrix[i, 1], matrix[i, 2]
+        product[i, 0], product[i, 1], product[i, 2] = b * z - c * y, c * x - a * z, a * y - b * x

@@ -7,13 +7,13 @@ Boxes, `starts` and flat pairs are laid out as in `frame_overlaps`.
 """
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import inlined
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _common(a, i, b, j):  # type: ignore[no-untyped-def]
     """The area that two boxes share [px²]."""
     wide = min(a[i, 2], b[j, 2]) - max(a[i, 0], b[j, 0])
@@ -21,17 +21,14 @@ def _common(a, i, b, j):  # type: ignore[no-untyped-def]
     return wide * high if wide > 0.0 and high > 0.0 else 0.0
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _area(a, i):  # type: ignore[no-untyped-def]
     return (a[i, 2] - a[i, 0]) * (a[i, 3] - a[i, 1])
 
 
 @kernel(
     "float64[:,::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], Array(int64, 1, 'C', readonly=True), "
-    "float64[::1], float64[::1], float64, float64, float64, float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "float64[::1], float64[::1], float64, float64, float64, float64)"
 )
 def pair_gains(
     first: Float64Array,
@@ -90,12 +87,7 @@ def pair_gains(
     return gains
 
 
-@kernel(
-    "void(float64[:,::1], float64[::1], float64[::1], float64[::1], float64[::1], float64, float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-)
+@kernel("void(float64[:,::1], float64[::1], float64[::1], float64[::1], float64[::1], float64, float64)")
 def hide_covered(
     boxes: Float64Array,
     shares: Float64Array,
@@ -138,7 +130,7 @@ _NOTHING = float(np.finfo(np.float64).eps)
 """Areas up to this are none, as in the evaluations that results are compared with."""
 
 
-@kernel("int64[::1](int64[::1], int64[::1])", nogil=True, cache=True)
+@kernel("int64[::1](int64[::1], int64[::1])")
 def pair_starts(first_starts: Int64Array, second_starts: Int64Array) -> Int64Array:
     """Report where the pairs of each frame begin, (F + 1,) int64."""
     starts = np.zeros(len(first_starts), np.int64)
@@ -148,7 +140,7 @@ def pair_starts(first_starts: Int64Array, second_starts: Int64Array) -> Int64Arr
     return starts
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _areas(first, i, second, j):  # type: ignore[no-untyped-def]
     """The areas of two boxes, and what they share [px²]."""
     own = (first[i, 2] - first[i, 0]) * (first[i, 3] - first[i, 1])
@@ -158,12 +150,7 @@ def _areas(first, i, second, j):  # type: ignore[no-untyped-def]
     return own, other, wide * high if wide > 0.0 and high > 0.0 else 0.0
 
 
-@kernel(
-    "float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1])",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-)
+@kernel("float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1])")
 def image_overlaps(
     first: Float64Array,
     second: Float64Array,
@@ -192,12 +179,7 @@ def image_overlaps(
     return overlaps
 
 
-@kernel(
-    "float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1])",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-)
+@kernel("float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1])")
 def image_shares(
     regions: Float64Array,
     boxes: Float64Array,
@@ -226,12 +208,7 @@ def image_shares(
     return shares
 
 
-@kernel(
-    "float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1], float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-)
+@kernel("float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1], float64)")
 def nearnesses(
     first: Float64Array,
     second: Float64Array,
@@ -269,7 +246,7 @@ _MOST_CORNERS = 8
 _LOCATIONS = "float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1]"
 
 
-@kernel("int64(float64[:,::1], int64, float64[:,::1], int64, float64, float64)", nogil=True, cache=True)
+@kernel("int64(float64[:,::1], int64, float64[:,::1], int64, float64, float64)")
 def _cut(outline: Float64Array, count: int, kept: Float64Array, axis: int, side: float, limit: float) -> int:
     """Keep what of a convex outline has side · coordinate <= limit; give the number of its corners."""
     left = 0
@@ -288,12 +265,7 @@ def _cut(outline: Float64Array, count: int, kept: Float64Array, axis: int, side:
     return left
 
 
-@kernel(
-    "float64(float64[:,::1], int64, float64[:,::1], int64, float64[:,::1], float64[:,::1])",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-)
+@kernel("float64(float64[:,::1], int64, float64[:,::1], int64, float64[:,::1], float64[:,::1])")
 def _shared_ground(
     first: Float64Array,
     i: int,
@@ -315,8 +287,8 @@ def _shared_ground(
         return 0.0
     cosine, sine = np.cos(first[i, 6]), np.sin(first[i, 6])
     along, across = cosine * east + sine * north, cosine * north - sine * east
-    rotation_of_vector = second[j, 6] - first[i, 6]
-    rotated_x, rotated_y = np.cos(rotation_of_vector) / 2.0, np.sin(rotation_of_vector) / 2.0
+    yaw_between = second[j, 6] - first[i, 6]
+    rotated_x, rotated_y = np.cos(yaw_between) / 2.0, np.sin(yaw_between) / 2.0
     for k in range(4):
         forward = second[j, 3] if (k + 1) % 4 < 2 else -second[j, 3]
         leftward = second[j, 4] if k < 2 else -second[j, 4]
@@ -333,7 +305,7 @@ def _shared_ground(
     return max(area / 2.0, 0.0)
 
 
-@kernel(f"float64[::1]({_LOCATIONS})", nogil=True, cache=True, error_model="numpy")
+@kernel(f"float64[::1]({_LOCATIONS})")
 def overlaps_from_above(
     first: Float64Array,
     second: Float64Array,
@@ -364,7 +336,7 @@ def overlaps_from_above(
     return overlaps
 
 
-@kernel(f"float64[::1]({_LOCATIONS})", nogil=True, cache=True, error_model="numpy")
+@kernel(f"float64[::1]({_LOCATIONS})")
 def overlaps_in_space(
     first: Float64Array,
     second: Float64Array,

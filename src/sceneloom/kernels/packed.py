@@ -10,7 +10,7 @@ Source: protobuf.dev, "Encoding"; numbers that are 0 and empty texts are left ou
 
 import numba
 import numpy as np
-from numba import float32, float64, int64, njit, types, uint8, uint16, void
+from numba import float32, float64, int64, types, uint8, uint16, void
 
 from sceneloom.arrays import (
     AnyArray,
@@ -23,6 +23,7 @@ from sceneloom.arrays import (
     UInt32Array,
 )
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import IN_U8_1D, inlined, part
 
 LARGEST_RATIO = 264 / 3
 """A back reference of three bytes stands for at most 264: no stream can unfold to more than this times its length."""
@@ -33,10 +34,8 @@ _LONG = 7
 
 _SHORTEST = 2
 
-_IN_U8 = types.Array(uint8, 1, "C", readonly=True)
 
-
-@kernel(int64(_IN_U8, uint8[::1]), cache=True, nogil=True)
+@kernel(int64(IN_U8_1D, uint8[::1]))
 def unfold(packed: UInt8Array, unpacked: UInt8Array) -> int:
     """Unfold an LZF stream into an array that has the length of what was packed.
 
@@ -92,7 +91,7 @@ def longest_fold(size: int) -> int:
     return size + (size + _LITERALS - 1) // _LITERALS + 8
 
 
-@kernel(int64(_IN_U8, uint8[::1]), cache=True, nogil=True)
+@kernel(int64(IN_U8_1D, uint8[::1]))
 def fold(plain: UInt8Array, packed: UInt8Array) -> int:
     """Fold bytes into an LZF stream, which `unfold` describes: the last location of each three bytes is looked back to.
 
@@ -152,12 +151,7 @@ _RECORD = numba.from_dtype(
 _RECORDS = types.Array(_RECORD, 1, "C", readonly=True)
 
 
-@kernel(
-    void(_RECORDS, float32[:, ::1], uint8[::1], uint16[::1], float64[::1], int64[::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(_RECORDS, float32[:, ::1], uint8[::1], uint16[::1], float64[::1], int64[::1]))
 def unpack(
     records: AnyArray,
     positions: Float32Array,
@@ -200,7 +194,7 @@ _BYTES = "Array(uint8, 1, 'C', readonly=True)"
 _FORM, _START, _SIZE, _INNER = range(4)
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _number(content, position, stop):  # type: ignore[no-untyped-def]
     """A number of up to 32 bits and where it ends; -1 for both where there is none."""
     number = np.int64(0)
@@ -215,14 +209,14 @@ def _number(content, position, stop):  # type: ignore[no-untyped-def]
     return -1, -1
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _length(content, position, stop):  # type: ignore[no-untyped-def]
     """Where the content of a field begins and ends that reports its length; -1 for both where it ends beyond `stop`."""
     length, begin = _number(content, position, stop)
     return (begin, begin + length) if 0 <= length <= stop - begin else (-1, -1)
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _time(content, position, stop):  # type: ignore[no-untyped-def]
     """Seconds and nanoseconds of a timestamp; -1 for both where there is something unusual."""
     stated = np.zeros(2, np.int64)
@@ -239,7 +233,7 @@ def _time(content, position, stop):  # type: ignore[no-untyped-def]
     return stated[0], stated[1]
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _word(content, position):  # type: ignore[no-untyped-def]
     """Four bytes, lowest first."""
     return (
@@ -250,7 +244,7 @@ def _word(content, position):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _floats(content, position, stop, at, size, words):  # type: ignore[no-untyped-def]
     """Read as many numbers as a field holds; where it ends, -1 where it holds another count."""
     begin, end = _length(content, position, stop)
@@ -261,7 +255,7 @@ def _floats(content, position, stop, at, size, words):  # type: ignore[no-untype
     return end
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _whole(content, position, stop, form, at, words):  # type: ignore[no-untyped-def]
     """Read a whole number, and give where it ends; signed ones zigzag about 0."""
     number, position = _number(content, position, stop)
@@ -270,7 +264,7 @@ def _whole(content, position, stop, form, at, words):  # type: ignore[no-untyped
     return position
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _record(content, position, stop, n, common, fields, latest, words, texts, counts):  # type: ignore[no-untyped-def]
     """Read one record; whether it is as usual, and says of itself what the list says of all."""
     count, seq, s, ns = len(texts), 0, 0, 0
@@ -305,7 +299,7 @@ def _record(content, position, stop, n, common, fields, latest, words, texts, co
     return seq == common[0] and s == common[1] and ns == common[2]
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _head(content, start, stop, heads):  # type: ignore[no-untyped-def]
     """Read what a list says of itself: sensor, number, seconds, nanoseconds, and how many records it has.
 
@@ -338,10 +332,7 @@ def _head(content, start, stop, heads):  # type: ignore[no-untyped-def]
 
 @kernel(
     f"Tuple((UniTuple(int64, 5), uint32[::1], int64[:,::1], int64[::1]))({_BYTES}, int64, int64, UniTuple(int64, 4), "
-    "Array(int64, 2, 'C', readonly=True), int64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "Array(int64, 2, 'C', readonly=True), int64)"
 )
 def read_list(
     content: UInt8Array,
@@ -392,7 +383,7 @@ def read_list(
 OPTIONAL = 8
 """What a field of a record holds, beside those of `wire_reading`: a signed number that some records have."""
 
-_NUMBER, _WIRE_WRITING_FORM, _WIRE_WRITING_START, _WIRE_WRITING_SIZE, _WIRE_WRITING_INNER = range(5)
+_NUMBER, _FORM_OUT, _START_OUT, _SIZE_OUT, _INNER_OUT = range(5)
 
 _HEAD = 12
 """The most bytes that stand before the content of a field."""
@@ -400,7 +391,7 @@ _HEAD = 12
 _TIME_BYTES = 12
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _put(out, at, number):  # type: ignore[no-untyped-def]
     """Write a number, seven bits a byte, lowest first; where it ends."""
     while number > 0x7F:
@@ -411,7 +402,7 @@ def _put(out, at, number):  # type: ignore[no-untyped-def]
     return at + 1
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _put_words(out, at, words, first, size):  # type: ignore[no-untyped-def]
     """Write words of four bytes, lowest first; where they end."""
     for k in range(first, first + size):
@@ -422,7 +413,7 @@ def _put_words(out, at, words, first, size):  # type: ignore[no-untyped-def]
     return at
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _put_time(out, at, number, s, ns):  # type: ignore[no-untyped-def]
     """Write a timestamp as the content of a field; where it ends."""
     at = _put(out, at, number << 3 | _LENGTH)
@@ -436,20 +427,20 @@ def _put_time(out, at, number, s, ns):  # type: ignore[no-untyped-def]
     return end
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _zigzag(word):  # type: ignore[no-untyped-def]
     """An int32 as it is written: small where it is near 0."""
     number = np.int64(np.int32(word))
     return (number << 1) ^ (number >> 63)
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _put_whole(out, at, number, value):  # type: ignore[no-untyped-def]
     """Write a whole number as a field; where it ends."""
     return _put(out, _put(out, at, number << 3 | _VARINT), value)
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _put_text(out, at, number, letters, first, last):  # type: ignore[no-untyped-def]
     """Write some of the letters as a field, none for none; where it ends."""
     if last == first:
@@ -461,17 +452,17 @@ def _put_text(out, at, number, letters, first, last):  # type: ignore[no-untyped
     return at
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _put_record(out, at, n, count, fields, words, texts, letters, given, common):  # type: ignore[no-untyped-def]
     """Write the fields of one record; where they end."""
     for f in range(len(fields)):
         number, form, size, inner = (
             fields[f, _NUMBER],
-            fields[f, _WIRE_WRITING_FORM],
-            fields[f, _WIRE_WRITING_SIZE],
-            fields[f, _WIRE_WRITING_INNER],
+            fields[f, _FORM_OUT],
+            fields[f, _SIZE_OUT],
+            fields[f, _INNER_OUT],
         )
-        first = fields[f, _WIRE_WRITING_START] * count + n * size
+        first = fields[f, _START_OUT] * count + n * size
         if form == FLOAT and words[first + inner]:
             at = _put_words(out, _put(out, at, number << 3 | _FIXED_32), words, first + inner, 1)
         elif form == FLOATS:
@@ -494,10 +485,7 @@ def _put_record(out, at, n, count, fields, words, texts, letters, given, common)
 
 @kernel(
     "uint8[::1](int64, int64, Array(int64, 2, 'C', readonly=True), uint32[::1], int64[:,::1], "
-    "Array(uint8, 1, 'C', readonly=True), boolean[:,::1], UniTuple(int64, 3))",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "Array(uint8, 1, 'C', readonly=True), boolean[:,::1], UniTuple(int64, 3))"
 )
 def write_list(
     group: int,

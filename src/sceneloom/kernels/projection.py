@@ -6,33 +6,48 @@ And its direction and inverse range as seen from the camera.
 import math
 from typing import Any
 
-import numba
 import numpy as np
-from numba import float32, float64, int32, int64, types, void
+from numba import float32, int32, int64, void
 
-from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int32Array, Int64Array
+from sceneloom.arrays import (
+    AnyArray,
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    Int32Array,
+    Int64Array,
+    UInt8Array,
+)
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import (
+    IN_BOOL_1D,
+    IN_F32_1D,
+    IN_F32_2D,
+    IN_F64_2D,
+    IN_I32_1D,
+    IN_I64_1D,
+    IN_U8_3D,
+    inlined,
+    part,
+)
 from sceneloom.kernels.thread_pool import ALONE, ThreadPool
-
-PART: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-"""Options of functions that are compiled, and cached, as parts of others."""
 
 BLOCK = 256
 """Points whose pixels are picked at once, by SIMD."""
 
-_IN_F32_2D = types.Array(float32, 2, "C", readonly=True)
 
-_LOW, _NOTHING, _HALF = np.float32(-0.5), np.float32(0.0), np.float32(0.5)
+_NOTHING = np.float32(0.0)
+_LOW, _HALF = np.float32(-0.5), np.float32(0.5)
 
 
-@numba.njit(**PART, inline="always")
+@inlined
 def _round(value: Any) -> Any:
     """Round a number from -0.5 on, halves upward; 0.49999997 + 0.5 would be 1 in float32."""
     whole = np.int32(value)
     return np.int32(whole + np.int32(value - np.float32(whole) >= _HALF))
 
 
-@numba.njit(**PART)
+@part
 def number_pixels(flat_pixels: Float32Array, width: int, height: int, numbers: AnyArray) -> None:
     """Write the number of the nearest pixel, counted row by row; -1 outside the image and for NaN.
 
@@ -57,7 +72,7 @@ def number_pixels(flat_pixels: Float32Array, width: int, height: int, numbers: A
         numbers[i] = number if inside else np.int32(-1)
 
 
-@kernel(void(_IN_F32_2D, int64, int64, int32[::1]), cache=True, nogil=True, error_model="numpy")
+@kernel(void(IN_F32_2D, int64, int64, int32[::1]))
 def _number_pixels(pixels: Float32Array, width: int, height: int, numbers: AnyArray) -> None:
     number_pixels(pixels.reshape(pixels.size), width, height, numbers)
 
@@ -78,14 +93,7 @@ def pixel_numbers(pixels: Float32Array, width: int, height: int) -> Int32Array:
     return numbers
 
 
-_IN_F64_2D = types.Array(float64, 2, "C", readonly=True)
-
-_IN_I64_1D = types.Array(int64, 1, "C", readonly=True)
-
-_INNER: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False}
-"""Options of functions that are compiled as parts of others: the fast mathematics of those would be theirs, too."""
-
-_DIRECTIONS_NOTHING, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
+_ONE, _TWO = np.float32(1.0), np.float32(2.0)
 
 _BEHIND = np.float32(1e-6)
 """Least value of 1 + cos θ: keeps the map finite for a point straight behind the camera."""
@@ -97,7 +105,7 @@ _BLOCK = 512
 """Points that are taken at once: their coordinates lie side by side, in the nearest cache, for vector instructions."""
 
 
-@numba.njit(**_INNER)
+@part
 def _gather(
     points_world: Float64Array, point_ids: Int64Array, x: Float64Array, y: Float64Array, z: Float64Array
 ) -> None:
@@ -111,7 +119,7 @@ def _gather(
             x[i] = y[i] = z[i] = math.nan
 
 
-@numba.njit(**_INNER)
+@part
 def _move(
     x_world: Float64Array, y_world: Float64Array, z_world: Float64Array, pose: tuple[float, ...],
     x_camera: Float32Array, y_camera: Float32Array, z_camera: Float32Array,
@@ -124,7 +132,7 @@ def _move(
         z_camera[i] = np.float32(pose[8] * px + pose[9] * py + pose[10] * pz + pose[11])
 
 
-@numba.njit(**_INNER)
+@part
 def rotation_to_directions(
     rightward: Float32Array, downward: Float32Array, z_camera: Float32Array, inverse_ranges: Float32Array
 ) -> None:
@@ -138,17 +146,12 @@ def rotation_to_directions(
         shared = _ONE / (range_m * ahead)
         scale = math.sqrt(_TWO * shared)
         known = (range_m > _NEAREST) & (range_m < _FARTHEST)
-        rightward[i] = x * scale if known else _DIRECTIONS_NOTHING
-        downward[i] = y * scale if known else _DIRECTIONS_NOTHING
-        inverse_ranges[i] = shared * ahead if known else _DIRECTIONS_NOTHING
+        rightward[i] = x * scale if known else _NOTHING
+        downward[i] = y * scale if known else _NOTHING
+        inverse_ranges[i] = shared * ahead if known else _NOTHING
 
 
-@kernel(
-    void(_IN_F64_2D, _IN_I64_1D, _IN_F64_2D, float32[::1], float32[::1], float32[::1]),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
+@kernel(void(IN_F64_2D, IN_I64_1D, IN_F64_2D, float32[::1], float32[::1], float32[::1]))
 def _map_all(
     points_world: Float64Array,
     point_ids: Int64Array,
@@ -210,3 +213,91 @@ def map_directions(
             inverse_ranges[a:b],
         ),
     )
+
+
+_STATIC = np.float32(math.inf)
+
+
+@part
+def _pick(
+    numbers: Int32Array, depths: Float32Array, visible: BoolArray, first: int, size: int, locations: AnyArray
+) -> None:
+    """Write where in some rows of the image the points are drawn; -1 for those that are not."""
+    for i in range(locations.shape[0]):
+        drawn = (depths[i] > _NOTHING) & (depths[i] < _STATIC) & visible[i]
+        location = np.int32(numbers[i] - np.int32(first))
+        locations[i] = location if drawn & (np.uint32(location) < np.uint32(size)) else np.int32(-1)
+
+
+@part
+def _draw(locations: AnyArray, depths: Float32Array, rows: Float32Array) -> None:
+    for i in range(depths.shape[0]):
+        if locations[i] >= 0:
+            depth, p = depths[i], np.uint64(locations[i])
+            there = rows[p]
+            rows[p] = depth if (there == _NOTHING) | (depth < there) else there
+
+
+@kernel(void(IN_I32_1D, IN_F32_1D, IN_BOOL_1D, int64, int64, float32[:, ::1]))
+def _draw_rows(
+    numbers: Int32Array,
+    depths: Float32Array,
+    visible: BoolArray,
+    top: int,
+    bottom: int,
+    depth_image: AnyArray,
+) -> None:
+    """Draw what falls into some rows of the image."""
+    width, count = depth_image.shape[1], depths.shape[0]
+    first, rows = top * width, depth_image.reshape(depth_image.size)[top * width : bottom * width]
+    locations = np.empty(BLOCK, np.int32)
+    for start in range(0, count, BLOCK):
+        stop = min(start + BLOCK, count)
+        block = locations[: stop - start]
+        _pick(numbers[start:stop], depths[start:stop], visible[start:stop], first, rows.shape[0], block)
+        _draw(block, depths[start:stop], rows)
+
+
+def draw_depths(
+    pixel_numbers: Int32Array,
+    depths: Float32Array,
+    visible: BoolArray,
+    depth_image: Float32Array,
+    *,
+    thread_pool: ThreadPool = ALONE,
+) -> None:
+    """Lower each pixel of the depth image to the least positive depth of the visible points in it.
+
+    Args:
+        pixel_numbers: (M,), counted row by row; negative outside the image.
+        depths: (M,) [m].
+        visible: (M,); other points make no depth.
+        depth_image: (H, W) [m], 0 for nothing; written.
+        thread_pool: the threads that share the rows of the image.
+    """
+    rows = len(depth_image)
+    thread_pool.share(
+        rows, lambda _, top, bottom: _draw_rows(pixel_numbers, depths, visible, top, bottom, depth_image)
+    )
+
+
+@kernel(void(IN_F32_2D, IN_U8_3D, float32[:, ::1]))
+def sample_between_pixels(pixels: Float32Array, rgb: UInt8Array, colors: Float32Array) -> None:
+    """Take colours at locations between the pixels' centres, linearly along both axes; beyond the outer centres theirs.
+
+    Args:
+        pixels: (M, 2) [px], finite.
+        rgb: (H, W, 3).
+        colors: (M, 3), written, 0 to 255.
+    """
+    height, width = rgb.shape[0], rgb.shape[1]
+    for i in range(pixels.shape[0]):
+        u = min(max(float32(pixels[i, 0]), float32(0.0)), float32(width - 1))
+        v = min(max(float32(pixels[i, 1]), float32(0.0)), float32(height - 1))
+        left, top = min(int(u), max(width - 2, 0)), min(int(v), max(height - 2, 0))
+        right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
+        a, b = u - float32(left), v - float32(top)
+        for c in range(3):
+            upper = (float32(1.0) - a) * rgb[top, left, c] + a * rgb[top, right, c]
+            lower = (float32(1.0) - a) * rgb[bottom, left, c] + a * rgb[bottom, right, c]
+            colors[i, c] = (float32(1.0) - b) * upper + b * lower

@@ -10,18 +10,15 @@ frame's pairs. Ids are numbers from 0 without gaps.
 """
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import inlined
 
 
 @kernel(
     "int64(float64[:,::1], int64, float64[::1], float64[::1], int64[::1], int64[::1], float64[::1], boolean[::1], "
-    "boolean[::1], int64[::1])",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "boolean[::1], int64[::1])"
 )
 def _shortest_path(
     costs: Float64Array,
@@ -65,7 +62,7 @@ def _shortest_path(
         row = owners[column]
 
 
-@kernel("int64[::1](float64[:,::1])", nogil=True, cache=True, error_model="numpy")
+@kernel("int64[::1](float64[:,::1])")
 def _cheapest(costs: Float64Array) -> Int64Array:
     """Give each row its column; there are at least as many columns as rows."""
     rows, columns = costs.shape
@@ -103,7 +100,7 @@ def _cheapest(costs: Float64Array) -> Int64Array:
     return owned
 
 
-@kernel("int64[::1](float64[:,::1])", nogil=True, cache=True, error_model="numpy")
+@kernel("int64[::1](float64[:,::1])")
 def best_columns(gains: Float64Array) -> Int64Array:
     """Pair rows with columns so that the sum of their gains is the largest, as many pairs as can be.
 
@@ -135,7 +132,7 @@ def best_columns(gains: Float64Array) -> Int64Array:
 _NONE = -1
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _most_overlapping(overlaps, i, chosen, taken, ignored, least):  # type: ignore[no-untyped-def]
     """Give the detection that overlaps a true object most; one that is ignored only if there is no other."""
     best, most, spare = -1, least, -1
@@ -152,10 +149,7 @@ def _most_overlapping(overlaps, i, chosen, taken, ignored, least):  # type: igno
 
 @kernel(
     "Tuple((int64, int64, int64))(float64[:,::1], boolean[::1], boolean[::1], boolean[::1], boolean[::1], float64, "
-    "boolean[::1])",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "boolean[::1])"
 )
 def _counted(
     overlaps: Float64Array,
@@ -182,7 +176,7 @@ def _counted(
     return right, wrong, passed
 
 
-@kernel("boolean[::1](float64[:,::1], float64)", nogil=True, cache=True)
+@kernel("boolean[::1](float64[:,::1], float64)")
 def _near_something(overlaps: Float64Array, least: float) -> BoolArray:
     """Report which detections of a frame overlap a true object by more than `least`."""
     near = np.zeros(overlaps.shape[1], np.bool_)
@@ -194,10 +188,7 @@ def _near_something(overlaps: Float64Array, least: float) -> BoolArray:
 
 
 @kernel(
-    "void(int64[:,::1], int64[::1], float64[:,::1], boolean[::1], boolean[::1], boolean[::1], float64[::1], float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "void(int64[:,::1], int64[::1], float64[:,::1], boolean[::1], boolean[::1], boolean[::1], float64[::1], float64)"
 )
 def _step_through(
     steps: Int64Array,
@@ -228,10 +219,7 @@ def _step_through(
 
 @kernel(
     "int64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], boolean[::1], boolean[::1], boolean[::1], "
-    "float64[::1], float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "float64[::1], float64)"
 )
 def score_steps(
     overlaps: Float64Array,
@@ -278,12 +266,7 @@ def score_steps(
     return steps
 
 
-@kernel(
-    "int64[::1](float64[::1], int64[::1], int64[::1], int64[::1], float64[::1], float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-)
+@kernel("int64[::1](float64[::1], int64[::1], int64[::1], int64[::1], float64[::1], float64)")
 def surest_matches(
     overlaps: Float64Array,
     true_starts: Int64Array,
@@ -317,18 +300,13 @@ _EPSILON = float(np.finfo(np.float64).eps)
 """Similarities that are less below a threshold than this reach it, as in TrackEval."""
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _block(flat, starts, frame, rows, columns):  # type: ignore[no-untyped-def]
     """The pairs of one frame, (rows, columns)."""
     return flat[starts[frame] : starts[frame + 1]].reshape((rows, columns))
 
 
-@kernel(
-    "Tuple((int64[::1], int64[::1]))(float64[::1], int64[::1], int64[::1], int64[::1], float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-)
+@kernel("Tuple((int64[::1], int64[::1]))(float64[::1], int64[::1], int64[::1], int64[::1], float64)")
 def most_similar_pairs(
     similarities: Float64Array,
     true_starts: Int64Array,
@@ -366,11 +344,7 @@ def most_similar_pairs(
     return of_found, of_true
 
 
-@kernel(
-    "float64[::1](float64[::1], int64[::1], int64[::1], int64[::1], boolean[::1], boolean[::1])",
-    nogil=True,
-    cache=True,
-)
+@kernel("float64[::1](float64[::1], int64[::1], int64[::1], int64[::1], boolean[::1], boolean[::1])")
 def kept_pairs(
     values: Float64Array,
     true_starts: Int64Array,
@@ -394,10 +368,7 @@ def kept_pairs(
 
 
 @kernel(
-    "float64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64, int64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "float64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64, int64)"
 )
 def shared_frames(
     similarities: Float64Array,
@@ -437,10 +408,7 @@ def shared_frames(
 
 @kernel(
     "Tuple((int64[::1], int64[::1], float64[::1]))(float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], "
-    "int64[::1], float64[:,::1])",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "int64[::1], float64[:,::1])"
 )
 def aligned_pairs(
     similarities: Float64Array,
@@ -486,10 +454,7 @@ def aligned_pairs(
 
 @kernel(
     "Tuple((int64, int64, float64, int64[::1], int64[::1]))(float64[::1], int64[::1], int64[::1], int64[::1], "
-    "int64[::1], int64[::1], int64, float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "int64[::1], int64[::1], int64, float64)"
 )
 def followed_pairs(
     similarities: Float64Array,
@@ -550,10 +515,7 @@ def followed_pairs(
 
 
 @kernel(
-    "float64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64, int64, float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "float64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64, int64, float64)"
 )
 def similar_frames(
     similarities: Float64Array,
@@ -578,11 +540,7 @@ def similar_frames(
     return counts
 
 
-@kernel(
-    "boolean[::1](float64[::1], int64[::1], int64[::1], int64[::1], float64)",
-    nogil=True,
-    cache=True,
-)
+@kernel("boolean[::1](float64[::1], int64[::1], int64[::1], int64[::1], float64)")
 def reached_columns(
     values: Float64Array,
     row_starts: Int64Array,

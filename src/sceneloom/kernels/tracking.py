@@ -8,22 +8,22 @@ A state is x = (middle 3, size 3, heading, velocity 3, yaw rate).
 import math
 
 import numpy as np
-from numba import njit
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import inlined, part
 
 SIZE, MEASURED = 11, 7
 
 _YAW, _ROTATION = 6, 10
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _wrapped(angle):  # type: ignore[no-untyped-def]
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _move(mean, slope, vehicle, seconds, rotation_time):  # type: ignore[no-untyped-def]
     """Move one state on in place, and write its slopes."""
     slope[:] = 0.0
@@ -52,11 +52,11 @@ def _move(mean, slope, vehicle, seconds, rotation_time):  # type: ignore[no-unty
     slope[_ROTATION, _ROTATION] = decay
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _shake(covariance, heading, seconds, variances):  # type: ignore[no-untyped-def]
     """Add to one covariance what white noise of accelerations does in so long."""
     along, across, climb, sizes = variances[0], variances[1], variances[2], variances[3]
-    yaw, rotation_of_vector = variances[4], variances[5]
+    yaw, turn = variances[4], variances[5]
     cosine, sine = np.cos(heading), np.sin(heading)
     xx = along * cosine * cosine + across * sine * sine
     yy = along * sine * sine + across * cosine * cosine
@@ -69,18 +69,15 @@ def _shake(covariance, heading, seconds, variances):  # type: ignore[no-untyped-
         covariance[7 + i, 7 + j] += value * seconds
     for k in range(3, 6):
         covariance[k, k] += sizes * seconds
-    covariance[_YAW, _YAW] += yaw * seconds + rotation_of_vector * cubed
-    covariance[_YAW, _ROTATION] += rotation_of_vector * squared
-    covariance[_ROTATION, _YAW] += rotation_of_vector * squared
-    covariance[_ROTATION, _ROTATION] += rotation_of_vector * seconds
+    covariance[_YAW, _YAW] += yaw * seconds + turn * cubed
+    covariance[_YAW, _ROTATION] += turn * squared
+    covariance[_ROTATION, _YAW] += turn * squared
+    covariance[_ROTATION, _ROTATION] += turn * seconds
 
 
 @kernel(
     "Tuple((float64[:,::1], float64[:,:,::1], float64[:,:,::1]))(float64[:,::1], float64[:,:,::1], boolean[::1], "
-    "float64, float64, float64[:,::1])",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "float64, float64, float64[:,::1])"
 )
 def predict(
     means: Float64Array,
@@ -124,7 +121,7 @@ def predict(
     return moved, spread, slopes
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _factored(matrix, root):  # type: ignore[no-untyped-def]
     """Write Cholesky's lower triangle of a matrix; False where it is not positive."""
     size = len(matrix)
@@ -142,7 +139,7 @@ def _factored(matrix, root):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _solve(root, vector):  # type: ignore[no-untyped-def]
     """Solve L Lᵀ x = v in place."""
     size = len(vector)
@@ -156,7 +153,7 @@ def _solve(root, vector):  # type: ignore[no-untyped-def]
         vector[i] /= root[i, i]
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _weighed(covariance, noise, apart, root, spread, solved, freedom):  # type: ignore[no-untyped-def]
     """Factor the covariance of a box, wider for one that is far off; False where it is none."""
     wider = 1.0
@@ -175,7 +172,7 @@ def _weighed(covariance, noise, apart, root, spread, solved, freedom):  # type: 
     return True
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _read(mean, covariance, apart, root, crossed, gain):  # type: ignore[no-untyped-def]
     """Kalman's update of one state, in place."""
     for i in range(SIZE):
@@ -193,10 +190,7 @@ def _read(mean, covariance, apart, root, crossed, gain):  # type: ignore[no-unty
 
 
 @kernel(
-    "void(float64[:,::1], float64[:,:,::1], int64[::1], float64[:,::1], float64[:,:,::1], int64[::1], float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "void(float64[:,::1], float64[:,:,::1], int64[::1], float64[:,::1], float64[:,:,::1], int64[::1], float64)"
 )
 def read_boxes(
     means: Float64Array,
@@ -226,18 +220,13 @@ def read_boxes(
         n, m = rows[k], columns[k]
         for i in range(MEASURED):
             apart[i] = measures[m, i] - means[n, i]
-        rotation_of_vector = _wrapped(apart[_YAW])
-        apart[_YAW] = rotation_of_vector - np.pi * np.round(rotation_of_vector / np.pi)
+        turn = _wrapped(apart[_YAW])
+        apart[_YAW] = turn - np.pi * np.round(turn / np.pi)
         if _weighed(covariances[n], noises[m], apart, root, spread, solved, freedom):
             _read(means[n], covariances[n], apart, root, crossed, gain)
 
 
-@kernel(
-    "void(float64[:,::1], float64[:,:,::1], boolean[::1], float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-)
+@kernel("void(float64[:,::1], float64[:,:,::1], boolean[::1], float64)")
 def read_no_slip(
     means: Float64Array, covariances: Float64Array, vehicles: BoolArray, variance: float
 ) -> None:
@@ -267,13 +256,13 @@ def read_no_slip(
         means[n, _YAW] = _wrapped(means[n, _YAW])
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _heavy(square, count, freedom):  # type: ignore[no-untyped-def]
     """Squares of deviations as heavy tails take them: near 0 as they are, far away as their logarithm."""
     return (freedom + count) * np.log1p(square / freedom)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _may_be_one(a, i, b, j):  # type: ignore[no-untyped-def]
     """Whether classes are equal, of one family, or one of them says nothing."""
     if a[i, 0] == b[j, 0] or a[i, 0] < 0 or b[j, 0] < 0:
@@ -281,12 +270,12 @@ def _may_be_one(a, i, b, j):  # type: ignore[no-untyped-def]
     return a[i, 1] == b[j, 1] and a[i, 1] >= 0
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _trace(matrices, i):  # type: ignore[no-untyped-def]
     return matrices[i, 0, 0] + matrices[i, 1, 1] + matrices[i, 2, 2]
 
 
-@njit(nogil=True, error_model="numpy")
+@part
 def _with_room(column, room):  # type: ignore[no-untyped-def]
     """The same numbers, and room for more behind them."""
     wider = np.empty(room, column.dtype)
@@ -296,10 +285,7 @@ def _with_room(column, room):  # type: ignore[no-untyped-def]
 
 @kernel(
     "Tuple((int64[::1], int64[::1], float64[::1]))(float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], "
-    "float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], float64, float64, float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], float64, float64, float64)"
 )
 def gains_in_space(
     locations: Float64Array,
@@ -379,10 +365,7 @@ def gains_in_space(
 
 @kernel(
     "void(int64[::1], int64[::1], float64[::1], float64[:,::1], float64[:,::1], boolean[::1], float64, float64, "
-    "float64, float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "float64, float64)"
 )
 def add_gains_in_image(
     rows: Int64Array,
@@ -426,7 +409,7 @@ def add_gains_in_image(
             gains[k] = -np.inf
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _overlap_more(a, i, b, j, least):  # type: ignore[no-untyped-def]
     """Whether two boxes of an image overlap by more than a share; those with NaN do not."""
     wide = min(a[i, 2], b[j, 2]) - max(a[i, 0], b[j, 0])
@@ -439,10 +422,7 @@ def _overlap_more(a, i, b, j, least):  # type: ignore[no-untyped-def]
 
 @kernel(
     "int64[::1](int64[::1], float64[:,::1], boolean[::1], float64[:,:,::1], float64[:,::1], boolean[::1], "
-    "float64[:,:,::1], float64, float64)",
-    nogil=True,
-    cache=True,
-    error_model="numpy",
+    "float64[:,:,::1], float64, float64)"
 )
 def without_twins(
     rows: Int64Array,
@@ -501,14 +481,14 @@ _NEAR_HALF_ROTATION = math.radians(179.0)
 """Which trajectory is the shorter one is for rounding to state beyond this [rad]."""
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@inlined
 def _shortest(angle):  # type: ignore[no-untyped-def]
     """The same rotation, from -π to π [rad]."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@njit(nogil=True, error_model="numpy")
-def _reports(times, boxes, location, rotation_of_vector, a, b):  # type: ignore[no-untyped-def]
+@part
+def _reports(times, boxes, location, turn, a, b):  # type: ignore[no-untyped-def]
     """Report whether two keyframes report all rows between them: straight centre and size, rotated the shorter arc."""
     if b == a + 1:
         return True
@@ -522,19 +502,13 @@ def _reports(times, boxes, location, rotation_of_vector, a, b):  # type: ignore[
             away += (boxes[a, c] + share * (boxes[b, c] - boxes[a, c]) - boxes[k, c]) ** 2
             larger += (boxes[a, c + 3] + share * (boxes[b, c + 3] - boxes[a, c + 3]) - boxes[k, c + 3]) ** 2
         apart = abs(_shortest(boxes[a, 6] + share * rotated - boxes[k, 6]))
-        if not (
-            away <= location * location and larger <= location * location and apart <= rotation_of_vector
-        ):
+        if not (away <= location * location and larger <= location * location and apart <= turn):
             return False
     return True
 
 
-@kernel(
-    "int64[::1](int64[::1], float64[:,::1], float64, float64)", nogil=True, cache=True, error_model="numpy"
-)
-def fewest_keyframes(
-    times: Int64Array, boxes: Float64Array, location: float, rotation_of_vector: float
-) -> Int64Array:
+@kernel("int64[::1](int64[::1], float64[:,::1], float64, float64)")
+def fewest_keyframes(times: Int64Array, boxes: Float64Array, location: float, turn: float) -> Int64Array:
     """Choose the fewest rows of a box over time from which interpolation gives all others within tolerances.
 
     The rows are joined wherever two of them report all between them, and the trajectory of the fewest joints from the
@@ -544,7 +518,7 @@ def fewest_keyframes(
         times: (K,) int64, rising.
         boxes: (K, 7), centre and size [m] and heading [rad].
         location: largest distance of centres, and of sizes as vectors [m].
-        rotation_of_vector: largest difference of headings [rad].
+        turn: largest difference of headings [rad].
 
     Returns:
         (N,) int64, rising, the first and the last row among them.
@@ -560,7 +534,7 @@ def fewest_keyframes(
         a = queue[head]
         head += 1
         for b in range(count - 1, a, -1):
-            if before[b] < 0 and _reports(times, boxes, location, rotation_of_vector, a, b):
+            if before[b] < 0 and _reports(times, boxes, location, turn, a, b):
                 before[b], queue[tail] = a, b
                 tail += 1
     kept, row = np.empty(count, np.int64), count - 1

@@ -20,8 +20,15 @@ from sceneloom.geometry.rotations import (
     rotation_vector_from_quaternion,
     slerp,
 )
-from sceneloom.kernels.scan_matching import accumulate_normal_equations, move_points, thin_points
-from sceneloom.kernels.surface_map import SIDE, describe_surfaces, fill_table, insert_points
+from sceneloom.kernels.scan_matching import (
+    SIDE,
+    accumulate_normal_equations,
+    describe_surfaces,
+    fill_table,
+    insert_points,
+    move_points,
+    thin_points,
+)
 from sceneloom.motion.deskew import PointTimesStatistics
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.point_times import RawTimes, timed_frame

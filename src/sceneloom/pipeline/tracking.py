@@ -18,7 +18,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring.box_outlines import FINE, box_extents
+from sceneloom.colouring.cuboid_projection import FINE, box_extents
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import DetectionAlgorithm, DetectionPair
 from sceneloom.detections.settings import ProjectionSettings

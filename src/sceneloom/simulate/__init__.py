@@ -7,19 +7,29 @@ from sceneloom.lazy import names_on_first_use
 if TYPE_CHECKING:
     from sceneloom.simulate.annotations import annotate
     from sceneloom.simulate.camera import CameraSpec, ExposureSpec, ImageTruth, camera_mount
-    from sceneloom.simulate.detections import SimulatedDetections, detect_2d, detect_3d
-    from sceneloom.simulate.detectors import ClassSpec, Detector2dSpec, Detector3dSpec, MissSpec, ScoreSpec
+    from sceneloom.simulate.detections import (
+        ClassSpec,
+        Detector2dSpec,
+        Detector3dSpec,
+        MissSpec,
+        ScoreSpec,
+        SimulatedDetections,
+        detect_2d,
+        detect_3d,
+    )
     from sceneloom.simulate.drive import (
         CleanPoints,
+        GnssSpec,
+        ImuSpec,
+        ImuTruth,
         OcclusionTruth,
         SimulatedDrive,
         Truth,
         demo_drive,
-        plant,
+        inject,
         simulate_street,
     )
     from sceneloom.simulate.faults import Faults, PointTimes, SensorFaults
-    from sceneloom.simulate.gnss_imu import GnssSpec, ImuSpec, ImuTruth
     from sceneloom.simulate.lidar_radar import (
         LidarSpec,
         RadarSpec,
@@ -29,9 +39,7 @@ if TYPE_CHECKING:
         SolidStateSpec,
         Sweep,
     )
-    from sceneloom.simulate.objects import Mover
-    from sceneloom.simulate.street import BoxTruth, StreetObject
-    from sceneloom.simulate.traffic import TrafficSpec
+    from sceneloom.simulate.street import BoxTruth, Mover, StreetObject, TrafficSpec
     from sceneloom.simulate.trajectory import PathSpec, Stop, sensor_mount
 else:
     __getattr__, __dir__ = names_on_first_use(
@@ -39,18 +47,18 @@ else:
         {
             "BoxTruth": "sceneloom.simulate.street:BoxTruth",
             "CameraSpec": "sceneloom.simulate.camera:CameraSpec",
-            "ClassSpec": "sceneloom.simulate.detectors:ClassSpec",
+            "ClassSpec": "sceneloom.simulate.detections:ClassSpec",
             "CleanPoints": "sceneloom.simulate.drive:CleanPoints",
-            "Detector2dSpec": "sceneloom.simulate.detectors:Detector2dSpec",
-            "Detector3dSpec": "sceneloom.simulate.detectors:Detector3dSpec",
+            "Detector2dSpec": "sceneloom.simulate.detections:Detector2dSpec",
+            "Detector3dSpec": "sceneloom.simulate.detections:Detector3dSpec",
             "ExposureSpec": "sceneloom.simulate.camera:ExposureSpec",
             "Faults": "sceneloom.simulate.faults:Faults",
-            "GnssSpec": "sceneloom.simulate.gnss_imu:GnssSpec",
-            "ImuSpec": "sceneloom.simulate.gnss_imu:ImuSpec",
-            "ImuTruth": "sceneloom.simulate.gnss_imu:ImuTruth",
+            "GnssSpec": "sceneloom.simulate.drive:GnssSpec",
+            "ImuSpec": "sceneloom.simulate.drive:ImuSpec",
+            "ImuTruth": "sceneloom.simulate.drive:ImuTruth",
             "LidarSpec": "sceneloom.simulate.lidar_radar:LidarSpec",
-            "MissSpec": "sceneloom.simulate.detectors:MissSpec",
-            "Mover": "sceneloom.simulate.objects:Mover",
+            "MissSpec": "sceneloom.simulate.detections:MissSpec",
+            "Mover": "sceneloom.simulate.street:Mover",
             "OcclusionTruth": "sceneloom.simulate.drive:OcclusionTruth",
             "PathSpec": "sceneloom.simulate.trajectory:PathSpec",
             "ImageTruth": "sceneloom.simulate.camera:ImageTruth",
@@ -59,7 +67,7 @@ else:
             "RadarTruth": "sceneloom.simulate.lidar_radar:RadarTruth",
             "Raster": "sceneloom.simulate.lidar_radar:Raster",
             "Rosette": "sceneloom.simulate.lidar_radar:Rosette",
-            "ScoreSpec": "sceneloom.simulate.detectors:ScoreSpec",
+            "ScoreSpec": "sceneloom.simulate.detections:ScoreSpec",
             "SensorFaults": "sceneloom.simulate.faults:SensorFaults",
             "SimulatedDetections": "sceneloom.simulate.detections:SimulatedDetections",
             "SimulatedDrive": "sceneloom.simulate.drive:SimulatedDrive",
@@ -67,14 +75,14 @@ else:
             "Stop": "sceneloom.simulate.trajectory:Stop",
             "StreetObject": "sceneloom.simulate.street:StreetObject",
             "Sweep": "sceneloom.simulate.lidar_radar:Sweep",
-            "TrafficSpec": "sceneloom.simulate.traffic:TrafficSpec",
+            "TrafficSpec": "sceneloom.simulate.street:TrafficSpec",
             "Truth": "sceneloom.simulate.drive:Truth",
             "annotate": "sceneloom.simulate.annotations:annotate",
             "camera_mount": "sceneloom.simulate.camera:camera_mount",
             "demo_drive": "sceneloom.simulate.drive:demo_drive",
             "detect_2d": "sceneloom.simulate.detections:detect_2d",
             "detect_3d": "sceneloom.simulate.detections:detect_3d",
-            "plant": "sceneloom.simulate.drive:plant",
+            "inject": "sceneloom.simulate.drive:inject",
             "sensor_mount": "sceneloom.simulate.trajectory:sensor_mount",
             "simulate_street": "sceneloom.simulate.drive:simulate_street",
         },
@@ -118,7 +126,7 @@ __all__ = [
     "demo_drive",
     "detect_2d",
     "detect_3d",
-    "plant",
+    "inject",
     "sensor_mount",
     "simulate_street",
 ]

@@ -2,8 +2,9 @@
 
 import zlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -14,14 +15,298 @@ from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
-from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 from sceneloom.scene.ego import sensor_source
 from sceneloom.scene.types import Identifier, PointsFrame
 from sceneloom.simulate.camera import ImageTruth, LineViews, projected_boxes, within_image
-from sceneloom.simulate.detectors import Detector2dSpec, Detector3dSpec, ScoreSpec, deal_out, draw_scores
 from sceneloom.simulate.drive import SimulatedDrive
-from sceneloom.simulate.parameters import Stream, generator_for
+from sceneloom.simulate.parameters import Stream, check_bounds, each_of, generator_for
 from sceneloom.simulate.street import Street, boxes_of
+
+_SMALLEST = 1e-9
+"""Scores keep this far from 0 and 1, so that their logits are finite."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScoreSpec:
+    """How a detector reports how sure it is.
+
+    Attributes:
+        concentration: κ above 0; the larger, the less a score reports true from false.
+        likeness: above 0; how much the false boxes look like objects that are easy to find: a sure one draws this
+            share of them, against 1 + this for one that is never found.
+        form: probabilities, or logits: ln(s / (1 - s)).
+        logit_scale, logit_shift: logits come as scale · logit + shift; any but 1 and 0 are not calibrated.
+
+    Raises:
+        OptionError: a number is out of bounds.
+    """
+
+    concentration: float = 2.0
+    likeness: float = 0.2
+    form: ScoreForm = ScoreForm.PROBABILITY
+    logit_scale: float = 1.0
+    logit_shift: float = 0.0
+
+    def __post_init__(self) -> None:
+        bounds = (
+            ("concentration", self.concentration, 0.01, 1e4),
+            ("likeness", self.likeness, 1e-3, 1e3),
+            ("logit_scale", self.logit_scale, 1e-3, 1e3),
+            ("logit_shift", self.logit_shift, -1e3, 1e3),
+        )
+        check_bounds("scores", bounds)
+        if self.form == ScoreForm.PROBABILITY and (self.logit_scale, self.logit_shift) != (1.0, 0.0):
+            raise OptionError(
+                "scores: logit_scale and logit_shift are for logits; set form to ScoreForm.LOGIT"
+            )
+
+
+class LooksLike(NamedTuple):
+    """What the boxes of one class look like.
+
+    Attributes:
+        true_shares: (M,) float64, π_m: share of the boxes looking like object m that are true.
+        false_shares: (M,) float64, share of the false boxes that look like object m; they sum to 1.
+    """
+
+    true_shares: Float64Array
+    false_shares: Float64Array
+
+
+def deal_out(
+    chances: Float64Array, false_count: float, *, repeated: float = 0.0, likeness: float = 0.2
+) -> LooksLike:
+    """Deal the expected false boxes of a class out to its objects.
+
+    Args:
+        chances: (M,) float64, 0 to 1: chance of each object in each frame to be found.
+        false_count: how many false boxes are expected in all these frames.
+        repeated: how many duplicates a true box has.
+        likeness: as in `ScoreSpec`.
+    """
+    lent = 1.0 + likeness - chances
+    false_shares = lent / max(float(lent.sum()), _SMALLEST)
+    expected = chances * (1.0 + repeated) + false_count * false_shares
+    true_shares = chances / np.maximum(expected, np.finfo(np.float64).tiny)
+    return LooksLike(true_shares, false_shares)
+
+
+def draw_scores(
+    generator: np.random.Generator, true_shares: Float64Array, true: BoolArray, spec: ScoreSpec
+) -> Float64Array:
+    """Draw the score of each box.
+
+    Args:
+        generator: where the numbers come from.
+        true_shares: (N,) float64, π of what each box looks like.
+        true: (N,) bool, whether it is true.
+        spec: concentration and form of the scores.
+
+    Returns:
+        (N,) float64, in the form that the spec asks for.
+    """
+    a = spec.concentration * true_shares + true
+    b = spec.concentration * (1.0 - true_shares) + ~true
+    scores = np.clip(
+        generator.beta(np.maximum(a, _SMALLEST), np.maximum(b, _SMALLEST)), _SMALLEST, 1.0 - _SMALLEST
+    )
+    if spec.form == ScoreForm.PROBABILITY:
+        return scores
+    logits: Float64Array = spec.logit_scale * np.log(scores / (1.0 - scores)) + spec.logit_shift
+    return logits
+
+
+_MANY = 1e6
+"""No number of a detector is larger: squares and products of them stay finite."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClassSpec:
+    """How a detector does on one class.
+
+    Attributes:
+        half_evidence: points on an object in plain view (pixels, for a detector of images) with which half of such
+            objects are found.
+        false_rate: expected number of false boxes in a sweep or image.
+        size_lwh: mean size of false boxes [m].
+
+    Raises:
+        OptionError: a number is out of bounds.
+    """
+
+    half_evidence: float
+    false_rate: float
+    size_lwh: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        bounds = (
+            ("half_evidence", self.half_evidence, 1e-6, _MANY),
+            ("false_rate", self.false_rate, 0.0, 100.0),
+            *each_of("size_lwh", self.size_lwh, 1e-3, 100.0),
+        )
+        check_bounds("detector.classes", bounds)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissSpec:
+    """What a detector misses: chance = recall / (1 + exp(-z)), z = steepness ln(evidence / half) - hiding occlusion.
+
+    Attributes:
+        recall: chance to find what is seen best.
+        steepness: how fast the chance grows with the logarithm of the evidence.
+        hiding: how much an object is harder to find of which nothing but a sliver is seen.
+
+    Raises:
+        OptionError: a number is out of bounds.
+    """
+
+    recall: float = 0.98
+    steepness: float = 2.0
+    hiding: float = 2.0
+
+    def __post_init__(self) -> None:
+        bounds = (
+            ("recall", self.recall, 1e-6, 1.0),
+            ("steepness", self.steepness, 0.0, _MANY),
+            ("hiding", self.hiding, 0.0, _MANY),
+        )
+        check_bounds("detector.misses", bounds)
+
+    def chances(self, evidence: Float64Array, occlusions: Float64Array, half: Float64Array) -> Float64Array:
+        """Chance of each object to be found, (N,) float64; 0 without evidence."""
+        seen = evidence > 0
+        exponent = self.steepness * np.log(np.where(seen, evidence, 1.0) / half) - self.hiding * occlusions
+        # 1 / (1 + exp(-z)) as exp(-ln(1 + exp(-z))), which does not overflow.
+        chances: Float64Array = np.where(seen, self.recall * np.exp(-np.logaddexp(0.0, -exponent)), 0.0)
+        return chances
+
+
+_CLASSES_3D: Mapping[str, ClassSpec] = MappingProxyType(
+    {
+        "car": ClassSpec(half_evidence=8.0, false_rate=0.6, size_lwh=(4.2, 1.8, 1.5)),
+        "pedestrian": ClassSpec(half_evidence=6.0, false_rate=0.6, size_lwh=(0.7, 0.6, 1.75)),
+        "cyclist": ClassSpec(half_evidence=6.0, false_rate=0.3, size_lwh=(1.8, 0.6, 1.75)),
+    }
+)
+"""A fair detector, counted in lidar points."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detector3dSpec:
+    """A detector in lidar sweeps.
+
+    Every deviation is for an object of many points near the lidar. It grows by
+    (1 + range / `range_scale`) · √(1 + `few_points` / points).
+
+    Attributes:
+        classes: what it looks for.
+        misses: what it does not find.
+        center_sigmas: deviation of the middle [m] along the object's length, width and height.
+        size_sigmas: deviation of length, width and height [m]; no size falls under a fifth of the true one.
+        yaw_sigma_deg: deviation of the heading [deg].
+        range_scale: range at which deviations have doubled [m].
+        few_points: so many points make deviations √2 times larger.
+        lasting_share: share of the variance of an object's errors that is the same in all sweeps.
+        flip_share: share of boxes that head backwards, each sweep anew.
+        velocity_sigma: deviation of each level component of the velocity [m/s], whatever the range; None for a
+            detector that gives none.
+        repeated: share of found objects that are reported twice.
+        covariances: whether the boxes report their true covariances.
+        scores: how sure it says it is.
+        seed: another number makes other errors.
+
+    Raises:
+        OptionError: a number is out of bounds.
+    """
+
+    classes: Mapping[str, ClassSpec] = field(default_factory=lambda: _CLASSES_3D)
+    misses: MissSpec = field(default_factory=MissSpec)
+    center_sigmas: tuple[float, float, float] = (0.10, 0.06, 0.04)
+    size_sigmas: tuple[float, float, float] = (0.12, 0.05, 0.05)
+    yaw_sigma_deg: float = 1.5
+    range_scale: float = 60.0
+    few_points: float = 30.0
+    lasting_share: float = 0.0
+    flip_share: float = 0.02
+    velocity_sigma: float | None = None
+    repeated: float = 0.0
+    covariances: bool = False
+    scores: ScoreSpec = field(default_factory=ScoreSpec)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        bounds = (
+            *each_of("center_sigmas", self.center_sigmas, 0.0, 1e3),
+            *each_of("size_sigmas", self.size_sigmas, 0.0, 1e3),
+            ("yaw_sigma_deg", self.yaw_sigma_deg, 0.0, 180.0),
+            ("range_scale", self.range_scale, 1e-3, float("inf")),
+            ("few_points", self.few_points, 0.0, _MANY),
+            ("lasting_share", self.lasting_share, 0.0, 1.0),
+            ("flip_share", self.flip_share, 0.0, 1.0),
+            ("velocity_sigma", 0.0 if self.velocity_sigma is None else self.velocity_sigma, 0.0, 1e3),
+            ("repeated", self.repeated, 0.0, 1.0),
+            ("seed", self.seed, 0, float("inf")),
+        )
+        check_bounds("detector", bounds)
+
+    def growth(self, ranges: Float64Array, points: Float64Array) -> Float64Array:
+        """Factor on all deviations, (N,) float64, for objects at ranges [m] with numbers of points on them."""
+        growth: Float64Array = (1.0 + ranges / self.range_scale) * np.sqrt(
+            1.0 + self.few_points / np.maximum(1.0, points)
+        )
+        return growth
+
+
+_CLASSES_2D: Mapping[str, ClassSpec] = MappingProxyType(
+    {
+        "car": ClassSpec(half_evidence=150.0, false_rate=0.3, size_lwh=(4.2, 1.8, 1.5)),
+        "pedestrian": ClassSpec(half_evidence=120.0, false_rate=0.3, size_lwh=(0.7, 0.6, 1.75)),
+        "cyclist": ClassSpec(half_evidence=150.0, false_rate=0.15, size_lwh=(1.8, 0.6, 1.75)),
+    }
+)
+"""A fair detector, counted in pixels."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detector2dSpec:
+    """A detector in images.
+
+    Attributes:
+        classes: what it looks for.
+        misses: what it does not find.
+        amodal: its boxes are those of whole objects, hidden parts included: the projected box in space, which is a
+            little larger than the object. Else they hold what is to be seen. Both end where the image does.
+        corner_sigma_px: deviation of each edge of a box [px].
+        corner_sigma_share: added to it, a share of the box's width (height).
+        lasting_share: share of the variance of an object's errors that is the same in all images.
+        repeated: share of found objects that are reported twice.
+        scores: how sure it says it is.
+        seed: another number makes other errors.
+
+    Raises:
+        OptionError: a number is out of bounds.
+    """
+
+    classes: Mapping[str, ClassSpec] = field(default_factory=lambda: _CLASSES_2D)
+    misses: MissSpec = field(default_factory=MissSpec)
+    amodal: bool = False
+    corner_sigma_px: float = 0.8
+    corner_sigma_share: float = 0.015
+    lasting_share: float = 0.0
+    repeated: float = 0.0
+    scores: ScoreSpec = field(default_factory=ScoreSpec)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        bounds = (
+            ("corner_sigma_px", self.corner_sigma_px, 0.0, 1e4),
+            ("corner_sigma_share", self.corner_sigma_share, 0.0, 10.0),
+            ("lasting_share", self.lasting_share, 0.0, 1.0),
+            ("repeated", self.repeated, 0.0, 1.0),
+            ("seed", self.seed, 0, float("inf")),
+        )
+        check_bounds("detector", bounds)
 
 
 def _objects_at(street: Street, time_ns: int, labels: Collection[str]) -> tuple[Boxes3D, Int64Array]:
@@ -122,35 +407,72 @@ def _frame_generator(stream: Stream, seed: int, sensor_id: Identifier, frame: in
     return generator_for(seed, stream, zlib.crc32(repr(sensor_id).encode()) << 32 | frame)
 
 
-def _lasting_normals(
-    generator: np.random.Generator,
-    stream: Stream,
-    seed: int,
-    sensor_id: Identifier,
-    instances: Int64Array,
-    *,
-    columns: int,
-    share: float,
-) -> Float64Array:
-    """Standard normal numbers of which a part is the same for an object in all frames.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Finding:
+    """Which objects of a frame a detector finds; what is drawn for it is drawn in this order.
 
-    Args:
+    Attributes:
+        stream, spec, sensor_id: of the detector.
+        look: what the frame shows.
         generator: of the frame.
-        stream, seed, sensor_id: of the detector.
-        instances: (N,) int64, the object of each row, `FALSE` for none.
-        columns: how many numbers for each row.
-        share: share of the variance that lasts, which is the correlation between two frames.
-
-    Returns:
-        (N, columns) float64, each standard normal.
+        chances: (M,) float64, of its objects to be found.
+        found: how many are.
+        rows: (F,) int64, which they are, then those that are reported twice.
+        false_rates: expected false boxes by class, 0 where there is no room for them.
     """
-    normals = generator.standard_normal((len(instances), columns))
-    if share == 0.0:
-        return normals
-    for row in np.flatnonzero(instances != FALSE):
-        own = _frame_generator(stream, seed, sensor_id, _OBJECTS | int(instances[row]))
-        normals[row] = np.sqrt(1.0 - share) * normals[row] + np.sqrt(share) * own.standard_normal(columns)
-    return normals
+
+    stream: Stream
+    spec: Detector2dSpec | Detector3dSpec
+    sensor_id: Identifier
+    look: "_ImageLook | _SweepLook"
+    generator: np.random.Generator
+    chances: Float64Array
+    found: int
+    rows: Int64Array
+    false_rates: Mapping[str, float]
+
+    @classmethod
+    def of(
+        cls,
+        stream: Stream,
+        spec: Detector2dSpec | Detector3dSpec,
+        sensor_id: Identifier,
+        frame: int,
+        look: "_ImageLook | _SweepLook",
+    ) -> "_Finding":
+        generator = _frame_generator(stream, spec.seed, sensor_id, frame)
+        halves = np.array([spec.classes[label].half_evidence for label in look.objects.labels])
+        chances = spec.misses.chances(look.evidence, look.occlusions, halves)
+        found = np.flatnonzero(generator.random(len(chances)) < chances)
+        again = found[generator.random(len(found)) < spec.repeated]
+        rates = {label: own.false_rate if len(look.clutter) else 0.0 for label, own in spec.classes.items()}
+        rows = np.concatenate([found, again])
+        return cls(stream, spec, sensor_id, look, generator, chances, len(found), rows, rates)
+
+    def errors(self, false_count: int, *, columns: int) -> tuple[Int64Array, Float64Array]:
+        """Draw the errors of found and false boxes, of which a part may be the same for an object in all frames.
+
+        Returns:
+            instances: (N,) int64, the object of each box, `FALSE` for none.
+            normals: (N, columns) float64, each standard normal; `lasting_share` is the correlation of two frames.
+        """
+        instances = np.concatenate([self.look.instances[self.rows], np.full(false_count, FALSE)])
+        normals, share = self.generator.standard_normal((len(instances), columns)), self.spec.lasting_share
+        for row in np.flatnonzero(instances != FALSE) if share else ():
+            own = _frame_generator(
+                self.stream, self.spec.seed, self.sensor_id, _OBJECTS | int(instances[row])
+            )
+            normals[row] = np.sqrt(1.0 - share) * normals[row] + np.sqrt(share) * own.standard_normal(columns)
+        return instances, normals
+
+    def draft(self, boxes: _Boxes, truth: _Boxes, instances: Int64Array) -> _Draft[_Boxes]:
+        """Put boxes with errors beside the exact ones."""
+        numbers, look = np.arange(len(boxes)), self.look
+        duplicates = (numbers >= self.found) & (numbers < len(self.rows))
+        report = SimulatedDetections(
+            boxes, instances, duplicates, truth, look.instances, look.evidence, look.occlusions, self.chances
+        )
+        return _Draft(report, self.false_rates, self.generator)
 
 
 def _true_frame(drive: SimulatedDrive, sensor_id: Identifier, index: int) -> int:
@@ -290,12 +612,14 @@ def detect_2d(
     camera = drive.scene.cameras[0] if camera_id is None else drive.scene.sensor(camera_id)
     if not isinstance(camera, CameraSensor):
         raise OptionError(f"sensor {camera_id!r} is of type {camera.type}; expected a camera")
-    drafts = [_draft(drive, spec, camera, index) for index in _chosen_frames(len(camera.images), frames)]
+    drafts = [
+        _image_draft(drive, spec, camera, index) for index in _chosen_frames(len(camera.images), frames)
+    ]
     return _with_scores(drafts, spec.scores, repeated=spec.repeated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
+class _ImageLook:
     """What one image shows.
 
     Attributes:
@@ -303,7 +627,7 @@ class _Look:
         objects: boxes of the objects in it, in the world.
         instances: (M,) int64, which they are.
         corners_xyxy: (M, 4) float64 [px], where they are in the image.
-        pixels: (M,) float64, how many show them.
+        evidence: (M,) float64, how many pixels show them.
         occlusions: (M,) float64, how much of them is hidden.
         clutter: (C, 3) float64: column, row [px] and depth [m] of pixels that show other things.
         camera_model: of the camera.
@@ -313,13 +637,15 @@ class _Look:
     objects: Boxes3D
     instances: Int64Array
     corners_xyxy: Float64Array
-    pixels: Float64Array
+    evidence: Float64Array
     occlusions: Float64Array
     clutter: Float64Array
     camera_model: Camera
 
 
-def _look(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int) -> _Look:
+def _look_at_image(
+    drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int
+) -> _ImageLook:
     truth, number = drive.truth, _true_frame(drive, camera.id, index)
     rendered = truth.cameras[str(camera.id)]
     time_ns, pose = int(rendered.timestamps_ns[number]), rendered.pose(number)
@@ -331,7 +657,7 @@ def _look(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, ind
     objects, instances = objects.select(seen), instances[seen]
     if spec.amodal:
         extents = projected_boxes(LineViews.of(rendered, number, instances), extents)
-    return _Look(
+    return _ImageLook(
         int(camera.images.timestamps_ns[index]),
         objects,
         instances,
@@ -374,46 +700,29 @@ def _clutter(image: ImageTruth, shown: AnyArray, instances: Int64Array, look: _P
     return np.column_stack([columns[low], rows[low], depths[low]])
 
 
-def _draft(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int) -> _Draft[Boxes2D]:
+def _image_draft(
+    drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int
+) -> _Draft[Boxes2D]:
     """Everything about an image but the scores."""
-    look = _look(drive, spec, camera, index)
+    look = _look_at_image(drive, spec, camera, index)
+    finding = _Finding.of(Stream.DETECTIONS_2D, spec, camera.id, _true_frame(drive, camera.id, index), look)
     labels = look.objects.labels
-    halves = np.array([spec.classes[label].half_evidence for label in labels])
-    chances = spec.misses.chances(look.pixels, look.occlusions, halves)
-    number = _true_frame(drive, camera.id, index)
-    generator = _frame_generator(Stream.DETECTIONS_2D, spec.seed, camera.id, number)
-    found = np.flatnonzero(generator.random(len(labels)) < chances)
-    again = found[generator.random(len(found)) < spec.repeated]
-    rows = np.concatenate([found, again])
-    rates = {label: own.false_rate if len(look.clutter) else 0.0 for label, own in spec.classes.items()}
-    false, false_labels = _false_boxes(generator, spec, look, rates)
-    whose = np.concatenate([look.instances[rows], np.full(len(false), FALSE)])
-    normals = _lasting_normals(
-        generator, Stream.DETECTIONS_2D, spec.seed, camera.id, whose, columns=4, share=spec.lasting_share
-    )
+    false, false_labels = _false_boxes_in_image(finding.generator, spec, look, finding.false_rates)
+    whose, normals = finding.errors(len(false), columns=4)
+    exact = np.concatenate([look.corners_xyxy[finding.rows], false])
     boxes = Boxes2D(
         look.stated_ns,
-        _with_errors(spec, look.camera_model, np.concatenate([look.corners_xyxy[rows], false]), normals),
+        _with_errors_in_image(spec, look.camera_model, exact, normals),
         np.zeros(len(whose)),
-        (*(labels[k] for k in rows), *false_labels),
+        (*(labels[k] for k in finding.rows), *false_labels),
         sensor_id=camera.id,
     )
-    report = SimulatedDetections(
-        boxes,
-        whose,
-        (np.arange(len(boxes)) >= len(found)) & (np.arange(len(boxes)) < len(rows)),
-        Boxes2D(
-            look.objects.timestamp_ns, look.corners_xyxy, np.ones(len(labels)), labels, sensor_id=camera.id
-        ),
-        look.instances,
-        look.pixels,
-        look.occlusions,
-        chances,
-    )
-    return _Draft(report, rates, generator)
+    ones = np.ones(len(labels))
+    truth = Boxes2D(look.objects.timestamp_ns, look.corners_xyxy, ones, labels, sensor_id=camera.id)
+    return finding.draft(boxes, truth, whose)
 
 
-def _with_errors(
+def _with_errors_in_image(
     spec: Detector2dSpec, camera_model: Camera, exact: Float64Array, normals: Float64Array
 ) -> Float64Array:
     """Exact boxes (N, 4) with errors out of standard normal numbers: in the image, and no smaller than a pixel."""
@@ -425,8 +734,8 @@ def _with_errors(
     return np.column_stack([low, np.maximum(high, low + _SMALLEST_PX)])
 
 
-def _false_boxes(
-    generator: np.random.Generator, spec: Detector2dSpec, look: _Look, rates: Mapping[str, float]
+def _false_boxes_in_image(
+    generator: np.random.Generator, spec: Detector2dSpec, look: _ImageLook, rates: Mapping[str, float]
 ) -> tuple[Float64Array, list[str]]:
     """Boxes as large as an object of their class would be, around pixels that show something else."""
     counts = {label: int(generator.poisson(rate)) for label, rate in rates.items()}
@@ -491,7 +800,7 @@ def detect_3d(
     spec = spec or Detector3dSpec()
     lidar = _lidar(drive, lidar_id)
     drafts = [
-        _detections_3d_draft(drive, spec, lidar, index, boxes_frame)
+        _sweep_draft(drive, spec, lidar, index, boxes_frame)
         for index in _chosen_frames(len(lidar.frames), frames)
     ]
     return _with_scores(drafts, spec.scores, repeated=spec.repeated)
@@ -505,7 +814,7 @@ def _lidar(drive: SimulatedDrive, lidar_id: Identifier | None) -> LidarSensor:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Detections3dLook:
+class _SweepLook:
     """What one sweep could show.
 
     Attributes:
@@ -513,9 +822,9 @@ class _Detections3dLook:
         world_from_ego, world_from_lidar: true poses at its reference time.
         objects: boxes of the objects with points on them, world frame, timestamped with the true time.
         instances: (M,) int64, which they are.
-        points: (M,) float64, how many points are on them.
+        evidence: (M,) float64, how many points are on them.
         occlusions: (M,) float64, how much of them is hidden.
-        clutter_world: (C, 3) float64 [m], points on other things, where a false box may begin.
+        clutter: (C, 3) float64 [m], world frame: points on other things, where a false box may begin.
         points_world: (N, 3) float64 [m], all points.
     """
 
@@ -524,9 +833,9 @@ class _Detections3dLook:
     world_from_lidar: RigidTransform
     objects: Boxes3D
     instances: Int64Array
-    points: Float64Array
+    evidence: Float64Array
     occlusions: Float64Array
-    clutter_world: Float64Array
+    clutter: Float64Array
     points_world: Float64Array
 
     @property
@@ -542,9 +851,7 @@ class _Detections3dLook:
         return boxes.moved(body.inverse(), frame)
 
 
-def _detections_3d_look(
-    drive: SimulatedDrive, spec: Detector3dSpec, lidar: LidarSensor, index: int
-) -> _Detections3dLook:
+def _look_at_sweep(drive: SimulatedDrive, spec: Detector3dSpec, lidar: LidarSensor, index: int) -> _SweepLook:
     number = _true_frame(drive, lidar.id, index)
     device = drive.truth.lidars[str(lidar.id)]
     sweep = device.sweep(number)
@@ -559,7 +866,7 @@ def _detections_3d_look(
     points = counts[np.searchsorted(met, instances_seen)].astype(np.float64)
     arrived = points / max(1e-9, 1.0 - device.spec.drop_rate)
     other = rows[(sweep.instances[rows] > 0) & ~np.isin(sweep.instances[rows], instances)]
-    return _Detections3dLook(
+    return _SweepLook(
         int(lidar.frames.timestamps_ns[index]) + time_ns - sweep.frame.timestamp_ns,
         world_from_ego,
         world_from_ego @ device.spec.mount,
@@ -587,43 +894,23 @@ def _clear(points_world: Float64Array, objects: Boxes3D) -> Float64Array:
     return clear
 
 
-def _detections_3d_draft(
+def _sweep_draft(
     drive: SimulatedDrive, spec: Detector3dSpec, lidar: LidarSensor, index: int, boxes_frame: PointsFrame
 ) -> _Draft[Boxes3D]:
     """Everything about a sweep but the scores."""
-    look = _detections_3d_look(drive, spec, lidar, index)
-    objects = look.objects
-    halves = np.array([spec.classes[label].half_evidence for label in objects.labels])
-    chances = spec.misses.chances(look.points, look.occlusions, halves)
-    number = _true_frame(drive, lidar.id, index)
-    generator = _frame_generator(Stream.DETECTIONS_3D, spec.seed, lidar.id, number)
-    found = np.flatnonzero(generator.random(len(objects)) < chances)
-    again = found[generator.random(len(found)) < spec.repeated]
-    rows = np.concatenate([found, again])
-    rates = {label: own.false_rate if len(look.clutter_world) else 0.0 for label, own in spec.classes.items()}
-    false, false_points = _detections_3d_false_boxes(generator, spec, look, rates)
-    exact = _joined(objects.select(rows), false)
-    points = np.concatenate([look.points[rows], false_points])
-    whose = np.concatenate([look.instances[rows], np.full(len(false), FALSE)])
-    normals = _lasting_normals(
-        generator, Stream.DETECTIONS_3D, spec.seed, lidar.id, whose, columns=7, share=spec.lasting_share
-    )
-    boxes = _detections_3d_with_errors(generator, spec, look, exact, points, normals)
-    report = SimulatedDetections(
-        _stated(drive, look, boxes, lidar, boxes_frame),
-        whose,
-        (np.arange(len(exact)) >= len(found)) & (np.arange(len(exact)) < len(rows)),
-        look.placed(objects, boxes_frame),
-        look.instances,
-        look.points,
-        look.occlusions,
-        chances,
-    )
-    return _Draft(report, rates, generator)
+    look = _look_at_sweep(drive, spec, lidar, index)
+    finding = _Finding.of(Stream.DETECTIONS_3D, spec, lidar.id, _true_frame(drive, lidar.id, index), look)
+    false, false_points = _false_boxes_in_space(finding.generator, spec, look, finding.false_rates)
+    exact = _joined(look.objects.select(finding.rows), false)
+    points = np.concatenate([look.evidence[finding.rows], false_points])
+    whose, normals = finding.errors(len(false), columns=7)
+    boxes = _with_errors_in_space(finding.generator, spec, look, exact, points, normals)
+    stated = _stated(drive, look, boxes, lidar, boxes_frame)
+    return finding.draft(stated, look.placed(look.objects, boxes_frame), whose)
 
 
-def _detections_3d_false_boxes(
-    generator: np.random.Generator, spec: Detector3dSpec, look: _Detections3dLook, rates: Mapping[str, float]
+def _false_boxes_in_space(
+    generator: np.random.Generator, spec: Detector3dSpec, look: _SweepLook, rates: Mapping[str, float]
 ) -> tuple[Boxes3D, Float64Array]:
     """Boxes around returns of something else, world frame, and how many points are about in each."""
     counts = {label: int(generator.poisson(rate)) for label, rate in rates.items()}
@@ -631,7 +918,7 @@ def _detections_3d_false_boxes(
     count = len(labels)
     sizes = np.array([spec.classes[label].size_lwh for label in labels]).reshape(-1, 3)
     sizes = sizes * np.exp(0.1 * generator.standard_normal((count, 3)))
-    begun = look.clutter_world[generator.integers(max(1, len(look.clutter_world)), size=count)]
+    begun = look.clutter[generator.integers(max(1, len(look.clutter)), size=count)]
     away = begun[:, :2] - look.origin[:2]
     away = away / np.maximum(1e-9, np.linalg.norm(away, axis=1))[:, None]
     middles = begun[:, :2] + away * sizes[:, 1:2] / 2
@@ -658,10 +945,10 @@ def _joined(first: Boxes3D, second: Boxes3D) -> Boxes3D:
     return replace(first, **both, labels=first.labels + second.labels)
 
 
-def _detections_3d_with_errors(
+def _with_errors_in_space(
     generator: np.random.Generator,
     spec: Detector3dSpec,
-    look: _Detections3dLook,
+    look: _SweepLook,
     exact: Boxes3D,
     points: Float64Array,
     normals: Float64Array,
@@ -705,7 +992,7 @@ def _rotations(yaws: Float64Array) -> Float64Array:
 
 
 def _stated(
-    drive: SimulatedDrive, look: _Detections3dLook, boxes: Boxes3D, lidar: LidarSensor, frame: PointsFrame
+    drive: SimulatedDrive, look: _SweepLook, boxes: Boxes3D, lidar: LidarSensor, frame: PointsFrame
 ) -> Boxes3D:
     """Boxes of the world as a system that trusts the scene has them: by its timestamps, mounting and poses."""
     own = boxes.moved(look.world_from_lidar.inverse(), PointsFrame.SENSOR)

@@ -370,13 +370,13 @@ class _Job:
         return FramePlan.of(self.wrong, timestamps_ns, self.clock, seed=self.seed, sensor_id=self.sensor_id)
 
 
-def _plant_in_cloud(sensor: _Cloud, job: _Job) -> tuple[_Cloud, Int64Array]:
+def _inject_into_cloud(sensor: _Cloud, job: _Job) -> tuple[_Cloud, Int64Array]:
     plan = job.plan(sensor.frames.timestamps_ns)
     frames = LazyFrames(plan.stated_ns, FaultyClouds(sensor.frames, plan, job.clock, job.wrong))
     return replace(sensor, frames=frames, **_placement(sensor, job.wrong)), plan.contents
 
 
-def _plant_in_camera(sensor: CameraSensor, job: _Job) -> tuple[CameraSensor, Int64Array]:
+def _inject_into_camera(sensor: CameraSensor, job: _Job) -> tuple[CameraSensor, Int64Array]:
     plan, scale = job.plan(sensor.images.timestamps_ns), job.wrong.focal_scale
     images = LazyFrames(plan.stated_ns, _FaultyImages(sensor.images, plan, job.wrong.error, scale))
     camera = _refocused(sensor.camera, scale)
@@ -395,7 +395,7 @@ def _placement(sensor: LidarSensor | RadarSensor | CameraSensor, wrong: SensorFa
     return {"poses": poses, "mount": None if sensor.mount is None else sensor.mount @ wrong.error}
 
 
-def _plant_in_imu(sensor: ImuSensor, job: _Job) -> tuple[ImuSensor, Int64Array]:
+def _inject_into_imu(sensor: ImuSensor, job: _Job) -> tuple[ImuSensor, Int64Array]:
     plans = {name: job.plan(samples.timestamps_ns) for name, samples in sensor.streams.items()}
     streams = {
         name: VectorSamples(
@@ -412,7 +412,7 @@ def _rotated(values: Float64Array, error: RigidTransform) -> Float64Array:
     return error.rotate(values) if values.shape[1] == 3 else values
 
 
-def _plant_in_gnss(sensor: GnssSensor, job: _Job) -> tuple[GnssSensor, Int64Array]:
+def _inject_into_gnss(sensor: GnssSensor, job: _Job) -> tuple[GnssSensor, Int64Array]:
     plan = job.plan(sensor.timestamps_ns)
     rows = plan.contents
     changed = replace(
@@ -428,16 +428,16 @@ def _plant_in_gnss(sensor: GnssSensor, job: _Job) -> tuple[GnssSensor, Int64Arra
 
 _PLANTERS: Mapping[str, Callable[[Any, _Job], tuple[Any, Int64Array]]] = MappingProxyType(
     {
-        SensorType.LIDAR: _plant_in_cloud,
-        SensorType.RADAR: _plant_in_cloud,
-        SensorType.CAMERA: _plant_in_camera,
-        SensorType.IMU: _plant_in_imu,
-        SensorType.GNSS: _plant_in_gnss,
+        SensorType.LIDAR: _inject_into_cloud,
+        SensorType.RADAR: _inject_into_cloud,
+        SensorType.CAMERA: _inject_into_camera,
+        SensorType.IMU: _inject_into_imu,
+        SensorType.GNSS: _inject_into_gnss,
     }
 )
 
 
-def plant_in_scene(scene: Scene, faults: Faults) -> tuple[Scene, Mapping[Identifier, Int64Array]]:
+def inject_into_scene(scene: Scene, faults: Faults) -> tuple[Scene, Mapping[Identifier, Int64Array]]:
     """Make a scene wrong; its frames are still read when asked for, each the same whenever it is.
 
     Returns:

@@ -563,9 +563,6 @@ def _paint_chunk(
     "float64[:,::1], int64[::1], float32[:,:,::1], float64[::1], float64, float64[:,::1], float64, "
     "uint8[:,::1], float32[::1])",
     parallel=True,
-    nogil=True,
-    cache=True,
-    error_model="numpy",
 )
 def paint_rays(
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,

@@ -226,9 +226,6 @@ def _trace_bundle(
     "uint8[::1], float64[:,:,::1], int32[::1], float64[:,:,:,::1], float64[:,::1], int32[::1], float64, "
     "float64[::1], int32[::1])",
     parallel=True,
-    nogil=True,
-    cache=True,
-    error_model="numpy",
 )
 def trace_rays(
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
@@ -287,9 +284,6 @@ def _swing_back(frame: Float64Array, angle: float, x: float, z: float) -> None:
     "void(float64[:,:,::1], boolean[:,::1], int32[::1], float64[:,::1], float64[::1], float64[::1], "
     "float64[:,:,:,::1])",
     parallel=True,
-    nogil=True,
-    cache=True,
-    error_model="numpy",
 )
 def put_parts(
     states: Float64Array, there: BoolArray, mover_of_part: Int32Array, hinges: Float64Array, swings: Float64Array,
@@ -360,9 +354,6 @@ def _count_bundle(
     "void(float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], uint8[::1], float64[:,:,::1], "
     "int32[::1], int32[::1], float64[:,:,:,::1], float64[:,::1], int32[::1], float64, int64[:,::1])",
     parallel=True,
-    nogil=True,
-    cache=True,
-    error_model="numpy",
 )
 def count_silhouettes(
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,

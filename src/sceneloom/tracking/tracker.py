@@ -60,7 +60,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring.box_outlines import widest_angle
+from sceneloom.colouring.cuboid_projection import widest_angle
 from sceneloom.detections.detectors import KINDS, SAYS_NOTHING, kind_name
 from sceneloom.detections.projection import Outlines, assign_pairs, fuse_by_projection, project_outlines
 from sceneloom.detections.results import NO_BOX, DetectionAlgorithm, DetectionPair, FusedBoxes

@@ -15,7 +15,7 @@ from sceneloom.geometry.rotations import (
     rotate_vectors,
 )
 from sceneloom.scene import Poses
-from sceneloom.simulate import Faults, LidarSpec, PathSpec, SensorFaults, plant, simulate_street
+from sceneloom.simulate import Faults, LidarSpec, PathSpec, SensorFaults, inject, simulate_street
 
 COUNT = 200
 TIMES_NS = 1_000_000_000 + 100_000_000 * np.arange(COUNT, dtype=np.int64)
@@ -152,7 +152,7 @@ def test_the_mounting_and_the_clock_of_a_simulated_lidar_are_found_again() -> No
     small = LidarSpec(beams=24, steps=600)
     drive = simulate_street(3, frames=60, path=PathSpec(yaw_rate=0.5), lidar=small)
     wrong = SensorFaults(rotation_deg=(1.0, -2.0, 3.0), shift=(0.3, -0.2, 0.0), time_offset_ns=30_000_000)
-    found = lidar_to_ego(plant(drive, Faults({"lidar": wrong})).scene)
+    found = lidar_to_ego(inject(drive, Faults({"lidar": wrong})).scene)
     mounting = found.found.mounting
     step = step_between(mounting.a_from_b, drive.scene.lidars[0].mount)
     assert np.degrees(np.abs(step[:3])).max() < 0.05

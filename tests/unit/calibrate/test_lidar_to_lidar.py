@@ -13,7 +13,7 @@ from sceneloom.simulate import (
     LidarSpec,
     SensorFaults,
     SimulatedDrive,
-    plant,
+    inject,
     sensor_mount,
     simulate_street,
 )
@@ -31,7 +31,7 @@ CORNER = LidarSpec(
 def drive() -> SimulatedDrive:
     """Six sweeps of two lidars, the second of which is stated 3.7 degrees and 24 cm off."""
     wrong = SensorFaults(rotation_deg=(1.0, -2.0, 3.0), shift=(0.2, -0.1, 0.1))
-    return plant(simulate_street(3, frames=6, lidars=(ROOF, CORNER)), Faults({"lidar1": wrong}))
+    return inject(simulate_street(3, frames=6, lidars=(ROOF, CORNER)), Faults({"lidar1": wrong}))
 
 
 @pytest.mark.parametrize(("use_stated", "started"), [(True, "stated"), (False, "ground")])
@@ -62,7 +62,7 @@ def test_lidars_that_are_not_there_are_refused(drive: SimulatedDrive) -> None:
 
 @pytest.mark.slow
 def test_a_start_far_off_is_refused_and_not_refined_into_something(drive: SimulatedDrive) -> None:
-    far = plant(
+    far = inject(
         simulate_street(3, frames=4, lidars=(ROOF, CORNER)),
         Faults({"lidar1": SensorFaults(rotation_deg=(0.0, 90.0, 0.0), shift=(0.0, 0.0, 30.0))}),
     )

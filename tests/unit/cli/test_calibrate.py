@@ -16,7 +16,7 @@ from sceneloom.simulate import (
     LidarSpec,
     PathSpec,
     SensorFaults,
-    plant,
+    inject,
     sensor_mount,
     simulate_street,
 )
@@ -198,7 +198,7 @@ def rotated(tmp_path_factory):
         path=PathSpec(speeds=(10.0, 12.0)),
     )
     wrong = SensorFaults(rotation_deg=(0.5, -0.6, 0.4))
-    sceneloom.write(plant(drive, Faults({"camera0": wrong})).scene, folder, images="png")
+    sceneloom.write(inject(drive, Faults({"camera0": wrong})).scene, folder, images="png")
     return folder
 
 

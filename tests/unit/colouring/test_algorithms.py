@@ -1,13 +1,34 @@
+"""Visibility, depths and colours against the truth of a simulated drive.
+
+What comes out is the same, whoever does the work.
+"""
+
+import math
+
+import cv2
 import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import ALGORITHMS, ViewRequest, VisibilitySettings
-from sceneloom.errors import OptionError
+from sceneloom.colouring import (
+    ALGORITHMS,
+    LidarTrajectory,
+    PointVisibility,
+    ViewRequest,
+    VisibilitySettings,
+    fuse_by_projection,
+    view_points,
+)
+from sceneloom.errors import ArrayError, CalibrationError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, simulate_street
 
 AHEAD = RigidTransform(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+
+
 LEFT = RigidTransform(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+
+
 CAMERA_MODEL = Camera("pinhole", 20, 10, 10.0, 10.0, 9.5, 4.5)
 
 
@@ -74,3 +95,337 @@ def test_blending_takes_colours_of_all_images_that_agree():
     assert [view.camera_id for view in fused.views] == ["camera0", "camera1"]
     nothing = ALGORITHMS["blending"](points, [], VisibilitySettings())
     assert nothing.camera_index.tolist() == [255]
+
+
+CAMERA = Camera("brown_conrady", 640, 480, 520.0, 530.0, 322.0, 237.0, (-0.15, 0.05, 1e-3, -5e-4, -0.01))
+
+
+POSE = RigidTransform.from_quaternion(np.array([4.0, -2.0, 1.5]), np.array([0.1, -0.7, 0.2, 0.4]))
+
+
+PLAIN = VisibilitySettings(enabled=False)
+
+
+def view(points_world, camera=CAMERA, visibility=PLAIN, rgb=None):
+    image = np.zeros((camera.height, camera.width, 3), np.uint8) if rgb is None else rgb
+    return view_points(
+        points_world, camera, POSE, image, camera_id="c", timestamp_ns=7, visibility=visibility
+    )
+
+
+def cloud(count=4000, seed=0):
+    """Points before, beside and behind the camera."""
+    return POSE.apply(np.random.default_rng(seed).normal(size=(count, 3)) * [4, 3, 6] + [0, 0, 6])
+
+
+def projected_by_opencv(points_world):
+    points = POSE.inverse().apply(points_world)
+    matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
+    camera_model = np.array(CAMERA.coefficients)
+    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, camera_model)[0][:, 0]
+    inside = (pixels >= -0.5).all(axis=1) & (pixels < [CAMERA.width - 0.5, CAMERA.height - 0.5]).all(axis=1)
+    # Beyond this angle the polynomial of the camera model folds the world back into the image.
+    ahead = (points[:, 2] > 0) & (np.hypot(points[:, 0], points[:, 1]) < 0.9 * points[:, 2])
+    return np.flatnonzero(inside & ahead), pixels, points[:, 2]
+
+
+def test_points_fall_where_opencv_puts_them():
+    points = cloud()
+    fused = view(points)
+    ids, pixels, depths = projected_by_opencv(points)
+    assert len(ids) > 1000
+    np.testing.assert_array_equal(fused.point_ids, ids)
+    np.testing.assert_allclose(fused.pixels, pixels[ids], atol=1e-4)  # float32 keeps 3e-5 px of 640
+    np.testing.assert_allclose(fused.depths, depths[ids], rtol=1e-6)
+
+
+def test_the_plain_depth_image_holds_the_nearest_depth_of_each_pixel():
+    fused = view(cloud(60_000))
+    expected, nearest = np.zeros((480, 640), np.float32), {}
+    for i, (u, v) in enumerate(fused.pixels.astype(float)):
+        pixel = math.floor(v + 0.5), math.floor(u + 0.5)
+        if pixel not in nearest or fused.depths[i] < fused.depths[nearest[pixel]]:
+            nearest[pixel] = i
+    for pixel, i in nearest.items():
+        expected[pixel] = fused.depths[i]
+    np.testing.assert_array_equal(fused.depth_image, expected)
+    assert np.flatnonzero(fused.visible).tolist() == sorted(nearest.values())
+    assert 0 < fused.visible.mean() < 1
+
+
+def test_the_depth_image_holds_the_nearest_visible_depth_of_each_pixel():
+    fused = view(cloud(60_000), visibility=VisibilitySettings())
+    expected = np.full((480, 640), np.inf)
+    columns, rows = np.floor(fused.pixels.astype(float) + 0.5).astype(int)[fused.visible].T
+    np.minimum.at(expected, (rows, columns), fused.depths[fused.visible])
+    np.testing.assert_array_equal(fused.depth_image, np.where(np.isinf(expected), 0, expected))
+    assert 0.01 < fused.visible.mean() < 0.99
+
+
+def test_a_view_keeps_what_it_was_given():
+    fused = view(cloud(10))
+    assert (fused.camera_id, fused.camera, fused.timestamp_ns) == ("c", CAMERA, 7)
+    assert fused.world_from_camera is POSE
+
+
+@pytest.mark.parametrize("visibility", [None, PLAIN], ids=["windowed", "plain"])
+class TestFewPoints:
+    def test_an_empty_cloud_gives_an_empty_view(self, visibility):
+        fused = view(np.zeros((0, 3)), visibility=visibility)
+        assert len(fused.point_ids) == len(fused.visible) == 0
+        assert not fused.depth_image.any()
+
+    def test_a_single_point_is_seen(self, visibility):
+        fused = view(POSE.apply(np.array([[0.1, 0.2, 5.0]])), visibility=visibility)
+        assert fused.visible.tolist() == [True]
+        assert fused.depth_image.max() == pytest.approx(5.0)
+        assert (fused.depth_image > 0).sum() == 1
+
+    def test_points_that_are_not_finite_are_in_no_image(self, visibility):
+        points = cloud(300)
+        points[::3] = [math.nan, 0, 0]
+        points[1::3, 1] = math.inf
+        fused = view(points, visibility=visibility)
+        assert len(fused.point_ids) > 0
+        assert (fused.point_ids % 3 == 2).all()
+
+    def test_an_image_of_one_pixel_works(self, visibility):
+        camera = Camera("pinhole", 1, 1, 10.0, 10.0, 0.0, 0.0)
+        fused = view(POSE.apply(np.array([[0, 0, 9.0], [0.01, 0, 3.0], [5, 0, 3]])), camera, visibility)
+        assert fused.point_ids.tolist() == [0, 1]
+        assert fused.depth_image.tolist() == [[3.0]]
+
+    def test_points_behind_the_camera_are_in_no_image(self, visibility):
+        assert (
+            len(view(POSE.apply(np.array([[0, 0, -5.0], [0, 0, 0]])), visibility=visibility).point_ids) == 0
+        )
+
+
+def test_a_fisheye_sees_beside_and_behind_itself_but_such_points_have_no_depth():
+    camera = Camera("fisheye", 900, 900, 200.0, 200.0, 449.5, 449.5, (0.0, 0.0, 0.0, 0.0))
+    points = POSE.apply(np.array([[5.0, 0, 1], [5, 0, -1], [0, 0, 4]]))
+    for visibility in (PLAIN, VisibilitySettings()):
+        fused = view(points, camera, visibility)
+        assert fused.visible.tolist() == [True] * 3
+        assert sorted(fused.depth_image[fused.depth_image > 0].tolist()) == pytest.approx([1, 4])
+
+
+def test_points_in_any_memory_order_are_taken():
+    points = cloud(500)
+    expected = view(points)
+    for other in (np.asfortranarray(points), np.repeat(points, 2, axis=0)[::2], points[::-1][::-1]):
+        fused = view(other)
+        np.testing.assert_array_equal(fused.point_ids, expected.point_ids)
+        np.testing.assert_array_equal(fused.depth_image, expected.depth_image)
+
+
+def test_read_only_points_are_taken():
+    points = cloud(500)
+    points.flags.writeable = False
+    assert len(view(points).point_ids) > 0
+
+
+def test_a_view_of_few_points_does_not_hold_the_room_of_all():
+    points = np.concatenate([cloud(10), POSE.apply(np.full((1000, 3), -5.0))])
+    fused = view(points)
+    assert all(a.base is None for a in (fused.point_ids, fused.pixels, fused.pixel_numbers, fused.depths))
+
+
+def test_a_view_of_many_points_holds_no_more_than_its_own():
+    points = np.concatenate([POSE.apply(np.full((1000, 3), [0.0, 0, 5])), POSE.apply(np.full((10, 3), -5.0))])
+    fused = view(points)
+    for held in (fused.point_ids, fused.pixels, fused.pixel_numbers, fused.depths):
+        assert held.base.shape == (len(points), *held.shape[1:])
+
+
+@pytest.mark.parametrize("points", [np.zeros((5, 2)), np.zeros((5, 3), np.float32), np.zeros(3)], ids=str)
+def test_points_of_another_shape_or_type_are_refused(points):
+    with pytest.raises(ArrayError, match="points_world"):
+        view(points)
+
+
+def test_an_image_of_another_size_is_refused():
+    with pytest.raises(ArrayError, match=r"view\.rgb"):
+        view(cloud(5), rgb=np.zeros((640, 480, 3), np.uint8))
+
+
+def test_an_unknown_camera_model_is_refused():
+    with pytest.raises(CalibrationError, match="mirror"):
+        view(cloud(5), Camera("mirror", 640, 480, 500.0, 500.0, 320.0, 240.0))
+
+
+PINHOLE = Camera("pinhole", 640, 480, 400.0, 400.0, 319.5, 239.5)
+
+
+BARREL = Camera("brown_conrady", 640, 480, 400.0, 400.0, 319.5, 239.5, (-0.3, 0.0))
+
+
+WIDE = Camera("fisheye", 640, 640, 150.0, 150.0, 319.5, 319.5)
+
+
+def observations_of(points_camera, camera, *, enabled=True):
+    rgb = np.zeros((camera.height, camera.width, 3), np.uint8)
+    view = view_points(
+        np.where(
+            np.isfinite(points_camera), POSE.apply(np.nan_to_num(points_camera, posinf=0)), points_camera
+        ),
+        camera,
+        POSE,
+        rgb,
+        camera_id="c",
+        timestamp_ns=0,
+        visibility=VisibilitySettings(enabled=enabled),
+    )
+    return view, view.observations
+
+
+def at_angle(degrees, distance=10.0):
+    return distance * math.sin(math.radians(degrees)), 0.0, distance * math.cos(math.radians(degrees))
+
+
+@pytest.mark.parametrize(
+    ("camera", "points", "expected"),
+    [
+        (PINHOLE, [(0, 0, 5), (9, 0, 5), (0, 0, -5), (0, 0, 0)], "VISIBLE OUTSIDE BEHIND BEHIND"),
+        # The polynomial of this camera model folds where 1 - 0.9 r² is 0: 46.5 degrees off the axis.
+        (BARREL, [at_angle(45), (0, 9, 9), at_angle(48), at_angle(100)], "VISIBLE OUTSIDE BEHIND BEHIND"),
+        # 320 px from the centre are 122 degrees; the camera model has pixels for all directions.
+        (
+            WIDE,
+            [at_angle(60), at_angle(110), at_angle(130), at_angle(179)],
+            "VISIBLE VISIBLE OUTSIDE OUTSIDE",
+        ),
+        (PINHOLE, [(math.nan, 0, 5), (0, math.inf, 5), (0, 0, 3)], "BEHIND BEHIND VISIBLE"),
+        (PINHOLE, [], ""),
+    ],
+)
+def test_each_point_is_distinguished_from_what_the_camera_model_can_see(camera, points, expected):
+    _, observations = observations_of(np.array(points, float).reshape(-1, 3), camera)
+    assert observations.dtype == np.uint8
+    assert [PointVisibility(visibility).name for visibility in observations] == expected.split()
+
+
+def test_what_stands_behind_a_nearer_wall_is_hidden():
+    across = np.mgrid[-0.5:0.5:0.02, -0.5:0.5:0.02].reshape(2, -1).T
+    near, far = np.column_stack([across * 5, np.full(len(across), 5.0)]), [(0.01, 0.01, 30.0)]
+    _, observations = observations_of(np.concatenate([near, far]), PINHOLE)
+    assert observations[-1] == PointVisibility.HIDDEN
+    assert (observations[:-1] != PointVisibility.HIDDEN).all()
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+@pytest.mark.parametrize("camera", [PINHOLE, BARREL, WIDE], ids=lambda camera: camera.model)
+def test_observations_agree_with_the_points_in_the_image(camera, enabled):
+    points = np.random.default_rng(3).normal(size=(20_000, 3)) * [5, 5, 5]
+    view, observations = observations_of(points, camera, enabled=enabled)
+    np.testing.assert_array_equal(np.flatnonzero(observations <= PointVisibility.HIDDEN), view.point_ids)
+    np.testing.assert_array_equal(
+        np.flatnonzero(observations == PointVisibility.VISIBLE), view.point_ids[view.visible]
+    )
+    assert len(np.unique(observations)) == (3 if camera is WIDE else 4)
+
+
+CAMERA_MODELS = {
+    "1242x375": CameraSpec(),
+    "long": CameraSpec(Camera("pinhole", 1920, 1080, 1970.0, 1970.0, 959.5, 539.5)),
+    "aside": CameraSpec(mount=camera_mount(yaw_deg=60.0, position=(0.3, 0.3, 1.4))),
+    "fisheye": CameraSpec(Camera("fisheye", 960, 720, 300.0, 300.0, 479.5, 359.5, (0.01, 0.0, 0.0, 0.0))),
+}
+
+
+@pytest.mark.parametrize("name", CAMERA_MODELS)
+@pytest.mark.few(1)
+def test_fused_frames_agree_with_what_was_really_there(name):
+    drive = simulate_street(1, frames=6, lidar=LidarSpec(range_sigma=0.02), cameras=[CAMERA_MODELS[name]])
+    truth, k = drive.truth, 3
+    sweep = truth.sweep(k)
+    measured = np.linalg.norm(sweep.frame.points.positions.astype(np.float64), axis=1)
+    points_world = (
+        sweep.origins_world + (sweep.points_world - sweep.origins_world) * (measured / sweep.ranges)[:, None]
+    )
+    image = drive.scene.cameras[0].images[k]
+    request = ViewRequest(
+        camera_id="camera0",
+        camera_index=0,
+        camera=image.camera,
+        timestamp_ns=image.timestamp_ns,
+        world_from_camera=truth.world_from_camera("camera0", k),
+        rgb=image.rgb,
+    )
+    fused = fuse_by_projection(points_world, [request], VisibilitySettings())
+    view = fused.views[0]
+    columns, rows = np.floor(view.pixels + 0.5).astype(int).T
+    counted = ~truth.edges("camera0", k)[rows, columns]
+    seen = truth.visible("camera0", k, sweep.points_world[view.point_ids], tolerance=0.03)
+    assert (~view.visible & seen & counted).sum() < 0.03 * (seen & counted).sum()
+    # Counts are small where lidar and camera are close: a handful of points may pass.
+    assert (view.visible & ~seen & counted).sum() <= max(0.03 * (~seen & counted).sum(), 5)
+    drawn = (view.depth_image[rows, columns] == view.depths) & counted & seen
+    depths = truth.depth("camera0", k)[rows, columns]
+    # The pixel's centre sees the surface up to 0.7 px beside the point; flat surfaces differ by little there.
+    assert np.median(np.abs(view.depths - depths)[drawn]) < 0.03
+    assert (fused.colors[view.point_ids[view.visible]] == image.rgb[rows, columns][view.visible]).all()
+
+
+THREADS_CAMERA = Camera(
+    "brown_conrady", 320, 200, 200.0, 200.0, 159.5, 99.5, (-0.1, 0.02, 5e-4, -3e-4, 1e-3, 0.05)
+)
+
+
+COUNT = 30_000  # enough for threads to share them
+
+
+def threads_cloud():
+    """Two walls behind each other, rough, the nearer one with holes; some points behind the camera, some nowhere."""
+    random = np.random.default_rng(5)
+    x, y = random.uniform(-8, 8, (2, COUNT))
+    z = np.where(random.random(COUNT) < 0.5, 20.0, 9.0) + random.normal(scale=0.02, size=COUNT)
+    points = np.stack([x, y, z], axis=1)
+    points[::50] *= -1
+    points[::77] = math.nan
+    return points
+
+
+def threads_request(number):
+    rotated = RigidTransform.from_quaternion(
+        np.array([0.1 * number, 0, 0]), np.array([0, math.sin(number / 20), 0, math.cos(number / 20)])
+    )
+    rgb = np.random.default_rng(number).integers(0, 255, (200, 320, 3), np.uint8)
+    return ViewRequest(
+        camera_id=f"camera {number}",
+        camera_index=number,
+        camera=THREADS_CAMERA,
+        timestamp_ns=0,
+        world_from_camera=rotated,
+        rgb=rgb,
+    )
+
+
+@pytest.mark.parametrize("images", [1, 2, 5])
+@pytest.mark.parametrize("threads", [2, 3])
+@pytest.mark.parametrize("known_trajectory", [False, True])
+@pytest.mark.parametrize("enabled", [False, True])
+def test_fusion_gives_the_same_to_the_bit_with_any_number_of_threads(
+    images, threads, known_trajectory, enabled
+):
+    points = threads_cloud()
+    trajectory = LidarTrajectory(
+        np.array([[0, -0.8, 0], [0.2, -0.8, 0.1]]), np.linspace(0, 1, COUNT, dtype=np.float32)
+    )
+    alone, shared = (
+        fuse_by_projection(
+            points,
+            [threads_request(number) for number in range(images)],
+            VisibilitySettings(enabled=enabled, threads=size),
+            trajectory=trajectory if known_trajectory else None,
+        )
+        for size in (1, threads)
+    )
+    np.testing.assert_array_equal(shared.colors, alone.colors)
+    np.testing.assert_array_equal(shared.camera_index, alone.camera_index)
+    for one, other in zip(shared.views, alone.views, strict=True):
+        assert one.camera_id == other.camera_id
+        for name in ("point_ids", "pixels", "depths", "visible", "depth_image"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    hidden = np.mean([1 - view.visible.mean() for view in alone.views])
+    assert 0.05 < hidden < 0.95

@@ -1,15 +1,30 @@
-"""Colours of several images become one: between pixels, by weight, without ghosts, with their provenance."""
+"""Colours of several images become one: between pixels, by weight, without ghosts, with their provenance.
+
+Normals of surfaces out of the points of one sweep.
+"""
+
+import math
 
 import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import BlendSettings, VisibilitySettings, blend_colours, view_points
-from sceneloom.colouring.blending import NO_IMAGE_NS, near_outlines, view_weights
+from sceneloom.colouring import (
+    BlendSettings,
+    VisibilitySettings,
+    blend_colours,
+    estimate_normals,
+    view_points,
+)
+from sceneloom.colouring.blending import NO_IMAGE_NS, colour_points, near_outlines, paint_points, view_weights
+from sceneloom.colouring.results import FusedView
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.projection import pixel_numbers
 
 CAMERA = Camera("pinhole", 101, 81, 100.0, 100.0, 50.0, 40.0)
+
+
 PLAIN = VisibilitySettings(enabled=False)
 
 
@@ -131,3 +146,202 @@ def test_an_index_is_needed_for_each_view():
         blend_colours(points, [view(points, image(1))], [])
     with pytest.raises(OptionError, match="index 255"):
         blend_colours(points, [view(points, image(1))], [255])
+
+
+def make_view(point_ids, pixels, rgb, visible=None):
+    height, width = rgb.shape[:2]
+    count = len(point_ids)
+    return FusedView(
+        "c",
+        Camera("pinhole", width, height, 100.0, 100.0, 0.0, 0.0),
+        0,
+        RigidTransform.identity(),
+        rgb,
+        np.array(point_ids, np.int64),
+        np.array(pixels, np.float32).reshape(count, 2),
+        pixel_numbers(np.array(pixels, np.float32).reshape(count, 2), width, height),
+        np.ones(count, np.float32),
+        np.ones(count, bool) if visible is None else np.array(visible, bool),
+        np.zeros((height, width), np.float32),
+        np.zeros((max(point_ids, default=-1) + 1, 3)),
+    )
+
+
+def plain(color, size=(4, 6)):
+    return np.full((*size, 3), color, np.uint8)
+
+
+def test_unseen_points_are_white_and_have_no_camera():
+    colors, camera_index = colour_points(3, [make_view([1], [(2, 1)], plain((1, 2, 3)))], [4])
+    assert colors.tolist() == [[255] * 3, [1, 2, 3], [255] * 3]
+    assert camera_index.tolist() == [255, 4, 255]
+    assert colors.dtype == camera_index.dtype == np.uint8
+
+
+def test_without_views_no_point_has_a_colour():
+    colors, camera_index = colour_points(2, [], [])
+    assert colors.tolist() == [[255] * 3] * 2
+    assert camera_index.tolist() == [255, 255]
+
+
+def test_an_empty_cloud_has_no_colours():
+    colors, camera_index = colour_points(
+        0, [make_view([], [], plain(0)), make_view([], [], plain(0))], [0, 1]
+    )
+    assert colors.shape == (0, 3)
+    assert camera_index.shape == (0,)
+
+
+def test_hidden_points_take_no_colour():
+    view = make_view([0, 1], [(1, 1), (1, 1)], plain((9, 9, 9)), visible=[False, True])
+    assert colour_points(2, [view], [0])[1].tolist() == [255, 0]
+
+
+def test_the_nearest_pixel_gives_the_colour():
+    rgb = np.random.default_rng(0).integers(0, 255, (4, 6, 3), np.uint8)
+    pixels = [(0.49, 0), (0.5, 0), (4.2, 2.7), (-0.5, -0.5), (5.49, 3.49)]
+    colors, _ = colour_points(5, [make_view(range(5), pixels, rgb)], [0])
+    nearest = [rgb[0, 0], rgb[0, 1], rgb[3, 4], rgb[0, 0], rgb[3, 5]]
+    np.testing.assert_array_equal(colors, nearest)
+
+
+def test_the_most_central_view_counts_in_units_of_half_the_diagonal():
+    small, large = plain((1, 1, 1), (30, 40)), plain((2, 2, 2), (300, 400))
+    # 5 px off the centre of the small image are a fifth of its half diagonal, 40 px of the large one 0.16.
+    views = [make_view([0], [(24.5, 14.5)], small), make_view([0], [(239.5, 149.5)], large)]
+    assert colour_points(1, views, [7, 8])[1].tolist() == [8]
+    views = [make_view([0], [(24.5, 14.5)], small), make_view([0], [(259.5, 149.5)], large)]
+    assert colour_points(1, views, [7, 8])[1].tolist() == [7]
+
+
+def test_of_equally_central_views_the_first_counts():
+    views = [make_view([0], [(1, 2)], plain(color)) for color in (10, 20, 30)]
+    assert colour_points(1, views, [2, 1, 0])[1].tolist() == [2]
+
+
+def test_a_view_that_hides_a_point_leaves_it_to_the_others():
+    views = [
+        make_view([0], [(2.5, 1.5)], plain((1, 1, 1)), visible=[False]),
+        make_view([0], [(0, 0)], plain((2, 2, 2))),
+    ]
+    colors, camera_index = colour_points(1, views, [0, 1])
+    assert (colors.tolist(), camera_index.tolist()) == ([[2, 2, 2]], [1])
+
+
+def test_many_views_agree_with_a_choice_made_point_by_point():
+    random = np.random.default_rng(1)
+    views = []
+    for size in ((4, 6), (9, 5), (1, 1)):
+        ids = np.sort(random.permutation(50)[:35])
+        pixels = random.uniform(-0.5, np.array(size[::-1]) - 0.5, (35, 2))
+        rgb = random.integers(0, 255, (*size, 3), np.uint8)
+        views.append(make_view(ids, pixels, rgb, random.random(35) < 0.8))
+    colors, camera_index = colour_points(50, views, [5, 0, 254])
+    for k in range(50):
+        best, expected = math.inf, ([255] * 3, 255)
+        for view, index in zip(views, (5, 0, 254), strict=True):
+            for i in np.flatnonzero((view.point_ids == k) & view.visible):
+                (u, v), (height, width) = view.pixels[i].tolist(), view.rgb.shape[:2]
+                off = math.hypot(u - (width - 1) / 2, v - (height - 1) / 2) / math.hypot(width, height)
+                if off < best:
+                    color = view.rgb[math.floor(v + 0.5), math.floor(u + 0.5)]
+                    best, expected = off, (color.tolist(), index)
+        assert (colors[k].tolist(), camera_index[k]) == expected
+
+
+def test_images_in_any_memory_order_are_taken():
+    rgb = np.random.default_rng(2).integers(0, 255, (4, 6, 3), np.uint8)
+    upside_down = np.ascontiguousarray(rgb[::-1])[::-1]
+    upside_down.flags.writeable = False
+    view = make_view([0, 1], [(5, 3), (0, 2)], upside_down)
+    np.testing.assert_array_equal(colour_points(2, [view], [0])[0], [rgb[3, 5], rgb[2, 0]])
+
+
+@pytest.mark.parametrize("indices", [[], [0, 1], [255], [-1]])
+def test_camera_indices_that_cannot_be_written_are_refused(indices):
+    with pytest.raises(OptionError, match="ind"):
+        colour_points(1, [make_view([0], [(0, 0)], plain(0))], indices)
+
+
+def test_planes_have_their_normals_near_and_far():
+    random = np.random.default_rng(1)
+    normal = np.array([0.36, 0.48, 0.8])
+    axes = np.linalg.svd(normal[None])[2][1:]
+    for distance in (5.0, 40.0):
+        flat = random.uniform(-2, 2, (4000, 2)) @ axes + distance * normal
+        found = estimate_normals(flat + 0.01 * random.normal(size=flat.shape), np.zeros(3))
+        known = np.linalg.norm(found, axis=1) > 0
+        assert known.mean() > 0.7
+        # noise of 1 cm over cubes of 0.4 m and more rotates a plane by a few degrees
+        assert np.median(np.abs(found[known] @ normal)) > np.cos(np.radians(4))
+
+
+def test_lines_single_points_and_points_that_are_not_finite_have_none():
+    line = np.column_stack([np.linspace(0, 0.3, 50), np.zeros(50), np.full(50, 5.0)])
+    alone = np.array([[30.0, 0.0, 0.0], [np.nan, 0.0, 0.0]])
+    assert (estimate_normals(np.concatenate([line, alone]), np.zeros(3)) == 0).all()
+    assert estimate_normals(np.zeros((0, 3)), np.zeros(3)).shape == (0, 3)
+
+
+WIDTH, HEIGHT, COUNT = 9, 6, 60
+
+
+def painted_one_by_one(views, count):
+    """Every point of every view in order, with plain Python numbers."""
+    colors, camera_index, best = [[255] * 3 for _ in range(count)], [255] * count, [math.inf] * count
+    for camera, (ids, pixels, visible, rgb) in enumerate(views):
+        height, width = rgb.shape[:2]
+        for k, (u, v), seen in zip(ids.tolist(), pixels.tolist(), visible, strict=True):
+            inside = -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5
+            if not (seen and inside and 0 <= k < count):
+                continue
+            off_center = math.hypot(u - (width - 1) / 2, v - (height - 1) / 2) / (
+                math.hypot(width, height) / 2
+            )
+            if off_center < best[k]:
+                best[k], camera_index[k] = off_center, camera
+                row, column = min(math.floor(v + 0.5), height - 1), min(math.floor(u + 0.5), width - 1)
+                colors[k] = rgb[row, column].tolist()
+    return colors, camera_index
+
+
+def random_view(seed, size=(HEIGHT, WIDTH)):
+    random = np.random.default_rng(seed)
+    pixels = random.uniform(-1, [size[1], size[0]], (COUNT, 2)).astype(np.float32)
+    pixels[::9] = math.nan
+    ids = random.permutation(COUNT + 10)[:COUNT] - 5
+    return ids, pixels, random.random(COUNT) < 0.8, random.integers(0, 256, (*size, 3), np.uint8)
+
+
+def painted(views, count, *, alone=False):
+    colors, camera_index = np.full((count, 3), 255, np.uint8), np.full(count, 255, np.uint8)
+    eccentricities = np.full(0 if alone else count, math.inf)
+    for camera, (ids, pixels, visible, rgb) in enumerate(views):
+        numbers = pixel_numbers(pixels, rgb.shape[1], rgb.shape[0])
+        paint_points(ids, pixels, numbers, visible, rgb, camera, eccentricities, colors, camera_index)
+    return colors.tolist(), camera_index.tolist()
+
+
+@pytest.mark.parametrize("count", [0, 1, COUNT])
+def test_each_point_takes_the_colour_of_the_view_that_shows_it_most_centrally(count):
+    views = [random_view(1), random_view(2, (4, 5)), random_view(3)]
+    assert painted(views, count) == painted_one_by_one(views, count)
+
+
+def test_a_single_view_needs_no_comparison():
+    views = [random_view(4)]
+    assert painted(views, COUNT, alone=True) == painted_one_by_one(views, COUNT)
+
+
+def test_of_two_equally_central_views_the_first_counts():
+    view = np.zeros(1, np.int64), np.array([[2.0, 1.0]], np.float32), np.ones(1, bool)
+    red, blue = (np.full((3, 5, 3), color, np.uint8) for color in ([200, 0, 0], [0, 0, 200]))
+    assert painted([(*view, red), (*view, blue)], 1) == ([[200, 0, 0]], [0])
+
+
+def test_read_only_images_are_taken():
+    ids, pixels, visible, rgb = random_view(5)
+    rgb.flags.writeable = False
+    assert painted([(ids, pixels, visible, rgb)], COUNT) == painted_one_by_one(
+        [(ids, pixels, visible, rgb)], COUNT
+    )

@@ -1,3 +1,8 @@
+"""Scan lines that lie close together in one part of a view and far apart in another.
+
+From where a lidar measured the points of a sweep.
+"""
+
 import math
 
 import numpy as np
@@ -6,14 +11,42 @@ import pytest
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import LidarTrajectory
 from sceneloom.colouring.algorithms import view_points
-from sceneloom.colouring.visibility import VisibilitySettings, find_visible
+from sceneloom.colouring.visibility import (
+    ScanLines,
+    VisibilitySettings,
+    are_uneven,
+    find_lines,
+    find_neighbours,
+    find_visible,
+    fit_reach,
+    look_around,
+    mark_unhidden,
+    measure_across,
+    measure_along_axes,
+    measure_extent,
+    measure_spacings,
+    measure_surface_distance,
+    split_by_spacing,
+)
 from sceneloom.errors import ArrayError, OptionError
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import LidarFrame, LidarPoints, Poses
+from sceneloom.scene.poses import PoseSource
 
 KITTI = Camera("pinhole", 1242, 375, 720.0, 720.0, 620.5, 187.0)
+
+
 TELE = Camera("pinhole", 1920, 1080, 1970.0, 1970.0, 959.5, 539.5)
+
+
 WIDE = Camera("pinhole", 1280, 720, 500.0, 500.0, 639.5, 359.5)
+
+
 BARREL = Camera("brown_conrady", 1280, 720, 640.0, 640.0, 639.5, 359.5, (-0.2, 0.03))
+
+
 FISHEYE = Camera("fisheye", 960, 720, 300.0, 300.0, 479.5, 359.5, (0.02, -0.003, 0.0, 0.0))
+
 
 SET_UPS = {
     "lidar above": (KITTI, {}),
@@ -58,6 +91,7 @@ FINE_IN_THE_MIDDLE = (
     *np.arange(-14.0, -26.0, -4.0),
 )
 """Elevations of a lidar of 72 lines [deg]."""
+
 
 UNEVEN = {
     "lidar above": (WIDE, {"lidar_above": (-0.3, 0.0, 1.2)}),
@@ -243,3 +277,542 @@ def test_decisions_do_not_depend_on_where_the_world_begins(street):
 def test_settings_that_cannot_be_followed_are_refused(field, value):
     with pytest.raises(OptionError, match=f"{field} {value}"):
         VisibilitySettings(**{field: value})
+
+
+def scan_lines(across_deg, along_deg, angle_deg=0.0, jitter=0.02):
+    """Directions on parallel lines; at angle 0 the lines run to the right."""
+    random = np.random.default_rng(0)
+    right, down = np.meshgrid(np.arange(-15, 15, along_deg), np.arange(-12, 12, across_deg))
+    right = right + random.normal(scale=jitter, size=right.shape)
+    rotation = np.radians(angle_deg)
+    rotated = (
+        right * np.cos(rotation) - down * np.sin(rotation),
+        right * np.sin(rotation) + down * np.cos(rotation),
+    )
+    return np.radians([axis.ravel() for axis in rotated]).astype(np.float32)
+
+
+def spacings_deg(directions, inverse_ranges=None):
+    inverse = np.full(directions.shape[1], 0.1, np.float32) if inverse_ranges is None else inverse_ranges
+    return np.degrees(measure_spacings(look_around(directions, inverse)))
+
+
+@pytest.mark.parametrize(("angle_deg", "along_axis"), [(0, 0), (45, 1), (90, 2), (135, 3)])
+@pytest.mark.parametrize(("across_deg", "along_deg"), [(0.42, 0.17), (1.0, 0.2), (2.0, 0.4), (0.6, 0.35)])
+def test_the_spacings_across_and_along_scan_lines_are_found(across_deg, along_deg, angle_deg, along_axis):
+    spacings = spacings_deg(scan_lines(across_deg, along_deg, angle_deg))
+    # Half a cell of resolution, and the neighbour across may lie a little to the side.
+    assert spacings[along_axis] == pytest.approx(along_deg, abs=0.05)
+    assert spacings[(along_axis + 2) % 4] == pytest.approx(across_deg, abs=0.05 + 0.1 * across_deg)
+
+
+def test_points_that_take_no_part_do_not_count():
+    lines, others = scan_lines(0.42, 0.17), scan_lines(0.29, 0.87)
+    both = np.column_stack([lines, others])
+    inverse = np.concatenate([np.full(lines.shape[1], 0.1), np.zeros(others.shape[1])]).astype(np.float32)
+    assert spacings_deg(both[:, ::-1].copy(), inverse[::-1].copy())[2] == pytest.approx(0.42, abs=0.1)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 100])
+def test_too_few_points_give_no_spacing(count):
+    assert np.isnan(spacings_deg(scan_lines(0.42, 0.17)[:, :count].copy())).all()
+
+
+def test_lines_beyond_reach_give_no_spacing_across_them():
+    spacings = spacings_deg(scan_lines(4.0, 0.2))
+    assert np.isnan(spacings[2])
+    assert spacings[0] == pytest.approx(0.2, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("spacings_deg", "window_deg", "across_deg", "along_deg", "angle_deg"),
+    [
+        ((0.2, 0.45, 0.4, 0.45), 0.46, 0.3, 0.18, 90),
+        ((0.4, 0.45, 0.2, 0.45), 0.46, 0.3, 0.18, 0),
+        ((0.45, 0.2, 0.45, 0.4), 0.46, 0.3, 0.18, 135),
+        ((0.1, 0.11, 0.1, 0.1), 0.3, 0.1, 0.1, 45),
+        ((0.2, 2.1, 2.4, 2.1), 2.76, 2.2, 2.76 / 6, 90),  # what is near reaches one cell
+        ((0.2, math.nan, 1.0, math.nan), 1.15, 0.87, 1.15 / 6, 90),
+        ((0.2, 0.3, math.nan, math.nan), 0.5, 0.16, 0.16, 0),
+        ((math.nan,) * 4, 0.5, 0.16, 0.16, 0),
+    ],
+)
+def test_the_reach_follows_the_scan_lines(spacings_deg, window_deg, across_deg, along_deg, angle_deg):
+    reach = fit_reach(find_lines(np.radians(spacings_deg)))
+    assert math.degrees(reach.window) == pytest.approx(window_deg)
+    assert math.degrees(reach.across) == pytest.approx(across_deg, abs=1e-3)
+    assert math.degrees(reach.along) == pytest.approx(along_deg)
+    assert math.degrees(reach.angle) == pytest.approx(angle_deg)
+
+
+def test_the_ellipse_has_its_axes_across_and_along_the_scan_lines():
+    reach = fit_reach(find_lines(np.radians([0.45, 0.2, 0.45, 0.4])))
+    xx, xy, yy = reach.ellipse
+    for length, angle in ((reach.across, reach.angle), (reach.along, reach.angle + math.pi / 2)):
+        x, y = length * math.cos(angle), length * math.sin(angle)
+        assert xx * x * x + xy * x * y + yy * y * y == pytest.approx(1)
+
+
+def ground_and_wall(height, *, spacing_deg=0.4, wall_at=40.0, noise=0.02):
+    """A cloud of a flat ground, that many metres below the camera, and of a wall ahead."""
+    random = np.random.default_rng(0)
+    across, along = np.meshgrid(
+        np.radians(np.arange(-12, 25, spacing_deg)), np.radians(np.arange(-30, 30, 0.2))
+    )
+    rays = np.stack([np.sin(along) * np.cos(across), np.sin(across), np.cos(along) * np.cos(across)], axis=-1)
+    rays = rays.reshape(-1, 3)
+    with np.errstate(divide="ignore"):
+        to_ground = np.where(rays[:, 1] > 0, height / rays[:, 1], np.inf)
+    ranges = np.minimum(to_ground, wall_at / rays[:, 2]) + random.normal(scale=noise, size=len(rays))
+    directions = rays[:, :2].T * np.sqrt(2 / (1 + rays[:, 2]))
+    return np.ascontiguousarray(directions, np.float32), (1 / ranges).astype(np.float32)
+
+
+@pytest.mark.parametrize(("height", "expected"), [(0.3, 0.24), (0.8, 0.64), (1.65, 1.32), (3.0, 1.5)])
+@pytest.mark.parametrize("spacing_deg", [0.2, 0.4, 2.0])
+def test_surfaces_pass_the_camera_at_its_height_above_the_ground(height, expected, spacing_deg):
+    directions, inverse_ranges = ground_and_wall(height, spacing_deg=spacing_deg, noise=0.0)
+    neighbours = look_around(directions, inverse_ranges)
+    measured = measure_surface_distance(neighbours, directions, inverse_ranges, 0.075, 0.005)
+    # The ground in the image is met at up to 25 degrees, whose cosine is 0.91, and directions are rounded to float32.
+    assert 0.99 * expected < measured < expected / 0.9
+
+
+@pytest.mark.parametrize(("height", "most"), [(0.3, 0.26), (0.8, 0.7), (1.65, 1.4)])
+def test_noise_makes_surfaces_steeper_never_flatter(height, most):
+    directions, inverse_ranges = ground_and_wall(height)
+    neighbours = look_around(directions, inverse_ranges)
+    measured = measure_surface_distance(neighbours, directions, inverse_ranges, 0.075, 0.005)
+    assert 0.4 * most < measured < most
+
+
+def test_a_cloud_that_shows_no_surface_gives_the_usual_distance():
+    directions = scan_lines(0.42, 0.17)
+    ranges = np.random.default_rng(0).uniform(2, 80, directions.shape[1])
+    for inverse in ((1 / ranges).astype(np.float32), np.zeros(directions.shape[1], np.float32)):
+        assert measure_surface_distance(look_around(directions, inverse), directions, inverse, 0, 0) == 0.5
+    nothing = np.zeros((2, 0), np.float32), np.zeros(0, np.float32)
+    assert measure_surface_distance(look_around(*nothing), *nothing, 0.1, 0.1) == 0.5
+
+
+UNKNOWN = ScanLines(0.01, 0.01, 0.0)
+
+
+FINE = np.arange(-4.0, 4.0, 0.25)
+
+
+COARSE = np.concatenate([np.arange(-14.0, -4.0, 1.0), FINE, np.arange(4.0, 14.0, 1.0)])
+
+
+def lines_at(across_deg, angle_deg=90.0, along_deg=0.2):
+    """Directions (2, M) on lines at locations across them, shuffled, and unit inverse ranges."""
+    across, along = np.meshgrid(np.radians(across_deg), np.radians(np.arange(-20, 20, along_deg)))
+    along = along + np.radians(0.07) * np.arange(len(across_deg))
+    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    u, t = across.ravel(), along.ravel()
+    directions = np.stack([c * u - s * t, s * u + c * t])
+    order = np.random.default_rng(0).permutation(len(u))
+    return np.ascontiguousarray(directions[:, order], np.float32), np.ones(len(u), np.float32), u[order]
+
+
+@pytest.mark.parametrize("spacing_deg", [0.25, 0.6, 1.2, 2.0])
+def test_lines_that_lie_alike_are_not_uneven(spacing_deg):
+    directions, ones, _ = lines_at(np.arange(-14, 14, spacing_deg))
+    assert not are_uneven(look_around(directions, ones))
+
+
+@pytest.mark.parametrize("angle_deg", [90.0, 0.0, 45.0])
+def test_parts_have_the_spacing_and_the_axis_of_their_lines(angle_deg):
+    directions, ones, across = lines_at(COARSE, angle_deg)
+    assert are_uneven(look_around(directions, ones))
+    parts = split_by_spacing(directions, ones, UNKNOWN)
+    assert np.sum([part.members for part in parts], axis=0).tolist() == [1] * len(ones)
+    fine = np.abs(np.degrees(across)) < 3
+    for spacing_deg, inside in ((0.25, fine), (1.0, np.abs(np.degrees(across)) > 5.5)):
+        held = max(parts, key=lambda part: part.members[inside].mean())
+        # In tiles at the corners of the view too few points are drawn to report.
+        assert held.members[inside].mean() > 0.75
+        # Cells of 0.1 degrees, and neighbours up to 45 degrees aside.
+        assert math.degrees(held.lines.across) == pytest.approx(spacing_deg, abs=0.25)
+        assert math.degrees(held.lines.along) == pytest.approx(0.2, abs=0.1)
+        assert math.degrees(held.lines.angle) == pytest.approx(angle_deg)
+
+
+def test_few_points_are_not_uneven_and_make_one_part():
+    directions = np.random.default_rng(1).uniform(-0.3, 0.3, (2, 20)).astype(np.float32)
+    ones = np.ones(20, np.float32)
+    assert not are_uneven(look_around(directions, ones))
+    (part,) = split_by_spacing(directions, ones, UNKNOWN)
+    assert part.members.all()
+    assert math.degrees(part.lines.across) == pytest.approx(2.5)
+
+
+def test_no_points_are_not_uneven():
+    assert not are_uneven(look_around(np.zeros((2, 0), np.float32), np.zeros(0, np.float32)))
+
+
+AHEAD = Poses(
+    np.array([0, 1000], np.int64), np.array([[0.0, 0, 0], [10, 0, 0]]), np.array([[0.0, 0, 0, 1]] * 2)
+)
+
+
+MOUNT = RigidTransform(np.eye(3), np.array([0.0, 1.0, 2.0]))
+
+
+def sweep(times: list[int] | None, count: int = 3) -> LidarFrame:
+    timestamps = None if times is None else np.array(times, np.int64)
+    return LidarFrame(400, LidarPoints(np.zeros((count, 3), np.float32), timestamps_ns=timestamps))
+
+
+def test_the_ends_are_the_lidars_locations_at_the_first_and_the_last_point() -> None:
+    trajectory = LidarTrajectory.of(sweep([300, 500, 350]), PoseSource(AHEAD, MOUNT))
+    assert trajectory is not None
+    np.testing.assert_allclose(trajectory.ends_world, [[3, 1, 2], [5, 1, 2]])
+    np.testing.assert_allclose(trajectory.fractions, [0, 1, 0.25])
+
+
+def test_points_without_times_were_all_measured_at_the_timestamp_of_their_frame() -> None:
+    trajectory = LidarTrajectory.of(sweep(None), PoseSource(AHEAD, MOUNT))
+    assert trajectory is not None
+    np.testing.assert_allclose(trajectory.ends_world, [[4, 1, 2], [4, 1, 2]])
+    np.testing.assert_array_equal(trajectory.fractions, [0, 0, 0])
+
+
+def test_an_empty_sweep_has_a_trajectory_without_points() -> None:
+    trajectory = LidarTrajectory.of(sweep([], 0), PoseSource(AHEAD, MOUNT))
+    assert trajectory is not None
+    assert trajectory.fractions.shape == (0,)
+
+
+def test_a_sweep_beyond_the_poses_has_no_way() -> None:
+    assert LidarTrajectory.of(sweep([900, 1000, 1001]), PoseSource(AHEAD, MOUNT)) is None
+
+
+@pytest.mark.parametrize(
+    ("ends", "fractions"),
+    [(np.zeros((3, 3)), np.zeros(2, np.float32)), (np.zeros((2, 3)), np.zeros(2))],
+)
+def test_arrays_of_another_kind_are_refused(ends: np.ndarray, fractions: np.ndarray) -> None:
+    with pytest.raises(ArrayError, match="trajectory"):
+        LidarTrajectory(ends, fractions)
+
+
+CELL, WINDOW = math.radians(0.16), math.radians(0.5)
+
+
+MARGIN, SHARE, SLOPE, NEARING = 0.15, 0.01, 2.0, 0.85
+
+
+def ellipse(across_deg=0.38, along_deg=0.24, angle=math.pi / 2):
+    p, r, c, s = (
+        math.radians(across_deg) ** -2,
+        math.radians(along_deg) ** -2,
+        math.cos(angle),
+        math.sin(angle),
+    )
+    return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
+
+
+def marked(
+    directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, slope=SLOPE, eyes=None, hiding=None
+):
+    """The kernel's answer; point i has row i of the fractions, which rise from 0 to 1."""
+    count = len(inverse_ranges)
+    visible = np.zeros(len(inverse_ranges), bool)
+    locations, nearness = (np.ascontiguousarray(rows, np.float32) for rows in (directions, inverse_ranges))
+    mark_unhidden(
+        locations,
+        nearness,
+        nearness if hiding is None else np.ascontiguousarray(hiding, np.float32),
+        measure_extent(locations, nearness),
+        cell,
+        window,
+        *(ellipse() if near is None else near),
+        slope,
+        MARGIN,
+        SHARE,
+        np.zeros((0, 3)) if eyes is None else eyes,
+        np.arange(count),
+        np.linspace(0, 1, count, dtype=np.float32),
+        NEARING,
+        visible,
+    )
+    return visible
+
+
+def in_map(points):
+    """Lambert's map of points (N, 3) around the z axis, (2, N)."""
+    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return rays[:, :2].T * np.sqrt(2 / (1 + rays[:, 2]))
+
+
+def shift_by_small_step(direction, eye):
+    """How a point 1 m away in a direction shifts in the map, to first order, when the eye comes from `eye`."""
+    x, y = direction.astype(np.float64)
+    half = math.sqrt(1 - 0.25 * (x * x + y * y))
+    ray = np.array([[x * half, y * half, 1 - 0.5 * (x * x + y * y)]])
+    step = 1e-6
+    return ((in_map(ray + step * eye) - in_map(ray - step * eye)) / (2 * step))[:, 0]
+
+
+def hidden_one_by_one(directions, inverse_ranges, *, cell, window, near, slope, strictness, eyes=None):
+    """The rule by its words: every point against the nearest point of every cell, no bounds, no windows of cells.
+
+    `strictness` above 1 makes hiding harder: what is hidden even then is surely hidden.
+    """
+    per_cell = np.float32(1 / cell)
+    steps = (directions * per_cell + np.float32(2.1) * per_cell).astype(np.int64)
+    nearest = {}
+    for j, (location, inverse) in enumerate(zip(map(tuple, steps.T), inverse_ranges, strict=True)):
+        if inverse > 0 and (location not in nearest or inverse > inverse_ranges[nearest[location]]):
+            nearest[location] = j
+    holders = np.array(list(nearest.values()), np.int64)
+    hidden = np.zeros(len(inverse_ranges), bool)
+    for i, inverse in enumerate(inverse_ranges.astype(np.float64)):
+        x, y = directions[:, holders].astype(np.float64) - directions[:, i : i + 1]
+        flattening = math.sqrt(1 - 0.25 * float((directions[:, i].astype(np.float64) ** 2).sum()))
+        needed = slope / flattening * np.hypot(x, y) * strictness
+        excess = inverse_ranges[holders] - inverse - strictness * (MARGIN * inverse**2 + SHARE * inverse)
+        hides = excess > needed
+        beside = near[0] * x * x + near[1] * x * y + near[2] * y * y <= 1 / strictness
+        if eyes is not None:
+            eye = eyes[0] + i / max(len(inverse_ranges) - 1, 1) * (eyes[1] - eyes[0])
+            gained = inverse_ranges[holders] - inverse
+            # What the eye comes from, seen from there: the nearer thing has not yet made its larger shift.
+            before = np.stack([x, y]) - gained * shift_by_small_step(directions[:, i], eye)[:, None]
+            beside &= x * before[0] + y * before[1] <= NEARING / strictness * (before**2).sum(axis=0)
+        rotation_of_vector = np.floor(np.arctan2(y, x) / (math.pi / 2)).astype(int) % 4
+        quadrants = set(rotation_of_vector[hides & (np.hypot(x, y) <= window / strictness)])
+        hidden[i] = (hides & beside).any() or {0, 2} <= quadrants or {1, 3} <= quadrants
+    return hidden
+
+
+def random_cloud(seed, count, spread_deg, *, layers=(1 / 30, 1 / 8)):
+    """Two noisy surfaces behind each other, the nearer one with holes; and some points anywhere."""
+    random = np.random.default_rng(seed)
+    directions = np.radians(random.uniform(-spread_deg, spread_deg, (2, count))).astype(np.float32)
+    inverse = np.where(random.random(count) < 0.5, *layers) + random.normal(scale=2e-3, size=count)
+    inverse = inverse + 0.1 * directions[1]
+    inverse[::17] = random.uniform(0.005, 0.5, len(inverse[::17]))
+    return directions, np.maximum(inverse, 1e-3).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {},
+        {"window": math.radians(1.15), "cell": math.radians(0.19), "near": ellipse(0.9, 0.24)},
+        {"near": ellipse(0.5, 0.15, math.pi / 4), "slope": 0.8},
+        {"near": ellipse(0.1, 0.1), "window": math.radians(0.3)},
+        {"near": ellipse(1.2, 1.2), "window": math.radians(0.2), "cell": math.radians(0.3)},
+        {"near": ellipse(0.5, 0.4), "eyes": np.array([[0.02, -0.06, -0.1], [-0.05, 0.01, 0.05]])},
+        {"near": ellipse(1.2, 0.9), "eyes": np.array([[0.3, -0.6, -0.3], [0.3, -0.6, 0.4]])},
+    ],
+    ids=[
+        "usual",
+        "sparse lidar",
+        "tilted",
+        "dense lidar",
+        "window smaller than near",
+        "lidar beside",
+        "lidar above",
+    ],
+)
+@pytest.mark.parametrize(("count", "spread_deg"), [(600, 1.5), (1500, 8.0), (700, 40.0)])
+@pytest.mark.few(6)
+def test_decisions_are_those_of_the_rule_applied_point_by_point(kwargs, count, spread_deg):
+    settings = {"cell": CELL, "window": WINDOW, "near": ellipse(), "slope": SLOPE, **kwargs}
+    directions, inverse_ranges = random_cloud(count, count, spread_deg)
+    visible = marked(directions, inverse_ranges, **settings)
+    # Float32 decides within 1e-4 of a limit as it likes; beyond that there is one answer.
+    surely_hidden = hidden_one_by_one(directions, inverse_ranges, **settings, strictness=1 + 1e-3)
+    perhaps_hidden = hidden_one_by_one(directions, inverse_ranges, **settings, strictness=1 - 1e-3)
+    assert not visible[surely_hidden].any()
+    assert visible[~perhaps_hidden].all()
+    assert (surely_hidden == perhaps_hidden).mean() > 0.99
+    if spread_deg < 10:
+        assert surely_hidden.any()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_plane_that_passes_the_camera_at_the_surface_distance_or_farther_never_hides_itself(seed):
+    random = np.random.default_rng(seed)
+    normal = random.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    rays = random.normal(size=(40_000, 3)) * [0.6, 0.6, 0.1] + [0, 0, 1]
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    inverse_ranges = rays @ normal / random.uniform(1 / SLOPE, 3)
+    rays, inverse_ranges = rays[inverse_ranges > 0.005], inverse_ranges[inverse_ranges > 0.005]
+    directions = rays[:, :2].T * np.sqrt(2 / (1 + rays[:, 2]))
+    assert marked(directions, inverse_ranges, near=ellipse(0.8, 0.8)).all()
+
+
+def grid(columns, rows, step_deg, inverse, *, offset_deg=0.0):
+    right, down = np.meshgrid(np.arange(columns) * step_deg, np.arange(rows) * step_deg)
+    directions = np.radians(np.stack([right.ravel(), down.ravel()]) + offset_deg)
+    return directions, np.full(directions.shape[1], inverse)
+
+
+def test_what_lies_between_the_samples_of_a_nearer_surface_is_hidden():
+    near_directions, near_inverse = grid(11, 11, 0.4, 1 / 10)
+    far_directions, far_inverse = grid(9, 9, 0.4, 1 / 30, offset_deg=0.6)
+    visible = marked(
+        np.column_stack([near_directions, far_directions]),
+        np.concatenate([near_inverse, far_inverse]),
+        near=ellipse(0.1, 0.1),
+    )
+    assert visible.tolist() == [True] * 121 + [False] * 81
+
+
+def test_the_background_beside_an_edge_is_seen():
+    near_directions, near_inverse = grid(5, 30, 0.2, 1 / 10)
+    far_directions, far_inverse = grid(5, 30, 0.2, 1 / 30)
+    far_directions = far_directions + np.radians([[1.2], [0.05]])
+    visible = marked(
+        np.column_stack([near_directions, far_directions]),
+        np.concatenate([near_inverse, far_inverse]),
+        near=ellipse(0.2, 0.2),
+    )
+    assert visible.all()
+
+
+def test_something_nearer_by_less_than_the_margin_hides_nothing():
+    directions = np.radians([[0, 0.005, -0.005], [0, 0.005, -0.005]])
+    for gap, hidden in ((0.3, True), (0.2, False)):  # 0.15 m and 1 % of 10 m make 0.25 m
+        visible = marked(directions, 1 / np.array([10, 10 - gap, 10 - gap]))
+        assert visible.tolist() == [not hidden, True, True]
+
+
+@pytest.mark.parametrize("inverse", [0.0, -1.0, math.nan, math.inf])
+def test_a_point_without_range_is_not_visible_and_hides_nothing(inverse):
+    visible = marked(np.zeros((2, 3)), np.array([0.1, inverse, 0.1]))
+    assert visible.tolist() == [True, False, True]
+
+
+@pytest.mark.parametrize("direction", [(math.nan, 0), (0, math.inf), (3, 0), (0, -1e30)])
+def test_a_point_outside_the_map_is_not_visible_and_hides_nothing(direction):
+    visible = marked(np.column_stack([(0, 0), direction]), np.array([0.1, 0.5]))
+    assert visible.tolist() == [True, False]
+
+
+def test_no_points_and_a_single_point_are_fine():
+    assert marked(np.zeros((2, 0)), np.zeros(0)).tolist() == []
+    assert marked(np.array([[1.9], [-0.5]]), np.array([1e-3])).tolist() == [True]
+
+
+def test_points_that_shall_not_hide_others_are_hidden_themselves():
+    rng = np.random.default_rng(8)
+    directions, inverse = rng.uniform(-0.1, 0.1, (2, 3000)), rng.uniform(0.02, 0.5, 3000)
+    hides = rng.random(3000) < 0.3
+    partly = marked(directions, inverse, hiding=np.where(hides, inverse, 0.0))
+    # As if the others were asked one at a time, each among those that hide.
+    alone = marked(directions[:, hides], inverse[hides])
+    np.testing.assert_array_equal(partly[hides], alone)
+    for i in np.flatnonzero(~hides)[:40]:
+        rows = np.append(np.flatnonzero(hides), i)
+        # Where it takes the position of a hiding one in the grid, the answer may not be compared.
+        in_cell = np.abs(directions[:, hides] - directions[:, [i]]).max(axis=0) < CELL
+        if not in_cell.any():
+            assert partly[i] == marked(directions[:, rows], inverse[rows])[-1]
+    assert not marked(directions, inverse, hiding=np.zeros(3000))[inverse == 0].any()
+    assert marked(directions, inverse, hiding=np.zeros(3000)).all()
+
+
+SPACING_CELL = 0.002
+
+
+STEPS = [(dx, dy) for dx in range(-6, 7) for dy in range(-6, 7) if 0 < dx * dx + dy * dy <= 36]
+
+
+RIGHT, DOWN = np.array(sorted(STEPS, key=lambda step: (math.hypot(*step), step)), np.int64).T.copy()
+
+
+SECTORS, DISTANCES = (RIGHT > 0) + 2 * (DOWN > 0), np.hypot(RIGHT, DOWN)
+
+
+def found(directions, inverse_ranges, samples):
+    distances, neighbours = np.zeros((samples, 4)), np.zeros((samples, 4), np.int64)
+    find_neighbours(
+        directions,
+        inverse_ranges,
+        measure_extent(directions, inverse_ranges),
+        SPACING_CELL,
+        RIGHT,
+        DOWN,
+        SECTORS.astype(np.int64),
+        DISTANCES,
+        distances,
+        neighbours,
+    )
+    return distances, neighbours
+
+
+def cells_of(directions):
+    """Column and row of each point's cell, (M, 2)."""
+    per_cell = np.float32(1 / SPACING_CELL)
+    return (directions * per_cell + np.float32(2.1) * per_cell).astype(np.int64).T
+
+
+def found_one_by_one(directions, inverse_ranges, samples):
+    """Every sampled cell against every other cell that holds a point."""
+    cells = cells_of(directions)
+    taking_part = (inverse_ranges > 0) & (np.abs(directions) <= 2.1).all(axis=0)
+    occupied = {tuple(cell) for cell in cells[taking_part].tolist()}
+    rows = []
+    for s in range(samples):
+        nearest, count = [math.nan] * 4, len(inverse_ranges)
+        i = s * count // min(samples, count) if s < min(samples, count) else None
+        for x, y in occupied if i is not None and taking_part[i] else ():
+            dx, dy = x - int(cells[i, 0]), y - int(cells[i, 1])
+            if 0 < math.hypot(dx, dy) <= 6:
+                sector = (dx > 0) + 2 * (dy > 0)
+                nearest[sector] = min(
+                    math.hypot(dx, dy), nearest[sector], key=lambda d: math.inf if d != d else d
+                )
+        rows.append(nearest)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("count", [1, 7, 300, 1500])
+@pytest.mark.parametrize("samples", [1, 50])
+def test_the_next_occupied_cell_of_each_sector_is_found(count, samples):
+    random = np.random.default_rng(count)
+    directions = random.uniform(-0.06, 0.06, (2, count)).astype(np.float32)
+    inverse_ranges = np.where(random.random(count) < 0.8, 0.1, 0).astype(np.float32)
+    expected = found_one_by_one(directions, inverse_ranges, samples)
+    distances, neighbours = found(directions, inverse_ranges, samples)
+    np.testing.assert_allclose(distances, expected)
+    np.testing.assert_array_equal(neighbours < 0, np.isnan(expected))
+    cells, drawn = cells_of(directions), min(samples, count)
+    own = cells[np.arange(drawn) * count // drawn]
+    dx, dy = np.moveaxis(cells[neighbours[:drawn]] - own[:, None], 2, 0)
+    known = neighbours[:drawn] >= 0
+    np.testing.assert_allclose(np.hypot(dx, dy)[known], distances[:drawn][known])
+    np.testing.assert_array_equal(((dx > 0) + 2 * (dy > 0))[known], np.nonzero(known)[1])
+    assert (inverse_ranges[neighbours[:drawn][known]] > 0).all()
+
+
+def test_no_points_have_no_neighbours():
+    distances, neighbours = found(np.zeros((2, 0), np.float32), np.zeros(0, np.float32), 3)
+    assert np.isnan(distances).all()
+    assert (neighbours == -1).all()
+
+
+@pytest.mark.parametrize("samples", [0, 1, 7, 200])
+def test_spacings_are_the_middle_of_what_is_found_along_axes_and_the_upper_quartile_across(samples):
+    random = np.random.default_rng(samples)
+    distances = SPACING_CELL * DISTANCES[random.integers(0, len(DISTANCES), (samples, 8))]
+    distances[random.random((samples, 8)) < 0.3] = math.nan
+    along, across = np.zeros(4), np.zeros(samples)
+    measure_along_axes(distances, SPACING_CELL, 6, 8, along)
+    measure_across(distances, 5, across)
+    for axis in range(4):
+        steps = np.sort(distances[:, [axis, axis + 4]], axis=None)
+        steps = steps[np.isfinite(steps)]
+        middle = steps[len(steps) // 4 : len(steps) - len(steps) // 4]
+        expected = middle.mean() if len(steps) >= 8 else math.nan
+        # Roots and sums are rounded in another order.
+        assert along[axis] == pytest.approx(expected, rel=1e-12, nan_ok=True)
+    for found, spacing in zip(distances, across, strict=True):
+        known = np.sort(found[np.isfinite(found)])
+        np.testing.assert_equal(spacing, known[3 * len(known) // 4] if len(known) >= 5 else math.nan)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sceneloom.kernels.surface_map import first_of_cubes, nearest_of_cubes, number_cubes
+from sceneloom.kernels.voxels import first_of_cubes, nearest_of_cubes, number_cubes
 
 
 def cubes_slowly(points, side):

@@ -11,7 +11,7 @@ from sceneloom.geometry.rotations import angle_between
 from sceneloom.motion.imu import find_stationary, imu_motion, integrate_rates
 from sceneloom.scene import ImuSensor, Scene, VectorSamples, WarningKind
 from sceneloom.simulate import simulate_street
-from sceneloom.simulate.gnss_imu import ImuSpec
+from sceneloom.simulate.drive import ImuSpec
 from sceneloom.simulate.trajectory import PathSpec, Stop
 
 SECOND = 1_000_000_000

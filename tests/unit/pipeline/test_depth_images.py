@@ -17,7 +17,7 @@ from sceneloom.simulate import (
     LidarSpec,
     SensorFaults,
     camera_mount,
-    plant,
+    inject,
     simulate_street,
 )
 
@@ -63,7 +63,7 @@ def test_a_camera_that_sees_no_point_gets_empty_images(drive, tmp_path, method):
 @pytest.mark.parametrize("sensor", ["lidar", "camera0"])
 def test_blind_sensors_make_no_depths_out_of_nothing(drive, tmp_path, sensor):
     always = ((0, 10**12),)
-    blind = plant(drive, Faults({sensor: SensorFaults(blind=always)}, seed=1))
+    blind = inject(drive, Faults({sensor: SensorFaults(blind=always)}, seed=1))
     write_depth_images(
         blind.scene, tmp_path / "out", form="npz", cameras=["camera0"], images=tmp_path / "look"
     )

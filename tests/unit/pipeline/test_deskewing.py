@@ -28,7 +28,7 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import LidarSpec, SimulatedDrive, simulate_street
-from sceneloom.simulate.gnss_imu import ImuSpec
+from sceneloom.simulate.drive import ImuSpec
 
 SWEEPS = 4
 

@@ -83,15 +83,15 @@ def test_kernels_count_as_compiled_once_there_is_an_index_of_their_present_sourc
     python = f"py{sys.version_info.major}{sys.version_info.minor}"
     below = tmp_path / "kernels_5f3a"
     below.mkdir()
-    source = Path(cache.__file__).parent / "free_space.py"
-    index = below / f"free_space.count_cubes-22.{python}.nbi"
+    source = Path(cache.__file__).parent / "voxels.py"
+    index = below / f"voxels.number_cubes-22.{python}.nbi"
     index.write_bytes(b"of a source that was changed since")
-    (below / "free_space.count_cubes-9.py27.nbi").write_bytes(cache.source_digest(source).encode())
+    (below / "voxels.number_cubes-9.py27.nbi").write_bytes(cache.source_digest(source).encode())
     assert cache.find_kernel_cache().compiled == 0
     index.write_bytes(b"of" + cache.source_digest(source).encode())
     assert cache.find_kernel_cache().compiled == 1
     assert cache.find_kernel_cache().kernels == cold.kernels > 150
-    asked = ["sceneloom.kernels.occlusion", "sceneloom.kernels.projection", "sceneloom.kernels.surface_map"]
+    asked = ["sceneloom.colouring.visibility", "sceneloom.cameras.perspective", "sceneloom.kernels.voxels"]
     others = ["sceneloom.kernels.cache", "sceneloom.cameras.camera", "numba.core", "sceneloom"]
     assert [cache.lacks_kernels(name) for name in (*asked, *others)] == [True] * 3 + [False] * 4
 
@@ -123,9 +123,9 @@ def test_threads_may_call_a_kernel_for_the_first_time_at_the_same_time(monkeypat
 
 def test_kept_kernels_are_those_of_the_content_of_their_sources_and_not_of_their_age(tmp_path):
     package = Path(cache.__file__).parent
-    copied = tmp_path / "free_space.py"
-    copied.write_bytes((package / "free_space.py").read_bytes())
-    known = cache.source_digest(package / "free_space.py")
+    copied = tmp_path / "voxels.py"
+    copied.write_bytes((package / "voxels.py").read_bytes())
+    known = cache.source_digest(package / "voxels.py")
     assert cache.source_digest(copied) == known
     changed = tmp_path / "changed.py"
     changed.write_bytes(copied.read_bytes() + b"\n")

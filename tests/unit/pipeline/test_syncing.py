@@ -11,7 +11,7 @@ from sceneloom.motion.clock.comparison import ClockVerdict
 from sceneloom.pipeline import sync
 from sceneloom.pipeline.syncing import AppliedCorrection, corrected_scene
 from sceneloom.scene import Scene
-from sceneloom.simulate import Faults, GnssSpec, LidarSpec, SensorFaults, plant, simulate_street
+from sceneloom.simulate import Faults, GnssSpec, LidarSpec, SensorFaults, inject, simulate_street
 
 BLIND = LidarSpec(beams=1, steps=4, elevations_deg=(-1.0, 1.0))
 CHEAP = ("imu", "groundTruth", "gnss")
@@ -27,7 +27,7 @@ def drive():
 def wrong(drive) -> Scene:
     """The trajectory 30 ms late, the receiver 400 ms early and 150 ppm too fast."""
     faults = {"gnss": SensorFaults(time_offset_ns=-400_000_000, clock_skew_ppm=150.0)}
-    scene = plant(drive, Faults(faults)).scene
+    scene = inject(drive, Faults(faults)).scene
     trajectory = scene.trajectories["groundTruth"]
     late = replace(trajectory, timestamps_ns=trajectory.timestamps_ns + 30_000_000)
     return replace(scene, trajectories={"groundTruth": late})

@@ -7,8 +7,16 @@ import pytest
 
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
-from sceneloom.simulate.objects import Material, PackedShapes, Pattern, Shape, ShapeKind
-from sceneloom.simulate.street import GroundMap, Lane, Street
+from sceneloom.simulate.street import (
+    GroundMap,
+    Lane,
+    Material,
+    PackedShapes,
+    Pattern,
+    Shape,
+    ShapeKind,
+    Street,
+)
 from sceneloom.simulate.trajectory import EgoPath
 
 GREY = Material(Pattern.PLAIN, ((128.0, 128.0, 128.0),) * 3)

@@ -4,7 +4,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast, instances_of, reflectivities_of
-from sceneloom.simulate.objects import Material, Pattern, Shape, ShapeKind
+from sceneloom.simulate.street import Material, Pattern, Shape, ShapeKind
 
 PLAIN = Material(Pattern.PLAIN, ((100.0, 100.0, 100.0),) * 3, reflectivity=0.3)
 GROUND, SKY = -1, -2

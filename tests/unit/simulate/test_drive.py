@@ -1,16 +1,53 @@
+"""What a seed means stays: numbers that drives without further sensors, traffic or faults have had from the start."""
+
+import pickle
+import re
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project
 from sceneloom.errors import OptionError
-from sceneloom.scene import CameraSensor, GnssSensor, ImuSensor, LidarSensor, PointsFrame, SensorType
-from sceneloom.simulate import CameraSpec, ImuSpec, LidarSpec, camera_mount, demo_drive, simulate_street
+from sceneloom.geometry.geodesy import enu_from_geodetic
+from sceneloom.motion.deskew import points_to_world
+from sceneloom.scene import (
+    CameraSensor,
+    GnssSensor,
+    ImuSensor,
+    LidarSensor,
+    PointsFrame,
+    RadarSensor,
+    SensorType,
+)
+from sceneloom.scene.poses import PoseSource
+from sceneloom.simulate import (
+    CameraSpec,
+    ExposureSpec,
+    GnssSpec,
+    ImuSpec,
+    LidarSpec,
+    RadarSpec,
+    Raster,
+    Rosette,
+    SolidStateSpec,
+    TrafficSpec,
+    camera_mount,
+    demo_drive,
+    sensor_mount,
+    simulate_street,
+)
+from sceneloom.simulate.drive import gnss_sensor, imu_sensor, imu_truth
+from sceneloom.simulate.trajectory import plan_path
 
 SMALL = LidarSpec(beams=8, steps=200)
+
+
 TINY = Camera("pinhole", 40, 30, 30.0, 30.0, 19.5, 14.5)
 
 
@@ -239,3 +276,440 @@ def test_the_parts_of_the_truth_agree_with_the_whole(drive):
     np.testing.assert_array_equal(poses.positions, exact.positions)
     same = replace(poses, quaternions_xyzw=exact.quaternions_xyzw)
     np.testing.assert_array_equal(poses.quaternions_xyzw, same.quaternions_xyzw)
+
+
+RASTER = SolidStateSpec(
+    Raster(rows=20, columns=30, channels=3),
+    period_ns=50_000_000,
+    offset_ns=7_000_000,
+    range_sigma=0.0,
+    mount=sensor_mount(position=(1.0, -0.6, 1.2), yaw_deg=-40.0, pitch_deg=3.0),
+)
+
+
+ROSETTE = SolidStateSpec(Rosette(shots_per_second=20_000.0), period_ns=300_000_000, offset_ns=40_000_000)
+
+
+RADAR = RadarSpec(period_ns=70_000_000, offset_ns=10_000_000)
+
+
+LIDARS = (SMALL, RASTER, ROSETTE)
+
+
+@pytest.fixture(scope="module")
+def rich():
+    """A drive with three lidars, two radars and a camera."""
+    return simulate_street(
+        4, frames=5, lidars=LIDARS, cameras=(CameraSpec(TINY),), radars=(RADAR, RadarSpec())
+    )
+
+
+def test_several_lidars_and_radars_have_ids_in_their_order(rich):
+    ids = [sensor.id for sensor in rich.scene.sensors]
+    assert ids == ["lidar0", "lidar1", "lidar2", "camera0", "radar0", "radar1", "imu", "gnss"]
+    assert list(rich.truth.lidars) == ids[:3]
+    assert list(rich.truth.radars) == ids[4:6]
+    assert rich.truth.lidar is rich.truth.lidars["lidar0"]
+    assert isinstance(rich.scene.sensor("radar1"), RadarSensor)
+
+
+def test_a_single_lidar_has_no_number_however_it_is_given():
+    one, listed = (
+        simulate_street(4, frames=2, cameras=(), **given)
+        for given in ({"lidar": RASTER}, {"lidars": (RASTER,)})
+    )
+    assert [lidar.id for lidar in (*one.scene.lidars, *listed.scene.lidars)] == ["lidar", "lidar"]
+    a, b = (drive.scene.lidars[0].frames[1] for drive in (one, listed))
+    assert a.timestamp_ns == 1_000_000_000 + 7_000_000 + 50_000_000
+    np.testing.assert_array_equal(a.points.positions, b.points.positions)
+
+
+def test_each_sensor_measures_on_its_own_clock_while_the_drive_lasts(rich):
+    start, stop = 1_000_000_000, 1_500_000_000
+    expected = {
+        "lidar0": range(start, stop, 100_000_000),
+        "lidar1": range(start + 7_000_000, stop, 50_000_000),
+        "lidar2": range(start + 40_000_000, stop, 300_000_000),
+        "radar0": range(start + 10_000_000, stop, 70_000_000),
+        "radar1": range(start, stop, 50_000_000),
+    }
+    for name, times in expected.items():
+        frames = rich.scene.sensor(name).frames
+        assert frames.timestamps_ns.tolist() == list(times)
+        assert [frame.timestamp_ns for frame in frames] == list(times)
+
+
+def test_frames_of_all_sensors_merge_into_one_stream(rich):
+    lidars = [rich.scene.sensor(f"lidar{k}") for k in range(3)]
+    timestamps = np.sort(np.concatenate([lidar.frames.timestamps_ns for lidar in lidars]))
+    assert len(timestamps) == 5 + 10 + 2
+    for lidar in lidars:
+        spec = rich.truth.lidars[lidar.id].spec
+        for frame in lidar.frames:
+            times = frame.points.timestamps_ns - frame.timestamp_ns
+            assert 0 <= times.min() < times.max() < spec.period_ns
+            assert (np.diff(times) >= 0).all()
+
+
+def test_further_sensors_change_nothing_of_the_first_lidar_the_street_and_the_camera(rich):
+    plain = simulate_street(4, frames=5, lidar=SMALL, cameras=(CameraSpec(TINY),))
+    for k in (0, 4):
+        ours, theirs = (drive.truth.sweep(k) for drive in (rich, plain))
+        np.testing.assert_array_equal(ours.frame.points.positions, theirs.frame.points.positions)
+    images = [drive.scene.cameras[0].images[2].rgb for drive in (rich, plain)]
+    np.testing.assert_array_equal(*images)
+    np.testing.assert_array_equal(rich.truth.street.shapes.maps, plain.truth.street.shapes.maps)
+
+
+def test_further_sensors_change_nothing_of_the_traffic_however_long_they_measure():
+    slow = SolidStateSpec(Raster(rows=2, columns=4), period_ns=10**9, offset_ns=10**8 - 1)
+    plain, rich = (
+        simulate_street(4, frames=1, lidars=lidars, radars=radars, cameras=(), traffic=TrafficSpec())
+        for lidars, radars in (((SMALL,), ()), ((SMALL, slow), (RadarSpec(period_ns=10**10),)))
+    )
+    # The last shot of the slow one is 1.1 s after the start of the drive's only sweep of 0.1 s.
+    times = 1_000_000_000 + np.arange(0, 1_100_000_000, 50_000_000)
+    ours, theirs = (drive.truth.boxes(times) for drive in (rich, plain))
+    assert ours.present[:, len(rich.truth.objects) :].any()
+    np.testing.assert_array_equal(ours.centers_world, theirs.centers_world)
+    np.testing.assert_array_equal(ours.present, theirs.present)
+
+
+def test_lidars_of_the_same_kind_have_noise_of_their_own():
+    drive = simulate_street(4, frames=1, lidars=(SMALL, SMALL), cameras=())
+    first, second = (drive.truth.sweep(0, lidar_id) for lidar_id in ("lidar0", "lidar1"))
+    errors = [np.linalg.norm(s.frame.points.positions, axis=1) - s.ranges for s in (first, second)]
+    common = min(map(len, errors))
+    # A thousand independent pairs correlate by 0.03 at random; five times that.
+    assert common > 700
+    assert abs(np.corrcoef(errors[0][:common], errors[1][:common])[0, 1]) < 0.18
+    mean = [s.points_world.mean(axis=0) for s in (first, second)]
+    np.testing.assert_allclose(mean[0], mean[1], atol=0.5)
+
+
+@pytest.mark.parametrize("lidar_id", ["lidar1", "lidar2"])
+def test_deskewing_a_solid_state_lidar_by_the_trajectory_gives_the_clean_points(rich, lidar_id):
+    lidar = rich.scene.sensor(lidar_id)
+    frame, clean = lidar.frames[1], rich.truth.clean_points_world(1, lidar_id)
+    source = PoseSource(rich.scene.trajectories["groundTruth"].poses, lidar.mount)
+    world, extrapolated = points_to_world(frame, source)
+    assert not extrapolated
+    error = np.linalg.norm(world - clean.positions_world, axis=1)
+    sigma = rich.truth.lidars[lidar_id].spec.range_sigma
+    # The trajectory is sampled at 100 Hz: 0.1 mm and 1e-5 rad, 1.5 mm at 150 m; then range noise.
+    assert np.median(error) < 2e-4 + sigma
+    assert np.percentile(error, 99) < 1.5e-3 + 3.0 * sigma
+    assert len(error) > 1000
+
+
+def test_poses_of_every_sensor_are_trajectory_and_mounting(rich):
+    for name in ("lidar1", "lidar2", "radar0"):
+        sensor = rich.scene.sensor(name)
+        exact = rich.truth.path.at(sensor.poses.timestamps_ns)
+        rotation = Rotation.from_matrix(exact.rotations)
+        expected = rotation.apply(sensor.mount.translation.copy()) + exact.positions
+        np.testing.assert_allclose(sensor.poses.positions, expected, atol=1e-9)
+        away = rotation * Rotation.from_matrix(sensor.mount.rotation.copy())
+        np.testing.assert_allclose(
+            Rotation.from_quat(sensor.poses.quaternions_xyzw).as_matrix(), away.as_matrix(), atol=1e-9
+        )
+
+
+def test_trajectory_imu_and_gnss_outlast_the_last_shot(rich):
+    last = max(int(lidar.frames[-1].points.timestamps_ns[-1]) for lidar in rich.scene.lidars)
+    assert last > 1_600_000_000
+    for times in (
+        rich.scene.trajectories["groundTruth"].timestamps_ns,
+        rich.scene.sensor("imu").streams["gyroscope"].timestamps_ns,
+        rich.scene.sensor("gnss").timestamps_ns,
+    ):
+        assert times[-1] > last
+
+
+def test_two_lidars_see_the_same_walls(rich):
+    clouds = [rich.truth.clean_points_world(0, name) for name in ("lidar0", "lidar1")]
+    shared = set(clouds[0].instances.tolist()) & set(clouds[1].instances.tolist()) - {0}
+    assert len(shared) > 3
+    things = {thing.instance: thing for thing in rich.truth.objects}
+    for cloud in clouds:
+        for instance in shared:
+            own = cloud.positions_world[cloud.instances == instance]
+            away = (
+                Rotation.from_euler("z", things[instance].yaw)
+                .inv()
+                .apply(own - things[instance].center_world)
+            )
+            assert (np.abs(away) <= np.array(things[instance].size_lwh) / 2 + 1e-6).all()
+
+
+def test_asking_for_a_lidar_that_is_not_there_names_those_that_are(rich):
+    with pytest.raises(OptionError, match="'lidar'; expected one of 'lidar0', 'lidar1', 'lidar2'"):
+        rich.truth.sweep(0, "lidar")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"lidar": SMALL, "lidars": (SMALL,)}, "both are given"),
+        ({"lidars": ()}, "lidars: none"),
+        ({"lidars": (SMALL, SolidStateSpec(period_ns=10**9 + 1))}, "lidar1.period_ns"),
+    ],
+)
+def test_rigs_that_cannot_be_are_refused(wrong, message):
+    with pytest.raises(OptionError, match=message):
+        simulate_street(1, frames=1, cameras=(), **wrong)
+
+
+def test_the_scene_goes_to_another_process_and_is_the_same_there():
+    camera = CameraSpec(TINY, readout_ns=20_000_000, exposure=ExposureSpec())
+    drive = simulate_street(4, frames=2, lidars=LIDARS, cameras=(camera,), radars=(RADAR,))
+    there = pickle.loads(pickle.dumps(drive.scene))
+    for name in ("lidar0", "lidar1", "lidar2"):
+        np.testing.assert_array_equal(
+            there.sensor(name).frames[0].points.positions, drive.scene.sensor(name).frames[0].points.positions
+        )
+    np.testing.assert_array_equal(
+        there.sensor("radar0").frames[1].points.lengths, drive.scene.sensor("radar0").frames[1].points.lengths
+    )
+    np.testing.assert_array_equal(there.cameras[0].images[1].rgb, drive.scene.cameras[0].images[1].rgb)
+
+
+def test_a_scene_file_keeps_lidars_and_radars(rich, tmp_path):
+    sceneloom.write(rich.scene, tmp_path / "rich.sfs")
+    with sceneloom.open(tmp_path / "rich.sfs") as again:
+        for name in ("lidar1", "lidar2"):
+            ours, theirs = rich.scene.sensor(name).frames[1], again.sensor(name).frames[1]
+            np.testing.assert_array_equal(ours.points.positions, theirs.points.positions)
+        assert again.sensor("lidar2").frames[0].points.rings is None
+        radar, kept = (scene.sensor("radar0").frames[3].points for scene in (rich.scene, again))
+        np.testing.assert_array_equal(radar.lengths, kept.lengths)
+        np.testing.assert_array_equal(radar.directions, kept.directions)
+
+
+def test_a_recording_keeps_several_lidars_on_their_own_clocks(rich, tmp_path):
+    report = sceneloom.write(rich.scene, tmp_path / "rich")
+    assert {"sensors[radar0]", "sensors[radar1]"} <= {loss.field for loss in report.losses}
+    with sceneloom.open(tmp_path / "rich") as again:
+        assert [lidar.id for lidar in again.lidars] == ["lidar0", "lidar1", "lidar2"]
+        for lidar in again.lidars:
+            ours = rich.scene.sensor(lidar.id)
+            np.testing.assert_array_equal(lidar.frames.timestamps_ns, ours.frames.timestamps_ns)
+            np.testing.assert_array_equal(lidar.frames[1].points.positions, ours.frames[1].points.positions)
+        timestamps = [lidar.frames.timestamps_ns.tolist() for lidar in again.lidars]
+        assert all(a != b for a, b in pairwise(timestamps))
+
+
+GRAVITY = np.array([0.0, 0.0, -9.80665])
+
+
+@pytest.fixture(scope="module")
+def path():
+    return plan_path(np.random.default_rng(8), start_ns=0, duration=10.0)
+
+
+def timestamps(seconds, rate_hz):
+    return np.rint(np.arange(0.0, seconds, 1 / rate_hz) * 1e9).astype(np.int64)
+
+
+def integrate(start, rotation, times_ns, forces, rates):
+    """Plain strap-down integration: the rotation by the mean rate of each step, the force by the trapezium rule."""
+    position, velocity = start.positions[0].copy(), start.velocities[0].copy()
+    for k, dt in enumerate(np.diff(times_ns) * 1e-9):
+        rotated = rotation * Rotation.from_rotvec(0.5 * (rates[k] + rates[k + 1]) * dt)
+        before = rotation.apply(forces[k]) + GRAVITY
+        after = rotated.apply(forces[k + 1]) + GRAVITY
+        position += velocity * dt + (2 * before + after) * dt**2 / 6
+        velocity += 0.5 * (before + after) * dt
+        rotation = rotated
+    return position, velocity, rotation
+
+
+def test_the_true_signals_integrate_to_the_path(path):
+    times = timestamps(5.0, 1000)
+    truth = imu_truth(ImuSpec(), path, times, seed=0)
+    first, last = path.at(times[:1]), path.at(times[-1:])
+    position, velocity, rotation = integrate(
+        first, Rotation.from_matrix(first.rotations[0]), times, truth.specific_forces, truth.angular_rates
+    )
+    # The trapezium rule at 1 kHz is off by dt²/12 times jerk or angular jerk: 1e-6 m/s and 1e-7 rad over 5 s.
+    np.testing.assert_allclose(position, last.positions[0], atol=1e-4)
+    np.testing.assert_allclose(velocity, last.velocities[0], atol=1e-4)
+    assert (rotation.inv() * Rotation.from_matrix(last.rotations[0])).magnitude() < 1e-5
+
+
+def test_the_measured_signals_without_their_bias_integrate_to_the_path_as_well_as_noise_allows(path):
+    times, spec = timestamps(3.0, 200), ImuSpec()
+    truth = imu_truth(spec, path, times, seed=0)
+    streams = imu_sensor(spec, truth, seed=0).streams
+    first, last = path.at(times[:1]), path.at(times[-1:])
+    position, _, rotation = integrate(
+        first,
+        Rotation.from_matrix(first.rotations[0]),
+        times,
+        streams["accelerometer"].values - truth.accelerometer_bias,
+        streams["gyroscope"].values - truth.gyroscope_bias,
+    )
+    # White noise of density n gives n √(T³/3) of position and n √T of angle: 3 mm and 0.2 mrad; the tilt adds
+    # g T²/2 times its size: 8 mm. Five times that.
+    np.testing.assert_allclose(position, last.positions[0], atol=0.05)
+    assert (rotation.inv() * Rotation.from_matrix(last.rotations[0])).magnitude() < 1e-3
+
+
+def test_an_imu_that_all_but_stands_feels_gravity_upwards(stationary_path):
+    truth = imu_truth(ImuSpec(), stationary_path, timestamps(1.0, 100), seed=0)
+    np.testing.assert_allclose(truth.specific_forces, np.tile(-GRAVITY, (100, 1)), atol=1e-6)
+    np.testing.assert_allclose(truth.angular_rates, 0.0, atol=1e-6)
+
+
+def test_the_noise_has_the_density_and_the_bias_that_were_asked_for(path):
+    times = timestamps(10.0, 400)
+    spec = ImuSpec(rate_hz=400, accelerometer_noise=0.01, gyroscope_noise=0.002)
+    truth = imu_truth(spec, path, times, seed=4)
+    streams = imu_sensor(spec, truth, seed=4).streams
+    for name, clean, density, bias in (
+        ("accelerometer", truth.specific_forces, 0.01, truth.accelerometer_bias),
+        ("gyroscope", truth.angular_rates, 0.002, truth.gyroscope_bias),
+    ):
+        error = streams[name].values - clean
+        # 4000 samples know a deviation to 1.1 % and a mean to 1.6 % of it; five times that.
+        assert error.std(axis=0) == pytest.approx(density * np.sqrt(400), rel=0.06)
+        np.testing.assert_allclose(error.mean(axis=0), bias, atol=0.08 * density * np.sqrt(400))
+        np.testing.assert_array_equal(streams[name].timestamps_ns, times)
+
+
+def test_biases_differ_between_seeds_and_axes(path):
+    biases = [
+        imu_truth(ImuSpec(), path, timestamps(0.1, 100), seed=seed).accelerometer_bias for seed in range(3)
+    ]
+    assert len(np.unique(np.concatenate(biases))) == 9
+
+
+def test_the_bias_is_not_drawn_from_the_numbers_of_the_noise(path):
+    times, spec = (
+        timestamps(0.1, 100),
+        ImuSpec(rate_hz=100, accelerometer_noise=0.1, accelerometer_bias_sigma=1.0),
+    )
+    truth = imu_truth(spec, path, times, seed=0)
+    noise = imu_sensor(spec, truth, seed=0).streams["accelerometer"].values[0] - truth.specific_forces[0]
+    assert not np.allclose(noise - truth.accelerometer_bias, truth.accelerometer_bias, rtol=0.01)
+
+
+def test_gnss_fixes_scatter_around_the_path_as_much_as_stated(path):
+    spec, times = GnssSpec(rate_hz=200, horizontal_sigma=0.5, vertical_sigma=2.0), timestamps(10.0, 200)
+    fixes = gnss_sensor(spec, path, times, seed=1)
+    error = enu_from_geodetic(fixes.positions_lla, np.array(spec.origin_lla)) - path.at(times).positions
+    # 2000 fixes know a deviation to 1.6 %; five times that.
+    assert error.std(axis=0) == pytest.approx([0.5, 0.5, 2.0], rel=0.08)
+    np.testing.assert_allclose(error.mean(axis=0), 0.0, atol=0.25)
+    assert set(fixes.accuracies) == {0.5}
+    assert set(fixes.vertical_accuracies) == {2.0}
+
+
+def test_gnss_counts_north_in_latitude_and_east_in_longitude(stationary_path):
+    spec = GnssSpec(horizontal_sigma=0.0, vertical_sigma=0.0, origin_lla=(60.0, 25.0, 100.0))
+    fix = gnss_sensor(spec, stationary_path, timestamps(0.1, 10), seed=0).positions_lla[0]
+    np.testing.assert_allclose(fix, [60.0, 25.0, 100.0], atol=1e-6)
+    moved = plan_path(np.random.default_rng(8), start_ns=0, duration=10.0)
+    exact = gnss_sensor(spec, moved, timestamps(5.0, 10), seed=0).positions_lla
+    east, north = moved.at(timestamps(5.0, 10)).positions[:, :2].T
+    # A degree of latitude is 111.41 km at 60 degrees north, one of longitude 55.80 km (Bomford, Geodesy).
+    np.testing.assert_allclose((exact[:, 0] - 60.0) * 111_412, north, atol=0.01)
+    np.testing.assert_allclose((exact[:, 1] - 25.0) * 55_800, east, atol=0.01)
+
+
+@pytest.mark.parametrize("rate", [0.0, -5.0, float("nan"), 1e6])
+def test_rates_that_no_sensor_has_are_refused(rate):
+    with pytest.raises(OptionError, match="rate_hz"):
+        ImuSpec(rate_hz=rate)
+    with pytest.raises(OptionError, match="rate_hz"):
+        GnssSpec(rate_hz=rate)
+
+
+@pytest.mark.parametrize("sigma", [-1.0, float("nan")])
+def test_deviations_that_no_sensor_has_are_refused_by_name(sigma):
+    with pytest.raises(OptionError, match=r"imu.gyroscope_noise: .*expected 0.0 to"):
+        ImuSpec(gyroscope_noise=sigma)
+    with pytest.raises(OptionError, match=r"gnss.vertical_sigma: .*expected 0.0 to"):
+        GnssSpec(vertical_sigma=sigma)
+
+
+def test_the_receiver_starts_on_the_earth():
+    with pytest.raises(OptionError, match="origin_lla"):
+        GnssSpec(origin_lla=(500.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return simulate_street(3, frames=3, lidar=LidarSpec(beams=32, steps=600))
+
+
+def test_the_street_of_a_seed_is_the_one_it_has_always_been(plain):
+    assert len(plain.truth.objects) == 143
+    assert len(plain.scene.annotations) == 77
+    thing = plain.truth.objects[100]
+    assert thing.label == "bin"
+    # Other processors may round sines differently in the last location.
+    np.testing.assert_allclose(thing.center_world, [19.919217841186637, 1.5572615535307204, 0.49], atol=1e-9)
+    assert thing.yaw == pytest.approx(0.3745412551423274, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("k", "count", "intensities", "some"),
+    [
+        (0, 18916, 1021471, [0.7724280953407288, 8.171435356140137, -1.8492361307144165]),
+        (2, 18885, 1015938, [1.3576304912567139, 14.362231254577637, -1.9017314910888672]),
+    ],
+)
+def test_the_sweeps_of_a_seed_are_those_it_has_always_had(plain, k, count, intensities, some):
+    points = plain.scene.lidars[0].frames[k].points
+    assert len(points) == count
+    # Intensities are rounded: a few may fall to the other side elsewhere.
+    assert points.intensities.astype(np.int64).sum() == pytest.approx(intensities, abs=20)
+    np.testing.assert_allclose(points.positions[5000], some, atol=1e-5)
+
+
+def test_the_images_of_a_seed_are_those_it_has_always_had(plain):
+    rgb, truth = plain.scene.cameras[0].images[1].rgb, plain.truth.image("camera0", 1)
+    np.testing.assert_allclose(
+        rgb.mean(axis=(0, 1)), [103.13753945249597, 109.5844938271605, 102.08610842726785], atol=1e-3
+    )
+    np.testing.assert_allclose(rgb[200, 600].astype(float), [26, 73, 50], atol=1)
+    assert truth.depths.mean(dtype=np.float64) == pytest.approx(19.859321487794304, abs=1e-3)
+    assert (truth.instances == 0).sum() == pytest.approx(126744, abs=5)
+
+
+def test_the_motion_of_a_seed_is_the_one_it_has_always_been(plain):
+    trajectory = plain.scene.trajectories["groundTruth"]
+    assert len(trajectory.positions) == 72
+    np.testing.assert_allclose(
+        trajectory.positions[40], [1.3264224740243133, 0.5440577792995279, 0.006040737167391537], atol=1e-9
+    )
+    streams = plain.scene.sensor("imu").streams
+    assert len(streams["gyroscope"].values) == 142
+    np.testing.assert_allclose(
+        streams["gyroscope"].values[50],
+        [0.0032136599131289446, 0.005590593738119201, 0.11757726706541065],
+        atol=1e-9,
+    )
+    np.testing.assert_allclose(
+        streams["accelerometer"].values[50],
+        [1.4936717650823574, 0.8771658277854153, 9.71216806560011],
+        atol=1e-8,
+    )
+    # 1e-11 degrees are a micrometre.
+    np.testing.assert_allclose(
+        plain.scene.sensor("gnss").positions_lla[3],
+        [60.17080314787866, 24.93751028275813, 14.995560078881681],
+        rtol=1e-11,
+    )
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "simulation.md"
+
+
+def test_what_the_page_says_can_be_typed_in_from_its_top_to_its_end():
+    typed = {}
+    for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL):
+        exec(block, typed)
+    assert set(typed["wrong"].true_frames) == {"lidar", "camera0", "imu"}
+    assert [len(typed[name]) for name in ("sweeps", "images")] == [3, 2]

@@ -17,7 +17,7 @@ from sceneloom.simulate import (
     SensorFaults,
     TrafficSpec,
     camera_mount,
-    plant,
+    inject,
     simulate_street,
 )
 
@@ -35,12 +35,12 @@ def right():
 
 def injected(drive, sensor_id, *, seed=0, **wrong):
     """The drive with faults of one sensor."""
-    return plant(drive, Faults({sensor_id: SensorFaults(**wrong)}, seed=seed))
+    return inject(drive, Faults({sensor_id: SensorFaults(**wrong)}, seed=seed))
 
 
 def test_a_drive_without_faults_says_so(right):
     assert dict(right.faults.sensors) == {}
-    same = plant(right, Faults())
+    same = inject(right, Faults())
     assert same.scene.sensors == right.scene.sensors
 
 
@@ -147,12 +147,12 @@ def test_listed_frames_are_lost_and_the_others_are_what_they_were(right):
 
 def test_a_share_is_lost_at_random_by_seed_and_by_sensor(right):
     lost = Faults({"imu": SensorFaults(lost_share=0.3), "gnss": SensorFaults(lost_share=0.3)}, seed=2)
-    drive, other = plant(right, lost), plant(right, replace(lost, seed=3))
+    drive, other = inject(right, lost), inject(right, replace(lost, seed=3))
     count = len(right.scene.sensor("imu").streams["gyroscope"])
     kept = len(drive.scene.sensor("imu").streams["gyroscope"])
     # A binomial of some 330 samples: four standard deviations are 10 %.
     assert kept / count == pytest.approx(0.7, abs=0.1)
-    assert drive.true_frames["imu"].tolist() == plant(right, lost).true_frames["imu"].tolist()
+    assert drive.true_frames["imu"].tolist() == inject(right, lost).true_frames["imu"].tolist()
     assert drive.true_frames["imu"].tolist() != other.true_frames["imu"].tolist()
     alone = injected(right, "gnss", lost_share=0.3, seed=2)
     assert alone.true_frames["gnss"].tolist() == drive.true_frames["gnss"].tolist()
@@ -172,7 +172,7 @@ def test_no_frame_comes_in_a_drop_out(right):
 
 def test_a_blind_lidar_gives_sweeps_without_points_and_a_blind_camera_black_images(right):
     blind = SensorFaults(blind=((START_NS + SWEEP_NS, START_NS + 2 * SWEEP_NS),))
-    drive = plant(right, Faults({"lidar": blind, "camera0": blind}))
+    drive = inject(right, Faults({"lidar": blind, "camera0": blind}))
     lidar, camera = drive.scene.lidars[0], drive.scene.cameras[0]
     assert [len(lidar.frames[k].points) > 0 for k in range(3)] == [True, False, True]
     assert lidar.frames[1].points.timestamps_ns.shape == lidar.frames[1].points.rings.shape == (0,)
@@ -248,7 +248,7 @@ def test_a_radar_and_a_second_lidar_can_be_wrong_as_well():
         time_offset_ns=11,
         blind=((START_NS + 2 * SWEEP_NS, START_NS + 3 * SWEEP_NS),),
     )
-    drive = plant(right, Faults({"radar0": wrong, "lidar1": wrong}))
+    drive = inject(right, Faults({"radar0": wrong, "lidar1": wrong}))
     for name in ("radar0", "lidar1"):
         stated, true = drive.scene.sensor(name), right.scene.sensor(name)
         error = true.mount.inverse() @ stated.mount
@@ -280,7 +280,7 @@ def test_faults_can_be_given_with_the_drive_and_do_not_depend_on_the_order_of_re
     )
     lidar = LidarSpec(beams=8, steps=120, range_sigma=0.0, drop_rate=0.0)
     drive = simulate_street(4, frames=12, lidar=lidar, cameras=(), faults=faults)
-    same = plant(right, faults)
+    same = inject(right, faults)
     assert drive.faults is faults
     frames, others = drive.scene.lidars[0].frames, same.scene.lidars[0].frames
     assert 0 < len(frames) < 12

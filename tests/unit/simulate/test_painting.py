@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import painting
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast, paint
-from sceneloom.simulate.objects import Material, Pattern, Shape, ShapeKind
-from sceneloom.simulate.street import Lane
+from sceneloom.simulate.street import Lane, Material, Pattern, Shape, ShapeKind
 
 BASE, SECOND, THIRD = (200.0, 60.0, 40.0), (30.0, 90.0, 200.0), (60.0, 200.0, 90.0)
 

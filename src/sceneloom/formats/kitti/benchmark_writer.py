@@ -264,7 +264,7 @@ class _LabelRows:
         self, frame: int, center: Float64Array, size_lwh: Float64Array, rotation: Float64Array
     ) -> Float64Array | None:
         """The box around what an image shows of a box in space, corner convention; None where it shows nothing."""
-        from sceneloom.colouring.box_outlines import box_extents
+        from sceneloom.colouring.cuboid_projection import box_extents
 
         if self._camera is None:
             return _NO_OUTLINE

@@ -8,15 +8,15 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.geodesy import ecef_from_geodetic, enu_from_geodetic
 from sceneloom.kernels.imu_chain import (
-    MOTION_CHAIN_ROTATION,
+    DELTA_POSITION,
     POSITION,
+    ROTATION,
     SIZE,
-    TRAJECTORY,
     VELOCITY,
     preintegrate,
     preintegrate_until,
 )
-from sceneloom.kernels.imu_chain import ROTATION as BY_ROTATION
+from sceneloom.kernels.imu_chain import DELTA_ROTATION as BY_ROTATION
 from sceneloom.motion.ego_trajectory import gnss_receivers, usable_fixes
 from sceneloom.motion.imu import ACCELEROMETER, GYROSCOPE, gaps_between, usable_samples
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
@@ -201,7 +201,7 @@ class GnssFixes:
             )  # fmt: skip
             levers[rows] = np.einsum("nij,nj->ni", rotations, self.levers[rows]) + trajectories
             slopes[rows] = (
-                by_biases[:, TRAJECTORY]
+                by_biases[:, DELTA_POSITION]
                 + rotations @ crossed_with(self.levers[rows]) @ by_biases[:, BY_ROTATION]
             )
             taken[rows] = biases[locations[rows]]
@@ -576,7 +576,7 @@ class Fixes:
         """(F, 3) variances of the antenna positions, from the states' orientations and covariances (K, 15, 15)."""
         rotated = rotations[self.locations]
         slopes = np.zeros((len(self), 3, SIZE))
-        slopes[:, :, MOTION_CHAIN_ROTATION] = rotated @ crossed_with(self.levers)
+        slopes[:, :, ROTATION] = rotated @ crossed_with(self.levers)
         slopes[:, :, POSITION] = np.eye(3)
         slopes[:, :, VELOCITY] = self.seconds[:, None, None] * np.eye(3)
         slopes[:, :, VELOCITY.stop :] = rotated @ self.slopes

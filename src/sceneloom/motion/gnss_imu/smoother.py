@@ -18,8 +18,8 @@ from sceneloom.kernels import imu_chain as kernels
 from sceneloom.kernels.imu_chain import (
     ACCELEROMETER,
     GYROSCOPE,
-    MOTION_CHAIN_ROTATION,
     POSITION,
+    ROTATION,
     SIZE,
     VELOCITY,
     chain_covariances,
@@ -72,7 +72,7 @@ class States:
 
     def stepped(self, step: Float64Array) -> "States":
         """Go a step, (K, 15) in the order of `kernels.motion_chain`."""
-        rotations = matrix_from_quaternion(quaternion_from_rotation_vector(step[:, MOTION_CHAIN_ROTATION]))
+        rotations = matrix_from_quaternion(quaternion_from_rotation_vector(step[:, ROTATION]))
         return States(
             self.rotations @ rotations,
             self.positions + step[:, POSITION],
@@ -259,13 +259,13 @@ def _add_priors(chain: Chain, states: States, blocks: Float64Array, right: Float
         blocks[0, rows, rows] += np.eye(3) * sigma**-2
         right[0, rows] -= value * sigma**-2
         cost += float(value @ value) * sigma**-2
-    blocks[0, MOTION_CHAIN_ROTATION, MOTION_CHAIN_ROTATION] += np.eye(3) * _UNKNOWN_ROTATION**-2
+    blocks[0, ROTATION, ROTATION] += np.eye(3) * _UNKNOWN_ROTATION**-2
     if not chain.measured.any():
         k = next((int(one.locations[0]) for one in chain.relative if len(one.locations)), 0)
         slope = np.cross(states.rotations[k], [0.0, 0.0, -1.0])[:2]
         tilt = states.rotations[k][:2, 2]
-        blocks[k, MOTION_CHAIN_ROTATION, MOTION_CHAIN_ROTATION] += slope.T @ slope * _TILT**-2
-        right[k, MOTION_CHAIN_ROTATION] -= slope.T @ tilt * _TILT**-2
+        blocks[k, ROTATION, ROTATION] += slope.T @ slope * _TILT**-2
+        right[k, ROTATION] -= slope.T @ tilt * _TILT**-2
         cost += float(tilt @ tilt) * _TILT**-2
     return cost
 
@@ -376,11 +376,11 @@ def inertial_residuals(chain: Chain, states: States) -> tuple[Float64Array, Floa
     residuals = np.hstack([rotation, felt - inertial.gains, gone - inertial.trajectories])
     residuals[:, 3:] -= changes[:, 3:]
     first, second = np.zeros((len(seconds), 9, SIZE)), np.zeros((len(seconds), 9, SIZE))
-    first[:, :3, MOTION_CHAIN_ROTATION], second[:, :3, MOTION_CHAIN_ROTATION] = (
+    first[:, :3, ROTATION], second[:, :3, ROTATION] = (
         -np.swapaxes(relative, 1, 2),
         np.eye(3),
     )
-    first[:, 3:6, MOTION_CHAIN_ROTATION], first[:, 6:9, MOTION_CHAIN_ROTATION] = (
+    first[:, 3:6, ROTATION], first[:, 6:9, ROTATION] = (
         -crossed_with(felt),
         -crossed_with(gone),
     )
@@ -975,7 +975,7 @@ def _shows(speeds: BodySpeeds, states: States, own: Float64Array, inside: Float6
         return False
     u = inside[locations]
     slopes = np.zeros((len(locations), 15))
-    slopes[:, MOTION_CHAIN_ROTATION] = np.cross(axes, u)
+    slopes[:, ROTATION] = np.cross(axes, u)
     slopes[:, VELOCITY] = np.einsum("nij,nj->ni", states.rotations[locations], axes)
     variance = np.einsum("ni,nij,nj->n", slopes, own[locations], slopes)
     sideways = (axes * u).sum(axis=1)

@@ -16,7 +16,7 @@ from sceneloom.simulate import (
     PathSpec,
     SensorFaults,
     Stop,
-    plant,
+    inject,
     simulate_street,
 )
 
@@ -137,7 +137,7 @@ INJECTED = {
 @pytest.mark.parametrize("case", INJECTED)
 def test_what_is_injected_is_found(tmp_path, drive, case):
     sensor, wrong, rule = INJECTED[case]
-    faulty = plant(drive, Faults({sensor: SensorFaults(**wrong)}))
+    faulty = inject(drive, Faults({sensor: SensorFaults(**wrong)}))
     report = validate(written(faulty.scene, tmp_path / "drive"))
     assert rule in {finding.rule for finding in report.findings}
     assert report.passed

@@ -12,7 +12,7 @@ from sceneloom.motion.gnss_imu.measurements import (
     SmootherSettings,
     knot_times,
 )
-from sceneloom.simulate.gnss_imu import GRAVITY, ImuSpec, imu_truth
+from sceneloom.simulate.drive import GRAVITY, ImuSpec, imu_truth
 from sceneloom.simulate.trajectory import PathSpec, plan_path
 
 PATH = plan_path(

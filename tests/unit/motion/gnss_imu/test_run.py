@@ -28,15 +28,7 @@ from sceneloom.scene import (
     VectorSamples,
     WarningKind,
 )
-from sceneloom.simulate.gnss_imu import (
-    GRAVITY,
-    GnssSpec,
-    ImuSpec,
-    ImuTruth,
-    gnss_sensor,
-    imu_sensor,
-    imu_truth,
-)
+from sceneloom.simulate.drive import GRAVITY, GnssSpec, ImuSpec, ImuTruth, gnss_sensor, imu_sensor, imu_truth
 from sceneloom.simulate.trajectory import EgoPath, PathSpec, Stop, plan_path
 
 SETTINGS = SmootherSettings(gravity=GRAVITY)  # the synthetic world has the same gravity everywhere

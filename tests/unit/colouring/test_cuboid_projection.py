@@ -1,0 +1,769 @@
+"""Cuboids in the cameras of a scene, against the simulated street and by hand.
+
+Cuboids in images of rolling shutters, against points of their edges, each looked for at the time of its line.
+Boxes in images: plain cases by hand, all others against OpenCV and against very many rays and points.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.projection import project, project_unbounded, unproject
+from sceneloom.colouring.cuboid_points import activation_of
+from sceneloom.colouring.cuboid_projection import observe_cuboids, project_cuboids
+from sceneloom.errors import OptionError, PoseError
+from sceneloom.geometry.boxes import CORNER_SIGNS, EDGES
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene import (
+    AttributePath,
+    Boxes,
+    CameraImage,
+    CameraSensor,
+    CuboidAnnotation,
+    CuboidPath,
+    GroupAnnotation,
+    LazyFrames,
+    Poses,
+    Projection,
+    Scene,
+)
+from sceneloom.scene.ego import EgoMotion
+from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street
+
+CAMERA_MODEL = Camera("pinhole", 800, 600, 500.0, 500.0, 399.5, 299.5)
+
+
+LOOKS_ALONG_X = np.array([[-0.5, 0.5, -0.5, 0.5]])
+"""`world_from_camera` of a camera that looks along the world's x, as a quaternion."""
+
+
+def no_image():
+    raise AssertionError("images need not be decoded")
+
+
+def a_camera(times_ns, *, camera_id="camera", camera_model=CAMERA_MODEL, poses=None, mounts=None):
+    images = [
+        CameraImage(t, camera_model, no_image, mount=None if mounts is None else mounts[k])
+        for k, t in enumerate(times_ns)
+    ]
+    path = poses or Poses(np.zeros(1, np.int64), np.zeros((1, 3)), LOOKS_ALONG_X, static=True)
+    return CameraSensor(camera_id, camera_model, LazyFrames.of(images, times_ns), poses=path)
+
+
+def a_box(identifier="a", *, x=(10.0, 10.0), timestamps=(0, 100), **more):
+    values = np.array([[4.0, 2.0, 1.0, location, 0.0, 0.0, 0.0, 0.0, 0.0] for location in x])
+    return CuboidAnnotation(identifier, CuboidPath(np.array(timestamps, np.int64), values), **more)
+
+
+def test_a_cuboid_gets_a_row_for_each_image_while_it_is_there():
+    scene = Scene((a_camera((-50, 0, 50, 100, 150)),), (a_box(x=(10.0, 18.0)), GroupAnnotation("g")))
+    projected = project_cuboids(scene).annotations
+    (projection,) = projected[0].projections
+    assert projection.timestamps_ns.tolist() == [0, 50, 100]
+    # fronts at 8, 12 and 16 m; 500 pixels of focal length
+    np.testing.assert_allclose(projection.boxes[0], [337.5, 268.75, 125.0, 62.5], atol=1e-3)
+    np.testing.assert_allclose(projection.boxes[:, 2], [1000 / 8, 1000 / 12, 1000 / 16], atol=1e-3)
+    np.testing.assert_array_equal(projection.cuboids[:, 3], [10.0, 14.0, 18.0])
+    assert projection.confirmed is None
+    assert isinstance(projected[1], GroupAnnotation)
+
+
+def test_images_that_do_not_show_it_have_rows_of_nan():
+    scene = Scene((a_camera((0, 50, 100)),), (a_box(x=(-30.0, 30.0)),))
+    (projection,) = project_cuboids(scene).annotations[0].projections
+    assert np.isnan(projection.boxes[:2]).all()
+    assert np.isfinite(projection.boxes[2]).all()
+
+
+def test_a_cuboid_that_no_image_shows_gets_no_projection_and_loses_an_old_one():
+    old = Projection("camera", np.array([0]), np.ones((1, 4)))
+    of_others = Projection("other", np.array([0]), np.ones((1, 4)))
+    scene = Scene((a_camera((0, 50)),), (a_box(x=(-9.0, -9.0), projections=(old, of_others)),))
+    assert project_cuboids(scene).annotations[0].projections == (of_others,)
+
+
+def test_boxes_that_a_person_confirmed_stay():
+    old = Projection("camera", np.array([0, 50]), np.full((2, 4), 7.0), confirmed=(True, False))
+    scene = Scene((a_camera((0, 50)),), (a_box(projections=(old,)),))
+    (projection,) = project_cuboids(scene).annotations[0].projections
+    assert projection.confirmed == (True, False)
+    assert projection.boxes[0].tolist() == [7.0] * 4
+    assert projection.boxes[1, 0] == pytest.approx(337.5)
+
+
+def test_shares_become_attributes_of_the_camera_at_images_that_show_it():
+    older = AttributePath("occlusion", (0.9,), np.array([0]), sensor_id="camera")
+    boxes = (a_box(x=(-30.0, 30.0), attributes=(older,)), a_box("b", x=(20.0, 20.0)))
+    scene = Scene((a_camera((0, 100)),), boxes)
+    first, second = project_cuboids(scene).annotations
+    assert [(a.name, a.sensor_id, a.values) for a in first.attributes] == [
+        ("truncation", "camera", (0.0,)),
+        ("occlusion", "camera", (1.0,)),
+    ]
+    assert first.attributes[0].timestamps_ns.tolist() == [100]
+    assert [a.values for a in second.attributes] == [(0.0, 0.0), (0.0, 0.0)]
+
+
+def test_what_fills_little_of_its_box_may_hide_nothing():
+    boxes = (a_box(x=(20.0, 20.0)), a_box("b", label="tree"))
+    scene = Scene((a_camera((0,)),), boxes)
+    hidden = project_cuboids(scene).annotations[0].attributes[1].values
+    shown = project_cuboids(scene, see_through=["tree"]).annotations[0].attributes[1].values
+    assert (hidden, shown) == ((1.0,), (0.0,))
+
+
+def test_times_in_which_a_camera_sees_it_become_activations():
+    # it comes out from behind the camera between the second and the third image, and ends after the fourth
+    scene = Scene((a_camera((0, 50, 100, 150, 200)),), (a_box(x=(-90.0, 90.0), timestamps=(0, 160)),))
+    (activation,) = project_cuboids(scene, activations=True).annotations[0].activations
+    assert activation.timestamps_ns.tolist() == [100]
+    assert activation.durations_ns == (100,)
+    assert activation.cuboids[0, 3] == pytest.approx(-90.0 + 180.0 * 100 / 160)
+    assert project_cuboids(scene).annotations[0].activations == ()
+
+
+def test_runs_of_frames_become_activations_with_a_frame_longer_at_the_end():
+    times = np.array([0, 10, 20, 30, 40])
+    made = activation_of("s", times, np.array([True, False, False, True, True]))
+    assert made.timestamps_ns.tolist() == [0, 30]
+    assert made.durations_ns == (10, 20)
+    assert activation_of("s", times, np.zeros(5, bool)) is None
+    alone = activation_of("s", times[:1], np.array([True]))
+    assert alone.durations_ns == (100_000_000,)
+
+
+def test_cameras_that_are_nowhere_are_passed_over_or_refused_when_asked_for():
+    lost = replace(a_camera((0,), camera_id="lost"), poses=None)
+    scene = Scene((a_camera((0,)), lost), (a_box(),))
+    projected = project_cuboids(scene)
+    assert [n.code for n in projected.warnings] == ["camera-unplaced"]
+    assert len(projected.annotations[0].projections) == 1
+    with pytest.raises(PoseError, match="'lost'"):
+        project_cuboids(scene, cameras="lost")
+    with pytest.raises(PoseError, match="'lost'"):
+        project_cuboids(replace(scene, sensors=(lost,)))
+    with pytest.raises(OptionError, match="no camera 'none'"):
+        project_cuboids(scene, cameras="none")
+    with pytest.raises(OptionError, match="has no camera that could see"):
+        project_cuboids(replace(scene, sensors=()))
+
+
+def test_images_beyond_the_trajectory_of_the_camera_see_nothing():
+    trajectory = Poses(np.array([0, 50]), np.zeros((2, 3)), np.repeat(LOOKS_ALONG_X, 2, axis=0))
+    late = 10**10
+    scene = Scene((a_camera((0, late), poses=trajectory),), (a_box(stationary=True),))
+    projected = project_cuboids(scene)
+    assert [(n.code, n.count) for n in projected.warnings] == [("images-unplaced", 1)]
+    (projection,) = projected.annotations[0].projections
+    assert np.isfinite(projection.boxes[:, 0]).tolist() == [True, False]
+
+
+def test_progress_counts_images():
+    reported = []
+    project_cuboids(
+        Scene((a_camera((0, 1)),), (a_box(),)), progress=lambda done, total: reported.append((done, total))
+    )
+    assert reported == [(1, 2), (2, 2)]
+
+
+@pytest.fixture(scope="module")
+def street():
+    """A street with traffic, seen by a camera ahead and one aside."""
+    aside = Camera("fisheye", 640, 480, 250.0, 250.0, 319.5, 239.5, (0.03, -0.008, 0.002, -0.0004))
+    cameras = (CameraSpec(), CameraSpec(aside, camera_mount(yaw_deg=60.0)))
+    drive = simulate_street(
+        3, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=cameras, traffic=TrafficSpec()
+    )
+    return drive, project_cuboids(drive.scene, see_through=("tree", "pole"))
+
+
+def seen_at(annotation, camera_id, time_ns):
+    """The box (x1, y1, x2, y2) and the hidden share of a cuboid in an image, or None."""
+    for projection in annotation.projections:
+        at = np.flatnonzero(projection.timestamps_ns == time_ns)
+        if projection.sensor_id == camera_id and len(at) and np.isfinite(projection.boxes[at[0], 0]):
+            x, y, width, height = projection.boxes[at[0]]
+            (hidden,) = (
+                a for a in annotation.attributes if (a.name, a.sensor_id) == ("occlusion", camera_id)
+            )
+            share = hidden.values[int(np.searchsorted(hidden.timestamps_ns, time_ns))]
+            return np.array([x, y, x + width, y + height]), share
+    return None
+
+
+def overlap(a, b):
+    shared = np.maximum(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0).prod()
+    return shared / ((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod() - shared)
+
+
+def test_cars_that_nothing_hides_are_where_their_pixels_are(street):
+    drive, projected = street
+    overlaps, checked = [], 0
+    for camera in drive.scene.cameras:
+        for k, time_ns in enumerate(camera.images.timestamps_ns):
+            shown, hidden = drive.truth.instances(camera.id, k), drive.truth.occlusion(camera.id, k)
+            open_ones = dict(zip(hidden.instances.tolist(), hidden.hidden, strict=True))
+            for annotation in projected.annotations:
+                instance = int(annotation.id.rsplit("-", 1)[1])
+                rows, columns = np.nonzero(shown == instance)
+                if annotation.label != "car" or len(rows) < 300 or open_ones[instance] > 0.01:
+                    continue
+                box, share = seen_at(annotation, camera.id, time_ns)
+                pixels = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], float)
+                overlaps.append(overlap(box, pixels))
+                assert share < 0.5
+                checked += 1
+    assert checked >= 6
+    assert np.mean(overlaps) > 0.9  # a car is rounder than its box
+    assert min(overlaps) > 0.8
+
+
+def test_whatever_an_image_shows_of_a_cuboid_lies_in_its_box(street):
+    drive, projected = street
+    for camera in drive.scene.cameras:
+        for k, time_ns in enumerate(camera.images.timestamps_ns):
+            shown = drive.truth.instances(camera.id, k)
+            for annotation in projected.annotations:
+                rows, columns = np.nonzero(shown == int(annotation.id.rsplit("-", 1)[1]))
+                if len(rows) == 0:
+                    continue
+                found = seen_at(annotation, camera.id, time_ns)
+                if found is None:
+                    assert len(rows) < 3, annotation.id  # smaller than `min_pixels`
+                    continue
+                low, high = found[0][:2], found[0][2:]
+                # centres of pixels; paths are straight between samples, which is some millimetres off
+                assert (np.array([columns.min(), rows.min()]) + 0.5 >= low - 0.5).all(), annotation.id
+                assert (np.array([columns.max(), rows.max()]) + 0.5 <= high + 0.5).all(), annotation.id
+
+
+def shares_of(scene, name, time_ns):
+    """The values of an attribute at a time, by instance."""
+    return {
+        int(annotation.id.rsplit("-", 1)[1]): path.values[
+            int(np.flatnonzero(path.timestamps_ns == time_ns)[0])
+        ]
+        for annotation in scene.annotations
+        for path in annotation.attributes
+        if path.name == name and (path.timestamps_ns == time_ns).any()
+    }
+
+
+def test_points_of_a_lidar_report_how_much_is_hidden_by_whatever_stands_there():
+    drive = simulate_street(3, frames=3, traffic=TrafficSpec())
+    projected = project_cuboids(drive.scene, see_through=("tree", "pole"), lidar="lidar")
+    thin = {int(a.id.rsplit("-", 1)[1]) for a in drive.scene.annotations if a.label in ("tree", "pole")}
+    reported, exact = [], []
+    for k, time_ns in enumerate(drive.scene.cameras[0].images.timestamps_ns):
+        truth = drive.truth.occlusion("camera0", k)
+        found = shares_of(projected, "occlusion_by_points", time_ns)
+        for instance, hidden, alone in zip(truth.instances, truth.hidden, truth.alone_px, strict=True):
+            if instance in found and alone >= 200 and instance not in thin:
+                reported.append(found[instance])
+                exact.append(hidden)
+    assert len(reported) > 30
+    # lidar and camera stand apart, points are sparse, and things are rounder than their boxes
+    assert np.abs(np.subtract(reported, exact)).mean() < 0.08
+    assert np.corrcoef(reported, exact)[0, 1] > 0.95
+
+
+def test_sweeps_long_before_an_image_and_lidars_that_are_nowhere_are_no_evidence():
+    drive = simulate_street(3, frames=2, lidar=LidarSpec(beams=8, steps=90))
+    (lidar,), others = drive.scene.lidars, [s for s in drive.scene.sensors if s.type != "lidar"]
+    early = LazyFrames.of(list(lidar.frames), (lidar.frames.timestamps_ns - 10**9).tolist())
+    scene = replace(drive.scene, sensors=(*others, replace(lidar, frames=early)))
+    reported = {path.name for a in project_cuboids(scene, lidar="lidar").annotations for path in a.attributes}
+    assert reported == {"truncation", "occlusion"}
+    lost = replace(scene, sensors=(*others, replace(lidar, poses=None)), trajectories={})
+    with pytest.raises(OptionError, match="no lidar 'none'"):
+        project_cuboids(scene, lidar="none")
+    with pytest.raises(PoseError, match="lidar 'lidar'"):
+        project_cuboids(lost, lidar="lidar")
+
+
+def test_a_mounting_of_one_image_counts():
+    ego = Poses(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]]), static=True)
+    ahead = RigidTransform.from_quaternion(np.zeros(3), LOOKS_ALONG_X[0])
+    back = RigidTransform(np.diag([-1.0, -1.0, 1.0]) @ ahead.rotation, np.zeros(3))
+    camera = replace(a_camera((0, 50), mounts=(None, back)), poses=None, mount=ahead)
+    projected = project_cuboids(Scene((camera,), (a_box(),)), trajectory=EgoMotion("still", ego))
+    (projection,) = projected.annotations[0].projections
+    assert np.isfinite(projection.boxes[:, 0]).tolist() == [True, False]
+
+
+SPEED, ROTATION, ROLL_S = 15.0, np.radians(30.0), 0.04
+
+
+MOUNT = camera_mount(position=(1.5, 0.3, 1.6), yaw_deg=20.0)
+
+
+PINHOLE = Camera("pinhole", 1280, 720, 600.0, 600.0, 639.5, 359.5)
+
+
+FISHEYE = Camera("fisheye", 1280, 960, 400.0, 400.0, 639.5, 479.5, (0.03, -0.008, 0.002, -0.0004))
+
+
+SECOND = 1_000_000_000
+
+
+def camera_at(seconds, speed=SPEED, rotation=ROTATION):
+    """The camera on a vehicle that drives a circle: rotations and positions, in closed form."""
+    rotated = np.asarray(seconds) * rotation
+    radius = speed / rotation
+    ego = Rotation.from_rotvec(np.outer(rotated, (0, 0, 1)))
+    locations = np.column_stack([radius * np.sin(rotated), radius * (1 - np.cos(rotated)), 0 * rotated])
+    return ego * Rotation.from_matrix(MOUNT.rotation.copy()), ego.apply(MOUNT.translation.copy()) + locations
+
+
+def stationary(seconds):
+    """The same camera on a vehicle that stands."""
+    return camera_at(0.0 * np.asarray(seconds))
+
+
+class Moving:
+    """A box that goes straight and rotates evenly; `first` is where it is at time 0."""
+
+    def __init__(self, name, size, first, velocity=(0.0, 0.0, 0.0), yaw=0.3, yaw_rate=0.0):
+        self.name, self.size, self.first = name, np.array(size), np.array(first)
+        self.velocity, self.yaw, self.yaw_rate = np.array(velocity), yaw, yaw_rate
+
+    def cuboid(self):
+        values = [
+            [
+                *self.size,
+                *(self.first + self.velocity * t),
+                0.0,
+                0.0,
+                np.degrees(self.yaw + self.yaw_rate * t),
+            ]
+            for t in (-1.0, 1.0)
+        ]
+        return CuboidAnnotation(self.name, CuboidPath(np.array([-SECOND, SECOND]), np.array(values)))
+
+    def rotated(self, seconds):
+        return Rotation.from_rotvec(np.outer(self.yaw + self.yaw_rate * seconds, (0, 0, 1)))
+
+    def location(self, points_box, seconds):
+        rotated = self.rotated(seconds)
+        return rotated.apply(points_box) + self.first + self.velocity * np.asarray(seconds)[:, None]
+
+    def hit(self, origins, rays, seconds):
+        """How far along rays (N, 3) it begins, infinity for none: by its three pairs of faces."""
+        rotated = self.rotated(seconds).inv()
+        origin = rotated.apply(origins - self.first - self.velocity * seconds[:, None])
+        ray = rotated.apply(rays)
+        bounds = np.stack([(side * self.size / 2 - origin) / ray for side in (-1, 1)])
+        near, far = bounds.min(axis=0).max(axis=1), bounds.max(axis=0).min(axis=1)
+        return np.where((near < far) & (near > 0), near, np.inf)
+
+
+def a_scene(camera, boxes, *, over_columns=False, roll_s=ROLL_S, trajectory=camera_at):
+    seconds = np.linspace(-0.1, 0.1, 401)
+    rotations, positions = trajectory(seconds)
+    poses = Poses(np.rint(seconds * SECOND).astype(np.int64), positions, rotations.as_quat())
+    stated = {"shutterRollTimeSeconds": roll_s, "rollingShutterLeftToRight": over_columns}
+    frames = LazyFrames.of([CameraImage(0, camera, lambda: None)], (0,))
+    sensor = CameraSensor("camera", camera, frames, poses=poses, extras={"calibration": stated})
+    return Scene((sensor,), tuple(box.cuboid() for box in boxes))
+
+
+def seen_at_their_lines(camera, box, points_box, *, over_columns, trajectory):
+    """Pixels (N, 2) of points of a box: the line of each is looked for by halves."""
+    axis, size = (0, camera.width) if over_columns else (1, camera.height)
+    low, high = np.full(len(points_box), -0.5), np.full(len(points_box), size - 0.5)
+    for _ in range(40):
+        line = 0.5 * (low + high)
+        seconds = ((line + 0.5) / size - 0.5) * ROLL_S
+        rotations, locations = trajectory(seconds)
+        pixels = project_unbounded(
+            camera, rotations.inv().apply(box.location(points_box, seconds) - locations)
+        )
+        later = pixels[:, axis] > line
+        low, high = np.where(later, line, low), np.where(later, high, line)
+    return pixels
+
+
+def edge_points(box, count=400):
+    corners, along = CORNER_SIGNS * box.size / 2, np.linspace(0, 1, count)[:, None]
+    return np.concatenate([(1 - along) * corners[a] + along * corners[b] for a, b in EDGES])
+
+
+def extent(pixels):
+    """Left, top, width, height, corner convention."""
+    low, high = np.nanmin(pixels, axis=0), np.nanmax(pixels, axis=0)
+    return [*(low + 0.5), *(high - low)]
+
+
+CAR = Moving("car", (4.5, 1.9, 1.6), (9.0, 6.5, -0.8), velocity=(-14.0, 2.0, 0.0), yaw_rate=0.6)
+
+
+NEAR = Moving("near", (4.5, 1.9, 1.6), (6.5, 4.5, 1.2), yaw=1.2)
+
+
+@pytest.mark.parametrize("trajectory", [camera_at, stationary], ids=["driving", "stationary"])
+@pytest.mark.parametrize("over_columns", [False, True], ids=["rows", "columns"])
+@pytest.mark.parametrize("camera", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
+@pytest.mark.parametrize("box", [CAR, NEAR], ids=["car", "near"])
+@pytest.mark.few(5)
+def test_a_cuboid_lies_where_its_points_are_seen_by_their_lines(camera, box, over_columns, trajectory):
+    scene = a_scene(camera, [box], over_columns=over_columns, trajectory=trajectory)
+    (projection,) = project_cuboids(scene).annotations[0].projections
+    expected = extent(
+        seen_at_their_lines(camera, box, edge_points(box), over_columns=over_columns, trajectory=trajectory)
+    )
+    # Edges are followed within 0.1 px.
+    np.testing.assert_allclose(projection.boxes[0], expected, atol=0.1)
+    at_once = a_scene(camera, [box], roll_s=0.0, trajectory=trajectory)
+    (projection,) = project_cuboids(at_once).annotations[0].projections
+    moves = trajectory is camera_at or box is CAR
+    assert (np.abs(projection.boxes[0] - expected).max() > 0.5) == moves
+
+
+def test_what_hides_it_is_reported_at_the_time_of_each_line():
+    before = Moving("before", (0.5, 1.2, 4.0), (6.0, 4.0, 0.5), velocity=(0.0, -9.0, 0.0))
+    boxes = [CAR, before]
+    for roll_s in (ROLL_S, 0.0):
+        projected = project_cuboids(a_scene(PINHOLE, boxes, roll_s=roll_s)).annotations[0]
+        left, top, width, height = projected.projections[0].boxes[0]
+        v, u = (grid.ravel() for grid in np.mgrid[0:150, 0:150])
+        pixels = np.column_stack([left + (u + 0.5) / 150 * width, top + (v + 0.5) / 150 * height]) - 0.5
+        seconds = ((pixels[:, 1] + 0.5) / PINHOLE.height - 0.5) * roll_s
+        rotations, locations = camera_at(seconds)
+        rays = np.column_stack([(pixels - (639.5, 359.5)) / 600.0, np.ones(len(pixels))])
+        own, other = (box.hit(locations, rotations.apply(rays), seconds) for box in boxes)
+        met = np.isfinite(own)
+        expected = (other < own)[met].mean()
+        found = next(path for path in projected.attributes if path.name == "occlusion").values[0]
+        assert 0.1 < expected < 0.9
+        assert found == pytest.approx(expected, abs=0.03)  # 24 rays along each side
+
+
+def test_what_the_image_cuts_off_is_reported_at_the_time_of_each_line():
+    """A box that leaves the image upward is whole to the lines that saw it before."""
+    rising = Moving("rising", (1.0, 1.0, 1.0), (12.0, 4.5, 8.0), velocity=(0.0, 0.0, 60.0), yaw=0.0)
+    shares = {}
+    for roll_s in (ROLL_S, 0.0):
+        projected = project_cuboids(
+            a_scene(PINHOLE, [rising], roll_s=roll_s, trajectory=stationary)
+        ).annotations[0]
+        shares[roll_s] = next(path for path in projected.attributes if path.name == "truncation").values[0]
+    assert shares[0.0] > 0.2
+    assert shares[ROLL_S] == 0.0
+
+
+def test_a_shutter_over_a_scene_that_stands_changes_nothing():
+    still = Moving("still", (4.5, 1.9, 1.6), (13.0, 6.0, 0.8))
+    found = [
+        project_cuboids(a_scene(PINHOLE, [still], roll_s=roll_s, trajectory=stationary)).annotations[0]
+        for roll_s in (ROLL_S, 0.0)
+    ]
+    np.testing.assert_array_equal(found[0].projections[0].boxes, found[1].projections[0].boxes)
+    assert [path.values for path in found[0].attributes] == [path.values for path in found[1].attributes]
+
+
+HERE = RigidTransform.identity()
+
+
+WIDE_PINHOLE = Camera("pinhole", 800, 600, 500.0, 500.0, 399.5, 299.5)
+
+
+BARREL = Camera("brown_conrady", 800, 600, 500.0, 500.0, 399.5, 299.5, (-0.3, 0.1, 0.001, -0.001, -0.01))
+
+
+WIDE_FISHEYE = Camera("fisheye", 800, 600, 260.0, 260.0, 399.5, 299.5, (0.03, -0.008, 0.002, -0.0004))
+
+
+CYLINDER = Camera("cylindrical", 800, 600, 220.0, 220.0, 399.5, 299.5)
+
+
+CAMERA_MODELS = {
+    "pinhole": WIDE_PINHOLE,
+    "barrel": BARREL,
+    "fisheye": WIDE_FISHEYE,
+    "cylinder": CYLINDER,
+}
+
+
+AXES = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]).T
+"""Columns: forward, left and up of a box that looks away from the camera, in the camera's frame."""
+
+
+ON_GRID = 0.03
+"""Shares are reported by grids of 24 steps: what a border does in one row or column of cells.
+
+And chance in the oracle.
+"""
+
+
+def some_boxes(centers, sizes, quaternions=None):
+    count = len(centers)
+    rotations = Rotation.from_matrix(AXES).as_quat() if quaternions is None else quaternions
+    return Boxes(
+        tuple(range(count)),
+        (None,) * count,
+        np.array(centers, np.float64),
+        np.array(sizes, np.float64),
+        np.broadcast_to(rotations, (count, 4)).astype(np.float64),
+    )
+
+
+def surface(size, count=120):
+    """Points on all faces of a box in its own frame."""
+    steps = np.linspace(-0.5, 0.5, count)
+    first, second = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    faces = []
+    for axis in range(3):
+        for side in (-0.5, 0.5):
+            face = np.empty((count * count, 3))
+            face[:, axis], face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = side, first, second
+            faces.append(face * size)
+    return np.concatenate(faces)
+
+
+def opencv_pixels(camera_model, points):
+    """Pixels of points ahead of the camera as OpenCV has them."""
+    matrix, ahead = camera_model.matrix, points[points[:, 2] > 0.01]
+    if camera_model.model == "fisheye":
+        return cv2.fisheye.projectPoints(
+            ahead[:, None], np.zeros(3), np.zeros(3), matrix, np.array(camera_model.coefficients)
+        )[0][:, 0]
+    return cv2.projectPoints(
+        ahead, np.zeros(3), np.zeros(3), matrix, np.array(camera_model.coefficients or (0.0,) * 4)
+    )[0][:, 0]
+
+
+def random_box(seed, ahead=1.0):
+    generator = np.random.default_rng(seed)
+    center = generator.uniform([-6, -2, ahead - 1], [6, 2, ahead + 14])
+    return center, generator.uniform(0.3, 5.0, 3), Rotation.random(random_state=seed)
+
+
+def holds_camera(center, size, rotation):
+    away = np.abs(rotation.inv().apply(-center)) - size / 2
+    return np.linalg.norm(np.maximum(away, 0.0)) < 0.1
+
+
+def test_a_box_straight_ahead_is_where_its_front_is():
+    # 2 m wide, 1 m high, front 8 m away: 500 / 8 pixels a metre around the image's middle (400, 300)
+    seen = observe_cuboids(WIDE_PINHOLE, HERE, some_boxes([[0.0, 0.0, 10.0]], [[4.0, 2.0, 1.0]]))
+    np.testing.assert_allclose(seen.boxes_xyxy, [[337.5, 268.75, 462.5, 331.25]], atol=1e-9)
+    assert seen.truncations.tolist() == [0.0]
+    assert seen.occlusions.tolist() == [0.0]
+
+
+def test_a_box_that_reaches_behind_the_camera_is_cut_at_the_image():
+    # the left side of a wall 1 m to the right, from 20 m behind to 20 m ahead, 2 m high
+    seen = observe_cuboids(WIDE_PINHOLE, HERE, some_boxes([[1.5, 0.0, 0.0]], [[40.0, 1.0, 2.0]]))
+    # its far end shows 25 pixels to the right of the middle and 25 above it; at the border 1 m stands at 1.25 m
+    np.testing.assert_allclose(seen.boxes_xyxy, [[425.0, 0.0, 800.0, 600.0]], atol=1e-6)
+    assert seen.truncations[0] > 0.9
+
+
+def test_of_a_box_that_leaves_the_image_only_the_part_within_bounds_it():
+    # a diamond in the upper left corner: the whole of it would reach further down and right than what is seen of it
+    rotated = (Rotation.from_matrix(AXES) * Rotation.from_euler("x", 45, degrees=True)).as_quat()
+    seen = observe_cuboids(WIDE_PINHOLE, HERE, some_boxes([[-9.0, -4.0, 10.0]], [[0.001, 4.0, 4.0]], rotated))
+    # a diamond of half diagonal 2.83 m -> 141.4 px around (-50, 100): the right tip is in the image, so are the
+    # crossings of its left border
+    np.testing.assert_allclose(
+        seen.boxes_xyxy[0], [0.0, 100 - 91.4, 91.4, 100 + 91.4], atol=0.1
+    )  # 1 mm of depth
+
+
+@pytest.mark.parametrize("name", CAMERA_MODELS)
+@pytest.mark.parametrize("part", range(4))
+@pytest.mark.few(5)
+def test_boxes_bound_all_points_of_their_surface_in_the_image_tightly(name, part):
+    camera_model, compared = CAMERA_MODELS[name], 0
+    for seed in range(part * 10, part * 10 + 10):
+        center, size, rotation = random_box(seed, ahead=0.0)
+        seen = observe_cuboids(
+            camera_model, HERE, some_boxes([center], [size], rotation.as_quat()), min_pixels=0.0
+        )
+        if holds_camera(center, size, rotation):
+            assert len(seen.rows) == 0
+            continue
+        pixels, visible = project(camera_model, rotation.apply(surface(size)) + center)
+        pixels = pixels[visible] + 0.5
+        if len(pixels) < 100:
+            continue
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        box = seen.boxes_xyxy[0]
+        slack = 0.02  # curved edges between samples, after their bulge is taken from parabolas
+        assert (box[:2] <= low + slack).all()
+        assert (box[2:] >= high - slack).all()
+        steps = (
+            4.0 * (high - low).max() / 120 + 1.0
+        )  # the oracle's points are that far apart, more near the camera
+        assert (box[:2] >= low - steps).all()
+        assert (box[2:] <= high + steps).all()
+        compared += 1
+    assert compared >= 5
+
+
+@pytest.mark.parametrize("name", ["pinhole", "barrel", "fisheye"])
+def test_boxes_within_the_image_are_those_of_opencv(name):
+    camera_model, compared = CAMERA_MODELS[name], 0
+    for seed in range(30):
+        center, size, rotation = random_box(seed, ahead=6.0)
+        size = size / 3
+        pixels = opencv_pixels(camera_model, rotation.apply(surface(size, 61)) + center) + 0.5
+        if (pixels < 1).any() or (pixels > [799, 599]).any():
+            continue
+        seen = observe_cuboids(camera_model, HERE, some_boxes([center], [size], rotation.as_quat()))
+        expected = [*pixels.min(axis=0), *pixels.max(axis=0)]
+        # all edges are among OpenCV's points; a curved one may bulge by a part of the step between two of them
+        np.testing.assert_allclose(seen.boxes_xyxy[0], expected, atol=0.01)
+        compared += 1
+    assert compared >= 8
+
+
+def test_the_bulge_of_a_bent_edge_counts():
+    # a straight bar above the middle of a barrel camera model: its ends are bent down, so that its middle is highest
+    seen = observe_cuboids(BARREL, HERE, some_boxes([[0.0, -2.0, 5.0]], [[0.01, 6.0, 0.2]]))
+    along = np.column_stack([np.linspace(-3, 3, 100_001), np.full(100_001, -2.1), np.full(100_001, 4.995)])
+    curve = opencv_pixels(BARREL, along) + 0.5
+    assert curve[:, 1].min() < curve[[0, -1], 1].min() - 10
+    np.testing.assert_allclose(seen.boxes_xyxy[0, 1], curve[:, 1].min(), atol=1e-3)  # parabolas
+
+
+@pytest.mark.parametrize("name", CAMERA_MODELS)
+def test_the_share_outside_the_image_is_that_of_random_directions(name):
+    camera_model, compared = CAMERA_MODELS[name], 0
+    directions = np.random.default_rng(1).normal(size=(60_000, 3))
+    _, inside = project(camera_model, directions)
+    for seed in range(25):
+        center, size, rotation = random_box(seed)
+        seen = observe_cuboids(camera_model, HERE, some_boxes([center], [size], rotation.as_quat()))
+        if holds_camera(center, size, rotation) or len(seen.rows) == 0:
+            continue
+        met = meets(directions, center, size, rotation)
+        if met.sum() > 1_000:
+            assert seen.truncations[0] == pytest.approx((met & ~inside).sum() / met.sum(), abs=0.05)
+            compared += 1
+    assert compared >= 5
+
+
+def meets(directions, center, size, rotation):
+    """Which rays from the origin meet a box ahead of them."""
+    rays, origin = rotation.inv().apply(directions), rotation.inv().apply(-center)
+    with np.errstate(divide="ignore"):
+        first, last = (-size / 2 - origin) / rays, (size / 2 - origin) / rays
+    enter, leave = np.minimum(first, last).max(axis=1), np.maximum(first, last).min(axis=1)
+    return (enter <= leave) & (leave > 0)
+
+
+def test_half_a_plate_before_another_hides_half_of_it():
+    plates = some_boxes([[0.0, 0.0, 10.0], [0.5, 0.0, 5.0]], [[0.01, 2.0, 2.0], [0.01, 1.0, 1.0]])
+    seen = observe_cuboids(WIDE_PINHOLE, HERE, plates)
+    # the nearer one covers 0 to 1 m at 5 m, which is 0 to 2 m at 10 m: the right half of -1 to 1 m
+    np.testing.assert_allclose(seen.occlusions, [0.5, 0.0], atol=0.01)
+
+
+def test_what_is_hidden_behind_several_boxes_is_hidden_once():
+    plates = some_boxes(
+        [[0.0, 0.0, 10.0], [0.5, 0.0, 5.0], [0.5, 0.0, 4.0]],
+        [[0.01, 2.0, 2.0], [0.01, 1.0, 1.0], [0.01, 2.0, 2.0]],
+    )
+    seen = observe_cuboids(WIDE_PINHOLE, HERE, plates)
+    # the nearest covers -0.5 to 1.5 m at 4 m: all that the middle one shows, and -1.25 to 3.75 m at 10 m
+    np.testing.assert_allclose(seen.occlusions, [1.0, 1.0, 0.0], atol=0.01)
+
+
+@pytest.mark.parametrize("name", ["pinhole", "fisheye"])
+def test_hidden_shares_are_those_of_a_fine_image(name):
+    camera_model = CAMERA_MODELS[name]
+    generator = np.random.default_rng(5)
+    centers = generator.uniform([-8, -1, 4], [8, 1, 25], (25, 3))
+    sizes, rotations = generator.uniform(1, 4, (25, 3)), Rotation.random(25, random_state=2)
+    seen = observe_cuboids(camera_model, HERE, some_boxes(centers, sizes, rotations.as_quat()))
+    v, u = (grid.ravel() for grid in np.mgrid[0:600:2, 0:800:2])
+    rays = unproject(camera_model, np.column_stack([u, v]))
+    depths = np.full((25, len(rays)), np.inf)
+    for row, (center, size, rotation) in enumerate(zip(centers, sizes, rotations, strict=True)):
+        directions, origin = rotation.inv().apply(rays), rotation.inv().apply(-center)
+        first, last = (-size / 2 - origin) / directions, (size / 2 - origin) / directions
+        enter, leave = np.minimum(first, last).max(axis=1), np.maximum(first, last).min(axis=1)
+        there = (enter <= leave) & (enter > 0)
+        depths[row, there] = enter[there]
+    nearest = depths.min(axis=0)
+    compared = 0
+    for row, occlusion in zip(seen.rows, seen.occlusions, strict=True):
+        met = np.isfinite(depths[row])
+        if met.sum() > 500:
+            assert occlusion == pytest.approx((depths[row, met] > nearest[met]).mean(), abs=ON_GRID)
+            compared += 1
+    assert compared > 10
+
+
+def test_boxes_behind_the_camera_or_around_it_are_not_seen_and_hide_nothing():
+    boxes = some_boxes(
+        [[0.0, 0.0, -10.0], [0.0, 0.0, 0.0], [0.0, 0.0, 20.0]],
+        [[2.0, 2.0, 2.0], [5.0, 2.0, 2.0], [4.0, 2.0, 2.0]],
+    )
+    seen = observe_cuboids(WIDE_PINHOLE, HERE, boxes)
+    assert seen.rows.tolist() == [2]
+    assert seen.occlusions.tolist() == [0.0]
+
+
+def test_a_fisheye_sees_what_stands_behind_the_plane_of_the_image():
+    camera_model = Camera("fisheye", 1200, 1200, 300.0, 300.0, 599.5, 599.5)
+    seen = observe_cuboids(camera_model, HERE, some_boxes([[5.0, 0.0, -1.0]], [[0.5, 0.5, 0.5]]))
+    middle = (seen.boxes_xyxy[0, :2] + seen.boxes_xyxy[0, 2:]) / 2
+    # 90 degrees and atan(1 / 5) off the axis, 300 pixels a radian
+    np.testing.assert_allclose(middle, [600 + 300 * (np.pi / 2 + np.arctan(0.2)), 600.0], atol=2.0)
+
+
+def test_boxes_of_no_volume_or_of_no_location_are_not_seen():
+    boxes = some_boxes(
+        [[0.0, 0.0, 9.0], [0.0, np.nan, 9.0], [0.0, 0.0, 9.0]],
+        [[1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [1.0, -1.0, 1.0]],
+    )
+    assert len(observe_cuboids(WIDE_PINHOLE, HERE, boxes).rows) == 0
+    assert len(observe_cuboids(WIDE_PINHOLE, HERE, some_boxes(np.zeros((0, 3)), np.zeros((0, 3)))).rows) == 0
+
+
+@pytest.mark.parametrize("strange", [np.inf, -np.inf, 1e300])
+def test_boxes_out_of_this_world_are_not_seen(strange):
+    centers, sizes = (
+        [[0.0, 0.0, strange], *[[0.0, 0.0, 9.0]] * 2],
+        [[1.0, 1, 1], [1, 1, abs(strange)], [1, 1, 1]],
+    )
+    boxes = some_boxes(centers, sizes)
+    assert observe_cuboids(WIDE_PINHOLE, HERE, boxes).rows.tolist() == [2]
+
+
+def test_boxes_smaller_than_asked_for_are_left_out_but_hide():
+    plates = some_boxes([[0.0, 0.0, 10.0], [0.0, 0.0, 5.0]], [[0.01, 2.0, 2.0], [0.01, 0.02, 2.0]])
+    seen = observe_cuboids(WIDE_PINHOLE, HERE, plates, min_pixels=4.0)
+    assert seen.rows.tolist() == [0]
+    assert seen.occlusions[0] == pytest.approx(0.02, abs=ON_GRID)
+
+
+def test_the_pose_of_the_camera_counts():
+    ahead = RigidTransform(AXES.T, np.array([1.0, 2.0, 3.0]))
+    world = ahead.apply(np.array([[0.0, 0.0, 10.0]]))
+    rotation = Rotation.from_matrix(ahead.rotation @ AXES).as_quat()
+    seen = observe_cuboids(WIDE_PINHOLE, ahead, some_boxes(world, [[4.0, 2.0, 1.0]], rotation))
+    np.testing.assert_allclose(seen.boxes_xyxy, [[337.5, 268.75, 462.5, 331.25]], atol=1e-9)
+
+
+def test_points_before_a_box_and_on_it_are_distinguished():
+    box = some_boxes([[0.0, 0.0, 10.0]], [[4.0, 2.0, 2.0]])
+    ahead = np.array([[0.0, 0.0, 1.0]])
+    before, on, behind, beside, at_back = 5.0 * ahead, 7.9 * ahead, 20.0 * ahead, [[3.0, 0, 10]], -5.0 * ahead
+    points = np.concatenate([before, 0.5 * before, on, 10.0 * ahead, 12.1 * ahead, behind, beside, at_back])
+    seen = observe_cuboids(WIDE_PINHOLE, HERE, box, points_world=points)
+    # 7.9 and 12.1 m are within 0.2 m of its faces at 8 and 12 m
+    assert seen.evidences.tolist() == [[2, 3]]
+    assert observe_cuboids(WIDE_PINHOLE, HERE, box).evidences.tolist() == [[0, 0]]
+
+
+def test_points_that_are_not_finite_are_no_evidence():
+    box = some_boxes([[0.0, 0.0, 10.0]], [[4.0, 2.0, 2.0]])
+    points = np.array([[np.nan, 0.0, 1.0], [0.0, 0.0, np.inf], [0.0, 0.0, 0.0]])
+    assert observe_cuboids(WIDE_PINHOLE, HERE, box, points_world=points).evidences.tolist() == [[0, 0]]

@@ -1,0 +1,528 @@
+"""Closing of gaps against loops that do what is stated, pixel by pixel.
+
+Triangles in an image against SciPy's interpolation.
+Smoothing against the linear systems that it stands for, solved whole.
+Triangulation against SciPy's, and against what a triangulation is.
+"""
+
+import numpy as np
+import pytest
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import Delaunay
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.colouring.depth_completion import (
+    METHODS,
+    MOST_EXTENT,
+    blend_neighbours,
+    complete_depth,
+    fill_across,
+    fill_down,
+    fill_triangles,
+    grade_depths,
+    hilbert_codes,
+    link_pixels,
+    look_up,
+    measure_slopes,
+    measure_triangles,
+    smooth_downward,
+    smooth_rightward,
+    triangles_between,
+    triangulate,
+    widen_samples,
+)
+from sceneloom.errors import ArrayError, OptionError
+
+CAMERA = Camera("pinhole", 160, 120, 120.0, 120.0, 79.5, 59.5)
+
+
+def directions(camera=CAMERA):
+    row, column = np.mgrid[: camera.height, : camera.width]
+    return (column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy
+
+
+def plane(normal, distance, camera=CAMERA):
+    """Depth of the plane normal · p = distance in each pixel, 0 where the pixel does not see it."""
+    x, y = directions(camera)
+    inverse = (normal[0] * x + normal[1] * y + normal[2]) / distance
+    return np.where(inverse > 0, 1 / np.maximum(inverse, 1e-9), 0).astype(np.float32)
+
+
+def scanned(depths, rows=slice(5, None, 10), columns=slice(1, None, 2)):
+    """What a lidar whose scan lines are ten rows apart would see of it."""
+    sparse = np.zeros_like(depths)
+    sparse[rows, columns] = depths[rows, columns]
+    return sparse
+
+
+def between_samples(sparse, margin):
+    """Pixels with samples on all sides, this far from the outer ones."""
+    rows, columns = np.nonzero(sparse)
+    inner = np.zeros(sparse.shape, bool)
+    inner[
+        rows.min() + margin : rows.max() + 1 - margin, columns.min() + margin : columns.max() + 1 - margin
+    ] = True
+    return inner
+
+
+SLANTED = {
+    "wall": ((0.0, 0.0, 1.0), 12.0),
+    "wall seen from the side": ((0.8, 0.0, 0.3), 4.0),
+    "road": ((0.0, 1.0, 0.25), 1.65),
+    "slope": ((0.3, 0.5, 0.4), 3.0),
+}
+
+
+@pytest.mark.parametrize("name", SLANTED)
+def test_quality_gives_back_a_slanted_plane_between_its_samples_exactly(name):
+    truth = plane(*SLANTED[name])
+    truth[truth > 60] = 0
+    sparse = scanned(truth)
+    dense = complete_depth(sparse, CAMERA)
+    inner = between_samples(sparse, 0) & (truth > 0) & (truth < 30)
+    assert inner.sum() > 5000
+    # seven digits of float32, over inverse depths of a few per mille
+    np.testing.assert_allclose(dense.depths[inner], truth[inner], rtol=2e-4)
+
+
+@pytest.mark.parametrize("name", SLANTED)
+def test_fast_comes_near_to_a_slanted_plane(name):
+    truth = plane(*SLANTED[name])
+    truth[truth > 60] = 0
+    sparse = scanned(truth)
+    dense = complete_depth(sparse, CAMERA, method="fast")
+    inner = between_samples(sparse, 3) & (truth > 0) & (truth < 30)
+    # samples stand for two columns, and five pixels are averaged: a plane as steep as these bends by a few per cent
+    assert np.abs(dense.depths[inner] / truth[inner] - 1).max() < 0.08
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_points_give_no_depths(method):
+    dense = complete_depth(np.zeros((120, 160), np.float32), CAMERA, method=method)
+    assert not dense.depths.any()
+    assert not dense.confidence.any()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_point_stays_one_point(method):
+    sparse = np.zeros((120, 160), np.float32)
+    sparse[40, 70] = 8.0
+    dense = complete_depth(sparse, CAMERA, method=method)
+    np.testing.assert_array_equal(dense.depths, sparse)
+    assert (dense.confidence > 0).sum() == 1
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+def test_depths_that_are_none_are_refused_with_their_location(method, value):
+    sparse = np.zeros((120, 160), np.float32)
+    sparse[7, 9] = value
+    with pytest.raises(ArrayError, match=r"sparse\[7, 9\]"):
+        complete_depth(sparse, CAMERA, method=method)
+
+
+def test_an_image_of_another_size_than_the_camera_is_refused():
+    with pytest.raises(ArrayError, match=r"rgb: \(120, 161, 3\)"):
+        complete_depth(np.zeros((120, 160), np.float32), CAMERA, np.zeros((120, 161, 3), np.uint8))
+    with pytest.raises(ArrayError, match=r"sparse: \(119, 160\)"):
+        complete_depth(np.zeros((119, 160), np.float32), CAMERA)
+
+
+def test_a_method_that_is_not_known_is_refused_with_those_that_are():
+    with pytest.raises(OptionError, match="fast, quality"):
+        complete_depth(np.zeros((120, 160), np.float32), CAMERA, method="best")
+
+
+def test_a_depth_image_without_its_camera_is_refused():
+    with pytest.raises(ArrayError, match="camera"):
+        complete_depth(np.zeros((120, 160), np.float32))
+
+
+def two_walls(edge=80, near=6.0, far=20.0):
+    """A near wall left of an edge and a far one right of it, and their image."""
+    truth = np.full((120, 160), far, np.float32)
+    truth[:, :edge] = near
+    rgb = np.full((120, 160, 3), 60, np.uint8)
+    rgb[:, :edge] = 190
+    return truth, rgb
+
+
+def test_quality_puts_a_jump_where_the_image_has_its_edge():
+    truth, rgb = two_walls()
+    # samples eight columns apart leave the position of the edge open: they end 4 px before it and begin 4 px behind it
+    sparse = scanned(truth, slice(5, None, 10), slice(4, None, 8))
+    dense = complete_depth(sparse, CAMERA, rgb)
+    rows = slice(10, 110)
+    half = (6.0 + 20.0) / 2
+    jumps = np.argmax(dense.depths[rows] > half, axis=1)
+    assert np.abs(jumps - 80).max() <= 1
+    # beyond three pixels nothing of the other wall is left but what no edge of an image is believed for
+    assert np.abs(dense.depths[rows, 60:76] - 6).max() < 0.02
+    assert np.abs(dense.depths[rows, 85:100] - 20).max() < 0.02
+
+
+def test_quality_without_an_image_puts_the_jump_between_the_samples():
+    truth, _ = two_walls()
+    dense = complete_depth(scanned(truth, slice(5, None, 10), slice(4, None, 8)), CAMERA)
+    jumps = np.argmax(dense.depths[10:110] > 13.0, axis=1)
+    assert ((jumps > 76) & (jumps <= 84)).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_confidence_falls_at_a_jump_and_beyond_the_last_samples(method):
+    truth = np.full((120, 160), 20.0, np.float32)
+    truth[80:] = 6.0
+    dense = complete_depth(scanned(truth, slice(45, None, 10)), CAMERA, method=method)
+    surface = dense.confidence[57:70, 20:140]
+    assert surface.min() > dense.confidence[78:82, 20:140].max()
+    assert surface.min() > dense.confidence[38:41, 20:140].max()
+    assert ((dense.confidence > 0) == (dense.depths > 0)).all()
+    assert not dense.depths[:30].any()  # nothing was measured near the sky
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_black_image_changes_nothing_of_a_plane(method):
+    truth = plane(*SLANTED["wall"])
+    black = np.zeros((120, 160, 3), np.uint8)
+    with_image = complete_depth(scanned(truth), CAMERA, black, method=method)
+    without = complete_depth(scanned(truth), CAMERA, method=method)
+    np.testing.assert_array_equal(with_image.depths, without.depths)
+
+
+def test_depths_below_a_confidence_are_taken_away():
+    truth, rgb = two_walls()
+    dense = complete_depth(scanned(truth), CAMERA, rgb)
+    kept = dense.above(0.9)
+    assert (kept[dense.confidence < 0.9] == 0).all()
+    np.testing.assert_array_equal(kept[dense.confidence >= 0.9], dense.depths[dense.confidence >= 0.9])
+
+
+SHAPE = (40, 30)
+
+
+STEEPEST = 0.002
+
+
+def sparse_image(seed, share=0.05):
+    random = np.random.default_rng(seed)
+    image = random.uniform(3, 60, SHAPE).astype(np.float32)
+    image[random.random(SHAPE) > share] = 0
+    return image
+
+
+def joined(near, to_near, other, to_other):
+    gap = to_near + to_other
+    inverse = (to_other / near + to_near / other) / gap
+    steepness = abs(1 / near - 1 / other) / (gap * STEEPEST)
+    jump = min(1.0, max(0.0, (steepness - 0.85) / 0.45))
+    return (1 - jump) / inverse + jump * (to_other * near + to_near * other) / gap
+
+
+@pytest.mark.parametrize("slack", [0, 1, 3])
+def test_samples_are_widened_to_the_nearer_one_within_their_row(slack):
+    sparse = sparse_image(slack)
+    widened = np.empty_like(sparse)
+    widen_samples(sparse, slack, widened)
+    for row in range(SHAPE[0]):
+        known = np.flatnonzero(sparse[row])
+        for column in range(SHAPE[1]):
+            distances = np.abs(known - column)
+            near = known[distances == distances.min()] if len(known) else known
+            if len(near) == 0 or distances.min() > slack:
+                assert widened[row, column] == 0
+            else:
+                assert widened[row, column] in sparse[row, near]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_columns_are_filled_between_samples_and_a_little_beyond(seed):
+    sparse, longest, reach = sparse_image(seed), 12.0, 3.0
+    above, distances, depths, trusts, spreads, gaps = (np.empty_like(sparse) for _ in range(6))
+    look_up(sparse, above, distances)
+    fill_down(sparse, above, distances, longest, reach, STEEPEST, depths, trusts, spreads, gaps)
+    for column in range(SHAPE[1]):
+        known = np.flatnonzero(sparse[:, column])
+        for row in range(SHAPE[0]):
+            up, down = known[known <= row], known[known >= row]
+            to_up, to_down = (row - up[-1] if len(up) else 1e6), (down[0] - row if len(down) else 1e6)
+            if sparse[row, column] > 0:
+                expected = sparse[row, column]
+            elif to_up + to_down <= longest:
+                expected = joined(sparse[up[-1], column], to_up, sparse[down[0], column], to_down)
+            elif min(to_up, to_down) <= reach:
+                expected = sparse[up[-1] if to_up < to_down else down[0], column]
+            else:
+                expected = 0
+            assert depths[row, column] == pytest.approx(expected, rel=1e-5)  # seven digits of float32
+    assert ((depths > 0) | (trusts == 0) | (gaps > longest)).all()
+
+
+def test_rows_are_filled_where_that_is_the_shorter_arc():
+    sparse = np.zeros(SHAPE, np.float32)
+    sparse[5, 3], sparse[5, 9] = 10, 20
+    depths, trusts, spreads, gaps = (np.zeros_like(sparse) for _ in range(4))
+    depths[5, 6], gaps[5, 6] = 7, 4
+    depths[5, 7], gaps[5, 7] = 7, 30
+    fill_across(sparse, 8.0, STEEPEST, depths, trusts, spreads, gaps)
+    expected = {
+        4: joined(10, 1, 20, 5),
+        5: joined(10, 2, 20, 4),
+        6: 7,
+        7: joined(10, 4, 20, 2),
+        8: joined(10, 5, 20, 1),
+    }
+    for column, depth in expected.items():
+        assert depths[5, column] == pytest.approx(depth, rel=1e-5)
+    assert np.count_nonzero(depths) == 5
+
+
+def test_filled_pixels_are_blended_with_filled_ones_only():
+    image = sparse_image(7, share=0.6)
+    blended = np.empty_like(image)
+    blend_neighbours(image, np.empty((2, image.size), np.float32), blended)
+    kernel = np.outer([1, 4, 6, 4, 1], [1, 4, 6, 4, 1])
+    for row in range(2, SHAPE[0] - 2):
+        for column in range(2, SHAPE[1] - 2):
+            window = image[row - 2 : row + 3, column - 2 : column + 3]
+            weights = kernel * (window > 0)
+            expected = (weights * window).sum() / weights.sum() if image[row, column] > 0 else 0
+            assert blended[row, column] == pytest.approx(expected, rel=1e-5)
+
+
+MESH_SHAPE = (50, 70)
+
+
+@pytest.fixture
+def mesh():
+    random = np.random.default_rng(4)
+    pixels = random.uniform([-5, -5], [75, 55], (60, 2)).astype(np.float32)
+    depths = random.uniform(4, 30, 60).astype(np.float32)
+    triangulation = Delaunay(pixels.astype(float))
+    return pixels, depths, triangulation, triangulation.simplices.astype(np.int32)
+
+
+@pytest.mark.parametrize("trust", [1.0, 0.0, 0.3])
+def test_pixels_are_filled_as_scipy_interpolates(mesh, trust):
+    pixels, depths, triangulation, triangles = mesh
+    count = len(triangles)
+    images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)]
+    trusts = np.full(count, trust, np.float32)
+    # without slopes, what corners report one another is missed by all there is
+    slopes, lengths = np.zeros_like(pixels), np.full(count, 9, np.float32)
+    fill_triangles(pixels, depths, slopes, triangles, np.ones(count, bool), trusts, lengths, *images)
+    rows, columns = np.mgrid[: MESH_SHAPE[0], : MESH_SHAPE[1]]
+    surface = 1 / LinearNDInterpolator(triangulation, 1 / depths.astype(float))(columns, rows)
+    between = LinearNDInterpolator(triangulation, depths.astype(float))(columns, rows)
+    at = triangulation.find_simplex(np.stack([columns, rows], axis=-1).astype(float))
+    even = np.minimum(1, depths[triangles[at]].max(-1) / depths[triangles[at]].min(-1) - 1)
+    expected = trust * ((1 - even) * surface + even * between) + (1 - trust) * between
+    inside = np.isfinite(expected)
+    off = np.abs(images[0][inside] / expected[inside] - 1)
+    # float32; pixels on the border of two triangles are reported by either, or by both
+    assert np.quantile(off, 0.99) < 1e-5
+    assert off.max() < 0.02
+    assert (images[3][inside] == 9).all()
+    lone = ~inside & (images[0] > 0)
+    assert lone.sum() <= 0.002 * inside.sum()  # a ten-thousandth of a triangle beside the hull
+
+
+def test_across_jumps_what_the_image_reported_stays(mesh):
+    pixels, depths, _, triangles = mesh
+    images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)]
+    images[0][20:30] = 5.0
+    count = len(triangles)
+    none, ones = np.zeros(count, np.float32), np.ones(count, np.float32)
+    slopes = np.zeros_like(pixels)
+    fill_triangles(pixels, depths, slopes, triangles, np.ones(count, bool), none, ones, *images)
+    np.testing.assert_array_equal(images[0][20:30], 5.0)
+
+
+def bent(pixels):
+    """An inverse depth that bends evenly, and its slopes."""
+    u, v = pixels.astype(float).T
+    inverse = 0.05 + 1e-5 * u + 2e-5 * v + 4e-8 * u * u - 3e-8 * u * v + 5e-8 * v * v
+    return inverse, np.stack([1e-5 + 8e-8 * u - 3e-8 * v, 2e-5 - 3e-8 * u + 1e-7 * v], axis=1)
+
+
+def test_what_bends_evenly_comes_out_as_it_is(mesh):
+    pixels, _, triangulation, triangles = mesh
+    inverse, slopes = bent(pixels)
+    images, ones = (
+        [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)],
+        np.ones(len(triangles), np.float32),
+    )
+    depths = (1 / inverse).astype(np.float32)
+    fill_triangles(
+        pixels, depths, slopes.astype(np.float32), triangles, ones.astype(bool), ones, ones, *images
+    )
+    rows, columns = np.nonzero(images[0])
+    locations = np.stack([columns, rows], axis=1)
+    reported, straight = bent(locations)[0], LinearNDInterpolator(triangulation, inverse)(locations)
+    known = np.isfinite(straight)
+    off = np.abs(1 / images[0][rows, columns] - reported)[known]
+    # float32 reports 1e-8 of 0.06; where a location leaves the range of its corners, and where depth is taken as linear
+    assert np.median(off) < 2e-8
+    assert np.median(off) < 0.1 * np.median(np.abs(straight - reported)[known])
+
+
+def test_slopes_of_a_plane_are_its_own_at_every_corner_and_jumps_report_none(mesh):
+    pixels, _, _, triangles = mesh
+    inverse = (0.1 + 1e-4 * pixels[:, 0] - 3e-4 * pixels[:, 1]).astype(np.float32)
+    slopes, room = np.empty_like(pixels), np.empty(len(pixels), np.float32)
+    measure_slopes(pixels, inverse, triangles, np.ones(len(triangles), np.float32), slopes, room)
+    # differences of float32 numbers of a tenth over a pixel
+    np.testing.assert_allclose(slopes, np.broadcast_to([1e-4, -3e-4], slopes.shape), atol=2e-6)
+    measure_slopes(pixels, inverse, triangles, np.zeros(len(triangles), np.float32), slopes, room)
+    assert not slopes.any()
+
+
+def test_triangles_are_measured(mesh):
+    pixels, depths, _, triangles = mesh
+    measures = np.empty((len(triangles), 3), np.float32)
+    measure_triangles(pixels, 1 / depths, triangles, measures)
+    for triangle, (area, longest, slope) in zip(triangles, measures, strict=True):
+        a, b, c = pixels[triangle].astype(float)
+        assert area == pytest.approx(abs(np.linalg.det([b - a, c - a])) / 2, rel=1e-3, abs=1e-3)
+        assert longest == pytest.approx(
+            max(np.linalg.norm(a - b), np.linalg.norm(b - c), np.linalg.norm(c - a)), rel=1e-5
+        )
+        y = 1 / depths[triangle].astype(float)
+        gradient = np.linalg.solve([b - a, c - a], [y[1] - y[0], y[2] - y[0]])
+        assert slope == pytest.approx(np.linalg.norm(gradient), rel=1e-2)  # differences of float32
+
+
+LINKED_SHAPE = (19, 23)
+
+
+def solved_along_rows(image, links, strength):
+    """Each row of x that minimises sum (x - value)² + strength sum link (x - next)²."""
+    solved = np.empty(image.shape)
+    for row in range(image.shape[0]):
+        matrix = np.eye(image.shape[1])
+        for k, link in enumerate(links[row, :-1].astype(float)):
+            matrix[k : k + 2, k : k + 2] += strength * link * np.array([[1, -1], [-1, 1]])
+        solved[row] = np.linalg.solve(matrix, image[row].astype(float))
+    return solved
+
+
+@pytest.mark.parametrize("strength", [0.0, 3.0, 500.0])
+def test_rows_and_columns_are_smoothed_by_least_squares(strength):
+    random = np.random.default_rng(1)
+    first, second, links = (random.random(LINKED_SHAPE).astype(np.float32) for _ in range(3))
+    links[:, -1] = 0
+    expected = [solved_along_rows(image, links, strength) for image in (first, second)]
+    down = [np.ascontiguousarray(image.T) for image in (first, second)]
+    smooth_rightward(links, strength, first, second)
+    # float32, and systems whose condition grows with the strength
+    np.testing.assert_allclose([first, second], expected, atol=2e-5)
+    smooth_downward(np.ascontiguousarray(links.T), strength, *down, np.empty(LINKED_SHAPE[::-1], np.float32))
+    np.testing.assert_allclose([image.T for image in down], expected, atol=2e-5)
+
+
+def test_links_follow_the_sum_of_the_differences_of_the_channels():
+    random = np.random.default_rng(2)
+    rgb = random.integers(0, 256, (*LINKED_SHAPE, 3), dtype=np.uint8)
+    table = np.linspace(1, 0, 766).astype(np.float32)
+    rightward, downward = np.empty(LINKED_SHAPE, np.float32), np.empty(LINKED_SHAPE, np.float32)
+    link_pixels(rgb, table, rightward, downward)
+    wide = rgb.astype(int)
+    np.testing.assert_array_equal(rightward[:, :-1], table[np.abs(np.diff(wide, axis=1)).sum(axis=2)])
+    np.testing.assert_array_equal(downward[:-1], table[np.abs(np.diff(wide, axis=0)).sum(axis=2)])
+    assert not rightward[:, -1].any()
+    assert not downward[-1].any()
+
+
+def test_each_pixel_gets_the_cell_of_its_doubt_and_its_gap():
+    random = np.random.default_rng(3)
+    depths, trusts, spreads, gaps = (random.random((9, 11)).astype(np.float32) for _ in range(4))
+    depths *= 40
+    depths[2] = 0
+    spreads *= 5
+    doubt_steps, gap_steps = np.array([0.5, 1.0], np.float32), np.array([0.1, 0.2, 0.25], np.float32)
+    table = random.random((3, 4)).astype(np.float32)
+    confidence = np.empty_like(depths)
+    grade_depths(
+        depths, trusts, spreads, gaps, 3.0, 0.5, 0.05, 0.1, doubt_steps, gap_steps, table, confidence
+    )
+    for location in np.ndindex(depths.shape):
+        doubt = (1 - 0.9 * trusts[location]) * spreads[location] / max(0.5, 0.05 * depths[location])
+        cell = (doubt >= doubt_steps).sum(), (gaps[location] / 3 >= gap_steps).sum()
+        assert confidence[location] == (table[cell] if depths[location] > 0 else 0)
+
+
+def triangulated(inner, extent=1000):
+    corners = [[-extent, -extent], [2 * extent, -extent], [2 * extent, 2 * extent], [-extent, 2 * extent]]
+    points = np.concatenate([np.array(corners, np.int64), np.asarray(inner, np.int64).reshape(-1, 2)])
+    triangles = np.empty((2 * len(points), 3), np.int32)
+    count = triangulate(points, np.arange(4, len(points)), triangles)
+    return points, triangles[:count]
+
+
+def doubled_areas(points, triangles):
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_triangles_are_those_of_scipy_where_no_four_points_lie_on_a_circle(seed):
+    random = np.random.default_rng(seed)
+    inner = np.unique(random.integers(0, 1000, (300, 2)), axis=0)
+    random.shuffle(inner)
+    points, triangles = triangulated(inner)
+    ours = {tuple(sorted(triangle)) for triangle in triangles.tolist()}
+    theirs = Delaunay(points.astype(float))
+    # points on one circle may be joined either way; with whole coordinates a few are
+    shared = ours & {tuple(sorted(triangle)) for triangle in theirs.simplices.tolist()}
+    assert len(ours) == len(theirs.simplices)
+    assert len(shared) > 0.97 * len(ours)
+
+
+@pytest.mark.parametrize("kind", ["grid", "lines", "circle", "one line", "same point twice", "one", "none"])
+def test_no_circumcircle_holds_another_point_and_no_location_is_left_out(kind):
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    inner = {
+        "grid": np.stack(np.meshgrid(np.arange(0, 100, 10), np.arange(0, 100, 10)), -1).reshape(-1, 2),
+        "lines": np.array([[2 * k, 10 * line + k % 2] for line in range(4) for k in range(20)]),
+        "circle": np.rint(500 + 400 * np.stack([np.cos(angles), np.sin(angles)], 1)),
+        "one line": np.array([[10 * k, 50] for k in range(20)]),
+        "same point twice": np.array([[5, 5], [9, 3], [5, 5], [2, 8], [9, 3]]),
+        "one": np.array([[7, 7]]),
+        "none": np.zeros((0, 2)),
+    }[kind]
+    points, triangles = triangulated(inner)
+    areas = doubled_areas(points, triangles)
+    assert (areas > 0).all()
+    assert areas.sum() == 2 * 3000 * 3000
+    distinct = len(np.unique(np.asarray(inner).reshape(-1, 2), axis=0))
+    assert len(triangles) == 2 + 2 * distinct
+    for triangle in triangles:
+        matrix = points[triangle].astype(object)
+        for point in points.astype(object):
+            rows = [[x - point[0], y - point[1]] for x, y in matrix]
+            (ax, ay), (bx, by), (cx, cy) = rows
+            a, b, c = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
+            assert ax * (by * c - cy * b) - ay * (bx * c - cx * b) + a * (bx * cy - cx * by) <= 0
+
+
+def test_numbers_stay_exact_at_the_largest_extent():
+    side = MOST_EXTENT // 3
+    random = np.random.default_rng(0)
+    inner = np.concatenate([random.integers(0, side, (200, 2)), [[0, 0], [side, 0], [side, side], [0, side]]])
+    points, triangles = triangulated(inner, side)
+    assert doubled_areas(points, triangles).sum() == 2 * (3 * side) ** 2
+
+
+def test_the_curve_goes_through_every_location_once_in_single_steps():
+    side = 32
+    locations = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2).astype(np.int64)
+    codes = np.empty(len(locations), np.int64)
+    hilbert_codes(locations, codes)
+    assert len(set(codes.tolist())) == len(locations)
+    steps = np.abs(np.diff(locations[np.argsort(codes)], axis=0)).sum(axis=1)
+    assert (steps == 1).all()
+
+
+def test_triangles_of_an_image_leave_out_what_lies_outside_the_hull():
+    pixels = np.array([[10, 10], [50.5, 12], [30, 40.25]], np.float32)
+    np.testing.assert_array_equal(np.sort(triangles_between(pixels, 60, 80)), [[0, 1, 2]])
+    assert triangles_between(pixels[:2], 60, 80).shape == (0, 3)

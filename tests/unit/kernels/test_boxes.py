@@ -1,0 +1,116 @@
+"""Points in boxes, against the plain formula for every pair of a point and a box.
+
+Tests of the choice of points in cones, against angles by arc cosines.
+"""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.kernels.boxes import find_points_in_boxes, points_in_cones
+
+
+def a_crowd(seed, *, boxes=40, points=3_000, spread=20.0, knots=1, dtype=np.float64):
+    generator = np.random.default_rng(seed)
+    first = generator.uniform(-spread, spread, (boxes, 3)) * [1.0, 1.0, 0.1]
+    centers = first + np.arange(knots)[:, None, None] * generator.uniform(-1.0, 1.0, (boxes, 3))
+    start = Rotation.from_rotvec(np.tile(generator.uniform(-2, 2, (boxes, 3)), (knots, 1)))
+    swing = np.repeat(np.arange(knots), boxes)[:, None] * np.tile([0.0, 0.0, 0.05], (knots * boxes, 1))
+    rotations = (Rotation.from_rotvec(swing) * start).as_matrix()
+    halves = np.tile(generator.uniform(0.2, 3.0, (1, boxes, 3)), (knots, 1, 1))
+    cloud = generator.uniform(-1.1 * spread, 1.1 * spread, (points, 3)) * [1.0, 1.0, 0.15]
+    return cloud.astype(dtype), centers, np.ascontiguousarray(rotations.reshape(knots, boxes, 3, 3)), halves
+
+
+def inside_one_by_one(points, locations, centers, rotations, halves):
+    """Every pair by the formula: (N, B) bool."""
+    after = np.minimum(locations.astype(int) + 1, len(centers) - 1)
+    before, share = locations.astype(int), locations - locations.astype(int)
+    inside = np.zeros((len(points), centers.shape[1]), bool)
+    for n, point in enumerate(points.astype(np.float64)):
+        k, j, s = before[n], after[n], share[n]
+        center = (1 - s) * centers[k] + s * centers[j]
+        axes = (1 - s) * rotations[k] + s * rotations[j]
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        half = (1 - s) * halves[k] + s * halves[j]
+        local = np.einsum("bji,bj->bi", axes, point - center)
+        inside[n] = (np.abs(local) <= half).all(axis=1)
+    return inside
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(("seed", "spread"), [(0, 20.0), (1, 3.0), (2, 4000.0)])
+def test_counts_and_lists_are_those_of_every_pair(seed, spread, dtype):
+    points, centers, rotations, halves = a_crowd(seed, spread=spread, dtype=dtype)
+    expected = inside_one_by_one(points, np.zeros(len(points)), centers, rotations, halves)
+    counts = np.zeros(centers.shape[1], np.int64)
+    nothing = np.zeros(0, np.int64)
+    find_points_in_boxes(points, np.zeros(0), centers, rotations, halves, counts, nothing)
+    np.testing.assert_array_equal(counts, expected.sum(axis=0))
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    listed, stops = np.full(max(1, counts.sum()), -1), starts.copy()
+    find_points_in_boxes(points, np.zeros(0), centers, rotations, halves, stops, listed)
+    for b, (start, stop) in enumerate(zip(starts, stops, strict=True)):
+        np.testing.assert_array_equal(listed[start:stop], np.flatnonzero(expected[:, b]))
+
+
+def test_boxes_that_move_are_met_where_they_are_when_a_point_is_measured():
+    points, centers, rotations, halves = a_crowd(3, knots=4, spread=8.0)
+    locations = np.random.default_rng(4).uniform(0.0, 3.0, len(points))
+    expected = inside_one_by_one(points, locations, centers, rotations, halves)
+    counts = np.zeros(centers.shape[1], np.int64)
+    find_points_in_boxes(points, locations, centers, rotations, halves, counts, np.zeros(0, np.int64))
+    assert counts.sum() > 100
+    np.testing.assert_array_equal(counts, expected.sum(axis=0))
+
+
+def test_points_that_are_not_finite_lie_nowhere():
+    points = np.array([[np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0], [0.0, 0.0, np.nan], [0.0, 0.0, 0.0]])
+    counts = np.zeros(1, np.int64)
+    find_points_in_boxes(
+        points, np.zeros(0), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.ones((1, 1, 3)), counts,
+        np.zeros(0, np.int64),
+    )  # fmt: skip
+    assert counts.tolist() == [1]
+
+
+def test_faces_belong_to_a_box():
+    points = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [1.0, 1.0, 1.0], [1.0 + 1e-9, 0.0, 0.0]])
+    counts = np.zeros(1, np.int64)
+    find_points_in_boxes(
+        points, np.zeros(0), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.ones((1, 1, 3)), counts,
+        np.zeros(0, np.int64),
+    )  # fmt: skip
+    assert counts.tolist() == [3]
+
+
+def test_a_box_of_no_size_far_from_all_others_is_no_trouble():
+    centers = np.array([[[0.0, 0, 0], [1e7, -1e7, 0]]])
+    counts = np.zeros(2, np.int64)
+    find_points_in_boxes(
+        np.zeros((5, 3), np.float32), np.zeros(0), centers, np.tile(np.eye(3), (1, 2, 1, 1)),
+        np.array([[[1.0, 1, 1], [0.0, 0, 0]]]), counts, np.zeros(0, np.int64),
+    )  # fmt: skip
+    assert counts.tolist() == [5, 0]
+
+
+def test_points_whose_angle_to_an_axis_is_small_enough_are_chosen():
+    random = np.random.default_rng(3)
+    points = random.normal(0.0, 10.0, (2000, 3)).astype(np.float32)
+    points[:3] = np.nan, np.inf, -np.inf
+    apex, axes = np.array([1.0, -2.0, 0.5]), random.normal(size=(4, 3))
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    angles = np.array([0.1, 0.4, 0.8, 1.2])
+    with np.errstate(invalid="ignore"):
+        lines = points - apex
+        cosines = (lines @ axes.T) / np.linalg.norm(lines, axis=1)[:, None]
+        inside = (np.arccos(cosines.clip(-1.0, 1.0)) <= angles).any(axis=1)
+    found = points_in_cones(points, apex, axes, np.cos(angles))
+    np.testing.assert_array_equal(found, np.flatnonzero(inside))
+    assert 0 < len(found) < 2000
+
+
+def test_without_cones_or_points_there_are_none():
+    none = np.zeros((0, 3))
+    assert len(points_in_cones(np.ones((5, 3), np.float32), np.zeros(3), none, np.zeros(0))) == 0
+    assert len(points_in_cones(none.astype(np.float32), np.zeros(3), np.eye(3), np.full(3, 0.5))) == 0

@@ -1,0 +1,143 @@
+"""Preintegrated IMU measurements against the exact motion of a curve, differences, and drawn noise.
+
+Chains of blocks against the same matrix written out.
+"""
+
+import numpy as np
+import pytest
+
+from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
+from sceneloom.kernels.imu_chain import chain_covariances, solve_chain
+from sceneloom.motion.gnss_imu.measurements import Preintegrated, preintegrated
+from sceneloom.simulate.drive import GRAVITY, ImuSpec, imu_truth
+from sceneloom.simulate.trajectory import EgoPath, PathSpec, plan_path
+
+PATH = plan_path(
+    np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0))
+)
+
+
+KNOTS = np.arange(9) * 1_000_000_000 + 333_333_333  # between samples of every rate below
+
+
+def measured(rate_hz: float, path: EgoPath = PATH) -> tuple[np.ndarray, np.ndarray]:
+    times = np.round(np.arange(int(9.9 * rate_hz)) * 1e9 / rate_hz).astype(np.int64)
+    truth = imu_truth(ImuSpec(), path, times, seed=0)
+    return times, np.hstack([truth.angular_rates, truth.specific_forces])
+
+
+def summed(times: np.ndarray, values: np.ndarray, bias: np.ndarray, densities=(1e-8, 1e-6)) -> Preintegrated:
+    count = len(KNOTS) - 1
+    return preintegrated(
+        times,
+        values,
+        KNOTS,
+        biases=np.tile(bias, (count, 1)),
+        densities=np.tile(np.array(densities), (count, 1)),
+    )
+
+
+def vectors(found: Preintegrated, reference: Preintegrated) -> np.ndarray:
+    apart = np.swapaxes(reference.rotations, 1, 2) @ found.rotations
+    rotations = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
+    return np.hstack([rotations, found.gains - reference.gains, found.trajectories - reference.trajectories])
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "rotation_of_vector", "speed", "trajectory"),
+    # the force between samples 0.1 s apart is known to a'' h² / 8, which shrinks with the square of the step
+    [(10.0, 3e-3, 3e-2, 2e-2), (50.0, 1.2e-4, 1.2e-3, 8e-4), (200.0, 8e-6, 8e-5, 5e-5)],
+)
+def test_rotate_gain_and_trajectory_are_those_of_the_curve(rate_hz, rotation_of_vector, speed, trajectory):
+    found = summed(*measured(rate_hz), np.zeros(6))
+    states = PATH.at(KNOTS)
+    before, gravity = states.rotations[:-1], np.array([0.0, 0.0, -GRAVITY])
+    rotations = np.swapaxes(before, 1, 2) @ states.rotations[1:]
+    gains = np.einsum("nji,nj->ni", before, np.diff(states.velocities, axis=0) - gravity)
+    steps = np.diff(states.positions, axis=0) - states.velocities[:-1] - 0.5 * gravity
+    assert np.abs(found.rotations - rotations).max() < rotation_of_vector
+    assert np.abs(found.gains - gains).max() < speed
+    assert np.abs(found.trajectories - np.einsum("nji,nj->ni", before, steps)).max() < trajectory
+
+
+def test_slopes_are_what_small_biases_do():
+    times, values = measured(200.0)
+    base = summed(times, values, np.zeros(6))
+    for column in range(6):
+        bias = np.zeros(6)
+        bias[column] = 1e-5
+        change = vectors(summed(times, values, bias), base) / 1e-5
+        # half a step's worth of the path is neglected in the slopes: 2.5 ms of 5 m/s² over a second
+        assert np.abs(change - base.slopes[:, :, column]).max() < 0.02
+
+
+def test_covariances_are_those_of_drawn_noise():
+    times, values = measured(200.0)
+    rng = np.random.default_rng(1)
+    deviations = np.repeat(np.sqrt(np.array([1e-8, 1e-6]) * 200.0), 3)
+    base = summed(times, values, np.zeros(6))
+    draws = np.stack(
+        [
+            vectors(summed(times, values + rng.standard_normal(values.shape) * deviations, np.zeros(6)), base)
+            for _ in range(300)
+        ]
+    )
+    whitened = np.linalg.solve(np.linalg.cholesky(base.covariances)[None], draws[..., None])[..., 0]
+    # mean of 300 · 8 squares of each: 1 within 5 standard deviations of √(2 / 2400)
+    assert np.abs((whitened**2).mean(axis=(0, 1)) - 1.0).max() < 0.15
+    correlation = np.einsum("kni,knj->ij", whitened, whitened) / (whitened.shape[0] * whitened.shape[1])
+    assert np.abs(correlation - np.eye(9)).max() < 0.15
+
+
+def test_beyond_the_samples_the_last_one_holds():
+    times = np.array([400_000_000, 500_000_000], np.int64)
+    values = np.tile([0.0, 0.0, 0.1, 1.0, 0.0, 9.8], (2, 1))
+    found = summed(times, values, np.zeros(6))
+    assert np.allclose(found.rotations[5][:2, :2], [[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
+    assert np.allclose(found.gains[:, 2], 9.8)  # a second of that force, rotated about its own axis
+
+
+def chain(count: int, n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks, couplings, right side, and the whole matrix: Jᵀ J with J tying neighbours only."""
+    rng = np.random.default_rng(seed)
+    whole = np.zeros((count * n, count * n))
+    for k in range(count):
+        slopes = np.zeros((2 * n, count * n))
+        slopes[:, k * n : (k + 2) * n] = rng.standard_normal((2 * n, min(2, count - k) * n))
+        whole += slopes.T @ slopes
+    grid = whole.reshape(count, n, count, n).swapaxes(1, 2)
+    blocks = np.stack([grid[k, k] for k in range(count)])
+    couplings = np.stack([grid[k, k + 1] for k in range(count - 1)]) if count > 1 else np.zeros((0, n, n))
+    return blocks, couplings, rng.standard_normal((count, n)), whole
+
+
+@pytest.mark.parametrize(("count", "n"), [(1, 3), (2, 15), (40, 15), (100, 4)])
+def test_solution_and_covariances_are_those_of_the_whole_matrix(count, n):
+    blocks, couplings, right, whole = chain(count, n, count)
+    factors, gains, solution = np.empty_like(blocks), np.empty_like(couplings), np.empty_like(right)
+    assert solve_chain(blocks, couplings, right, 0.0, factors, gains, solution) == -1
+    expected = np.linalg.solve(whole, right.ravel()).reshape(right.shape)
+    # float64 with condition numbers of some thousands
+    assert np.allclose(solution, expected, rtol=1e-8, atol=1e-9)
+    own, between = np.empty_like(blocks), np.empty_like(couplings)
+    chain_covariances(factors, gains, own, between)
+    inverse = np.linalg.inv(whole).reshape(count, n, count, n).swapaxes(1, 2)
+    for k in range(count):
+        assert np.allclose(own[k], inverse[k, k], rtol=1e-7, atol=1e-9)
+        if k + 1 < count:
+            assert np.allclose(between[k], inverse[k, k + 1], rtol=1e-7, atol=1e-9)
+
+
+def test_damping_adds_its_share_of_the_diagonal():
+    blocks, couplings, right, whole = chain(5, 3, 0)
+    factors, gains, solution = np.empty_like(blocks), np.empty_like(couplings), np.empty_like(right)
+    solve_chain(blocks, couplings, right, 0.5, factors, gains, solution)
+    expected = np.linalg.solve(whole + 0.5 * np.diag(np.diag(whole)), right.ravel())
+    assert np.allclose(solution.ravel(), expected, rtol=1e-9)
+
+
+def test_a_matrix_that_is_not_positive_definite_is_reported_with_its_block():
+    blocks, couplings, right, _ = chain(4, 3, 1)
+    blocks[2] -= 1e3 * np.eye(3)
+    factors, gains, solution = np.empty_like(blocks), np.empty_like(couplings), np.empty_like(right)
+    assert solve_chain(blocks, couplings, right, 0.0, factors, gains, solution) == 2

@@ -1,0 +1,821 @@
+from dataclasses import fields, replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import beta, chi2, kstest
+
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import OptionError
+from sceneloom.geometry.boxes import points_in_box
+from sceneloom.scene import PointsFrame, ScoreForm
+from sceneloom.simulate import (
+    CameraSpec,
+    ClassSpec,
+    Detector2dSpec,
+    Detector3dSpec,
+    Faults,
+    LidarSpec,
+    MissSpec,
+    PathSpec,
+    ScoreSpec,
+    SensorFaults,
+    TrafficSpec,
+    camera_mount,
+    detect_2d,
+    detect_3d,
+    inject,
+    simulate_street,
+)
+from sceneloom.simulate.camera import LineViews, projected_boxes
+from sceneloom.simulate.detections import FALSE, deal_out, draw_scores
+from sceneloom.simulate.street import PackedShapes
+
+CAMERA_MODEL = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 95.5)
+
+
+SHARP = {"car": ClassSpec(half_evidence=1e-6, false_rate=0.0, size_lwh=(4.2, 1.8, 1.5))}
+
+
+EVERYTHING = Detector2dSpec(classes=SHARP, misses=MissSpec(recall=1.0, hiding=0.0))
+"""Finds all there is and makes nothing up."""
+
+
+FAIR = Detector2dSpec(
+    classes={"car": ClassSpec(half_evidence=60.0, false_rate=1.2, size_lwh=(4.2, 1.8, 1.5))}, repeated=0.2
+)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """A drive past parked cars with one small camera."""
+    return simulate_street(
+        6, frames=50, lidar=LidarSpec(beams=2, steps=20), cameras=(CameraSpec(CAMERA_MODEL, camera_mount()),)
+    )
+
+
+@pytest.fixture(scope="module")
+def reports(drive):
+    """Everything found in each image, half of it twice."""
+    return detect_2d(drive, "camera0", replace(EVERYTHING, repeated=0.5))
+
+
+@pytest.fixture(scope="module")
+def fair(drive):
+    """What a fair detector finds."""
+    return detect_2d(drive, "camera0", FAIR)
+
+
+def matched(report):
+    """Rows of the truth that the boxes of a report are of."""
+    return [report.truth_instances.tolist().index(instance) for instance in report.instances]
+
+
+def test_the_true_boxes_are_the_edges_of_the_visible_pixels(drive, reports):
+    labels = {thing.instance: thing.label for thing in drive.truth.objects}
+    seen = 0
+    for k in (0, 30):
+        shown = drive.truth.instances("camera0", k)
+        cars = [instance for instance in np.unique(shown) if labels.get(int(instance)) == "car"]
+        assert sorted(reports[k].truth_instances) == cars
+        for instance, box, pixels in zip(
+            reports[k].truth_instances, reports[k].truth.corners_xyxy, reports[k].evidence, strict=True
+        ):
+            rows, columns = np.nonzero(shown == instance)
+            assert pixels == len(rows)
+            assert box.tolist() == [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+            seen += 1
+    assert seen > 6
+
+
+def test_edges_are_off_by_as_much_as_the_specification_says(reports):
+    normal = []
+    for report in reports:
+        truth = report.truth.corners_xyxy[matched(report)]
+        error = report.boxes.corners_xyxy - truth
+        sigmas = 0.8 + 0.015 * np.tile(truth[:, 2:] - truth[:, :2], 2)
+        # Edges near the border are cut off there, and small boxes are kept from rotating inside out.
+        free = (truth > 6).all(axis=1) & (truth[:, 2] < 314) & (truth[:, 3] < 194)
+        free &= (truth[:, 2:] - truth[:, :2]).min(axis=1) > 6
+        normal.append((error / sigmas)[free])
+    normal = np.concatenate(normal)
+    assert len(normal) > 150
+    np.testing.assert_allclose((normal**2).mean(axis=0), 1.0, atol=4 * np.sqrt(2 / len(normal)))
+    np.testing.assert_allclose(normal.mean(axis=0), 0.0, atol=4 / np.sqrt(len(normal)))
+
+
+def test_boxes_end_where_the_image_does_and_are_never_empty(reports, fair):
+    edges = np.concatenate([report.boxes.corners_xyxy for report in (*reports, *fair)])
+    assert (edges >= 0).all()
+    assert (edges <= [320, 200, 320, 200]).all()
+    assert ((edges[:, 2:] - edges[:, :2]) >= 1).all()
+    touching = np.concatenate([report.truth.corners_xyxy for report in reports])
+    assert (touching[:, 2] == 320).any()
+
+
+def test_boxes_of_whole_objects_are_the_projected_boxes_in_space(drive):
+    report = detect_2d(drive, "camera0", replace(EVERYTHING, amodal=True), frames=[12])[0]
+    visible = detect_2d(drive, "camera0", EVERYTHING, frames=[12])[0]
+    camera_from_world = drive.truth.world_from_camera("camera0", 12).inverse()
+    matrix = np.array(
+        [[CAMERA_MODEL.fx, 0, CAMERA_MODEL.cx], [0, CAMERA_MODEL.fy, CAMERA_MODEL.cy], [0, 0, 1.0]]
+    )
+    known = {thing.instance: thing for thing in drive.truth.objects}
+    compared = 0
+    for instance, box in zip(report.truth_instances, report.truth.corners_xyxy, strict=True):
+        thing = known[int(instance)]
+        x, y = np.array([[1, 1, -1, -1] * 2, [1, -1, -1, 1] * 2]) * np.array(thing.size_lwh[:2])[:, None] / 2
+        z = np.repeat([-0.5, 0.5], 4) * thing.size_lwh[2]
+        cosine, sine = np.cos(thing.yaw), np.sin(thing.yaw)
+        corners = np.column_stack([cosine * x - sine * y, sine * x + cosine * y, z]) + thing.center_world
+        if camera_from_world.apply(corners)[:, 2].min() < 0.5:
+            continue
+        rotation, _ = cv2.Rodrigues(camera_from_world.rotation)
+        pixels = (
+            cv2.projectPoints(corners, rotation, camera_from_world.translation, matrix, None)[0][:, 0] + 0.5
+        )
+        expected = np.clip([*pixels.min(axis=0), *pixels.max(axis=0)], 0, [320, 200, 320, 200])
+        np.testing.assert_allclose(box, expected, atol=1e-6)
+        compared += 1
+    assert compared >= 3
+    shown = visible.truth.corners_xyxy
+    # Pixels are whole, and what is seen of an object lies in its box.
+    assert (report.truth.corners_xyxy[:, :2] <= shown[:, :2] + 1).all()
+    assert (report.truth.corners_xyxy[:, 2:] >= shown[:, 2:] - 1).all()
+
+
+def test_occlusion_is_what_the_truth_of_the_image_says(drive, reports):
+    truth = drive.truth.occlusion("camera0", 30)
+    shares = dict(zip(truth.instances.tolist(), truth.hidden.tolist(), strict=True))
+    expected = [shares[int(instance)] for instance in reports[30].truth_instances]
+    assert reports[30].occlusions.tolist() == pytest.approx(expected)
+    assert max(expected) > 0.1
+
+
+def test_objects_are_missed_as_often_as_their_pixels_state(fair):
+    pixels, occlusions = (
+        np.concatenate([getattr(report, name) for report in fair]) for name in ("evidence", "occlusions")
+    )
+    chances = 0.98 / (1 + np.exp(-(2.0 * np.log(pixels / 60.0) - 2.0 * occlusions)))
+    np.testing.assert_allclose(np.concatenate([report.chances for report in fair]), chances)
+    found = np.concatenate([np.isin(report.truth_instances, report.instances) for report in fair])
+    for some in (pixels < 60, pixels >= 60):
+        assert some.sum() > 30
+        deviation = np.sqrt((chances * (1 - chances))[some].sum())
+        assert abs(found[some].sum() - chances[some].sum()) < 4 * deviation
+
+
+def test_false_boxes_come_at_their_rate_and_overlap_few_objects(fair):
+    counts = np.array([(report.instances == FALSE).sum() for report in fair])
+    assert counts.mean() == pytest.approx(1.2, abs=4 * np.sqrt(1.2 / len(fair)))
+    for report in fair:
+        for x1, y1, x2, y2 in report.boxes.corners_xyxy[report.instances == FALSE]:
+            for a1, b1, a2, b2 in report.truth.corners_xyxy:
+                shared = max(0, min(x2, a2) - max(x1, a1)) * max(0, min(y2, b2) - max(y1, b1))
+                both = (x2 - x1) * (y2 - y1) + (a2 - a1) * (b2 - b1) - shared
+                # They are placed with less than 0.2, before errors of a pixel.
+                assert shared / both < 0.3
+
+
+def test_scores_in_images_are_calibrated(fair):
+    scores = np.concatenate([report.boxes.scores for report in fair])
+    true = np.concatenate([(report.instances != FALSE) & ~report.duplicates for report in fair])
+    assert len(scores) > 200
+    for low in np.arange(0.0, 1.0, 0.25):
+        own = (scores >= low) & (scores < low + 0.25)
+        deviation = np.sqrt((scores * (1 - scores))[own].sum())
+        assert abs(true[own].sum() - scores[own].sum()) < 4 * deviation + 1e-9
+
+
+def test_duplicates_are_marked(reports):
+    found = sum(len(report.truth) for report in reports)
+    again = sum(int(report.duplicates.sum()) for report in reports)
+    assert again / found == pytest.approx(0.5, abs=4 * np.sqrt(0.25 / found))
+    for report in reports:
+        assert sorted(report.instances[~report.duplicates]) == sorted(report.truth_instances)
+
+
+def test_an_image_is_the_same_whichever_others_are_asked_for(drive, fair):
+    alone = detect_2d(drive, None, FAIR, frames=[44])[0]
+    assert len(alone.boxes) > 1
+    one, other = (np.sort(report.boxes.corners_xyxy, axis=0) for report in (alone, fair[44]))
+    np.testing.assert_array_equal(one, other)
+
+
+def test_reports_of_a_faulty_camera_have_its_timestamps_and_gaps(drive):
+    start = int(drive.scene.cameras[0].images.timestamps_ns[0])
+    wrong = SensorFaults(
+        time_offset_ns=-9,
+        lost_frames=(1,),
+        blind=((start + 200_000_000, start + 300_000_000),),
+        rotation_deg=(0.0, 3.0, 0.0),
+    )
+    reports = detect_2d(inject(drive, Faults({"camera0": wrong})), "camera0", EVERYTHING, frames=[0, 1, 2])
+    right = detect_2d(drive, "camera0", EVERYTHING, frames=[0, 2, 3])
+    late = [a.boxes.timestamp_ns - b.boxes.timestamp_ns for a, b in zip(reports, right, strict=True)]
+    assert late == [-9] * 3
+    assert [len(report.boxes) > 0 for report in reports] == [True, False, True]
+    np.testing.assert_array_equal(reports[2].truth.corners_xyxy, right[2].truth.corners_xyxy)
+
+
+def test_what_is_not_a_camera_is_refused(drive):
+    with pytest.raises(OptionError, match="'lidar' is of type lidar; expected a camera"):
+        detect_2d(drive, "lidar")
+    without = simulate_street(1, frames=1, lidar=LidarSpec(beams=2, steps=20), cameras=())
+    with pytest.raises(OptionError, match="no camera"):
+        detect_2d(without)
+
+
+@pytest.mark.parametrize("wrong", [{"repeated": 2.0}, {"corner_sigma_px": -1.0}])
+def test_detector_numbers_out_of_bounds_are_refused(wrong):
+    with pytest.raises(OptionError, match="detector"):
+        Detector2dSpec(**wrong)
+
+
+CARS = {"car": ClassSpec(half_evidence=8.0, false_rate=1.5, size_lwh=(4.2, 1.8, 1.5))}
+
+
+ALL_3D = Detector3dSpec(classes=SHARP, misses=MissSpec(recall=1.0, hiding=0.0), flip_share=0.0)
+"""Finds all there is and makes nothing up."""
+
+
+FAIR_3D = Detector3dSpec(classes=CARS, repeated=0.2)
+
+
+@pytest.fixture(scope="module")
+def busy_drive():
+    """A long busy_drive past parked cars, seen by a coarse lidar without noise."""
+    lidar = LidarSpec(beams=16, steps=360, range_sigma=0.0, drop_rate=0.0)
+    return simulate_street(6, frames=70, lidar=lidar, cameras=())
+
+
+@pytest.fixture(scope="module")
+def reports_3d(busy_drive):
+    """Everything found in each sweep, half of it twice, a tenth of it rotated back."""
+    every = replace(ALL_3D, covariances=True, repeated=0.5, flip_share=0.1, velocity_sigma=0.3)
+    return detect_3d(busy_drive, every)
+
+
+@pytest.fixture(scope="module")
+def fair_3d(busy_drive):
+    """What a fair_3d detector finds of the cars."""
+    return detect_3d(busy_drive, FAIR_3D)
+
+
+def errors_of(report):
+    """Errors in each box's own axes (N, 7) and how much each should have grown by its range and points (N,)."""
+    rows = matched(report)
+    truth = report.truth.select(rows)
+    apart = report.boxes.centers - truth.centers
+    own = [Rotation.from_euler("z", -yaw).apply(row) for yaw, row in zip(truth.yaws, apart, strict=True)]
+    rotated = np.mod(report.boxes.yaws - truth.yaws + np.pi / 2, np.pi) - np.pi / 2
+    ranges = np.linalg.norm(truth.centers, axis=1)
+    growth = (1 + ranges / 60.0) * np.sqrt(1 + 30.0 / report.evidence[rows])
+    sizes = report.boxes.sizes_lwh - truth.sizes_lwh
+    return np.column_stack([np.reshape(own, (-1, 3)), sizes, rotated]), growth
+
+
+def test_every_object_with_a_point_on_it_is_found_by_a_detector_that_finds_all(reports_3d):
+    assert sum(len(report.truth) for report in reports_3d) > 500
+    for report in reports_3d:
+        assert sorted(report.instances[~report.duplicates]) == sorted(report.truth_instances)
+        assert len(report.missed) == 0
+
+
+def test_errors_are_as_large_as_the_specification_says(reports_3d):
+    both = [errors_of(report) for report in reports_3d]
+    errors, growth = (np.concatenate(parts) for parts in zip(*both, strict=True))
+    sigmas = np.array([0.10, 0.06, 0.04, 0.12, 0.05, 0.05, np.radians(1.5)])
+    normal = errors / sigmas / growth[:, None]
+    # A mean square of N normal errors is 1 with the deviation sqrt(2 / N); 4 of them are a chance of 1 in 16,000.
+    # Sizes of far objects are cut off at a fifth, which takes less than 2 % off.
+    allowed = 4 * np.sqrt(2 / len(normal)) + 0.02
+    np.testing.assert_allclose((normal**2).mean(axis=0), 1.0, atol=allowed)
+    np.testing.assert_allclose(normal.mean(axis=0), 0.0, atol=4 / np.sqrt(len(normal)) + 0.02)
+    assert np.percentile(growth, 95) > 2 * np.percentile(growth, 5)
+
+
+def test_the_stated_covariances_hold_the_errors(reports_3d):
+    distances = []
+    for report in reports_3d:
+        truth = report.truth.select(matched(report))
+        error = np.column_stack(
+            [
+                report.boxes.centers - truth.centers,
+                report.boxes.sizes_lwh - truth.sizes_lwh,
+                np.mod(report.boxes.yaws - truth.yaws + np.pi / 2, np.pi) - np.pi / 2,
+            ]
+        )
+        distances += list(np.einsum("ni,nij,nj->n", error, np.linalg.inv(report.boxes.covariances), error))
+    inside = np.mean(np.array(distances) < chi2.ppf(0.95, 7))
+    # A binomial of N boxes at 95 %: 4 deviations.
+    assert inside == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / len(distances)) + 0.005)
+
+
+def test_the_true_boxes_hold_the_points_of_their_objects(busy_drive, reports_3d):
+    checked = 0
+    for k in (0, 40):
+        sweep, report = busy_drive.truth.sweep(k), reports_3d[k]
+        ego = busy_drive.truth.path.at(np.array([report.truth.timestamp_ns]))
+        mount = busy_drive.truth.lidar.spec.mount
+        in_ego = (sweep.points_world - ego.positions[0]) @ ego.rotations[0]
+        in_lidar = mount.inverse().apply(in_ego)
+        for j, instance in enumerate(report.truth_instances):
+            half = report.truth.yaws[j] / 2
+            rotation = np.array([0.0, 0.0, np.sin(half), np.cos(half)])
+            own = in_lidar[sweep.instances == instance]
+            # The box stands upright in a lidar that leans by half a degree: 2 cm at the ends of a car.
+            inside = points_in_box(
+                own, report.truth.centers[j], report.truth.sizes_lwh[j], rotation, margin=0.04
+            )
+            assert inside.all()
+            assert len(own) == report.evidence[j]
+            checked += len(own)
+    assert checked > 300
+
+
+def test_boxes_in_other_frames_are_the_same_boxes(busy_drive):
+    report, ego, world = (
+        detect_3d(busy_drive, ALL_3D, boxes_frame=frame, frames=[7])[0] for frame in PointsFrame
+    )
+    mount = busy_drive.truth.lidar.spec.mount
+    by_instance = [np.argsort(r.instances) for r in (report, ego, world)]
+    own, in_ego, in_world = (
+        r.boxes.select(rows) for r, rows in zip((report, ego, world), by_instance, strict=True)
+    )
+    np.testing.assert_allclose(in_ego.centers, mount.apply(own.centers), atol=1e-9)
+    at = busy_drive.truth.path.at(np.array([report.boxes.timestamp_ns]))
+    expected = in_ego.centers @ at.rotations[0].T + at.positions[0]
+    # The scene's poses are interpolated between samples 10 ms apart.
+    np.testing.assert_allclose(in_world.centers, expected, atol=1e-3)
+    known = {thing.instance: thing for thing in busy_drive.truth.objects}
+    for k, instance in enumerate(world.truth_instances):
+        assert world.truth.centers[k] == pytest.approx(known[instance].center_world)
+        assert world.truth.yaws[k] == known[instance].yaw
+    assert (own.frame, in_ego.frame, in_world.frame) == tuple(PointsFrame)
+    assert own.sensor_id == "lidar"
+
+
+def test_objects_are_missed_as_often_as_points_and_occlusion_state(busy_drive, fair_3d):
+    points, occlusions = (
+        np.concatenate([getattr(report, name) for report in fair_3d]) for name in ("evidence", "occlusions")
+    )
+    chances = 0.98 / (1 + np.exp(-(2.0 * np.log(points / 8.0) - 2.0 * occlusions)))
+    np.testing.assert_allclose(np.concatenate([report.chances for report in fair_3d]), chances)
+    found = np.concatenate([np.isin(report.truth_instances, report.instances) for report in fair_3d])
+    for some in (points < 4, (points >= 4) & (points < 15), points >= 15, occlusions > 0.3):
+        expected, deviation = chances[some].sum(), np.sqrt((chances * (1 - chances))[some].sum())
+        assert some.sum() > 20
+        assert abs(found[some].sum() - expected) < 4 * deviation + 1e-9
+    assert found[points >= 15].mean() > 0.85 > 0.3 > found[points < 4].mean()
+    assert sum(len(report.missed) for report in fair_3d) == (~found).sum()
+
+
+def test_false_boxes_come_at_their_rate_near_returns_and_away_from_objects(busy_drive, fair_3d):
+    counts = np.array([(report.instances == FALSE).sum() for report in fair_3d])
+    # The mean of 70 Poisson numbers of 1.5, 4 deviations.
+    assert counts.mean() == pytest.approx(1.5, abs=4 * np.sqrt(1.5 / 70))
+    assert counts.var() == pytest.approx(1.5, rel=0.7)
+    for k in (3, 50):
+        positions = busy_drive.scene.lidars[0].frames[k].points.positions
+        for j in np.flatnonzero(fair_3d[k].instances == FALSE):
+            center = fair_3d[k].boxes.centers[j]
+            assert np.linalg.norm(positions - center, axis=1).min() < 3.0
+            apart = np.linalg.norm(fair_3d[k].truth.centers - center, axis=1)
+            assert apart.min(initial=99.0) > 2.5
+
+
+def test_headings_are_rotated_back_as_often_as_asked_for(reports_3d):
+    rotated = np.concatenate(
+        [report.boxes.yaws - report.truth.select(matched(report)).yaws for report in reports_3d]
+    )
+    back = np.cos(rotated) < 0
+    assert back.mean() == pytest.approx(0.1, abs=4 * np.sqrt(0.09 / len(back)))
+
+
+def test_scores_on_a_drive_are_calibrated(fair_3d):
+    scores = np.concatenate([report.boxes.scores for report in fair_3d])
+    true = np.concatenate([(report.instances != FALSE) & ~report.duplicates for report in fair_3d])
+    assert len(scores) > 400
+    assert 0.3 < true.mean() < 0.9
+    for low in np.arange(0.0, 1.0, 0.25):
+        own = (scores >= low) & (scores < low + 0.25)
+        deviation = np.sqrt((scores * (1 - scores))[own].sum())
+        assert abs(true[own].sum() - scores[own].sum()) < 4 * deviation
+
+
+def test_the_surest_box_comes_first_and_logits_are_logits(busy_drive):
+    plain, logits = (
+        detect_3d(busy_drive, replace(FAIR_3D, scores=ScoreSpec(form=form)), frames=[2, 30])
+        for form in ScoreForm
+    )
+    for report, other in zip(plain, logits, strict=True):
+        assert (np.diff(report.boxes.scores) <= 0).all()
+        assert other.boxes.score_form is ScoreForm.LOGIT
+        np.testing.assert_allclose(1 / (1 + np.exp(-other.boxes.scores)), report.boxes.scores, rtol=1e-6)
+
+
+def test_duplicates_are_of_objects_that_are_found_and_are_marked(reports_3d):
+    found = sum(len(report.truth) for report in reports_3d)
+    again = sum(int(report.duplicates.sum()) for report in reports_3d)
+    assert again / found == pytest.approx(0.5, abs=4 * np.sqrt(0.25 / found))
+    for report in reports_3d:
+        first = report.instances[~report.duplicates]
+        assert len(set(first)) == len(first)
+        assert set(report.instances[report.duplicates]) <= set(first)
+
+
+def test_a_sweep_is_the_same_whichever_others_are_asked_for(busy_drive, fair_3d):
+    alone = detect_3d(busy_drive, FAIR_3D, frames=[44])[0]
+    for report in (alone, fair_3d[44]):
+        assert len(report.boxes) > 3
+    one, other = (np.sort(report.boxes.centers, axis=0) for report in (alone, fair_3d[44]))
+    np.testing.assert_array_equal(one, other)
+    again = detect_3d(busy_drive, FAIR_3D, frames=[44])[0]
+    np.testing.assert_array_equal(again.boxes.scores, alone.boxes.scores)
+    different = detect_3d(busy_drive, replace(FAIR_3D, seed=1), frames=[44])[0]
+    assert not np.array_equal(np.sort(different.boxes.centers, axis=0)[:3], one[:3])
+
+
+def test_a_share_of_an_objects_errors_lasts_and_the_rest_does_not(busy_drive):
+    sigmas = np.array([0.10, 0.06, 0.04, 0.12, 0.05, 0.05, np.radians(1.5)])
+    pairs = []
+    for report, later in zip(
+        *(
+            detect_3d(busy_drive, replace(ALL_3D, lasting_share=0.6), frames=frames)
+            for frames in (range(0, 20, 5), range(40, 60, 5))
+        ),
+        strict=True,
+    ):
+        one, other = (
+            dict(zip(r.instances.tolist(), e / sigmas / g[:, None], strict=True))
+            for r in (report, later)
+            for e, g in [errors_of(r)]
+        )
+        pairs += [(one[instance], other[instance]) for instance in one.keys() & other.keys()]
+    first, second = (np.array(side) for side in zip(*pairs, strict=True))
+    assert first.size > 100
+    # A correlation of N pairs is uncertain by less than 1 / sqrt(N); objects that recur count once or so.
+    assert (first * second).mean() == pytest.approx(0.6, abs=0.3)
+    assert (first**2).mean() == pytest.approx(1.0, abs=0.4)
+
+
+def test_velocities_are_given_on_request(busy_drive, reports_3d):
+    assert detect_3d(busy_drive, ALL_3D, frames=[0])[0].boxes.velocities is None
+    errors = np.concatenate(
+        [r.boxes.velocities - r.truth.select(matched(r)).velocities for r in reports_3d[::3]]
+    )
+    assert errors[:, :2].std() == pytest.approx(0.3, rel=4 / np.sqrt(4 * len(errors)))
+
+
+def test_what_moves_has_its_box_and_its_velocity_of_the_reference_time():
+    traffic = TrafficSpec(cars=4.0, cyclists=5.0, pedestrians=10.0)
+    busy_drive = simulate_street(
+        5, frames=2, lidar=LidarSpec(beams=24, steps=400), cameras=(), traffic=traffic
+    )
+    exact = replace(ALL_3D, classes=dict.fromkeys(("car", "cyclist", "pedestrian"), SHARP["car"]))
+    report = detect_3d(busy_drive, exact, boxes_frame=PointsFrame.WORLD, frames=[1])[0]
+    assert set(report.truth.labels) == {"car", "cyclist", "pedestrian"}
+    time_ns, step_ns = report.truth.timestamp_ns, 1_000_000
+    assert time_ns == busy_drive.scene.lidars[0].frames[1].reference_ns
+    around = busy_drive.truth.boxes(np.array([time_ns - step_ns, time_ns, time_ns + step_ns]))
+    rows = np.searchsorted(around.instances, report.truth_instances)
+    np.testing.assert_allclose(report.truth.centers, around.centers_world[1, rows])
+    moved = (around.centers_world[2, rows] - around.centers_world[0, rows]) / 2e-3
+    # A central difference over 2 ms of curves with 100 m/s³ of jerk at most: 0.02 mm/s.
+    np.testing.assert_allclose(report.truth.velocities, moved, atol=1e-4)
+    assert (np.linalg.norm(moved, axis=1) > 3).any()
+    ahead = np.abs(report.truth.speeds) > 1
+    assert (report.truth.speeds[ahead] > 0).all()
+
+
+def test_a_wrong_mounting_moves_boxes_of_the_ego_and_not_those_of_the_sensor(busy_drive):
+    faulty = inject(
+        busy_drive,
+        Faults({"lidar": SensorFaults(rotation_deg=(0.0, 0.0, 2.0), shift=(0.0, 0.3, 0.0))}),
+    )
+    shift = np.array([0.0, 0.3, 0.0])
+    for frame, factor in ((PointsFrame.SENSOR, 0.0), (PointsFrame.EGO, 1.0)):
+        right, wrong = (detect_3d(d, ALL_3D, frames=[5], boxes_frame=frame)[0] for d in (busy_drive, faulty))
+        np.testing.assert_array_equal(right.truth.centers, wrong.truth.centers)
+        own = detect_3d(busy_drive, ALL_3D, frames=[5])[0].boxes.centers.copy()
+        moved = wrong.boxes.centers - right.boxes.centers
+        rotation = Rotation.from_euler("z", 2.0, degrees=True)
+        error = busy_drive.truth.lidar.spec.mount.rotate(rotation.apply(own) + shift - own)
+        np.testing.assert_allclose(moved, factor * error, atol=1e-9)
+
+
+def test_reports_of_a_faulty_lidar_have_its_timestamps_and_gaps(busy_drive):
+    start = int(busy_drive.scene.lidars[0].frames.timestamps_ns[0])
+    wrong = SensorFaults(
+        time_offset_ns=40_000_000, lost_frames=(1,), blind=((start + 200_000_000, start + 300_000_000),)
+    )
+    faulty = inject(busy_drive, Faults({"lidar": wrong}))
+    reports_3d = detect_3d(faulty, ALL_3D, frames=[0, 1, 2])
+    right = detect_3d(busy_drive, ALL_3D, frames=[0, 2, 3])
+    late = [a.boxes.timestamp_ns - b.boxes.timestamp_ns for a, b in zip(reports_3d, right, strict=True)]
+    assert late == [40_000_000] * 3
+    assert [len(report.boxes) > 0 for report in reports_3d] == [True, False, True]
+    assert len(reports_3d[1].truth) == 0
+    np.testing.assert_array_equal(np.sort(reports_3d[2].instances), np.sort(right[2].instances))
+
+
+def test_boxes_are_of_the_reference_time_of_their_sweep(busy_drive, reports_3d):
+    frame = busy_drive.scene.lidars[0].frames[3]
+    assert reports_3d[3].boxes.timestamp_ns == frame.reference_ns != frame.timestamp_ns
+
+
+def test_occlusion_is_the_share_of_points_that_others_take(busy_drive, reports_3d):
+    lidar, street = busy_drive.truth.lidar, busy_drive.truth.street
+    hidden = 0
+    for j, instance in enumerate(reports_3d[20].truth_instances):
+        own = street.shapes.instances == instance
+        shapes = PackedShapes(*(getattr(street.shapes, f.name)[own] for f in fields(PackedShapes)))
+        alone = replace(lidar, street=replace(street, shapes=shapes)).sweep(20)
+        expected = 1 - reports_3d[20].evidence[j] / (alone.instances == instance).sum()
+        assert reports_3d[20].occlusions[j] == pytest.approx(expected)
+        hidden += expected > 0.2
+    assert 0 < hidden < len(reports_3d[20].truth)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"flip_share": 1.2},
+        {"center_sigmas": (0.1, -0.1, 0.1)},
+        {"range_scale": 0.0},
+        {"seed": -1},
+        {"lasting_share": -0.1},
+        {"yaw_sigma_deg": float("nan")},
+        {"velocity_sigma": float("inf")},
+    ],
+)
+def test_detector_numbers_out_of_bounds_are_refused_by_name(wrong):
+    with pytest.raises(OptionError, match="^detector." + "|".join(wrong)):
+        Detector3dSpec(**wrong)
+
+
+def test_classes_and_misses_out_of_bounds_are_refused():
+    for name, value in (("recall", 0.0), ("hiding", float("inf")), ("steepness", float("nan"))):
+        with pytest.raises(OptionError, match=f"^detector.misses.{name}: {value}; expected"):
+            MissSpec(**{name: value})
+    with pytest.raises(OptionError, match="false_rate"):
+        ClassSpec(half_evidence=1.0, false_rate=-1.0, size_lwh=(1.0, 1.0, 1.0))
+
+
+def test_chances_are_those_of_the_formula_and_nothing_overflows_where_all_or_nothing_is_found():
+    points, hidden = np.array([1.0, 8.0, 100.0]), np.array([0.0, 0.5, 0.9])
+    by_hand = [0.98 / (1 + np.exp(-2 * np.log(n / 8) + 2 * h)) for n, h in zip(points, hidden, strict=True)]
+    np.testing.assert_allclose(MissSpec().chances(points, hidden, np.full(3, 8.0)), by_hand)
+    sharp = MissSpec(steepness=1e5, recall=1.0).chances(points, 0.0 * hidden, np.full(3, 8.0))
+    np.testing.assert_array_equal(sharp, [0.0, 0.5, 1.0])
+
+
+def test_what_is_not_a_lidar_or_not_a_sweep_is_refused(busy_drive):
+    with pytest.raises(OptionError, match="'imu' is of type imu; expected a lidar"):
+        detect_3d(busy_drive, lidar_id="imu")
+    with pytest.raises(OptionError, match="frame 70; expected 0 to 69"):
+        detect_3d(busy_drive, frames=[70])
+
+
+def draw_boxes(seed, *, frames=4000, false_rate=0.6, repeated=0.0, **spec):
+    """Find the same six objects in many frames, with false boxes and duplicates: scores and what is true."""
+    generator = np.random.default_rng(seed)
+    chances = np.array([0.98, 0.95, 0.8, 0.5, 0.2, 0.03])
+    looks = deal_out(np.tile(chances, frames), frames * false_rate, repeated=repeated)
+    found = generator.random(6 * frames) < np.tile(chances, frames)
+    again = found & (generator.random(6 * frames) < repeated)
+    false = generator.choice(6 * frames, generator.poisson(frames * false_rate), p=looks.false_shares)
+    alike = np.concatenate([np.flatnonzero(found), np.flatnonzero(again), false])
+    true = np.arange(len(alike)) < found.sum()
+    return draw_scores(generator, looks.true_shares[alike], true, ScoreSpec(**spec)), true
+
+
+def calibration_error(scores, true, bins=15):
+    """Expected calibration error: mean over equal bins of |share of true - mean score|, weighed by their boxes."""
+    which = np.minimum((scores * bins).astype(int), bins - 1)
+    gaps = [
+        (which == k).sum() * abs(true[which == k].mean() - scores[which == k].mean())
+        for k in range(bins)
+        if (which == k).any()
+    ]
+    return sum(gaps) / len(scores)
+
+
+@pytest.mark.parametrize("concentration", [0.3, 1.0, 5.0])
+@pytest.mark.parametrize("repeated", [0.0, 0.3])
+def test_of_all_boxes_with_a_score_that_share_is_true(concentration, repeated):
+    scores, true = draw_boxes(3, concentration=concentration, repeated=repeated)
+    assert len(scores) > 15_000
+    # With 16,000 boxes in 15 bins chance alone gives about 0.006.
+    assert calibration_error(scores, true) < 0.012
+    # Each bin is a binomial of its scores: the sum of squared normalised gaps is a chi-square of 15; 38 is its 99.9 %.
+    which = np.minimum((scores * 15).astype(int), 14)
+    squares = [
+        (true[which == k].sum() - scores[which == k].sum()) ** 2
+        / max((scores[which == k] * (1 - scores[which == k])).sum(), 1e-9)
+        for k in range(15)
+    ]
+    assert sum(squares) < 38
+
+
+def test_scores_that_do_not_know_the_rates_would_be_noticed():
+    scores, true = draw_boxes(3)
+    odds = scores / (1 - scores) * 3
+    assert calibration_error(odds / (1 + odds), true) > 0.03
+
+
+def test_scores_report_less_the_more_they_are_concentrated():
+    areas = []
+    for concentration in (0.3, 1.0, 5.0):
+        scores, true = draw_boxes(8, frames=500, concentration=concentration)
+        areas.append((scores[true][:2000, None] > scores[~true][None, :1000]).mean())
+    assert areas == sorted(areas, reverse=True)
+    assert areas[0] - areas[2] > 0.01
+
+
+def test_drawn_scores_are_spread_as_the_derivation_says():
+    generator = np.random.default_rng(2)
+    share, kappa, count = 0.7, 2.5, 20_000
+    for true, shape in ((True, (kappa * 0.7 + 1, kappa * 0.3)), (False, (kappa * 0.7, kappa * 0.3 + 1))):
+        scores = draw_scores(
+            generator, np.full(count, share), np.full(count, true), ScoreSpec(concentration=kappa)
+        )
+        assert kstest(scores, beta(*shape).cdf).pvalue > 1e-3
+
+
+def test_the_dealt_out_boxes_are_all_boxes():
+    chances = np.array([0.9, 0.4, 0.01])
+    looks = deal_out(chances, 1.7, repeated=0.25)
+    assert looks.false_shares.sum() == pytest.approx(1.0)
+    everything = chances / looks.true_shares
+    assert everything.sum() == pytest.approx(chances.sum() * 1.25 + 1.7)
+    assert (np.diff(looks.true_shares) < 0).all()
+    np.testing.assert_allclose(deal_out(chances, 0.0).true_shares, 1.0)
+
+
+def test_logits_are_the_same_scores_in_another_form():
+    share, true = np.full(500, 0.6), np.arange(500) % 2 == 0
+    plain, logits, warped = (
+        draw_scores(np.random.default_rng(1), share, true, spec)
+        for spec in (
+            ScoreSpec(),
+            ScoreSpec(form=ScoreForm.LOGIT),
+            ScoreSpec(form=ScoreForm.LOGIT, logit_scale=2.0, logit_shift=-1.0),
+        )
+    )
+    np.testing.assert_allclose(1 / (1 + np.exp(-logits)), plain, rtol=1e-7)
+    np.testing.assert_allclose(warped, 2 * logits - 1)
+    assert np.abs(logits).max() > 1.5
+
+
+def test_the_form_can_be_given_by_its_word():
+    drawn = [
+        draw_scores(np.random.default_rng(1), np.full(9, 0.6), np.full(9, True), ScoreSpec(form=form))
+        for form in (ScoreForm.PROBABILITY, "probability")
+    ]
+    np.testing.assert_array_equal(*drawn)
+
+
+def test_what_is_never_found_looks_false_and_nothing_else_changes():
+    shares = deal_out(np.array([0.0, 0.5]), 0.0).true_shares
+    np.testing.assert_array_equal(shares, [0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"concentration": 0.0},
+        {"form": ScoreForm.LOGIT, "logit_scale": 0.0},
+        {"form": ScoreForm.LOGIT, "logit_shift": float("nan")},
+        {"logit_shift": 1.0},
+    ],
+)
+def test_score_numbers_out_of_bounds_are_refused(wrong):
+    with pytest.raises(OptionError, match="scores"):
+        ScoreSpec(**wrong)
+
+
+AHEAD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+
+
+READOUT_NS = 60_000_000
+
+
+WHOLE = Detector2dSpec(amodal=True, misses=MissSpec(recall=1.0, hiding=0.0))
+
+
+@pytest.fixture(scope="module")
+def drives():
+    """A busy street in a bend, before a camera whose shutter rolls over the rows and before one of columns."""
+    return [
+        simulate_street(
+            4,
+            frames=8,
+            lidar=LidarSpec(beams=1, steps=1),
+            cameras=(
+                CameraSpec(
+                    CAMERA_MODEL,
+                    camera_mount(yaw_deg=20.0),
+                    readout_ns=READOUT_NS,
+                    left_to_right=left_to_right,
+                ),
+            ),
+            traffic=TrafficSpec(cars=5.0, cyclists=4.0, pedestrians=8.0),
+            path=PathSpec(yaw_rate=0.6),
+        )
+        for left_to_right in (False, True)
+    ]
+
+
+def test_the_box_of_an_object_beside_the_camera_reaches_the_border_and_stays_finite():
+    views = LineViews(
+        CAMERA_MODEL,
+        False,
+        AHEAD[None],
+        np.zeros((1, 3)),
+        np.array([[[1.0, 3.0, -1.0]]]),
+        np.zeros((1, 1)),
+        np.array([[8.0, 2.0, 2.0]]),
+    )
+    (box,) = projected_boxes(views, np.array([[1.0, 2.0, 3.0, 4.0]]))
+    # Its far end is 5 m ahead and begins 2 m to the left; its top is on the camera's height.
+    assert box == pytest.approx([0.0, 96.0, 159.5 - 190 * 2 / 5 + 0.5, 200.0])
+
+
+@pytest.mark.slow
+def test_what_a_rolling_shutter_shows_of_an_object_lies_in_its_whole_box(drives):
+    for drive in drives:
+        for k, report in enumerate(detect_2d(drive, "camera0", WHOLE)):
+            shown = drive.truth.instances("camera0", k)
+            for instance, box in zip(report.truth_instances, report.truth.corners_xyxy, strict=True):
+                rows, columns = np.nonzero(shown == instance)
+                # The centre of a pixel that shows it lies in the box, but for what moves within one line's time
+                # and what the shutter's last lines round.
+                assert box[0] - 0.1 <= columns.min() + 0.5 <= columns.max() + 0.5 <= box[2] + 0.1
+                assert box[1] - 0.1 <= rows.min() + 0.5 <= rows.max() + 0.5 <= box[3] + 0.1
+
+
+@pytest.mark.parametrize("axis", [1, 0])
+@pytest.mark.few(1)
+def test_whole_boxes_of_a_rolling_shutter_are_what_all_its_lines_see_of_the_boxes_in_space(drives, axis):
+    drive = drives[axis == 0]
+    camera, (report,) = drive.truth.cameras["camera0"], detect_2d(drive, "camera0", WHOLE, frames=[3])
+    rotations, origins = camera.line_poses(3)
+    boxes = drive.truth.boxes(camera.line_times_ns(3))
+    still_px, compared = [], 0
+    for instance, found in zip(report.truth_instances, report.truth.corners_xyxy, strict=True):
+        own = boxes.instances.tolist().index(instance)
+        seen = []
+        for line, (rotation, origin) in enumerate(zip(rotations, origins, strict=True)):
+            points = edge_points(
+                boxes.centers_world[line, own], boxes.yaws[line, own], boxes.sizes_lwh[own], count=200
+            )
+            x, y, z = ((points - origin) @ rotation).T
+            if z.min() < 0.5:
+                break
+            pixels = np.column_stack([190.0 * x / z + 159.5, 190.0 * y / z + 95.5])
+            seen.append(pixels[np.abs(pixels[:, axis] - line) <= 0.5])
+        else:
+            pixels = np.concatenate(seen) + 0.5
+            if not len(pixels) or pixels.min() < 2 or (pixels > [318, 198]).any() or len(pixels) < 50:
+                continue
+            expected = [*pixels.min(axis=0), *pixels.max(axis=0)]
+            # A corner can fall between two lines: half a pixel.
+            np.testing.assert_allclose(found, expected, atol=0.6)
+            frozen = projected_boxes(at_once(LineViews.of(camera, 3, np.array([instance]))), found[None])[0]
+            still_px.append(np.abs(frozen - expected).max())
+            compared += 1
+    assert compared >= 3
+    assert max(still_px) > 1.0  # all lines at once would give other boxes
+
+
+def at_once(views):
+    """The views of a shutter that takes all lines with the middle one."""
+    middle = slice(len(views.origins) // 2, len(views.origins) // 2 + 1)
+    return LineViews(
+        views.camera_model,
+        views.left_to_right,
+        views.rotations[middle],
+        views.origins[middle],
+        views.centers_world[middle],
+        views.yaws[middle],
+        views.sizes_lwh,
+    )
+
+
+def edge_points(center, yaw, size_lwh, *, count):
+    """Points on the twelve edges of an upright box, world frame."""
+    along = np.linspace(-1.0, 1.0, count)
+    points = np.concatenate(
+        [
+            np.insert(np.tile([a, b], (count, 1)), axis, along, axis=1)
+            for axis in range(3)
+            for a in (-1.0, 1.0)
+            for b in (-1.0, 1.0)
+        ]
+    )
+    x, y, z = (points * np.array(size_lwh) / 2).T
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    return np.column_stack([cosine * x - sine * y, sine * x + cosine * y, z]) + center

@@ -278,7 +278,7 @@ def _list_bytes(record: Any, kind: RecordKind) -> bytes:
     written: Any = packed.write_list(
         plan.heads[3],
         count,
-        plan.written[~np.isin(plan.written[:, 0], absent)] if absent else plan.written,
+        _written_without(kind.name, tuple(absent)),
         np.concatenate(columns),
         texts,
         letters,
@@ -286,6 +286,13 @@ def _list_bytes(record: Any, kind: RecordKind) -> bytes:
         common,
     )
     return bytes(written)
+
+
+@cache
+def _written_without(kind_name: str, absent: tuple[int, ...]) -> Int64Array:
+    """The fields of a record as `packed.write_list` takes them, without some that no record of a list has."""
+    rows = _plan_of(kind_name).written
+    return read_only(rows[~np.isin(rows[:, 0], absent)])
 
 
 def _texts(names: tuple[str, ...]) -> tuple[Int64Array, UInt8Array]:

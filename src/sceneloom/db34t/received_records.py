@@ -9,7 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.db34t.calibration import SensorKind
-from sceneloom.db34t.events import CLOCK_JUMP_NS, Accepted, FrameRecord, Measurement, Stream
+from sceneloom.db34t.events import CLOCK_JUMP_NS, Accepted, FrameRecord, Stream
 from sceneloom.db34t.records import (
     Box2d,
     Box3d,
@@ -17,19 +17,12 @@ from sceneloom.db34t.records import (
     Boxes3d,
     ImageData,
     PointCloudData,
-    RawData,
     join_boxes,
     kind_of,
 )
-from sceneloom.db34t.scene_objects import (
-    image_of,
-    image_record_of_raw,
-    lidar_frame_of,
-    lidar_frame_of_raw,
-    result_fields,
-)
+from sceneloom.db34t.scene_objects import measurement_of
 from sceneloom.db34t.setting import Setting
-from sceneloom.db34t.tables import BOX_3D, POINT_CLOUD
+from sceneloom.db34t.tables import BOX_3D
 from sceneloom.db34t.types import Cause, Outcome, refused
 from sceneloom.errors import CalibrationError, SceneloomError
 
@@ -38,9 +31,6 @@ _MOST_BOXES = 100_000
 
 _REMEMBERED = 256
 """Numbers of each stream that are kept to report one that comes again."""
-
-_MOST_FIELDS = 255
-"""Of a point of table 9, whose fields_number is a uint8."""
 
 _LEAST_LEVEL = 1e-3
 """A direction whose part along the ground is a smaller share of it than this is vertical."""
@@ -264,7 +254,9 @@ def accepted_alone(record: FrameRecord, setting: Setting) -> Accepted:
         listed = ", ".join(map(str, setting.calibrated[kind])) or "none"
         _refuse(Cause.NO_CALIBRATION, f"no calibration of {kind} {record.sensor_id}; calibrated are {listed}")
     try:
-        measurement, image = _measurement(record, setting)
+        if isinstance(record, Boxes3d):
+            _check_headings(record.directions.astype(np.float64), "boxes", setting)
+        measurement, image = measurement_of(record, setting)
     except CalibrationError as error:
         raise RefusedError(refused(Cause.BAD_CALIBRATION, error)) from error
     except RefusedError:
@@ -288,29 +280,6 @@ def _kind_of_sensor(record: FrameRecord, setting: Setting) -> SensorKind:
         listed = ", ".join(f"{sensor.sensor_id} ({sensor.kind})" for sensor in setting.sensors.values())
         _refuse(Cause.UNKNOWN_SENSOR, f"{wanted} {record.sensor_id}; the property sensors has {listed}")
     return wanted
-
-
-def _measurement(record: FrameRecord, setting: Setting) -> tuple[Measurement, ImageData | None]:
-    """Give what is fused of a record, and the record of an image where it is or makes one."""
-    match record:
-        case PointCloudData():
-            frame = lidar_frame_of(record)
-            if len(result_fields(frame)) > _MOST_FIELDS:
-                expected = f"expected so many that {_MOST_FIELDS} are left with r, g, b"
-                raise POINT_CLOUD.fault("fields", f"{len(record.fields)} names; {expected}")
-            return frame, None
-        case ImageData():
-            return image_of(record, setting.camera(record.sensor_id)), record
-        case RawData():
-            declared = setting.sensors[record.sensor_id]
-            if declared.kind is SensorKind.LIDAR:
-                return lidar_frame_of_raw(record), None
-            camera = setting.camera(record.sensor_id)
-            image = image_record_of_raw(record, camera, str(declared.raw))
-            return image_of(image, camera), image
-        case Boxes3d():
-            _check_headings(record.directions.astype(np.float64), "boxes", setting)
-    return record, None
 
 
 def _check_headings(directions: Float64Array, group: str, setting: Setting) -> None:

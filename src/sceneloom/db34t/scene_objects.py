@@ -20,6 +20,7 @@ from sceneloom.arrays import (
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
 from sceneloom.colouring.results import FusedFrame, FusedView
+from sceneloom.db34t.calibration import SensorKind
 from sceneloom.db34t.records import (
     DEPTH_KINDS,
     ENCODINGS,
@@ -30,7 +31,8 @@ from sceneloom.db34t.records import (
     RawData,
     SensorFusionData,
 )
-from sceneloom.db34t.tables import IMAGE, RAW, SENSOR_FUSION
+from sceneloom.db34t.setting import Setting
+from sceneloom.db34t.tables import IMAGE, POINT_CLOUD, RAW, SENSOR_FUSION
 from sceneloom.db34t.types import INTEGER_RANGES, NANOSECONDS, BasicType, Timestamp, bytes_of
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.images import EncodedImage
@@ -176,6 +178,38 @@ def _confidence(boxes: Boxes3D | Boxes2D) -> Float32Array:
         small = np.exp(-np.abs(scores))
         scores = np.where(scores >= 0, 1.0, small) / (1.0 + small)
     return scores.astype(np.float32)
+
+
+_MOST_FIELDS = 255
+"""Of a point of table 9, whose fields_number is a uint8."""
+
+
+def measurement_of(
+    record: RawData | ImageData | PointCloudData | Boxes3d | Boxes2d, setting: Setting
+) -> tuple[LidarFrame | CameraImage | Boxes3d | Boxes2d, ImageData | None]:
+    """Give what is fused of a record of one frame, and the record of an image where it is or makes one.
+
+    Raises:
+        DataError: the record does not fit its calibration, or cannot be read.
+        CalibrationError: the calibrations of its camera are of images of several sizes.
+    """
+    match record:
+        case PointCloudData():
+            frame = lidar_frame_of(record)
+            if len(result_fields(frame)) > _MOST_FIELDS:
+                expected = f"expected so many that {_MOST_FIELDS} are left with r, g, b"
+                raise POINT_CLOUD.fault("fields", f"{len(record.fields)} names; {expected}")
+            return frame, None
+        case ImageData():
+            return image_of(record, setting.camera(record.sensor_id)), record
+        case RawData():
+            declared = setting.sensors[record.sensor_id]
+            if declared.kind is SensorKind.LIDAR:
+                return lidar_frame_of_raw(record), None
+            camera = setting.camera(record.sensor_id)
+            image = image_record_of_raw(record, camera, str(declared.raw))
+            return image_of(image, camera), image
+    return record, None
 
 
 _REFLECTIVITY_NAMES = ("reflectivity", "intensity")

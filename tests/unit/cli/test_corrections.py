@@ -323,7 +323,7 @@ KEEPING = frozenset(
 )
 """Verbs that read a drive, and do not compute with where its cameras are: corrections stay what they are."""
 FURTHER = frozenset(
-    {"eval tracking", "eval detection", "edit undistort", "edit camera model", "catalog update", "calibrate"}
+    {"eval tracking", "eval detection", "edit undistort", "edit camera-model", "catalog update", "calibrate"}
 )
 """Verbs that compute and are tested below, or under the name of one of their modes."""
 

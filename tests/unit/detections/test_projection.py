@@ -1,22 +1,581 @@
-"""Detection fusion by projection, on scenes whose answer is known."""
+"""Detection fusion: assignment, outlines, refinement, objects that only an image shows, and what becomes of boxes."""
 
 from dataclasses import replace
+from itertools import permutations
 
+import cv2
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
+from scipy.stats import chi2
 
 from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.projection import unproject
 from sceneloom.detections import DetectionPair
-from sceneloom.detections.projection import fuse_by_projection
+from sceneloom.detections.detectors import KINDS, numbers_of, table_rows
+from sceneloom.detections.projection import (
+    EDGES,
+    ONE_UNKNOWN,
+    SAME_FAMILY,
+    SURER,
+    assign,
+    assign_pairs,
+    boxes_with_area,
+    boxes_with_position,
+    fuse_by_projection,
+    pair_gains,
+    position_by_height,
+    project_outlines,
+    refine,
+)
 from sceneloom.detections.results import NO_BOX
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.errors import OptionError
+from sceneloom.errors import ArrayError, OptionError
+from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.scene import Boxes2D, Boxes3D
 from sceneloom.scene.types import PointsFrame
+from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, detect_2d, simulate_street
 
-CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)
+
+def random_boxes(generator, count):
+    corners = generator.uniform(0, 100, (count, 2))
+    return np.hstack([corners, corners + generator.uniform(5, 60, (count, 2))])
+
+
+def slow_gain(a, b, weight, surer, least_iou):
+    """By the definition of GIoU, in areas of intersections, unions and hulls."""
+    wide, high = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
+    if wide <= 0 or high <= 0:
+        return 0.0
+    common = wide * high
+    union = (a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - common
+    hull = (max(a[2], b[2]) - min(a[0], b[0])) * (max(a[3], b[3]) - min(a[1], b[1]))
+    iou = common / union
+    giou = iou - (hull - union) / hull
+    return (1 + giou) / 2 * weight * (1 + SURER * surer) if iou >= least_iou else 0.0
+
+
+def test_gains_are_those_of_the_definition():
+    generator = np.random.default_rng(3)
+    a, b = random_boxes(generator, 30), random_boxes(generator, 25)
+    words_a = [("Car", "van", "Pedestrian", "dragon")[k % 4] for k in range(30)]
+    words_b = [("car", "pedestrian", "unknown")[k % 3] for k in range(25)]
+    weights = {
+        ("Car", "car"): 1.0,
+        ("van", "car"): SAME_FAMILY,
+        ("Pedestrian", "pedestrian"): 1.0,
+        ("Pedestrian", "car"): 0.0,
+        ("Car", "pedestrian"): 0.0,
+        ("van", "pedestrian"): 0.0,
+    }
+    p, q = generator.random(30), generator.random(25)
+    found = pair_gains(a, b, *numbers_of(words_a, words_b), p, q, least_iou=0.1)
+    expected = [
+        [
+            slow_gain(a[i], b[j], weights.get((words_a[i], words_b[j]), ONE_UNKNOWN), (p[i] + q[j]) / 2, 0.1)
+            for j in range(25)
+        ]
+        for i in range(30)
+    ]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    assert (found > 0).sum() > 20
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_other_assignment_gains_more(seed):
+    generator = np.random.default_rng(seed)
+    rows, columns = generator.integers(1, 7, 2)
+    gains = np.where(generator.random((rows, columns)) < 0.6, generator.random((rows, columns)), 0.0)
+    partners, takers = assign(gains)
+    chosen = np.flatnonzero(partners >= 0), partners[partners >= 0]
+    assert takers[chosen[1]].tolist() == chosen[0].tolist()
+    assert (takers >= 0).sum() == len(chosen[0])
+    wide = gains if rows <= columns else gains.T
+    best = max(
+        sum(wide[i, j] for i, j in enumerate(order))
+        for order in permutations(range(wide.shape[1]), wide.shape[0])
+    )
+    assert gains[chosen].sum() == pytest.approx(best, rel=1e-12)
+    assert (gains[chosen] > 0).all()
+    assert len(set(chosen[0].tolist())) == len(set(chosen[1].tolist())) == len(chosen[0])
+
+
+def test_a_box_that_is_worth_nothing_to_any_other_stays_alone():
+    partners, takers = assign(np.array([[0.0, 0.0], [0.9, 0.8]]))
+    assert partners.tolist() == [NO_BOX, 0]
+    assert takers.tolist() == [1, NO_BOX]
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.5])
+def test_pairs_without_rivals_are_assigned_as_in_the_whole_table(share):
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        shape = rng.integers(1, 40, 2)
+        gains = np.where(rng.random(shape) < share, rng.normal(0.5, 0.5, shape), 0.0)
+        rows, columns = linear_sum_assignment(np.maximum(gains, 0.0), maximize=True)
+        expected = [(i, j) for i, j in zip(rows, columns, strict=True) if gains[i, j] > 0]
+        found = assign_pairs(*np.nonzero(gains), gains[gains != 0])
+        assert list(zip(*found, strict=True)) == expected
+        of_rows, of_columns = assign(gains)
+        assert [(i, j) for i, j in enumerate(of_rows) if j != NO_BOX] == expected
+        assert sorted((i, j) for j, i in enumerate(of_columns) if i != NO_BOX) == expected
+
+
+CAMERA_MODEL = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
+CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, CAMERA_MODEL)
 CAMERA_FROM_LIDAR = RigidTransform(
+    np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.05, -0.1, -0.3])
+)
+
+
+def boxes_of(centers, sizes, yaws):
+    return np.column_stack([np.asarray(v, np.float64) for v in (centers, sizes, yaws)])
+
+
+def surface(center, size, yaw):
+    """Points on the faces of a box, lidar frame."""
+    along = np.linspace(-0.5, 0.5, 41)
+    a, b = (grid.ravel() for grid in np.meshgrid(along, along))
+    faces = [
+        np.roll(np.column_stack([np.full(a.size, s), a, b]), k, axis=1) for s in (-0.5, 0.5) for k in range(3)
+    ]
+    rotation = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    return np.vstack(faces) * size @ rotation.T + center
+
+
+def cv2_outline(points_lidar):
+    points = points_lidar @ CAMERA_FROM_LIDAR.rotation.T + CAMERA_FROM_LIDAR.translation
+    pixels = (
+        cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0]
+        + 0.5
+    )
+    seen = pixels[((pixels >= 0) & (pixels <= (CAMERA.width, CAMERA.height))).all(axis=1)]
+    return np.concatenate([seen.min(axis=0), seen.max(axis=0)]) if len(seen) else np.zeros(4)
+
+
+def test_outlines_bound_what_opencv_projects():
+    generator = np.random.default_rng(1)
+    centers = generator.uniform([9, -9, -1.5], [60, 9, 0.5], (60, 3))
+    sizes, yaws = generator.uniform([1, 0.5, 1], [5, 2, 2], (60, 3)), generator.uniform(-3, 3, 60)
+    found = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes_of(centers, sizes, yaws)).corners_xyxy
+    expected = [cv2_outline(surface(*box)) for box in zip(centers, sizes, yaws, strict=True)]
+    whole = np.all((np.array(expected)[:, :2] > 2) & (np.array(expected)[:, 2:] < (1240, 373)), axis=1)
+    assert whole.sum() > 30
+    # edges are followed coarsely
+    np.testing.assert_allclose(found[whole], np.array(expected)[whole], atol=0.3)
+    # of what the border cuts, the points of the surface lie up to a grid's step within it
+    np.testing.assert_allclose(found[~whole], np.array(expected)[~whole], atol=12.0)
+
+
+def test_boxes_behind_or_around_the_camera_have_no_outline():
+    outlines = project_outlines(
+        CAMERA, CAMERA_FROM_LIDAR, boxes_of([[-20, 0, 0], [0.3, 0, 0]], [[4, 2, 1.5]] * 2, [0.3, 0.0])
+    )
+    assert not outlines.corners_xyxy.any()
+    assert not outlines.seen_shares.any()
+
+
+def test_a_box_that_reaches_behind_the_camera_is_cut_at_the_image():
+    # a wall 2 m to the left, from 30 m behind to 30 m ahead: 720 / 29.7 px a metre at its far end
+    outlines = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes_of([[0, 2.5, 0]], [[60, 1, 2]], [0.0]))
+    left, top, right, bottom = outlines.corners_xyxy[0]
+    assert (left, bottom) == (0.0, pytest.approx(375.0))
+    assert top == pytest.approx(0.0, abs=1e-6)
+    assert right == pytest.approx(610.5 - 720 * 1.95 / 29.7, abs=0.3)  # the camera model bends it by less
+
+
+def test_what_stands_behind_a_nearer_box_is_seen_less():
+    # the same location in the image, twice as far and half covered: 1 m wide at 10 m hides 2 m at 20 m
+    centers, sizes = [[10.3, 0.5, 0], [20.5, 0, 0]], [[0.001, 1, 4], [0.001, 2, 1]]
+    boxes = boxes_of(centers, sizes, [0.0, 0.0])
+    shares = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes).seen_shares
+    assert shares[1] == pytest.approx(0.5, abs=0.05)  # the camera model is 5 cm to the side
+    doubtful = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes, likely=np.array([0.4, 1.0])).seen_shares
+    assert doubtful[1] == pytest.approx(0.8, abs=0.02)
+    twice = boxes_of([[20.3, 0.5, 0], [20.5, 0, 0]], sizes, [0.0, 0.0])
+    assert project_outlines(CAMERA, CAMERA_FROM_LIDAR, twice).seen_shares[1] == 1.0
+
+
+ODD = (0.0, -1.0, np.nan, np.inf, -np.inf)
+
+
+def test_boxes_have_a_location_where_all_numbers_are_finite_and_sizes_above_0():
+    numbers = np.ones((1 + 7 * len(ODD), 7))
+    for k, (column, value) in enumerate((column, value) for column in range(7) for value in ODD):
+        numbers[k + 1, column] = value
+    expected = np.isfinite(numbers).all(axis=1) & (numbers[:, 3:6] > 0).all(axis=1)
+    parts = (np.ascontiguousarray(numbers[:, part]) for part in (slice(0, 3), slice(3, 6), 6))
+    boxes, rows = boxes_with_position(*parts)
+    np.testing.assert_array_equal(rows, np.flatnonzero(expected))
+    np.testing.assert_array_equal(boxes, numbers[expected])
+    assert 0 < expected.sum() < len(expected)
+
+
+def test_boxes_have_an_area_where_all_edges_are_finite_and_in_order():
+    corners = np.tile([10.0, 20, 30, 40], (1 + 4 * 6, 1))
+    for k, (column, value) in enumerate((column, value) for column in range(4) for value in (*ODD, 30.0)):
+        corners[k + 1, column] = value
+    expected = np.isfinite(corners).all(axis=1) & (corners[:, 2:] > corners[:, :2]).all(axis=1)
+    boxes, rows = boxes_with_area(corners)
+    np.testing.assert_array_equal(rows, np.flatnonzero(expected))
+    np.testing.assert_array_equal(boxes, corners[expected])
+    assert 0 < expected.sum() < len(expected)
+
+
+MIDDLE_SIGMAS, HEIGHT_SIGMAS = (2.0, 0.03), (2.0, 0.06)
+SIGMAS = np.tile([*MIDDLE_SIGMAS, *MIDDLE_SIGMAS, *HEIGHT_SIGMAS], (2, 1))
+CENTER, SIZE, YAW = np.array([30.0, 4.0, -0.8]), np.array([4.2, 1.8, 1.5]), 0.5
+COVARIANCE = np.diag([0.3, 0.25, 0.2, 0.3, 0.15, 0.12]) ** 2
+
+
+def bounds(state, yaw=YAW):
+    """Left, top, right and bottom of the corners of a box, by OpenCV."""
+    rotation = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    corners = state[:3] + (CORNER_SIGNS * state[3:] / 2) @ rotation.T
+    points = corners @ CAMERA_FROM_LIDAR.rotation.T + CAMERA_FROM_LIDAR.translation
+    pixels = (
+        cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0]
+        + 0.5
+    )
+    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+
+
+def reported(box_xyxy):
+    left, top, right, bottom = box_xyxy
+    return np.array([(left + right) / 2, (top + bottom) / 2, bottom - top])
+
+
+def sharpened(center, partner, covariance=COVARIANCE):
+    """A box after its update, the second of two boxes whose first has no partner."""
+    boxes = np.tile(np.hstack([center, SIZE, YAW]), (2, 1))
+    covariances = np.array([COVARIANCE, covariance])
+    outlines = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes)
+    partners = np.array([NO_BOX, 0])
+    refine(CAMERA, CAMERA_FROM_LIDAR, outlines, boxes, covariances, partners, partner[None].copy(), SIGMAS)
+    np.testing.assert_array_equal(boxes[0], np.hstack([center, SIZE, YAW]))
+    np.testing.assert_array_equal(covariances[0], COVARIANCE)
+    assert boxes[1, 6] == YAW
+    return boxes[1, :6], covariances[1]
+
+
+def test_the_update_is_that_of_the_information_form():
+    before = np.concatenate([CENTER, SIZE])
+    partner = bounds(before) + np.array([1.5, -0.8, 2.4, 0.9])
+    step = 1e-4
+    slopes = np.column_stack(
+        [
+            (reported(bounds(before + step * e)) - reported(bounds(before - step * e))) / (2 * step)
+            for e in np.eye(6)
+        ]
+    )
+    wide, high = partner[2:] - partner[:2]
+    noise = np.array(
+        [
+            MIDDLE_SIGMAS[0] + MIDDLE_SIGMAS[1] * wide,
+            MIDDLE_SIGMAS[0] + MIDDLE_SIGMAS[1] * high,
+            HEIGHT_SIGMAS[0] + HEIGHT_SIGMAS[1] * high,
+        ]
+    )
+    information = np.linalg.inv(COVARIANCE) + slopes.T @ np.diag(noise**-2) @ slopes
+    expected = np.linalg.inv(information)
+    residual = reported(partner) - reported(bounds(before))
+    state, covariance = sharpened(CENTER, partner)
+    # slopes by differences of OpenCV's pixels are good to six digits
+    np.testing.assert_allclose(covariance, expected, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(state, before + expected @ slopes.T @ np.diag(noise**-2) @ residual, rtol=1e-6)
+
+
+def test_a_partner_that_is_elsewhere_changes_nothing():
+    partner = bounds(np.concatenate([CENTER, SIZE])) + np.array([60.0, 40.0, 60.0, 80.0])
+    state, covariance = sharpened(CENTER, partner)
+    np.testing.assert_array_equal(state, np.concatenate([CENTER, SIZE]))
+    np.testing.assert_array_equal(covariance, COVARIANCE)
+
+
+def test_what_the_border_cuts_reports_only_of_the_other_direction():
+    # the left side of this car is out of the image
+    center = np.array([20.0, 17.5, -0.8])
+    partner = np.array([0.0, *bounds(np.concatenate([center, SIZE]))[1:]])
+    assert partner[2] > 10.0
+    _, covariance = sharpened(center, partner)
+    ahead, aside, up = np.diagonal(COVARIANCE)[:3] - np.diagonal(covariance)[:3]
+    assert up > 0.3 * COVARIANCE[2, 2]
+    assert aside < 0.05 * COVARIANCE[1, 1]
+    assert ahead < 0.05 * COVARIANCE[0, 0]
+
+
+def test_a_box_that_reaches_behind_the_camera_stays_as_it_is():
+    center = np.array([0.5, 2.5, -0.8])
+    state, covariance = sharpened(center, np.array([100.0, 100.0, 300.0, 300.0]))
+    np.testing.assert_array_equal(state[:3], center)
+    np.testing.assert_array_equal(covariance, COVARIANCE)
+
+
+def test_errors_are_as_large_as_the_covariance_says():
+    generator = np.random.default_rng(4)
+    truth = np.concatenate([CENTER, SIZE])
+    box = bounds(truth)
+    wide, high = box[2:] - box[:2]
+    squares = []
+    for _ in range(400):
+        start = generator.multivariate_normal(truth, COVARIANCE)[:3]
+        # errors of the middle of the image's box, none of its size: sizes are right to begin with
+        shift = generator.normal(size=2) * (MIDDLE_SIGMAS[0] + MIDDLE_SIGMAS[1] * np.array([wide, high]))
+        state, covariance = sharpened(start, box + np.tile(shift, 2))
+        error = state[:3] - CENTER
+        squares.append(error @ np.linalg.solve(covariance[:3, :3], error))
+    # three degrees of freedom; sizes without error make it smaller
+    assert np.mean(squares) == pytest.approx(3.0, abs=0.6)
+
+
+CAMERA_ONLY_CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)
+CAMERA_ONLY_CAMERA_FROM_LIDAR = RigidTransform(
+    np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.0, -0.2, -0.5])
+)
+
+
+def placed(*corners, label="pedestrian"):
+    return position_all(CAMERA_ONLY_CAMERA, np.array(corners, np.float64), label)
+
+
+def position_all(camera, corners, label):
+    kinds = table_rows(numbers_of([label] * len(corners), [])[0])
+    return position_by_height(camera, CAMERA_ONLY_CAMERA_FROM_LIDAR, corners, np.arange(len(corners)), kinds)
+
+
+def test_a_person_is_where_their_height_says():
+    # 43 px high at 500 px focal length: 1.72 m at 20 m, to the middle of a body 0.65 m wide a third of a metre more
+    found = placed([490.0, 278.5, 510.0, 321.5])
+    np.testing.assert_allclose(found.centers[0], [20.0 + 0.325 + 0.5, 0.0, -0.2], atol=0.02)
+    assert found.sizes_lwh[0, 2] == 1.72
+
+
+def test_the_distance_is_less_certain_than_the_direction():
+    found = placed([690.0, 278.5, 710.0, 321.5])
+    values, vectors = np.linalg.eigh(found.center_covariances[0])
+    camera_lidar = np.array([0.5, 0.0, -0.2])
+    ray = (found.centers[0] - camera_lidar) / np.linalg.norm(found.centers[0] - camera_lidar)
+    assert abs(vectors[:, 2] @ ray) > 0.999
+    assert values[2] > 100 * values[1]
+    # people differ by 9 % in height; the edges of the box are not sharper
+    assert 0.09 < np.sqrt(values[2]) / found.ranges[0] < 0.25
+
+
+def test_what_the_border_cuts_is_less_certain():
+    whole, cut = placed([400.0, 100.0, 500.0, 300.0]), placed([400.0, 0.0, 500.0, 200.0])
+    assert cut.center_covariances[0].trace() > 4 * whole.center_covariances[0].trace()
+
+
+def test_without_boxes_there_is_nothing():
+    assert len(position_all(CAMERA_ONLY_CAMERA, np.zeros((0, 4)), "car").centers) == 0
+
+
+@pytest.mark.parametrize("label", ["car", "dragon", ""])
+def test_every_class_has_a_size(label):
+    found = placed([400.0, 100.0, 500.0, 200.0], label=label)
+    assert (found.sizes_lwh > 0).all()
+    assert np.isfinite(found.center_covariances).all()
+
+
+def test_what_the_camera_model_has_no_rays_for_is_not_known():
+    bent = Camera("brown_conrady", 1000, 600, 500.0, 500.0, 499.5, 299.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
+    corners = np.array([[400.0, 100.0, 500.0, 200.0], [-3e4, -2e4, -2.9e4, -1.9e4]])
+    found = position_all(bent, corners[::-1].copy(), "car")
+    assert found.rows.tolist() == [1]
+    assert np.isfinite(found.centers).all()
+
+
+def test_only_the_boxes_asked_for_are_placed():
+    corners = np.array([[400.0, 100.0, 500.0, 200.0], [10.0, 20.0, 30.0, 90.0], [700.0, 100.0, 720.0, 300.0]])
+    kinds = table_rows(numbers_of(["car", "bus", "pedestrian"], [])[0])
+    found = position_by_height(
+        CAMERA_ONLY_CAMERA, CAMERA_ONLY_CAMERA_FROM_LIDAR, corners, np.array([2, 0]), kinds
+    )
+    assert found.rows.tolist() == [2, 0]
+    np.testing.assert_array_equal(found.centers[0], placed(corners[2]).centers[0])
+    np.testing.assert_array_equal(found.centers[1], placed(corners[0], label="car").centers[0])
+
+
+def angle(one, other):
+    return np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)
+
+
+def slowly_placed(camera, camera_from_lidar, box, label):
+    """One object step by step: its distance by its height, its covariance as one along the ray and one across."""
+    left, top, right, bottom = box
+    middle_u, middle_v = (left + right) / 2 - 0.5, (top + bottom) / 2 - 0.5
+    pixels = [[middle_u, middle_v], [middle_u, top - 0.5], [middle_u, bottom - 0.5]]
+    middle, up, down, *sides = unproject(
+        camera, np.array([*pixels, [left - 0.5, middle_v], [right - 0.5, middle_v]])
+    )
+    kind = KINDS[label]
+    high, wide = angle(up, down), angle(*sides)
+    distance = kind.size_lwh[2] / (2 * np.tan(high / 2)) + kind.size_lwh[1] / 2
+    of_width, of_height = (EDGES[0] + EDGES[1] / (right - left)), (EDGES[0] + EDGES[1] / (bottom - top))
+    relative = (kind.size_sigmas[2] / kind.size_lwh[2]) ** 2 + 2 * of_height**2
+    if top < 2.0 or bottom > camera.height - 2.0:
+        relative += 0.5**2
+    across = max(of_width * wide, of_height * high) ** 2
+    lidar_from_camera = camera_from_lidar.inverse()
+    ray = lidar_from_camera.rotation @ middle
+    along = np.outer(ray, ray)
+    covariance = distance**2 * (relative * along + across * (np.eye(3) - along))
+    return lidar_from_camera.apply(distance * middle), covariance
+
+
+def test_locations_are_those_of_the_formulas_for_bent_camera_models_and_rotated_cameras():
+    generator = np.random.default_rng(5)
+    bent = Camera("brown_conrady", 1000, 600, 500.0, 510.0, 480.0, 310.0, (-0.1, 0.02, 5e-4, -3e-4, 1e-3))
+    how = RigidTransform.from_quaternion(generator.normal(size=3), generator.normal(size=4))
+    corners = np.sort(generator.uniform(0, [1000, 600], (60, 2, 2)), axis=1).reshape(60, 4)
+    corners[::7, 1] = 0.5
+    labels = generator.choice(list(KINDS), 60).tolist()
+    kinds = table_rows(numbers_of(labels, [])[0])
+    found = position_by_height(bent, how, corners, np.arange(60), kinds)
+    assert len(found.rows) == 60
+    slowly = [slowly_placed(bent, how, box, label) for box, label in zip(corners, labels, strict=True)]
+    # the chord between rays and their cross product round differently
+    np.testing.assert_allclose(found.centers, [center for center, _ in slowly], rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        found.center_covariances, [covariance for _, covariance in slowly], rtol=1e-7, atol=1e-9
+    )
+
+
+FRUSTUM_CAMERA = Camera("pinhole", 1200, 400, 700.0, 700.0, 599.5, 199.5)
+# the camera is where the lidar is and looks along its x axis
+FRUSTUM_CAMERA_FROM_LIDAR = RigidTransform(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), np.zeros(3))
+# what a pedestrian of 1.72 m shows who stands 15 m ahead with his feet 1.7 m below the camera
+FEET, HEAD = 199.5 + 0.5 + 700.0 * 1.7 / 15.0, 199.5 + 0.5 - 700.0 * 0.02 / 15.0
+PEDESTRIAN = np.array([[590.0, HEAD, 610.0, FEET]])
+
+
+def pair_of(points, corners=PEDESTRIAN, label="pedestrian", boxes_3d=None):
+    return DetectionPair(
+        Boxes3D.empty(0) if boxes_3d is None else boxes_3d,
+        Boxes2D(0, corners, np.full(len(corners), 0.9), (label,) * len(corners)),
+        FRUSTUM_CAMERA,
+        FRUSTUM_CAMERA_FROM_LIDAR,
+        None if points is None else np.asarray(points, np.float32),
+    )
+
+
+def a_wall(distance, left=0.4, low=-1.7, high=0.3, count=9):
+    """Points of a flat thing that faces the camera, (N, 3) [m], in the lidar's frame."""
+    y, z = (
+        grid.ravel() for grid in np.meshgrid(np.linspace(-left, left, count), np.linspace(low, high, count))
+    )
+    return np.column_stack([np.full(len(y), distance), y, z])
+
+
+def test_an_object_is_behind_the_points_in_the_middle_of_its_box():
+    behind = a_wall(30.0, left=10.0, count=60)
+    points = np.concatenate([a_wall(14.0), behind[np.abs(behind[:, 1]) > 0.3]])
+    fused = fuse_by_projection(pair_of(points))
+    assert fused.by_points.tolist() == [True]
+    # a body is a quarter of the usual 0.65 m deep behind its surface; along a ray 5 degrees off the axis
+    assert fused.centers[0, 0] == pytest.approx(14.16, abs=0.1)
+    by_height = fuse_by_projection(pair_of(None))
+    assert by_height.by_points is None
+    assert by_height.centers[0, 0] == pytest.approx(15.0, abs=0.5)
+    assert fused.center_covariances[0, 0, 0] < by_height.center_covariances[0, 0, 0] / 10.0
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((0, 3)),
+        a_wall(14.0, count=2),  # too few
+        np.full((50, 3), np.nan),
+        np.column_stack([a_wall(14.0)[:, 0], a_wall(14.0)[:, 1:] + 8.0]),  # beside it
+        np.concatenate([a_wall(14.0), a_wall(5.0, count=60)]),  # most of its box shows something nearer
+    ],
+)
+def test_points_that_do_not_report_leave_an_object_where_its_height_puts_it(points):
+    fused, by_height = fuse_by_projection(pair_of(points)), fuse_by_projection(pair_of(None))
+    assert fused.by_points.tolist() == [False]
+    np.testing.assert_array_equal(fused.centers, by_height.centers)
+    np.testing.assert_array_equal(fused.center_covariances, by_height.center_covariances)
+
+
+def test_points_of_a_box_of_the_sweep_are_of_that_object():
+    # a car that stands before the pedestrian and hides the lower part, and has a box of its own
+    car = Boxes3D(
+        0, np.array([[10.0, 0.0, -1.0]]), np.array([[4.2, 1.8, 1.5]]), np.zeros(1), np.array([0.95]), ("car",)
+    )
+    points = np.concatenate([a_wall(14.0), a_wall(8.0, low=-1.7, high=-0.3, count=14)])
+    assert not fuse_by_projection(pair_of(points)).by_points[0]
+    fused = fuse_by_projection(pair_of(points, boxes_3d=car))
+    assert fused.by_points.tolist() == [False, True]
+    assert fused.centers[1, 0] == pytest.approx(14.16, abs=0.1)
+
+
+def test_what_the_border_cuts_is_known_less_well():
+    whole = np.array([[500.0, 150.0, 700.0, 260.0]])
+    cut = whole - [500.0, 0.0, 500.0, 0.0]
+    sides = a_wall(9.0, left=8.0, low=-1.0, high=0.6, count=60)
+    seen, half_seen = (fuse_by_projection(pair_of(sides, box, "car")) for box in (whole, cut))
+    assert seen.by_points[0]
+    assert half_seen.by_points[0]
+    volumes = [np.linalg.det(one.center_covariances[0]) for one in (seen, half_seen)]
+    assert volumes[1] > 4.0 * volumes[0]
+
+
+def test_points_of_another_form_are_refused():
+    with pytest.raises(ArrayError, match="points_lidar"):
+        replace(pair_of(None), points_lidar=np.zeros((3, 3)))
+
+
+@pytest.fixture(scope="module")
+def errors():
+    """Errors of centres with their covariances, and of the distances that heights alone give, of simulated objects."""
+    drive = simulate_street(
+        21,
+        frames=9,
+        lidar=LidarSpec(steps=1200),
+        cameras=(CameraSpec(Camera("pinhole", 620, 188, 360.0, 360.0, 309.5, 93.5)),),
+        traffic=TrafficSpec(cars=4.0, cyclists=3.0, pedestrians=6.0),
+    )
+    lidar, camera, frames, found = drive.truth.lidar, drive.scene.cameras[0], [0, 4, 8], []
+    for k, detected in zip(frames, detect_2d(drive, frames=frames), strict=True):
+        sweep = drive.scene.lidars[0].frames[k]
+        ego = drive.truth.path.at(np.array([sweep.reference_ns]))
+        world_from_lidar = RigidTransform(ego.rotations[0], ego.positions[0]) @ lidar.spec.mount
+        camera_from_lidar = drive.truth.world_from_camera(camera.id, k).inverse() @ world_from_lidar
+        pair = DetectionPair(
+            Boxes3D.empty(0), detected.boxes, camera.camera, camera_from_lidar, sweep.points.positions
+        )
+        fused, by_height = fuse_by_projection(pair), fuse_by_projection(replace(pair, points_lidar=None))
+        truth = drive.truth.boxes(np.array([sweep.reference_ns]))
+        centers = world_from_lidar.inverse().apply(truth.centers_world[0])
+        origin = camera_from_lidar.inverse().translation
+        for row, instance in enumerate(detected.instances[fused.rows_2d].tolist()):
+            if instance > 0 and fused.by_points[row]:
+                center = centers[truth.instances.tolist().index(instance)]
+                off, ray = fused.centers[row] - center, (center - origin) / np.linalg.norm(center - origin)
+                found.append(
+                    (
+                        off @ np.linalg.solve(fused.center_covariances[row], off),
+                        abs(off @ ray),
+                        abs((by_height.centers[row] - center) @ ray),
+                    )
+                )
+    return np.array(found)
+
+
+def test_points_report_distances_several_times_better_than_heights(errors):
+    assert len(errors) > 15
+    assert np.median(errors[:, 1]) < np.median(errors[:, 2]) / 4.0
+
+
+def test_covariances_of_simulated_objects_are_wide_enough(errors):
+    # of some dozens of objects; a few stand behind what fills their box, whatever the covariance says
+    assert (errors[:, 0] < chi2.ppf(0.95, 3)).mean() > 0.85
+    assert np.median(errors[:, 0]) < chi2.ppf(0.5, 3) * 1.5
+
+
+PROJECTION_CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)
+PROJECTION_CAMERA_FROM_LIDAR = RigidTransform(
     np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3)
 )
 CAR = (4.0, 2.0, 1.6)
@@ -55,7 +614,9 @@ def outline(x, y, z):
 
 
 def fused(three, two):
-    return fuse_by_projection(DetectionPair(three, two, CAMERA, CAMERA_FROM_LIDAR), settings=SETTINGS)
+    return fuse_by_projection(
+        DetectionPair(three, two, PROJECTION_CAMERA, PROJECTION_CAMERA_FROM_LIDAR), settings=SETTINGS
+    )
 
 
 def test_boxes_of_both_detectors_become_one_object_whose_existence_multiplies_the_odds():
@@ -119,7 +680,10 @@ def test_a_box_of_the_image_alone_has_its_ray_and_less_existence():
 
 def test_boxes_of_the_image_alone_are_left_out_on_request():
     pair = DetectionPair(
-        boxes_3d((20, 3, -1, 0.6)), boxes_2d((700, 250, 750, 350, 0.8)), CAMERA, CAMERA_FROM_LIDAR
+        boxes_3d((20, 3, -1, 0.6)),
+        boxes_2d((700, 250, 750, 350, 0.8)),
+        PROJECTION_CAMERA,
+        PROJECTION_CAMERA_FROM_LIDAR,
     )
     assert len(fuse_by_projection(pair)) == 2
     assert len(fuse_by_projection(pair, settings=replace(SETTINGS, keep_camera_only=False))) == 1

@@ -1,10 +1,100 @@
-"""Objects of a drive that is over, in drives whose truth is known by formula."""
+"""Smoothing, against all moments solved at once."""
 
 import numpy as np
 import pytest
 
 from sceneloom.scene.detections import Support
-from sceneloom.tracking import TrackerSettings, track_drive
+from sceneloom.tracking import TrackerSettings, track_drive, tracker
+from sceneloom.tracking.smoother import smoothed, smoothed_walk
+
+COUNT, STEP = 6, 0.1
+
+
+def filtered_drive():
+    """A person who walks, filtered; and the boxes."""
+    random = np.random.default_rng(3)
+    person = np.array([False])
+    first, spread = np.zeros((1, tracker.SIZE)), np.eye(tracker.SIZE)[None] * 0.5
+    first[0, 3:6] = 0.8, 0.6, 1.7
+    boxes = first[0, :7] + np.column_stack(
+        [0.12 * np.arange(COUNT)[:, None] + random.normal(scale=0.02, size=(COUNT, 2)), np.zeros((COUNT, 5))]
+    )
+    noise = np.eye(7)[None] * 0.04
+    rows = {name: [] for name in ("means", "covariances", "predicted", "spreads", "slopes")}
+    mean, covariance = first, spread
+    for k in range(COUNT):
+        slopes = np.eye(tracker.SIZE)[None]
+        if k:
+            mean, covariance, slopes = tracker.predicted(mean, covariance, person, STEP, TrackerSettings())
+        for name, value in (("predicted", mean), ("spreads", covariance), ("slopes", slopes)):
+            rows[name].append(value[0])
+        mean, covariance, only = mean.copy(), covariance.copy(), np.zeros(1, np.int64)
+        tracker.read(mean, covariance, only, boxes[k : k + 1].copy(), noise, only)
+        rows["means"].append(mean[0])
+        rows["covariances"].append(covariance[0])
+    return {name: np.array(values) for name, values in rows.items()}, boxes, noise[0], first[0], spread[0]
+
+
+def test_states_are_those_of_all_boxes_at_once():
+    rows, boxes, noise, first, spread = filtered_drive()
+    later, covariances = smoothed(
+        rows["means"], rows["covariances"], rows["predicted"], rows["spreads"], rows["slopes"]
+    )
+    # information of all states together: the first one, the steps between them, the boxes
+    size = tracker.SIZE
+    information, pull = np.zeros((COUNT * size, COUNT * size)), np.zeros(COUNT * size)
+    information[:size, :size] += np.linalg.inv(spread)
+    pull[:size] += np.linalg.inv(spread) @ first
+    visibility = np.eye(7, size)
+    for k in range(COUNT):
+        at = slice(k * size, (k + 1) * size)
+        information[at, at] += visibility.T @ np.linalg.inv(noise) @ visibility
+        pull[at] += visibility.T @ np.linalg.inv(noise) @ boxes[k]
+        if k:
+            step = rows["slopes"][k]
+            shaken = rows["spreads"][k] - step @ rows["covariances"][k - 1] @ step.T
+            rooted = np.linalg.inv(shaken)
+            before = slice((k - 1) * size, k * size)
+            information[at, at] += rooted
+            information[before, before] += step.T @ rooted @ step
+            information[at, before] -= rooted @ step
+            information[before, at] -= step.T @ rooted
+    covariance = np.linalg.inv(information)
+    expected = (covariance @ pull).reshape(COUNT, size)
+    assert later == pytest.approx(expected, abs=1e-6)
+    for k in range(COUNT):
+        at = slice(k * size, (k + 1) * size)
+        assert covariances[k] == pytest.approx(covariance[at, at], abs=1e-6)
+
+
+def test_a_heading_that_was_reversed_on_the_way_is_the_last_one_all_along():
+    rows, *_ = filtered_drive()
+    for name in ("means", "predicted"):
+        rows[name][:, tracker.YAW] = 0.0
+    rows["means"][3:, tracker.YAW] = np.pi - 1e-3
+    rows["predicted"][4:, tracker.YAW] = np.pi - 1e-3
+    later, _ = smoothed(
+        rows["means"], rows["covariances"], rows["predicted"], rows["spreads"], rows["slopes"]
+    )
+    assert np.abs(tracker.wrapped(later[:, tracker.YAW] - np.pi)).max() < 0.01
+
+
+def test_a_walk_is_that_of_all_numbers_at_once():
+    random = np.random.default_rng(0)
+    measures, noises = random.normal(size=(5, 4)), random.uniform(0.5, 2.0, (5, 4))
+    known, drifts = np.array([False, True, True, False, True]), np.array([0.0, 0.3, 0.3, 0.6, 0.3])
+    found = smoothed_walk(measures, noises, known, drifts, 0.9)
+    for column in range(4):
+        information, pull = np.zeros((5, 5)), np.zeros(5)
+        information[0, 0] = 1.0 / 0.9
+        for k in range(5):
+            if known[k]:
+                information[k, k] += 1.0 / noises[k, column]
+                pull[k] += measures[k, column] / noises[k, column]
+            if k:
+                information[k - 1 : k + 1, k - 1 : k + 1] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / drifts[k]
+        assert found[:, column] == pytest.approx(np.linalg.solve(information, pull))
+
 
 TIMES = np.arange(40) / 10.0
 

@@ -1,15 +1,245 @@
-"""Objects online, in drives whose truth is known by formula."""
+"""The tracker: states, existence, headings, observations and steps; against derivatives and textbook filters."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from sceneloom.detections.projection import Outlines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Support
-from sceneloom.tracking import ImageBox, Observation, Tracker, TrackerSettings, track_drive
+from sceneloom.tracking import ImageBox, Observation, Tracker, TrackerSettings, track_drive, tracker
+from sceneloom.tracking.tracker import UNKNOWN_VARIANCE, visibility
 
-TIMES = np.arange(40) / 10.0
+SETTINGS = TrackerSettings()
+
+
+def states(count, seed=0):
+    random = np.random.default_rng(seed)
+    means = random.normal(size=(count, tracker.SIZE)) * ([5.0] * 3 + [0.2] * 3 + [1.0] + [4.0] * 3 + [0.4])
+    root = random.normal(size=(count, tracker.SIZE, tracker.SIZE)) * 0.3
+    return means, root @ root.transpose(0, 2, 1) + 0.05 * np.eye(tracker.SIZE)
+
+
+def moved(means, vehicles, seconds):
+    none = np.zeros((len(means), tracker.SIZE, tracker.SIZE))
+    return tracker.predicted(means, none, vehicles, seconds, SETTINGS)
+
+
+def updated(means, covariances, measures, noises):
+    after, spread, rows = means.copy(), covariances.copy(), np.arange(len(means))
+    tracker.read(after, spread, rows, measures, noises, rows)
+    return after, spread
+
+
+def test_velocity_rotates_with_a_vehicle_and_not_with_a_person():
+    means = np.zeros((2, tracker.SIZE))
+    means[:, 7], means[:, tracker.ROTATION] = 10.0, 0.4
+    after, _, _ = moved(means, np.array([True, False]), 0.1)
+    assert np.arctan2(after[0, 8], after[0, 7]) == pytest.approx(0.04)
+    # on a circle of 25 m, of which the chord is the mean of both velocities to second order
+    assert after[0, :2] == pytest.approx([25.0 * np.sin(0.04), 25.0 * (1.0 - np.cos(0.04))], abs=2e-3)
+    assert after[1, :2] == pytest.approx([1.0, 0.0])
+    assert after[:, tracker.YAW] == pytest.approx([0.04, 0.04])
+
+
+def test_slopes_are_those_of_differences():
+    means, _ = states(4)
+    vehicles = np.array([True, False, True, False])
+    _, _, slopes = moved(means, vehicles, 0.2)
+    for column in range(tracker.SIZE):
+        step = np.zeros(tracker.SIZE)
+        step[column] = 1e-5
+        ahead, behind = (moved(means + sign * step, vehicles, 0.2)[0] for sign in (1, -1))
+        difference = ahead - behind
+        difference[:, tracker.YAW] = tracker.wrapped(difference[:, tracker.YAW])
+        assert difference / 2e-5 == pytest.approx(slopes[:, :, column], abs=1e-6)
+
+
+def test_covariances_are_moved_by_the_slopes():
+    means, covariances = states(3)
+    vehicles = np.array([True, False, True])
+    _, spread, slopes = tracker.predicted(means, covariances, vehicles, 0.2, SETTINGS)
+    noise = moved(means, vehicles, 0.2)[1]
+    assert spread == pytest.approx(slopes @ covariances @ slopes.transpose(0, 2, 1) + noise)
+    assert (np.linalg.eigvalsh(noise) > -1e-12).all()
+
+
+def test_two_short_steps_leave_as_much_doubt_as_a_long_one():
+    means, vehicles = np.zeros((1, tracker.SIZE)), np.array([False])
+    whole = moved(means, vehicles, 0.2)[1][0]
+    after, half, _ = moved(means, vehicles, 0.1)
+    both = tracker.predicted(after, half, vehicles, 0.1, SETTINGS)[1][0]
+    straight = [*range(6), 7, 8, 9]  # rotating dies down on the way, which the noise of one step leaves out
+    assert both[np.ix_(straight, straight)] == pytest.approx(whole[np.ix_(straight, straight)], rel=1e-9)
+
+
+def test_a_box_near_to_where_it_is_expected_is_read_as_by_kalman():
+    means, covariances = states(3)
+    noise = np.diag([0.04, 0.04, 0.02, 0.02, 0.01, 0.01, 0.02])
+    measures = means[:, :7] + 0.05
+    after, spread = updated(means, covariances, measures, np.repeat(noise[None], 3, axis=0))
+    visibility = np.eye(7, tracker.SIZE)
+    for k in range(3):
+        information = np.linalg.inv(covariances[k]) + visibility.T @ np.linalg.inv(noise) @ visibility
+        expected = np.linalg.inv(information)
+        mean = expected @ (
+            np.linalg.inv(covariances[k]) @ means[k] + visibility.T @ np.linalg.inv(noise) @ measures[k]
+        )
+        mean[6] = tracker.wrapped(mean[6])
+        assert spread[k] == pytest.approx(expected, abs=1e-9)
+        assert after[k] == pytest.approx(mean, abs=1e-9)
+
+
+def test_a_box_far_off_moves_a_state_less_than_kalman_would():
+    means, covariances = np.zeros((1, tracker.SIZE)), np.eye(tracker.SIZE)[None] * 0.01
+    noise = np.eye(7)[None] * 0.01
+    measures = np.zeros((1, 7))
+    measures[0, 0] = 5.0
+    after, _ = updated(means, covariances, measures, noise)
+    assert 0.0 < after[0, 0] < 0.5  # of 2.5
+
+
+def test_a_heading_that_is_reported_the_wrong_way_round_is_read_the_other_way():
+    means, covariances = np.zeros((1, tracker.SIZE)), np.eye(tracker.SIZE)[None]
+    measures = np.zeros((1, 7))
+    measures[0, 6] = np.pi - 0.1
+    after, _ = updated(means, covariances, measures, np.eye(7)[None])
+    assert after[0, tracker.YAW] == pytest.approx(-0.05)
+
+
+def test_a_vehicle_that_seems_to_slide_sideways_rotates_or_slows_down():
+    means, covariances = np.zeros((1, tracker.SIZE)), np.eye(tracker.SIZE)[None]
+    means[0, 7:9] = 10.0, 2.0
+    after, spread = means.copy(), covariances.copy()
+    tracker.read_no_slip(after, spread, np.array([True]), 0.1)
+    across = -np.sin(after[0, 6]) * after[0, 7] + np.cos(after[0, 6]) * after[0, 8]
+    assert abs(across) < 0.2  # of 2; rotating is linearised
+    assert after[0, 6] > 0.0
+    assert (np.linalg.eigvalsh(spread[0]) > 0.0).all()
+    information = np.eye(tracker.SIZE)
+    slope = np.zeros(tracker.SIZE)
+    slope[[6, 7, 8]] = -10.0, 0.0, 1.0
+    information += np.outer(slope, slope) / 0.01
+    assert spread[0] == pytest.approx(np.linalg.inv(information), abs=1e-9)
+
+
+def test_probabilities_and_logarithms_of_odds_are_inverse():
+    assert tracker.log_odds(0.9) == pytest.approx(np.log(9.0))
+    assert tracker.probabilities(np.array([np.log(9.0)])) == pytest.approx([0.9])
+    assert tracker.log_odds(0.0) == -np.inf
+
+
+def test_time_takes_objects_away():
+    odds = np.array([np.log(9.0)])
+    assert tracker.probabilities(tracker.aged(odds, 2.0, 10.0)) == pytest.approx([0.9 * np.exp(-0.2)])
+    assert tracker.aged(odds, 0.0, 10.0) == pytest.approx(odds)
+
+
+def test_what_detectors_cannot_find_is_not_missed():
+    corners = np.array([[0.0, 0.0, 20.0, 60.0], [0.0, 0.0, 20.0, 10.0], [0.0] * 4])
+    lines = Outlines(corners, np.array([1.0, 0.5, 0.0]), np.zeros((3, 3, 3)), np.zeros((3, 8, 3)))
+    settings = TrackerSettings(recall_2d=0.8, recall_3d=0.5, least_height_px=25.0, farthest_3d=50.0)
+    chances = np.exp(tracker.missed(lines, np.array([100.0, 10.0, 10.0]), settings))
+    assert chances == pytest.approx(np.array([[0.2, 1.0], [1.0, 0.75], [1.0, 1.0]]))
+
+
+TIMES = np.arange(12) / 10.0
+OFTEN_ROTATED = frozenset(k for k in range(12) if k % 5 in (1, 2, 4))
+
+
+def crawling(t):
+    return 14.0 + 0.5 * t, 3.0, 0.0
+
+
+def driving(start, y=3.0):
+    return lambda t: (start + 8.0 * t, y, 0.0)
+
+
+def towards(t):
+    return 60.0 - 8.0 * t, 3.2, np.pi
+
+
+def last_yaw(tracks, near):
+    return next(t.yaws[-1] for t in tracks if np.hypot(*(t.centers[-1, :2] - near)) < 1.0)
+
+
+@pytest.mark.parametrize(
+    ("others", "heads"),
+    [
+        ([], -1.0),  # nobody says otherwise
+        ([driving(22.0), driving(35.0)], 1.0),
+        ([driving(22.0, y=-9.0), driving(35.0, y=-9.0)], -1.0),  # not in its lane
+        ([driving(22.0), towards], -1.0),  # of two opinions
+    ],
+)
+def test_a_crawling_car_whose_boxes_are_rotated_heads_as_those_before_it_in_its_lane(
+    street, actor, others, heads
+):
+    drive = street([actor(crawling), *map(actor, others)], rotated=OFTEN_ROTATED)
+    yaw = last_yaw(track_drive(drive.observe(TIMES)), (14.5, 3.0))
+    assert np.cos(yaw) == pytest.approx(heads, abs=0.1)  # boxes are off by 0.1 m, headings by less
+
+
+def test_persons_do_not_head_as_their_neighbours(street, actor):
+    person = actor(lambda t: (14.0, 3.0, 0.0), "Pedestrian")
+    walkers = [actor(lambda t, x=x: (x + 2.0 * t, 3.0, 0.0), "Pedestrian") for x in (17.0, 20.0)]
+    yaw = last_yaw(track_drive(street([person, *walkers], rotated=OFTEN_ROTATED).observe(TIMES)), (14.0, 3.0))
+    assert np.cos(yaw) == pytest.approx(-1.0, abs=0.1)
+
+
+ROTATION = RigidTransform(
+    np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([5.0, 6.0, 7.0])
+)
+
+
+def stationary(street, actor, **options):
+    return street([actor(lambda t: (10.0, 2.0, 0.2), **options)], sigma=0.0).observe([0.0])[0]
+
+
+def test_locations_headings_and_covariances_are_those_of_the_world(street, actor):
+    seen = stationary(street, actor)
+    fused = replace(seen.fused["front"], center_covariances=np.diag([0.01, 0.04, 0.09])[None])
+    there = visibility(replace(seen, fused={"front": fused}, world_from_lidar=ROTATION))
+    assert there.measures[0, :2] == pytest.approx([5.0 - 2.0, 6.0 + 10.0])
+    assert there.measures[0, 6] == pytest.approx(0.2 + np.pi / 2)
+    assert np.diag(there.covariances[0])[:3] == pytest.approx([0.04, 0.01, 0.09])
+
+
+def test_a_box_of_the_image_alone_reports_no_heading_and_little_of_its_distance(street, actor):
+    there = visibility(stationary(street, actor, only_in_image=(0.0, 1.0)))
+    assert not there.measured[0]
+    assert there.covariances[0, 6, 6] == UNKNOWN_VARIANCE
+    ray = there.measures[0, :3] / np.linalg.norm(there.measures[0, :3])
+    along = ray @ there.covariances[0, :3, :3] @ ray
+    across = np.linalg.eigvalsh(there.covariances[0, :3, :3])[0]
+    assert along == pytest.approx(9.0 * across)
+
+
+def test_of_two_cameras_the_one_with_a_partner_counts_else_the_doubtful_one(street, actor):
+    fused = stationary(street, actor).fused["front"]
+    alone = replace(fused, rows_2d=np.array([-1]))
+    sure, doubtful = (replace(alone, scores=np.array([score])) for score in (0.8, 0.3))
+    seen = stationary(street, actor)
+    for by_camera, odds in (
+        ({"a": doubtful, "b": replace(fused, scores=np.array([0.6]))}, 0.6),
+        ({"a": sure, "b": doubtful}, 0.3),
+    ):
+        there = visibility(replace(seen, fused=by_camera))
+        assert len(there) == 1
+        assert there.log_odds[0] == pytest.approx(np.log(odds / (1.0 - odds)))
+
+
+def test_yaw_variances_of_the_fusion_count_where_they_are_some(street, actor):
+    seen = stationary(street, actor)
+    for stated, expected in ((np.array([0.04]), 0.04), (np.array([np.nan]), 0.01), (None, 0.01)):
+        fused = replace(seen.fused["front"], yaw_variances=stated)
+        assert visibility(replace(seen, fused={"front": fused})).covariances[0, 6, 6] == pytest.approx(
+            expected
+        )
+
+
+TRACKER_TIMES = np.arange(40) / 10.0
 
 
 def straight(speed, y=0.0, start=10.0, heading=0.0):
@@ -22,25 +252,25 @@ def round_a_corner(t):
 
 
 def test_a_car_that_drives_straight_is_one_object_with_its_location_and_speed(street, actor):
-    tracks = track_drive(street([actor(straight(8.0, y=3.0))]).observe(TIMES))
+    tracks = track_drive(street([actor(straight(8.0, y=3.0))]).observe(TRACKER_TIMES))
     assert len(tracks) == 1
     track = tracks[0]
-    assert len(track) == len(TIMES)
+    assert len(track) == len(TRACKER_TIMES)
     assert track.label == "Car"
     # a filter knows better than single boxes, which are off by 0.1 m
-    off = track.centers[10:, :2] - np.column_stack([10.0 + 8.0 * TIMES[10:], np.full(30, 3.0)])
+    off = track.centers[10:, :2] - np.column_stack([10.0 + 8.0 * TRACKER_TIMES[10:], np.full(30, 3.0)])
     assert np.sqrt((off**2).mean()) < 0.1
     assert track.velocities[-1, :2] == pytest.approx([8.0, 0.0], abs=0.5)  # 0.1 m of noise at 10 Hz
 
 
 def test_deviations_of_states_are_as_large_as_the_covariances_state(street, actor):
     tracks = track_drive(
-        street([actor(straight(8.0, y=y)) for y in (-12.0, -6.0, 0.0, 6.0, 12.0)]).observe(TIMES)
+        street([actor(straight(8.0, y=y)) for y in (-12.0, -6.0, 0.0, 6.0, 12.0)]).observe(TRACKER_TIMES)
     )
     squares = []
     for track in tracks:
         truth = np.column_stack(
-            [10.0 + 8.0 * TIMES[5:], np.full(35, round(track.centers[-1, 1] / 6.0) * 6.0)]
+            [10.0 + 8.0 * TRACKER_TIMES[5:], np.full(35, round(track.centers[-1, 1] / 6.0) * 6.0)]
         )
         off = track.centers[5:, :2] - truth
         squares += np.einsum("ni,nij,nj->n", off, np.linalg.inv(track.covariances[5:, :2, :2]), off).tolist()
@@ -49,15 +279,17 @@ def test_deviations_of_states_are_as_large_as_the_covariances_state(street, acto
 
 
 def test_a_rotation_is_followed_with_its_rate(street, actor):
-    track = track_drive(street([actor(round_a_corner)], sigma=0.05).observe(TIMES))[0]
-    assert len(track) == len(TIMES)
+    track = track_drive(street([actor(round_a_corner)], sigma=0.05).observe(TRACKER_TIMES))[0]
+    assert len(track) == len(TRACKER_TIMES)
     assert track.yaw_rates[-1] == pytest.approx(0.5, abs=0.15)
-    assert track.yaws[-1] == pytest.approx(0.5 * TIMES[-1], abs=0.1)
+    assert track.yaws[-1] == pytest.approx(0.5 * TRACKER_TIMES[-1], abs=0.1)
     assert np.linalg.norm(track.velocities[-1]) == pytest.approx(10.0, abs=0.7)
 
 
 def test_what_is_stationary_is_stationary_for_a_lidar_that_moves_and_rotates(street, actor):
-    seen = street([actor(lambda t: (30.0, 4.0, 0.3))], ego=lambda t: (5.0 * t, 0.0, 0.1 * t)).observe(TIMES)
+    seen = street([actor(lambda t: (30.0, 4.0, 0.3))], ego=lambda t: (5.0 * t, 0.0, 0.1 * t)).observe(
+        TRACKER_TIMES
+    )
     track = track_drive(seen)[0]
     assert np.linalg.norm(track.velocities[-1]) < 0.4
     assert track.centers[-1, :2] == pytest.approx([30.0, 4.0], abs=0.15)
@@ -67,7 +299,7 @@ def test_what_is_stationary_is_stationary_for_a_lidar_that_moves_and_rotates(str
 def test_objects_that_cross_each_other_keep_their_numbers(street, actor):
     left = actor(lambda t: (20.0, -4.0 + 2.0 * t, np.pi / 2), "Pedestrian")
     right = actor(lambda t: (20.8, 4.0 - 2.0 * t, -np.pi / 2), "Pedestrian")
-    tracks = track_drive(street([left, right]).observe(TIMES))
+    tracks = track_drive(street([left, right]).observe(TRACKER_TIMES))
     assert len(tracks) == 2
     for track in tracks:
         steps = np.diff(track.centers[:, 1])
@@ -76,7 +308,7 @@ def test_objects_that_cross_each_other_keep_their_numbers(street, actor):
 
 def test_what_is_hidden_for_a_second_is_the_same_object_afterwards(street, actor):
     drive = street([actor(straight(5.0, y=2.0), unseen=(1.5, 2.5))])
-    tracks = track_drive(drive.observe(TIMES))
+    tracks = track_drive(drive.observe(TRACKER_TIMES))
     assert len(tracks) == 1
     reported = set(tracks[0].timestamps_ns.tolist())
     assert round(2.4e9) not in reported  # nothing has been seen of it for long
@@ -85,10 +317,10 @@ def test_what_is_hidden_for_a_second_is_the_same_object_afterwards(street, actor
 
 def test_what_the_image_alone_shows_goes_on_with_a_box_in_the_image(street, actor):
     drive = street([actor(straight(5.0, y=2.0), only_in_image=(1.5, 3.0))])
-    tracks = track_drive(drive.observe(TIMES))
+    tracks = track_drive(drive.observe(TRACKER_TIMES))
     assert len(tracks) == 1
     track = tracks[0]
-    assert len(track) == len(TIMES)
+    assert len(track) == len(TRACKER_TIMES)
     middle = track.timestamps_ns == round(2.5e9)
     assert track.supports[middle] == Support.IMAGE
     truth = street([actor(straight(5.0, y=2.0))]).observe([2.5])[0].fused["front"].corners_xyxy[0]
@@ -97,7 +329,7 @@ def test_what_the_image_alone_shows_goes_on_with_a_box_in_the_image(street, acto
 
 
 def test_a_single_doubtful_box_is_no_object_and_many_are_one(street, actor):
-    seen = street([actor(straight(0.0), score=0.3)]).observe(TIMES[:12])
+    seen = street([actor(straight(0.0), score=0.3)]).observe(TRACKER_TIMES[:12])
     tracker = Tracker()
     reported = [len(tracker.step(observation)) for observation in seen]
     assert reported[0] == 0
@@ -106,13 +338,13 @@ def test_a_single_doubtful_box_is_no_object_and_many_are_one(street, actor):
 
 def test_boxes_the_wrong_way_round_do_not_rotate_an_object_round(street, actor):
     drive = street([actor(straight(5.0, y=2.0))], rotated=frozenset({8, 9, 21}))
-    track = track_drive(drive.observe(TIMES))[0]
+    track = track_drive(drive.observe(TRACKER_TIMES))[0]
     assert np.abs(track.yaws).max() < 0.2
 
 
 def test_an_object_that_was_born_the_wrong_way_round_rotates_as_it_drives(street, actor):
     drive = street([actor(straight(5.0, y=2.0))], rotated=frozenset({0, 1}))
-    assert abs(track_drive(drive.observe(TIMES))[0].yaws[-1]) < 0.2
+    assert abs(track_drive(drive.observe(TRACKER_TIMES))[0].yaws[-1]) < 0.2
 
 
 def test_numbers_of_objects_do_not_depend_on_the_rate_of_frames(street, actor):
@@ -127,7 +359,7 @@ def test_numbers_of_objects_do_not_depend_on_the_rate_of_frames(street, actor):
 
 def test_the_same_drive_gives_the_same_tracks(street, actor):
     drive = street([actor(straight(6.0, y=y), unseen=(1.0, 1.4)) for y in (-5.0, 0.0, 5.0)])
-    first, second = (track_drive(drive.observe(TIMES)) for _ in range(2))
+    first, second = (track_drive(drive.observe(TRACKER_TIMES)) for _ in range(2))
     for a, b in zip(first, second, strict=True):
         assert a.id == b.id
         assert np.array_equal(a.centers, b.centers)
@@ -135,7 +367,7 @@ def test_the_same_drive_gives_the_same_tracks(street, actor):
 
 
 def test_a_box_in_the_image_may_be_the_outline_of_the_box_in_space(street, actor):
-    seen = street([actor(straight(6.0, y=3.0))], sigma=0.01).observe(TIMES)
+    seen = street([actor(straight(6.0, y=3.0))], sigma=0.01).observe(TRACKER_TIMES)
     wider = []
     for observation in seen:
         fused = observation.fused["front"]
@@ -150,7 +382,7 @@ def test_a_box_in_the_image_may_be_the_outline_of_the_box_in_space(street, actor
 
 def test_two_cameras_and_one_lidar_see_one_object(street, actor):
     front = street([]).observe([0.0])[0].views["front"]
-    seen = street([actor(straight(4.0))]).observe(TIMES[:10], views={"left": front, 7: front})
+    seen = street([actor(straight(4.0))]).observe(TRACKER_TIMES[:10], views={"left": front, 7: front})
     tracks = track_drive(seen)
     assert len(tracks) == 1
     assert set(tracks[0].corners_xyxy) == {"left", 7}
@@ -158,7 +390,7 @@ def test_two_cameras_and_one_lidar_see_one_object(street, actor):
 
 
 def test_moments_without_boxes_or_cameras_are_moments(street, actor):
-    seen = street([actor(straight(4.0))]).observe(TIMES[:10])
+    seen = street([actor(straight(4.0))]).observe(TRACKER_TIMES[:10])
     seen[3] = replace(seen[3], fused={})
     seen[4] = replace(seen[4], fused={}, views={})
     seen[5] = replace(seen[5], views={})
@@ -169,12 +401,14 @@ def test_moments_without_boxes_or_cameras_are_moments(street, actor):
 
 
 def test_cars_one_behind_the_other_are_two_however_they_overlap_in_the_image(street, actor):
-    seen = street([actor(straight(0.0, start=12.0)), actor(straight(0.0, start=17.5))]).observe(TIMES[:5])
+    seen = street([actor(straight(0.0, start=12.0)), actor(straight(0.0, start=17.5))]).observe(
+        TRACKER_TIMES[:5]
+    )
     assert len(track_drive(seen)) == 2
 
 
 def test_a_class_is_that_of_the_most_boxes(street, actor):
-    seen = street([actor(straight(1.0))]).observe(TIMES[:12])
+    seen = street([actor(straight(1.0))]).observe(TRACKER_TIMES[:12])
     for k in (0, 5):
         fused = seen[k].fused["front"]
         seen[k] = replace(seen[k], fused={"front": replace(fused, labels=("Van",))})
@@ -185,13 +419,13 @@ def test_a_class_is_that_of_the_most_boxes(street, actor):
 
 def test_a_person_beside_a_car_is_not_taken_for_it(street, actor):
     drive = street([actor(straight(1.0, y=2.0)), actor(straight(1.0, y=2.9), "Pedestrian")])
-    tracks = track_drive(drive.observe(TIMES[:15]))
+    tracks = track_drive(drive.observe(TRACKER_TIMES[:15]))
     assert sorted(track.label for track in tracks) == ["Car", "Pedestrian"]
 
 
 @pytest.mark.parametrize("column", ["centers", "sizes_lwh", "yaws", "scores", "center_covariances"])
 def test_boxes_that_are_no_numbers_are_left_out(street, actor, column):
-    seen = street([actor(straight(4.0)), actor(straight(4.0, y=6.0))]).observe(TIMES[:10])
+    seen = street([actor(straight(4.0)), actor(straight(4.0, y=6.0))]).observe(TRACKER_TIMES[:10])
     spoilt = []
     for observation in seen:
         fused = observation.fused["front"]

@@ -1,4 +1,4 @@
-"""Annotations of a part of a scene: what is there stays, what is counted by frames is counted anew."""
+"""Parts of a scene: sensors, annotations, labelled points and tracks."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,9 @@ from sceneloom.scene import (
     ShapeType,
     VertexPath,
 )
-from sceneloom.scene.time_range import cut_scene
+from sceneloom.scene.scene import NOMINAL_PERIOD_NS, usual_period_ns
+from sceneloom.scene.time_range import Renumbering, cut_scene, renumbered
+from sceneloom.scene.types import key_of
 
 SECOND = 1_000_000_000
 
@@ -239,3 +241,37 @@ def test_links_to_what_is_gone_go_and_children_stand_alone():
     assert [annotation.id for annotation in part.annotations] == ["child", "other", "group", "firm"]
     assert [annotation.parent_id for annotation in part.annotations[:2]] == [None, "group"]
     assert reported(part) == {"annotations-cut": 2, "parents-cut": 1}
+
+
+def test_a_frame_is_asked_for_once_however_many_annotations_have_points_in_it():
+    asked = []
+
+    def rows(number):
+        asked.append(number)
+        return np.array([1, 3], np.int64) + number
+
+    annotations = [
+        LabeledPointsAnnotation(
+            name, tuple(LabeledPoints("top", np.array([ids, 9], np.uint32), k) for k in (1, 0))
+        )
+        for name, ids in (("a", 1), ("b", 3))
+    ]
+    found, _ = renumbered(annotations, {key_of("top"): Renumbering(rows=rows)})
+    assert asked == [0, 1]
+    numbers = [[(e.sensor_frame, e.point_ids.tolist()) for e in a.labeled_points] for a in found]
+    assert numbers == [[(0, [0])], [(0, [1])]]
+
+
+@pytest.mark.parametrize(
+    ("timestamps", "expected"),
+    [
+        ([0, 100, 200, 350], 100),
+        ([200, 0, 350, 100], 100),
+        ([0, 0, 0, 70], 70),
+        ([5], NOMINAL_PERIOD_NS),
+        ([5, 5], NOMINAL_PERIOD_NS),
+        ([], NOMINAL_PERIOD_NS),
+    ],
+)
+def test_the_usual_period_is_the_middle_one_of_the_steps_forward(timestamps, expected):
+    assert usual_period_ns(np.array(timestamps, np.int64)) == expected

@@ -1,0 +1,452 @@
+"""The check of a camera-lidar calibration."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
+from sceneloom.calibrate.health import (
+    PARTS,
+    CalibrationHealth,
+    Item,
+    Surface,
+    Verdict,
+    check_frames,
+    coefficients,
+    health_of_boxes,
+    instead_of_rotation,
+    judge,
+    judge_boxes,
+    judge_motion,
+    look_alikes,
+    views_of,
+    why_untold,
+    with_boxes,
+    with_coarse,
+)
+from sceneloom.calibrate.measures import Change
+from sceneloom.cameras.camera import Camera
+from sceneloom.detections.residuals import BoxRotation
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.simulate import CameraSpec, LidarSpec, SimulatedDrive, simulate_street
+
+
+def test_the_top_of_a_quadratic_is_found():
+    generator = np.random.default_rng(3)
+    surface = Surface.of(60, 3, generator)
+    top = np.array([0.3, -0.2, 0.4])
+    bend = np.diag([1.0, 2.0, 3.0]) + 0.2
+    away = surface.locations - top
+    values = -np.einsum("ni,ij,nj->n", away, bend, away)
+    # 3000 probes in the unit ball lie about 0.1 apart
+    assert np.linalg.norm(surface.tops(values[None])[0] - top) < 0.12
+
+
+def test_a_slope_leads_to_the_rim():
+    surface = Surface.of(60, 2, np.random.default_rng(4))
+    top = surface.tops((surface.locations @ np.array([1.0, 0.0]))[None])[0]
+    assert top[0] > 0.9
+
+
+def test_a_quadratic_of_three_numbers_has_ten_coefficients():
+    assert coefficients(3) == 10
+
+
+NOTHING = np.zeros((3, 3))
+
+
+@pytest.mark.parametrize(
+    ("rotation_deg", "sigma_deg", "verdict"),
+    [
+        (0.0, 0.05, Verdict.GOOD),
+        (0.35, 0.05, Verdict.GOOD),
+        (0.7, 0.05, Verdict.DRIFTING),
+        (0.7, 0.3, Verdict.UNDETERMINED),
+        (1.5, 0.05, Verdict.WRONG),
+        (0.0, 0.5, Verdict.UNDETERMINED),
+        (1.5, 0.5, Verdict.UNDETERMINED),
+    ],
+)
+def test_a_rotation_is_judged_by_its_size_and_by_how_sure_it_is(rotation_deg, sigma_deg, verdict):
+    item = judge("rotation", np.radians([rotation_deg, 0.0, 0.0]), np.radians(sigma_deg) ** 2 * np.eye(3))
+    assert item.verdict is verdict
+    assert bool(item.reason) is (verdict is not Verdict.GOOD)
+
+
+def test_numbers_come_in_the_units_that_they_name():
+    item = judge("time_offset", np.array([0.03]), np.array([[0.003**2]]))
+    # the deviation: 3 ms among replicates and 4 ms that the measures get wrong by themselves
+    assert (item.unit, item.values, item.sigmas) == ("ms", (pytest.approx(30.0),), (pytest.approx(5.0),))
+    assert item.verdict is Verdict.DRIFTING
+
+
+def test_what_seems_off_but_may_be_chance_is_suspected():
+    spread = np.diag([0.05, 0.05, 0.05]) ** 2
+    assert not judge("translation", np.zeros(3), spread * 4).suspected
+    assert judge("translation", np.array([0.5, 0.0, 0.0]), spread * 4).suspected
+
+
+Frames = tuple[CalibrationFrame, ...]
+AHEAD = Camera("pinhole", 620, 188, 360.0, 360.0, 309.5, 93.5)
+
+
+@pytest.fixture(scope="module")
+def drive() -> SimulatedDrive:
+    """Two seconds through a street, seen by a lidar and a camera of half the usual size."""
+    return simulate_street(31, frames=25, lidar=LidarSpec(beams=48, steps=1000), cameras=(CameraSpec(AHEAD),))
+
+
+@pytest.fixture(scope="module")
+def frames(drive: SimulatedDrive) -> Frames:
+    """Four images of it, more than half a second apart."""
+    return calibration_frames(drive.scene, most=4)
+
+
+@pytest.fixture(scope="module")
+def good(frames: Frames) -> CalibrationHealth:
+    """What is stated for the true calibration."""
+    return check_frames(frames)
+
+
+def rotated(frames: Frames, rotation_deg: tuple[float, float, float]) -> Frames:
+    """Frames whose stated camera is rotated from the true one."""
+    error = Change.rotation(np.radians(rotation_deg)).camera_from_lidar(np.eye(4))
+    return tuple(
+        replace(frame, camera_from_lidar=RigidTransform.nearest(error)[0] @ frame.camera_from_lidar)
+        for frame in frames
+    )
+
+
+def repainted(frames: Frames, paint: Callable[[np.ndarray], np.ndarray]) -> Frames:
+    """Frames with other images."""
+    painted = [paint(frame.rgb).astype(np.uint8) for frame in frames]
+    return tuple(
+        replace(frame, rgb=rgb, grey=rgb.mean(axis=2, dtype=np.float32))
+        for frame, rgb in zip(frames, painted, strict=True)
+    )
+
+
+def thinned(frames: Frames, keep: slice) -> Frames:
+    """Frames with some of their points only, whose order is not known."""
+    return tuple(
+        replace(
+            frame,
+            points_lidar=np.ascontiguousarray(frame.points_lidar[keep]),
+            intensities=None if frame.intensities is None else frame.intensities[keep],
+            seconds=None if frame.seconds is None else frame.seconds[keep],
+            scan=None,
+        )
+        for frame in frames
+    )
+
+
+def test_a_true_calibration_is_good(good):
+    assert good.verdict is Verdict.GOOD
+    rotation = good.item("rotation")
+    # what is found lies within what is stated for its uncertainty
+    assert np.linalg.norm(np.array(rotation.values) / rotation.sigmas) < 3.0
+    assert good.stated_distinctness > 4.5
+
+
+def test_a_camera_rotated_by_a_degree_is_not_good_and_the_rotation_is_found(frames):
+    injected = np.array([0.7, -0.5, 0.5])
+    health = check_frames(rotated(frames, tuple(injected)))
+    assert health.verdict in {Verdict.DRIFTING, Verdict.WRONG}
+    # 0.3 degrees: twice the uncertainty of each axis
+    assert np.linalg.norm(np.array(health.item("rotation").values) + injected) < 0.3
+
+
+@pytest.mark.parametrize(
+    "rotation_deg",
+    [(0.0, 0.0, 180.0), (0.0, 180.0, 0.0), (25.0, 0.0, 0.0)],
+    ids=["upside-down", "backwards", "up"],
+)
+@pytest.mark.few(1)
+def test_a_camera_that_looks_elsewhere_is_never_good(frames, rotation_deg):
+    assert check_frames(rotated(frames, rotation_deg)).verdict in {Verdict.WRONG, Verdict.UNDETERMINED}
+
+
+@pytest.mark.parametrize(
+    ("paint", "word"),
+    [
+        (np.zeros_like, "dark"),
+        (lambda rgb: rgb // 64, "dark"),
+        (lambda rgb: np.full_like(rgb, 120), "covered"),
+    ],
+    ids=["black", "night", "covered"],
+)
+def test_images_that_show_nothing_state_nothing(frames, paint, word):
+    health = check_frames(repainted(frames, paint))
+    assert health.verdict is Verdict.UNDETERMINED
+    assert all(item.verdict is Verdict.UNDETERMINED for item in health.items)
+    assert word in health.item("rotation").reason
+
+
+def test_images_of_noise_state_nothing(frames):
+    generator = np.random.default_rng(1)
+    health = check_frames(repainted(frames, lambda rgb: generator.integers(0, 256, rgb.shape)))
+    assert health.verdict is Verdict.UNDETERMINED
+
+
+def test_images_of_another_street_state_nothing(frames):
+    mirrored = repainted(frames, lambda rgb: np.roll(rgb[:, ::-1], 97, axis=1))
+    assert check_frames(mirrored).verdict is Verdict.UNDETERMINED
+
+
+def test_something_that_fills_the_view_states_nothing(frames):
+    """A lorry of one colour right before the camera, and the lidar sees its flat side."""
+    filled = []
+    for frame in repainted(frames, lambda rgb: np.full_like(rgb, 90)):
+        points = frame.camera_from_lidar.apply(frame.points_lidar)
+        ahead = points[:, 2] > 3.0
+        points[ahead] *= 3.0 / points[ahead, 2:]
+        filled.append(replace(frame, points_lidar=frame.camera_from_lidar.inverse().apply(points), scan=None))
+    assert check_frames(filled).verdict is Verdict.UNDETERMINED
+
+
+@pytest.mark.parametrize("count", [0, 1, 20])
+def test_clouds_of_hardly_any_points_state_nothing(frames, count):
+    health = check_frames(thinned(frames, slice(count)))
+    assert health.verdict is Verdict.UNDETERMINED
+    assert "points fall into" in health.item("rotation").reason
+
+
+def test_a_camera_that_sees_no_point_states_nothing(frames):
+    lifted = tuple(replace(f, points_lidar=f.points_lidar + np.array([0.0, 0.0, 500.0])) for f in frames)
+    health = check_frames(lifted)
+    assert health.verdict is Verdict.UNDETERMINED
+    assert health.item("rotation").reason.startswith("0 points")
+
+
+def test_images_seconds_late_are_never_good(frames):
+    late = tuple(
+        replace(frame, rgb=later.rgb, grey=later.grey)
+        for frame, later in zip(frames[:-2], frames[2:], strict=True)
+    )
+    assert (frames[2].image_ns - frames[0].image_ns) > 1_000_000_000
+    assert check_frames(late).verdict in {Verdict.WRONG, Verdict.UNDETERMINED}
+
+
+def test_frames_from_one_location_are_one_view(frames):
+    assert views_of((frames[0],) * 3).tolist() == [0, 0, 0]
+    assert views_of(frames).max() >= 1
+    unplaced = tuple(replace(frame, world_from_lidar=None) for frame in frames)
+    assert views_of(unplaced).tolist() == [0] * len(frames)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(40, 52))
+def test_over_many_streets_truth_is_good_and_what_is_off_is_not(seed):
+    drive = simulate_street(seed, frames=60)
+    frames = calibration_frames(drive.scene, most=8)
+    assert check_frames(frames).verdict is not Verdict.WRONG
+    direction = np.random.default_rng(seed).normal(size=3)
+    injected = direction / np.linalg.norm(direction)
+    assert check_frames(rotated(frames, tuple(injected))).verdict in {Verdict.DRIFTING, Verdict.WRONG}
+
+
+PINHOLE = Camera("pinhole", 1242, 375, 720.0, 700.0, 620.5, 187.0)
+FISHEYE = Camera("fisheye", 1280, 960, 400.0, 400.0, 639.5, 479.5, (0.03, -0.008, 0.002, -0.0004))
+
+
+def fitted(shift):
+    """Least squares by the derivatives of x/z and y/z by a rotation, in closed form: the rotation.
+
+    And what is left [px].
+    """
+    u, v = np.meshgrid(np.linspace(-0.5, 1241.5, 41), np.linspace(-0.5, 374.5, 25))
+    x, y = (u.ravel() - 620.5) / 720.0, (v.ravel() - 187.0) / 700.0
+    pitch = np.column_stack([-720 * x * y, -700 * (1 + y * y)])
+    yaw = np.column_stack([720 * (1 + x * x), 700 * x * y])
+    roll = np.column_stack([-720 * y, 700 * x])
+    focal = np.column_stack([720 * x, 700 * y])
+    columns = np.stack([part.ravel() for part in (pitch, yaw, roll, focal)], axis=1)
+    wanted = np.tile(shift, len(x))
+    found = np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    return found[:3], np.sqrt(((wanted - columns @ found) ** 2).sum() / len(x))
+
+
+def test_a_pinhole_is_as_its_formulas_state():
+    rotations, left = look_alikes(PINHOLE)
+    for row, shift in enumerate(([1.0, 0.0], [0.0, 1.0])):
+        rotation, rest = fitted(shift)
+        np.testing.assert_allclose(rotations[row], rotation, atol=1e-9)
+        assert left[row] == pytest.approx(rest, rel=1e-5)
+    # A pixel sideways is nearly 1/720 rad about y; tan² θ runs up to 0.74 and leaves a fifth of it.
+    assert rotations[0, 1] * 720 == pytest.approx(0.8, abs=0.1)
+    assert 0.15 < left[0] < 0.25
+
+
+def test_a_long_camera_model_reports_less_and_one_that_sees_half_the_world_more():
+    long = Camera("pinhole", 1242, 375, 2880.0, 2800.0, 620.5, 187.0)
+    assert (look_alikes(long)[1] < 0.1 * look_alikes(PINHOLE)[1]).all()
+    assert (look_alikes(FISHEYE)[1] > look_alikes(PINHOLE)[1]).all()
+
+
+def test_a_rotation_says_which_principal_point_it_may_be_in_truth():
+    stated = instead_of_rotation(PINHOLE, np.radians([0.0, 1.0, 0.0]))
+    rotations, left = look_alikes(PINHOLE)
+    trajectory = np.radians(1.0) / rotations[0, 1]
+    assert (
+        stated
+        == f"its principal point {trajectory:.2g} px off looks the same within {trajectory * left[0]:.2g} px"
+    )
+    assert instead_of_rotation(PINHOLE, np.radians([0.1, 0.1, 1.0])) == ""
+    assert f"by {trajectory:.3g} px to the side" in why_untold(PINHOLE)
+
+
+def test_a_camera_model_that_sees_nothing_promises_nothing():
+    blind = Camera("pinhole", 1, 1, 1e-9, 1e-9, 1e12, 1e12)
+    assert why_untold(blind).startswith("moving it")
+    assert isinstance(instead_of_rotation(blind, np.ones(3)), str)
+
+
+AXES = Rotation.from_matrix([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+def rotations(injected, *, rate_deg=1.5, count=60, noise_deg=0.02, seed=0):
+    """A vehicle that rotates about its z axis; the camera is really rotated from where it is stated to be."""
+    generator = np.random.default_rng(seed)
+    lidar = np.radians(rate_deg) * np.array([0.0, 0.0, 1.0]) * generator.uniform(0.5, 1.0, (count, 1))
+    lidar = lidar + np.radians(0.02) * generator.normal(size=(count, 3))
+    camera = (injected * AXES).apply(lidar) + np.radians(noise_deg) * generator.normal(size=(count, 3))
+    return camera, lidar, AXES.as_matrix()
+
+
+@pytest.mark.parametrize("size_deg", [4.0, 20.0, 90.0, 150.0])
+def test_a_rotation_across_the_axis_is_found_however_large(size_deg):
+    injected = Rotation.from_rotvec([size_deg, 0.0, 0.0], degrees=True)
+    item = judge_motion(*rotations(injected))
+    # 0.02 degrees against a degree, sixty times: 0.15 degrees
+    assert (item.verdict, abs(item.values[0])) == (Verdict.WRONG, pytest.approx(size_deg, abs=0.6))
+    assert abs(item.values[1]) < 0.6
+
+
+@pytest.mark.parametrize(
+    "injected_deg", [(0.0, 0.0, 0.0), (0.5, 0.0, 0.5), (0.0, 30.0, 0.0)], ids=["none", "small", "along"]
+)
+def test_what_is_small_or_along_the_axis_is_not_reported(injected_deg):
+    assert judge_motion(*rotations(Rotation.from_rotvec(injected_deg, degrees=True))).verdict is Verdict.GOOD
+
+
+def test_a_camera_upside_down_is_wrong():
+    assert (
+        judge_motion(*rotations(Rotation.from_rotvec([0, 0, 180.0], degrees=True))).verdict is Verdict.WRONG
+    )
+
+
+@pytest.mark.parametrize("more", [{"rate_deg": 0.05}, {"count": 10}, {"noise_deg": 2.0}])
+def test_a_drive_that_hardly_rotates_or_is_hardly_seen_cannot_determine(more):
+    injected = Rotation.from_rotvec([4.0, 0.0, 0.0], degrees=True)
+    assert judge_motion(*rotations(injected, **more)).verdict is Verdict.UNDETERMINED
+
+
+def test_rotating_makes_nothing_good_but_may_contradict():
+    untold = health_of_boxes(None, source="made up", camera_id=0, lidar_id=0, frames=0)
+    good, wrong = (judge("motion", np.radians([d, 0.0]), np.zeros((2, 2))) for d in (0.0, 9.0))
+    assert with_coarse(untold, good).verdict is Verdict.UNDETERMINED
+    assert with_coarse(untold, wrong).verdict is Verdict.WRONG
+    right = type(untold)(
+        **{f: getattr(untold, f) for f in untold.__struct_fields__} | {"verdict": Verdict.GOOD}
+    )
+    assert with_coarse(right, Item.unknown("motion", "stood")).verdict is Verdict.GOOD
+    doubtful = with_coarse(right, wrong)
+    assert (doubtful.verdict, ", but " in doubtful.item("motion").reason) == (Verdict.UNDETERMINED, True)
+
+
+GOOD, DRIFTING, WRONG, UNTOLD = Verdict.GOOD, Verdict.DRIFTING, Verdict.WRONG, Verdict.UNDETERMINED
+SURE = np.radians(0.05) ** 2 * np.eye(3)
+
+
+def rotation(*rotation_deg, sigma_deg=0.05, agreeing=200, by_chance=10, images=50):
+    covariance = np.radians(sigma_deg) ** 2 * np.eye(3)
+    return BoxRotation(np.radians(rotation_deg), covariance, agreeing, by_chance, images)
+
+
+def images_state(rotation_deg, *, stated=8.0):
+    """What images and points state: a rotation about x, or nothing."""
+    rotation = Item.unknown("rotation", "dark")
+    if rotation_deg is not None:
+        rotation = judge("rotation", np.radians([rotation_deg, 0.0, 0.0]), SURE)
+    return CalibrationHealth(
+        source="made up",
+        camera_id="camera",
+        lidar_id="lidar",
+        verdict=rotation.verdict,
+        items=(rotation, *(Item.unknown(name, "dark") for name in PARTS[1:])),
+        frames=4,
+        views=2,
+        distinctness=8.0,
+        stated_distinctness=stated,
+        measures={},
+    )
+
+
+@pytest.mark.parametrize(
+    ("found", "verdicts"),
+    [
+        (rotation(0.1, -0.1, 0.3), (GOOD, GOOD)),
+        (rotation(0.8, 0.0, 0.0), (DRIFTING, GOOD)),
+        (rotation(0.0, 3.0, 0.5), (WRONG, GOOD)),
+        (rotation(0.0, 0.0, 2.5), (GOOD, WRONG)),
+        # its own 0.4 degrees make 1.3 degrees about the axis of visibility chance
+        (rotation(0.0, 0.0, 1.3), (GOOD, UNTOLD)),
+        (rotation(3.0, 0.0, 0.0, sigma_deg=0.6), (UNTOLD, UNTOLD)),
+        (rotation(3.0, 0.0, 0.0, agreeing=30), (UNTOLD, UNTOLD)),
+        (rotation(3.0, 0.0, 0.0, images=6), (UNTOLD, UNTOLD)),
+        (rotation(3.0, 0.0, 0.0, by_chance=120), (UNTOLD, UNTOLD)),
+        (None, (UNTOLD, UNTOLD)),
+    ],
+)
+def test_boxes_are_judged_by_their_rotation_and_by_how_many_agree(found, verdicts):
+    items = judge_boxes(found)
+    assert tuple(item.verdict for item in items) == verdicts
+    assert all(bool(item.reason) is (item.verdict is not GOOD) for item in items)
+
+
+@pytest.mark.parametrize(
+    ("images_deg", "found", "verdict"),
+    [
+        (None, rotation(0.1, 0.0, 0.0), GOOD),
+        (None, rotation(3.0, 0.0, 0.0), WRONG),
+        (None, rotation(0.0, 0.0, 2.5), WRONG),
+        (None, None, UNTOLD),
+        (0.0, None, GOOD),
+        (0.0, rotation(0.1, 0.0, 0.0), GOOD),
+        (0.6, rotation(0.3, 0.0, 0.0), DRIFTING),
+        (1.5, rotation(1.3, 0.0, 0.0), WRONG),
+        (1.5, None, WRONG),
+    ],
+)
+def test_boxes_decide_where_images_cannot_and_join_them_where_they_can(images_deg, found, verdict):
+    health = with_boxes(images_state(images_deg), found)
+    assert health.verdict is verdict
+    assert [item.name for item in health.items] == [*PARTS, "boxes", "boxes_roll"]
+
+
+@pytest.mark.parametrize(
+    ("images_deg", "found"), [(0.0, rotation(3.0, 0.0, 0.0)), (1.5, rotation(0.0, 0.0, 0.0))]
+)
+def test_where_boxes_and_images_contradict_each_other_nothing_is_reported(images_deg, found):
+    health = with_boxes(images_state(images_deg), found)
+    assert health.verdict is UNTOLD
+    assert ", but " in health.item("boxes").reason
+
+
+def test_good_boxes_do_not_excuse_images_that_agree_much_better_elsewhere():
+    health = images_state(0.0, stated=4.0)
+    doubted = CalibrationHealth(
+        **{**{k: getattr(health, k) for k in health.__struct_fields__}, "verdict": UNTOLD}
+    )
+    assert with_boxes(doubted, rotation(0.0, 0.0, 0.0)).verdict is UNTOLD
+    assert with_boxes(doubted, rotation(3.0, 0.0, 0.0)).verdict is WRONG
+
+
+def test_boxes_alone_are_enough_for_a_verdict():
+    health = health_of_boxes(rotation(3.0, 0.0, 0.0), source="0001", camera_id=2, lidar_id=0, frames=50)
+    assert (health.verdict, health.views, health.frames) == (WRONG, 0, 50)
+    assert {item.verdict for item in health.items[:5]} == {UNTOLD}
+    assert health.item("boxes").values == pytest.approx((3.0, 0.0))

@@ -1,0 +1,313 @@
+"""Detector models: classes, statistics, their files, and the tables made of them."""
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from sceneloom.detections.detectors import (
+    CENTER_SIGMAS,
+    FAMILIES,
+    KINDS,
+    SIZE_SIGMAS,
+    SIZES,
+    UNLISTED,
+    detector_names,
+    find_detectors,
+    format_detectors,
+    independent_detectors,
+    kind_name,
+    numbers_of,
+    read_detectors,
+    table_rows,
+)
+from sceneloom.detections.projection import orient_by_motion, says_nothing
+from sceneloom.detections.settings import box_covariances, existence_table, noise_table
+from sceneloom.errors import DataError, OptionError
+from sceneloom.kernels import existence
+from sceneloom.scene.detections import ScoreForm
+
+
+@pytest.mark.parametrize(
+    ("word", "name"),
+    [("Car", "car"), ("Person_sitting", "pedestrian"), ("BICYCLIST", "cyclist"), ("Pick-up Truck", "van")],
+)
+def test_words_are_found_whatever_their_case_and_dashes(word, name):
+    assert kind_name(word) == name
+
+
+def test_no_word_stands_for_two_classes():
+    words = [word for name, kind in KINDS.items() for word in (name, *kind.words)]
+    assert len(words) == len(set(words))
+
+
+def test_words_in_no_table_are_equal_to_themselves_and_of_no_family():
+    three, two = numbers_of(["dragon", "Dragon", "car"], ["DRAGON", "griffin", "van", "Sedan"])
+    assert three[0] == three[1] == two[0]
+    assert three[0] != two[1]
+    assert three[2] == two[3] != two[2]
+    rows = table_rows(np.concatenate([three, two]))
+    assert rows.tolist() == [UNLISTED, UNLISTED, 0, UNLISTED, UNLISTED, list(KINDS).index("van"), 0]
+    assert FAMILIES[UNLISTED] == -1
+    assert FAMILIES[0] == FAMILIES[list(KINDS).index("van")] >= 0
+
+
+def test_a_word_that_names_no_class_says_nothing():
+    assert says_nothing("Unknown")
+    assert says_nothing("")
+    assert not says_nothing("dragon")
+
+
+def test_typical_sizes_are_those_of_the_class():
+    people, dragons = SIZES[table_rows(numbers_of(["Pedestrian", "dragon"], [])[0])]
+    assert people[2] == pytest.approx(1.7, abs=0.1)
+    assert (dragons[3:] > people[3:]).all()
+
+
+TEXT = format_detectors(independent_detectors())
+
+
+@pytest.mark.parametrize("name", detector_names())
+def test_what_is_written_is_read_again(tmp_path, name):
+    detectors = find_detectors(name)
+    path = tmp_path / "mine.toml"
+    path.write_text(format_detectors(detectors), "utf-8")
+    again = find_detectors(str(path))
+    assert (again.name, again.otherwise, again.provenance) == (
+        detectors.name,
+        detectors.otherwise,
+        detectors.provenance,
+    )
+    assert again.degrees_of_freedom == detectors.degrees_of_freedom
+    for label, own in detectors.classes.items():
+        # five digits are written
+        assert flat(asdict(again.classes[label])) == pytest.approx(flat(asdict(own)), rel=1e-4)
+
+
+def flat(value):
+    if isinstance(value, dict):
+        return [x for inner in value.values() for x in flat(inner)]
+    if isinstance(value, tuple):
+        return [x for inner in value for x in flat(inner)]
+    return [value]
+
+
+@pytest.mark.parametrize("name", detector_names())
+def test_surer_scores_never_make_an_object_of_the_package_s_detectors_less_likely(name):
+    for own in find_detectors(name).classes.values():
+        assert own.sweep.slope >= 0.0
+        assert own.image.slope >= 0.0
+        assert min(own.both.sweep, own.both.image, own.both.overlap) >= 0.0
+        assert own.visibility.weak_recall_2d <= own.visibility.recall_2d
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "location"),
+    [
+        ('otherwise = "car"', 'otherwise = "cart"', "otherwise: 'cart'"),
+        ("prior = 0.1", "prior = 0.0", "classes.car.visibility.prior: 0.0"),
+        ("slope = 1.0", "slope = nan", "classes.car.sweep.slope: nan"),
+        ("slope = 1.0", "slop = 1.0", "slope"),
+        ("degrees_of_freedom = inf", "degrees_of_freedom = 2.0", "degrees_of_freedom: 2.0"),
+        ("[provenance]", "[provenance", "expected the TOML of detectors"),
+        ("classes.van.", "classes.unicorn.", "classes.unicorn: no known class"),
+    ],
+)
+def test_a_wrong_file_is_reported_with_its_location(tmp_path, old, new, location):
+    assert old in TEXT
+    path = tmp_path / "wrong.toml"
+    path.write_text(TEXT.replace(old, new), "utf-8")
+    with pytest.raises(DataError, match=str(path)) as caught:
+        read_detectors(path)
+    assert location in str(caught.value)
+
+
+def test_unknown_detectors_are_reported_with_the_known_ones():
+    with pytest.raises(OptionError, match=r"detectors 'kiti'; expected one of .*independent"):
+        find_detectors("kiti")
+
+
+def test_a_file_that_is_not_there_is_reported(tmp_path):
+    with pytest.raises(DataError, match=r"none\.toml"):
+        find_detectors(str(tmp_path / "none.toml"))
+
+
+PRIOR = 0.15
+SAYS_IF_THERE = {0: 0.1, 1: 0.3, 2: 0.6}
+SAYS_IF_NOT = {0: 0.9, 1: 0.08, 2: 0.02}
+"""A detector that says nothing (0) or reports a box with one of two scores, and how often it does."""
+
+
+def share_true(*stated):
+    """Of all locations at which two such detectors state this, the share that holds an object."""
+    there, not_there = PRIOR, 1 - PRIOR
+    for what in stated:
+        there *= SAYS_IF_THERE[what]
+        not_there *= SAYS_IF_NOT[what]
+    return there / (there + not_there)
+
+
+DETECTORS = independent_detectors(prior=PRIOR, recall_2d=1 - SAYS_IF_THERE[0], recall_3d=1 - SAYS_IF_THERE[0])
+TABLE = existence_table(DETECTORS)
+CAR = np.zeros(1, np.int64)
+OUTLINE = np.array([[10.0, 20, 110, 120]])
+
+
+def reported(score, form=ScoreForm.PROBABILITY, *, of_image=False):
+    logit = form is ScoreForm.LOGIT
+    return existence.reported_odds(np.array([score]), CAR, logit, of_image, CAR, TABLE)
+
+
+def exists(of_sweep, of_image=None, *, seen_share=1.0):
+    """How likely the object of a box of a sweep is, with a partner in the image or without."""
+    partners, others = (CAR - 1, CAR * 0.0) if of_image is None else (CAR, of_image[0])
+    shares = np.array([seen_share])
+    return existence.scores_of_sweep(
+        OUTLINE, shares, partners, of_sweep[0], of_sweep[1], OUTLINE, others, CAR, TABLE
+    )[0]
+
+
+@pytest.mark.parametrize("first", [1, 2])
+@pytest.mark.parametrize("second", [1, 2])
+def test_two_reports_are_worth_what_counting_says(first, second):
+    both = exists(reported(share_true(first)), reported(share_true(second)))
+    assert both == pytest.approx(share_true(first, second), rel=1e-12)
+
+
+def test_a_report_that_the_other_detector_does_not_share_is_worth_what_counting_says():
+    # where nothing is, silence is taken for certain; here it is so in 0.9 of the cases
+    odds = share_true(2, 0) / (1 - share_true(2, 0)) * SAYS_IF_NOT[0]
+    assert exists(reported(share_true(2))) == pytest.approx(odds / (1 + odds), rel=1e-12)
+    of_image = existence.scores_of_image(CAR, np.array([20.0]), reported(share_true(2))[1], CAR, TABLE)
+    assert of_image[0] == pytest.approx(odds / (1 + odds), rel=1e-12)
+
+
+def test_what_cannot_be_seen_is_not_missed():
+    assert exists(reported(0.7), seen_share=0.0) == pytest.approx(0.7, rel=1e-12)
+    far = existence.scores_of_image(CAR, np.array([71.0]), reported(0.7)[1], CAR, TABLE)
+    assert far[0] == pytest.approx(0.7, rel=1e-12)
+
+
+def test_logits_are_logarithms_of_odds():
+    np.testing.assert_allclose(reported(np.log(3.0), ScoreForm.LOGIT), reported(0.75), rtol=1e-12)
+    np.testing.assert_allclose(reported(0.75), [[np.log(3.0)], [np.log(3.0)], [0.75]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("form", list(ScoreForm))
+def test_a_score_that_is_no_number_leaves_what_the_other_detector_says(form):
+    assert exists(reported(np.nan, form), reported(0.7)) == pytest.approx(0.7, rel=1e-12)
+
+
+@pytest.mark.parametrize(("one", "other"), [(0.0, 1.0), (1.0, 1.0), (np.inf, 0.0), (-5.0, 7.0)])
+def test_the_surest_scores_give_a_probability(one, other):
+    assert 0.0 <= exists(reported(one), reported(other)) <= 1.0
+
+
+FITTED = find_detectors("simulated")
+CAR_NUMBERS = FITTED.classes["car"]
+FITTED_TABLE = existence_table(FITTED)
+
+
+def logistic(odds):
+    return 1 / (1 + np.exp(-odds))
+
+
+def scores_without_boxes(count):
+    """How likely sure objects of a sweep are, of which so many have no box in the image, all of them plain to see."""
+    kinds = np.zeros(count, np.int64)
+    reported_3d, odds, _ = existence.reported_odds(
+        np.full(count, 5.0), np.arange(count), True, False, kinds, FITTED_TABLE
+    )
+    outlines, none = np.tile(OUTLINE, (count, 1)), np.zeros((0, 4))
+    return existence.scores_of_sweep(
+        outlines, np.ones(count), kinds - 1, reported_3d, odds, none, np.zeros(0), kinds, FITTED_TABLE
+    )
+
+
+def test_a_fitted_pair_has_the_odds_that_the_formula_says():
+    score_3d, score_2d, (low, high) = 1.5, 0.8, (CAR_NUMBERS.image.low, CAR_NUMBERS.image.high)
+    reported_3d = existence.reported_odds(np.array([score_3d]), CAR, True, False, CAR, FITTED_TABLE)
+    reported_2d = existence.reported_odds(np.array([score_2d]), CAR, False, True, CAR, FITTED_TABLE)
+    # half as wide as the outline: an overlap of one half
+    partner = OUTLINE - np.array([[0.0, 0, 50, 0]])
+    found = existence.scores_of_sweep(
+        OUTLINE, np.ones(1), CAR, reported_3d[0], reported_3d[1], partner, reported_2d[0], CAR, FITTED_TABLE
+    )
+    both = CAR_NUMBERS.both
+    of_image = np.clip(np.log(score_2d / (1 - score_2d)), low, high)
+    odds = both.base + both.sweep * score_3d + both.image * of_image + both.overlap * (0.5 - 0.7)
+    assert found[0] == pytest.approx(logistic(odds), rel=1e-9)
+
+
+def test_a_single_box_that_the_image_lacks_has_the_odds_of_a_camera_that_is_good_or_poor():
+    reported, visibility = CAR_NUMBERS.sweep, CAR_NUMBERS.visibility
+    recall = (
+        1 - visibility.weak_share
+    ) * visibility.recall_2d + visibility.weak_share * visibility.weak_recall_2d
+    odds = reported.base + reported.slope * 5.0 + np.log(1 - recall)
+    assert scores_without_boxes(1)[0] == pytest.approx(logistic(odds), rel=1e-9)
+
+
+def test_an_image_that_lacks_all_sure_objects_is_believed_less():
+    alone, together = scores_without_boxes(1)[0], scores_without_boxes(6)
+    assert (together > alone).all()
+    reported, visibility = CAR_NUMBERS.sweep, CAR_NUMBERS.visibility
+    # it is as good as certain that such a camera is the poor one
+    poor = logistic(reported.base + reported.slope * 5.0 + np.log(1 - visibility.weak_recall_2d))
+    assert together[0] == pytest.approx(poor, abs=0.02)
+
+
+NOISE = noise_table(independent_detectors())
+YAWS = np.array([0.4, -2.0, 1.0, 0.2])
+
+
+def covariances_of(reported=None):
+    centers = np.array([[30.0, 40.0, 0.0], [0.0, 60.0, 0.0], [5.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    sizes = np.array([[4.0, 2.0, 1.5], [1.0, 0.5, 1.7], [4.0, 2.0, 1.5], [4.0, 2.0, 1.5]])
+    reported = np.zeros((0, 7, 7)) if reported is None else reported
+    boxes, cars = np.column_stack([centers, sizes, YAWS]), np.zeros(4, np.int64)
+    return box_covariances(boxes, np.zeros(4), reported, np.arange(4), cars, NOISE)[0]
+
+
+def test_deviations_lie_along_the_axes_of_the_box_and_grow_with_the_range():
+    found = covariances_of()[0]
+    growth = np.sqrt(50 / 20)
+    rotation = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
+    size = np.array(KINDS["car"].size_lwh)
+    along = np.diag(((CENTER_SIGMAS[0] * size + CENTER_SIGMAS[1]) * growth) ** 2)
+    np.testing.assert_allclose(found[:3, :3], rotation @ along @ rotation.T, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(
+        found[3:, 3:], np.diag(((SIZE_SIGMAS[0] * size + SIZE_SIGMAS[1]) * growth) ** 2)
+    )
+    assert not found[:3, 3:].any()
+
+
+def test_what_a_detector_reports_counts_where_it_is_a_covariance():
+    generator = np.random.default_rng(0)
+    factor = generator.normal(size=(7, 7))
+    reported = np.array([factor @ factor.T] * 4)
+    reported[1, 0, 0] = np.nan
+    reported[2, 4, 4] = -1.0
+    reported[3] = 0.0
+    found, assumed = covariances_of(reported), covariances_of()
+    np.testing.assert_allclose(found[0], reported[0, :6, :6], rtol=1e-12)
+    np.testing.assert_array_equal(found[1:], assumed[1:])
+
+
+@pytest.mark.parametrize(
+    ("speed", "off_deg", "rotated"),
+    [(8.0, 180.0, True), (8.0, 150.0, True), (8.0, 90.0, False), (8.0, 0.0, False), (2.0, 180.0, False)],
+)
+def test_what_drives_backwards_fast_is_reversed(speed, off_deg, rotated):
+    yaw = 2.5
+    trajectory = yaw + np.radians(off_deg)
+    velocities = np.array([[speed * np.cos(trajectory), speed * np.sin(trajectory), 0.0]])
+    found = orient_by_motion(np.array([yaw]), velocities)[0]
+    assert np.cos(found - yaw) == pytest.approx(-1.0 if rotated else 1.0)
+    assert -np.pi <= found <= np.pi
+
+
+def test_without_velocities_headings_stay():
+    yaws = np.array([0.3, -2.0])
+    np.testing.assert_array_equal(orient_by_motion(yaws, None), yaws)
+    np.testing.assert_array_equal(orient_by_motion(yaws, np.full((2, 3), np.nan)), yaws)

@@ -1,0 +1,509 @@
+"""Annotations made from tracks: paths, flags, riders, evidence."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import sceneloom
+from sceneloom.errors import OptionError
+from sceneloom.scene import (
+    Box2DAnnotation,
+    CuboidAnnotation,
+    CuboidPath,
+    LinkAnnotation,
+    ObjectAnnotation,
+    Scene,
+    Support,
+    Tracks,
+)
+from sceneloom.scene.annotations_at import CuboidAngles, cuboid_at
+from sceneloom.simulate import CameraSpec, LidarSpec, RadarSpec, TrafficSpec, simulate_street
+from sceneloom.tracking.labels import (
+    FlagKind,
+    boxed_part,
+    flags_of,
+    label_path,
+    label_tracks,
+    overlap_flags,
+    riders,
+    usual_heading,
+    weighted_medians,
+)
+from sceneloom.tracking.settings import LabelSettings
+
+DEGREES = CuboidAngles()
+
+
+def wandering(a_track, seed, count=16):
+    """A track that wanders and rotates."""
+    random = np.random.default_rng(seed)
+    centers = np.cumsum(random.normal(0.0, 0.08, (count, 3)), axis=0) + np.arange(count)[:, None] * [
+        0.8,
+        0,
+        0,
+    ]
+    steps = np.cumsum(random.integers(50_000_000, 150_000_000, count))
+    return a_track(
+        count=count,
+        timestamps_ns=steps,
+        centers=centers,
+        yaws=np.cumsum(random.normal(0.0, 0.03, count)) + 3.0,
+    )
+
+
+def deviations(path, rows):
+    """How far the scene's own readers, asked for all states, are from them: locations [m], headings [deg]."""
+    annotation = CuboidAnnotation("a", path.cuboids(rows, DEGREES))
+    values, there = cuboid_at(annotation, path.timestamps_ns)
+    assert there.all()
+    locations = np.linalg.norm(values[:, 3:6] - path.boxes[:, :3], axis=1)
+    rotations = (values[:, 8] - np.degrees(path.boxes[:, 6]) + 180.0) % 360.0 - 180.0
+    return locations, np.abs(rotations)
+
+
+def least_count(path, settings):
+    """The fewest keyframes, by trying every way from the first state to the last."""
+
+    @cache
+    def reports(a, b):
+        rows = np.array([a, b])
+        part = CuboidPath(path.timestamps_ns[rows], path.cuboids(rows, DEGREES).values)
+        values, _ = cuboid_at(CuboidAnnotation("a", part), path.timestamps_ns[a : b + 1])
+        away = np.linalg.norm(values[:, 3:6] - path.boxes[a : b + 1, :3], axis=1)
+        rotations = (values[:, 8] - np.degrees(path.boxes[a : b + 1, 6]) + 180.0) % 360.0 - 180.0
+        return away.max() <= settings.tolerance_m and np.abs(rotations).max() <= settings.tolerance_deg
+
+    last = len(path.timestamps_ns) - 1
+
+    @cache
+    def fewest(a):
+        return 0 if a == last else 1 + min(fewest(b) for b in range(a + 1, last + 1) if reports(a, b))
+
+    return 1 + fewest(0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_fewer_keyframes_would_do(a_track, seed):
+    settings = LabelSettings(tolerance_m=0.1, tolerance_deg=2.0, stationary=False)
+    path = label_path(wandering(a_track, seed), settings)
+    rows = path.keyframes(settings)
+    assert len(rows) == least_count(path, settings)
+    assert 2 < len(rows) < len(path.timestamps_ns)
+
+
+@pytest.mark.parametrize(("tolerance_m", "tolerance_deg"), [(0.02, 5.0), (0.3, 0.5), (0.0, 0.0)])
+def test_every_state_is_reported_within_the_tolerances(a_track, tolerance_m, tolerance_deg):
+    settings = LabelSettings(tolerance_m=tolerance_m, tolerance_deg=tolerance_deg)
+    path = label_path(wandering(a_track, 9, count=60), settings)
+    locations, rotations = deviations(path, path.keyframes(settings))
+    assert locations.max() <= tolerance_m + 1e-9  # centimetres of metres: sums of few roundings
+    assert rotations.max() <= tolerance_deg + 1e-6
+
+
+def test_a_straight_drive_needs_two_keyframes_and_a_long_gap_no_more(a_track):
+    times = np.concatenate([np.arange(10), np.arange(40, 50)]) * 100_000_000
+    track = a_track(
+        count=20, timestamps_ns=times, centers=np.column_stack([times * 8e-9, np.zeros(20), np.zeros(20)])
+    )
+    path = label_path(track, LabelSettings())
+    assert path.keyframes(LabelSettings()).tolist() == [0, 19]
+
+
+def test_a_heading_goes_on_beyond_the_half_rotation(a_track):
+    yaws = (np.linspace(2.6, 3.8, 21) + np.pi) % (2 * np.pi) - np.pi
+    path = label_path(a_track(yaws=yaws), LabelSettings())
+    assert path.boxes[:, 6] == pytest.approx(np.linspace(2.6, 3.8, 21), abs=1e-12)
+    assert path.keyframes(LabelSettings()).tolist() == [0, 20]
+
+
+def test_a_size_is_what_most_of_the_weight_says(a_track):
+    sizes = np.tile([4.2, 1.8, 1.6], (21, 1))
+    sizes[:15, 0] = 3.0
+    covariances = np.tile(0.01 * np.eye(10), (21, 1, 1))
+    covariances[:15] *= 4.0  # half the states weigh 15 / 4 against 6
+    path = label_path(a_track(sizes_lwh=sizes, covariances=covariances), LabelSettings())
+    assert (path.boxes[:, 3] == 4.2).all()
+    free = label_path(a_track(sizes_lwh=sizes), LabelSettings(constant_sizes=False))
+    assert (free.boxes[:, 3] == sizes[:, 0]).all()
+
+
+def test_medians_are_those_of_repeated_values():
+    random = np.random.default_rng(1)
+    values, weights = random.normal(size=(9, 3)), random.integers(1, 5, (9, 3)).astype(float)
+    for column, median in enumerate(weighted_medians(values, weights)):
+        repeated = np.sort(np.repeat(values[:, column], weights[:, column].astype(int)))
+        assert median == repeated[(len(repeated) - 1) // 2]
+
+
+def test_what_stands_gets_one_pose_and_what_creeps_does_not(a_track):
+    random = np.random.default_rng(0)
+    noise = np.column_stack([random.normal(0.0, 0.1, (21, 2)), np.zeros(21)])
+    stationary = label_path(a_track(speed=0.0, centers=noise + np.array([5.0, 2.0, 0.8])), LabelSettings())
+    assert stationary.stands
+    assert stationary.keyframes(LabelSettings()).tolist() == [0]
+    # the median of 21 numbers of deviation 0.1 deviates by 0.027
+    assert stationary.boxes[0, :3] == pytest.approx([5.0, 2.0, 0.8], abs=0.1)
+    assert not label_path(a_track(speed=0.5), LabelSettings()).stands
+    assert not label_path(a_track(speed=0.0), LabelSettings(stationary=False)).stands
+
+
+def test_what_is_seen_so_briefly_that_its_speed_is_not_known_may_stand(a_track):
+    unsure = np.tile(np.diag([0.01] * 7 + [0.2] * 3), (4, 1, 1))
+    assert label_path(a_track(count=4, speed=0.4, covariances=unsure), LabelSettings()).stands
+    assert not label_path(a_track(count=4, speed=0.4), LabelSettings()).stands
+    assert not label_path(a_track(count=4, speed=1.0, covariances=100.0 * unsure), LabelSettings()).stands
+
+
+def test_a_pedestrian_who_stands_at_first_and_then_walks_does_not_stand(a_track):
+    along = np.concatenate([np.zeros(15), np.linspace(0.0, 1.5, 6)])
+    track = a_track(label="pedestrian", centers=np.column_stack([along, np.zeros((21, 2))]))
+    assert not label_path(track, LabelSettings()).stands
+
+
+def test_a_stationary_object_heads_where_most_states_head():
+    yaws = np.full(21, 0.4)
+    yaws[[2, 7, 8]] += np.pi
+    assert usual_heading(yaws, np.ones(21)) == pytest.approx(0.4, abs=1e-12)
+    assert np.cos(usual_heading(yaws + np.pi, np.ones(21)) - 0.4) == pytest.approx(-1.0, abs=1e-12)
+
+
+def test_states_before_the_first_box_and_after_the_last_are_left_out(a_track):
+    supports = np.full(21, Support.PREDICTED, np.uint8)
+    assert boxed_part(a_track(supports=supports)) is None
+    supports[[4, 9]] = Support.IMAGE, Support.SWEEP
+    part = boxed_part(a_track(supports=supports, corners_xyxy={"camera": np.ones((21, 4))}))
+    assert part.timestamps_ns.tolist() == a_track().timestamps_ns[4:10].tolist()
+    assert part.corners_xyxy["camera"].shape == (6, 4)
+
+
+def kinds(track):
+    return {found.kind for found in flags_of(track)}
+
+
+@pytest.fixture
+def changed(a_track):
+    """Make a track of which some rows of a column are changed."""
+
+    def change(column, rows, values):
+        whole = np.array(getattr(a_track(), column))
+        whole[rows] = values
+        return a_track(**{column: whole})
+
+    return change
+
+
+def test_a_good_track_has_no_flag(a_track):
+    assert not flags_of(a_track())
+    assert not flags_of(a_track(label="pedestrian", speed=0.0))
+
+
+ZIGZAG = np.column_stack([0.8 * np.arange(21), 0.3 * (-1.0) ** np.arange(21), np.full(21, 0.8)])
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "row"),
+    [
+        ({"count": 4}, FlagKind.SHORT, 0),
+        ({"scores": np.full(21, 0.3)}, FlagKind.UNSURE, 0),
+        (("supports", slice(3, 18), Support.INTERPOLATED), FlagKind.SPARSE, 10),
+        ({"supports": np.full(21, Support.IMAGE, np.uint8)}, FlagKind.IMAGE_ONLY, 0),
+        ({"centers": ZIGZAG}, FlagKind.JITTER, 1),
+        (("centers", (slice(12, None), 1), 3.0), FlagKind.JUMP, 12),
+        (("sizes_lwh", (5, 0), 6.0), FlagKind.SIZE, 5),
+        (("yaws", slice(9, 10), np.pi), FlagKind.YAW_FLIP, 9),
+        ({"yaws": np.radians(15.0) * (-1.0) ** np.arange(21)}, FlagKind.YAW_JITTER, 1),
+        ({"yaws": np.full(21, np.pi)}, FlagKind.AGAINST_MOTION, 0),
+    ],
+)
+def test_each_flaw_is_flagged_where_it_is(a_track, changed, changes, kind, row):
+    track = a_track(**changes) if isinstance(changes, dict) else changed(*changes)
+    (found,) = [one for one in flags_of(track) if one.kind is kind]
+    assert found.timestamp_ns == track.timestamps_ns[row]
+    assert found.urgency > 1.0
+
+
+def test_one_jump_is_no_jitter_and_one_flip_is_no_jitter_of_the_heading(changed):
+    assert FlagKind.JITTER not in kinds(changed("centers", (slice(12, None), 1), 3.0))
+    assert FlagKind.YAW_JITTER not in kinds(changed("yaws", slice(9, 10), np.pi))
+
+
+def test_a_heading_that_goes_round_the_half_rotation_is_no_flip(a_track):
+    yaws = (np.linspace(2.9, 3.5, 21) + np.pi) % (2 * np.pi) - np.pi
+    velocities = 8.0 * np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(21)])
+    centers = np.cumsum(velocities * 0.1, axis=0)
+    assert not flags_of(a_track(yaws=yaws, velocities=velocities, centers=centers))
+
+
+def test_of_two_objects_in_one_location_the_less_sure_one_is_flagged(a_track):
+    sure, unsure = a_track(1), a_track(2, scores=np.full(21, 0.6))
+    apart = a_track(3, centers=a_track().centers + np.array([0.0, 4.0, 0.0]))
+    above = a_track(4, centers=a_track().centers + np.array([0.0, 0.0, 5.0]), scores=np.full(21, 0.5))
+    (found,) = overlap_flags([sure, unsure, apart, above])
+    assert (found.track, found.kind) == (2, FlagKind.OVERLAP)
+    assert not overlap_flags([sure, unsure], {frozenset((1, 2))})
+
+
+def test_objects_that_are_there_at_different_times_do_not_overlap(a_track):
+    later = a_track(2, timestamps_ns=a_track().timestamps_ns + 10_000_000_000)
+    assert not overlap_flags([a_track(1), later])
+    assert not overlap_flags([])
+
+
+@pytest.fixture
+def beside(a_track):
+    return lambda number, label, left: a_track(
+        number, label, centers=a_track().centers + np.array([0.1, left, 0.0])
+    )
+
+
+def pairs(*tracks):
+    return [(person.id, bike.id) for person, bike in riders(tracks)]
+
+
+def test_a_person_is_linked_with_the_nearest_thing_that_it_stays_with(beside):
+    assert pairs(beside(1, "Pedestrian", 0.0), beside(2, "bicycle", 0.5), beside(3, "bicycle", 0.1)) == [
+        (1, 3)
+    ]
+
+
+def test_each_rides_one_thing_and_is_ridden_by_one(beside):
+    people = beside(1, "rider", 0.0), beside(2, "person", 0.3)
+    assert pairs(*people, beside(3, "motorcycle", 0.1)) == [(1, 3)]
+
+
+def test_who_walks_past_or_is_somewhere_else_does_not_ride(a_track, beside):
+    passing = a_track(1, "pedestrian", centers=np.zeros((21, 3)))
+    assert pairs(passing, beside(2, "bicycle", 0.0)) == []
+    later = a_track(1, "pedestrian", timestamps_ns=a_track().timestamps_ns + 7)
+    assert pairs(later, beside(2, "bicycle", 0.0)) == []
+
+
+def test_cars_are_not_ridden(beside):
+    assert pairs(beside(1, "pedestrian", 0.0), beside(2, "car", 0.0)) == []
+
+
+FRAMES = 10
+TOLERANCES = LabelSettings(tolerance_m=0.04, tolerance_deg=0.8)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return simulate_street(
+        3,
+        frames=FRAMES,
+        lidar=LidarSpec(beams=32, steps=600),
+        cameras=(CameraSpec(sceneloom.cameras.Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5)),),
+        radars=(RadarSpec(),),
+        traffic=TrafficSpec(),
+    )
+
+
+@pytest.fixture(scope="module")
+def tracks(true_tracks, drive):
+    return true_tracks(drive, drive.truth.lidar.timestamps_ns + 50_000_000)
+
+
+@pytest.fixture(scope="module")
+def labelled(drive, tracks):
+    return label_tracks(replace(drive.scene, annotations=()), tracks, settings=TOLERANCES)
+
+
+def cuboids_of(scene):
+    return {each.id: each for each in scene.annotations if isinstance(each, CuboidAnnotation)}
+
+
+def reported(cuboid, name):
+    return next(path for path in cuboid.attributes if path.name == name)
+
+
+def test_true_tracks_become_cuboids_that_stay_within_the_tolerances(labelled, tracks):
+    cuboids = cuboids_of(labelled.scene)
+    assert len(cuboids) == len(tracks) == labelled.objects
+    for track in tracks:
+        cuboid = cuboids[f"cuboid-{track.id}"]
+        values, there = cuboid_at(cuboid, track.timestamps_ns)
+        assert there.all()
+        # what stands is one pose: people who stand in the street do not move at all
+        assert np.linalg.norm(values[:, 3:6] - track.centers, axis=1).max() <= TOLERANCES.tolerance_m + 1e-9
+        assert values[:, :3] == pytest.approx(track.sizes_lwh, abs=1e-12)
+        rotated = (values[:, 8] - np.degrees(track.yaws) + 180.0) % 360.0 - 180.0
+        assert np.abs(rotated).max() <= TOLERANCES.tolerance_deg + 1e-6
+    assert labelled.keyframes < labelled.states / 3
+
+
+def test_what_stands_in_the_street_is_found(labelled, tracks):
+    stationary = {each.id for each in cuboids_of(labelled.scene).values() if each.stationary}
+    trajectories = {track.id: np.linalg.norm(np.ptp(track.centers, axis=0)) for track in tracks}
+    assert {
+        f"cuboid-{number}" for number, trajectory in trajectories.items() if trajectory < 1e-9
+    } <= stationary
+    # in nine tenths of a second, by the speed that counts as stationary
+    assert (
+        not {f"cuboid-{number}" for number, trajectory in trajectories.items() if trajectory > 0.25}
+        & stationary
+    )
+    assert labelled.stationary == len(stationary) > 5
+
+
+def test_points_in_labels_are_those_of_the_truth(labelled, drive):
+    cuboids = cuboids_of(labelled.scene)
+    compared = 0
+    for frame in (2, 5):
+        sweep = drive.truth.sweep(frame)
+        for instance, count in zip(*np.unique(sweep.instances, return_counts=True), strict=True):
+            cuboid = cuboids.get(f"cuboid-{instance}")
+            if cuboid is None or not cuboid.stationary:
+                continue
+            points = reported(cuboid, "points")
+            row = points.timestamps_ns.tolist().index(sweep.frame.timestamp_ns)
+            # range noise of centimetres puts points of a face just outside of it, and some of the ground into it
+            assert points.values[row] <= 1.1 * count + 3
+            compared += points.values[row] > 0
+    assert compared > 3
+
+
+def test_cameras_and_lidars_report_when_they_see_a_cuboid(labelled):
+    seen = [each for each in cuboids_of(labelled.scene).values() if each.projections]
+    assert len(seen) > 5
+    for each in seen:
+        assert "camera0" in {activation.sensor_id for activation in each.activations}
+        assert np.isfinite(each.projections[0].boxes).any()
+
+
+def radial_speeds(labelled, track):
+    """What the radar says of a track: times [ns] and speeds [m/s]; none where it never met it."""
+    for path in cuboids_of(labelled.scene)[f"cuboid-{track.id}"].attributes:
+        if path.name == "radial_velocity":
+            return path.timestamps_ns, np.array(path.values)
+    return np.zeros(0, np.int64), np.zeros(0)
+
+
+def test_radars_measure_how_fast_what_drives_goes_away(labelled, drive, tracks):
+    radar, compared = drive.truth.radars["radar0"], 0
+    for track in tracks:
+        times, speeds = radial_speeds(labelled, track)
+        if len(times) < 5 or np.linalg.norm(track.velocities[0]) < 3.0:
+            continue
+        rows = np.abs(track.timestamps_ns[:, None] - times).argmin(axis=0)
+        poses = [radar.pose(k).translation for k in np.searchsorted(radar.timestamps_ns, times)]
+        lines = track.centers[rows] - np.array(poses)
+        lines /= np.linalg.norm(lines, axis=1)[:, None]
+        expected = (lines * track.velocities[rows]).sum(axis=1)
+        # 0.08 m/s of the radar, lines to other parts than the middle, speeds that change within 50 ms
+        assert abs(np.median(speeds - expected)) < 0.5
+        compared += 1
+    assert compared > 2
+    assert FlagKind.RADAR not in {found.kind for found in labelled.flags}
+
+
+def test_a_radar_contradicts_a_track_of_another_speed(labelled, drive, tracks):
+    fast = [track for track in tracks if np.linalg.norm(track.velocities[0]) > 5.0]
+    heard = max(fast, key=lambda track: len(radial_speeds(labelled, track)[0]))
+    wrong = replace(heard, velocities=-heard.velocities)
+    settings = LabelSettings(projections=False, points=False)
+    found = label_tracks(replace(drive.scene, annotations=()), Tracks((wrong,)), settings=settings)
+    assert FlagKind.RADAR in {one.kind for one in found.flags}
+
+
+def test_a_label_says_how_sure_it_is_and_whence_it_comes(a_track):
+    scores = np.linspace(0.5, 1.0, 21)
+    supports = np.full(21, Support.BOTH, np.uint8)
+    supports[8:10] = Support.PREDICTED
+    track = a_track(7, scores=scores, supports=supports)
+    scene = label_tracks(Scene(()), Tracks((track,)), settings=LabelSettings(source="made by hand")).scene
+    cuboid = cuboids_of(scene)["cuboid-7"]
+    existence = reported(cuboid, "existence")
+    rows = np.searchsorted(existence.timestamps_ns, track.timestamps_ns, side="right") - 1
+    assert np.abs(np.array(existence.values)[rows] - scores).max() <= 0.05 + 1e-3
+    assert len(existence.values) < 21
+    support = reported(cuboid, "support")
+    assert support.values == ("both", "predicted", "both")
+    assert support.timestamps_ns.tolist() == track.timestamps_ns[[0, 8, 10]].tolist()
+    assert reported(cuboid, "source").values == ("made by hand",)
+    assert reported(cuboid, "track").values == (7,)
+
+
+def test_boxes_in_images_and_cuboid_belong_to_one_object(a_track, drive):
+    images = drive.scene.cameras[0].images.timestamps_ns
+    corners = np.full((FRAMES, 4), np.nan)
+    corners[[0, 1, 2, 8, 9]] = np.array([10.0, 20.0, 50.0, 60.004])
+    track = a_track(
+        5,
+        count=FRAMES,
+        timestamps_ns=images + 7_000_000,
+        corners_xyxy={"camera0": corners, "other": corners},
+    )
+    settings = LabelSettings(projections=False, points=False, radar=False)
+    scene = label_tracks(replace(drive.scene, annotations=()), Tracks((track,)), settings=settings).scene
+    (thing,) = [each for each in scene.annotations if isinstance(each, ObjectAnnotation)]
+    boxes = [each for each in scene.annotations if isinstance(each, Box2DAnnotation)]
+    assert [box.path.timestamps_ns.tolist() for box in boxes] == [
+        images[[0, 1, 2]].tolist(),
+        images[[8, 9]].tolist(),
+    ]
+    assert boxes[0].path.values[0].tolist() == [10.0, 20.0, 40.0, 40.0]
+    assert {each.parent_id for each in (*boxes, *cuboids_of(scene).values())} == {thing.id}
+
+
+def test_riders_are_linked_with_what_they_ride_and_do_not_count_as_overlapping(a_track):
+    found = label_tracks(Scene(()), Tracks((a_track(1, "rider"), a_track(2, "bicycle"))))
+    (link,) = [each for each in found.scene.annotations if isinstance(each, LinkAnnotation)]
+    assert (link.from_id, link.to_id, link.label) == ("cuboid-1", "cuboid-2", "rides")
+    assert not found.flags
+
+
+def test_flags_are_reported_in_the_label_and_the_worst_first_in_the_metadata(a_track, drive):
+    short, empty = a_track(1, count=3), a_track(2, centers=a_track().centers + np.array([0.0, 0.0, 300.0]))
+    settings = LabelSettings(projections=False, radar=False)
+    found = label_tracks(replace(drive.scene, annotations=()), Tracks((short, empty)), settings=settings)
+    review = found.scene.metadata["sceneloom"]["labels"]["review"]
+    assert [one["urgency"] for one in review] == sorted((one["urgency"] for one in review), reverse=True)
+    assert ("cuboid-2", "empty boxes") in {(one["annotation"], one["flag"]) for one in review}
+    cuboids = cuboids_of(found.scene)
+    assert "short" in reported(cuboids["cuboid-1"], "review").values[0]
+    assert reported(cuboids["cuboid-2"], "review").values == (("empty boxes",),)
+
+
+def test_what_is_hardly_there_is_left_out_on_request(a_track):
+    tracks = Tracks((a_track(1, count=2), a_track(2, scores=np.full(21, 0.2)), a_track(3)))
+    settings = LabelSettings(least_states=3, least_score=0.3)
+    assert list(cuboids_of(label_tracks(Scene(()), tracks, settings=settings).scene)) == ["cuboid-3"]
+    assert label_tracks(Scene(()), Tracks(())).objects == 0
+
+
+def test_a_scene_without_a_trajectory_keeps_the_labels_and_says_what_is_missing(a_track, drive):
+    lost = replace(drive.scene, annotations=(), trajectories={})
+    sensors = tuple(replace(s, poses=None) if hasattr(s, "poses") else s for s in lost.sensors)
+    found = label_tracks(replace(lost, sensors=sensors), Tracks((a_track(),)))
+    assert {"labels-not-projected", "labels-not-counted", "labels-not-heard"} <= {
+        warning.code for warning in found.scene.warnings
+    }
+    assert len(cuboids_of(found.scene)) == 1
+
+
+def test_annotations_stay_and_ids_that_are_taken_are_refused(labelled, tracks):
+    with pytest.raises(OptionError, match="used twice"):
+        label_tracks(
+            labelled.scene, tracks, settings=LabelSettings(projections=False, points=False, radar=False)
+        )
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"tolerance_m": -0.1}, {"least_score": 1.5}, {"tolerance_deg": float("nan")}]
+)
+def test_numbers_out_of_bounds_are_refused(wrong):
+    with pytest.raises(OptionError, match=next(iter(wrong))):
+        LabelSettings(**wrong)
+
+
+@pytest.mark.parametrize("profile", ["sfs", "scale"])
+@pytest.mark.few(1)
+def test_labels_pass_validation(labelled, tmp_path, profile):
+    sceneloom.write(labelled.scene, tmp_path / "labels.sfs", profile=profile)
+    report = sceneloom.validate(tmp_path / "labels.sfs", profile=profile)
+    assert [str(finding.severity) for finding in report.findings].count("error") == 0
+    if profile == "sfs":
+        with sceneloom.open(tmp_path / "labels.sfs") as read:
+            assert len(read.annotations) == len(labelled.scene.annotations)

@@ -327,7 +327,7 @@ def groups(
 ) -> list[list[Hypothesis]]:
     """Group hypotheses of the same transform.
 
-    Within an angle [deg] and a distance [m] that nobody could notify apart.
+    Within an angle [deg] and a distance [m] that cannot be told apart.
     """
 
     def alike(a: Float64Array, b: Float64Array) -> bool:

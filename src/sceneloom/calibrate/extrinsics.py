@@ -40,7 +40,7 @@ class MountingEstimate:
 
     @property
     def sigmas(self) -> Float64Array:
-        """(6,) standard deviations: rotates about x, y, z [rad], shifts along x, y, z [m]."""
+        """(6,) standard deviations: rotations about x, y, z [rad], translations along x, y, z [m]."""
         return np.sqrt(np.diagonal(self.covariance))
 
 

@@ -19,7 +19,7 @@ camera_from_lidar, C = X L X⁻¹, so c = X l. If X is the stated R after a smal
     c - R l = w × R l,
 
 which reports w about the axes across the vehicle's own axis of rotating, and nothing along it. Steps of the same size
-report by how much they rotate: a drive straight on states nothing.
+report by how much they rotate: a straight drive gives no information.
 
 Source: Shiu and Ahmad 1989, "Calibration of Wrist-Mounted Robotic Sensors by Solving Homogeneous Transform Equations of
 the Form AX = XB"; rotation vectors: Park and Martin 1994; sandwich by clusters: Liang and Zeger 1986.
@@ -549,14 +549,14 @@ def judge(name: str, values: Float64Array, covariance: Float64Array) -> Item:
 _COLUMNS, _ROWS = 41, 25
 
 _MOSTLY = 0.5
-"""A rotation of which more than this share is about the axis of visibility is no matter of the principal point."""
+"""A rotation of which more than this share is about the optical axis does not come from the principal point."""
 
 _STEP = 1e-4
 """By which the camera is rotated to see what that does [rad]."""
 
 
 def look_alikes(camera: Camera) -> tuple[Float64Array, Float64Array]:
-    """Report what rotates of a camera look most like its principal point moved, and what is left between both.
+    """Report which rotation of a camera looks most like a shift of its principal point, and what is left between both.
 
     Args:
         camera: the camera model, of any model.
@@ -993,7 +993,7 @@ def _cross(vectors: Float64Array) -> Float64Array:
 
 
 _ACROSS, _ABOUT_VISIBILITY = "boxes", "boxes_roll"
-"""Rotates about the camera's x and y axes, and about its axis of visibility, of which boxes know less."""
+"""Rotations about the camera's x and y axes, and about its optical axis, which boxes determine less well."""
 
 _LEAST_AGREEING, _LEAST_IMAGES, _ABOVE_CHANCE = 40, 10, 2.0
 """So many couples must agree, in so many images, and so many times as many as about other rotations: boxes of other
@@ -1007,7 +1007,7 @@ def judge_boxes(found: BoxRotation | None) -> tuple[Item, Item]:
         found: the rotation; None where hardly any boxes may be of one object.
 
     Returns:
-        What is to be stated of the camera's x and y axes, and of its axis of visibility.
+        What is to be stated of the camera's x and y axes, and of its optical axis.
     """
     reason = _why_untold(found)
     if found is None or reason:
@@ -1094,7 +1094,7 @@ def _contradiction(health: CalibrationHealth, boxes: Sequence[Item]) -> str:
 
 
 def _differ(rotation: Item, across: Item) -> bool:
-    """Whether two rotates about the axes across are more than chance apart."""
+    """Whether two rotations about the axes across are more than chance apart."""
     apart = np.subtract(rotation.values[:2], across.values)
     variances = np.square(rotation.sigmas[:2]) + np.square(across.sigmas)
     far = float(np.linalg.norm(apart)) > _LIMITS[_ACROSS].good

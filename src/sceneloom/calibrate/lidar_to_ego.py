@@ -196,7 +196,7 @@ def _check_motion(motions: PairedMotions) -> None:
 
 
 def _closed_rotation(motions: PairedMotions) -> Float64Array:
-    """The rotation that takes rotates of the sensor, and its trajectories where it hardly rotates.
+    """The rotation that takes rotations of the sensor, and its trajectories where it hardly rotates.
 
     Into those of the body.
 

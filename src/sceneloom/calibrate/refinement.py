@@ -682,7 +682,7 @@ def _search(
 ) -> _Found:
     """Find the best candidate near the stated calibration.
 
-    Rotates are searched first, from many beginnings, for they move what is far away as well as what is near; then all
+    Rotations are searched first, from many beginnings, for they move what is far away as well as what is near; then all
     numbers together from there.
 
     Args:

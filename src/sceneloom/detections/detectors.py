@@ -15,7 +15,7 @@ Given what is there, detectors err independently of one another, so the ratios o
 
     odds(e | both) = odds(s_3d) odds(s_2d) / odds(π).
 
-Two false boxes seldom fall on one location: the smaller π, the more an agreement says. A detector that had to see the
+Two false boxes seldom coincide: the smaller π, the more an agreement says. A detector that had to see the
 object and reports nothing reports too, with its chance D to find what is there:
 
     odds(e | box, none) = odds(s) (1 - D),

@@ -19,7 +19,7 @@ h(x), but for noise with the variances R. With the slopes H of h Kalman's update
 
     K = P Hᵀ (H P Hᵀ + R)⁻¹,   x' = x + K (z - h(x)),   P' = P - K H P,   the same as   P'⁻¹ = P⁻¹ + Hᵀ R⁻¹ H.
 
-The width of the partner states nothing: boxes of people in sweeps hold their arms and steps, those in images less.
+The width of the partner is not used: boxes of people in sweeps hold their arms and steps, those in images less.
 Of a box that the border of the image may cut across, only what is upright counts, and the other way round.
 
 Source: Kalman 1960, "A New Approach to Linear Filtering and Prediction Problems"; Thrun, Burgard and Fox 2005,

@@ -10,7 +10,7 @@ computes):
 
 D the share of objects shown openly that the detector of images finds, v how openly the image shows the location: in
 full from some height in pixels and some seen share on, not at all for what is tiny, hidden or out of the image. A
-score that is no number states nothing.
+score that is no number carries no information.
 
 A camera may be worse than it was when D was fitted: by night, in rain, or with another network behind it. So D is of
 two kinds, with the odds w that an image is of the poor kind (recall D') or not, by all other objects of the sweep:
@@ -91,7 +91,7 @@ def _row(own: ClassStatistics, recall_2d: float | None, recall_3d: float | None)
     row[columns.BOTH_BASE : columns.BOTH_OVERLAP + 1] = both.base, both.sweep, both.image, both.overlap
     row[columns.RECALL_2D] = min(found_2d, _SUREST)
     row[columns.WEAK_RECALL_2D] = min(poorly_2d, _SUREST)
-    # silence that states nothing states nothing of how well the camera works, either
+    # a missing detection that carries no information says nothing about the camera, either
     row[columns.WEAK_SHARE] = visibility.weak_share if found_2d > poorly_2d else 0.0
     row[columns.LOW_PX], row[columns.HIGH_PX] = visibility.heights_px
     row[columns.SEEN_SHARE] = max(visibility.seen_share, _LEAST)

@@ -889,7 +889,7 @@ def _doubts_of(alignment: _Alignment, pairs: Pairs, aligned: MatchedPoses) -> li
         )
         return [*found, _warning("no-orientations", message)]
     rotation, strays_deg = _rotation_of_axes(ours, theirs)
-    # a trajectory that hardly reports the alignment's rotation states nothing about that of the axes, either
+    # a trajectory that hardly determines the alignment's rotation does not determine that of the axes, either
     if not found and rotation > _ROTATED_DEG and strays_deg < _STEADY * rotation:
         message = (
             f"the device's axes differ by a steady rotation of {rotation:.1f}° (single poses stray by "

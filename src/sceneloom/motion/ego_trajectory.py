@@ -344,7 +344,7 @@ def _left_behind(scene: Scene) -> tuple[DataWarning, ...]:
     names = ", ".join(scene.trajectories)
     message = (
         f"annotations stand in the world of the recorded trajectory ({names}) and were left there; the world of the "
-        "fixes has its axes east, north and up at the first of them, so that they may be out of location"
+        "fixes has its axes east, north and up at the first of them, so that they may be misplaced"
     )
     location, count = f"{scene.source}: annotations", len(scene.annotations)
     return (

@@ -200,7 +200,7 @@ class LidarFrame:
     def reference_ns(self) -> int:
         """The time by which the sweep is paired with images: the median of its point times.
 
-        It is the sweep's start where the points have no times, or all the same one, which states nothing about when
+        It is the sweep's start where the points have no times, or all the same one, which does not say when
         they were measured.
         """
         times = self.points.timestamps_ns

@@ -62,11 +62,11 @@ class EgoMotion:
         return cls(trajectory.name, trajectory.poses, covariances=trajectory.covariances)
 
     def moved(self, origin_world: Float64Array) -> "EgoMotion":
-        """The same way seen from another origin, (3,) float64 [m]; the axes stay."""
+        """The same trajectory seen from another origin, (3,) float64 [m]; the axes stay."""
         return replace(self, path=self.path.moved(origin_world))
 
     def seen_from(self, world_from_here: RigidTransform) -> "EgoMotion":
-        """The same way in another world, whose axes may be rotated."""
+        """The same trajectory in another world, whose axes may be rotated."""
         rotation = world_from_here.rotation
         path = Poses(
             self.path.timestamps_ns,

@@ -165,7 +165,7 @@ class FramesByTimestamp(Generic[_Timestamped]):
             self._timestamps_ns, self._rows = self._timestamps_ns[order], order.tolist()
 
     def read(self, index: int) -> tuple[_Timestamped, int]:
-        """Read a frame, and notify its time [ns]."""
+        """Read a frame, and give its time [ns]."""
         frame = self.frames[index]
         return frame, frame.timestamp_ns
 

@@ -219,7 +219,7 @@ class FlagKind(StrEnum):
     SIZE = "size change"
     """Its size changes."""
     YAW_FLIP = "yaw flip"
-    """Its heading rotates about from one state to the next."""
+    """Its heading flips from one state to the next."""
     YAW_JITTER = "yaw jitter"
     """Its heading jumps to and fro."""
     AGAINST_MOTION = "heads against motion"

@@ -31,7 +31,7 @@ class TrackerSettings:
         prior: share of the locations at which a detector could report something that hold an object, as in the fusion.
         trust: how much one more moment counts, 0 to 1: detectors repeat their mistakes from one moment to the next.
         lifetime: how long objects stay in view [s].
-        report: objects are distinguished from this probability of existence on, 0 to 1.
+        report: objects are reported from this existence probability on, 0 to 1.
         drop: they are forgotten below this one.
         longest_gap: an object without any box for so long is forgotten [s].
         vehicle_density, person_density: how many boxes of other things lie around a vehicle and a person [1/m²].

@@ -172,7 +172,7 @@ _VEHICLE_YAW_SIGMA, _PERSON_YAW_SIGMA = 0.1, 0.4
 """Deviation of headings whose fusion does not give it [rad]."""
 
 _SEEN_ALONG = 9.0
-"""Of a box of images alone: how often its variance along the visibility is taken. The same guess of the object's height
+"""Of a box of images alone: how often its variance along the ray is taken. The same guess of the object's height
 errs the same way every time."""
 
 
@@ -341,7 +341,7 @@ def _columns(fused: FusedBoxes, rows: Int64Array, world_from_lidar: RigidTransfo
 
 
 def _stretched(covariances: Float64Array, centers: Float64Array) -> Float64Array:
-    """The covariances, wider along the visibility."""
+    """The covariances, wider along the ray."""
     rays = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-9)
     along = np.einsum("ni,nij,nj->n", rays, covariances, rays)
     wider: Float64Array = covariances + ((_SEEN_ALONG - 1.0) * along)[:, None, None] * (

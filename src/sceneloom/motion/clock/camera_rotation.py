@@ -90,7 +90,7 @@ def rotation_between(first: Float64Array, second: Float64Array) -> BearingRotati
 def _influences(rows: Float64Array, rotation: Float64Array) -> Float64Array:
     """What share each direction has in a rotation about the axis of the rotation that was found.
 
-    Were a direction alone to see a larger rotate, the solution's rotation would grow by its share of that.
+    If a single direction saw a larger rotation, the solution's rotation would grow by its share of that.
 
     Args:
         rows: (2 N + 2, 9), of the least squares.
@@ -117,7 +117,7 @@ _HELD[0, 3] = _HELD[1, 4] = 1.0 / 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
-    """How far directions differ, and what a small rotation and another way would change of it.
+    """How far directions differ, and how a small rotation and another direction of motion change that.
 
     Attributes:
         ahead: (3,), where the camera goes.
@@ -143,7 +143,7 @@ class _View:
         across = np.cross(rotated, along)
         sideways = np.linalg.svd(ahead[None])[2][1:]
         nearness = reach * np.hstack([np.ones((len(rotated), 1)), rotated])
-        # apart changes by -δ × rotated, across the circle by the way's direction, too
+        # apart changes by -δ × rotated, across the circle by the direction of motion, too
         slopes = np.zeros((len(rotated), 2, 9))
         slopes[:, 0, :3], slopes[:, 1, :3] = np.cross(rotated, along), np.cross(rotated, across)
         slopes[:, 1, 3:5] = np.cross(rotated, second) @ sideways.T / reach

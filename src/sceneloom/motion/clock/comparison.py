@@ -31,10 +31,10 @@ from sceneloom.motion.clock.signals import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Steps:
-    """Rotates of a body from one time to another, and which of them are taken as one.
+    """Rotations of a body from one time to another, and which of them form a group.
 
     Attributes:
-        starts, stops: (N,) float64 [s] after an origin that is distinguished.
+        starts, stops: (N,) float64 [s] after a given origin.
         vectors: (N, 3) float64 [rad], rotation vectors in the body's frame.
         begins: (G,) int64, number of the first rotation of each group; a group ends where the next begins.
         chunks: (G,) int64, which piece without gaps each group lies in.
@@ -666,7 +666,7 @@ _BLOCKS = 8
 """Into so many parts a drive is cut, to see whether their offsets scatter as they should."""
 
 _PIECE = 60.0
-"""Seconds of a piece whose offset is distinguished."""
+"""Length of a chunk whose offset is reported [s]."""
 
 _FINEST = 1e-6
 """No timestamps are better than a microsecond [s]."""
@@ -1102,7 +1102,7 @@ _MOST_COMMON = 86_400.0
 """No drive is longer [s]: wrong times of both are not to be searched in millions of parts."""
 
 _GRID = 0.02
-"""Step of the coarse search [s]; rotates of bodies that people and cars carry are slower."""
+"""Step of the coarse search [s]; rotations of bodies that people and cars carry are slower."""
 
 _PART = 120.0
 """Seconds that are searched at once: a clock that is 200 ppm too fast moves 24 ms on in them."""
@@ -1133,7 +1133,7 @@ def compare_rotations(
     """Find the offset and the skew of a stream's clock from the rotating that two streams report.
 
     The streams may have any rates and gaps, their bodies any constant rotation between them, and either a constant
-    bias. First the lag is searched at which the angular velocities are most alike; then rotates from sample to sample
+    bias. First the lag is searched at which the angular velocities are most alike; then rotations from sample to sample
     of the slower stream are fitted by those of the other one between the same times, with offset, skew, rotation and
     bias free at once.
 
@@ -1243,7 +1243,7 @@ class _Pair:
         return [replace(peak, lag=peak.lag - shift) for peak in peaks]
 
     def fitted(self, line: _Line, peak: _Peak) -> _Candidate | None:
-        """Refine an offset over rotates that are as short as the noise allows."""
+        """Refine an offset over rotations that are as short as the noise allows."""
         own = self.coarse.step_ns * 1e-9
         start = np.array([line.offset, line.slope, 0.0, 0.0, 0.0])
         chosen: tuple[_RotatingModel, _Fit] | None = None
@@ -1268,7 +1268,7 @@ class _Pair:
 
 
 class _RotatingModel:
-    """Rotates of the slower stream, reported by the curve of the other one: offset, skew, three of rotation."""
+    """Rotations of the slower stream, predicted by the curve of the other one: offset, skew, three of rotation."""
 
     def __init__(self, pair: _Pair, steps: _Steps, coarse_from_fine: Float64Array) -> None:
         self.pair, self.steps, self.rotation = pair, steps, coarse_from_fine
@@ -1380,7 +1380,7 @@ _TRAJECTORY_CLOCK_FAR_LESS = 100.0
 """Offsets that are less likely than the best by so much in the logarithm are not looked at any further."""
 
 _FAR = 1.0
-"""Longer windows notify an offset better, not another one [s]."""
+"""Longer windows sharpen an offset and do not change it [s]."""
 
 _MOST_WORSE = 0.15
 """Logarithm of how much more may be left of the fixes over longer windows.

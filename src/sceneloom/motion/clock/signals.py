@@ -242,7 +242,7 @@ class SmoothedTrajectory(Protocol):
         ...
 
     def finer(self, amounts: Float64Array) -> "SmoothedTrajectory | None":
-        """Give the same way for longer windows, where there is one, and what the last fit's drifts came to, (W, E)."""
+        """Give the same trajectory for longer windows, if any; `amounts` (W, E): the drifts of the last fit."""
         ...
 
 

@@ -379,7 +379,7 @@ class _ReportedMotion:
         trajectory: makes the trajectory from the time that its seconds count from, or None.
         ego_from_body: (3, 3), the rotation from the body that becomes the ego's frame, as far as it is known.
         location: (3,) [m], where on the ego the fixes are of, where that is known.
-        why_not: why it states nothing.
+        why_not: why it reports neither.
     """
 
     rotating: Orientations | None = None

@@ -386,10 +386,10 @@ def _at(wanted_ns: Int64Array, times_ns: Int64Array, values: Float64Array) -> Fl
 
 
 _LONGEST_PERIOD = 1.0
-"""Samples of an IMU farther apart on the whole [s] notify nothing of the motion between them."""
+"""Samples of an IMU farther apart on the whole [s] do not determine the motion between them."""
 
 _LONGEST_STEP = 60.0
-"""Fixes farther apart on the whole [s] notify of a trajectory only where an IMU leads on between."""
+"""Fixes farther apart on the whole [s] give a trajectory only with an IMU in between."""
 
 _HINT = "are the times in milliseconds, where seconds are expected?"
 

@@ -17,9 +17,8 @@ from sceneloom.db34t.records import ENCODINGS, FusedDetections, SensorFusionData
 from sceneloom.db34t.scene_objects import lidar_frame_of_result, rgb_of_pixels
 from sceneloom.db34t.types import bytes_of
 from sceneloom.errors import OptionError
-from sceneloom.formats.base.images import write_depth_png
+from sceneloom.formats.base.images import encode_jpeg, write_depth_png
 from sceneloom.formats.base.output import filling, replacing
-from sceneloom.formats.sfs.spool import encode_jpeg
 from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.frames import LazyFrames

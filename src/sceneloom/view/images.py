@@ -16,8 +16,7 @@ from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
 from sceneloom.editing.cameras import undistort_scene
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.base.files import check_regular, file_faults, open_file
-from sceneloom.formats.base.images import read_depth_png
-from sceneloom.formats.sfs.spool import encode_jpeg
+from sceneloom.formats.base.images import encode_jpeg, read_depth_png
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import CameraCalibration
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame

@@ -19,6 +19,7 @@ from typing import Any, BinaryIO, Protocol, Self
 from urllib.parse import unquote, urlsplit
 
 from sceneloom.errors import DataError, MissingExtraError, redacted
+from sceneloom.lazy import imported
 
 _URL = re.compile(r"[a-zA-Z][a-zA-Z0-9+.-]+(::[a-zA-Z][a-zA-Z0-9+.-]+)*://")
 """A scheme of two letters or more, which no drive has, or several, as fsspec chains them."""
@@ -407,11 +408,13 @@ def late_fingerprint(location: str) -> str:
         return found
 
 
-def _remote_files(url: str) -> list[tuple[str, int, str]]:
-    from sceneloom.formats.remote.mirror import remote_contents
+_REMOTE_CONTENTS = "sceneloom.formats.remote.mirror:remote_contents"
+"""What lists a folder behind a URL; imported where one is asked for."""
 
+
+def _remote_files(url: str) -> list[tuple[str, int, str]]:
     try:
-        found = remote_contents(url)
+        found: list[tuple[str, int, str]] | None = imported(_REMOTE_CONTENTS)(url)
     except (DataError, MissingExtraError) as error:
         if error.passing:
             raise

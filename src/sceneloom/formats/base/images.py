@@ -554,3 +554,21 @@ def _check(depth_image: Float32Array) -> None:
         raise ArrayError(
             f"depth_image[{row}, {column}]: {depth_image[row, column]}; expected metres, 0 where there is no depth"
         )
+
+
+JPEG_QUALITY = 95
+"""Images of scenes shrink little more with more effort, at many times the time."""
+
+
+def encode_jpeg(rgb: UInt8Array, *, quality: int = JPEG_QUALITY, subsampling: str = "444") -> bytes:
+    """Encode an image (H, W, 3) uint8; unless it is stated otherwise, with full colour resolution.
+
+    Args:
+        rgb: the image.
+        quality: 1 to 100.
+        subsampling: "444" for full colour resolution, "420" for half of it.
+    """
+    from simplejpeg import encode_jpeg as encode
+
+    content: bytes = encode(np.ascontiguousarray(rgb), quality, "RGB", subsampling)
+    return content

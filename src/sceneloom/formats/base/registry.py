@@ -415,12 +415,15 @@ def _read_by_ranges(url: str, format: str | None) -> bool:
     return any(form.reads_urls and suffix in form.suffixes for form in all_formats())
 
 
+_FETCH = "sceneloom.formats.remote.mirror:fetch"
+_UPLOADING = "sceneloom.formats.remote.uploads:uploading"
+"""What brings files from URLs and to URLs; imported where one is given."""
+
+
 def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Scene:
     """Open a file that is fetched, or a folder whose files are when they are read; they go when the scene is closed."""
-    from sceneloom.formats.remote.mirror import fetch
-
     with stage("fetching"):
-        fetched = fetch(url)
+        fetched = imported(_FETCH)(url)
     try:
         scene = open_scene(fetched.path, format=format, **options)
     except BaseException as error:
@@ -522,9 +525,7 @@ def write_scene(
         OptionError: no format has that suffix or name.
     """
     if is_url(path):
-        from sceneloom.formats.remote.uploads import uploading
-
-        with uploading(str(path), overwrite=overwrite) as draft:
+        with imported(_UPLOADING)(str(path), overwrite=overwrite) as draft:
             return write_scene(scene, draft, format=format, **options)
     where = Path(path)
     form = format_for_output(where) if format is None else format_named(format)

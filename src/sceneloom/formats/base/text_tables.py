@@ -12,6 +12,7 @@ from decimal import Decimal, InvalidOperation
 from difflib import get_close_matches
 from math import isfinite
 from pathlib import Path
+from types import MappingProxyType
 
 import msgspec
 import numpy as np
@@ -19,7 +20,11 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import read_bytes
-from sceneloom.formats.points.mapping import UNITS_NS
+
+UNITS_NS: Mapping[str, int] = MappingProxyType(
+    {"seconds": 1_000_000_000, "milliseconds": 1_000_000, "microseconds": 1_000, "nanoseconds": 1}
+)
+"""Nanoseconds in each unit of time."""
 
 FARTHEST_NS = 9_200_000_000_000_000_000
 """Timestamps within plus or minus this fit into int64."""
@@ -123,6 +128,28 @@ TIME_COLUMNS = (
     *(*_SECONDS, "nanoseconds", "utc"),
 )
 """Names by which columns are known."""
+
+POSE_COLUMNS: Mapping[str, Sequence[str]] = {
+    "time": TIME_COLUMNS,
+    "x": ("x", "tx", "px", "pos_x", "position_x", "p_x", "x_m"),
+    "y": ("y", "ty", "py", "pos_y", "position_y", "p_y", "y_m"),
+    "z": ("z", "tz", "pz", "pos_z", "position_z", "p_z", "z_m"),
+    "qx": ("qx", "q_x", "orientation_x", "quat_x", "rot_x"),
+    "qy": ("qy", "q_y", "orientation_y", "quat_y", "rot_y"),
+    "qz": ("qz", "q_z", "orientation_z", "quat_z", "rot_z"),
+    "qw": ("qw", "q_w", "orientation_w", "quat_w", "rot_w"),
+}
+"""The columns of a CSV file by what they are."""
+
+GNSS_COLUMNS: Mapping[str, Sequence[str]] = {
+    "time": TIME_COLUMNS,
+    "latitude": ("latitude", "lat", "latitude_deg"),
+    "longitude": ("longitude", "lon", "lng", "long", "longitude_deg"),
+    "altitude": ("altitude", "alt", "height", "altitude_m", "ellipsoidal_height"),
+    "accuracy": ("accuracy", "horizontal_accuracy", "hacc", "accuracy_m"),
+    "vertical_accuracy": ("vertical_accuracy", "vacc", "vertical_accuracy_m"),
+}
+
 
 _PARTS_OF_SECONDS = (
     *("nanoseconds", "nanosecs", "nanosec", "nsecs", "nsec"),
@@ -466,3 +493,18 @@ def nanoseconds(seconds: Float64Array) -> Int64Array:
     scaled = seconds * 1e9
     np.rint(scaled, out=scaled)
     return np.clip(scaled, -(2.0**63), 2.0**63 - 1024, out=scaled).astype(np.int64)
+
+
+def line_timestamps(path: Path, unit: str | None) -> Int64Array:
+    """The times of a text file with one per line, (N,) int64 [ns].
+
+    Raises:
+        DataError: a line is no time.
+    """
+    timestamps = []
+    for number, line in read_lines(path):
+        try:
+            timestamps.append(parse_timestamp(line, unit))
+        except TimestampError as error:
+            raise DataError(path, f"line {number}", str(error)) from None
+    return np.array(timestamps, np.int64)

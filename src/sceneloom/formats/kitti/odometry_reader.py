@@ -12,6 +12,7 @@ from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import images_image_size
+from sceneloom.formats.base.text_tables import line_timestamps
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration, rotation_of
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.sensors import LIDAR_ID, POINT_BYTES, camera_sensor, kitti_metadata, lidar_sensor
@@ -31,7 +32,6 @@ from sceneloom.formats.kitti.text import (
     numbered_files,
     read_lines,
 )
-from sceneloom.formats.rig.manifest import line_timestamps
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import quaternion_from_matrix
 from sceneloom.scene.annotations import Annotation, LabeledPoints, LabeledPointsAnnotation

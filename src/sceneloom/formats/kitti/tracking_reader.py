@@ -16,6 +16,7 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import file_faults, open_file, read_bytes
 from sceneloom.formats.base.images import images_image_size as size_of_image
+from sceneloom.formats.base.text_tables import line_timestamps
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
 from sceneloom.formats.kitti.labels import (
     CENTRE_TO_CORNER,
@@ -55,7 +56,6 @@ from sceneloom.formats.kitti.text import (
     note_unread,
     numbered_files,
 )
-from sceneloom.formats.rig.manifest import line_timestamps
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import Annotation
 from sceneloom.scene.cameras import CameraImage, CameraSensor

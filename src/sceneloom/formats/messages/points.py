@@ -12,12 +12,12 @@ from sceneloom.arrays import AnyArray, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.text_tables import UNITS_NS
 from sceneloom.formats.messages.frames import Locations
 from sceneloom.formats.messages.records import CloudRecord, PackedField, Stated, Topic, TopicLog
 from sceneloom.formats.messages.survey import Survey, in_order
 from sceneloom.formats.points.cloud import MOST_POINTS, Cloud, find_roles, unique_names
 from sceneloom.formats.points.mapping import (
-    UNITS_NS,
     IntensityScale,
     PointMapping,
     PointTimes,

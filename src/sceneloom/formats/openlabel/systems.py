@@ -9,9 +9,8 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import lengths_of
-from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
+from sceneloom.formats.base.text_tables import UNITS_NS, TimestampError, parse_timestamp
 from sceneloom.formats.openlabel.document import Part
-from sceneloom.formats.points.mapping import UNITS_NS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import (
     matrix_from_quaternion,

@@ -9,16 +9,12 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Int64Array, UInt8Array, UInt16Array, read_only
 from sceneloom.errors import DataError
+from sceneloom.formats.base.text_tables import UNITS_NS
 from sceneloom.formats.points.cloud import Cloud, find_roles
 from sceneloom.scene.clouds import LidarPoints
 
 _FARTHEST_POINT_TIME_NS = 10_000_000_000
 """A point that is farther than this from its file's timestamp has another unit or another clock."""
-
-UNITS_NS: Mapping[str, int] = MappingProxyType(
-    {"seconds": 1_000_000_000, "milliseconds": 1_000_000, "microseconds": 1_000, "nanoseconds": 1}
-)
-"""Nanoseconds in each unit of time."""
 
 _INTENSITY_SCALES = (1.0, 255.0, 65535.0)
 """The brightest value of the usual scales."""

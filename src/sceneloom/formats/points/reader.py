@@ -14,10 +14,10 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.text_tables import UNITS_NS
 from sceneloom.formats.points.cloud import Cloud, FieldLayout, find_roles
 from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.points.mapping import (
-    UNITS_NS,
     IntensityScale,
     PointMapping,
     PointTimes,
@@ -505,7 +505,7 @@ def _counted_times(folder: _CloudFolder, numbers: list[int], rate_hz: float) -> 
 def _listed_times(
     listed: Path, files: tuple[Path, ...], ledger: Ledger
 ) -> tuple[Int64Array, tuple[Path, ...]]:
-    from sceneloom.formats.rig.manifest import line_timestamps
+    from sceneloom.formats.base.text_tables import line_timestamps
 
     times = line_timestamps(listed, None)
     if len(times) != len(files):

@@ -14,11 +14,11 @@ from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.cameras.fitting import nearest
 from sceneloom.editing.thin import FIRST, evenly, one_per_cube
 from sceneloom.errors import OptionError, PoseError
+from sceneloom.formats.base.images import encode_jpeg
 from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.formats.base.output import file_stems
 from sceneloom.formats.base.poses import ego_in_world
 from sceneloom.formats.posed_images.spec import PosedSettings
-from sceneloom.formats.sfs.spool import encode_jpeg
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.scene.cameras import CameraImage, CameraSensor

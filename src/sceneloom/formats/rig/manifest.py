@@ -25,14 +25,14 @@ from sceneloom.formats.base.text_tables import (
     FILE_COLUMNS,
     PLACEHOLDERS,
     TIME_COLUMNS,
+    UNITS_NS,
     Table,
     TimestampError,
+    line_timestamps,
     parse_timestamp,
-    read_lines,
     read_table,
     shifted,
 )
-from sceneloom.formats.points.mapping import UNITS_NS
 from sceneloom.geometry.euler import ORDERS
 from sceneloom.warnings import WarningKind
 
@@ -1164,21 +1164,6 @@ _TRAJECTORIES: Mapping[str, Callable[[TimeSource, Sequence[str]], tuple[Int64Arr
     "lines": TimeSource.by_lines,
     "rate_hz": TimeSource.by_rate,
 }
-
-
-def line_timestamps(path: Path, unit: str | None) -> Int64Array:
-    """The times of a text file with one per line, (N,) int64 [ns].
-
-    Raises:
-        DataError: a line is no time.
-    """
-    timestamps = []
-    for number, line in read_lines(path):
-        try:
-            timestamps.append(parse_timestamp(line, unit))
-        except TimestampError as error:
-            raise DataError(path, f"line {number}", str(error)) from None
-    return np.array(timestamps, np.int64)
 
 
 class NamePattern:

@@ -19,7 +19,16 @@ from sceneloom.errors import CalibrationError, DataError, OptionError, Sceneloom
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.images import IMAGE_SUFFIXES, ImageReader, images_image_size
 from sceneloom.formats.base.poses import GREATEST_NORM_ERROR, PoseRows, default_poses
-from sceneloom.formats.base.text_tables import TIME_COLUMNS, Table, pick_columns, read_table, shifted
+from sceneloom.formats.base.text_tables import (
+    GNSS_COLUMNS,
+    POSE_COLUMNS,
+    TIME_COLUMNS,
+    Table,
+    line_timestamps,
+    pick_columns,
+    read_table,
+    shifted,
+)
 from sceneloom.formats.points.cloud import ALIASES, ROW_ALIASES, Cloud, FieldLayout, find_roles, parse_layout
 from sceneloom.formats.points.files import CLOUD_SUFFIXES, cloud_suffix, read_cloud
 from sceneloom.formats.points.mapping import (
@@ -40,7 +49,6 @@ from sceneloom.formats.rig.manifest import (
     TimeSource,
     Timestamps,
     drop_unreadable,
-    line_timestamps,
     open_root,
     read_manifest,
 )
@@ -312,19 +320,6 @@ class FrameTree:
                 f"{self._loop(edge)} by "
                 f"{shift:.3g} m and {np.degrees(rotation):.3g}°; is one of these transforms the other way round?"
             )
-
-
-POSE_COLUMNS: Mapping[str, Sequence[str]] = {
-    "time": TIME_COLUMNS,
-    "x": ("x", "tx", "px", "pos_x", "position_x", "p_x", "x_m"),
-    "y": ("y", "ty", "py", "pos_y", "position_y", "p_y", "y_m"),
-    "z": ("z", "tz", "pz", "pos_z", "position_z", "p_z", "z_m"),
-    "qx": ("qx", "q_x", "orientation_x", "quat_x", "rot_x"),
-    "qy": ("qy", "q_y", "orientation_y", "quat_y", "rot_y"),
-    "qz": ("qz", "q_z", "orientation_z", "quat_z", "rot_z"),
-    "qw": ("qw", "q_w", "orientation_w", "quat_w", "rot_w"),
-}
-"""The columns of a CSV file by what they are."""
 
 
 def _build_trajectory(
@@ -1187,16 +1182,6 @@ _IMU_COLUMNS: Mapping[str, Sequence[str]] = {
     "gx": ("gx", "wx", "gyro_x", "gyr_x", "w_x", "angular_velocity_x", "omega_x"),
     "gy": ("gy", "wy", "gyro_y", "gyr_y", "w_y", "angular_velocity_y", "omega_y"),
     "gz": ("gz", "wz", "gyro_z", "gyr_z", "w_z", "angular_velocity_z", "omega_z"),
-}
-
-
-GNSS_COLUMNS: Mapping[str, Sequence[str]] = {
-    "time": TIME_COLUMNS,
-    "latitude": ("latitude", "lat", "latitude_deg"),
-    "longitude": ("longitude", "lon", "lng", "long", "longitude_deg"),
-    "altitude": ("altitude", "alt", "height", "altitude_m", "ellipsoidal_height"),
-    "accuracy": ("accuracy", "horizontal_accuracy", "hacc", "accuracy_m"),
-    "vertical_accuracy": ("vertical_accuracy", "vacc", "vertical_accuracy_m"),
 }
 
 

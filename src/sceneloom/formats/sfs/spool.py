@@ -18,9 +18,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array
+from sceneloom.arrays import AnyArray, Float32Array, Int64Array
 from sceneloom.errors import ArrayError, DataError, OptionError
 from sceneloom.formats.base.files import open_file
+from sceneloom.formats.base.images import JPEG_QUALITY, encode_jpeg
 from sceneloom.formats.base.losses import Loss, Support, joined
 from sceneloom.formats.sfs.clock import UINT32_MAX, UINT64_MAX, FileClock, chosen_offset_ns
 from sceneloom.formats.sfs.images import declared_length, is_mp4
@@ -664,8 +665,6 @@ class CloudWriter:
             )
 
 
-_JPEG_QUALITY = 95
-
 _JPEG_START = b"\xff\xd8\xff"
 
 _USUAL_FPS = 10.0
@@ -731,7 +730,7 @@ class ImageWriter:
         """Write one image as a JPEG, copied where it is one already."""
         encoded = None if image.encoded is None else image.encoded()
         if encoded is None or not (self.verbatim or encoded.startswith(_JPEG_START)):
-            what = f"encoded as JPEG of quality {_JPEG_QUALITY}"
+            what = f"encoded as JPEG of quality {JPEG_QUALITY}"
             self.losses.add(f"{camera.draft.location}.images[].content", what, support=Support.APPROXIMATED)
             encoded = encode_jpeg(image.rgb)
         start_ns = image.timestamp_ns - self._half_exposure_ns(camera, image)
@@ -786,20 +785,6 @@ class ImageWriter:
         blob = self.spool.add_file(file)
         file.unlink()
         return blob
-
-
-def encode_jpeg(rgb: UInt8Array, *, quality: int = _JPEG_QUALITY, subsampling: str = "444") -> bytes:
-    """Encode an image (H, W, 3) uint8; unless it is stated otherwise, with full colour resolution.
-
-    Args:
-        rgb: the image.
-        quality: 1 to 100.
-        subsampling: "444" for full colour resolution, "420" for half of it.
-    """
-    from simplejpeg import encode_jpeg as encode
-
-    content: bytes = encode(np.ascontiguousarray(rgb), quality, "RGB", subsampling)
-    return content
 
 
 def _copy_mp4(video: VideoContent, target: Path) -> bool:

@@ -1,9 +1,8 @@
 """The table of trajectory formats; a trajectory read from and written to any of them, or read from a scene."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,9 @@ from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import replacing_together
 from sceneloom.formats.base.registry import chosen_corrections, claims_of, format_and_location, format_names
 from sceneloom.formats.base.spec import FormatSpec
-from sceneloom.formats.trajectories import jsonl, text_formats
 from sceneloom.formats.trajectories.text_formats import of_fixes
 from sceneloom.formats.trajectories.trajectory_file import Reading, TrajectoryFile, TrajectoryForm, beginning
+from sceneloom.lazy import imported
 from sceneloom.motion.ego_trajectory import GNSS, RESERVED, usable_fixes
 from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Poses, Trajectory
@@ -163,19 +162,31 @@ def _rotated(content: TrajectoryFile, here_from_there: Float64Array) -> Trajecto
     return replace(content, trajectory=trajectory, columns=columns)
 
 
-TRAJECTORY_FORMS: Mapping[str, TrajectoryForm] = MappingProxyType(
-    {
-        form.name: form
-        for form in (
-            text_formats.TUM,
-            text_formats.KITTI,
-            text_formats.EUROC,
-            text_formats.GNSS,
-            text_formats.NAMED_COLUMNS,
-            jsonl.JSONL,
-        )
-    }
-)
+_FORM_LOCATIONS = {
+    "tum": "sceneloom.formats.trajectories.text_formats:TUM",
+    "kitti": "sceneloom.formats.trajectories.text_formats:KITTI",
+    "euroc": "sceneloom.formats.trajectories.text_formats:EUROC",
+    "gnss": "sceneloom.formats.trajectories.text_formats:GNSS",
+    "csv": "sceneloom.formats.trajectories.text_formats:NAMED_COLUMNS",
+    "jsonl": "sceneloom.formats.recording.pose_lines:JSONL",
+}
+
+
+class _Forms(Mapping[str, TrajectoryForm]):
+    """The forms by name; each is imported when it is asked for."""
+
+    def __getitem__(self, name: str) -> TrajectoryForm:
+        form: TrajectoryForm = imported(_FORM_LOCATIONS[name])
+        return form
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_FORM_LOCATIONS)
+
+    def __len__(self) -> int:
+        return len(_FORM_LOCATIONS)
+
+
+TRAJECTORY_FORMS: Mapping[str, TrajectoryForm] = _Forms()
 """The forms of files by name; of two that recognise a file the first counts."""
 
 _FORM_NAMES = tuple(TRAJECTORY_FORMS)
@@ -229,7 +240,7 @@ def read_trajectory_file(
         origin_lla=None if origin_lla is None else _origin(origin_lla),
     )
     chosen = _form_named(form) if form is not None else find_form(where)
-    if form is None and chosen is jsonl.JSONL and _is_scene_name(reading.name):
+    if form is None and chosen is not None and chosen.name == "jsonl" and _is_scene_name(reading.name):
         chosen = None
     if times is not None and (chosen is None or chosen.name != "kitti"):
         raise OptionError(
@@ -256,18 +267,16 @@ def _check_used(path: str | Path, form: TrajectoryForm | None, reading: Reading)
         OptionError: naming the option, and what it is for.
     """
     what = "scenes" if form is None else f"the form {form.name!r}"
-    if reading.rate_hz is not None and form is not text_formats.KITTI:
+    if reading.rate_hz is not None and (form is None or form.name != "kitti"):
         raise OptionError(
             f"{path}: {what} has its own times; the rate {reading.rate_hz:g} Hz would not be used, and is for KITTI's "
             "poses: leave it out"
         )
-    if reading.unit is not None and (
-        form is None or (form is text_formats.KITTI and reading.rate_hz is not None)
-    ):
+    if reading.unit is not None and (form is None or (form.name == "kitti" and reading.rate_hz is not None)):
         raise OptionError(
             f"{path}: no times in a text are read here; the unit {reading.unit!r} would not be used: leave it out"
         )
-    if reading.origin_lla is not None and form not in (None, text_formats.GNSS):
+    if reading.origin_lla is not None and form is not None and form.name != "gnss":
         raise OptionError(
             f"{path}: {what} has positions in metres; the origin would not be used, and is for satellite fixes: "
             "leave it out"

@@ -14,14 +14,15 @@ from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.base.poses import PoseRows
 from sceneloom.formats.base.text_tables import (
     FARTHEST_NS,
+    GNSS_COLUMNS,
+    POSE_COLUMNS,
     TIME_COLUMNS,
     Table,
+    line_timestamps,
     pick_columns,
     read_table,
     seconds_text,
 )
-from sceneloom.formats.rig.manifest import line_timestamps
-from sceneloom.formats.rig.reader import GNSS_COLUMNS, POSE_COLUMNS
 from sceneloom.formats.trajectories.trajectory_file import (
     FIXES,
     LOCATIONS,

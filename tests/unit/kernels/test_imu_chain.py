@@ -8,7 +8,7 @@ import pytest
 
 from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
 from sceneloom.kernels.imu_chain import chain_covariances, solve_chain
-from sceneloom.motion.gnss_imu.measurements import Preintegrated, preintegrated
+from sceneloom.motion.gnss_imu.measurements import InertialSamples, Preintegrated
 from sceneloom.simulate.drive import GRAVITY, ImuSpec, imu_truth
 from sceneloom.simulate.trajectory import EgoPath, PathSpec, plan_path
 
@@ -28,9 +28,7 @@ def measured(rate_hz: float, path: EgoPath = PATH) -> tuple[np.ndarray, np.ndarr
 
 def summed(times: np.ndarray, values: np.ndarray, bias: np.ndarray, densities=(1e-8, 1e-6)) -> Preintegrated:
     count = len(KNOTS) - 1
-    return preintegrated(
-        times,
-        values,
+    return InertialSamples(times, values, np.empty((0, 2), np.int64)).preintegrated(
         KNOTS,
         biases=np.tile(bias, (count, 1)),
         densities=np.tile(np.array(densities), (count, 1)),

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sceneloom.arrays import finite_rows
-from sceneloom.checks import times
 from sceneloom.report.coverage import CloudStatistics
 from sceneloom.visualization.clouds import layout_map, sample_polyline
 
@@ -35,7 +34,3 @@ def test_lines_with_huge_corners_have_finite_points(far):
 def test_maps_of_locations_that_are_far_off_have_no_infinite_grid(far):
     layout = layout_map((far, -far), 50.0, (640, 480))
     assert len(layout.grid(0, 10.0)) < 1000
-
-
-def test_bounds_of_times_stay_within_64_bits():
-    assert -(2**63) <= times._LEAST_NS < times._MOST_NS < 2**63

@@ -44,7 +44,7 @@ def test_the_whole_conformance_kit_reaches_none_either():
 
 
 def test_missing_kernels_are_compiled_side_by_side_and_reported(monkeypatch, caplog):
-    missing, asked = [f"sceneloom.cameras.{name}" for name in ("pinhole", "fisheye", "cylindrical")], []
+    missing, asked = [f"sceneloom.cameras.{name}" for name in ("perspective", "fisheye", "panorama")], []
 
     class Compiler:
         def __init__(self, command, **_):

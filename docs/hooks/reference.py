@@ -54,5 +54,7 @@ def reference_pages() -> dict[str, str]:
 def _tree(name: str) -> ast.Module | None:
     """The syntax of a package's front, or of a module."""
     location = _SOURCES / Path(*name.split("."))
-    file = next((path for path in (location / "__init__.py", location.with_suffix(".py")) if path.is_file()), None)
+    file = next(
+        (path for path in (location / "__init__.py", location.with_suffix(".py")) if path.is_file()), None
+    )
     return None if file is None else ast.parse(file.read_text("utf-8"))

@@ -214,7 +214,7 @@ COMMANDS: tuple[Command, ...] = (
     _command("calibrate_target", "calibrate {inputs}/rotated --target 7x5:0.12:1.1x0.86"),
     _command("edit_apply", "edit apply {calibrate_refine}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_to_sensor", "edit to-sensor {inputs}/drive.sfs -o {out}/drive.sfs"),
-    _command("edit_camera_model", "edit camera model {inputs}/drive.sfs -o {out}/drive.sfs --model fisheye"),
+    _command("edit_lens", "edit camera-model {inputs}/drive.sfs -o {out}/drive.sfs --model fisheye"),
     # read only, or files of one trajectory
     _command("from_euroc_mav", "convert {inputs}/MH_01 {out}/drive.sfs"),
     _command("from_rig", "convert {inputs}/rig {out}/drive.sfs"),

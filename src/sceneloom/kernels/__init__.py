@@ -1,1 +1,1 @@
-"""kernels."""
+"""Compiled inner loops, each with a slow oracle in the tests."""

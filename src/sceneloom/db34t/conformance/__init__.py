@@ -1,1 +1,1 @@
-"""conformance."""
+"""The conformance kit: checks of any server of the standard, clause by clause."""

@@ -1,1 +1,1 @@
-"""points."""
+"""Point clouds in files, one per sweep: PCD, PLY, LAS, LAZ, NPZ and plain binary."""

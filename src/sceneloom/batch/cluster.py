@@ -54,11 +54,8 @@ _LASTING = {"distributed.deploy.lost-worker-timeout": "365 days"}
 one that is being started anew then, since it was lost once more, never would be."""
 
 _CONNECTING_SECONDS = 60.0
-
 _COUNTING_SECONDS = 2.0
-
 _CLOSING_SECONDS = 5.0
-
 _ONE_AT_A_TIME = threading.Lock()
 
 

@@ -18,11 +18,8 @@ from sceneloom.batch.running import RunSummary
 from sceneloom.formats.base.output import replacing
 
 _MOST_SHOWN = 20
-
 _WRITE_EVERY_SECONDS = 5.0
-
 _NUMBERS = re.compile(r"\d+(?:\.\d+)?")
-
 _ESCAPES = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})
 
 _PAGE = """<!doctype html>

@@ -183,7 +183,6 @@ _LONGEST = 1e10
 """No drive lasts so long [s]: int64 nanoseconds end before."""
 
 _SHORT = 40
-
 _WILD = frozenset("*?[")
 
 
@@ -412,7 +411,6 @@ def _word(name: str, value: Any) -> str:
 
 
 _PLACEHOLDERS = ("{name}", "{drive}", "{folder}")
-
 _PLACEHOLDER = re.compile("|".join(map(re.escape, _PLACEHOLDERS)))
 
 

@@ -42,9 +42,7 @@ def locked(file: Path, folder: Path) -> Iterator[None]:
 
 
 FOLDER = ".sceneloom-run"
-
 _RECORD, _LOCK, _DRAFTS = "record.sqlite", "lock.sqlite", "drafts"
-
 _VERSION = 1
 
 _TABLES = """

@@ -99,7 +99,6 @@ _SHARE = 0.08
 """Saddles weaker than this share of the strong ones are left out."""
 
 _MOST_SADDLES = 2000
-
 _SEEDS = 80
 
 _SURFACE = 4
@@ -251,13 +250,9 @@ def _facing(corners: Float64Array, board: Board) -> Float64Array:
 
 
 _CELL = 0.12
-
 _REACH = 15.0
-
 _LEAST_POINTS = 40
-
 _FLATNESS = 0.03
-
 _SIZE_SHARE = 0.3
 
 
@@ -412,9 +407,7 @@ def _size_misfit(found: _BoardInCloud, board: Board) -> float:
 
 
 _LEAST_VIEWS = 3
-
 _LEAST_ROTATION = np.radians(10.0)
-
 _PLANE_SIGMA = 0.01
 
 _MIDDLE_SIGMA = 0.02

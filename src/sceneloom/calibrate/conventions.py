@@ -91,7 +91,6 @@ _NEAR, _MOST_POINTS, _LEAST_POINTS = 40.0, 20_000, 200
 _CLEAR, _LEAD = 2.0, 1.2
 """Standard deviations of a clear agreement, which chance does not reach, and by which it leads all others."""
 _AXIS_ROTATIONS, _NEAREST_DEG, _FARTHEST_DEG, _SEED = 24, 2.5, 7.0, 7
-
 _TRANSLATIONS = ("translation", "position", "t", "T", "trans", "xyz")
 _ROTATIONS = ("rotation", "heading", "quaternion", "orientation", "R", "r", "q", "rpy", "rot")
 _MOST_FOUND = 1_000

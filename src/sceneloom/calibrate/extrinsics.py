@@ -91,11 +91,8 @@ def _direction(direction: Float64Array) -> str:
 
 
 _DRAWS = 400
-
 _NEAR_PLANE = 0.12
-
 _STEEPEST = np.cos(np.radians(50.0))
-
 _REACH = 25.0
 
 

@@ -22,22 +22,16 @@ from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame, key_of
 
 _LEAST_LINES, _MOST_LINES = 4, 512
-
 _LEAST_POINTS = 64
-
 _MOST_PEAKS = 160
 
 _ORDERED_SHARE = 0.95
 """Of the steps in the order of a file that goes along its lines, so many rotate the same way."""
 
 _JITTER = np.radians(5.0)
-
 _BIN = np.radians(0.02)
-
 _PEAKED_SHARE = 0.9
-
 _PEAKED_BINS = 0.35
-
 _FEW_SHARE = 0.1
 
 _LEVEL_SHARE = 0.25
@@ -163,7 +157,6 @@ MOST = 20
 """Frames that are taken from a drive unless more are asked for."""
 
 _Kind = TypeVar("_Kind", CameraSensor, LidarSensor)
-
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 _HALF_STEP_NS = 25_000_000

@@ -66,16 +66,13 @@ from sceneloom.scene.types import Identifier
 from sceneloom.warnings import DataWarning
 
 _FINE = (EDGES, INFORMATION)
-
 _WIDE = MEASURES
-
 _FAR_LOOKS = 48
 
 _FAR_DEG = (2.5, 6.0)
 """Rotates so far away that nothing but chance makes images and clouds agree."""
 
 _REPLICATES = 100
-
 _SEED = 0
 
 
@@ -232,7 +229,6 @@ _ROUGH_FROM = 3.0
 """In wider balls some of the features report where to look next."""
 
 _LOOKS_PER_COEFFICIENT = (4.0, 2.5)
-
 _FARTHEST_DEG = 6.0
 
 
@@ -627,7 +623,6 @@ PARTS = ("rotation", "translation", "focal_length", "principal_point", "time_off
 """What images and points are asked about, in the order of the items."""
 
 _OWN_VIEW_M, _OWN_VIEW_DEG = 4.0, 15.0
-
 _LEAST_SEEN, _LEAST_EDGES = 200, 60
 
 _PLAIN = 0.9
@@ -907,11 +902,8 @@ def with_coarse(health: CalibrationHealth, item: Item) -> CalibrationHealth:
 
 
 MOTION = "motion"
-
 _LEAST_STEPS, _LEAST_ROTATION_DEG = 20, 8.0
-
 _BLOCKS = 10
-
 _ROUNDS = 15
 
 

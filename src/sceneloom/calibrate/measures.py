@@ -48,9 +48,7 @@ class Parameter(IntEnum):
 
 
 COUNT = len(Parameter)
-
 ROTATION = (Parameter.PITCH, Parameter.YAW, Parameter.ROLL)
-
 TRANSLATION = (Parameter.RIGHT, Parameter.DOWN, Parameter.AHEAD)
 
 UNITS = np.array([*(np.radians(0.25),) * 3, 0.05, 0.05, 0.05, 0.01, 0.02])
@@ -225,7 +223,6 @@ _SLANT_FACTOR = 2.0
 """A surface that slants so many times as much as where it was last seen explains a jump."""
 
 _NEIGHBOURS = 16
-
 _ISOLATED = 3.0
 
 _SURFACE_DISTANCE = 0.6
@@ -591,7 +588,6 @@ MEASURES = (EDGES, _EDGES_COARSE, INFORMATION)
 """The measures; of all of them more is better."""
 
 _WIDTHS = {EDGES: "fine", _EDGES_COARSE: "coarse"}
-
 _SMOOTHED_BINS = 0.7
 
 _THINNED = 3

@@ -70,7 +70,6 @@ _BRIGHT_SHARE = 0.1
 """Of the steps in intensity along the scan lines the greatest, so many, are edges."""
 
 _LEAST_STEP = 6.0
-
 _STRONGEST_STEP = 60.0
 
 _SMOOTH_SHARE, _LEAST_SMOOTH = 0.02, 0.1
@@ -233,7 +232,6 @@ _STEP_SHARE = 1e-4
 """Derivatives of the camera model are taken over this part of a point's distance."""
 
 _FOCAL_STEP = 1e-4
-
 _SHIFTS = range(Parameter.RIGHT, Parameter.AHEAD + 1)
 
 
@@ -631,14 +629,12 @@ class _Hill:
 
 
 _ROTATIONS = np.arange(3)
-
 _STARTS = 200
 
 _KEPT = (8, 3, 1)
 """So many candidates are followed up after each look."""
 
 _ROUNDS = 2
-
 _MOST_ROTATED = (12_000, 16_000, 24_000)
 
 _MOST_MOVED = (40_000, 160_000)
@@ -650,7 +646,6 @@ _FIRST_STEP, _LONGEST_STEP, _SMALLEST_STEP, _FARTHEST_CLIMB = 0.3, 1.0, 0.01, 2.
 """Of a climb, in widths of the blur; the maps are smooth over about so much."""
 
 _SEED = 7
-
 _LAST_STEPS = 3
 
 
@@ -943,11 +938,8 @@ def views_of(frames: Sequence[CalibrationFrame]) -> Int64Array:
 
 
 _Result = TypeVar("_Result")
-
 DEFAULT = ("rotation", "translation", "time")
-
 _LEAST_FRAMES = 4
-
 _FOLDS = 3
 
 _LEAST_CUES = 150

@@ -67,7 +67,6 @@ def _row(
 
 
 _MEI = "Mei and Rives 2007"
-
 _SFS = "Sensor Fusion Scene's own library"
 
 MODELS: Mapping[str, Model] = MappingProxyType(

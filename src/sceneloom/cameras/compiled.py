@@ -33,14 +33,12 @@ from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.projection import number_pixels, rotation_to_directions
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-
 _named_tuple: Any = types.NamedTuple
 _ROWS = types.Array(float64, 2, "C", readonly=True)
 _NUMBERS = types.Array(float64, 1, "C", readonly=True)
 _KEPT = (int64[::1], float32[:, ::1], int32[::1], float32[::1], float32[::1], float32[::1], float32[::1])
 _IMAGE_SIGNATURE = int64(_ROWS, _ROWS, _NUMBERS, int64, int64, _named_tuple(_KEPT, PointsInImage))
 _ROWS_SIGNATURE = void(_ROWS, _NUMBERS, float64[:, ::1])
-
 _first_numbers: Any = to_fixed_tuple
 
 _BLOCK = 512

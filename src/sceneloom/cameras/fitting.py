@@ -16,11 +16,8 @@ PERSPECTIVE_REACH = math.radians(80.0)
 """How far off its axis a model that ends at 90 degrees is fitted: there it magnifies 33 times already."""
 
 _PERSPECTIVE_COSINE = math.cos(PERSPECTIVE_REACH)
-
 _LOCATIONS = ("fx", "fy", "cx", "cy")
-
 _FITTED_GRID, _MEASURED_GRID = (33, 25), (97, 73)
-
 _NEAR_AXIS = 1e-4
 
 _ENOUGH = 1e-6
@@ -35,7 +32,6 @@ _STAGES = (0, 1, 2, 4, 5, 8, 10, 100)
 """How many coefficients are free in each stage, in the model's order."""
 
 _FACTORS = tuple(f"{letter}{number}" for letter in "ij" for number in range(1, 5))
-
 _SHIFT = "xi"
 
 _STARTS: Mapping[str, float] = MappingProxyType({_SHIFT: 1.0, **dict.fromkeys(_FACTORS, 1.0)})

@@ -142,7 +142,6 @@ CENTRED: dict[Formula, Formula] = {
 
 
 _EIGHTH = math.tan(math.pi / 8)
-
 _QUARTER, _HALF = 0.25 * math.pi, 0.5 * math.pi
 
 # Of (atan(t)/t - 1)/t² in powers of t², interpolated at the Chebyshev nodes of 0 <= t <= tan(pi/8).

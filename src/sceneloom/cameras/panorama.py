@@ -71,7 +71,6 @@ def _from_cylinder(u: Any, v: Any, c: Any) -> Any:
 
 
 CYLINDRICAL = compiled_model(Cylindrical, lambda _coefficients: math.pi)
-
 Equirectangular = numbers_of("equirectangular", __name__)
 use_formulas(Equirectangular, {**CENTRED, rays_of_pixels: look_along})
 

@@ -47,7 +47,6 @@ class PointsInImage(NamedTuple):
 
 
 _LARGEST_COEFFICIENT = 1e12
-
 _ProjectionKernel = Callable[[Float64Array, Float64Array, Float64Array, int, int, PointsInImage], int]
 
 

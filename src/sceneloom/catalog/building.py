@@ -132,7 +132,6 @@ def _findings(location: str, checks: Checks, reading: Mapping[str, Any]) -> Iter
 
 
 _CALL = "sceneloom.catalog.building:read_drive"
-
 _LOOK_SECONDS = 0.5
 
 _PATIENCE_SECONDS = 20.0

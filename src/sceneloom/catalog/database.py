@@ -137,7 +137,6 @@ _NEEDS_ZONES = "Required module 'pytz'"
 """What DuckDB says where a time with a zone would become an object of Python's."""
 
 _MOST_ROWS = 2**31 - 1
-
 _REMEDY = "delete the file, and `sceneloom catalog update CATALOGUE` makes it anew"
 
 

@@ -153,7 +153,6 @@ def _fixes(scene: Scene) -> TrajectoryPoints | None:
 
 
 _NOT_3D = np.full(8, np.nan)
-
 _NOT_2D = np.full(4, np.nan)
 
 
@@ -317,7 +316,6 @@ def track_rows(scene: Scene, rows: BoxRows, away: Float64Array, start_ns: int) -
 
 
 _Row = tuple[str, int, str | None, str, str, float, int | None, int | None]
-
 _NAMES = ("owner", "track", "sensor", "name", "value", "number", "start_ns", "stop_ns")
 
 

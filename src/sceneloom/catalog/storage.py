@@ -20,15 +20,10 @@ from sceneloom.errors import DataError, MissingExtraError, OutputError, how_to_i
 from sceneloom.formats.base.files import check_regular, check_unpacked, read_bytes
 
 MARKER = "catalog.json"
-
 VERSION = 2
-
 _LOCK, _DRAFTS = ".lock.sqlite", ".drafts"
-
 _PART = re.compile(r"part-(\d{5,9})\.parquet")
-
 _ODD = re.compile(r"[^A-Za-z0-9_]+")
-
 _NAME_LENGTH = 60
 
 
@@ -303,7 +298,6 @@ PART_ROWS = 131_072
 """Rows of its longest table up to which a part takes further scenes: writing so many takes some 0.1 s."""
 
 _PART_SCENES = 1024
-
 _IN_ORDER = (*(table for table in TABLES if table != "scenes"), "scenes")
 
 

@@ -119,7 +119,6 @@ def cuboids_at(subject: Subject, sweep: LidarFrame) -> Float64Array:
 
 
 _Entries = list[tuple[int, str, Any]]
-
 PART_KINDS = ("cuboids", "activations", "projections", "point_projections", "boxes", "shapes", "points")
 
 

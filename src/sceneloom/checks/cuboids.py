@@ -32,9 +32,7 @@ _OFF_DEG, _ALONG_DEG = 20.0, 10.0
 """A reading whose headings are so far off the motion is wrong if under another one they are along it, in the median."""
 
 _LOOKED_AT, _KEPT_POINTS, _MOST_BOXES, _NEAR_M = 4, 60_000, 150, 60.0
-
 _LEAST_POINTS, _MORE_POINTS = 50, 1.15
-
 _OFF_GROUND_M = 0.2
 
 _SAME_DEG, _SAME_SHARE = 1.0, 0.98
@@ -248,7 +246,6 @@ _LARGEST_M = 100.0
 """Beyond it even trams and ferries end; a building that long deserves a look."""
 
 _SMALLEST_M = 0.01
-
 _SIZE_FACTOR = 2.0
 
 _SIZE_CHANGE_M = 0.5
@@ -263,7 +260,6 @@ _FASTEST = 100.0
 """No vehicle on a road is faster [m/s]."""
 
 _STATIONARY_M = 1.0
-
 _ROTATION_DEG = 100.0
 
 _ROTATION_WITHIN_NS = 600_000_000

@@ -247,9 +247,7 @@ _CODES = frozenset({"broken-lines", "unfit-lines"})
 """The codes of what is wrong with single lines."""
 
 _LOCATIONS = 3
-
 _LINE = re.compile(r"(?P<file>.*): line (?P<number>\d+)")
-
 _BYTE = re.compile(r" \(byte \d+\)|in position \d+| 0x[0-9a-f]{2}")
 
 

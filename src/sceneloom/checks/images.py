@@ -125,7 +125,6 @@ _STEP_PX = 8
 """Every eighth row and column reports whether an image is of one colour."""
 
 _DARK = 10
-
 _PLAIN = 4
 
 

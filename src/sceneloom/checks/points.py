@@ -133,13 +133,9 @@ _ENOUGH_POINTS = 100
 """Of fewer points nothing is stated."""
 
 _COLLAPSED_SHARE = 0.1
-
 _FEW_LEVELS = 4
-
 _CLIPPED_SHARE = 0.5
-
 _NO_CAMERA = 255
-
 _NORM_TOLERANCE = 0.01
 
 _FASTEST = 150.0

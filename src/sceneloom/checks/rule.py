@@ -19,11 +19,8 @@ from sceneloom.scene.types import Identifier, key_of
 from sceneloom.warnings import DataWarning, Severity
 
 _Table = TypeVar("_Table")
-
 _Kind = TypeVar("_Kind")
-
 ERROR, WARNING, HINT = Severity.ERROR, Severity.WARNING, Severity.HINT
-
 _FRAME = re.compile(r"(.*?sensors\[\d+\])\.(frames|images)\[(\d+)\](.*)", re.DOTALL)
 
 
@@ -196,13 +193,9 @@ class CheckProfile(StrEnum):
 
 
 ALL_PROFILES = frozenset(CheckProfile)
-
 SCALE_ONLY = frozenset({CheckProfile.SCALE})
-
 Find = Callable[[Subject], Iterable[Hit]]
-
 _Look = Callable[[Subject, FrameInHand], Iterable[Hit]]
-
 _Fix = Callable[[Scene], Scene]
 
 

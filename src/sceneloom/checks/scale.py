@@ -19,7 +19,6 @@ from sceneloom.formats.sfs.profiles import (
 )
 
 Located = tuple[Location, Any]
-
 _VERSION = "1.0"
 
 

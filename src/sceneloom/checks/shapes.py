@@ -14,7 +14,6 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import key_of
 
 _AREAS = (ShapeType.POLYGON, ShapeType.POLYGON_2D, ShapeType.POLYGON_TOPDOWN)
-
 _LINES = (ShapeType.POLYLINE, ShapeType.POLYLINE_2D)
 
 LEAST_VERTICES = {

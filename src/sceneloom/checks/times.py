@@ -63,13 +63,9 @@ _EARLIEST_EPOCH_NS = 631_152_000_000_000_000
 """1990-01-01 since 1970: timestamps beyond it are dates, not times of a drive [ns]."""
 
 _GAP = 1.75
-
 _DOUBLED = 0.1
-
 _JITTER = 0.25
-
 _FPS_TOLERANCE = 0.05
-
 _FEWEST_FOR_A_RATE = 4
 
 

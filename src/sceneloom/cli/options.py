@@ -234,9 +234,7 @@ reading = stacked(
 """On every verb that reads a drive; it is then called with the stated ones as `reading`."""
 
 READING_OPTIONS = click.command()(reading(lambda: None)).params
-
 READING = frozenset(str(option.name) for option in READING_OPTIONS)
-
 overwrite = option("--overwrite", "Replace outputs that exist.")
 
 writing_scenes = stacked(

@@ -157,7 +157,6 @@ _NEAR_SIDE, _NEAR = 0.4, 12.0
 """Up to so far from the sensor cubes have the smallest side [m]; it doubles with the distance, as the gaps do."""
 
 _LEVELS = 4
-
 _FEWEST = 5
 
 _FLAT, _LINE = 0.1, 0.02

@@ -37,7 +37,6 @@ _FARTHEST = 1e8
 """Boxes farther away, or larger, have no points [m]: no number of theirs means anything."""
 
 _NOTHING = np.zeros(0, np.int64)
-
 _NO_POINTS = np.zeros(0, np.uint32)
 
 _MEASURED = "measured_timestamps_ns"

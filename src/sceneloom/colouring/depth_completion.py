@@ -146,7 +146,6 @@ def _weighted_quantile(values: AnyArray, weights: AnyArray, share: float) -> flo
 
 
 _SURFACES = 0.7
-
 _STEEPER = 1.2
 
 _LEAST, _MOST = 0.5, 10.0
@@ -381,9 +380,7 @@ TOLERANCE, TOLERANCE_SHARE = 0.5, 0.05
 """What counts as right: an error of less than 0.5 m, or of less than 5 % where that is more."""
 
 SLOPE_SHARE = 0.05
-
 DOUBT_STEPS = (0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
-
 GAP_STEPS = (0.5, 1.1, 1.6, 2.1, 3.1, 5.1)
 
 _TABLES: Mapping[str, tuple[tuple[float, ...], ...]] = MappingProxyType(

@@ -47,11 +47,8 @@ _PLAIN = 14.0
 """Where a channel changes by more than so many levels around a point, which pixel is its own counts too much."""
 
 _MOST_SAMPLES = 8000
-
 _FARTHEST = 60.0
-
 _BORDER_PX = 3.0
-
 _HALF_KEY = 1 << 20
 
 

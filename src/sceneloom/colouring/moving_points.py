@@ -55,17 +55,11 @@ _SURFACE_DISTANCE = 1.0
 """Surfaces pass the lidar at this distance or more [m]: lidars stand higher above the road."""
 
 _MARGIN, _MARGIN_SHARE = 0.3, 0.01
-
 _ASIDE = 0.2
-
 _FARTHEST = 80.0
-
 _NUMBERS = np.array([_SURFACE_DISTANCE, _MARGIN, _MARGIN_SHARE, _ASIDE, _FARTHEST])
-
 _FEWEST_FREE = 2
-
 _FREE_PER_MET = 0.5
-
 _CUBE = 0.5
 
 _SPECK, _MOSTLY = 0.12, 0.5

@@ -31,13 +31,9 @@ from sceneloom.scene.cameras import Shutter
 from sceneloom.scene.poses import PoseSource
 
 _KNOTS = 65
-
 _ATTEMPTS = 12
-
 _TOLERANCE_PX = 0.01
-
 _CHUNK = 16_384
-
 _STILL = 1e-12
 
 

@@ -86,22 +86,16 @@ from sceneloom.kernels.signatures import (
 from sceneloom.kernels.thread_pool import ALONE, ThreadPool
 
 _CELL = radians(0.1)
-
 _REACH_CELLS = 25
 
 _SPARSEST = _CELL * _REACH_CELLS
 """Neighbours farther away are not found [rad]."""
 
 _SAMPLES = 256
-
 _SECTORS = 8
-
 _WINDOW_PER_SPACING = 1.15
-
 _NEAR_PER_SPACING_ACROSS, _NEAR_PER_SPACING_ALONG, _OUTLINE_DEG = 0.95, 1.3, 0.08
-
 _WINDOWS_DEG, _NEARS_DEG = (0.3, 3.0), (0.1, 2.4)
-
 _USUAL_WINDOW_DEG, _USUAL_NEAR_DEG = 0.5, 0.16
 
 _CELLS_PER_REACH = 6
@@ -111,7 +105,6 @@ _USUAL_SURFACE_DISTANCE = 0.5
 """Where nothing was measured [m]: below the height of nearly all cameras."""
 
 _SURFACE_DISTANCES = (0.1, 1.5)
-
 _OF_SURFACE_DISTANCE, _STEEPER_THAN, _FEWEST_SURFACES = 0.8, 0.95, 32
 
 
@@ -304,21 +297,13 @@ _UNEVEN = 2.5
 and the bending of a fisheye make that up to 2.1; lidars as above have 4.1 and more (simulated streets, PandaSet)."""
 
 _DENSE, _SPARSE = 15.0, 93.0
-
 _FEWEST = 64
-
 _SPARSER_THAN = 1.5
-
 _SAMPLES_OF_PARTS = 2048
-
 _TILE_ACROSS, _TILE_ALONG = radians(1.0), radians(8.0)
-
 _LEAST_IN_TILE = 2
-
 _LEAST_KNOWN = 5
-
 _STEP = log(2.0)
-
 _LEAST_SHARE = 0.01
 
 
@@ -462,13 +447,9 @@ Looks = tuple[Float32Array, Float32Array]
 """Where a camera sees M points: directions (2, M) in the equal-area map [rad], inverse ranges (M,) [1/m]."""
 
 _CELL_DEG = 0.16
-
 _NEARING = 0.85
-
 _STRAIGHTNESS = 0.5
-
 _MOST_THREADS = 256
-
 _NO_TRAJECTORY = (np.zeros((0, 3)), np.zeros(0, np.float32))
 
 

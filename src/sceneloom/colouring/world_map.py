@@ -148,9 +148,7 @@ _ROOM_SHARE = 0.75
 """What is left in memory once tiles are put onto the disk."""
 
 _HEIGHT_CUBES = 1 << 24
-
 _FARTHEST_TILE = 1 << 30
-
 _BOUNDS = np.array([64.0 * _HEIGHT_CUBES, 64.0 * _HEIGHT_CUBES, 0.5 * _HEIGHT_CUBES])
 
 _AGREEMENT = 40.0

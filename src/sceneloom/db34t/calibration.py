@@ -168,7 +168,6 @@ class DeclaredAxes:
 
 
 _TOLERANCE = 1e-6
-
 _END = np.array([0.0, 0.0, 0.0, 1.0])
 
 
@@ -303,9 +302,7 @@ MOST_PAIRS = 1024
 """Cameras and lidars that one system may relate: every change of a calibration looks at all of them."""
 
 _OWNER = "calibration"
-
 _IDS = ("camera_id", "lidar_id")
-
 _FIELDS = {row.name: row.attribute for row in CALIBRATION.rows}
 
 

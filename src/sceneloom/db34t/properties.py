@@ -23,7 +23,6 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import GLOBAL, LONGEST_ROLL_S, Shutter
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
-
 _NORM_TOLERANCE = 0.01
 
 _MOST = 1e9
@@ -70,7 +69,6 @@ def _is_number(value: Any) -> bool:
 
 
 _LOCATION, _MOUNTING = "sensors", "body_from_lidar"
-
 _ROLL, _ROLLS_OVER_COLUMNS = "shutter_roll_s", "shutter_left_to_right"
 
 _OF_KIND = {SensorKind.LIDAR: (_MOUNTING,), SensorKind.CAMERA: (_ROLL, _ROLLS_OVER_COLUMNS)}
@@ -271,9 +269,7 @@ _FAULTS = (DataError, CalibrationError)
 """What a check raises."""
 
 _ENUM_PAIR = re.compile(r"(\w+)\s*=\s*(-?\d+)")
-
 _LONGEST_NAME = 256
-
 _LONGEST_DESCRIPTION = 65_536
 
 MOST_PROPERTIES = 1_000

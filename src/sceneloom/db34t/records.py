@@ -191,7 +191,6 @@ COLUMNS_2D = (
 """The columns of `Boxes2d`."""
 
 _CHECKS_3D = _ColumnChecks(BOX_3D, COLUMNS_3D, group="boxes")
-
 _CHECKS_2D = _ColumnChecks(BOX_2D, COLUMNS_2D, group="boxes")
 
 

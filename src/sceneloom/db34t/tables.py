@@ -311,7 +311,6 @@ def _read_row(number: int, values: dict[str, Any]) -> Row:
 
 
 _ALL = tuple(_read_tables())
-
 CALIBRATION, RAW, IMAGE, POINT_CLOUD, BOX_3D, BOX_2D, SENSOR_FUSION, FUSED_DETECTION = _ALL[:8]
 
 BOXES_3D, BOXES_2D, FUSED_DETECTIONS = _ALL[8:]

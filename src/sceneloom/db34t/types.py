@@ -193,9 +193,7 @@ class Timestamp:
 
 
 _TUPLE = re.compile(r"\(([^()]*)\)")
-
 _ARRAY = re.compile(r"(\w+)\s*\[\s*(\d{0,9})\s*\]")
-
 _LONGEST_TUPLE = 255
 
 

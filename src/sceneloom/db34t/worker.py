@@ -340,7 +340,6 @@ def _trajectory_of_mounted(path: Poses, body_from_lidar: RigidTransform | None) 
 
 
 _HERE = RigidTransform.identity()
-
 _AT_LIDAR = PoseSource(STILL, _HERE)
 
 

@@ -105,7 +105,6 @@ UNLISTED = len(KINDS)
 """The number of the first class that is in no table, and the row of such classes in tables."""
 
 _OTHERWISE = _Kind("", (), (2.0, 1.2, 1.6), (1.5, 0.6, 0.5))
-
 _NONE = -1
 
 _KIND_OF = {name: name for name in KINDS} | {
@@ -113,9 +112,7 @@ _KIND_OF = {name: name for name in KINDS} | {
 }
 
 _LOCATIONS = {name: k for k, name in enumerate(KINDS)}
-
 _FAMILIES = tuple(dict.fromkeys(kind.family for kind in KINDS.values()))
-
 _DROPPED = str.maketrans("", "", " -_.")
 
 FAMILIES: Int64Array = read_only(

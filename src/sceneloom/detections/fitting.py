@@ -48,7 +48,6 @@ from sceneloom.kernels.overlaps import overlaps_in_space
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 
 _ROUNDS = 200
-
 _SMALL = 1e-8
 
 _EXACT = 1e-3
@@ -491,7 +490,6 @@ _AGREEMENT, _AGREEMENT_WEIGHTS = (1.0, 0.5, 0.2, 2.0), (30.0, 300.0, 1000.0, 300
 calibrated score, since what one detector takes for an object misleads the other one, too."""
 
 _HEIGHTS_PX = ((10.0, 20.0), (15.0, 25.0), (20.0, 35.0), (25.0, 50.0))
-
 _SEEN_SHARES = (0.1, 0.25, 0.5, 1.0)
 
 _FLOOR = 0.03
@@ -583,7 +581,6 @@ def _fit_visibility(
 
 
 _LEVEL = 0.95
-
 _LEAST_ERRORS = 30
 
 _UNKNOWN = BoxNoise(

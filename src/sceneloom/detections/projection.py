@@ -814,7 +814,6 @@ _BELIEVED = 0.3
 """Points in a box of the sweep that is less likely than this may be another object's."""
 
 _NO_ROWS = np.zeros(0, np.int64)
-
 _NOT_REPORTED = np.zeros((0, 7, 7))
 
 _ANY_YAW = np.pi**2 / 3.0

@@ -37,11 +37,8 @@ _LEAST_AGREEING = 20
 """So many couples must agree."""
 
 _NO_ROTATION = np.zeros(3)
-
 _STEP_DEG = 0.5
-
 _ROUNDS = 10
-
 _BLOCKS, _REPLICATES, _REPLICATE_ROUNDS = 20, 100, 5
 
 _CHANCES, _CHANCE_DEG = 48, (3.0, 8.0)

@@ -313,7 +313,6 @@ class Tables(NamedTuple):
 
 
 _TABLES: dict[ProjectionSettings, Tables] = {}
-
 _MOST = 64
 
 

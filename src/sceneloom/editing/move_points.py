@@ -188,7 +188,6 @@ def _on_ego(sensor: LidarSensor | RadarSensor, reach_ns: int) -> PoseSource | No
 
 
 _Points = TypeVar("_Points", LidarPoints, RadarPoints)
-
 CloudSensor = TypeVar("CloudSensor", LidarSensor, RadarSensor)
 
 OnPoints = Callable[[Identifier, int, int, int], None]

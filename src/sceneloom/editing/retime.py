@@ -22,7 +22,6 @@ _Right = Callable[[Int64Array], Int64Array]
 """Gives the right times of timestamps (…,) int64 [ns]."""
 
 _Part = TypeVar("_Part")
-
 _MOMENTS = ("start_ns", "timestamp_ns")
 
 

@@ -751,7 +751,6 @@ def _usual_difficulties(sides: BothSides) -> tuple[str, ...]:
 
 
 _COLUMN_INCHES, _ROW_INCHES = 4.6, 4.4
-
 _DPI = 120
 
 

@@ -643,7 +643,6 @@ def _check_ids(results: Path | str, sides: BothSides) -> tuple[DataWarning, ...]
 
 
 _WIDTH_INCHES, _ROW_INCHES = 13.0, 4.6
-
 _DPI = 120
 
 _CURVES = {

@@ -197,7 +197,6 @@ _TOLERANCES_NS = {"interpolate": 100_000_000, "nearest": 10_000_000}
 """By trajectory of association, how far the nearest pose of the reference may be where nothing else is stated [ns]."""
 
 _SHORTEST_GAP_NS = 1_000_000_000
-
 _GAP_SPACINGS = 5.0
 
 
@@ -623,7 +622,6 @@ _KITTI_STEP = 10
 """Lengths [m] of the segments, and how many poses after each other they begin. Source: KITTI's development kit."""
 
 _DELTA = re.compile(r"(?P<amount>\d+(?:\.\d+)?)\s*(?P<unit>[a-z]+)")
-
 _LARGEST = 1e9
 
 _SLACK = 0.75
@@ -790,9 +788,7 @@ def _segment_errors(length: float | None, shifts: Float64Array, angles: Float64A
 
 
 _SIZE_INCHES = (13.0, 6.5)
-
 _DPI = 120
-
 _MOST_LETTERS = 60
 
 

@@ -40,7 +40,6 @@ class TimedSweep:
 
 
 SweepPairing = Pairing[TimedSweep, CameraImage]
-
 _Placed = Callable[[PoseSource | None], PoseSource | None]
 
 

@@ -13,9 +13,7 @@ from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import IN_F32_2D, IN_F64_2D, inlined, part
 
 _MOST_CELLS = 1 << 18
-
 _MOST_ENTRIES = 1 << 25
-
 _SMALLEST_CELL = 0.5
 
 _CELLS_PER_BOX = 0.25
@@ -153,7 +151,6 @@ def find_points_in_boxes(
 
 
 _CLOUD, _TABLE = "Array(float32, 2, 'C', readonly=True)", "Array(float64, 2, 'C', readonly=True)"
-
 _VECTOR = "Array(float64, 1, 'C', readonly=True)"
 
 

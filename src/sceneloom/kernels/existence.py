@@ -47,7 +47,6 @@ _SUREST = 1e-6
 """No detector is surer than this of what is there or not: two of them could not contradict each other."""
 
 _LIMIT = float(np.log((1.0 - _SUREST) / _SUREST))
-
 _TABLE, _REPORTED = "Array(float64, 2, 'C', readonly=True)", "Array(float64, 1, 'C', readonly=True)"
 
 

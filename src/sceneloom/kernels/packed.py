@@ -29,9 +29,7 @@ LARGEST_RATIO = 264 / 3
 """A back reference of three bytes stands for at most 264: no stream can unfold to more than this times its length."""
 
 _LITERALS = 32
-
 _LONG = 7
-
 _SHORTEST = 2
 
 
@@ -80,9 +78,7 @@ def unfold(packed: UInt8Array, unpacked: UInt8Array) -> int:
 
 
 _FARTHEST_BACK = 1 << 13
-
 _LONGEST_COPY = 264
-
 _TABLE_BITS = 14
 
 
@@ -186,11 +182,8 @@ KNOWN = 128
 """Numbers of fields are below this."""
 
 _VARINT, _LENGTH, _FIXED_32 = 0, 2, 5
-
 _LARGEST = 2**32 - 1
-
 _BYTES = "Array(uint8, 1, 'C', readonly=True)"
-
 _FORM, _START, _SIZE, _INNER = range(4)
 
 

@@ -9,7 +9,6 @@ from itertools import count as count_up
 from typing import Any, TypeVar, cast
 
 _Result = TypeVar("_Result")
-
 _FEWEST_POINTS = 20_000
 
 

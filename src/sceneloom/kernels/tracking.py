@@ -14,7 +14,6 @@ from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import inlined, part
 
 SIZE, MEASURED = 11, 7
-
 _YAW, _ROTATION = 6, 10
 
 

@@ -240,11 +240,8 @@ LEFT_SKEWED = "left_skewed"
 """Name of the further field of a sweep that says why it could not be deskewed."""
 
 _EMPTY = "no points"
-
 _INSTANT = "all points of one time"
-
 _ONE_MOMENT_UNTIMED = "no times of the points"
-
 _IN_GAP = "in a gap of the measured motion"
 
 _BEYOND = "beyond the trajectory"

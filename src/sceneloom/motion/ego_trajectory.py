@@ -86,13 +86,9 @@ def _quaternions_along(directions: Float64Array) -> Float64Array:
 
 
 IDENTITY = "identity"
-
 GNSS = "gnss"
-
 LIDAR = "lidar"
-
 IMU = "imu"
-
 RESERVED = (GNSS, LIDAR, IMU)
 
 

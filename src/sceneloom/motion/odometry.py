@@ -426,7 +426,6 @@ def _fit_sweep(
 
 
 _SPACING = 0.5
-
 _NEIGHBOURS = 15
 
 _REACHES = (5.0, 1.5)
@@ -492,17 +491,11 @@ _STANDSTILL_ROTATION, _STANDSTILL_SHIFT = 1e-4, 1e-3
 """How well a pose is known that is so by definition [rad], [m]."""
 
 _STARTING_ROUNDS = 3
-
 _LEAST_MATCHED, _LEAST_AGREEING = 0.3, 0.5
-
 _GAP_PERIODS, _LEAST_GAP = 5.0, 0.5
-
 _LONGEST_PREDICTION = 2.0
-
 _MOST_FAILURES = 5
-
 _DROP_EVERY = 10.0
-
 _RENEWAL_TRAJECTORY = 15.0
 
 

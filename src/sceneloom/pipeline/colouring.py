@@ -678,7 +678,6 @@ class _CloudImages:
 
 
 _MAP_ID = "map"
-
 _KINDS = {"positions": ("f4", 3), "colors": ("u1", 3), "labels": ("u2", 1)}
 
 

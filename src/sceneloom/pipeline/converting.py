@@ -85,11 +85,8 @@ _WORDS = (
 """Words of the Sensor Fusion Scene format for fields that have other names in the model."""
 
 _SEVERAL = re.compile(r"^(sensors|annotations)\[(.*?)\](?=\.|$)")
-
 _STREAM = re.compile(r"^(sensors\.imu\.streams)\.([^.]+)")
-
 _TRAJECTORY = re.compile(r"^trajectories(?:\[.*?\](?=\.|$)|\.([^.]+))")
-
 _INDEX = re.compile(r"\[[^\]]*\]")
 
 

@@ -90,7 +90,6 @@ class ListContext:
 
 
 _Read3D = Callable[[Path, ListContext, Ledger], Sequence[Boxes3D]]
-
 _Read2D = Callable[[Path, ListContext, Ledger], Sequence[Boxes2D]]
 
 

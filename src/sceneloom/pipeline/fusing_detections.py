@@ -595,7 +595,6 @@ class _CameraModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _Time = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
-
 _Seven = tuple[float, float, float, float, float, float, float]
 
 

@@ -21,7 +21,6 @@ from sceneloom.kernels.cache import find_kernel_cache
 from sceneloom.version import __version__
 
 _GIGABYTE = 1e9
-
 _BROWSERS = ("chromium", "google-chrome", "firefox", "open")
 
 _LEAST_TEMPORARY_BYTES = 1_000_000_000
@@ -74,9 +73,7 @@ def _search_path() -> str:
 
 
 _REQUIREMENT = re.compile(r"^(?P<name>[\w.-]+)(\[[^\]]*\])?\s*(?P<bounds>[^;]*)(;(?P<marker>.*))?$")
-
 _LEAST = re.compile(r">=\s*(?P<least>[\w.]+)")
-
 _EXTRA = re.compile(r"extra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
 
 _NOT_FOR_USERS = frozenset({"dev", "bench", "fuzz", "docs"})

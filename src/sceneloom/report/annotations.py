@@ -47,7 +47,6 @@ _POINT_EDGES = (0, 1, 5, 20, 100, 500, 2000)
 """Borders of the numbers of points in a box."""
 
 NO_CLASS = "(no class)"
-
 _MOST_TIMES = 120
 
 

@@ -249,9 +249,7 @@ class Section:
 
 
 COLOURS = ("#2f6fb3", "#c2570c", "#2b8a57", "#9046a8", "#b3355c", "#7a6a00", "#0f8496", "#5f6773")
-
 PLOT_INCHES, WIDE_INCHES = (5.0, 2.8), 10.0
-
 _MOST_LETTERS = 40
 
 FARTHEST = 1e12

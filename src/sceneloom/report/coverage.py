@@ -57,9 +57,7 @@ _SECTORS = 72
 """Parts of the horizon that are looked at, 5 degrees each."""
 
 _FINE = 360
-
 _STEP, _STEPS = 0.5, 600
-
 _FAR_SHARE = 0.95
 
 
@@ -336,7 +334,6 @@ class Coverage(msgspec.Struct, frozen=True, kw_only=True):
 
 
 _AHEAD = {"motion": "by the motion", "camera": "by the first camera", "axes": "by the axes of the sensors"}
-
 _MOST_CLOUDS = 6
 
 _CLOUD_COLUMNS = (

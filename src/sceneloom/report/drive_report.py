@@ -50,9 +50,7 @@ MOST_HASHED = 1_000_000_000
 """Larger drives are hashed by names, sizes, first and last bytes of their files [bytes]."""
 
 _ENDS = 1_000_000
-
 _PACKAGES = ("numpy", "scipy", "numba", "av", "pillow")
-
 _MOST_ENTRY = 400
 
 

@@ -89,7 +89,6 @@ _MOST_FRAMES_VALIDATED = 6000
 """Frames and images of drives with more are not read by the rules: `sceneloom validate` does that."""
 
 _STEPS = 10
-
 _Part = TypeVar("_Part")
 
 

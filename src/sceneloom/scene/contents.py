@@ -183,7 +183,6 @@ _ANNOTATION = {
 }
 
 _STATED = {**_ANNOTATION, "label": "its class", "attributes": "what is stated about it, over time"}
-
 _FOR_ONE = {"sensor_id": "the sensor that it is for"}
 
 

@@ -204,9 +204,7 @@ class Boxes2D:
 
 
 _ARRAYS_3D = ("centers", "sizes_lwh", "yaws", "scores", "velocities", "covariances", "ids")
-
 _ARRAYS_2D = ("corners_xyxy", "scores", "ids")
-
 Boxes = TypeVar("Boxes", Boxes3D, Boxes2D)
 
 

@@ -34,7 +34,6 @@ from sceneloom.scene.scene import Scene, sweep_period_ns
 from sceneloom.scene.types import Identifier
 
 _Value = TypeVar("_Value")
-
 _Image = TypeVar("_Image", CameraImage, DepthFrame)
 
 
@@ -199,9 +198,7 @@ def _with_pixels(image: _Image | None) -> _Image | None:
 
 
 _Named = tuple[str, np.ndarray[Any, Any]]
-
 _LIDAR_ARRAYS = ("positions", "intensities", "colors", "timestamps_ns", "rings", "camera_index")
-
 _RADAR_ARRAYS = ("positions", "directions", "lengths", "timestamps_ns")
 
 
@@ -282,7 +279,6 @@ def _texts(texts: list[str]) -> np.ndarray[Any, Any]:
 
 
 _Finder = SweepsByReference | FramesByTimestamp[Any]
-
 _NO_POINTS = Location(None, "there is no sweep")
 
 

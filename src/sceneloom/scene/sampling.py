@@ -148,7 +148,6 @@ def _period_ns(reference: LidarSensor | CameraSensor, lidars: tuple[LidarSensor,
 
 
 _Timestamped = TypeVar("_Timestamped", CameraImage, DepthFrame, RadarFrame)
-
 _NONE = "it has no frames"
 
 

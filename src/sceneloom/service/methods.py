@@ -218,7 +218,6 @@ METHODS: Mapping[str, _Method] = MappingProxyType(
 """All methods of the `.proto`, by name."""
 
 _DEFAULTS = TrackerSettings()
-
 _MEASURED = (Support.BOTH, Support.SWEEP)
 
 

@@ -37,11 +37,8 @@ from sceneloom.service.server import FusionServer, ServerSettings
 from sceneloom.service.startup import ServiceLimits, log_to_standard_error
 
 _LOG = logging.getLogger(__name__)
-
 _FORWARD = (0.0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
-
 _WIDTH, _HEIGHT = 64, 48
-
 _Process = subprocess.Popen[str]
 
 

@@ -47,9 +47,7 @@ _CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
 """Where forward, right and up point in the frames of a scene: what a session has to be reported."""
 
 _MOST_SENSORS = 256
-
 _HELD_BY_TABLE_3 = ("k1", "k2", "p1", "p2", "k3")
-
 _LOOKED_AT = 9
 
 _LOOSE_M, _LOOSE_RAD = 0.02, 0.005

@@ -123,7 +123,6 @@ async def _refuse(_: Any, context: "ServicerContext[Any, Any]") -> None:
 
 
 _LOG = logging.getLogger(__name__)
-
 _Observer = Callable[[Event], None]
 
 _LOOK_S = 0.05

@@ -58,9 +58,7 @@ _OVERHEAD = 2048
 """What an event that waits keeps beside its arrays [byte], about."""
 
 _MAGIC_BYTES = 8
-
 _PACKAGE = fusion_pb2.DESCRIPTOR.package
-
 _SENSORS = {"raw": "sensor", "image": "camera", "boxes_2d": "camera", "points": "lidar", "boxes_3d": "lidar"}
 
 

@@ -87,7 +87,6 @@ class _Bell:
 
 
 _Arguments = ParamSpec("_Arguments")
-
 _Answer = TypeVar("_Answer")
 
 DEFAULT_SESSION = "default"

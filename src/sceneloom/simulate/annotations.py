@@ -37,13 +37,9 @@ from sceneloom.simulate.drive import SimulatedDrive
 from sceneloom.simulate.street import StreetObject
 
 _CAMERA, _LIDAR = "camera0", "lidar"
-
 _CORNER_FROM_CENTRE = 0.5
-
 _OUTLINE_DIRECTIONS = 24
-
 _LEAST_PIXELS = 200
-
 _LANE_AHEAD = 25.0
 
 _SLIGHT_ROTATION_XYZW = (0.0, 0.0, 0.0087265, 0.9999619)

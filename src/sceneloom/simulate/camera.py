@@ -115,9 +115,7 @@ class Exposure:
 
 
 _TILE = 16
-
 _REACH = 900.0
-
 _LONGEST_READOUT_NS = 100_000_000
 
 _LINE_ROUNDS = 4

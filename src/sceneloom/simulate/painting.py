@@ -271,13 +271,9 @@ def _mix_palette(
 
 
 _SUN = (0.48, -0.56, 0.675)
-
 _AMBIENT, _DIRECT = 0.60, 0.52
-
 _HAZE_START, _HAZE_LENGTH = 120.0, 260.0
-
 _STRIP = 14.0
-
 _HORIZON = (214.0, 226.0, 236.0)
 
 

@@ -800,11 +800,8 @@ GRAIN = 0.55
 """Share of laser light that the ground gives back where it is white."""
 
 _STEP = 0.25
-
 _WIDTH = 14.0
-
 _CELL = 0.5
-
 _FAR = 20.0
 
 
@@ -994,9 +991,7 @@ _ROWS: tuple[Row, ...] = (
 """Everything between the houses."""
 
 _HOUSE_KEEP = (8.0, 11.6)
-
 _SETBACK = (0.2, 3.0)
-
 _BACK_ROW = (16.0, 26.0)
 
 

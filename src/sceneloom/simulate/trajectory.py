@@ -87,7 +87,6 @@ _RISE = np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
 Source: Hermite interpolation of degree five; 10 x³ - 15 x⁴ + 6 x⁵."""
 
 _AREA = polynomial.polyint(_RISE)
-
 _SLOPE = polynomial.polyder(_RISE)
 
 
@@ -178,7 +177,6 @@ _AHEAD = 6.0
 """Seconds after the drive for which the street still rotates."""
 
 _KNOT_STEP = 1.0
-
 _WIDEST_HEADING = np.radians(55.0)
 
 _GENTLE_ROTATION = 0.21

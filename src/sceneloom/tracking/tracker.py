@@ -134,11 +134,8 @@ class Observation:
 
 
 _FAMILIES = {family: k for k, family in enumerate(dict.fromkeys(kind.family for kind in KINDS.values()))}
-
 _VEHICLES = _FAMILIES[KINDS["car"].family]
-
 _ANY = -1
-
 _numbers: dict[str, int] = {}
 
 
@@ -370,7 +367,6 @@ _EMPTY: dict[str, Any] = {
 }
 
 SIZE, _MEASURED = tracking.SIZE, tracking.MEASURED
-
 YAW, ROTATION = 6, 10
 
 _FREEDOM = 4.0

@@ -59,7 +59,6 @@ from sceneloom.view.poses import Locations, transform_columns
 from sceneloom.view.stream import EDGES, Report, Stream, escaped, fits, sdk
 
 _SHORT = 12
-
 _SHOWN = 8
 
 
@@ -642,7 +641,6 @@ def _class_colour(annotation: LabeledPointsAnnotation) -> Any:
 
 
 _MOST_NODES = 400
-
 RELATIONS = "relations"
 
 
@@ -676,7 +674,6 @@ def _show_graph(stream: Stream, annotations: Sequence[Annotation], notify: Repor
 
 
 EVENTS, ATTRIBUTES, LIST = "events", "attributes", "annotations"
-
 _MOST_ROWS = 1_000
 
 

@@ -32,7 +32,6 @@ IMAGE = "image"
 """The entity of a camera's images, below that of the camera; its own space of pixels."""
 
 _QUALITY = 88
-
 _JPEG_START = b"\xff\xd8"
 
 _CORNER = 0.5

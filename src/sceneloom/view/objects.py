@@ -73,7 +73,6 @@ def _read_detections(path: Path) -> tuple[TrackedObjects, ...]:
 
 
 _Three = tuple[float, float, float]
-
 _Nine = tuple[float, float, float, float, float, float, float, float, float]
 
 

@@ -147,16 +147,13 @@ WORLD, SENSORS, _CLOUDS = "world", "sensors", "clouds"
 """Entities below which things are: all that has a location, frames of sensors, points that are not in such a frame."""
 
 _POINT_SIZE = 1.6
-
 _RADAR_SIZE, _ARROW_SIZE = 3.0, 1.0
 
 _LONGEST_SWEEP = 3
 """Times of points spread over more sweep periods than that are not when they were measured."""
 
 _NEARING, _LEAVING = one_packed((255, 122, 69)), one_packed((82, 196, 255))
-
 _BEYOND = "is not shown: the ego trajectory does not reach its time, or lies beyond the viewer's float32"
-
 _AS_MEASURED = "is shown as measured: the ego trajectory does not reach all of its points' times"
 
 

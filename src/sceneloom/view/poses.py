@@ -22,7 +22,6 @@ from sceneloom.view.stream import fits, sdk
 from sceneloom.warnings import DataWarning, WarningKind
 
 _FAR = 2_000.0
-
 _GRID = 100.0
 
 

@@ -28,7 +28,6 @@ from sceneloom.view.settings import DrivePart, DriveShown, Source, ViewReport, V
 from sceneloom.view.stream import sdk
 
 _APPLICATION = "sceneloom"
-
 _SUFFIX = ".rrd"
 
 _SINCE_EPOCH_NS = 100_000_000_000_000_000
@@ -164,11 +163,8 @@ _LOOPBACK = "127.0.0.1"
 """Nobody but this machine is answered."""
 
 _TILES = "https://tile.openstreetmap.org https://*.tile.openstreetmap.org"
-
 _PASSED_ON = ("Content-Type", "rerun-final-length")
-
 _PIECE = 1 << 20
-
 _ANSWER_SECONDS = 60.0
 
 
@@ -313,7 +309,6 @@ _SERVER_MEMORY = "2GiB"
 """What the browser's server holds for it; beyond that the earliest frames go."""
 
 _PATIENCE = 30.0
-
 _POLL = 0.05
 
 

@@ -161,7 +161,6 @@ def _figure(annotation: Annotation, timestamp_ns: int, **parts: Any) -> Figure:
 
 
 _CLOSED = frozenset({ShapeType.POLYGON, ShapeType.POLYGON_TOPDOWN, ShapeType.POLYGON_2D})
-
 _MARKS = frozenset({ShapeType.POINT, ShapeType.POINT_TOPDOWN, ShapeType.POINT_2D})
 
 
@@ -498,15 +497,10 @@ def _draw_over(scene: Scene, sample: Sample, plot: Canvas, layout: MapLayout) ->
 
 
 _WIDTH_PX = 1280
-
 _MOST_ROWS = 60
-
 _ROW_LETTERS = 1.5
-
 _NAME_SHARE = 0.3
-
 _TICKS = 8
-
 _SHORTEST_NS = 1_000_000
 
 
@@ -749,7 +743,6 @@ def _adjusted(trajectory: Poses, adjustment: Poses) -> Float64Array:
 
 
 _Drawing = tuple[str, Callable[[], PilImage]]
-
 _Draw = Callable[[Scene, Sample | None, str], PilImage]
 
 _RELATIONS_REACH = 20.0

@@ -18,21 +18,13 @@ from sceneloom.arrays import BoolArray, Float32Array, FloatArray, Int64Array, UI
 from sceneloom.warnings import DataWarning, WarningKind
 
 PilImage = Image.Image
-
 Colour = tuple[int, int, int]
-
 _Box = tuple[float, float, float, float]
-
 BACKGROUND: Colour = (17, 19, 23)
-
 STRIP: Colour = (27, 30, 36)
-
 INK: Colour = (232, 234, 237)
-
 FAINT_INK: Colour = (158, 164, 173)
-
 LINE: Colour = (92, 98, 108)
-
 ACCENT: Colour = (255, 122, 69)
 
 _FINE = 4

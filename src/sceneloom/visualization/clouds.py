@@ -32,7 +32,6 @@ from sceneloom.visualization.colour_scales import (
 )
 
 _AROUND = 5.0
-
 _MOVED = 0.5
 
 
@@ -111,15 +110,10 @@ UNSEEN = 255
 """`camera_index` of a point that no camera saw."""
 
 _DARKEST_GREY, _LIGHTEST_GREY = 78.0, 138.0
-
 _LIFT, _LIFT_POWER = 24.0, 0.8
-
 _GREY_TINT = np.array([0.93, 0.98, 1.06])
-
 _HEIGHT_ENDS_PERCENT = (2.0, 96.0)
-
 _NEAREST_REACH = 2.0
-
 _LEAST_SIZE_PX = (320, 240)
 
 _MOST_SAMPLES = 200_000
@@ -258,21 +252,13 @@ def _cloud_caption(lines: Sequence[str], cloud: _DrawnCloud) -> list[str]:
 
 
 SIZE_PX = (1280, 900)
-
 _GROUND = (31, 34, 41)
-
 _GRID = (52, 57, 66)
-
 _PATH = (255, 190, 92)
-
 _SMALL = 0.86
-
 _SPACING_LETTERS = 6.0
-
 _BAR_LETTERS = 14.0
-
 _FAR_PX = 100_000.0
-
 _REACH_PERCENT, _FARTHEST_REACH = 94.0, 50.0
 
 _MOST_LINES = 1000
@@ -490,19 +476,12 @@ def _label_grid(canvas: Canvas, layout: MapLayout, spacing: float) -> None:
 
 
 _PERSPECTIVE_SIZE_PX = (1280, 780)
-
 _SKY, _HAZE = np.array([13.0, 15.0, 19.0]), np.array([44.0, 49.0, 58.0])
-
 _FAR_GRID = (66, 73, 85)
-
 _FIELD_OF_VIEW_DEG = 62.0
-
 _POINT_RADIUS = 0.045
-
 _LEAST_RADIUS_PX, _MOST_RADIUS_PX = 0.9, 3.0
-
 _VIEW_PERCENT, _FARTHEST_VIEW = 85.0, 30.0
-
 _NEAREST_REACHES, _HAZE_REACHES = 0.02, 5.0
 
 

@@ -31,7 +31,6 @@ _OKLAB_FROM_ROOT_LMS = np.array(
 )
 
 _STEPS = 256
-
 _FINE_STEPS = 4096
 
 ANCHORS: Mapping[str, tuple[tuple[float, float, float], ...]] = MappingProxyType(
@@ -144,11 +143,8 @@ def _equal_steps(curve: Float64Array) -> Float64Array:
 
 
 ROUND_DIGITS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
-
 COARSE_DIGITS = (1.0, 2.0, 5.0)
-
 _TICK_RANKS = ((1.0,), (2.0, 5.0), (3.0,), (1.5, 4.0, 6.0, 8.0))
-
 _ENDS_PERCENT = (0.5, 99.5)
 
 
@@ -224,9 +220,7 @@ _STRIP_LINES = 3.6
 """Height of the strip in heights of its letters."""
 
 _SMALL = 0.86
-
 _BAR_SHARE = 0.46
-
 _BAR_MOST_LETTERS = 40
 
 

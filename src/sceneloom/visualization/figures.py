@@ -60,7 +60,6 @@ _JUMP_SHARE = 0.5
 
 
 _TINT = 0.28
-
 _SMALL = 0.8
 
 Name = tuple[Figure, Float64Array]

@@ -44,16 +44,13 @@ NO_DEPTH = (10, 11, 14)
 """Colour of the pixels of a depth image that hold no depth: darker than any colour of the maps."""
 
 _HIDDEN = (176, 178, 184)
-
 _LARGEST_RADIUS_PX = 4.0
 
 _MOST_COVER = 0.35
 """Share of the image that the discs may cover together, so that the image can be seen between them."""
 
 _GREYNESS = 0.45
-
 _BRIGHTNESS = 0.62
-
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 

@@ -531,7 +531,6 @@ _MATCHED = 0.5
 """What is left of the difference where a patch is matched, as part of its contrast."""
 
 _FEWEST_PATCHES = 20
-
 _MOST_WRONG = 0.5
 
 

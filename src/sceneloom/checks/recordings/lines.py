@@ -247,7 +247,6 @@ FARTHEST, NEAREST = 400.0, 0.5
 """Half of a sweep's points lie nearer than the first, and farther than the second [m]."""
 
 _LOOKED_AT = 16
-
 _FEWEST = 20
 
 

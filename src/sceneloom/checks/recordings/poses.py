@@ -278,9 +278,7 @@ _LEAST_SHIFT = 0.05
 """Shorter shifts between poses and IMU [s] are for `sceneloom sync` to find."""
 
 _SURE = 0.9
-
 _SCALES = (0.6, 1.6)
-
 _NEAR_DEGREES = 0.2
 
 

@@ -19,11 +19,8 @@ SHARE_AT_SAMPLES = 0.5
 """More images than this share with the very times of samples were timestamped by the IMU's clock ticks."""
 
 SHIFT_PERIODS = 1.5
-
 _SAME_SHIFT_PERIODS = 0.5
-
 _SAME_PERIOD = 0.02
-
 _IMU = (Kind.ACCELEROMETER, Kind.GYROSCOPE)
 
 
@@ -301,7 +298,6 @@ _WEAKEST_FIELD = 5.0
 """The earth's field is 22 to 67 µT; a magnetometer far below it counts in another unit."""
 
 _UNITS_OF_WEAK_FIELDS = ((0.1, 2.0, "gauss"), (1e-6, 1e-3, "tesla"))
-
 REPEATED_SHARE = 0.01
 
 REPEATED_SHARE_OF_PRESSURE = 0.2

@@ -23,7 +23,6 @@ UNKNOWN_ACCURACY = 5.0
 """Taken where a fix says none [m]."""
 
 JUMP_SIGMAS = 8.0
-
 HARDEST_ACCELERATION = 10.0
 
 JUMP_MARGIN = 0.5
@@ -295,9 +294,7 @@ _DRIFT = 0.01
 """and within this part of the trajectory: odometry drifts."""
 
 _FEWEST_FIXES = 10
-
 _LEAST_SPREAD = 5.0
-
 _USUAL_ACCURACY = 5.0
 
 _CLEARLY = 0.3
@@ -307,7 +304,6 @@ _MIRRORED_REPORTED = 2.0
 """Trajectories less bent [m] have no left and right."""
 
 _HEIGHTS_REPORT = 3.0
-
 _ROTATED_HEIGHTS = -0.7
 
 

@@ -392,7 +392,6 @@ RATES_HZ: Mapping[Kind, tuple[float, float]] = MappingProxyType(
 """The rates between which the vendor's diagnosis lets streams pass, sweeps as images."""
 
 _RATE_TOLERANCE = 0.01
-
 _FRAMES = frozenset({Kind.CAMERA, Kind.LIDAR})
 
 _IRREGULAR = frozenset({Kind.GNSS, Kind.POSES, Kind.TEMPERATURE, Kind.OTHER})

@@ -36,7 +36,6 @@ from sceneloom.db34t.transport import SERVICE
 from sceneloom.db34t.wire import fusion_pb2
 
 CHECKS = Catalogue()
-
 _TABLE_2 = list(QUOTES["table_2"])
 
 

@@ -21,7 +21,6 @@ from sceneloom.db34t.conformance.catalogue import (
 )
 
 CHECKS = Catalogue()
-
 _NAME = "conformance_value"
 
 

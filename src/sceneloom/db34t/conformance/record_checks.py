@@ -30,7 +30,6 @@ from sceneloom.db34t.tables import TABLES
 from sceneloom.db34t.wire import fusion_pb2
 
 CHECKS = Catalogue()
-
 _FLOATS = (float("nan"), float("inf"))
 
 _TIMESTAMPS = (None, fusion_pb2.Timestamp(s=1, ns=10**9), fusion_pb2.Timestamp(s=1, ns=2**32 - 1))
@@ -42,7 +41,6 @@ _RAW_SENSORS = (
 """The property `sensors` for raw data that are pixels."""
 
 _PIXELS = scene.drawn_image().tobytes()
-
 _POINTS = scene.points_lidar()
 
 
@@ -223,9 +221,7 @@ _RAW_ROWS: Mapping[str, _Case] = {
 }
 
 _LOCATION: _Case = ((-100.0, 0.0), _FLOATS)
-
 _SIZE: _Case = ((0.25,), (0.0, -1.0, *_FLOATS))
-
 _CONFIDENCE: _Case = ((0.0, 1.0), (-0.125, 1.125, *_FLOATS))
 
 _BOX_3D_ROWS: Mapping[str, _Case] = {

@@ -24,7 +24,6 @@ from sceneloom.db34t.conformance.catalogue import (
 )
 
 CHECKS = Catalogue()
-
 _SENT = "the scene's pair, Get"
 
 _EXPECTED: dict[str, Any] = {
@@ -190,7 +189,6 @@ def _unseen(bench: Bench) -> Iterator[Seen]:
 
 
 _BOXES_SENT = "the scene's boxes, Get"
-
 _BOXES = (scene.MATCHED, scene.ALONE)
 
 _TOLERANCE = 1e-4

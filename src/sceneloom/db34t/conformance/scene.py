@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from sceneloom.db34t.wire import fusion_pb2
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 64.0
-
 MIDDLE = (32.0, 24.0)
 
 CAMERA_ID, LIDAR_ID = 7, 3

@@ -42,7 +42,6 @@ from sceneloom.scene.types import PointsFrame
 from sceneloom.warnings import WarningKind
 
 Columns = Mapping[str, AnyArray]
-
 _POSE = dict.fromkeys(("tx_m", "ty_m", "tz_m", "qx", "qy", "qz", "qw"), np.float64)
 _SIZE = dict.fromkeys(("length_m", "width_m", "height_m"), np.float64)
 _DISTORTION = dict.fromkeys(("k1", "k2", "k3"), np.float64)
@@ -460,7 +459,6 @@ def _check_unpacked(path: Path) -> None:
 
 
 _MAGIC, _LENGTH = 8, struct.Struct("<q")
-
 _RECORD_BATCH, _DICTIONARY = 3, 2
 
 

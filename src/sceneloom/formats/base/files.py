@@ -360,9 +360,7 @@ class FileIdentity:
 
 
 _LONG_SECONDS, _LASTING = 0.2, 20
-
 _LATE: dict[str, tuple[str, float]] = {}
-
 _FINGERPRINTS_LOCK = Lock()
 
 

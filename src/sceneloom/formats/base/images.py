@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 _PNG_HEAD = struct.Struct(">8s4x4sIIBB")
-
 _PNG_MARK = b"\x89PNG\r\n\x1a\n"
-
 _SCAN_MARK = b"\xff\xda"
 
 _MOST_SCANS = 100
@@ -179,9 +177,7 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 """Endings of files that hold images."""
 
 _FORMS = ("PNG", "JPEG")
-
 _EIGHT_BIT_MODES = {"1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "YCbCr", "CMYK"}
-
 _IMAGES_FAULTS = (OSError, ValueError, SyntaxError, EOFError, MemoryError)
 
 
@@ -331,9 +327,7 @@ _KEPT_CHUNKS = frozenset(
 """What a PNG file needs to show its image in its colours. Source: PNG, 3rd edition, 11.2 and 11.3."""
 
 _APPLICATIONS, _COMMENT = range(0xE0, 0xF0), 0xFE
-
 _SCAN, _STOP, _RESTARTS = 0xDA, 0xD9, range(0xD0, 0xD8)
-
 _ADOBE, _PROFILE = 0xEE, 0xE2
 
 
@@ -443,9 +437,7 @@ def _scan_end(content: bytes, position: int) -> int:
 
 
 _STEPS_PER_METRE = 256
-
 _LARGEST = 65535
-
 _COMPRESSION = 3
 
 

@@ -17,11 +17,8 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.types import Identifier
 
 _NUMBERS = {"1", "L", "P", "I", "I;16", "I;16B", "I;16L"}
-
 _LARGEST = 65535
-
 _LARGEST_BYTE = 255
-
 _COMPRESSION = 3
 
 

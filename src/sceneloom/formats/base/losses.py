@@ -139,7 +139,6 @@ def unknown_names(supports: Supports) -> list[str]:
 
 
 _ROOT = ("attributes", "metadata", "time_offset_ns", "extras")
-
 _OF_THE_TRAJECTORY = ("file_seconds", "covariances", "quaternions_xyzw", "positions", "timestamps_ns")
 
 

@@ -7,9 +7,7 @@ LENGTH_TYPE = 2
 """The type of fields that begin with their length: messages, bytes and texts."""
 
 _VARINT_TYPE = 0
-
 _FIXED_SIZES = {1: 8, 5: 4}
-
 _LONGEST_VARINT = 10
 
 _MOST_FIELDS = 1000

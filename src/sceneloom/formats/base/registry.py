@@ -91,15 +91,10 @@ class _LookedAt:
 
 
 _BEGINNING = 4096
-
 _WILD = re.compile(r"[*?\[]")
-
 _JSON, _ZIP, _MCAP = b"{", b"PK\x03\x04", b"\x89MCAP0\r\n"
-
 _KITTI = "sceneloom.formats.kitti.spec"
-
 _POINTS = "sceneloom.formats.points.spec"
-
 _MESSAGES = "sceneloom.formats.messages.spec"
 
 FORMATS: Mapping[str, FormatRow] = MappingProxyType(

@@ -170,7 +170,6 @@ def _arguments(known: tuple[str, ...] | type[Any], doing: str, options: Mapping[
 # What the specs and readers of several formats share.
 
 _LOOKED_AT = 50
-
 _MOST_NAMES = 20
 
 

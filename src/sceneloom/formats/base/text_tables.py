@@ -114,9 +114,7 @@ def shifted(timestamps_ns: Int64Array, offset_ns: int, file: object, location: s
 
 
 FILE_COLUMNS = ("file", "filename", "file_name", "path", "image", "image_name", "pcd", "cloud", "name")
-
 _UNIT_ENDINGS = {"_ns": "nanoseconds", "_us": "microseconds", "_ms": "milliseconds", "_s": "seconds"}
-
 _SECONDS = ("seconds", "secs", "sec", "stamp_sec", "stamp_secs")
 
 TIME_COLUMNS = (

@@ -32,7 +32,6 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.warnings import WarningKind
 
 _ENTRY = re.compile(r"(?P<indent> *)(?P<key>[^\s:#][^:#]*):(?P<value>.*)")
-
 _GREATEST_ERROR = 0.01
 
 _MODELS = {

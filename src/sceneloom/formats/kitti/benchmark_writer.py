@@ -58,14 +58,12 @@ _NEAR = 0.1
 """What has no corner further in front of the camera than this has no outline in its images [m]."""
 
 _UPRIGHT_WITHIN = 1e-6
-
 _REPORTED = ("truncated", "occluded", "alpha", "score", "type")
 
 _NO_SPACE = (-1.0, -1.0, -1.0, -1000.0, -1000.0, -1000.0, -10.0)
 """What rows of boxes in images have for size, location and heading."""
 
 _NO_OUTLINE = np.full(4, NO_OUTLINE)
-
 _IMAGE_ONLY = " (image)"
 
 

@@ -201,7 +201,6 @@ def _rigid(line: Line) -> RigidTransform:
 
 
 CAMERAS = 4
-
 _SAME = 1e-9
 
 _NAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(

@@ -80,7 +80,6 @@ CLASS_NAMES: Mapping[int, str] = MappingProxyType(
 """Names of classes by number. Source: `semantic-kitti.yaml` of SemanticKITTI's public API, entry `labels`."""
 
 UNLABELED = 0
-
 CLASS_BITS = 16
 
 

@@ -32,9 +32,7 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import key_of
 
 _NUMBERS: Mapping[str, int] = {name: number for number, name in CLASS_NAMES.items()}
-
 _KEPT = "semantic_kitti"
-
 _LARGEST = (1 << CLASS_BITS) - 1
 
 

@@ -171,7 +171,6 @@ _UNTOLD = {"navstat": -1.0, "numsats": -1.0, "posmode": -1.0, "velmode": -1.0, "
 """What stands for states that nothing reports; of all other columns it is 0."""
 
 _SAME_LOCATION = 1e-6
-
 _STEP_NS = 50_000_000
 
 

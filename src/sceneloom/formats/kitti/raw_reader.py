@@ -319,7 +319,6 @@ def format_timestamp(timestamp_ns: int) -> str:
 
 
 FILE = "tracklet_labels.xml"
-
 POSE_FIELDS = ("tx", "ty", "tz", "rx", "ry", "rz", "state", "occlusion", "occlusion_kf", "truncation")
 
 FURTHER_FIELDS = ("amt_occlusion", "amt_occlusion_kf", "amt_border_l", "amt_border_r", "amt_border_kf")

@@ -359,9 +359,7 @@ _HELD = frozenset({LidarSensor, CameraSensor, ImuSensor, GnssSensor, OdometrySen
 """Kinds of sensors and annotations that a drive can hold."""
 
 _MODELS = {"sync": frozenset({"pinhole"}), "extract": frozenset({"pinhole", "brown_conrady"})}
-
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)")
-
 _DRIVE_PATH = r"\d{4}_\d\d_\d\d/(?P<one>.+)"
 
 _KIND = FolderKind(

@@ -21,7 +21,6 @@ LATEST = 999_999
 """The largest number of a frame or a track: names of KITTI's files have six digits, and there is one entry a frame."""
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-
 _SHOWN = 40
 
 

@@ -115,11 +115,8 @@ _Parsed = tuple[Any, memoryview]
 """A message without its large field, and that field."""
 
 _DTYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
-
 _TYPES = {name: number for number, name in _DTYPES.items()}
-
 _MATCHING_ID = 0
-
 _LINE_LOOP, _LINE_STRIP, _LINE_LIST = 2, 3, 4
 
 
@@ -130,9 +127,7 @@ _DIAGONAL = 2
 
 
 _VIDEOS = frozenset({"h264", "h265", "vp9", "av1"})
-
 _FACES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 0.35}
-
 _EDGES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 1.0}
 
 
@@ -508,7 +503,6 @@ READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
 """The schemas that are read, by name: what they state, and what reads them."""
 
 _DATA = "data"
-
 _NANOSECONDS = 1_000_000_000
 
 

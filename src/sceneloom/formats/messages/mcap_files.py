@@ -46,7 +46,6 @@ _CHUNK = struct.Struct("<QQQII")
 """How a chunk begins: first and last time, size, checksum, length of the compression's name."""
 
 _CHUNK_TOP = 256
-
 _Record = TypeVar("_Record")
 
 
@@ -327,7 +326,6 @@ _COMPRESSIONS = ("none", "lz4", "zstd")
 """What chunks can be compressed with."""
 
 _MOST_IDS = 65535
-
 _Part = bytes | memoryview
 
 _LARGE_MESSAGE = 16 << 10

@@ -301,7 +301,6 @@ clouds of others (KISS-ICP, LIO-SAM) know both by their names.
 """
 
 _OURS = PointMapping(scale=IntensityScale(255.0))
-
 _LOOKED_AT = 10
 
 
@@ -601,7 +600,6 @@ _Columns = dict[tuple[str, ...], AnyArray]
 """Columns of a message to be written, (N,), or (N, k) by their k names."""
 
 _HELD = frozenset(["u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"])
-
 _MOST_NS = 2**32 - 1
 
 

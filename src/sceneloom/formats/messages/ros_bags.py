@@ -29,7 +29,6 @@ from sceneloom.formats.messages.spec import METADATA, ROOT_KEY
 from sceneloom.warnings import WarningKind
 
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
-
 _LONGEST_HEAD = 1 << 20
 
 _HEAD_ROOM = 512

@@ -127,7 +127,6 @@ _DATATYPES: Mapping[int, str] = MappingProxyType(
 """The types of `sensor_msgs/msg/PointField`."""
 
 _MICROTESLA = 1e-6
-
 _ZERO_CELSIUS = 273.15
 
 _NO_FIX = -1
@@ -380,15 +379,10 @@ NOT_READ: Mapping[str, str] = MappingProxyType(
 """What is left out of messages that are read."""
 
 _NUMBERS = {dtype: number for number, dtype in _DATATYPES.items()}
-
 _DIAGONAL = 2
-
 _GPS = 1
-
 _VIDEOS = frozenset({"h264", "h265", "vp9", "av1"})
-
 _LATEST_SECOND = 2**31 - 1
-
 _Message = tuple[str, Any]
 
 

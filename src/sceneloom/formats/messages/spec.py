@@ -11,13 +11,9 @@ from sceneloom.formats.base.losses import KEPT, Holding, Supports, approximated,
 from sceneloom.formats.base.spec import FormatSpec, begins, first_bytes
 
 METADATA = "metadata.yaml"
-
 ROOT_KEY = "rosbag2_bagfile_information"
-
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-
 _SQLITE = b"SQLite format 3\x00"
-
 _ROS_PROFILES = frozenset({"ros1", "ros2"})
 
 _ROS_ENCODINGS = frozenset({"cdr", "ros1"})
@@ -112,9 +108,7 @@ def _is_sqlite_bag(path: Path) -> bool:
 
 
 _NO_MESSAGE = "there are no messages for it"
-
 _SOURCE_TIMESTAMPS = "timestamps of the source are not written beside our own"
-
 _JSON = converted("written as JSON; values that JSON cannot state are dropped, which is reported")
 
 _ALONG = converted(

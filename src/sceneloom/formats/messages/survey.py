@@ -101,7 +101,6 @@ def _id_of_part(part: str) -> str:
 
 
 VERSION = 1
-
 _ATTRIBUTE_PARTS = ("sensor_id", "static", "point_index")
 
 

@@ -107,9 +107,7 @@ _IMAGES = ("copy", "jpeg", "png", "raw")
 """How images are written: files and videos as they are and the rest as JPEG; or all in one form."""
 
 _JPEG_QUALITY = 95
-
 _JPEG_START = b"\xff\xd8\xff"
-
 _MOST_STEPS = 65535
 
 
@@ -539,7 +537,6 @@ def _samples(
 
 
 _CUBOIDS_TOPIC = "/cuboids"
-
 _FRAMES_TOPIC, FIXED_FRAMES_TOPIC = "/tf", "/tf_static"
 
 

@@ -35,9 +35,7 @@ _CAMERA_MODELS: Mapping[str, Models] = MappingProxyType(
 """Our models, and the coefficients of each that nerfstudio does not have, by its name for them."""
 
 _NAMES = ("k1", "k2", "k3", "k4", "p1", "p2")
-
 _CORNER = 0.5
-
 _POINTS_FILE = "points.ply"
 
 _KIND = FolderKind(

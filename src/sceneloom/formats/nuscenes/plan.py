@@ -38,15 +38,10 @@ from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 
 _OF_SENSORS = frozenset({"token", "calibrated_sensor_token", KEY_FRAMES})
-
 OF_FRAMES = frozenset({"file", "token", "sample_token", "is_key_frame"})
-
 _OF_BOXES = frozenset({"tokens"})
-
 _OF_CLASSES = frozenset({"index"})
-
 _OF_SCENES = frozenset({"nuscenes", "sceneloom"})
-
 _WHAT = "the tables have no field for"
 
 

@@ -45,7 +45,6 @@ _MICROSECONDS = converted("whole microseconds, halves to the even one")
 _POSES = converted("the ego's pose at each frame, and the mounting")
 _WORLD = converted("poses lead into the world")
 _OWN_FRAME = converted("points are in the sensor's own frame")
-
 _POSED = ("sensors.lidar", "sensors.radar", "sensors.camera")
 _SWEPT = ("sensors.lidar", "sensors.radar")
 

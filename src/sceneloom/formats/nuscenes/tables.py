@@ -189,11 +189,8 @@ NEEDED = ("scene", "sample", "sample_data", "ego_pose", "calibrated_sensor", "se
 """Tables without which no scene can be opened."""
 
 _PIECE = 1 << 23
-
 _LONGEST_ROW = 1 << 16
-
 _ROW_END = re.compile(rb"\}\s*,")
-
 _FIELD = re.compile(r"\$\[(?P<row>\d+)\](?:\.(?P<field>\S+?))?`?$")
 
 
@@ -273,9 +270,7 @@ KEY_FRAMES = "key_frames_us"
 """Under this name a sensor that was read from nuScenes keeps the times of its key frames."""
 
 Written = LidarSensor | RadarSensor | CameraSensor
-
 _SECOND = 1_000_000_000
-
 _MICROSECOND = 1000
 
 

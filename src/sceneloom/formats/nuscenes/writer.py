@@ -299,7 +299,6 @@ _NOISE = "noise"
 """The class with the number 0, which points without a class get."""
 
 _MOST = 255
-
 _LOCATION = "annotations.labeled_points"
 
 

@@ -61,11 +61,8 @@ ELEMENTS: Mapping[str, str] = MappingProxyType(
 """What a file has lists of, and what one of each is called."""
 
 ABSOLUTE, RELATIVE = "MODE_POLY2D_ABSOLUTE", "MODE_POLY2D_RELATIVE"
-
 SENSOR_TYPES = ("camera", "lidar", "radar", "gps_imu", "other")
-
 _SHOWN = 60
-
 _LARGEST = 1e150
 
 

@@ -158,7 +158,6 @@ RBBOX = "rbbox"
 """Further field of a path: the rotated boxes that its polygons were made of, rows x y w h angle."""
 
 _Geometry = CuboidAnnotation | Box2DAnnotation | ShapeAnnotation
-
 _ANGLES = CuboidAngles()
 
 

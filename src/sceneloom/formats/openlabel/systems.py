@@ -23,7 +23,6 @@ from sceneloom.scene.poses import Poses
 from sceneloom.warnings import WarningKind
 
 _DEFAULT_RATE_HZ = 10.0
-
 _FARTHEST_NS = 9_200_000_000_000_000_000
 
 _EPOCHS = (("nanoseconds", 1e17), ("microseconds", 1e14), ("milliseconds", 1e11))
@@ -127,7 +126,6 @@ def _timestamp_ns(timestamp: Part) -> int:
 
 
 _GREATEST_MATRIX_ERROR = 0.01
-
 _DEFAULT_SEQUENCE = "ZYX"
 
 

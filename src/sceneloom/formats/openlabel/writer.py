@@ -60,7 +60,6 @@ _Datum = tuple[int | None, str, dict[str, Any]]
 """Time [ns], or None for always; type of the data; the element."""
 
 _CLOSED = (ShapeType.POLYGON, ShapeType.POLYGON_2D, ShapeType.POLYGON_TOPDOWN)
-
 _POINTS = (ShapeType.POINT, ShapeType.POINT_2D, ShapeType.POINT_TOPDOWN)
 
 
@@ -380,9 +379,7 @@ def _is_whole(annotation: Any) -> bool:
 
 
 _LEFT_OUT = (LocalizationAdjustment, CameraCalibration, PlainAnnotation)
-
 _NO_POSITION = "left out: OpenLABEL has no field for it"
-
 _SEEN = ("activations", "projections")
 
 

@@ -21,7 +21,6 @@ LARGEST = 1 << 29
 """More bytes than this, unpacked, no frame has."""
 
 _GZIP = b"\x1f\x8b"
-
 _LONGEST_MEMO = 1 << 20
 
 _OPERATIONS = frozenset(

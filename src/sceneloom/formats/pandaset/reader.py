@@ -321,9 +321,7 @@ def _build_receiver(drive: Path) -> list[Sensor]:
 
 
 _LABEL = "label"
-
 _STATED = ("camera_used",)
-
 _STATED_PREFIXES = ("attributes.", "cuboids.")
 
 _NOTHING = ("None", "", "-", "nan", "-1")

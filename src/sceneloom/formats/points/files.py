@@ -129,13 +129,9 @@ _OFFSET = "offset_ns"
 """Times of points from the frame's time on [ns]: 32 bits hold two seconds either way."""
 
 _LOCATIONS = ("x", "y", "z")
-
 _COLORS = ("red", "green", "blue")
-
 _SPACES = re.compile(r"\s+")
-
 _LONGEST_LAS_NAME = 32
-
 LossTaker = Callable[[Loss], None]
 
 

@@ -45,7 +45,6 @@ _SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e6
 """Steps of positions [m]."""
 
 _LAYOUT = struct.Struct("<HIIBHI")
-
 _RECORD_HEAD, _EXTENDED_HEAD = 54, 60
 
 _HEADER_LENGTHS = (227, 227, 227, 235, 375)

@@ -20,7 +20,6 @@ _INTENSITY_SCALES = (1.0, 255.0, 65535.0)
 """The brightest value of the usual scales."""
 
 _LARGEST_NS = 9.2e18
-
 _LARGEST_BYTE = 255
 
 

@@ -27,7 +27,6 @@ from sceneloom.formats.points.cloud import (
 from sceneloom.formats.points.spec import POSITION_NAMES
 
 _MAGIC = b"\x93NUMPY"
-
 _LONGEST_HEAD = 20_000
 
 _FAULTS = (
@@ -37,7 +36,6 @@ _FAULTS = (
 """What NumPy and the modules below it raise for files that are damaged, encrypted, or hold objects."""
 
 _PLAIN_COLUMNS = ("x", "y", "z", "intensity")
-
 _NAMES_OF_COLUMNS = {name for names in (*ALIASES.values(), *ROW_ALIASES.values()) for name in names}
 
 

@@ -25,15 +25,10 @@ from sceneloom.formats.points.cloud import (
 )
 
 _LONGEST_HEADER = 1 << 16
-
 _LETTERS = {"F": "f", "I": "i", "U": "u"}
-
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
-
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
-
 _MOST_VALUES = 1 << 16
-
 _NO_VIEWPOINT = ["0", "0", "0", "1", "0", "0", "0"]
 
 

@@ -31,7 +31,6 @@ _TYPES: Mapping[str, str] = {
 }  # fmt: skip
 
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-
 _LONGEST_HEADER = 1 << 20
 
 

@@ -81,7 +81,6 @@ _TRAJECTORIES: Mapping[str, tuple[PointTimes, ...]] = MappingProxyType(
 """What columns of times can mean, by the kind of their numbers, the likeliest first."""
 
 _NEAR_NS = 2e9
-
 _NOTHING_STATED = PointMapping()
 
 _FIRST_NS, _LAST_NS = 631_152_000e9, 4_102_444_800e9
@@ -273,7 +272,6 @@ _NANOSECOND_DIGITS = 19
 """So many digits, zeros before them included, are nanoseconds whatever they state: all of an int64 in order."""
 
 _NUMBER = re.compile(r"(?P<number>(?:^-)?\d+(?:\.\d+)?)$", re.ASCII)
-
 _PAIR = re.compile(r"(?:^|\D)(?P<seconds>\d{9,10})[_.-](?P<nanoseconds>\d{9})$", re.ASCII)
 
 _FIRST_S, _LAST_S = 631_152_000, 4_102_444_800

@@ -23,9 +23,7 @@ SENSOR_POSES, EGO_POSES = "world_from_sensor.tum", "world_from_ego.tum"
 """Files beside the clouds with the poses of the frame that the points are in."""
 
 BESIDE = (*TIME_FILES, SENSOR_POSES, EGO_POSES)
-
 _TEXTS = ("readme", "license", "licence")
-
 DEFAULT_ID = "lidar"
 
 POSITION_NAMES = ("points", "positions", "xyz", "pos", "pts", "arr_0")
@@ -35,11 +33,8 @@ ENCODINGS = ("binary", "ascii", "binary_compressed")
 """How PCD files are written."""
 
 _BEGINNING = 4096
-
 _FEW_POINTS = 64
-
 _FARTHEST_M = 1e4
-
 _BRIGHTEST = 65535.0
 
 _LOOKED_AT = 5
@@ -263,7 +258,6 @@ _LIDAR: Supports = {
 }  # fmt: skip
 
 _STEPS = approximated("rounded to steps of 0.01 mm, or 1 mm where points are more than 20 km apart")
-
 _NONE = dropped("left out: such files have x y z and intensity only, nuScenes' the laser, too")
 
 _OF_KIND: Mapping[str, Supports] = {

@@ -49,7 +49,6 @@ def _count(name: str, value: str | int) -> int:
 
 
 _IMAGES_ONLY = dropped("left out: the target holds images with camera models and poses, and points")
-
 _THINNED = approximated("one point per cube, in the world as at the time of its sweep")
 
 SUPPORTS: Supports = MappingProxyType(

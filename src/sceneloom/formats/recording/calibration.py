@@ -33,9 +33,7 @@ Source: `imuToCameraMatrix` in `codegen/parameter_definitions.c` of HybVIO, whic
 """
 
 _LAST_ROW_ERROR = 1e-6
-
 _LARGEST_ELEMENT = 2.0
-
 _FARTHEST = 1e6
 
 

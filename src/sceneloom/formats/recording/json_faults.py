@@ -12,11 +12,8 @@ DECODER_FAULTS = (msgspec.MsgspecError, ValueError, RecursionError)
 """What decoding of bytes that nobody checked may raise."""
 
 _PATH = re.compile(r"(?P<what>.*) - at `\$(?P<path>.*)`", re.DOTALL)
-
 _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
-
 _NO_NUMBER = re.compile(rb"\bnan\b|\binf", re.IGNORECASE)
-
 _LONGEST_QUOTE = 60
 
 _TYPE_COMPLAINT = re.compile(
@@ -33,7 +30,6 @@ _TYPES = {
 }
 
 _BOUNDS = {"<=": " of at most ", ">=": " of at least ", "<": " below ", ">": " above "}
-
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 _OTHER_FILES = {

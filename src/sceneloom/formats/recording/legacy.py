@@ -12,15 +12,10 @@ from sceneloom.formats.base.files import open_file
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 
 PARAMETERS_FILE = "parameters.txt"
-
 _FISHEYE = "kannala-brandt4"
-
 _FISHEYE_IN_LINES = "KANNALA_BRANDT4"
-
 _FISHEYE_COUNT = 4
-
 _MOST_CAMERAS = 2
-
 _LONGEST = 1 << 22
 
 

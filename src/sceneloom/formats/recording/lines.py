@@ -223,7 +223,6 @@ _Metres = Annotated[float, Meta(ge=-1e12, le=1e12)]
 """A position; the bounds keep the arithmetic with it from overflowing."""
 
 SensorIndex = Annotated[int, Meta(ge=0, le=254)]
-
 _FrameNumber = Annotated[int, Meta(ge=-(2**60), le=2**60)]
 
 
@@ -831,22 +830,16 @@ def _shaped(
 
 
 _decode_frequent = msgspec.json.Decoder(FrequentLine).decode
-
 _decode_exact = msgspec.json.Decoder(ExactLine).decode
-
 _decode_open = msgspec.json.Decoder(Line).decode
-
 _decode_any = msgspec.json.Decoder().decode
-
 _GROUND_TRUTH = ("groundTruth", "groundTruth")
 
 _BLANK = "blank-lines"
 """The code of a line that is blank: a fault, but at the end of the file."""
 
 _BLANK_LINE = "blank; expected a JSON object"
-
 _NO_SUBJECT = {"time", "number"}
-
 _NO_ROTATION = ExactQuaternion(nan, nan, nan, nan)
 
 
@@ -1089,9 +1082,7 @@ def _decode_object(text: bytes) -> dict[str, Any]:
 
 
 _BLOCK = 1 << 16
-
 _LONGEST_LINE = 1 << 26
-
 _KEYS_SHOWN = 10
 
 

@@ -33,9 +33,7 @@ _ROOT_NAME = "output"
 """How poses right at the root are called."""
 
 _Line = dict[str, msgspec.Raw]
-
 _decode_line = msgspec.json.Decoder(_Line).decode
-
 _decode_pose = msgspec.json.Decoder(NamedPose).decode
 
 _OTHER_KEYS = ROOT_KEYS - {"groundTruth", "pose"}

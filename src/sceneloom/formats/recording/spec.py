@@ -11,7 +11,6 @@ from sceneloom.formats.base.losses import KEPT, converted, dropped
 from sceneloom.formats.base.spec import FormatSpec, begins
 
 DATA_FILE = "data.jsonl"
-
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _ZIP = b"PK\x03\x04"
 _LONGEST_FIRST_LINE = 1 << 18

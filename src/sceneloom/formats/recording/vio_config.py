@@ -73,7 +73,6 @@ _SETTING = re.compile(
 )
 
 _BEGINS_LIST = ("- ", "-\t")
-
 _MARKS = ("---", "...", "%YAML")
 
 

@@ -187,9 +187,7 @@ def _block(
 
 
 _encode = msgspec.json.Encoder().encode
-
 _decode = msgspec.json.Decoder(dict[str, Any]).decode
-
 _decode_raw = msgspec.json.Decoder(dict[str, msgspec.Raw]).decode
 
 

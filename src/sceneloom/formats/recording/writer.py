@@ -663,7 +663,6 @@ _FIELD = "replay"
 """Under which these stand in a loss report: the recording holds the data all the same."""
 
 _NEEDED = ("accelerometer", "gyroscope")
-
 _MOST_CAMERAS = 2
 
 
@@ -740,7 +739,6 @@ def _loss(what: str, count: int = 1) -> Loss:
 
 
 _NO_FIELD = "left out: the format has none"
-
 _RECORDING_EXTRAS = {"calibration", "lidarInd"}
 
 

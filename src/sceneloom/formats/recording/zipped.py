@@ -27,11 +27,8 @@ _ALWAYS_FINE = 64 << 20
 """Bytes that may come out of an archive of any size."""
 
 _SPARE_BYTES = 64 << 20
-
 _BLOCK = 1 << 20
-
 _LONGEST_NAME = 1000
-
 _BESIDE = ("__MACOSX/", ".DS_Store")
 
 _FAULTS = (

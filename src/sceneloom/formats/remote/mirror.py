@@ -45,7 +45,6 @@ _LEFT_FREE = 1 << 30
 """What stays free on the disk [bytes]."""
 
 _MARKS = "used"
-
 _DRAFTS = "drafts"
 
 _AHEAD = 8

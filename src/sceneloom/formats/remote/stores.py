@@ -396,7 +396,6 @@ SIDE_BY_SIDE = 8
 """How many ranges or files are fetched at one time."""
 
 _REMEMBERED = 32 << 20
-
 _AHEAD = 128 << 20
 
 _LARGEST = 8 << 20

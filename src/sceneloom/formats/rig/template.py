@@ -62,19 +62,12 @@ def _column_hints(columns: Mapping[str, AnyArray]) -> list[str]:
 
 
 _VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".avi", ".ts", ".webm")
-
 _TEXT_SUFFIXES = (".txt", ".csv", ".tum")
-
 _DEEPEST = 4
-
 _MOST_FILES = 500_000
-
 _MOST_SHAPES = 12
-
 _LARGEST_TEXT = 50_000_000
-
 _FARTHEST = 1000.0
-
 _DIGITS = re.compile(r"\d+")
 
 _UNITS_BY_DIGITS = {19: "{ns}", 16: "{us}", 13: "{ms}", 10: "{s}"}

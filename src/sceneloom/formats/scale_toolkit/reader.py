@@ -108,7 +108,6 @@ def _ascending(timestamps_ns: Int64Array, names: Sequence[str], location: Path) 
 
 
 _CAMERA_MODEL = ("fx", "fy", "cx", "cy")
-
 _RADAR_COLUMNS = 7
 
 _LARGEST = 1e9

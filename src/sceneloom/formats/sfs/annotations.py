@@ -518,7 +518,6 @@ def _records(
 
 
 _AS_IS = _Column()
-
 _TIMESTAMPS = _Column("timestamps_ns", _read_times)
 
 
@@ -547,17 +546,11 @@ _SEEN = {"sensor_id": _AS_IS, "timestamps": _TIMESTAMPS}
 """What activations and projections begin with."""
 
 _CONFIRMED = _Column(read=_read_confirmed)
-
 _CUBOIDS = _nullable_rows(9)
-
 _POSES = _Column(read=_read_poses, write=_write_poses, extras=extras_of_poses)
-
 _ANY = {"id": _AS_IS, "parent_id": _AS_IS}
-
 _ATTRIBUTES = _Column(read=_read_attributes, write=_write_attributes)
-
 _LABELLED = {**_ANY, "label": _AS_IS, "attributes": _ATTRIBUTES}
-
 _OBJECT = {**_ANY, "label": _AS_IS, "stationary": _AS_IS, "attributes": _ATTRIBUTES}
 
 _COLUMNS: Mapping[type, Mapping[str, _Column]] = {

@@ -67,13 +67,9 @@ def _by_default(what: str) -> _Need:
 
 
 _ID = {"id": _needs("id"), "parent_id": _Need("id")}
-
 _ATTRIBUTES = {"attributes": _Need("[@attribute]")}
-
 _LABELLED = {**_ID, "label": _Need("text"), **_ATTRIBUTES}
-
 _SHAPE = {**_LABELLED, "stationary": _Need("flag"), "sensor_id": _Need("id"), "path": _needs("@path")}
-
 _FLAT_SHAPE = {**_SHAPE, "sensor_id": _needs("id")}
 
 _LABELED_POINTS = {
@@ -112,7 +108,6 @@ ANNOTATIONS: Mapping[str, Mapping[str, _Need]] = MappingProxyType(
 """The annotations that its loader takes and converts, with their fields."""
 
 _MOVING = {**_ID, "poses": _needs("@poses")}
-
 _CLOUD = {**_MOVING, "coordinates": _by_default("ego or world")}
 
 SENSORS: Mapping[str, Mapping[str, _Need]] = MappingProxyType(
@@ -190,7 +185,6 @@ PARTS: Mapping[str, Mapping[str, _Need]] = MappingProxyType(
 """The records inside sensors and annotations."""
 
 _NUMBERS = frozenset({int, float, bool})
-
 _INTEGERS = frozenset({int, bool})
 
 
@@ -455,7 +449,6 @@ def profile_named(name: str) -> Profile:
 
 
 _OUR_TYPES = frozenset({"imu", "gnss"})
-
 _NO_POSITION = "the format has no such sensor"
 
 

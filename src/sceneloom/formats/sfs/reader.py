@@ -593,13 +593,9 @@ _RECORD_KINDS = {
 }
 
 _TYPED_LISTS = {"sensors": sensor_record, "annotations": annotation_record}
-
 _OF_FRAMES = {"frames": ("lengths",), "images": ("camera_of_image", "mounts", "extras")}
-
 _ANY, _MAP = "any of ", "map of "
-
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d+)\]")
-
 _TIMED_ROWS = frozenset({"poses", "path", "point_path"})
 
 _NEEDED_ALL_THE_SAME = {

@@ -29,7 +29,6 @@ from sceneloom.scene.types import key_of
 from sceneloom.warnings import DataWarning, WarningKind
 
 _BLANK = " \t\r\n"
-
 _OURS = ("metadata", "sceneloom")
 
 _TAKEN_APART = frozenset(

@@ -73,47 +73,26 @@ def _ours(field: Field) -> Field:
 
 
 _ID = _needs("id", Kind.IDENTIFIER)
-
 _TYPE = _needs("type", Kind.TEXT)
-
 _PARENT = Field("parent_id", Kind.IDENTIFIER)
-
 _SENSOR = Field("sensor_id", Kind.IDENTIFIER)
-
 _OF_SENSOR = _needs("sensor_id", Kind.IDENTIFIER)
-
 _LABEL = Field("label", Kind.TEXT)
-
 _STATIONARY = Field("stationary", Kind.FLAG)
-
 _TIMESTAMPS = _needs("timestamps", Kind.TIMES, "file")
-
 _VALUES = _needs("values", Kind.LIST)
-
 _ATTRIBUTES = Field("attributes", Kind.RECORDS, record="attribute")
-
 _POSES = Field("poses", Kind.RECORD, unit="m, x y z w", record="poses")
-
 _COORDINATES = Field("coordinates", Kind.TEXT)
-
 _POINT_TIMES = Field("timestamps", Kind.POINT_TIMES, unit="file")
-
 _CUBOIDS = Field("cuboids", Kind.LIST, unit="m, angles")
-
 _POSITIONS = _array("positions", "float32", 3, "m", required=True)
-
 _SENSOR_FIELDS = (_ID, _TYPE, _PARENT)
-
 _MOVING_FIELDS = (*_SENSOR_FIELDS, _POSES, _COORDINATES)
-
 _ANNOTATION_FIELDS = (_ID, _TYPE, _PARENT)
-
 _LABELLED_FIELDS = (*_ANNOTATION_FIELDS, _LABEL, _ATTRIBUTES)
-
 _OBJECT_FIELDS = (*_LABELLED_FIELDS, _STATIONARY)
-
 _SHAPE_FIELDS = (*_OBJECT_FIELDS, _SENSOR, _needs("path", Kind.RECORD, record="path"))
-
 _FLAT_SHAPE_FIELDS = (*_OBJECT_FIELDS, _OF_SENSOR, _needs("path", Kind.RECORD, record="path"))
 
 _LABELED_POINTS_FIELDS = (

@@ -82,15 +82,10 @@ ALIGNMENT = 64
 """A cache line, and enough for every dtype and vector instruction."""
 
 _NULS = bytes(2 * ALIGNMENT)
-
 _GAP = 4
-
 _IN_MEMORY = 8 << 20
-
 _GATHERED = 1 << 20
-
 _SMALL = 1 << 16
-
 _ALLOCATED = 64 << 20
 
 
@@ -666,11 +661,8 @@ class CloudWriter:
 
 
 _JPEG_START = b"\xff\xd8\xff"
-
 _USUAL_FPS = 10.0
-
 _PIECE = 1 << 20
-
 _KEPT = "metadata.sceneloom.sensor_notes[].images"
 
 

@@ -166,7 +166,6 @@ class OpenVideo:
 
 
 _SEGMENT = 0x18538067
-
 _LONGEST_HEAD = 12
 
 
@@ -433,9 +432,7 @@ AVFMT_FLAG_NOPARSE of libavformat/avformat.h.
 """
 
 _LONG_SIZE, _TO_THE_END = 1, 0
-
 _LOOKED_AT = 64 << 10
-
 _MOST_BOXES = 10_000
 
 

@@ -163,7 +163,6 @@ class Resting(Protocol):
 
 
 _KNOWN: "WeakValueDictionary[int, Resting]" = WeakValueDictionary()
-
 _HELD: list[Resting] = []
 
 

@@ -73,7 +73,6 @@ _TICKS = MappingProxyType({"matroska": Fraction(1, 1000), "mp4": MICROSECONDS})
 """Length of one tick in each container; Matroska's is the millisecond that its muxer is bound to."""
 
 _CONTAINERS = MappingProxyType({".mkv": "matroska", ".mp4": "mp4"})
-
 _TO_YUV = Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INP | Interpolation.ACCURATE_RND
 
 _BT601_MATRIX = 6

@@ -187,7 +187,6 @@ _CELLS = 500
 """About so many corners, one in each cell of a grid, so that they are spread over the image."""
 
 _HALF_WINDOW = 7
-
 _CORNERS_ROUNDS = 20
 
 _LEAST_STRENGTH = 4.0

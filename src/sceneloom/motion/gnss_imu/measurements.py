@@ -78,7 +78,6 @@ _VERTICAL = 1.7
 """Heights are worse by so much where the receiver does not report. Source: usual ratio of VDOP to HDOP."""
 
 _UNKNOWN_HEIGHT = 1e5
-
 _LEAST_SIGMA, _LARGEST_SIGMA = 1e-3, 1e4
 
 

@@ -9,9 +9,7 @@ from types import TracebackType
 _PEERS = "pip install '.[dev,bench]'"
 
 
-def _name_what_to_install(
-    kind: type[BaseException], error: BaseException, traceback: TracebackType | None
-) -> None:
+def _name_what_to_install(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
     """End with one line where a peer is missing, and with the traceback otherwise."""
     name = error.name if isinstance(error, ModuleNotFoundError) else None
     if name is None or name.partition(".")[0] in {"sceneloom", "benchmarks"}:

@@ -88,9 +88,7 @@ def speed(locations: list[Path], scratch: Path, frames: int) -> None:
         )
         assert found[name].failed == 0, name
     (one, two, dask), (busy_one, busy_two, busy_dask) = seconds.values(), busy.values()
-    print(
-        f"  by the clock: 2 workers against 1 {one / two:.2f} times; dask against pool {dask / two - 1:+.1%}"
-    )
+    print(f"  by the clock: 2 workers against 1 {one / two:.2f} times; dask against pool {dask / two - 1:+.1%}")
     print(
         f"  by processors, which a busy machine leaves alone: {2 * busy_one / busy_two:.2f} times (asked 1.8); "
         f"{busy_dask / busy_two - 1:+.1%} (asked at most 15 %)"
@@ -108,10 +106,7 @@ def ceiling(locations: list[Path], scratch: Path) -> None:
     for work in ("plain", "fuse"):
         taken = {}
         for count in (1, 2):
-            sides = [
-                _begin_alone(work, locations, scratch / "ceiling" / f"{work}-{count}-{k}")
-                for k in range(count)
-            ]
+            sides = [_begin_alone(work, locations, scratch / "ceiling" / f"{work}-{count}-{k}") for k in range(count)]
             for _, pipe in sides:
                 pipe.recv()
             for _, pipe in sides:
@@ -212,9 +207,7 @@ def kills(locations: list[Path], scratch: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--drives", type=int, default=200)
     parser.add_argument("--frames", type=int, default=20)
     parser.add_argument("--only", default="ceiling,speed,nothing,kills")

@@ -55,9 +55,7 @@ def _repaired(seed: int) -> tuple[Refinement, np.ndarray, float]:
     drive = simulate_street(seed, frames=20)
     rng = np.random.default_rng(seed)
     rotation, shift = (size * _direction(rng) for size in (0.5, 0.05))
-    wrong = SensorFaults(
-        rotation_deg=tuple(rotation.tolist()), shift=tuple(shift.tolist()), time_offset_ns=30_000_000
-    )
+    wrong = SensorFaults(rotation_deg=tuple(rotation.tolist()), shift=tuple(shift.tolist()), time_offset_ns=30_000_000)
     frames = calibration_frames(inject(drive, Faults({"camera0": wrong})).scene)
     found, seconds = _refined(frames)
     truth = drive.scene.cameras[0].mount.inverse() @ drive.scene.lidars[0].mount

@@ -35,9 +35,7 @@ CAMERA_MODELS: Mapping[str, Camera] = {
     "brown_conrady, 8": Camera("brown_conrady", *SIZE, RATIONAL),
     "brown_conrady, 14": Camera("brown_conrady", *SIZE, (*RATIONAL, 0.0, 0.0, *PRISM_AND_TILT)),
     "fisheye": Camera("fisheye", *WIDE, (-0.0284, 0.0021, -0.0052, 4e-4)),
-    "omnidir": Camera(
-        "omnidir", 1920, 1080, 2200.0, 2200.0, 959.5, 539.5, (-0.21, 0.034, 1.7, 1.23, 5e-4, -8e-4)
-    ),
+    "omnidir": Camera("omnidir", 1920, 1080, 2200.0, 2200.0, 959.5, 539.5, (-0.21, 0.034, 1.7, 1.23, 5e-4, -8e-4)),
     "mod_equi_fish": Camera("mod_equi_fish", *WIDE, (0.0, -0.02, 0.004, -0.001)),
     "mod_kannala": Camera("mod_kannala", *WIDE, (0.02, -0.01, 0.002, 0.0)),
     "cylindrical": Camera("cylindrical", *WIDE),

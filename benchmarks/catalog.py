@@ -45,9 +45,7 @@ QUERIES: dict[str, str | Selection] = {
     "location": Selection(near=(48.15, 11.5, 2000.0)),
     "location, label, time": Selection(near=(48.15, 11.5, 2000.0), labels=("truck",), start=5.0, stop=15.0),
     "attribute of the scene": Selection(labels=("bicycle",), attributes=(("weather", "rain"),)),
-    "attribute of the box": Selection(
-        labels=("car",), attributes=(("parked", "true"),), distance=(0.0, 10.0)
-    ),
+    "attribute of the box": Selection(labels=("car",), attributes=(("parked", "true"),), distance=(0.0, 10.0)),
     "SQL: boxes by class": "SELECT label, count(*), min(distance), avg(speed) FROM annotations GROUP BY label",
     "SQL: nearest of each drive": "SELECT scene, min(nearest) FROM tracks GROUP BY scene ORDER BY 2 LIMIT 10",
 }
@@ -72,9 +70,7 @@ def make_scene(seed: int, objects: int) -> Scene:
         values[:, 6:] = 0.0, 0.0, rng.uniform(-180, 180)
         label = LABELS[int(rng.integers(len(LABELS)))]
         stated = (parked,) if rng.uniform() < 0.2 else ()
-        boxes.append(
-            CuboidAnnotation(f"{seed}-{number}", CuboidPath(times, values), label, attributes=stated)
-        )
+        boxes.append(CuboidAnnotation(f"{seed}-{number}", CuboidPath(times, values), label, attributes=stated))
     weather = AttributePath("weather", ("rain" if rng.uniform() < 0.2 else "dry",), static=True)
     gnss = GnssSensor("gnss", times, geodetic_from_enu(points, origin), unknown, unknown)
     ego = OdometrySensor("ego", Poses(times, points, rotations))
@@ -92,9 +88,7 @@ def fill(folder: Path, scenes: int, objects: int) -> None:
             path = f"/drives/{seed}.sfs"
             scene = make_scene(seed, objects)
             start = time.process_time()
-            rows = scene_rows(
-                scene, path=path, options={}, fingerprint="made up", size_bytes=None, findings=()
-            )
+            rows = scene_rows(scene, path=path, options={}, fingerprint="made up", size_bytes=None, findings=())
             name, draft = scene_name(path, {}), layout.drafts / str(seed)
             waiting.append(Fresh(name, Entry(path, {}, "made up"), draft, write_draft(name, rows, draft)))
             if sum(fresh.rows for fresh in waiting) >= PART_ROWS or seed == scenes - 1:

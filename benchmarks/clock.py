@@ -41,9 +41,7 @@ class Row:
     """Noise of the fixes [m], where the bound is reported."""
 
 
-def plain(
-    seed: int, *, seconds: int = 60, sigma: float = 0.4, rate_hz: float = 10.0, **more: object
-) -> Scene:
+def plain(seed: int, *, seconds: int = 60, sigma: float = 0.4, rate_hz: float = 10.0, **more: object) -> Scene:
     """A drive without sweeps worth to look at."""
     small = LidarSpec(beams=1, steps=4, elevations_deg=(-1.0, 1.0))
     gnss = GnssSpec(horizontal_sigma=sigma, rate_hz=rate_hz)
@@ -61,9 +59,7 @@ def shaken(seed: int, sigma: float, hz: float) -> Scene:
 
 def seen(seed: int, readout_ns: int) -> Scene:
     """A drive with images."""
-    camera_model = Camera(
-        "brown_conrady", 480, 300, 300.0, 300.0, 239.5, 149.5, (-0.1, 0.03, 0.0004, -0.0003, -0.004)
-    )
+    camera_model = Camera("brown_conrady", 480, 300, 300.0, 300.0, 239.5, 149.5, (-0.1, 0.03, 0.0004, -0.0003, -0.004))
     camera = CameraSpec(camera_model, supersampling=2, readout_ns=readout_ns)
     return plain(seed, seconds=12, cameras=(camera,), path=PathSpec(yaw_rate=0.4))
 
@@ -76,9 +72,7 @@ def swept(seed: int) -> Scene:
 ROWS = (
     Row("gyroscope, trajectory 100 Hz", "imu", "groundTruth", plain),
     Row("gyroscope, trajectory 10 Hz", "imu", "groundTruth", lambda seed: plain(seed, trajectory_hz=10.0)),
-    Row(
-        "gyroscope, trajectory 20 Hz, 0.1 deg", "imu", "groundTruth", lambda seed: shaken(seed, 0.0017, 20.0)
-    ),
+    Row("gyroscope, trajectory 20 Hz, 0.1 deg", "imu", "groundTruth", lambda seed: shaken(seed, 0.0017, 20.0)),
     Row("trajectory, GNSS 10 Hz, 0.4 m", "groundTruth", "gnss", plain, sigma=0.4),
     Row("the same, antenna at the origin", "groundTruth", "gnss", plain, lever=0.0, sigma=0.4),
     Row(
@@ -146,10 +140,7 @@ def bound(scene: Scene, row: Row) -> float:
 def peer(reference: Stream, stream: Stream) -> float:
     """The offset by plain cross-correlation [s]."""
     reported = reference.reported(), stream.reported()
-    steps = [
-        np.median(np.diff(t.rotating.timestamps_ns if t.rotating else t.fixes.timestamps_ns))
-        for t in reported
-    ]
+    steps = [np.median(np.diff(t.rotating.timestamps_ns if t.rotating else t.fixes.timestamps_ns)) for t in reported]
     step = max(steps) * 1e-9
     origin_ns = max(s.span_ns[0] for s in (reference, stream))
     length = min(s.span_ns[1] for s in (reference, stream)) - origin_ns

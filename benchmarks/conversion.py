@@ -82,9 +82,7 @@ class Drive:
             for _ in range(4)
         ]
         smooth = rng.integers(0, 256, (HEIGHT // 8, WIDTH // 8, 3), np.uint8)
-        self.jpegs = [
-            encode_jpeg(np.roll(smooth, k, axis=1).repeat(8, axis=0).repeat(8, axis=1)) for k in range(4)
-        ]
+        self.jpegs = [encode_jpeg(np.roll(smooth, k, axis=1).repeat(8, axis=0).repeat(8, axis=1)) for k in range(4)]
         self.camera_model = Camera("pinhole", WIDTH, HEIGHT, 1000.0, 1000.0, 959.5, 539.5)
         self.timestamps = np.arange(frames, dtype=np.int64) * PERIOD_NS
 

@@ -66,9 +66,7 @@ def main() -> None:
     parser.add_argument("--moments", type=int, default=20)
     reported = parser.parse_args()
     times_of([make_pair(reported.boxes, 0)])
-    print(
-        f"{reported.boxes} + {reported.boxes} boxes{'fusing':>12s}{'tracking':>12s}{'both':>10s}{'objects':>10s}"
-    )
+    print(f"{reported.boxes} + {reported.boxes} boxes{'fusing':>12s}{'tracking':>12s}{'both':>10s}{'objects':>10s}")
     for name, some in drives(reported.boxes, reported.moments):
         found = [times_of(drive) for drive in some]
         fusing, tracking = (np.concatenate([row[k] for row in found]) for k in range(2))

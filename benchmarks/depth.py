@@ -81,18 +81,14 @@ def through_window(view: FusedView) -> FusedView:
     nearest = minimum_filter(np.where(nearest > 0, nearest, np.inf), size=WINDOW)
     column, row = np.rint(view.pixels).astype(int).clip(0, [view.camera.width - 1, view.camera.height - 1]).T
     visible = view.depths <= nearest[row, column] * (1 + NEARER_SHARE) + NEARER
-    return replace(
-        view, visible=visible, depth_image=drawn(view.pixels[visible], view.depths[visible], view.camera)
-    )
+    return replace(view, visible=visible, depth_image=drawn(view.pixels[visible], view.depths[visible], view.camera))
 
 
 def kitti(folder: Path, name: str, *, window: bool = False) -> Case:
     """Half the rings of a frame of the KITTI object set."""
     from PIL import Image
 
-    calib = dict(
-        line.split(":", 1) for line in (folder / "calib" / f"{name}.txt").read_text().splitlines() if line
-    )
+    calib = dict(line.split(":", 1) for line in (folder / "calib" / f"{name}.txt").read_text().splitlines() if line)
     numbers = {key: np.array(text.split(), float) for key, text in calib.items()}
     rgb = np.array(Image.open(folder / "image_2" / f"{name}.png").convert("RGB"))
     points = np.fromfile(folder / "velodyne" / f"{name}.bin", np.float32).reshape(-1, 4)[:, :3].astype(float)
@@ -157,9 +153,7 @@ def ip_basic(sparse: np.ndarray) -> np.ndarray:
     """
     import cv2
 
-    diamond = np.array(
-        [[0, 0, 1, 0, 0], [0, 1, 1, 1, 0], [1, 1, 1, 1, 1], [0, 1, 1, 1, 0], [0, 0, 1, 0, 0]], np.uint8
-    )
+    diamond = np.array([[0, 0, 1, 0, 0], [0, 1, 1, 1, 0], [1, 1, 1, 1, 1], [0, 1, 1, 1, 0], [0, 0, 1, 0, 0]], np.uint8)
     near = np.where(sparse > 0.1, 100.0 - sparse, 0.0).astype(np.float32)
     near = cv2.dilate(near, diamond)
     near = cv2.morphologyEx(near, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
@@ -340,9 +334,7 @@ def main() -> None:
             [simulated(seed) for seed in range(20, 24)],
         )
     if stated.what == "confidence":
-        show_confidence(
-            "simulated streets, whole sweeps", [simulated(seed) for seed in range(20, 24)], sky=True
-        )
+        show_confidence("simulated streets, whole sweeps", [simulated(seed) for seed in range(20, 24)], sky=True)
     if stated.what in ("rings", "window", "confidence"):
         if stated.data is None:
             parser.error("state where the real data are")

@@ -65,9 +65,7 @@ def in_memory(scene: Scene) -> Scene:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sweeps", type=int, default=60)
     parser.add_argument("--seed", type=int, default=2)
     arguments = parser.parse_args()

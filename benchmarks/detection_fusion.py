@@ -46,9 +46,7 @@ def make_pair(count: int, seed: int) -> DetectionPair:
     """A street with `count` boxes in the sweep and as many in the image."""
     random = np.random.default_rng(seed)
     ahead = random.uniform(6.0, 80.0, count)
-    centers = np.column_stack(
-        [ahead, random.uniform(-0.8, 0.8, count) * ahead, random.uniform(-1.5, 0.0, count)]
-    )
+    centers = np.column_stack([ahead, random.uniform(-0.8, 0.8, count) * ahead, random.uniform(-1.5, 0.0, count)])
     sizes = random.uniform([0.6, 0.5, 1.4], [5.0, 2.0, 2.5], (count, 3))
     labels = tuple(LABELS[k % len(LABELS)] for k in range(count))
     boxes_3d = Boxes3D(0, centers, sizes, random.uniform(-np.pi, np.pi, count), random.random(count), labels)
@@ -56,14 +54,10 @@ def make_pair(count: int, seed: int) -> DetectionPair:
     corners = corners + random.normal(scale=2.0, size=(count, 4))
     alone = random.random(count) < 0.25
     corners[alone] = random.uniform([0, 0, 1000, 600], [900, 500, 1900, 1000], (int(alone.sum()), 4))
-    return DetectionPair(
-        boxes_3d, Boxes2D(0, corners, random.random(count), labels), CAMERA, CAMERA_FROM_LIDAR
-    )
+    return DetectionPair(boxes_3d, Boxes2D(0, corners, random.random(count), labels), CAMERA, CAMERA_FROM_LIDAR)
 
 
-def milliseconds(
-    run: Callable[[DetectionPair], object], pairs: list[DetectionPair], repetitions: int
-) -> float:
+def milliseconds(run: Callable[[DetectionPair], object], pairs: list[DetectionPair], repetitions: int) -> float:
     """Median over rounds of the processor time for one pair."""
     times = []
     for repetition in range(repetitions + 1):
@@ -97,9 +91,7 @@ def main() -> None:
     pairs = [make_pair(stated.boxes, seed) for seed in range(stated.pairs)]
     found = [fuse_by_projection(pair) for pair in pairs]
     both = np.mean(np.concatenate([(fused.rows_3d >= 0) & (fused.rows_2d >= 0) for fused in found]))
-    print(
-        f"{stated.boxes} + {stated.boxes} boxes, {100 * both:.0f} % of the objects are seen by both sensors"
-    )
+    print(f"{stated.boxes} + {stated.boxes} boxes, {100 * both:.0f} % of the objects are seen by both sensors")
     whole = milliseconds(fuse_by_projection, pairs, stated.repetitions)
     print(f"fusion      {whole:6.3f} ms, {1e3 / whole:6.0f} pairs a second (aim 2000 of 20 + 20)")
     for name, run in (("outlines", outline), ("assignment", pair_up)):

@@ -91,9 +91,7 @@ def drives_of(folder: Path) -> list[Drive]:
             )
             for frame in range(sequence.frame_count)
         )
-        placed = lidar_boxes(
-            labels.sizes_hwl, labels.bottoms, labels.rotations_y, sequence.rectified_from_lidar
-        )
+        placed = lidar_boxes(labels.sizes_hwl, labels.bottoms, labels.rotations_y, sequence.rectified_from_lidar)
         truth = replace(
             ObjectTable.of_kitti(labels),
             boxes=np.column_stack(placed),
@@ -115,9 +113,7 @@ def raw(rule: Callable[[Float64Array, Float64Array], Float64Array]) -> Fuse:
         of_image = np.full(len(rows), np.nan)
         has = fused.rows_2d != NO_BOX
         of_image[has] = pair.boxes_2d.scores[fused.rows_2d[has]]
-        same = replace(
-            fused, centers=three.centers[rows], sizes_lwh=three.sizes_lwh[rows], yaws=three.yaws[rows]
-        )
+        same = replace(fused, centers=three.centers[rows], sizes_lwh=three.sizes_lwh[rows], yaws=three.yaws[rows])
         return same, rule(1.0 / (1.0 + np.exp(-three.scores[rows])), of_image)
 
     return fuse
@@ -198,9 +194,7 @@ def scored(
     joined, first = list[ObjectTable](), 0
     for name in sorted(truth):
         joined.append(truth[name].select(truth[name].are(REGIONS)).moved(first))
-        first += 1 + max(
-            (int(table.frames.max()) for table in (truth[name], results[name]) if len(table)), default=-1
-        )
+        first += 1 + max((int(table.frames.max()) for table in (truth[name], results[name]) if len(table)), default=-1)
     regions = ObjectTable.joined(joined).in_order()
     frames = 1 + max(int(found.found.frames.max(initial=-1)), int(regions.frames.max(initial=-1)))
     pairs = FramePairs.of(regions.frame_starts(frames), found.found.frame_starts(frames))
@@ -208,9 +202,7 @@ def scored(
     return replace(found, excused=kernels_scores.reached_columns(shares, *pairs.locations, 1e-6))
 
 
-def spread_of_calibration(
-    results: dict[str, ObjectTable], drives: list[Drive], label: str, *, inside: bool
-) -> float:
+def spread_of_calibration(results: dict[str, ObjectTable], drives: list[Drive], label: str, *, inside: bool) -> float:
     """Deviation of the calibration error when sequences are drawn anew.
 
     Source: Efron 1979, "Bootstrap Methods: Another Look at the Jackknife", with whole sequences, within which boxes are
@@ -222,9 +214,7 @@ def spread_of_calibration(
         reported = score_detections(alone).calibration
         if reported is not None:
             counts.append([each.count for each in reported.bins])
-            gaps.append(
-                [each.count * ((each.mean_score or 0.0) - (each.share_true or 0.0)) for each in reported.bins]
-            )
+            gaps.append([each.count * ((each.mean_score or 0.0) - (each.share_true or 0.0)) for each in reported.bins])
     drawn = np.random.default_rng(0).integers(len(counts), size=(DRAWN, len(counts)))
     off = np.abs(np.array(gaps)[drawn].sum(axis=1)).sum(axis=1)
     return float((off / np.array(counts)[drawn].sum(axis=(1, 2))).std())
@@ -240,9 +230,7 @@ def print_row(
 ) -> None:
     """Print the figures of one rule."""
     results = {key: table for key, (table, _) in tables.items()}
-    half, most = (
-        score_detections(scored(results, drives, label, overlap, inside=inside)) for overlap in (0.5, 0.7)
-    )
+    half, most = (score_detections(scored(results, drives, label, overlap, inside=inside)) for overlap in (0.5, 0.7))
     calibration = ""
     if half.calibration is not None:
         spread = spread_of_calibration(results, drives, label, inside=inside)
@@ -292,17 +280,14 @@ def by_settings(settings: ProjectionSettings) -> Fuse:
     return fuse
 
 
-def tracked(
-    drive: Drive, pairs: Sequence[DetectionPair], settings: ProjectionSettings
-) -> tuple[ObjectTable, None]:
+def tracked(drive: Drive, pairs: Sequence[DetectionPair], settings: ProjectionSettings) -> tuple[ObjectTable, None]:
     """The objects of a sequence, followed online and reported however unlikely they are."""
     tracker, parts, labels = Tracker(ALL_REPORTED), list[tuple[Float64Array, ...]](), list[str]()
     fuse = partial(fuse_by_projection, settings=replace(settings, keep_camera_only=True))
     for frame, (pair, location) in enumerate(zip(pairs, drive.locations, strict=True)):
         reported = tracker.step(Observation.of_pairs({"camera": pair}, location, fuse=fuse))
         heads = (
-            np.column_stack([np.cos(reported.yaws), np.sin(reported.yaws), np.zeros(len(reported))])
-            @ location.rotation
+            np.column_stack([np.cos(reported.yaws), np.sin(reported.yaws), np.zeros(len(reported))]) @ location.rotation
         )
         boxes = np.column_stack(
             [
@@ -347,9 +332,7 @@ def main() -> None:
     names = tuple(drive.name for drive in drives)
     examples = tuple(kitti_examples(reported.folder, names))
     columns = columns_of(examples, overlap=0.5)
-    rules: dict[str, Callable[[str], Fuse]] = {
-        name: lambda _, rule=rule: rule for name, rule in RULES.items()
-    }
+    rules: dict[str, Callable[[str], Fuse]] = {name: lambda _, rule=rule: rule for name, rule in RULES.items()}
     fixed = {
         "ours": by_settings(ProjectionSettings(detectors=reported.detectors, keep_camera_only=False)),
         "simulated": by_settings(ProjectionSettings(keep_camera_only=False)),

@@ -56,12 +56,8 @@ def kitti_examples(folder: Path, sequences: Sequence[str] | None = None) -> Iter
             words = tuple(NEIGHBOURS.get(str(types[row]), str(types[row])) for row in rows)
             time_ns = int(drive.timestamps_ns[frame])
             truth = Boxes3D(time_ns, *placed, np.ones(len(rows)), words)
-            pair = DetectionPair(
-                drive.boxes_3d(frame), drive.boxes_2d(frame), drive.camera, drive.camera_from_lidar
-            )
-            yield LabelledPair(
-                pair, truth, counts[rows], neighbours[rows], corners[types == "DontCare"], name
-            )
+            pair = DetectionPair(drive.boxes_3d(frame), drive.boxes_2d(frame), drive.camera, drive.camera_from_lidar)
+            yield LabelledPair(pair, truth, counts[rows], neighbours[rows], corners[types == "DontCare"], name)
 
 
 DRIVES, FRAMES, STEP = 12, 120, 10

@@ -77,9 +77,7 @@ def by_trackeval(location: Path) -> None:
     import trackeval
 
     quiet = {"PRINT_CONFIG": False}
-    off = dict.fromkeys(
-        ("PRINT_RESULTS", "OUTPUT_SUMMARY", "OUTPUT_DETAILED", "PLOT_CURVES", "TIME_PROGRESS"), False
-    )
+    off = dict.fromkeys(("PRINT_RESULTS", "OUTPUT_SUMMARY", "OUTPUT_DETAILED", "PLOT_CURVES", "TIME_PROGRESS"), False)
     with contextlib.redirect_stdout(io.StringIO()):
         dataset = trackeval.datasets.Kitti2DBox(
             {"GT_FOLDER": str(location / "truth"), "TRACKERS_FOLDER": str(location / "results"), **quiet}

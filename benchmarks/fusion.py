@@ -166,11 +166,7 @@ def answer(count):
     for line in sys.stdin:
         name, known_trajectory = line.split()
         print(
-            spent(
-                lambda task=tasks[name], trajectory=known_trajectory == "1": task.fuse(
-                    known_trajectory=trajectory
-                )
-            ),
+            spent(lambda task=tasks[name], trajectory=known_trajectory == "1": task.fuse(known_trajectory=trajectory)),
             flush=True,
         )
 
@@ -213,9 +209,7 @@ def show_before(count, repetitions, checkout):
                 ]
                 for _ in range(repetitions + 1)
             ]
-            rotations = np.median(
-                np.array(runs)[1:, :, 1:], axis=2
-            )  # the first of a rotation meets cold caches
+            rotations = np.median(np.array(runs)[1:, :, 1:], axis=2)  # the first of a rotation meets cold caches
             reported = [
                 f"{how} {ours:.1f} ms, before {theirs:.1f} ms, ratio {theirs / ours:.2f}"
                 for how, (ours, theirs) in (
@@ -255,9 +249,7 @@ def show_whole(count, repetitions):
         print(f"{name}: {count} points, {100 * shown:.0f} % of them in a {WIDTH}x{HEIGHT} image, one thread")
         for label, value in median.items():
             if not label.startswith(("by the clock", "two")):
-                print(
-                    f"  {label:26} {value:7.1f} ms, {value / ours:6.2f} times ours with the trajectory known"
-                )
+                print(f"  {label:26} {value:7.1f} ms, {value / ours:6.2f} times ours with the trajectory known")
         one, two = (min(times[f"by the clock, {threads}"]) for threads in (1, 2))
         two_alone = median["two, each alone"]
         print(f"  two threads by processor time {two_alone:.1f} ms, ratio {ours / two_alone:.2f} (aim 1.7)")

@@ -41,9 +41,7 @@ def kitti(path: Path) -> tuple[ImuSensor, GnssSensor]:
         "gyroscope": VectorSamples(times, rows[:, 17:20].copy()),
     }
     unknown = np.full(len(rows), np.nan)
-    return ImuSensor("imu", streams), GnssSensor(
-        "gnss", times, rows[:, :3].copy(), rows[:, 23].copy(), unknown
-    )
+    return ImuSensor("imu", streams), GnssSensor("gnss", times, rows[:, :3].copy(), rows[:, 23].copy(), unknown)
 
 
 def kept_fixes(fixes: GnssSensor, rows: np.ndarray, noise_enu: np.ndarray | None = None) -> GnssSensor:
@@ -57,9 +55,7 @@ def kept_fixes(fixes: GnssSensor, rows: np.ndarray, noise_enu: np.ndarray | None
     )
 
 
-def errors(
-    imu: ImuSensor, fixes: GnssSensor, kept: GnssSensor, left: np.ndarray
-) -> tuple[float, float, float]:
+def errors(imu: ImuSensor, fixes: GnssSensor, kept: GnssSensor, left: np.ndarray) -> tuple[float, float, float]:
     """Mean square horizontal errors at the fixes left out, ours and of straight lines, and our time [s]."""
     began = time.perf_counter()
     run = gnss_imu_motion(Scene((imu, kept), source="kitti"))
@@ -67,9 +63,7 @@ def errors(
     truth = enu_from_geodetic(fixes.positions_lla, run.origin_lla)[left, :2]
     times = fixes.timestamps_ns[left]
     trajectory = run.trajectory
-    ours = np.stack(
-        [np.interp(times, trajectory.timestamps_ns, trajectory.positions[:, k]) for k in range(2)], axis=1
-    )
+    ours = np.stack([np.interp(times, trajectory.timestamps_ns, trajectory.positions[:, k]) for k in range(2)], axis=1)
     known = enu_from_geodetic(kept.positions_lla, run.origin_lla)
     lines = np.stack([np.interp(times, kept.timestamps_ns, known[:, k]) for k in range(2)], axis=1)
     return float(((ours - truth) ** 2).sum(1).mean()), float(((lines - truth) ** 2).sum(1).mean()), took
@@ -145,9 +139,7 @@ DRIVES: dict[str, tuple[ImuSpec, GnssSpec, PathSpec]] = {
 }
 
 
-def made_up(
-    seed: int, seconds: float, imu: ImuSpec, gnss: GnssSpec, path: PathSpec
-) -> tuple[EgoPath, ImuTruth, Scene]:
+def made_up(seed: int, seconds: float, imu: ImuSpec, gnss: GnssSpec, path: PathSpec) -> tuple[EgoPath, ImuTruth, Scene]:
     """A drive with IMU and fixes only, and the truth behind it."""
     trajectory = plan_path(np.random.default_rng(seed), start_ns=0, duration=seconds, spec=path)
     times = [np.arange(round(seconds * rate)) * round(SECOND / rate) for rate in (imu.rate_hz, gnss.rate_hz)]
@@ -182,9 +174,7 @@ def judged(run: GnssImuRun, trajectory: EgoPath, truth: ImuTruth, gnss: GnssSpec
 
 def print_made_up(seeds: int, seconds: float) -> None:
     """A line per kind of drive."""
-    print(
-        "| drive | across [m] | height [m] | heading [deg] | roll, pitch [deg] | NEES | bias [rad/s] | [m/s²] | s |"
-    )
+    print("| drive | across [m] | height [m] | heading [deg] | roll, pitch [deg] | NEES | bias [rad/s] | [m/s²] | s |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     for name, (imu, gnss, path) in DRIVES.items():
         rows, took = [], []
@@ -204,9 +194,7 @@ def print_made_up(seeds: int, seconds: float) -> None:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=60.0)

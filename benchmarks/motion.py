@@ -155,9 +155,7 @@ class Errors:
     def row(self) -> str:
         """The table's columns."""
         if not len(self.chunks):
-            return (
-                f"{self.length:7.0f} m {self.end:7.3f} m = {100 * self.end / self.length:6.3f} %" + " " * 28
-            )
+            return f"{self.length:7.0f} m {self.end:7.3f} m = {100 * self.end / self.length:6.3f} %" + " " * 28
         translation, rotation = self.chunks.mean(axis=0)
         return (
             f"{self.length:7.0f} m {self.end:7.3f} m = {100 * self.end / self.length:6.3f} % "
@@ -171,9 +169,7 @@ def errors_of(trajectory: SmoothedTrajectory, drive: SimulatedDrive) -> Errors:
     Source: Geiger, Lenz and Urtasun 2012, section 3.1.
     """
     truth = drive.truth.world_from_ego(np.array(trajectory.times_ns))
-    true_rotations, true_positions = from_first(
-        matrix_from_quaternion(truth.quaternions_xyzw), truth.positions
-    )
+    true_rotations, true_positions = from_first(matrix_from_quaternion(truth.quaternions_xyzw), truth.positions)
     rotations, positions = from_first(np.array(trajectory.rotations), np.array(trajectory.positions))
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true_positions, axis=0), axis=1))])
     chunks = []
@@ -204,9 +200,7 @@ def frames_for(metres: float, spec: PathSpec | None = None) -> int:
     return max(20, int(10 * metres / speed))
 
 
-HEADINGS = (
-    f"{'':34s}{'trajectory':>9s} {'end':>19s} {'trans':>13s} {'rot/100m':>12s} {'ms cpu':>8s} {'wall':>6s}"
-)
+HEADINGS = f"{'':34s}{'trajectory':>9s} {'end':>19s} {'trans':>13s} {'rot/100m':>12s} {'ms cpu':>8s} {'wall':>6s}"
 
 
 def print_trajectories(
@@ -226,9 +220,7 @@ def drift(options: argparse.Namespace) -> None:
     kinds = methods()
     ratios, nees = [], []
     for seed in options.seeds:
-        drive = simulate_street(
-            seed, frames=frames_for(options.metres), lidar=DENSE, cameras=(), traffic=BUSY
-        )
+        drive = simulate_street(seed, frames=frames_for(options.metres), lidar=DENSE, cameras=(), traffic=BUSY)
         found = print_trajectories(f"seed {seed}", drive, DENSE.mount, kinds)
         nees.append(squared_error(*found[0]))
         if len(found) == 2:
@@ -261,9 +253,7 @@ def lidars(options: argparse.Namespace) -> None:
     print("lidars\n" + HEADINGS)
     for label, (spec, path) in LIDARS.items():
         frames = frames_for(options.metres / 4, path)
-        drive = simulate_street(
-            options.seeds[0], frames=frames, lidar=spec, cameras=(), traffic=BUSY, path=path
-        )
+        drive = simulate_street(options.seeds[0], frames=frames, lidar=spec, cameras=(), traffic=BUSY, path=path)
         print_trajectories(label, drive, spec.mount, methods())
     print()
 
@@ -328,9 +318,7 @@ def kitti(options: argparse.Namespace) -> None:
         for kind in methods()[1:]:
             paths[kind.name] = path_of(kind(), frames, lidar.mount)
         for name, path in paths.items():
-            print(
-                f"{name:12s} {trajectory_between(path, frames):6.3f} " + neighbours(frames, path, lidar.mount)
-            )
+            print(f"{name:12s} {trajectory_between(path, frames):6.3f} " + neighbours(frames, path, lidar.mount))
     print()
 
 
@@ -370,9 +358,7 @@ def together(options: argparse.Namespace) -> None:
         done = clock()
         if label:  # the first round warms up
             per = [1e3 * (found - begun) / fused, 1e3 * (done - found) / fused]
-            print(
-                f"{label:5s} odometry {per[0]:.1f} ms, fusion {per[1]:.1f} ms, both {sum(per):.1f} of 100 ms"
-            )
+            print(f"{label:5s} odometry {per[0]:.1f} ms, fusion {per[1]:.1f} ms, both {sum(per):.1f} of 100 ms")
     print()
 
 

@@ -118,9 +118,7 @@ def fuse_peer(recording: Path, target: Path) -> dict[str, float]:
             on_ego = rotations(when).inv().apply(world - location)
             points = on_ego @ camera_from_ego[:3, :3].T + camera_from_ego[:3, 3]
             front = np.flatnonzero(points[:, 2] > 0.1)
-            pixels = cv2.projectPoints(points[front], np.zeros(3), np.zeros(3), matrix, None)[0].reshape(
-                -1, 2
-            )
+            pixels = cv2.projectPoints(points[front], np.zeros(3), np.zeros(3), matrix, None)[0].reshape(-1, 2)
             height, width = image.shape[:2]
             columns, rows = np.rint(pixels).astype(int).T
             inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)

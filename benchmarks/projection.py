@@ -64,9 +64,7 @@ def project_with_cv2(points: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray
     cv2.setNumThreads(1)
     camera_model = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
     rotation = cv2.Rodrigues(matrix[:3, :3])[0]
-    u, v = cv2.projectPoints(points, rotation, matrix[:3, 3], camera_model, np.array(CAMERA.coefficients))[0][
-        :, 0
-    ].T
+    u, v = cv2.projectPoints(points, rotation, matrix[:3, 3], camera_model, np.array(CAMERA.coefficients))[0][:, 0].T
     z = points @ matrix[2, :3] + matrix[2, 3]
     ids = inside_image(u, v, z)
     return (
@@ -172,9 +170,7 @@ def main() -> None:
         ("with trajectory", "plain", 2.0),
     ):
         ratio = medians[name] / medians[peer]
-        print(
-            f"{name:9} {medians[name]:6.1f} ms, {peer:18} {medians[peer]:6.1f} ms, ratio {ratio:.3f} (aim {aim})"
-        )
+        print(f"{name:9} {medians[name]:6.1f} ms, {peer:18} {medians[peer]:6.1f} ms, ratio {ratio:.3f} (aim {aim})")
         if peer != "plain":
             print(f"{'':10}{agreement(results[name], results[peer])}")
 

@@ -143,9 +143,7 @@ def measure_log(folder: Path, frames: int, latency: float) -> None:
     for compression in ("none", "zstd"):
         path = folder / f"{compression}.mcap"
         write_log(path, frames, compression)
-        print(
-            f"an MCAP file of {path.stat().st_size / 1e9:.2f} GB, compression {compression}, {frames} sweeps:"
-        )
+        print(f"an MCAP file of {path.stat().st_size / 1e9:.2f} GB, compression {compression}, {frames} sweeps:")
         with Bucket(folder, latency) as bucket:
             read_log(bucket, f"{bucket.address}/b/{path.name}", frames)
         path.unlink()
@@ -185,9 +183,7 @@ def image_by_peer(address: str, seconds: float) -> None:
     with fsspec.open(address, "rb") as file, av.open(file) as movie:
         (stream,) = movie.streams.video
         movie.seek(int(seconds / stream.time_base), stream=stream)
-        next(frame for frame in movie.decode(stream) if frame.time >= seconds - 0.01).to_ndarray(
-            format="rgb24"
-        )
+        next(frame for frame in movie.decode(stream) if frame.time >= seconds - 0.01).to_ndarray(format="rgb24")
 
 
 def measure_video(folder: Path, frames: int, latency: float) -> None:

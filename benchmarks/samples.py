@@ -82,13 +82,9 @@ def main(sweeps: int) -> None:
             sceneloom.write(drive, Path(name) / target)
             with sceneloom.open(Path(name) / target) as scene:
                 points = len(scene.lidars[0].frames[0].points)
-                print(
-                    f"{target}: {sweeps} sweeps of about {points} points, pickled {len(pickle.dumps(scene))} bytes"
-                )
+                print(f"{target}: {sweeps} sweeps of about {points} points, pickled {len(pickle.dumps(scene))} bytes")
                 for work in (directly, by_samples, with_poses, as_arrays):
-                    print(
-                        f"  {work.__name__:12s} {processor_ms(work, scene):6.2f} ms of processor time a sample"
-                    )
+                    print(f"  {work.__name__:12s} {processor_ms(work, scene):6.2f} ms of processor time a sample")
                 for workers in (1, 2):
                     print(f"  {workers} workers: {samples_a_second(scene, workers):.0f} samples a second")
 

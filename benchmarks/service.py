@@ -93,9 +93,7 @@ def in_process(makers, count):
 
 
 def frames(ports, seconds, fusion_s):
-    print(
-        f"10 Hz of {WIDTH}x{HEIGHT}x3 and {POINTS} points from two processes, {seconds:g} s for each server"
-    )
+    print(f"10 Hz of {WIDTH}x{HEIGHT}x3 and {POINTS} points from two processes, {seconds:g} s for each server")
     count = round(seconds * 10 / SLICES)
     latencies, lost = {name: [] for name in ports}, dict.fromkeys(ports, 0)
     for _ in range(SLICES):
@@ -110,9 +108,7 @@ def frames(ports, seconds, fusion_s):
     reported, own = percentiles(fusion_s)
     print(f"  fusion itself, in process: {reported}")
     ratio, beyond = p99["ours"] / p99["bare"], (p99["ours"] - own) / p99["bare"]
-    print(
-        f"  p99 {ratio:.2f} times the bare server's, {beyond:.2f} times without the fusion itself (limit 2.5)"
-    )
+    print(f"  p99 {ratio:.2f} times the bare server's, {beyond:.2f} times without the fusion itself (limit 2.5)")
 
 
 def flat_out(ports, count):

@@ -32,9 +32,7 @@ CAMERA_ID, LIDAR_ID = 1, 0
 @contextmanager
 def started(*command):
     """Run a server that prints its port; give its port and its process, and end it."""
-    process = subprocess.Popen(
-        [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    )
+    process = subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         line = process.stdout.readline()
         yield int("".join(line.split(":")[-1].split())), process
@@ -75,9 +73,7 @@ async def _serve_bare(result_bytes, detections_bytes):
         reported, number = dict(context.invocation_metadata()), 0
         async for _ in requests:
             if reported["sweeps"] == "1":
-                queues[int(reported["kind"])].put_nowait(
-                    number.to_bytes(8, "little") + filling[int(reported["kind"])]
-                )
+                queues[int(reported["kind"])].put_nowait(number.to_bytes(8, "little") + filling[int(reported["kind"])])
             number += 1
         return fusion_pb2.SendSummary(accepted=number).SerializeToString()
 

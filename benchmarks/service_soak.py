@@ -27,9 +27,7 @@ def _calibrate(channel, session):
         intrinsic_matrix=(200.0, 0, 159.5, 0, 200.0, 119.5, 0, 0, 1),
         extrinsic_matrix=(0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1),
     )
-    request = fusion_pb2.SetCalibrationRequest(
-        calibration=calibration, camera_id=1, lidar_id=0, session=session
-    )
+    request = fusion_pb2.SetCalibrationRequest(calibration=calibration, camera_id=1, lidar_id=0, session=session)
     stub(channel, "SetCalibration")(request.SerializeToString())
 
 
@@ -76,9 +74,7 @@ def garbage(port):
     kinds = {(False, False): "unary_unary", (True, False): "stream_unary", (False, True): "unary_stream"}
     chance = random.Random(3)
     with connect(port) as channel:
-        calls = [
-            (stub(channel, m.name, kinds[m.client_streaming, m.server_streaming]), m) for m in SERVICE.methods
-        ]
+        calls = [(stub(channel, m.name, kinds[m.client_streaming, m.server_streaming]), m) for m in SERVICE.methods]
         while True:
             for call, method in calls:
                 content = chance.randbytes(chance.choice([0, 1, 10, 1000, 100_000]))
@@ -104,8 +100,7 @@ def soak(seconds):
     context = multiprocessing.get_context("spawn")
     with ours() as (port, server):
         steady = [
-            context.Process(target=target, args=(port,), daemon=True)
-            for target in (never_gets, behaves, garbage)
+            context.Process(target=target, args=(port,), daemon=True) for target in (never_gets, behaves, garbage)
         ]
         for process in steady:
             process.start()
@@ -129,7 +124,5 @@ def soak(seconds):
     quarter = max(len(sizes) // 4, 1)
     before, after = statistics.median(sizes[quarter : 2 * quarter]), statistics.median(sizes[-quarter:])
     print(f"  {deaths} clients died; all others and the server went on: {'yes' if alive else 'NO'}")
-    print(
-        f"  {sizes[0]:.0f} MB after a second, {before:.0f} MB in the second quarter, {after:.0f} MB in the last"
-    )
+    print(f"  {sizes[0]:.0f} MB after a second, {before:.0f} MB in the second quarter, {after:.0f} MB in the last")
     print(f"  growth {100 * (after / before - 1):+.1f} % (limit 5 %)")

@@ -201,9 +201,7 @@ def measure_writing(folder: Path, megabytes: int, runs: int) -> None:
 def measure_many_arrays(folder: Path, peer: str, runs: int) -> None:
     """Many small arrays: linear here, quadratic there."""
     path = folder / "many.sfs"
-    small = [
-        LidarPoints(np.full((4, 3), k, np.float32), intensities=np.full(4, 7, np.uint8)) for k in range(4)
-    ]
+    small = [LidarPoints(np.full((4, 3), k, np.float32), intensities=np.full(4, 7, np.uint8)) for k in range(4)]
     works = {
         str(arrays): anew(path, write_scene, frames_of(small, arrays // 2, times=False), known=True)
         for arrays in (ARRAYS // 2, ARRAYS)
@@ -211,9 +209,7 @@ def measure_many_arrays(folder: Path, peer: str, runs: int) -> None:
     best = in_rotations(works, runs)
     ours = best[str(ARRAYS)]
     growth = ours / best[str(ARRAYS // 2)]
-    print(
-        f"writing {ARRAYS} arrays: {ours * 1e3:.0f} ms; twice as many take {growth:.2f} times as long", end=""
-    )
+    print(f"writing {ARRAYS} arrays: {ours * 1e3:.0f} ms; twice as many take {growth:.2f} times as long", end="")
     if peer:
         theirs, _ = run_program([peer, "-c", PEER, "write", str(folder / "peer.sfs"), str(ARRAYS)])
         print(f"; peer {theirs:.2f} s: 1/{theirs / ours:.0f} of its time (limit 1/50)", end="")
@@ -288,9 +284,7 @@ def measure_large(folder: Path, gigabytes: int) -> None:
         ("one frame", [sys.executable, "-c", OURS, str(path), str(small)]),
     ):
         seconds, peak = run_measured(command)
-        print(
-            f"{gigabytes} GB, {frames} frames: {what}: {seconds:.2f} s, peak {peak / 1e6:.0f} MB (limit 300)"
-        )
+        print(f"{gigabytes} GB, {frames} frames: {what}: {seconds:.2f} s, peak {peak / 1e6:.0f} MB (limit 300)")
 
 
 def run_program(command: list[str]) -> tuple[float, float]:

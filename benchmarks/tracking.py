@@ -57,16 +57,12 @@ def fusions(folder: Path, names: tuple[str, ...], reported: str) -> dict[str, Pr
         return dict.fromkeys(names, ProjectionSettings(detectors=detectors))
     columns = columns_of(kitti_examples(folder), overlap=FitSettings().overlap)
     return {
-        name: ProjectionSettings(
-            detectors=fit_columns(columns.without(columns.groups.index(name)), name="others")
-        )
+        name: ProjectionSettings(detectors=fit_columns(columns.without(columns.groups.index(name)), name="others"))
         for name in names
     }
 
 
-def follow(
-    tracking: KittiTracking, fusion: Mapping[str, ProjectionSettings], variant: str, location: Path
-) -> float:
+def follow(tracking: KittiTracking, fusion: Mapping[str, ProjectionSettings], variant: str, location: Path) -> float:
     """Write the results of all sequences, and give the time of a frame [ms]."""
     offline, box2d = VARIANTS[variant]
     location.mkdir(parents=True)
@@ -104,9 +100,7 @@ def evaluate(truth: Path, results: Path) -> dict[str, Scores]:
     wordy = ("PRINT_RESULTS", "OUTPUT_SUMMARY", "OUTPUT_DETAILED", "PLOT_CURVES", "TIME_PROGRESS")
     off = {**dict.fromkeys(wordy, False), **quiet, "LOG_ON_ERROR": None}
     with contextlib.redirect_stdout(io.StringIO()):
-        dataset = trackeval.datasets.Kitti2DBox(
-            {"GT_FOLDER": str(truth), "TRACKERS_FOLDER": str(results), **quiet}
-        )
+        dataset = trackeval.datasets.Kitti2DBox({"GT_FOLDER": str(truth), "TRACKERS_FOLDER": str(results), **quiet})
         metrics = [trackeval.metrics.HOTA(), trackeval.metrics.CLEAR({**quiet})]
         found, _ = trackeval.Evaluator(off).evaluate([dataset], metrics)
     judged: dict[str, Scores] = found["Kitti2DBox"]
@@ -120,8 +114,7 @@ def together(scores: Scores, names: tuple[str, ...], label: str) -> Row:
     with contextlib.redirect_stdout(io.StringIO()):
         metrics = trackeval.metrics.HOTA(), trackeval.metrics.CLEAR({"PRINT_CONFIG": False})
     hota, clear = (
-        metric.combine_sequences({name: scores[name][label][metric.get_name()] for name in names})
-        for metric in metrics
+        metric.combine_sequences({name: scores[name][label][metric.get_name()] for name in names}) for metric in metrics
     )
     means = (100.0 * float(hota[field].mean()) for field in ("HOTA", "DetA", "AssA"))
     return Row(*means, 100.0 * float(clear["MOTA"]), int(clear["IDSW"]))
@@ -145,9 +138,7 @@ def lines(scores: Scores, variant: str, milliseconds: float) -> Iterator[str]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--detectors", nargs="*", default=["simulated", "left out"])
     parser.add_argument("--variants", nargs="*", default=list(VARIANTS)[:3])
@@ -166,10 +157,7 @@ def main() -> None:
                 for variant in reported.variants
             }
             judged = evaluate(location / "truth", location / "results")
-        print(
-            f"\n{detectors:40s}"
-            + "".join(f"{head:>{width}}" for head, width in zip(heads, widths, strict=True))
-        )
+        print(f"\n{detectors:40s}" + "".join(f"{head:>{width}}" for head, width in zip(heads, widths, strict=True)))
         for variant in reported.variants:
             print("\n".join(lines(judged[variant], variant, times[variant])))
 

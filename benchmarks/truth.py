@@ -262,9 +262,7 @@ def measure(drive: SimulatedDrive, statistics: Statistics) -> None:
 def drives(row: Row, first: int) -> Iterator[SimulatedDrive]:
     """One sweep in each of many streets."""
     for seed in range(first, first + MOST_SEEDS):
-        yield simulate_street(
-            seed, frames=1, lidar=replace(row.lidar, mount=row.location), cameras=row.cameras
-        )
+        yield simulate_street(seed, frames=1, lidar=replace(row.lidar, mount=row.location), cameras=row.cameras)
 
 
 def main() -> None:
@@ -273,9 +271,7 @@ def main() -> None:
     parser.add_argument("rows", nargs="*", help=f"some of: {', '.join(ROWS)}")
     parser.add_argument("--seeds", type=int, default=10, help="at least so many streets")
     parser.add_argument("--first", type=int, default=0, help="the seed of the first street")
-    parser.add_argument(
-        "--hidden", type=int, default=1000, help="at least so many hidden points, where 60 streets do"
-    )
+    parser.add_argument("--hidden", type=int, default=1000, help="at least so many hidden points, where 60 streets do")
     stated = parser.parse_args()
     if unknown := [name for name in stated.rows if name not in ROWS]:
         parser.error(f"{unknown[0]!r}; rows are {', '.join(ROWS)}")

@@ -45,9 +45,7 @@ def shares_of_gaps(drive: SimulatedDrive, view: FusedView, points_world: np.ndar
     point, upper, azimuths, elevations, far, ids = (
         each[within] for each in (point, upper, azimuths, elevations, far, ids)
     )
-    below, above = (
-        lines.met(ring, azimuths, far, lines.ranges_of_points[ids]) for ring in (upper - 1, upper)
-    )
+    below, above = (lines.met(ring, azimuths, far, lines.ranges_of_points[ids]) for ring in (upper - 1, upper))
     low, high = lines.elevations[upper - 1], lines.elevations[upper]
     share = (elevations - low) / (high - low)
     found = np.where(below, share, np.where(above, 1.0 - share, REPORTED_SEEN))

@@ -26,9 +26,7 @@ def main(folder: Path) -> None:
         for frame in sceneloom.iter_fused(drive):
             for view in frame.views:
                 nearest = view.depths[view.visible].min()
-                print(
-                    f"sweep {frame.index} in {view.camera_id}: {view.visible.sum()} points, nearest {nearest:.1f} m"
-                )
+                print(f"sweep {frame.index} in {view.camera_id}: {view.visible.sum()} points, nearest {nearest:.1f} m")
 
         # the other way: into a file, which others can open
         outputs = FusionOutputs(scene=folder / "drive.sfs", depth=folder / "depth", overwrite=True)

@@ -23,9 +23,7 @@ if __name__ == "__main__":
 
     truth = sceneloom.read_trajectory(where / "drive")
     for name in ("fixes", "gnss"):
-        report = sceneloom.evaluate_trajectory(
-            f"{where / 'drive'}:{name}", truth, align="yaw", rpe_deltas=["10m"]
-        )
+        report = sceneloom.evaluate_trajectory(f"{where / 'drive'}:{name}", truth, align="yaw", rpe_deltas=["10m"])
         away, (motion,) = report.absolute.translation, report.relative
         print(
             f"{name}: {report.pairs} pairs over {report.path_length:.0f} m, {away.rms:.3f} m off (rms), "

@@ -31,12 +31,8 @@ if __name__ == "__main__":
     where.mkdir(parents=True, exist_ok=True)
     sceneloom.write(drive.scene, where / "drive", format="recording", overwrite=True)
     lists = {
-        "sweeps.jsonl": [
-            boxes_3d_record(r.boxes, sensor_id=0, seq=k) for k, r in enumerate(detect_3d(drive))
-        ],
-        "images.jsonl": [
-            boxes_2d_record(r.boxes, sensor_id=1, seq=k) for k, r in enumerate(detect_2d(drive))
-        ],
+        "sweeps.jsonl": [boxes_3d_record(r.boxes, sensor_id=0, seq=k) for k, r in enumerate(detect_3d(drive))],
+        "images.jsonl": [boxes_2d_record(r.boxes, sensor_id=1, seq=k) for k, r in enumerate(detect_2d(drive))],
     }
     for name, records in lists.items():
         (where / name).write_text("\n".join(map(format_json, records)) + "\n", "utf-8")

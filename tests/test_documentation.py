@@ -129,9 +129,7 @@ def test_the_readme_and_the_check_script_hold_the_same_first_commands(command):
 def test_every_command_in_the_documentation_exists_with_its_options(page):
     for words in invocations(page):
         command, rest = command_named(words)
-        assert not (isinstance(command, Group) and rest and not rest[0].startswith("-")), (
-            f"no command {words}"
-        )
+        assert not (isinstance(command, Group) and rest and not rest[0].startswith("-")), f"no command {words}"
         options = {word.split("=")[0] for word in rest if re.match(r"-{1,2}[a-z]", word)}
         assert options <= known_options(command), f"sceneloom {' '.join(words)}"
 
@@ -155,9 +153,7 @@ def test_python_in_the_documentation_runs(page, run, tmp_path):
         run(program)
 
 
-OTHER_NAMES = re.compile(
-    r"sceneloom\.(db34t4101\..*|Sample|sensor_data_fusion|detection_fusion|(sfs|toml|html|prom)$)"
-)
+OTHER_NAMES = re.compile(r"sceneloom\.(db34t4101\..*|Sample|sensor_data_fusion|detection_fusion|(sfs|toml|html|prom)$)")
 """Names that look like ours in Python and are of services, schemas, entry points and files."""
 
 
@@ -192,10 +188,7 @@ def test_links_lead_somewhere(page):
 
 @pytest.mark.parametrize(
     "example",
-    [
-        pytest.param(path, marks=pytest.mark.slow if path.name[:2] in {"04", "06", "10"} else ())
-        for path in EXAMPLES
-    ],
+    [pytest.param(path, marks=pytest.mark.slow if path.name[:2] in {"04", "06", "10"} else ()) for path in EXAMPLES],
     ids=page_id,
 )
 def test_examples_run(example, run, run_alone):
@@ -228,9 +221,7 @@ def test_every_format_has_a_page(name):
 
 def test_every_room_of_the_house_stands_in_the_architecture_page():
     page = (PROJECT / "docs" / "ARCHITECTURE.md").read_text("utf-8")
-    rooms = [
-        path.name for path in (PROJECT / "src" / "sceneloom").iterdir() if (path / "__init__.py").exists()
-    ]
+    rooms = [path.name for path in (PROJECT / "src" / "sceneloom").iterdir() if (path / "__init__.py").exists()]
     assert not [room for room in rooms if f"`{room}/`" not in page]
 
 

@@ -33,18 +33,12 @@ def ids_of(cell):
 
 def rows_of(text):
     """The cells of all rows of all tables of a page."""
-    return [
-        [cell.strip() for cell in line.strip("| \n").split(" | ")]
-        for line in text.splitlines()
-        if line[:1] == "|"
-    ]
+    return [[cell.strip() for cell in line.strip("| \n").split(" | ")] for line in text.splitlines() if line[:1] == "|"]
 
 
 def test_every_row_of_tables_3_to_10_stands_there_in_order(page):
     found = [tuple(row[:3]) for row in rows_of(page.read_text("utf-8"))]
-    expected = [
-        (str(row.number), f"`{row.name}`", row.type) for table in TABLES.values() for row in table.rows
-    ]
+    expected = [(str(row.number), f"`{row.name}`", row.type) for table in TABLES.values() for row in table.rows]
     assert [row for row in found if row in expected] == expected
 
 

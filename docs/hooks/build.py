@@ -124,14 +124,10 @@ def _completed(nav: list[Any], pages: list[str], generated: list[str]) -> list[A
             entries = [entry for entry in entries if entry not in patterns]
             for pattern in patterns:
                 found = [
-                    p
-                    for p in [*pages, *generated]
-                    if Path(p).match(pattern) and p.count("/") == pattern.count("/")
+                    p for p in [*pages, *generated] if Path(p).match(pattern) and p.count("/") == pattern.count("/")
                 ]
                 entries += [
-                    {_title(p): p} if p.startswith(("commands/", "reference/")) else p
-                    for p in found
-                    if p not in named
+                    {_title(p): p} if p.startswith(("commands/", "reference/")) else p for p in found if p not in named
                 ]
         parts.append({title: entries})
     return parts

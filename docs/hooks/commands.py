@@ -28,9 +28,7 @@ def command_pages(program: click.Group, name: str) -> Pages:
     return pages
 
 
-def commands(
-    group: click.Group, words: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+def commands(group: click.Group, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], click.Command]]:
     """Give all commands with the words that call them."""
     context = click.Context(group)
     for name in group.list_commands(context):

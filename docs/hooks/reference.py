@@ -45,16 +45,12 @@ def reference_pages() -> dict[str, str]:
         first = (ast.get_docstring(tree) or "").split("\n")[0]
         rows.append(f"| [`{name}`]({name}.md) | {first} |")
     listing = "\n".join(["| package | what is in it |", "| --- | --- |", *rows])
-    pages["reference/index.md"] = (
-        f"# Reference\n\nWhat each package offers, from its docstrings.\n\n{listing}\n"
-    )
+    pages["reference/index.md"] = f"# Reference\n\nWhat each package offers, from its docstrings.\n\n{listing}\n"
     return pages
 
 
 def _tree(name: str) -> ast.Module | None:
     """The syntax of a package's front, or of a module."""
     location = _SOURCES / Path(*name.split("."))
-    file = next(
-        (path for path in (location / "__init__.py", location.with_suffix(".py")) if path.is_file()), None
-    )
+    file = next((path for path in (location / "__init__.py", location.with_suffix(".py")) if path.is_file()), None)
     return None if file is None else ast.parse(file.read_text("utf-8"))

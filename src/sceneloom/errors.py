@@ -40,9 +40,7 @@ Source: query authentication of AWS Signature 4 and of Cloud Storage, shared acc
 
 _USER = re.compile(r"(?P<scheme>[a-zA-Z][a-zA-Z0-9+.-]*://)[^/?#\s'\"<>]*@")
 
-_SECRET = re.compile(
-    rf"(?P<name>(?:[?&;]|%3F|%26)(?:{'|'.join(_NAMES)})(?:=|%3D))[^&\s'\"<>)\],;]*", re.IGNORECASE
-)
+_SECRET = re.compile(rf"(?P<name>(?:[?&;]|%3F|%26)(?:{'|'.join(_NAMES)})(?:=|%3D))[^&\s'\"<>)\],;]*", re.IGNORECASE)
 
 _HEADER = re.compile(
     r"(?P<name>\b(?:authorization|proxy-authorization|x-amz-security-token|cookie|aws_secret_access_key|"

@@ -12,9 +12,7 @@ def imported(name: str) -> Any:
     return getattr(import_module(module), attribute)
 
 
-def names_on_first_use(
-    package: str, names: Mapping[str, str]
-) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+def names_on_first_use(package: str, names: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Give `__getattr__` and `__dir__` of a package that imports its names when they are first asked for.
 
     Args:

@@ -81,15 +81,11 @@ def tracked_files() -> list[Path]:
     """The files under version control; in a copy without it, every file but litter."""
     git = shutil.which("git")
     if git is not None and (PROJECT / ".git").exists():
-        listed = subprocess.run(
-            [git, "ls-files", "-z"], cwd=PROJECT, capture_output=True, check=True, text=True
-        )
+        listed = subprocess.run([git, "ls-files", "-z"], cwd=PROJECT, capture_output=True, check=True, text=True)
         return [PROJECT / name for name in listed.stdout.split("\0") if name and (PROJECT / name).is_file()]
     files = []
     for folder, folders, names in os.walk(PROJECT):
-        folders[:] = [
-            name for name in folders if name not in UNTRACKED_FOLDERS and not name.endswith("cache__")
-        ]
+        folders[:] = [name for name in folders if name not in UNTRACKED_FOLDERS and not name.endswith("cache__")]
         files += [Path(folder, name) for name in names]
     return files
 

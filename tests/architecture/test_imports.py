@@ -132,11 +132,7 @@ def test_formats_import_only_formats_of_layers_below_their_own(modules):
             continue
         for name, line in module.imports:
             other = name.split(".")[2] if name.startswith("sceneloom.formats.") else ""
-            if (
-                other in FORMAT_ROW_OF
-                and other != package[0]
-                and FORMAT_ROW_OF[other] <= FORMAT_ROW_OF[package[0]]
-            ):
+            if other in FORMAT_ROW_OF and other != package[0] and FORMAT_ROW_OF[other] <= FORMAT_ROW_OF[package[0]]:
                 wrong.add(f"{module.name}, line {line}: {name}")
     assert not wrong
 

@@ -97,9 +97,7 @@ def test_readers_and_writers_take_what_their_formats_state(name: str) -> None:
         expected = {*first, *spec.given, *(("options",) if is_dataclass(options) else options)}
         if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in taken.values()):
             assert expected <= set(taken), function
-        needed = {
-            key for key, one in taken.items() if one.default is one.empty and one.kind < one.VAR_KEYWORD
-        }
+        needed = {key for key, one in taken.items() if one.default is one.empty and one.kind < one.VAR_KEYWORD}
         assert needed <= expected, function
         if is_dataclass(options):
             assert all(field.metadata.get("help") for field in fields(options))

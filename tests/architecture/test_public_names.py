@@ -18,9 +18,7 @@ def names_on_first_use(tree: ast.Module) -> tuple[dict[str, str], dict[str, str]
         for line in node.body:
             assert isinstance(line, ast.ImportFrom)
             seen |= {alias.asname or alias.name: f"{line.module}:{alias.name}" for alias in line.names}
-        for table in (
-            found for line in node.orelse for found in ast.walk(line) if isinstance(found, ast.Dict)
-        ):
+        for table in (found for line in node.orelse for found in ast.walk(line) if isinstance(found, ast.Dict)):
             stated |= ast.literal_eval(table)
     return seen, stated
 
@@ -41,9 +39,7 @@ def public_bindings(tree: ast.Module) -> set[str]:
 def offered_names(tree: ast.Module) -> list[str] | None:
     """The literal `__all__` of a module, or None."""
     for node in tree.body:
-        if isinstance(node, ast.Assign) and any(
-            isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets
-        ):
+        if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
             return list(ast.literal_eval(node.value))
     return None
 

@@ -43,11 +43,7 @@ def test_a_folder_of_modules_is_a_package(modules_of_room):
 
 
 def test_no_file_is_large(project_files, project):
-    large = {
-        str(p.relative_to(project)): p.stat().st_size
-        for p in project_files
-        if p.stat().st_size > LARGEST_FILE
-    }
+    large = {str(p.relative_to(project)): p.stat().st_size for p in project_files if p.stat().st_size > LARGEST_FILE}
     assert not large
 
 

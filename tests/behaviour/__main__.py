@@ -178,8 +178,7 @@ def _lines(found: dict[str, Any]) -> str:
         parts = [f'"code": {one["code"]}']
         for part in ("printed", "written"):
             rows = [
-                f"{json.dumps(key, ensure_ascii=False)}: {_plain(value)}"
-                for key, value in sorted(one[part].items())
+                f"{json.dumps(key, ensure_ascii=False)}: {_plain(value)}" for key, value in sorted(one[part].items())
             ]
             parts.append(f'"{part}": {{' + "\n" * bool(rows) + ",\n".join(rows) + "}")
         commands.append(f'"{name}": {{' + ", ".join(parts) + "}")
@@ -192,9 +191,7 @@ def _plain(value: Any) -> str:
 
 def _stable(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
     """Leave out values that were others at the second run: null says that they are not compared."""
-    unstable = {
-        line.removeprefix("~ ").rsplit(": ", 1)[0].split(": ")[0] for line in differences(first, second)
-    }
+    unstable = {line.removeprefix("~ ").rsplit(": ", 1)[0].split(": ")[0] for line in differences(first, second)}
     for part in ("printed", "written"):
         keys = first[part].keys() | second[part].keys()
         first[part] = {key: None if f"{part} {key}" in unstable else first[part][key] for key in sorted(keys)}
@@ -212,9 +209,7 @@ def main() -> None:
     if options.record:
         again = run_all(options.names)
         for name, after in again.items():
-            sys.stdout.writelines(
-                f"{name}: not compared: {line}\n" for line in differences(found[name], after)
-            )
+            sys.stdout.writelines(f"{name}: not compared: {line}\n" for line in differences(found[name], after))
             found[name] = _stable(found[name], after)
         before = json.loads(SNAPSHOT.read_text()) if options.names and SNAPSHOT.exists() else {}
         SNAPSHOT.write_text(_lines(before | found))

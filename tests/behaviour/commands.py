@@ -92,9 +92,7 @@ COMMANDS: tuple[Command, ...] = (
     _command("inputs", "inputs {out}"),
     _command("demo", "demo --keep {out}/kept --frames 6"),
     _command("fuse_kitti", f"fuse {_KITTI} -o {{out}}/drive.sfs --trajectory lidar"),
-    _command(
-        "fuse_pandaset", f"fuse {_PANDASET} -o {{out}}/drive.sfs --start 0 --stop 1 --depth {{out}}/depth"
-    ),
+    _command("fuse_pandaset", f"fuse {_PANDASET} -o {{out}}/drive.sfs --start 0 --stop 1 --depth {{out}}/depth"),
     _command("fuse_still", f"fuse {_KITTI} -o {{out}}/drive.sfs --trajectory identity --profile scale"),
     # what is in them
     _command("info_kitti", f"info {_KITTI}"),
@@ -137,9 +135,7 @@ COMMANDS: tuple[Command, ...] = (
     _command("to_kitti_lines", f"convert {_PANDASET} {{out}}/drive.kitti"),
     _command("to_euroc_lines", f"convert {_PANDASET} {{out}}/drive.csv"),
     _command("to_csv", f"convert {_PANDASET} {{out}}/drive.csv --to csv"),
-    _command(
-        "to_gnss", "convert {data}/recordings/kitti_oxts_0000 {out}/fixes.csv --to gnss --origin 49 8.4 110"
-    ),
+    _command("to_gnss", "convert {data}/recordings/kitti_oxts_0000 {out}/fixes.csv --to gnss --origin 49 8.4 110"),
     _command("oxts_smoothed", "convert {data}/recordings/kitti_oxts_0000 {out}/drive.tum --trajectory gnss"),
     *(
         _command(f"from_{name}", f"convert {{to_{name}}}/{location} {{out}}/drive.sfs {more}".strip())
@@ -183,9 +179,7 @@ COMMANDS: tuple[Command, ...] = (
     _command("edit_deskew", "edit deskew {to_sfs}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_crop", "edit crop {to_sfs}/drive.sfs -o {out}/drive.sfs --range 30"),
     _command("edit_thin", "edit thin {to_sfs}/drive.sfs -o {out}/drive.sfs --voxel 0.5"),
-    _command(
-        "edit_merge", "edit merge {edit_crop}/drive.sfs {edit_thin}/drive.sfs -o {out}/drive.sfs --rename"
-    ),
+    _command("edit_merge", "edit merge {edit_crop}/drive.sfs {edit_thin}/drive.sfs -o {out}/drive.sfs --rename"),
     _command("edit_to_world", "edit to-world {inputs}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_to_ego", "edit to-ego {edit_to_world}/drive.sfs -o {out}/drive.sfs"),
     _command("edit_count", f"edit count {_ARGOVERSE} -o {{out}}/drive.sfs"),
@@ -200,9 +194,7 @@ COMMANDS: tuple[Command, ...] = (
         "eval_detection",
         "eval detection {fuse_detections}/fused {data}/real/kitti_tracking/label_02 --sequence 0012",
     ),
-    _command(
-        "eval_tracking", "eval tracking {track}/results {data}/real/kitti_tracking/label_02 --sequence 0012"
-    ),
+    _command("eval_tracking", "eval tracking {track}/results {data}/real/kitti_tracking/label_02 --sequence 0012"),
     _command("sync", f"sync {_PANDASET}"),
     _command("calibrate", f"calibrate {_KITTI} --check"),
     _command("sync_apply", "sync {inputs}/drive.sfs --streams groundTruth --apply {out}/drive.sfs"),

@@ -243,11 +243,7 @@ def _las(file: Path) -> Iterator[tuple[str, Any]]:
 def _after(mark: bytes) -> Any:
     def read(file: Path) -> Iterator[tuple[str, Any]]:
         head, found, body = file.read_bytes().partition(mark)
-        lines = [
-            line
-            for line in head.decode(errors="replace").splitlines()
-            if not line.startswith(("comment", "#"))
-        ]
+        lines = [line for line in head.decode(errors="replace").splitlines() if not line.startswith(("comment", "#"))]
         yield "header", "\n".join(lines)
         yield "body", found + body
 

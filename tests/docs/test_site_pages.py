@@ -41,9 +41,7 @@ def test_every_command_has_a_page_with_all_of_its_options(hook):
         command = command_line.get_command(context, name)
         if not isinstance(command, click.Group):
             page = pages[f"commands/{name}.md"]
-            assert all(
-                option.opts[0] in page for option in command.params if isinstance(option, click.Option)
-            )
+            assert all(option.opts[0] in page for option in command.params if isinstance(option, click.Option))
             assert f"({name}.md)" in pages["commands/index.md"]
 
 
@@ -78,9 +76,7 @@ def test_links_lead_to_pages_of_the_site(hook, text, origin, page, expected):
 
 def test_files_outside_the_docs_are_asked_for(hook):
     wanted = []
-    hook("links").with_site_links(
-        "[a](../LICENSE) [b](motion.md)", "docs/fusion.md", "fusion.md", wanted.append
-    )
+    hook("links").with_site_links("[a](../LICENSE) [b](motion.md)", "docs/fusion.md", "fusion.md", wanted.append)
     assert wanted == ["LICENSE"]
 
 

@@ -72,16 +72,12 @@ def test_brown_conrady_projects_as_opencv_does(points, coefficients):
 def test_brown_conrady_finds_the_points_that_opencv_projected(points, coefficients):
     pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, np.array(coefficients))
     rays = unproject(brown_conrady(coefficients), pixels[:, 0])
-    assert (
-        np.abs(rays[:, :2] / rays[:, 2:] - points[:, :2] / points[:, 2:]).max() < 1e-9
-    )  # a millionth of a pixel
+    assert np.abs(rays[:, :2] / rays[:, 2:] - points[:, :2] / points[:, 2:]).max() < 1e-9  # a millionth of a pixel
 
 
 def test_pinhole_projects_as_opencv_does_without_distortion(points):
     expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, None)
-    assert (
-        np.abs(project_unbounded(Camera("pinhole", *NUMBERS), points) - expected[:, 0]).max() < DIFFERENCE_PX
-    )
+    assert np.abs(project_unbounded(Camera("pinhole", *NUMBERS), points) - expected[:, 0]).max() < DIFFERENCE_PX
 
 
 @pytest.mark.parametrize("coefficients", [(), (0.0345, -0.0121, 0.0053, -0.0018), (-0.05, 0.01)])

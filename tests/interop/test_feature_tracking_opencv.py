@@ -16,9 +16,7 @@ def images():
     first = np.clip(128 + 6 * (noise - noise.mean()), 20, 235)
     move = cv2.getRotationMatrix2D((200, 150), 1.5, 1.0)
     move[:, 2] += (6.3, -3.7)
-    second = 0.9 * cv2.warpAffine(
-        first, move, (400, 300), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
-    )
+    second = 0.9 * cv2.warpAffine(first, move, (400, 300), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
     return [np.repeat(x.astype(np.uint8)[:, :, None], 3, axis=2) for x in (first, second)], move
 
 

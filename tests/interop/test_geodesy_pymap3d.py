@@ -59,9 +59,7 @@ def test_locations_deep_in_the_earth_and_far_out_come_back_where_the_other_metho
     assert np.abs(back - lla)[:, 2].max() < max(METRES, 1e-15 * height)
 
 
-@pytest.mark.parametrize(
-    "origin_lla", [(60.17, 24.94, 14.0), (-33.9, 180.0, 900.0), (90.0, 0.0, 0.0), (0, -180, -400)]
-)
+@pytest.mark.parametrize("origin_lla", [(60.17, 24.94, 14.0), (-33.9, 180.0, 900.0), (90.0, 0.0, 0.0), (0, -180, -400)])
 def test_east_north_and_up_are_the_same_and_lead_back(origin_lla):
     rng = np.random.default_rng(1)
     enu = rng.uniform(-1e5, 1e5, (2000, 3)) * [1, 1, 0.05]

@@ -21,9 +21,7 @@ def modules():
         pytest.skip("no node")
     folder = os.environ.get("SCENELOOM_NODE_MODULES", "")
     if not folder:
-        pytest.skip(
-            f"no modules of {CLIENT.parent.name}: npm install elsewhere and set SCENELOOM_NODE_MODULES"
-        )
+        pytest.skip(f"no modules of {CLIENT.parent.name}: npm install elsewhere and set SCENELOOM_NODE_MODULES")
     if not Path(folder, "@grpc", "grpc-js").is_dir():
         pytest.fail(f"SCENELOOM_NODE_MODULES={folder} has no @grpc/grpc-js")
     return folder

@@ -85,15 +85,11 @@ def test_raw_drives_are_read_there(pykitti_python, drive, tmp_path):
     times = np.array(found["times"], "datetime64[us]").astype(np.int64)
     np.testing.assert_array_equal(times, trajectory.timestamps_ns // 1000)
     np.testing.assert_allclose(found["velo_imu"], back.lidars[0].mount.inverse().matrix, atol=1e-12)
-    np.testing.assert_array_equal(
-        found["accelerations"], back.sensor("imu").streams["accelerometer"].values[:, 2]
-    )
+    np.testing.assert_array_equal(found["accelerations"], back.sensor("imu").streams["accelerometer"].values[:, 2])
     poses = trajectory.poses.interpolate(trajectory.timestamps_ns)
     for reported, position in zip(found["trajectory"], poses.positions, strict=True):
         # theirs is a Mercator projection on a sphere: 0.7 % off the ellipsoid's metres at the equator
-        np.testing.assert_allclose(
-            np.array(reported)[:3, 3], position, atol=0.01 * (1 + np.linalg.norm(position))
-        )
+        np.testing.assert_allclose(np.array(reported)[:3, 3], position, atol=0.01 * (1 + np.linalg.norm(position)))
 
 
 def test_odometry_sequences_are_read_there(pykitti_python, drive, tmp_path):

@@ -68,9 +68,7 @@ class Log:
     def add_other(self, topic, name, encoding, content, timestamp_ns):
         if (topic, name) not in self.channels:
             schema = self.writer.register_schema(name, encoding, b"")
-            self.channels[topic, name] = self.writer.register_channel(
-                topic, encoding.removesuffix("schema"), schema
-            )
+            self.channels[topic, name] = self.writer.register_channel(topic, encoding.removesuffix("schema"), schema)
         self.writer.add_message(self.channels[topic, name], timestamp_ns, content, timestamp_ns)
 
     def saved(self, path):
@@ -80,9 +78,7 @@ class Log:
 
 
 def cloud_fields(timestamp_ns, points, frame="lidar_top"):
-    table = np.zeros(
-        len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("pad", "<f4"), ("t", "<u4"), ("i", "u1")]
-    )
+    table = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("pad", "<f4"), ("t", "<u4"), ("i", "u1")])
     for axis, column in zip("xyz", points.T, strict=True):
         table[axis] = column
     table["t"] = np.linspace(0, 0.99 * PERIOD_NS, len(points))
@@ -204,9 +200,7 @@ def test_fixed_transforms_are_mountings_and_moving_ones_the_ego_trajectory(scene
         atol=1e-15,
     )
     # forward of the camera is x of the car
-    np.testing.assert_allclose(
-        scene.sensor("front").mount.rotate(np.array([0, 0, 1.0])), [1, 0, 0], atol=1e-15
-    )
+    np.testing.assert_allclose(scene.sensor("front").mount.rotate(np.array([0, 0, 1.0])), [1, 0, 0], atol=1e-15)
     trajectory = scene.trajectories["tf"]
     np.testing.assert_array_equal(trajectory.positions[:, 0], SPEED * 0.1 * np.arange(5))
     poses = scene.sensor("front").poses
@@ -306,9 +300,7 @@ def test_what_we_write_the_reference_library_reads(compression, tmp_path):
     found = list(decoded(path))
     assert not [1 for *_, message, _ in found if message.publish_time != message.log_time]
     clouds = [
-        m
-        for topic, name, _, m in found
-        if name == "foxglove.PointCloud" and topic == f"/{source.lidars[0].id}/points"
+        m for topic, name, _, m in found if name == "foxglove.PointCloud" and topic == f"/{source.lidars[0].id}/points"
     ]
     assert len(clouds) == len(source.lidars[0].frames)
     for cloud, frame in zip(clouds, source.lidars[0].frames, strict=True):
@@ -322,9 +314,7 @@ def test_what_we_write_the_reference_library_reads(compression, tmp_path):
                 "itemsize": cloud.point_stride,
             },
         )
-        np.testing.assert_array_equal(
-            np.stack([table[axis] for axis in "xyz"], axis=1), frame.points.positions
-        )
+        np.testing.assert_array_equal(np.stack([table[axis] for axis in "xyz"], axis=1), frame.points.positions)
         assert cloud.timestamp.ToNanoseconds() == frame.timestamp_ns
     schemas = {name for _, name, _, _ in found}
     assert {"foxglove.FrameTransform", "foxglove.CameraCalibration", "foxglove.SceneUpdate"} <= schemas

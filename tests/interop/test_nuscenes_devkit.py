@@ -68,9 +68,7 @@ def nuscenes_python():
 
 
 def reported_by_kit(python, root, version):
-    done = subprocess.run(
-        [python, "-c", PROGRAM, str(root), version], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([python, "-c", PROGRAM, str(root), version], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 

@@ -119,9 +119,7 @@ def drive():
     rotations = rng.normal(size=(3, 4))
     rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
     trajectory = Trajectory("pose", timestamps, rng.normal(scale=10, size=(3, 3)), rotations)
-    values = np.concatenate(
-        [rng.uniform(1, 5, (3, 3)), rng.normal(size=(3, 3)), rng.uniform(-80, 80, (3, 3))], axis=1
-    )
+    values = np.concatenate([rng.uniform(1, 5, (3, 3)), rng.normal(size=(3, 3)), rng.uniform(-80, 80, (3, 3))], axis=1)
     box = CuboidAnnotation(
         "car",
         CuboidPath(timestamps, values),
@@ -142,9 +140,7 @@ def drive():
             parent_id="van",
             projections=(Projection("top", timestamps[:1], np.array([[1.0, 2, 3, 4]]), (True,)),),
         ),
-        Box2DAnnotation(
-            "flat", "top", BoxPath(timestamps[:1], np.array([[1.0, 2, 3, 4]])), "Van", parent_id="van"
-        ),
+        Box2DAnnotation("flat", "top", BoxPath(timestamps[:1], np.array([[1.0, 2, 3, 4]])), "Van", parent_id="van"),
     )
     return Scene((lidar,), (box, flat, lane, event, link, *van), {"pose": trajectory}), mount
 
@@ -161,9 +157,7 @@ def test_our_files_pass_the_schema_and_vcd_puts_boxes_and_sensors_where_we_do(tm
     van = next(one for one in scene.annotations if one.id == "box of the van")
     poses = cuboid_poses(van, scene.annotations[0].path.timestamps_ns, angles=CuboidAngles.of(scene))
     for number in range(3):
-        found = box_corners(
-            poses.centers_world[number], poses.sizes_lwh[number], poses.quaternions_xyzw[number]
-        )
+        found = box_corners(poses.centers_world[number], poses.sizes_lwh[number], poses.quaternions_xyzw[number])
         same_corners(found, reported["corners"][f"van {number}"])
     assert reported["loaded"] == {"bbox": 2, "cuboid": 1}
     trajectory = scene.trajectories["pose"]
@@ -184,9 +178,7 @@ def test_a_file_of_raillabel_is_read(tmp_path, peer):
     reported = peer("openlabel_raillabel_write.py", tmp_path / "rail.json")
     with open_scene(tmp_path / "rail.json") as scene:
         cuboid = next(one for one in scene.annotations if one.type == "cuboid")
-        np.testing.assert_allclose(
-            cuboid.path.values[0, :6], reported["size_and_position"], rtol=0, atol=1e-9
-        )
+        np.testing.assert_allclose(cuboid.path.values[0, :6], reported["size_and_position"], rtol=0, atol=1e-9)
         assert cuboid.path.timestamps_ns.tolist() == reported["timestamps_ns"]
         camera = next(one for one in scene.sensors if one.id == "rgb_center")
         assert [camera.camera.fx, camera.camera.cy] == reported["fx_cy"]

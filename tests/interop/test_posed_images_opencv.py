@@ -75,18 +75,14 @@ def truth(one, camera_id, k):
         @ one.sensor(camera_id).mount
     )
     points_camera = RNG.uniform((-1.5, -1.0, 4.0), (1.5, 1.0, 9.0), (50, 3))
-    return world_from_camera.apply(points_camera), project_unbounded(
-        one.sensor(camera_id).camera, points_camera
-    )
+    return world_from_camera.apply(points_camera), project_unbounded(one.sensor(camera_id).camera, points_camera)
 
 
 def opencv(points_camera, fx, fy, cx, cy, distortion, *, fisheye):
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     none = np.zeros(3)
     if fisheye:
-        pixels = cv2.fisheye.projectPoints(points_camera[:, None], none, none, matrix, np.array(distortion))[
-            0
-        ]
+        pixels = cv2.fisheye.projectPoints(points_camera[:, None], none, none, matrix, np.array(distortion))[0]
     else:
         pixels = cv2.projectPoints(points_camera, none, none, matrix, np.array(distortion))[0]
     return pixels.reshape(-1, 2)
@@ -105,9 +101,7 @@ def read_colmap(folder):
         assert points == ""
         number, *numbers, camera, name = line.split()
         images[name] = (int(number), tuple(map(float, numbers)), int(camera))
-    rows = [
-        row.split() for row in (folder / "points3D.txt").read_text().splitlines() if not row.startswith("#")
-    ]
+    rows = [row.split() for row in (folder / "points3D.txt").read_text().splitlines() if not row.startswith("#")]
     return cameras, images, np.array(rows, np.float64)
 
 
@@ -146,9 +140,7 @@ def test_opencv_projects_a_colmap_model_to_where_the_scene_sees_it(tmp_path, nam
         points_camera = points_world @ rotation(*pose[:4]).T + pose[4:]
         fx, fy, cx, cy, *distortion = numbers
         # COLMAP counts from the corner of the first pixel, OpenCV from its centre
-        found = opencv(
-            points_camera, fx, fy, cx - 0.5, cy - 0.5, distortion or [0.0] * 4, fisheye="FISHEYE" in model
-        )
+        found = opencv(points_camera, fx, fy, cx - 0.5, cy - 0.5, distortion or [0.0] * 4, fisheye="FISHEYE" in model)
         np.testing.assert_allclose(found, pixels, rtol=0, atol=1e-6)
         assert camera == 1
 
@@ -156,9 +148,7 @@ def test_opencv_projects_a_colmap_model_to_where_the_scene_sees_it(tmp_path, nam
 def test_a_camera_model_that_colmap_does_not_have_is_known_by_the_nearest_with_its_error(tmp_path):
     one = scene(["mei"])
     losses = write_scene(one, tmp_path / "o", format="colmap", images="none")
-    (loss,) = [
-        loss for loss in losses if loss.field == "sensors[mei].camera" and loss.largest_error is not None
-    ]
+    (loss,) = [loss for loss in losses if loss.field == "sensors[mei].camera" and loss.largest_error is not None]
     assert loss.support is Support.APPROXIMATED
     cameras, images, _ = read_colmap(tmp_path / "o" / "sparse" / "0")
     model, _, _, (fx, fy, cx, cy, *distortion) = cameras[1]
@@ -207,9 +197,7 @@ def test_the_binary_files_hold_what_the_texts_hold(tmp_path):
     assert len(data) == 8 + 51 * len(points)
 
 
-@pytest.mark.parametrize(
-    ("names", "model"), [(["plain", "five"], "OPENCV"), (["fish eye"], "OPENCV_FISHEYE")]
-)
+@pytest.mark.parametrize(("names", "model"), [(["plain", "five"], "OPENCV"), (["fish eye"], "OPENCV_FISHEYE")])
 def test_opencv_projects_transforms_json_to_where_the_scene_sees_it(tmp_path, names, model):
     one = scene(names)
     write_scene(one, tmp_path / "o", format="nerfstudio")

@@ -41,9 +41,7 @@ def ours(bias: np.ndarray):
     times, values = samples()
     densities = np.array([[GYROSCOPE**2, ACCELEROMETER**2]])
     gaps = np.empty((0, 2), np.int64)
-    return InertialSamples(times, values, gaps).preintegrated(
-        times[[0, -1]], biases=bias[None], densities=densities
-    )
+    return InertialSamples(times, values, gaps).preintegrated(times[[0, -1]], biases=bias[None], densities=densities)
 
 
 def test_rotate_gain_trajectory_and_covariance_are_the_same():
@@ -66,8 +64,7 @@ def test_a_change_of_the_bias_does_the_same():
     moved, summed = ours(BIAS).slopes[0] @ change, theirs(samples()[1], BIAS)
     begin = gtsam.NavState(gtsam.Pose3(), np.zeros(3))
     before, after = (
-        summed.predict(begin, gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
-        for bias in (BIAS, BIAS + change)
+        summed.predict(begin, gtsam.imuBias.ConstantBias(bias[3:], bias[:3])) for bias in (BIAS, BIAS + change)
     )
     rotation = before.attitude().matrix().T @ after.attitude().matrix()
     # second order in 2e-4 rad, and their steps of half a millisecond
@@ -84,9 +81,7 @@ def test_two_states_are_as_far_from_what_was_measured():
     bias = gtsam.imuBias.ConstantBias(BIAS[3:], BIAS[:3])
     there = summed.predict(gtsam.NavState(start, speed), bias)
     off = gtsam.Rot3.Expmap(1e-3 * rng.standard_normal(3)).matrix()
-    stop = gtsam.Pose3(
-        gtsam.Rot3(there.attitude().matrix() @ off), there.position() + 1e-3 * rng.standard_normal(3)
-    )
+    stop = gtsam.Pose3(gtsam.Rot3(there.attitude().matrix() @ off), there.position() + 1e-3 * rng.standard_normal(3))
     after = there.velocity() + 1e-3 * rng.standard_normal(3)
     factor = gtsam.ImuFactor(0, 1, 2, 3, 4, summed)
     values = gtsam.Values()
@@ -107,9 +102,7 @@ def test_two_states_are_as_far_from_what_was_measured():
 def our_cost(states: States) -> float:
     """Of the IMU alone: what the priors cost is taken off."""
     times, _ = samples()
-    nothing = Fixes(
-        np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0, np.int64)
-    )
+    nothing = Fixes(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0, np.int64))
     chain = Chain(times[[0, -1]], np.array([True]), ours(BIAS), nothing, GRAVITY, SmootherSettings())
     settings = SmootherSettings()
     priors = (

@@ -63,9 +63,7 @@ def vendor_python():
 def replayed(folder, python):
     """The outputs of the vendor's software, and the scales and largest steps of depth images."""
     command = [python, "-c", REPLAY, str(folder)]
-    done = subprocess.run(
-        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, check=False
-    )
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     results = [line for line in done.stdout.splitlines() if line.startswith("RESULT")]
     assert results, done.stdout

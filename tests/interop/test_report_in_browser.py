@@ -26,9 +26,7 @@ def browser():
         pytest.skip("no node")
     program, modules = os.environ.get("SCENELOOM_BROWSER", ""), os.environ.get("SCENELOOM_NODE_MODULES", "")
     if not program or not modules:
-        pytest.skip(
-            "no browser: set SCENELOOM_BROWSER to a Chromium and SCENELOOM_NODE_MODULES, with playwright-core"
-        )
+        pytest.skip("no browser: set SCENELOOM_BROWSER to a Chromium and SCENELOOM_NODE_MODULES, with playwright-core")
     if not Path(modules, "playwright-core").is_dir():
         pytest.fail(f"SCENELOOM_NODE_MODULES={modules} has no playwright-core")
     return program, modules
@@ -39,9 +37,7 @@ def evil() -> Scene:
     points = LidarPoints(np.random.default_rng(0).normal(0, 10, (50, 3)).astype(np.float32))
     frames = LazyFrames.of([LidarFrame(t, points) for t in (0, 10**8)], [0, 10**8])
     warning = DataWarning(kind=WarningKind.ASSUMED, code="x", location=EVIL, message=EVIL)
-    return Scene(
-        (LidarSensor(EVIL, frames),), source=EVIL, format=EVIL, warnings=(warning,), metadata={EVIL: EVIL}
-    )
+    return Scene((LidarSensor(EVIL, frames),), source=EVIL, format=EVIL, warnings=(warning,), metadata={EVIL: EVIL})
 
 
 @pytest.fixture(scope="module")

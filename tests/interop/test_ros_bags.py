@@ -112,9 +112,7 @@ class Bag:
 
     def transform(self, topic, timestamp_ns, parent, child, location, rotation=(0, 0, 0, 1)):
         moved = self.make("geometry_msgs/msg/Transform", self.vector(*location), self.rotation(*rotation))
-        timestamped = self.make(
-            "geometry_msgs/msg/TransformStamped", self.header(timestamp_ns, parent), child, moved
-        )
+        timestamped = self.make("geometry_msgs/msg/TransformStamped", self.header(timestamp_ns, parent), child, moved)
         name = "tf2_msgs/msg/TFMessage"
         self.add(topic, name, self.make(name, [timestamped]), timestamp_ns)
 
@@ -149,9 +147,7 @@ class Bag:
         k = np.array([100.0, 0, 5.5, 0, 101.0, 3.5, 0, 0, 1])
         region = self.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
         names = "DKRP" if self.version == 1 else "dkrp"
-        numbers = dict(
-            zip(names, (np.array(coefficients), k, np.eye(3).reshape(-1), np.zeros(12)), strict=True)
-        )
+        numbers = dict(zip(names, (np.array(coefficients), k, np.eye(3).reshape(-1), np.zeros(12)), strict=True))
         self.send(topic, "sensor_msgs/msg/CameraInfo", timestamp_ns, frame, height=size[1], width=size[0],
                   distortion_model=model, binning_x=0, binning_y=0, roi=region, **numbers)  # fmt: skip
 
@@ -164,9 +160,7 @@ class Bag:
 
 def packed(points, *further, order="<"):
     """Points with further columns: names, dtypes and values."""
-    table = np.zeros(
-        len(points), [(axis, f"{order}f4") for axis in "xyz"] + [(n, order + t) for n, t, _ in further]
-    )
+    table = np.zeros(len(points), [(axis, f"{order}f4") for axis in "xyz"] + [(n, order + t) for n, t, _ in further])
     for axis, column in zip("xyz", points.T, strict=True):
         table[axis] = column
     for name, _, values in further:
@@ -177,9 +171,7 @@ def packed(points, *further, order="<"):
 def drive(path, kind, **options):
     """A car that goes 10 m/s along x of the map, in a frame odom that was moved by 100 m."""
     with Bag(path, kind, **options) as bag:
-        bag.transform(
-            "/tf_static", EPOCH_NS, "base_link", "lidar", (0, 0, 2), (0, 0, np.sqrt(0.5), np.sqrt(0.5))
-        )
+        bag.transform("/tf_static", EPOCH_NS, "base_link", "lidar", (0, 0, 2), (0, 0, np.sqrt(0.5), np.sqrt(0.5)))
         bag.transform("/tf_static", EPOCH_NS, "base_link", "camera", (1.5, 0, 0), (-0.5, 0.5, -0.5, 0.5))
         bag.transform("/tf_static", EPOCH_NS, "base_link", "imu", (0, 0, 0), (0, 0, 1, 0))
         for k in range(4):
@@ -189,9 +181,7 @@ def drive(path, kind, **options):
             seconds = np.linspace(0, 0.0999, len(POINTS))
             bag.cloud("/lidar/points", timestamp, "lidar", packed(POINTS, ("ring", "u2", np.arange(400) % 16),
                       ("intensity", "f4", np.arange(400) % 200), ("time", "f4", seconds)))  # fmt: skip
-            bag.cloud(
-                "/radar/points", timestamp, "lidar", packed(POINTS[:5], ("velocity", "f4", np.arange(5)))
-            )
+            bag.cloud("/radar/points", timestamp, "lidar", packed(POINTS[:5], ("velocity", "f4", np.arange(5))))
             jpeg = np.frombuffer(simplejpeg.encode_jpeg(RGB, 95, "RGB", "444"), np.uint8)
             bag.send(
                 "/front/image_raw/compressed",
@@ -201,9 +191,7 @@ def drive(path, kind, **options):
                 "rgb8; jpeg",
                 jpeg,
             )
-            bag.camera_model(
-                "/front/camera_info", timestamp, "camera", "equidistant", [0.1, 0.02, 0.003, 0.0004]
-            )
+            bag.camera_model("/front/camera_info", timestamp, "camera", "equidistant", [0.1, 0.02, 0.003, 0.0004])
             bag.image(
                 "/depth/image",
                 timestamp,
@@ -227,15 +215,11 @@ def drive(path, kind, **options):
             nowhere = bag.make("geometry_msgs/msg/PoseWithCovariance", bag.pose((0, 0, 0)), np.zeros(36))
             results = [bag.make("vision_msgs/msg/ObjectHypothesisWithPose", reported, nowhere)]
             box = bag.make("vision_msgs/msg/BoundingBox3D", bag.pose((50 - k, 3, 1)), bag.vector(4, 2, 1.5))
-            seen = bag.make(
-                "vision_msgs/msg/Detection3D", bag.header(timestamp, "base_link"), results, box, "7"
-            )
+            seen = bag.make("vision_msgs/msg/Detection3D", bag.header(timestamp, "base_link"), results, box, "7")
             bag.send("/objects", "vision_msgs/msg/Detection3DArray", timestamp, "base_link", [seen])
             center = bag.make("vision_msgs/msg/Pose2D", bag.make("vision_msgs/msg/Point2D", 6.0, 4.0), 0.0)
             flat = bag.make("vision_msgs/msg/BoundingBox2D", center, 4.0, 2.0)
-            seen = bag.make(
-                "vision_msgs/msg/Detection2D", bag.header(timestamp, "camera"), results, flat, "b"
-            )
+            seen = bag.make("vision_msgs/msg/Detection2D", bag.header(timestamp, "camera"), results, flat, "b")
             bag.send("/front/detections", "vision_msgs/msg/Detection2DArray", timestamp, "camera", [seen])
             bag.add("/chatter", "std_msgs/msg/String", bag.make("std_msgs/msg/String", "hello"), timestamp)
     return bag.path
@@ -343,15 +327,11 @@ def test_bags_that_are_packed_are_read_like_others(kind, options, tmp_path):
     with sceneloom.open(drive(tmp_path / "drive", kind, **options)) as scene:
         assert len(scene.sensors) == 6
         np.testing.assert_array_equal(scene.lidars[0].frames[3].points.positions, POINTS)
-        np.testing.assert_array_equal(
-            scene.lidars[0].frames.timestamps_ns, EPOCH_NS + PERIOD_NS * np.arange(4)
-        )
+        np.testing.assert_array_equal(scene.lidars[0].frames.timestamps_ns, EPOCH_NS + PERIOD_NS * np.arange(4))
 
 
 def test_a_bag_that_is_packed_as_a_whole_says_how_to_unpack_it(tmp_path):
-    path = drive(
-        tmp_path / "drive", "SQLITE3", set_compression=(CompressionMode.FILE, CompressionFormat.ZSTD)
-    )
+    path = drive(tmp_path / "drive", "SQLITE3", set_compression=(CompressionMode.FILE, CompressionFormat.ZSTD))
     with pytest.raises(DataError, match="zstd -d"):
         sceneloom.open(path)
 
@@ -419,15 +399,11 @@ def test_grey_images_are_repeated_and_mosaics_filled(tmp_path):
     mosaic = plane.copy()
     mosaic[::2, ::2], mosaic[1::2, 1::2] = 200, 90  # red, and blue, of rggb
     with Bag(tmp_path / "drive", "SQLITE3") as bag:
-        bag.image(
-            "/grey/image_raw", EPOCH_NS, "cam", "mono16", (plane * np.uint16(256)).astype(">u2"), order=">"
-        )
+        bag.image("/grey/image_raw", EPOCH_NS, "cam", "mono16", (plane * np.uint16(256)).astype(">u2"), order=">")
         bag.image("/mosaic/image_raw", EPOCH_NS, "cam", "bayer_rggb8", mosaic)
     with sceneloom.open(bag.path) as scene:
         np.testing.assert_array_equal(scene.sensor("grey").images[0].rgb, np.full((8, 12, 3), 40))
-        np.testing.assert_array_equal(
-            scene.sensor("mosaic").images[0].rgb, np.tile([200, 40, 90], (8, 12, 1))
-        )
+        np.testing.assert_array_equal(scene.sensor("mosaic").images[0].rgb, np.tile([200, 40, 90], (8, 12, 1)))
 
 
 def read_by_rosbags(path):
@@ -465,9 +441,7 @@ def test_what_we_write_rosbags_reads(name, options, tmp_path):
                 "itemsize": message.point_step,
             },
         )
-        np.testing.assert_array_equal(
-            np.stack([table[a] for a in "xyz"], axis=1), lidar.frames[0].points.positions
-        )
+        np.testing.assert_array_equal(np.stack([table[a] for a in "xyz"], axis=1), lidar.frames[0].points.positions)
     names = {type(message).__name__ for _, _, message in found}
     assert {n.rpartition("__")[2] for n in names} >= {
         "TFMessage",
@@ -491,9 +465,7 @@ def swept(tmp_path, *, earlier_ns=0):
         "intensities": np.arange(len(POINTS), dtype=np.uint32).astype(np.uint8),
         "rings": (np.arange(len(POINTS)) % 16).astype(np.uint16),
     }
-    sweeps = [
-        LidarFrame(int(t), LidarPoints(POINTS, timestamps_ns=t + times, **measured)) for t in timestamps
-    ]
+    sweeps = [LidarFrame(int(t), LidarPoints(POINTS, timestamps_ns=t + times, **measured)) for t in timestamps]
     camera_model = Camera("pinhole", 12, 8, 10.0, 10.0, 5.5, 3.5)
     images = [CameraImage.of(int(t), camera_model, RGB) for t in timestamps + 30_000_000]
     scene = Scene(
@@ -589,9 +561,7 @@ def test_a_bag_in_mcap_is_ros_own_and_no_file_of_foxglove(tmp_path):
 def test_fields_beyond_the_point_are_refused_with_their_location(tmp_path):
     with Bag(tmp_path / "drive", "ros1") as bag:
         bag.cloud("/points", EPOCH_NS, "lidar", packed(POINTS), offsets={"z": 10})
-    with pytest.raises(
-        DataError, match=r"/points\[0\].*'z' takes bytes 10 to 14 of each point, which has 12"
-    ):
+    with pytest.raises(DataError, match=r"/points\[0\].*'z' takes bytes 10 to 14 of each point, which has 12"):
         sceneloom.open(bag.path)
     with sceneloom.open(bag.path, lenient=True) as scene:
         assert scene.sensors == ()
@@ -608,9 +578,7 @@ def test_fewer_bytes_than_points_are_refused(tmp_path):
 def test_sweeps_without_points_are_sweeps(tmp_path):
     with Bag(tmp_path / "drive", "MCAP") as bag:
         bag.cloud("/points", EPOCH_NS, "lidar", packed(POINTS[:0], ("intensity", "f4", [])))
-        bag.cloud(
-            "/points", EPOCH_NS + PERIOD_NS, "lidar", packed(POINTS, ("intensity", "f4", np.full(400, 0.5)))
-        )
+        bag.cloud("/points", EPOCH_NS + PERIOD_NS, "lidar", packed(POINTS, ("intensity", "f4", np.full(400, 0.5))))
     with sceneloom.open(bag.path) as scene:
         assert [len(frame.points) for frame in scene.lidars[0].frames] == [0, 400]
         assert scene.lidars[0].frames[1].points.intensities[0] == 128
@@ -674,9 +642,7 @@ def test_images_of_unknown_forms_are_reported_and_the_rest_is_read(tmp_path):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_that_was_cut_off_is_refused_or_read_as_far_as_it_is_whole(kind, tmp_path):
     path = drive(tmp_path / "drive", kind)
-    file = (
-        path if path.is_file() else next(file for file in path.iterdir() if file.suffix in {".db3", ".mcap"})
-    )
+    file = path if path.is_file() else next(file for file in path.iterdir() if file.suffix in {".db3", ".mcap"})
     whole = file.read_bytes()
     file.write_bytes(whole[: int(len(whole) * 0.6)])
     with pytest.raises(DataError, match=r"cut off|not finished|--lenient|cannot be read|damaged|malformed"):

@@ -231,9 +231,7 @@ def test_the_profile_of_scale_loads_and_validates_with_equal_values(scale, tmp_p
     for frame, original in zip(sensors["top"]["frames"], drive.sensor("top").frames, strict=True):
         points = original.points
         assert len(frame["positions"]) == len(points)
-        np.testing.assert_array_equal(
-            np.array(frame["positions"], np.float32).reshape(-1, 3), points.positions
-        )
+        np.testing.assert_array_equal(np.array(frame["positions"], np.float32).reshape(-1, 3), points.positions)
         if len(points):
             assert frame["times"] == timestamps(points.timestamps_ns, offset)
             assert frame["timestamp"] == int(points.timestamps_ns.min()) // 1000 - offset

@@ -88,9 +88,7 @@ CLIENTS = {"s3": "s3fs", "gs": "gcsfs", "az": "adlfs"}
 @pytest.fixture(scope="module", params=CLIENTS)
 def server(request):
     """A scheme, and the address of a server of its own, which ends with the tests."""
-    pytest.importorskip(
-        CLIENTS[request.param], reason=f"{CLIENTS[request.param]} of the extra `cloud` is not there"
-    )
+    pytest.importorskip(CLIENTS[request.param], reason=f"{CLIENTS[request.param]} of the extra `cloud` is not there")
     with subprocess.Popen(
         command(request.param),
         stdin=subprocess.PIPE,
@@ -98,9 +96,7 @@ def server(request):
         stderr=subprocess.DEVNULL,
         text=True,
     ) as running:
-        address = next(
-            found[1] for line in running.stdout if (found := re.search(r" (http://127\S+\d)", line))
-        )
+        address = next(found[1] for line in running.stdout if (found := re.search(r" (http://127\S+\d)", line)))
         yield request.param, address
         running.kill()
 
@@ -140,9 +136,7 @@ def drive(tmp_path, encode_sfs):
         for k in range(30)
     ]
     path = tmp_path / "drive.sfs"
-    path.write_bytes(
-        encode_sfs({"version": "1.0", "sensors": [{"id": "top", "type": "lidar", "frames": frames}]})
-    )
+    path.write_bytes(encode_sfs({"version": "1.0", "sensors": [{"id": "top", "type": "lidar", "frames": frames}]}))
     return path
 
 

@@ -116,13 +116,9 @@ def sides(data_dir, tmp_path_factory) -> tuple[Path, Path]:
 def theirs(sides):
     truth, results = sides
     quiet = {"PRINT_CONFIG": False}
-    off = dict.fromkeys(
-        ("PRINT_RESULTS", "OUTPUT_SUMMARY", "OUTPUT_DETAILED", "PLOT_CURVES", "TIME_PROGRESS"), False
-    )
+    off = dict.fromkeys(("PRINT_RESULTS", "OUTPUT_SUMMARY", "OUTPUT_DETAILED", "PLOT_CURVES", "TIME_PROGRESS"), False)
     with contextlib.redirect_stdout(io.StringIO()):
-        dataset = trackeval.datasets.Kitti2DBox(
-            {"GT_FOLDER": str(truth), "TRACKERS_FOLDER": str(results), **quiet}
-        )
+        dataset = trackeval.datasets.Kitti2DBox({"GT_FOLDER": str(truth), "TRACKERS_FOLDER": str(results), **quiet})
         metrics = [
             trackeval.metrics.HOTA(),
             trackeval.metrics.CLEAR({**quiet}),

@@ -51,9 +51,7 @@ def test_images_are_those_that_opencv_makes_of_a_real_one(camera, data_dir):
     undo = cv2.fisheye.undistortImage if camera.model == "fisheye" else cv2.undistort
     usual = undo(rgb, camera.matrix, np.array(camera.coefficients), None, maps.target.matrix)
     size = [camera.width - 1, camera.height - 1]
-    whole = ((maps.locations >= 0) & (maps.locations <= size)).all(
-        axis=-1
-    )  # OpenCV blends its border with black
+    whole = ((maps.locations >= 0) & (maps.locations <= size)).all(axis=-1)  # OpenCV blends its border with black
     assert np.abs(ours - exact)[whole].max() <= 1
     # its own call takes weights of 1/32: next to black and white that is up to 255/64 levels and more
     off = np.abs(ours - usual)[whole]

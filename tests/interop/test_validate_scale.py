@@ -124,9 +124,7 @@ def a_file():
                 "type": "labeled_points",
                 "label": "road",
                 "is_instance": False,
-                "labeled_points": [
-                    {"sensor_id": "top", "sensor_frame": 0, "point_ids": np.arange(3, dtype=np.uint32)}
-                ],
+                "labeled_points": [{"sensor_id": "top", "sensor_frame": 0, "point_ids": np.arange(3, dtype=np.uint32)}],
             },
             {"id": "la", "type": "localization_adjustment", "poses": deepcopy(POSES)},
             {"id": "o", "type": "object", "parent_id": "car"},
@@ -305,9 +303,7 @@ def drawn(count=80):
     rng = np.random.default_rng(4)
     locations = list(locations_of(a_file()))
     pairs = [(int(rng.integers(len(locations))), int(rng.integers(len(ODD_VALUES)))) for _ in range(count)]
-    return {
-        f"drawn {location} {value}": (locations[location], ODD_VALUES[value]) for location, value in pairs
-    }
+    return {f"drawn {location} {value}": (locations[location], ODD_VALUES[value]) for location, value in pairs}
 
 
 def injected(location, value):

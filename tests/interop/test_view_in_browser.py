@@ -38,9 +38,7 @@ def browser():
         pytest.skip("no node")
     program, modules = os.environ.get("SCENELOOM_BROWSER", ""), os.environ.get("SCENELOOM_NODE_MODULES", "")
     if not program or not modules:
-        pytest.skip(
-            "no browser: set SCENELOOM_BROWSER to a Chromium and SCENELOOM_NODE_MODULES, with playwright-core"
-        )
+        pytest.skip("no browser: set SCENELOOM_BROWSER to a Chromium and SCENELOOM_NODE_MODULES, with playwright-core")
     return program, modules
 
 

@@ -155,9 +155,7 @@ def seeds() -> dict[str, bytes]:
         found[kind] = encoded({"version": "5.1", "time_unit": "nanoseconds", "annotations": [annotation]})
     imu = {"timestamps_ns": ("int64", [1, 2]), "values": ("float64", TWO)}
     ours = {
-        "sensor_notes": [
-            {"id": "l", "points_frame": "sensor", "mount": [[1.0, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3]]}
-        ],
+        "sensor_notes": [{"id": "l", "points_frame": "sensor", "mount": [[1.0, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3]]}],
         "sensors": [{"id": "i", "type": "imu", "streams": {"gyroscope": imu}}],
         "trajectories": [{"name": "w", "timestamps_ns": ("int64", [1, 2]), "positions": ("float64", TWO)}],
         "warnings": [{"kind": "assumed", "code": "a", "location": "b", "message": "c", "count": 1}],

@@ -131,8 +131,7 @@ def _packed_bag(folder: Path) -> Path:
     bag.set_compression(Writer.CompressionFormat.LZ4)
     with AnyReader([sound]) as reader, bag:
         known = {
-            one.id: bag.add_connection(one.topic, one.msgtype, typestore=reader.typestore)
-            for one in reader.connections
+            one.id: bag.add_connection(one.topic, one.msgtype, typestore=reader.typestore) for one in reader.connections
         }
         for connection, time_ns, content in reader.messages():
             bag.write(known[connection.id], time_ns, content)
@@ -314,9 +313,7 @@ class Tried:
         kinds: dict[str, list[Failure]] = {}
         for failure in self.failures:
             kinds.setdefault(failure.kind, []).append(failure)
-        lines = [
-            f"  {len(found)} x {kind} (such as mutant {found[0].number})" for kind, found in kinds.items()
-        ]
+        lines = [f"  {len(found)} x {kind} (such as mutant {found[0].number})" for kind, found in kinds.items()]
         return "\n".join([counts, *lines])
 
 
@@ -407,9 +404,7 @@ def _work(name: str, folder: Path) -> None:
         drive = Path(own, sound.name)
         (shutil.copytree if sound.is_dir() else shutil.copy)(sound, drive)
         outcome = [_use(drive, name, step) for step in range(len(_STEPS))]
-        answers.write(
-            json.dumps({"outcome": outcome[0][0] if len(set(outcome)) == 1 else str(outcome)}) + "\n"
-        )
+        answers.write(json.dumps({"outcome": outcome[0][0] if len(set(outcome)) == 1 else str(outcome)}) + "\n")
         pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
         limit = pages * resource.getpagesize() + MEMORY
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

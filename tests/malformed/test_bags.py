@@ -40,9 +40,7 @@ def test_a_damaged_connection_is_a_fault_and_what_is_whole_is_read_without_it(ba
 def test_an_index_without_its_chunk_is_a_fault(bag):
     chunk = bag.read_bytes().find(b"op=\x05")
     changed(bag, chunk + 3, 0x75)
-    with pytest.raises(
-        DataError, match=r"log.bag: byte \d+: the record is damaged: an index before any chunk"
-    ):
+    with pytest.raises(DataError, match=r"log.bag: byte \d+: the record is damaged: an index before any chunk"):
         open_scene(bag)
 
 

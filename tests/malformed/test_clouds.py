@@ -29,9 +29,7 @@ TEXT = b"1.5 -2 0.25 7 3\n4 5 -6 0 1\n"
 
 def packed() -> bytes:
     columns = b"".join(np.ascontiguousarray(POINTS[name]).tobytes() for name in POINTS.dtype.names)
-    runs = b"".join(
-        bytes([len(columns[k : k + 32]) - 1]) + columns[k : k + 32] for k in range(0, len(columns), 32)
-    )
+    runs = b"".join(bytes([len(columns[k : k + 32]) - 1]) + columns[k : k + 32] for k in range(0, len(columns), 32))
     return struct.pack("<II", len(runs), len(columns)) + runs
 
 

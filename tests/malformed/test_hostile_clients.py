@@ -129,9 +129,7 @@ class Rig:
         self("Flush")
         for fusion_type, name in enumerate(("sensor_data", "detections")):
             replies = iter(lambda kind=fusion_type: self("Get", fusion_type=kind), None)
-            found = next(
-                getattr(reply, name) for reply in replies if getattr(reply, name).points_seq == self.seq
-            )
+            found = next(getattr(reply, name) for reply in replies if getattr(reply, name).points_seq == self.seq)
             assert found.image_seq == self.seq
         return True
 
@@ -199,17 +197,13 @@ def seeds(rig):
     """Sound requests of each method, whose records are of the next time."""
     value, made = fusion_pb2.Value, rig.request
     listed = fusion_pb2.ValueList(values=[value(integer_value=k) for k in (0, -1, 2)])
-    pose = fusion_pb2.Pose(
-        timestamp=timestamp(100 * rig.seq), position=[1, 2, 3], quaternion_xyzw=[0, 0, 0, 1]
-    )
+    pose = fusion_pb2.Pose(timestamp=timestamp(100 * rig.seq), position=[1, 2, 3], quaternion_xyzw=[0, 0, 0, 1])
     camera_model = {"model": "fisheye", "image_size": [WIDTH, HEIGHT], "fx": 50, "fy": 50, "cx": 31, "cy": 23}
     sent = [made("Send", **{name: record}) for name, record in rig.records()]
     later = timestamp(100 * rig.seq)
     sent.append(made("Send", box_3d=boxes_3d(rig.seq + 1, later).boxes[0]))
     sent.append(made("Send", box_2d=boxes_2d(rig.seq + 1, later).boxes[0]))
-    sent.append(
-        made("Send", raw=fusion_pb2.RawData(sensor_id=1, timestamp=later, seq=rig.seq, length=3, data=b"abc"))
-    )
+    sent.append(made("Send", raw=fusion_pb2.RawData(sensor_id=1, timestamp=later, seq=rig.seq, length=3, data=b"abc")))
     return {
         "AddProperty": [
             made("AddProperty", name=f"mode{rig.seq}", description="a=1, b=2", type="(enum, float)"),
@@ -218,9 +212,7 @@ def seeds(rig):
         "SetProperty": [
             made("SetProperty", name="lidar_coordinate", value=value(list_value=listed)),
             made("SetProperty", name="queue_length", value=value(integer_value=8)),
-            made(
-                "SetProperty", name="camera_models", value=value(string_value=json.dumps({"1": camera_model}))
-            ),
+            made("SetProperty", name="camera_models", value=value(string_value=json.dumps({"1": camera_model}))),
             made(
                 "SetProperty",
                 name="sensors",
@@ -403,9 +395,7 @@ def test_images_that_declare_more_pixels_than_a_session_may_have_are_refused(ser
     }
     for size in ([31_250, 32_000], [10**400, 1], [1e400, 2], [True, 2]):
         content = fusion_pb2.Value(
-            string_value=json.dumps(
-                {"1": camera_model | {"image_size": size}, "2": camera_model | {"fx": 10**400}}
-            )
+            string_value=json.dumps({"1": camera_model | {"image_size": size}, "2": camera_model | {"fx": 10**400}})
         )
         rig("SetProperty", name="camera_models", value=content)
         rig.send(image=image(1, timestamp(0)))
@@ -421,9 +411,7 @@ def png(size, *, rows=None, chunks=b""):
     """A PNG whose head declares a size, with so many rows of zeros in it."""
 
     def chunk(name, content):
-        return (
-            struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
-        )
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
 
     deflate = zlib.compressobj(9)
     row = b"\0" * (3 * size[0] + 1)
@@ -434,9 +422,7 @@ def png(size, *, rows=None, chunks=b""):
 
 def text_bomb():
     content = b"k\0\0" + zlib.compress(bytes(200_000_000), 9)
-    return (
-        struct.pack(">I", len(content)) + b"zTXt" + content + struct.pack(">I", zlib.crc32(b"zTXt" + content))
-    )
+    return struct.pack(">I", len(content)) + b"zTXt" + content + struct.pack(">I", zlib.crc32(b"zTXt" + content))
 
 
 def progressive(scans):
@@ -513,9 +499,7 @@ def test_a_subscriber_that_never_reads_costs_its_own_results_alone(server, rigs)
     assert rig("SetCalibration", calibration=calibration(image_size=size), camera_id=1).status == 1
     before = server.peak()
     calls = [
-        rig.method("Subscribe")(
-            rig.request("Subscribe", fusion_type=0).SerializeToString(), timeout=DEADLINE_S
-        )
+        rig.method("Subscribe")(rig.request("Subscribe", fusion_type=0).SerializeToString(), timeout=DEADLINE_S)
         for _ in range(3)
     ]
     pixels = bytes(size[0] * size[1] * 3)
@@ -541,9 +525,7 @@ def test_streams_that_never_end_and_callers_that_go_disturb_nobody(server, rigs)
     rig, other = rigs
 
     def forever():
-        yield from (
-            rig.request("Send", **{name: record}).SerializeToString() for name, record in rig.records()
-        )
+        yield from (rig.request("Send", **{name: record}).SerializeToString() for name, record in rig.records())
         while True:  # the other half of the stream stays open
             time.sleep(0.01)
             yield b"\xff"
@@ -679,9 +661,7 @@ def test_wrong_tokens_get_nowhere_with_any_method(guarded, count):
 
 def test_wrong_certificates_and_bytes_that_are_no_tls_find_nobody_and_disturb_nobody(guarded):
     server, authority, stranger = guarded
-    good = Rig(
-        server.address, "good", credentials=grpc.ssl_channel_credentials(authority), token=TOKEN
-    ).begin()
+    good = Rig(server.address, "good", credentials=grpc.ssl_channel_credentials(authority), token=TOKEN).begin()
     for credentials in (grpc.ssl_channel_credentials(stranger), None):
         rig = Rig(server.address, "x", credentials=credentials, token=TOKEN)
         with pytest.raises(grpc.RpcError) as refused:
@@ -700,10 +680,7 @@ def test_wrong_certificates_and_bytes_that_are_no_tls_find_nobody_and_disturb_no
 def test_mutants_over_tls_are_answered_or_refused(guarded):
     server, authority, _ = guarded
     credentials = grpc.ssl_channel_credentials(authority)
-    both = [
-        Rig(server.address, name, credentials=credentials, token=TOKEN).begin()
-        for name in ("attacker", "other")
-    ]
+    both = [Rig(server.address, name, credentials=credentials, token=TOKEN).begin() for name in ("attacker", "other")]
     assert attack(*both, "Send", SMALL, seed="tls") == []
     for rig in both:
         rig.channel.close()

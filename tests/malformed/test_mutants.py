@@ -10,9 +10,7 @@ from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats import open_scene
 from sceneloom.service.running import read_configuration_file
 
-pytestmark = pytest.mark.skipif(
-    sys.platform != "linux", reason="memory of processes is bounded on Linux only"
-)
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory of processes is bounded on Linux only")
 
 FEW, MANY = 8, 2000
 GUARDED = "mcap lz4"
@@ -76,9 +74,7 @@ def test_texts_of_tables_with_infinite_numbers_and_depths_are_faults_of_the_file
             read(path)
 
 
-@pytest.mark.parametrize(
-    "text", [f"rosbag2_bagfile_information: {LONG}", "- " * 20_000, f"a: {DEEP[:20_000]}"]
-)
+@pytest.mark.parametrize("text", [f"rosbag2_bagfile_information: {LONG}", "- " * 20_000, f"a: {DEEP[:20_000]}"])
 def test_metadata_of_a_bag_with_infinite_numbers_and_depths_are_faults_of_the_file(tmp_path, text):
     pytest.importorskip("ruamel.yaml", reason="ruamel.yaml is not installed")
     drive = ALL_DRIVES["ros2"](tmp_path)

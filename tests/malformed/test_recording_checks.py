@@ -85,9 +85,7 @@ def locations_of(node: Any, location: tuple[Any, ...] = ()) -> list[tuple[Any, .
     if not isinstance(node, dict | list):
         return []
     items = node.items() if isinstance(node, dict) else enumerate(node)
-    return [
-        below for key, value in items for below in [(*location, key), *locations_of(value, (*location, key))]
-    ]
+    return [below for key, value in items for below in [(*location, key), *locations_of(value, (*location, key))]]
 
 
 def with_odd_value(draw: Any, content: Any) -> str:
@@ -123,9 +121,7 @@ def mutated_lines(draw: Any) -> list[str]:
                 texts[row] = texts[row][: draw(st.integers(0, len(texts[row])))]
             case "byte" if texts[row]:
                 at = draw(st.integers(0, len(texts[row]) - 1))
-                texts[row] = (
-                    texts[row][:at] + draw(st.sampled_from('{}[]",:0-eE.\\x\x00é')) + texts[row][at + 1 :]
-                )
+                texts[row] = texts[row][:at] + draw(st.sampled_from('{}[]",:0-eE.\\x\x00é')) + texts[row][at + 1 :]
             case _:
                 time = draw(st.sampled_from([0.0, -5.0, 1e9, 9.2e9, 9.3e9, 1e-9, 1.7e9, -1e308]))
                 texts[row] = json.dumps({**draw(st.sampled_from(LINES)), "time": time})
@@ -186,9 +182,7 @@ def test_a_changed_calibration_gives_a_report(tmp_path, data):
     assert isinstance(validate(write(tmp_path / "drive", TEXTS, text), locations=None), ValidationReport)
 
 
-@pytest.mark.parametrize(
-    "name", ["data.jsonl", "calibration.json", "0.bin", "frames1", "frames1/00000000.png"]
-)
+@pytest.mark.parametrize("name", ["data.jsonl", "calibration.json", "0.bin", "frames1", "frames1/00000000.png"])
 @pytest.mark.parametrize("content", [None, b"", b"\xff\x00{", b"\n" * 9, b"[]\n"])
 def test_any_file_may_be_missing_or_hold_anything(tmp_path, name, content):
     folder = write(tmp_path / "drive", TEXTS)
@@ -197,9 +191,7 @@ def test_any_file_may_be_missing_or_hold_anything(tmp_path, name, content):
     if content is not None:
         path.write_bytes(content)
     # without the log it is no recording, but may be named as one
-    report = validate(
-        folder / "data.jsonl" if name == "data.jsonl" and content else folder, format="recording"
-    )
+    report = validate(folder / "data.jsonl" if name == "data.jsonl" and content else folder, format="recording")
     assert isinstance(report, ValidationReport)
     assert report.findings
 

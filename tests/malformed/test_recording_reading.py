@@ -45,9 +45,7 @@ VALUES = [
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A small recording with a line of every kind."""
-    (tmp_path / "data.jsonl").write_text(
-        "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in LINES)
-    )
+    (tmp_path / "data.jsonl").write_text("".join(json.dumps(line, separators=(",", ":")) + "\n" for line in LINES))
     (tmp_path / "calibration.json").write_text(
         json.dumps({"cameras": [CAMERA_MODEL | {"imuToCamera": ROWS}], "lidars": [{"imuToLidar": ROWS}]})
     )

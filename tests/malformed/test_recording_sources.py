@@ -36,9 +36,7 @@ JSON = st.recursive(
 MATRICES = st.lists(st.lists(st.floats(-2, 2), min_size=3, max_size=4), min_size=3, max_size=4) | st.lists(
     st.floats(-2, 2), min_size=9, max_size=16
 )
-FIELDS = st.sampled_from(
-    ["imuToGnss", "imuToOutput", "imuToMagnetometer", "imuForward", "cameras", "lidars", "other"]
-)
+FIELDS = st.sampled_from(["imuToGnss", "imuToOutput", "imuToMagnetometer", "imuForward", "cameras", "lidars", "other"])
 CAMERA_FIELDS = st.sampled_from(
     ["imuToCamera", "imuToCameraShiftSeconds", "shutterRollTimeSeconds", "exposureTimeSeconds", "model"]
 )
@@ -146,8 +144,6 @@ def test_any_archive(tmp_path_factory, drive, data):
     for location in data.draw(st.lists(st.integers(0, len(content) - 1), max_size=4)):
         content[location] = data.draw(st.integers(0, 255))
     path = tmp_path_factory.mktemp("archive") / "drive.zip"
-    path.write_bytes(
-        content[: data.draw(st.integers(0, len(content)))] if data.draw(st.booleans()) else content
-    )
+    path.write_bytes(content[: data.draw(st.integers(0, len(content)))] if data.draw(st.booleans()) else content)
     FORMAT.sniff(path)
     look(path)

@@ -130,9 +130,7 @@ def test_the_folder_itself_opens(folder):
     assert read_everything(folder)
 
 
-@pytest.mark.parametrize(
-    "text", [*VALUES, *(pytest.param(v, marks=pytest.mark.slow) for v in FURTHER_VALUES)]
-)
+@pytest.mark.parametrize("text", [*VALUES, *(pytest.param(v, marks=pytest.mark.slow) for v in FURTHER_VALUES)])
 @pytest.mark.few(4)
 def test_any_value_may_be_another(folder, text):
     for keys in locations(RIG):
@@ -169,9 +167,7 @@ def test_a_file_that_is_cut_or_has_a_byte_flipped_is_read_or_refused(folder, nam
             read_everything(folder, lenient=lenient)
 
 
-@pytest.mark.parametrize(
-    "name", ["times.csv", "imu.csv", "poses.txt", "front/0.png", "top/0.bin", "front", "top"]
-)
+@pytest.mark.parametrize("name", ["times.csv", "imu.csv", "poses.txt", "front/0.png", "top/0.bin", "front", "top"])
 def test_a_file_that_is_missing_or_a_folder_is_refused(folder, name):
     (folder / name).rename(folder / "elsewhere")
     # a lidar's file is only one of those that the times name

@@ -20,9 +20,7 @@ FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
 
 REQUESTS = {
     "AddProperty": fusion_pb2.AddPropertyRequest(name="mode", description="a=1, b=2", type="(enum, float)"),
-    "SetProperty": fusion_pb2.SetPropertyRequest(
-        name="lidar_coordinate", value=fusion_pb2.Value(list_value=LIST)
-    ),
+    "SetProperty": fusion_pb2.SetPropertyRequest(name="lidar_coordinate", value=fusion_pb2.Value(list_value=LIST)),
     "GetProperty": fusion_pb2.GetPropertyRequest(name="chirality"),
     "ListProperties": fusion_pb2.ListPropertiesRequest(session="a"),
     "SetCalibration": fusion_pb2.SetCalibrationRequest(

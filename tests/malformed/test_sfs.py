@@ -196,9 +196,7 @@ def locations(node, path=()):
     """The keys of every value of a header, outermost first."""
     if path:
         yield path
-    for key, value in (
-        node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-    ):
+    for key, value in node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ():
         yield from locations(value, (*path, key))
 
 
@@ -220,9 +218,7 @@ def with_value(golden, path, value):
     ],
 )
 @pytest.mark.few(1)
-def test_a_value_of_another_kind_anywhere_gives_a_scene_or_an_error_of_ours(
-    golden, step, encode_sfs, survives
-):
+def test_a_value_of_another_kind_anywhere_gives_a_scene_or_an_error_of_ours(golden, step, encode_sfs, survives):
     """Every value of the header is replaced in order by everything else that JSON can state, or by a part of that."""
     for number, path in enumerate(locations(golden())):
         for value in STRANGE[number % step :: step]:

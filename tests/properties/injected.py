@@ -100,15 +100,11 @@ def ridden(transform, times):
 def still(transform, times=TIMES):
     """A mounting as poses onto the ego."""
     rotation = Rotation.from_matrix(transform.rotation).as_quat()
-    return Poses(
-        times.copy(), np.tile(transform.translation, (len(times), 1)), np.tile(rotation, (len(times), 1))
-    )
+    return Poses(times.copy(), np.tile(transform.translation, (len(times), 1)), np.tile(rotation, (len(times), 1)))
 
 
 def attributes(name):
-    return (
-        AttributePath(name, ("slow", "fast"), TIMES[:2].copy(), static=False, extras={"source": "a person"}),
-    )
+    return (AttributePath(name, ("slow", "fast"), TIMES[:2].copy(), static=False, extras={"source": "a person"}),)
 
 
 def lidar(points_frame):
@@ -317,12 +313,8 @@ def box_rows():
 
 
 def cuboid():
-    seen = Activation(
-        "top", TIMES[:2].copy(), (50_000_000, 60_000_000), cuboid_rows()[:2], {"how": "by hand"}
-    )
-    projection = Projection(
-        "left", SHOTS.copy(), box_rows(), (True, False, True), cuboid_rows(), {"tool": "pencil"}
-    )
+    seen = Activation("top", TIMES[:2].copy(), (50_000_000, 60_000_000), cuboid_rows()[:2], {"how": "by hand"})
+    projection = Projection("left", SHOTS.copy(), box_rows(), (True, False, True), cuboid_rows(), {"tool": "pencil"})
     return CuboidAnnotation(
         "car-1",
         CuboidPath(TIMES.copy(), cuboid_rows(), {"interpolated": "no"}),
@@ -407,9 +399,7 @@ def trajectories():
         "vio": Trajectory(
             "vio", TRAJECTORY_TIMES.copy(), first.positions, first.quaternions_xyzw, seconds, covariances
         ),
-        "gnss_ins": Trajectory(
-            "gnss_ins", TRAJECTORY_TIMES.copy(), second.positions, second.quaternions_xyzw
-        ),
+        "gnss_ins": Trajectory("gnss_ins", TRAJECTORY_TIMES.copy(), second.positions, second.quaternions_xyzw),
     }
 
 
@@ -426,9 +416,7 @@ def injected_scene(*, odd, corrections=True):
             lidar(frame),
             *cameras(odd),
             radar(frame),
-            PointsSensor(
-                "map", RANDOM_POINTS[0], np.full((POINTS, 3), 9, np.uint8), "odometer", {"tile": "A7"}
-            ),
+            PointsSensor("map", RANDOM_POINTS[0], np.full((POINTS, 3), 9, np.uint8), "odometer", {"tile": "A7"}),
             depth_camera(odd),
             *motion_sensors(odd),
             PlainSensor("thermometer", "temperature", {"unit": "K", "readings": [290, 291]}),

@@ -40,10 +40,7 @@ def any_camera_model() -> st.SearchStrategy[Camera]:
 
 
 def camera_model_of(model: str) -> st.SearchStrategy[Camera]:
-    usual = [
-        (0.0 if name == "xi" else -LARGEST[name[0]], LARGEST[name[0]])
-        for name in MODELS[model].coefficient_names
-    ]
+    usual = [(0.0 if name == "xi" else -LARGEST[name[0]], LARGEST[name[0]]) for name in MODELS[model].coefficient_names]
     ranges = IN_PIXELS if model == "ftheta" else usual
     values = st.tuples(*(st.floats(low, high) for low, high in ranges))
     return values.map(lambda numbers: Camera(model, *SMALL, 40.0, 42.0, 31.0, 25.0, numbers))

@@ -145,9 +145,7 @@ def unexplained(name: str, odd: bool, folder: Path) -> list[str]:
     with form.open(location) as drive:
         after = values_of(drive)
     renamed = any(field.endswith(".id") and support != Support.KEPT for field, support in reported.items())
-    checked = {
-        field: values for field, values in before.items() if not (renamed and field.endswith(REFERENCES))
-    }
+    checked = {field: values for field, values in before.items() if not (renamed and field.endswith(REFERENCES))}
     # points and poses of the odd drive are brought into other frames, where their numbers are others
     rounded = Support.KEPT if odd else Support.CONVERTED
     faults = [

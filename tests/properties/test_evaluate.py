@@ -65,9 +65,7 @@ def test_moving_the_estimate_by_what_is_aligned_changes_nothing(kind: str, seed:
     heading, tilt, scale = GROUPS[kind]
     angles = rng.uniform(-3, 3, 3) * (heading, tilt, tilt)
     world = Rotation.from_euler("ZYX", angles)
-    there = moved(
-        found, world, heading * rng.uniform(-1e3, 1e3, 3), float(rng.uniform(0.1, 10)) if scale else 1.0
-    )
+    there = moved(found, world, heading * rng.uniform(-1e3, 1e3, 3), float(rng.uniform(0.1, 10)) if scale else 1.0)
     deltas = ("1f", "3m", "1s")
     before, after = (
         evaluate_trajectory(trajectory, true, align=kind, rpe_deltas=deltas) for trajectory in (found, there)
@@ -87,9 +85,7 @@ def test_moving_both_alike_changes_nothing(kind: str, seed: int, other: int) -> 
     world = Rotation.from_euler("ZYX", rng.uniform(-3, 3, 3) * (1, kind != "yaw", kind != "yaw"))
     shift = rng.uniform(-1e3, 1e3, 3)
     there = [moved(trajectory, world, shift, 1.0) for trajectory in (found, true)]
-    before, after = (
-        evaluate_trajectory(*both, align=kind, rpe_deltas=("2f",)) for both in ((found, true), there)
-    )
+    before, after = (evaluate_trajectory(*both, align=kind, rpe_deltas=("2f",)) for both in ((found, true), there))
     assert figures(after) == pytest.approx(figures(before), rel=1e-7, abs=1e-6)
 
 

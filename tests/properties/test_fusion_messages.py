@@ -128,9 +128,7 @@ class Draws:
 
 def raw_data(draws):
     data = draws.rng.bytes(draws.count())
-    return RawData(
-        sensor_id=draws.uint8(), timestamp=draws.time(), seq=draws.one(UINT32S), length=len(data), data=data
-    )
+    return RawData(sensor_id=draws.uint8(), timestamp=draws.time(), seq=draws.one(UINT32S), length=len(data), data=data)
 
 
 def image_data(draws):

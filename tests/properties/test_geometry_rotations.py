@@ -71,9 +71,7 @@ def test_rotations_keep_lengths_and_agree_with_their_matrices(a, points):
 @given(quaternions())
 def test_matrices_and_rotation_vectors_give_the_rotation_back(a):
     assert angle_between(quaternion_from_matrix(matrix_from_quaternion(a)), a) < 10 * ROUNDING
-    assert (
-        angle_between(quaternion_from_rotation_vector(rotation_vector_from_quaternion(a)), a) < 10 * ROUNDING
-    )
+    assert angle_between(quaternion_from_rotation_vector(rotation_vector_from_quaternion(a)), a) < 10 * ROUNDING
 
 
 @given(quaternions())

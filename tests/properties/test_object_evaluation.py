@@ -49,9 +49,7 @@ def test_overlaps_do_not_change_where_both_move_together(first, second, similari
         return np.hstack([boxes[:, :3] @ rotation.T + shift, boxes[:, 3:6], boxes[:, 6:] + delta_rotation])
 
     expected = overlaps(first, second, similarity)
-    np.testing.assert_allclose(
-        overlaps(moved(first), moved(second), similarity), expected, rtol=0, atol=ROUNDING
-    )
+    np.testing.assert_allclose(overlaps(moved(first), moved(second), similarity), expected, rtol=0, atol=ROUNDING)
 
 
 @given(BOXES, SPACES)

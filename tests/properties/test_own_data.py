@@ -32,9 +32,7 @@ NAMES = ["x", "y", "z", "intensity", "ring", "t", "label"]
 def records(draw, types=TYPES):
     """A structured array of up to seven columns and thirty points."""
     chosen = draw(st.lists(st.sampled_from(types), min_size=1, max_size=len(NAMES)))
-    dtype = np.dtype(
-        [(name, f"<{np.dtype(kind).str[1:]}") for name, kind in zip(NAMES, chosen, strict=False)]
-    )
+    dtype = np.dtype([(name, f"<{np.dtype(kind).str[1:]}") for name, kind in zip(NAMES, chosen, strict=False)])
     return draw(arrays.arrays(dtype, st.integers(0, 30)))
 
 
@@ -45,11 +43,7 @@ def location(tmp_path_factory):
 
 
 def check(path, written):
-    columns = (
-        read_cloud(path).columns
-        if path.suffix != ".bin"
-        else read_cloud(path, layout=layout(written)).columns
-    )
+    columns = read_cloud(path).columns if path.suffix != ".bin" else read_cloud(path, layout=layout(written)).columns
     assert [*columns] == list(written.dtype.names)
     for name, column in columns.items():
         np.testing.assert_array_equal(column, written[name])

@@ -47,9 +47,7 @@ def test_times_that_were_put_right_are_sound_afterwards(
     coarse: bool,
     strays: list[tuple[int, int]],
 ) -> None:
-    start = {"timestamp": timestamp, "zero": 0, "elsewhere": timestamp // 3 + 10**13}[location] + int(
-        shift * period
-    )
+    start = {"timestamp": timestamp, "zero": 0, "elsewhere": timestamp // 3 + 10**13}[location] + int(shift * period)
     true = [start + int(span * period * k / 99) for k in range(100)]
     scaled = [time // unit if coarse else time * unit for time in true]
     times = [min(max(time, -(2**63)), 2**63 - 1) for time in scaled]

@@ -163,11 +163,7 @@ def check_images(drive: list[dict[str, Any]], index: int, folder: Path) -> None:
 @given(drives())
 def test_frames_lines_are_written_as_they_were(drive):
     cameras = cameras_of(drive)
-    if (
-        not cameras
-        or cameras != list(range(len(cameras)))
-        or not all(images_of(drive, index) for index in cameras)
-    ):
+    if not cameras or cameras != list(range(len(cameras))) or not all(images_of(drive, index) for index in cameras):
         return  # a camera without any image is left out, and the loss report says so
     camera_models = [entry.get("cameraParameters") for line in drive for entry in line.get("frames", ())]
     if any(camera_model is not None and "focalLengthX" not in camera_model for camera_model in camera_models):
@@ -261,9 +257,7 @@ def test_a_camera_model_that_was_changed_is_written_as_it_is_now(tmp_path):
         camera = scene.sensor("camera0")
         images = [replace(shot, camera=replace(shot.camera, fx=200.0)) for shot in camera.images]
         changed = replace(camera, images=type(camera.images).of(images, camera.images.timestamps_ns))
-        return replace(
-            scene, sensors=tuple(changed if sensor is camera else sensor for sensor in scene.sensors)
-        )
+        return replace(scene, sensors=tuple(changed if sensor is camera else sensor for sensor in scene.sensors))
 
     found, _ = frames_written(RECORDED, tmp_path, wider)
     changed, kept = (entry["cameraParameters"] for entry in found[0]["frames"])
@@ -304,9 +298,7 @@ def test_lines_whose_clock_was_moved_are_put_together_anew_and_that_is_reported(
     def later(scene):
         moved = []
         for camera in scene.cameras:
-            shots = [
-                replace(shot, timestamp_ns=shot.timestamp_ns + 10**9, extras={}) for shot in camera.images
-            ]
+            shots = [replace(shot, timestamp_ns=shot.timestamp_ns + 10**9, extras={}) for shot in camera.images]
             images = type(camera.images).of(shots, [shot.timestamp_ns for shot in shots])
             moved.append(replace(camera, images=images))
         return replace(scene, sensors=tuple(moved))

@@ -73,15 +73,11 @@ def poses(draw: st.DrawFn) -> dict[str, Any]:
 
 @st.composite
 def others(draw: st.DrawFn) -> dict[str, Any]:
-    root = draw(
-        st.sampled_from(["systemMetrics", "droppedFrame", "trigger", "externalVelocity", "barometer"])
-    )
+    root = draw(st.sampled_from(["systemMetrics", "droppedFrame", "trigger", "externalVelocity", "barometer"]))
     return {root: draw(st.one_of(st.none(), st.booleans(), numbers, beside))}
 
 
-pressures = st.builds(
-    lambda value, more: {"barometer": {"pressureHectopascals": value} | more}, numbers, beside
-)
+pressures = st.builds(lambda value, more: {"barometer": {"pressureHectopascals": value} | more}, numbers, beside)
 enus = st.builds(
     lambda mean, more: {"gnssEnu": {"mean": mean} | more}, st.lists(numbers, min_size=3, max_size=3), beside
 )

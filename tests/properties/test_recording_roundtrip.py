@@ -72,9 +72,7 @@ def test_samples_keep_their_times_to_the_nanosecond_and_their_values_to_the_bit(
 def test_the_seconds_that_a_file_had_are_in_the_next_file(seconds):
     numbers = np.array(sorted(seconds))
     timestamps = np.rint(numbers * 1e9).astype(np.int64)
-    scene = Scene(
-        (ImuSensor("imu", {"gyroscope": VectorSamples(timestamps, np.ones((len(timestamps), 3)), numbers)}),)
-    )
+    scene = Scene((ImuSensor("imu", {"gyroscope": VectorSamples(timestamps, np.ones((len(timestamps), 3)), numbers)}),))
     for found, report in round_trip(scene):
         stream = found.sensor("imu").streams["gyroscope"]
         assert len(report) == 0
@@ -85,9 +83,7 @@ def test_the_seconds_that_a_file_had_are_in_the_next_file(seconds):
 
 @given(sorted_times(EPOCH_NS, EPOCH_NS + 10**13))
 def test_times_since_1970_are_off_by_no_more_than_is_reported(timestamps):
-    scene = Scene(
-        (ImuSensor("imu", {"gyroscope": VectorSamples(timestamps, np.ones((len(timestamps), 3)))}),)
-    )
+    scene = Scene((ImuSensor("imu", {"gyroscope": VectorSamples(timestamps, np.ones((len(timestamps), 3)))}),))
     for found, report in round_trip(scene):
         off = np.abs(found.sensor("imu").streams["gyroscope"].timestamps_ns - timestamps)
         # half of the step of such seconds, 2^-22 s, and half of the step of the same time in nanoseconds, 2^8 ns
@@ -102,13 +98,9 @@ def test_trajectories_come_back_under_their_names(timestamps, oriented, data):
     rotations = data.draw(hnp.arrays(np.float64, (count, 3), elements=st.floats(-3, 3)))
     quaternions = Rotation.from_rotvec(rotations).as_quat() if oriented else None
     names = data.draw(
-        st.lists(
-            st.sampled_from(["groundTruth", "pose", "arkit", "my method", "output"]), min_size=1, unique=True
-        )
+        st.lists(st.sampled_from(["groundTruth", "pose", "arkit", "my method", "output"]), min_size=1, unique=True)
     )
-    scene = Scene(
-        (), trajectories={name: Trajectory(name, timestamps, positions, quaternions) for name in names}
-    )
+    scene = Scene((), trajectories={name: Trajectory(name, timestamps, positions, quaternions) for name in names})
     for found, _ in round_trip(scene):
         assert set(found.trajectories) == set(names)
         for trajectory in found.trajectories.values():
@@ -149,9 +141,7 @@ def points_at(data: st.DataObject, start_ns: int) -> LidarPoints:
 @given(sorted_times(-EXACT_NS, EXACT_NS, unique=True), rigids, st.data())
 def test_sweeps_come_back_point_by_point(timestamps, mount, data):
     frames = [LidarFrame(int(timestamp), points_at(data, int(timestamp))) for timestamp in timestamps]
-    lidars = tuple(
-        LidarSensor(f"lidar{index}", LazyFrames.of(frames, timestamps), mount=mount) for index in range(2)
-    )
+    lidars = tuple(LidarSensor(f"lidar{index}", LazyFrames.of(frames, timestamps), mount=mount) for index in range(2))
     for found, report in round_trip(Scene(lidars)):
         assert not [loss for loss in report if loss.field != "replay"]
         for lidar in found.lidars:
@@ -179,14 +169,11 @@ def camera_models(draw: st.DrawFn) -> Camera:
 
 
 @given(camera_models(), rigids, sorted_times(-EXACT_NS, EXACT_NS, unique=True), st.integers(1, 2))
-def test_cameras_come_back_with_camera_model_mounting_times_and_pixels(
-    camera_model, mount, timestamps, count
-):
+def test_cameras_come_back_with_camera_model_mounting_times_and_pixels(camera_model, mount, timestamps, count):
     rng = np.random.default_rng(len(timestamps))
     shots = [rng.integers(0, 256, (16, 32, 3), dtype=np.uint8) for _ in timestamps]
     images = [
-        CameraImage.of(int(timestamp), camera_model, rgb)
-        for timestamp, rgb in zip(timestamps, shots, strict=True)
+        CameraImage.of(int(timestamp), camera_model, rgb) for timestamp, rgb in zip(timestamps, shots, strict=True)
     ]
     cameras = tuple(
         CameraSensor(f"camera{index}", camera_model, LazyFrames.of(images, timestamps), mount=mount)
@@ -210,9 +197,7 @@ def test_a_real_recording_read_written_and_read_again_is_the_same(data_dir, tmp_
             assert [loss for loss in report if loss.field != "replay"] == []
             with open_scene(tmp_path / name) as after:
                 assert [sensor.id for sensor in after.sensors] == [sensor.id for sensor in before.sensors]
-                assert [warning.code for warning in after.warnings] == [
-                    warning.code for warning in before.warnings
-                ]
+                assert [warning.code for warning in after.warnings] == [warning.code for warning in before.warnings]
                 for old, new in zip(before.lidars, after.lidars, strict=True):
                     np.testing.assert_allclose(new.mount.matrix, old.mount.matrix, atol=1e-12)
                     sweep_before, sweep_after = old.frames[-1].points, new.frames[-1].points
@@ -233,12 +218,9 @@ def test_a_drive_with_h264_has_as_many_images_at_the_same_times(start_ns, tmp_pa
     timestamps = start_ns + np.cumsum([0, 100, 100, 33, 170, 97, 100]).astype(np.int64) * 1_000_000
     shots = [np.full((48, 64, 3), 30 * k + 20, np.uint8) for k in range(len(timestamps))]
     images = [
-        CameraImage.of(int(timestamp), camera_model, rgb)
-        for timestamp, rgb in zip(timestamps, shots, strict=True)
+        CameraImage.of(int(timestamp), camera_model, rgb) for timestamp, rgb in zip(timestamps, shots, strict=True)
     ]
-    camera = CameraSensor(
-        "camera0", camera_model, LazyFrames.of(images, timestamps), mount=RigidTransform.identity()
-    )
+    camera = CameraSensor("camera0", camera_model, LazyFrames.of(images, timestamps), mount=RigidTransform.identity())
     write_scene(Scene((camera,)), tmp_path / "drive")
     with open_scene(tmp_path / "drive") as found:
         after = found.cameras[0]

@@ -134,9 +134,7 @@ def seen(kind, columns):
         count = draw(st.integers(0, 3))
         arrays = {name: draw(optional(with_nothing(count, width))) for name, width in columns.items()}
         confirmed = draw(optional(st.tuples(*[FLAGS] * count)))
-        return kind(
-            draw(OF_SENSOR), draw(timestamps(count)), confirmed=confirmed, extras=draw(EXTRAS), **arrays
-        )
+        return kind(draw(OF_SENSOR), draw(timestamps(count)), confirmed=confirmed, extras=draw(EXTRAS), **arrays)
 
     return build()
 
@@ -169,9 +167,7 @@ def keypoints(draw, identifier):
         count = draw(st.integers(0, 3))
         columns = draw(st.sampled_from([3, 3, 9])) if count else 3
         values = draw(numbers(count, columns))
-        paths.append(
-            PointPath(draw(timestamps(count)), values, draw(st.sampled_from([None, number])), draw(EXTRAS))
-        )
+        paths.append(PointPath(draw(timestamps(count)), values, draw(st.sampled_from([None, number])), draw(EXTRAS)))
     projections = st.lists(seen(PointProjection, {"points": 2, "positions": 3}), max_size=2).map(tuple)
     stated = {name: draw(strategy) for name, strategy in OF_OBJECT.items() if name != "label"}
     return PointsAnnotation(

@@ -148,9 +148,7 @@ def scenes(draw):
         draw(st.none() | st.booleans()),
         attributes=attributes,
     )
-    other = EventAnnotation(
-        "event", start_ns + 9, extras=draw(extras_beside("start", "duration", "sensor_id"))
-    )
+    other = EventAnnotation("event", start_ns + 9, extras=draw(extras_beside("start", "duration", "sensor_id")))
     trajectory = Trajectory("truth", np.array([start_ns]), np.ones((1, 3)), None, np.array([0.1]))
     annotations = (cuboid,) if cuboid.id == "event" else (cuboid, other)
     return Scene(

@@ -36,9 +36,7 @@ def paths(draw, columns):
 
 
 def straight(timestamps, values, times):
-    return np.column_stack(
-        [np.interp(times.astype(float), timestamps.astype(float), column) for column in values.T]
-    )
+    return np.column_stack([np.interp(times.astype(float), timestamps.astype(float), column) for column in values.T])
 
 
 @given(paths(9), st.sampled_from([0.001, 0.05, 1.0]), st.sampled_from([0.01, 1.0, 20.0]))

@@ -120,9 +120,7 @@ def test_any_camera_on_any_street_sees_depth_where_it_sees_something(seed, yaw, 
     stationary=st.floats(0, 0.5),
 )
 @pytest.mark.slow
-def test_in_any_traffic_points_lie_on_what_is_there_at_their_times(
-    seed, cars, cyclists, pedestrians, stationary
-):
+def test_in_any_traffic_points_lie_on_what_is_there_at_their_times(seed, cars, cyclists, pedestrians, stationary):
     traffic = TrafficSpec(cars=cars, cyclists=cyclists, pedestrians=pedestrians, stationary=stationary)
     spec = LidarSpec(beams=16, steps=300, range_sigma=0.0, drop_rate=0.0)
     drive = simulate_street(seed, frames=2, lidar=spec, cameras=(), traffic=traffic)

@@ -18,9 +18,7 @@ from sceneloom.simulate.drive import Rig
     period_ns=st.integers(1_000, 10**9),
 )
 @settings(max_examples=60, deadline=None)
-def test_a_raster_shoots_at_each_of_its_cells_once_and_in_the_order_of_time(
-    rows, columns, channels, passes, period_ns
-):
+def test_a_raster_shoots_at_each_of_its_cells_once_and_in_the_order_of_time(rows, columns, channels, passes, period_ns):
     raster = Raster((-40.0, 40.0), (-5.0, 5.0), rows, columns, channels, passes)
     shots = raster.plan_shots(period_ns)(0)
     directions = shots.rays.spread()

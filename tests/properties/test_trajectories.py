@@ -27,16 +27,12 @@ def trajectories(draw: st.DrawFn) -> Trajectory:
     positions = draw(arrays(np.float64, (len(timestamps), 3), elements=COORDINATES))
     raw = draw(arrays(np.float64, (len(timestamps), 4), elements=st.floats(0.1, 1.0)))
     signs = draw(arrays(np.float64, (len(timestamps), 4), elements=st.sampled_from([-1.0, 1.0])))
-    return Trajectory(
-        "trajectory", np.array(timestamps, np.int64), positions, normalise_quaternion(raw * signs)
-    )
+    return Trajectory("trajectory", np.array(timestamps, np.int64), positions, normalise_quaternion(raw * signs))
 
 
 @pytest.mark.parametrize("form", EXACT_FORMS)
 @given(trajectory=trajectories(), optical=st.booleans())
-def test_times_and_poses_come_back_number_for_number(
-    form: str, trajectory: Trajectory, optical: bool
-) -> None:
+def test_times_and_poses_come_back_number_for_number(form: str, trajectory: Trajectory, optical: bool) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "trajectory.txt")
         assert len(write_trajectory(trajectory, path, form=form, optical=optical)) == 0
@@ -63,9 +59,7 @@ def test_rotations_of_kitti_come_back_within_rounding(trajectory: Trajectory) ->
     data=st.data(),
     given_accuracy=st.booleans(),
 )
-def test_fixes_come_back_number_for_number(
-    timestamps: list[int], data: st.DataObject, given_accuracy: bool
-) -> None:
+def test_fixes_come_back_number_for_number(timestamps: list[int], data: st.DataObject, given_accuracy: bool) -> None:
     count = len(timestamps)
     bounds = ((-90, 90), (-180, 180), (-1e4, 1e5))
     locations = [data.draw(arrays(np.float64, count, elements=st.floats(low, high))) for low, high in bounds]

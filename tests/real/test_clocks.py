@@ -38,9 +38,7 @@ def test_an_injected_offset_comes_back_on_top_of_that(data_dir, offset_ns):
     late = replace(trajectory, timestamps_ns=trajectory.timestamps_ns + offset_ns, file_seconds=None)
     as_it_is = gyroscope_against_trajectory(gyroscope, trajectory).offset_ns
     # the same samples, cut a little differently at the ends
-    assert gyroscope_against_trajectory(gyroscope, late).offset_ns - as_it_is == pytest.approx(
-        offset_ns, abs=2e6
-    )
+    assert gyroscope_against_trajectory(gyroscope, late).offset_ns - as_it_is == pytest.approx(offset_ns, abs=2e6)
 
 
 def test_fixes_that_are_the_trajectory_are_in_step_with_it(data_dir):

@@ -11,9 +11,7 @@ from sceneloom.pipeline import ColourSettings
 @pytest.mark.slow
 def test_the_seam_between_two_cameras_of_pandaset_is_evened_out(data_dir, tmp_path):
     with sceneloom.open(data_dir / "recordings" / "pandaset") as scene:
-        report = sceneloom.colour(
-            scene, tmp_path / "map.laz", settings=ColourSettings(voxel=0.1, remove_moving=True)
-        )
+        report = sceneloom.colour(scene, tmp_path / "map.laz", settings=ColourSettings(voxel=0.1, remove_moving=True))
     found = report.exposure
     assert found.seam_points > 500
     assert found.seam_after < 0.5 * found.seam_before

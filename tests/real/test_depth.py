@@ -31,9 +31,7 @@ def halved(request, data_dir):
 
     def view(chosen):
         trajectory = LidarTrajectory(np.zeros((2, 3)), np.zeros(int(chosen.sum()), np.float32))
-        return view_points(
-            points[chosen], camera, pose, rgb, camera_id="left", timestamp_ns=0, trajectory=trajectory
-        )
+        return view_points(points[chosen], camera, pose, rgb, camera_id="left", timestamp_ns=0, trajectory=trajectory)
 
     whole = view(np.ones(len(points), bool))
     judged = whole.visible & odd[whole.point_ids]

@@ -72,9 +72,7 @@ def read_drive(folder: Path, sequence: str) -> Drive:
     two = {c: table(folder / "det2d_rrc" / c / f"{sequence}.txt", 6) for c in CLASSES}
     three = {c: table(folder / "det3d_pointrcnn" / c / f"{sequence}.txt", 15) for c in CLASSES}
     labels = [
-        line.split()
-        for line in (folder / "label_02" / f"{sequence}.txt").read_text().splitlines()
-        if line.strip()
+        line.split() for line in (folder / "label_02" / f"{sequence}.txt").read_text().splitlines() if line.strip()
     ]
     pairs, truth = [], []
     for frame in range(1 + max(int(row[0]) for row in labels)):

@@ -41,9 +41,7 @@ def test_a_fused_drive_seen_from_the_ego_and_back_is_the_same(fused: Path, tmp_p
             again = to_world(on_ego)
             assert on_ego.lidars[0].points_frame is PointsFrame.EGO
             for before, after in zip(scene.lidars[0].frames, again.lidars[0].frames, strict=True):
-                np.testing.assert_allclose(
-                    after.points.positions, before.points.positions, atol=FLOAT32_AT_100_M
-                )
+                np.testing.assert_allclose(after.points.positions, before.points.positions, atol=FLOAT32_AT_100_M)
                 np.testing.assert_array_equal(after.points.colors, before.points.colors)
             for before, after in zip(scene.cameras, again.cameras, strict=True):
                 # JSON holds float64 exactly; what is left is their rounding
@@ -54,9 +52,7 @@ def test_points_seen_from_the_sensor_are_those_that_were_measured(data_dir: Path
     with sceneloom.open(data_dir / "recordings" / "pandaset") as scene:
         back = to_sensor(to_world(scene)).lidars[0].frames
         for measured, after in zip(scene.lidars[0].frames, back, strict=True):
-            np.testing.assert_allclose(
-                after.points.positions, measured.points.positions, atol=FLOAT32_AT_100_M
-            )
+            np.testing.assert_allclose(after.points.positions, measured.points.positions, atol=FLOAT32_AT_100_M)
 
 
 def test_parts_of_a_fused_drive_are_joined_to_the_whole(fused: Path, tmp_path: Path) -> None:
@@ -92,9 +88,7 @@ def test_a_drive_with_another_origin_is_brought_into_the_world_of_the_first(fuse
         )
         merged = merge_scenes([scene, rotated], rename=True)
         for before, after in zip(merged.lidars[0].frames, merged.lidars[1].frames, strict=True):
-            np.testing.assert_allclose(
-                after.points.positions, before.points.positions, atol=2 * FLOAT32_AT_100_M
-            )
+            np.testing.assert_allclose(after.points.positions, before.points.positions, atol=2 * FLOAT32_AT_100_M)
         first, second = merged.cameras[0], merged.sensor(f"{scene.cameras[0].id}-2")
         np.testing.assert_allclose(second.poses.positions, first.poses.positions, atol=1e-9)
 
@@ -127,9 +121,7 @@ def test_cropped_cuboids_have_their_points(reference: Path) -> None:
 def test_cuboids_of_another_library_come_back_from_the_ego(reference: Path) -> None:
     with sceneloom.open(reference) as scene:
         lidar = scene.lidars[0]
-        trajectory = Trajectory(
-            "own", lidar.poses.timestamps_ns, lidar.poses.positions, lidar.poses.quaternions_xyzw
-        )
+        trajectory = Trajectory("own", lidar.poses.timestamps_ns, lidar.poses.positions, lidar.poses.quaternions_xyzw)
         reported = replace(scene, trajectories={"own": trajectory})
         again = to_world(to_ego(reported))
         for before, after in zip(scene.annotations, again.annotations, strict=True):

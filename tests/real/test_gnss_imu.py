@@ -20,9 +20,7 @@ def scene(data_dir: Path) -> Scene:
     return sceneloom.open(folder)
 
 
-def squares(
-    scene: Scene, rows: np.ndarray, left: np.ndarray, noise: np.ndarray | None = None
-) -> tuple[float, float]:
+def squares(scene: Scene, rows: np.ndarray, left: np.ndarray, noise: np.ndarray | None = None) -> tuple[float, float]:
     """Mean square horizontal error at fixes left out: ours, and that of straight lines between the fixes kept."""
     imu = next(sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor))
     gnss = next(sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor))

@@ -64,9 +64,7 @@ def test_frames_come_back_as_they_were(frames, data_dir, tmp_path):
         np.testing.assert_allclose(after.path.values, before.path.values, atol=1e-5)
     before = (frames_folder / "calib/000114.txt").read_text().split()
     after = (tmp_path / "out/training/calib/000114.txt").read_text().split()
-    assert [float(word) for word in after if ":" not in word] == [
-        float(word) for word in before if ":" not in word
-    ]
+    assert [float(word) for word in after if ":" not in word] == [float(word) for word in before if ":" not in word]
     for before, after in zip(frames.cameras[0].images, back.cameras[0].images, strict=True):
         assert after.camera == before.camera
         np.testing.assert_array_equal(after.mount.matrix, before.mount.matrix)
@@ -97,6 +95,4 @@ def test_tracks_come_back_and_stand_where_images_show_them(data_dir, name, tmp_p
     for before in scene.annotations:
         after = found[before.id]
         np.testing.assert_array_equal(after.path.timestamps_ns, before.path.timestamps_ns)
-        np.testing.assert_allclose(
-            after.path.values, before.path.values, atol=1e-4
-        )  # degrees of six decimals
+        np.testing.assert_allclose(after.path.values, before.path.values, atol=1e-4)  # degrees of six decimals

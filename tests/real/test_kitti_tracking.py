@@ -63,12 +63,8 @@ def test_what_people_labelled_as_stationary_stands_in_the_world(tracking, folder
     labels = read_labels(folder / "label_02" / "0014.txt")
     labels = labels.select(labels.have_position)
     locations = kitti_drive(sequence).locations()
-    centers, _, _ = lidar_boxes(
-        labels.sizes_hwl, labels.bottoms, labels.rotations_y, sequence.rectified_from_lidar
-    )
-    world = np.array(
-        [locations[f].apply(center) for f, center in zip(labels.frames.tolist(), centers, strict=True)]
-    )
+    centers, _, _ = lidar_boxes(labels.sizes_hwl, labels.bottoms, labels.rotations_y, sequence.rectified_from_lidar)
+    world = np.array([locations[f].apply(center) for f, center in zip(labels.frames.tolist(), centers, strict=True)])
     driven = np.linalg.norm(locations[-1].translation - locations[0].translation)
     assert driven > 20.0
     spreads = []
@@ -142,9 +138,7 @@ def test_a_folder_without_labels_is_tracked(folder, tmp_path):
 def test_detectors_that_the_configuration_names_count_before_those_that_are_known_of_the_folder(tracking):
     drive = kitti_drive(tracking.sequence("0012"))
     settings = ProjectionSettings(detectors="independent")
-    named = next(
-        iter_fused_detections(drive, configuration=FusionConfiguration(detectors="independent"))
-    ).fused
+    named = next(iter_fused_detections(drive, configuration=FusionConfiguration(detectors="independent"))).fused
     stated = next(iter_fused_detections(drive, settings=settings)).fused
     known = next(iter_fused_detections(drive)).fused
     np.testing.assert_array_equal(named.scores, stated.scores)

@@ -87,9 +87,7 @@ def test_kitti_frames_project_as_a_plain_matrix_product_does(data_dir, tmp_path,
 
 def test_three_kitti_sweeps_are_counted_and_paired_one_by_one(data_dir, tmp_path):
     path = data_dir / "real" / "kitti_raw_sfnd" / "calib_2011_09_26.txt"
-    scene = sceneloom.open(
-        kitti(tmp_path, path, ("Tr_velo_cam", "R_rect"), "velodyne/*.bin", "image_02/*.png")
-    )
+    scene = sceneloom.open(kitti(tmp_path, path, ("Tr_velo_cam", "R_rect"), "velodyne/*.bin", "image_02/*.png"))
     assert scene.lidars[0].frames.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000]
     assert [len(frame.points) for frame in scene.lidars[0].frames] == [
         size.stat().st_size // 16 for size in sorted((path.parent / "velodyne").iterdir())

@@ -29,9 +29,7 @@ def test_a_real_recording_that_is_written_again_is_the_same(data_dir, tmp_path, 
     assert files_of(tmp_path / "again") == files_of(source)
     for file in files_of(source):
         if file.suffix == ".json":
-            assert json.loads((tmp_path / "again" / file).read_text()) == json.loads(
-                (source / file).read_text()
-            )
+            assert json.loads((tmp_path / "again" / file).read_text()) == json.loads((source / file).read_text())
         elif file.name != "data.jsonl":
             assert (tmp_path / "again" / file).read_bytes() == (source / file).read_bytes(), file
 
@@ -44,9 +42,7 @@ def test_a_scene_file_keeps_all_that_a_real_recording_says(data_dir, tmp_path, n
     assert lines_of(tmp_path / "again") == lines_of(source)
     for file in files_of(source):
         if file.suffix == ".json":
-            assert json.loads((tmp_path / "again" / file).read_text()) == json.loads(
-                (source / file).read_text()
-            )
+            assert json.loads((tmp_path / "again" / file).read_text()) == json.loads((source / file).read_text())
         elif file.suffix == ".bin":
             assert (tmp_path / "again" / file).read_bytes() == (source / file).read_bytes(), file
 

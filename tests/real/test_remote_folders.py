@@ -32,9 +32,7 @@ def content(scene):
     ],
 )
 @pytest.mark.few(3)
-def test_folders_hold_what_they_hold_on_disk_and_opening_takes_a_part(
-    data_dir, monkeypatch, location, options, share
-):
+def test_folders_hold_what_they_hold_on_disk_and_opening_takes_a_part(data_dir, monkeypatch, location, options, share):
     if location.endswith("argoverse2"):
         pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     fetched, get = [], stores.Store.get

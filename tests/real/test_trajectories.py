@@ -38,9 +38,7 @@ def oxts_trajectory(kitti: Path, sequence: str) -> Trajectory:
 
 
 @pytest.mark.parametrize(("sequence", "align"), OF_EVO)
-def test_orb_slam_against_the_unit_has_the_errors_that_evo_finds(
-    kitti: Path, sequence: str, align: str
-) -> None:
+def test_orb_slam_against_the_unit_has_the_errors_that_evo_finds(kitti: Path, sequence: str, align: str) -> None:
     found = read_trajectory(kitti / "orbslam3_poses" / f"{sequence}.txt", rate_hz=10, optical=True)
     report = evaluate_trajectory(
         found, oxts_trajectory(kitti, sequence), align=align, associate="nearest", rpe_deltas=("5f",)
@@ -82,10 +80,7 @@ def test_fixes_of_a_recording_are_its_trajectory(data_dir: Path, tmp_path: Path)
     assert report.coverage == 1.0
     trajectory = read_trajectory(drive)
     write_trajectory(trajectory, tmp_path / "trajectory.csv")
-    assert (
-        evaluate_trajectory(tmp_path / "trajectory.csv", trajectory, align="none").absolute.translation.max
-        == 0.0
-    )
+    assert evaluate_trajectory(tmp_path / "trajectory.csv", trajectory, align="none").absolute.translation.max == 0.0
 
 
 def test_lidar_odometry_is_near_the_recorded_trajectory(data_dir: Path) -> None:

@@ -26,9 +26,7 @@ def test_real_data_give_the_findings_that_are_true_of_them_and_nothing_else(data
     assert {finding.rule for finding in report.findings} == KNOWN_FINDINGS[name], found
 
 
-@pytest.mark.parametrize(
-    "name", ["recordings/kitti_drive", "real/sfs_reference/argoverse2_2frames_cuboids.sfs"]
-)
+@pytest.mark.parametrize("name", ["recordings/kitti_drive", "real/sfs_reference/argoverse2_2frames_cuboids.sfs"])
 def test_what_fixing_writes_of_real_data_is_as_good(data_dir: Path, tmp_path, name):
     target = tmp_path / "fixed.sfs"
     report = sceneloom.validate(data_dir / name, fix=target, strict=True)

@@ -113,11 +113,7 @@ def overlaps(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def kitti_labels(path: Path, first: int) -> list[tuple[str, np.ndarray]]:
     """Frame, and truncation, occlusion, angle, 4 of the 2D box, h w l, x y z of the bottom, rotate of each label."""
     lines = [line.split() for line in path.read_text().splitlines()]
-    return [
-        (words[0], np.array(words[first + 1 : first + 15], float))
-        for words in lines
-        if words[first] != "DontCare"
-    ]
+    return [(words[0], np.array(words[first + 1 : first + 15], float)) for words in lines if words[first] != "DontCare"]
 
 
 def kitti_camera_model(numbers: list[str], size: tuple[int, int]) -> tuple[Camera, np.ndarray]:
@@ -128,9 +124,7 @@ def kitti_camera_model(numbers: list[str], size: tuple[int, int]) -> tuple[Camer
     return Camera("pinhole", *size, fx, fy, cx, cy), shift
 
 
-def seen_labels(
-    labels: list[np.ndarray], camera_model: Camera, shift: np.ndarray
-) -> tuple[Observations, np.ndarray]:
+def seen_labels(labels: list[np.ndarray], camera_model: Camera, shift: np.ndarray) -> tuple[Observations, np.ndarray]:
     """What the camera model sees of labels, and these labels."""
     rows = np.array(labels)
     height, width, length, x, y, z, rotation = rows[:, 7:14].T

@@ -211,14 +211,10 @@ def fuse_over_disk(
 
 
 @pytest.fixture(scope="session")
-def take_over_disk(
-    tmp_path_factory: pytest.TempPathFactory, decode_sfs: Decoder
-) -> Callable[..., FusedDrive]:
+def take_over_disk(tmp_path_factory: pytest.TempPathFactory, decode_sfs: Decoder) -> Callable[..., FusedDrive]:
     """Take some sweeps of a drive over a recording and a scene file."""
 
-    def take(
-        drive: SimulatedDrive, sweeps: range, *, images: str, truths: Truths | None = None
-    ) -> FusedDrive:
+    def take(drive: SimulatedDrive, sweeps: range, *, images: str, truths: Truths | None = None) -> FusedDrive:
         folder = tmp_path_factory.mktemp(images)
         return fuse_over_disk(drive, truths or Truths(drive, sweeps), sweeps, images, folder, decode_sfs)
 

@@ -29,12 +29,8 @@ CAMERA_MODELS = {
     "mod_kannala": Camera("mod_kannala", *WIDE, (0.03, -0.02, 0.004)),
     "cylindrical": Camera("cylindrical", *PANORAMA),
     "equirectangular": Camera("equirectangular", *PANORAMA),
-    "omnidirectional": Camera(
-        "omnidirectional", *WIDE, (-0.02, 0.003, 0, 0, 1e-3, -1e-3, 0.9, 0.002, -0.001)
-    ),
-    "fisheye_rad_tan_prism": Camera(
-        "fisheye_rad_tan_prism", *WIDE, (*SIX, 1e-3, -1e-3, 5e-4, 1e-4, -1e-3, -1e-4)
-    ),
+    "omnidirectional": Camera("omnidirectional", *WIDE, (-0.02, 0.003, 0, 0, 1e-3, -1e-3, 0.9, 0.002, -0.001)),
+    "fisheye_rad_tan_prism": Camera("fisheye_rad_tan_prism", *WIDE, (*SIX, 1e-3, -1e-3, 5e-4, 1e-4, -1e-3, -1e-4)),
     "fisheye_radial_custom": Camera("fisheye_radial_custom", *WIDE, (*SIX, 1e-3, -1e-3, 2.5, -1.5)),
     "ftheta": Camera("ftheta", *WIDE, (0.0, 67.0, 1.0, -0.8, 0.05)),
     "kannala_brandt18": Camera("kannala_brandt18", *WIDE, (*SIX[:4], *ASYMMETRIC)),

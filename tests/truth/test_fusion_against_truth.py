@@ -41,11 +41,7 @@ def levels_outside(image: np.ndarray, pixels: np.ndarray, colours: np.ndarray) -
     column, row = np.rint(pixels).astype(int).T
     high, wide = np.array(image.shape[:2]) - 1
     around = np.stack(
-        [
-            image[(row + dy).clip(0, high), (column + dx).clip(0, wide)]
-            for dy in (-1, 0, 1)
-            for dx in (-1, 0, 1)
-        ]
+        [image[(row + dy).clip(0, high), (column + dx).clip(0, wide)] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
     ).astype(int)
     outside = np.maximum(around.min(axis=0) - colours, colours - around.max(axis=0))
     return outside.max(axis=1).clip(0)
@@ -279,9 +275,7 @@ def test_boxes_hold_the_points_of_their_objects(with_png: list[Any]) -> None:
             center, inside = fused.to_world(row[3:6]), np.zeros(len(points), bool)
             reach = np.linalg.norm(row[:3] / 2 + slack)
             near = np.flatnonzero(np.abs(points[:, 0] - center[0]) < reach)
-            inside[near] = (np.abs(rotation.inv().apply(points[near] - center)) < row[:3] / 2 + slack).all(
-                axis=1
-            )
+            inside[near] = (np.abs(rotation.inv().apply(points[near] - center)) < row[:3] / 2 + slack).all(axis=1)
             own = instances == truth[annotation["id"]].instance
             assert inside[own].all()
             if annotation["label"] in {"car", "bin"}:

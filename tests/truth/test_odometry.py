@@ -36,9 +36,7 @@ def dense_times(run: OdometryRun) -> np.ndarray:
     ],
 )
 @pytest.mark.few(1)
-def test_the_trajectory_of_a_drive_is_found_at_every_time_between_its_first_and_its_last_point(
-    lidar, tolerance
-):
+def test_the_trajectory_of_a_drive_is_found_at_every_time_between_its_first_and_its_last_point(lidar, tolerance):
     drive = simulate_street(4, frames=25, lidar=lidar, cameras=())
     run = lidar_odometry(drive.scene)
     times = dense_times(run)

@@ -9,9 +9,7 @@ from sceneloom.pipeline import iter_fused
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 CAMERA_MODELS = {
-    "barrel": Camera(
-        "brown_conrady", 640, 400, 420.0, 430.0, 322.0, 195.0, (-0.28, 0.08, 1e-3, -5e-4, -0.01)
-    ),
+    "barrel": Camera("brown_conrady", 640, 400, 420.0, 430.0, 322.0, 195.0, (-0.28, 0.08, 1e-3, -5e-4, -0.01)),
     "fisheye": Camera("fisheye", 640, 400, 260.0, 260.0, 318.0, 202.0, (0.05, -0.02, 0.01, -0.003)),
 }
 

@@ -77,9 +77,7 @@ class _Ended:
 class DaskCluster:
     """Runs tasks on workers of dask, one at a time on each, which has the next one at hand."""
 
-    def __init__(
-        self, client: "Client", cluster: LocalCluster | None = None, ending: ExitStack | None = None
-    ) -> None:
+    def __init__(self, client: "Client", cluster: LocalCluster | None = None, ending: ExitStack | None = None) -> None:
         """Use a client, and the workers of this machine if there are any; see `local` and `at`."""
         self._client, self._cluster, self._ending = client, cluster, ending or ExitStack()
         self._ended = _Ended(SimpleQueue())
@@ -115,9 +113,7 @@ class DaskCluster:
         try:
             client = _client(address, seconds)
         except (OSError, ValueError) as error:
-            raise OptionError(
-                f"--cluster {address}: {error}; expected `local` or a running scheduler"
-            ) from error
+            raise OptionError(f"--cluster {address}: {error}; expected `local` or a running scheduler") from error
         try:
             client.wait_for_workers(1, timeout=seconds)
         except TimeoutError as error:
@@ -216,9 +212,7 @@ def _run_once(task: Task) -> Outcome:
     except FileExistsError:
         return _left(task)
     except FileNotFoundError:
-        reported = (
-            f"{folder.parent}: is not there for the worker; expected a file system that all workers share"
-        )
+        reported = f"{folder.parent}: is not there for the worker; expected a file system that all workers share"
         return Outcome(number=task.number, error=reported, kind="FileNotFoundError")
     outcome = run_task(task)
     with suppress(OSError):  # else the try is lost if the worker goes now, as it would be a moment earlier

@@ -108,21 +108,15 @@ def write_page(figures: RunFigures, target: Path, *, overwrite: bool = False) ->
     if figures.begun_ns is not None and figures.seconds > 0:
         begun, times = datetime.fromtimestamp(figures.begun_ns // 10**9, UTC), figures.drive_seconds
         rate = 60.0 * len(times) / figures.seconds
-        facts.append(
-            f"begun {begun:%Y-%m-%d %H:%M:%S} UTC; {figures.seconds:.0f} s; {rate:.1f} drives a minute"
-        )
+        facts.append(f"begun {begun:%Y-%m-%d %H:%M:%S} UTC; {figures.seconds:.0f} s; {rate:.1f} drives a minute")
         facts.append(f"a drive: median {times[len(times) // 2]:.1f} s, at most {times[-1]:.1f} s")
     stages = sorted(figures.stages.items(), key=lambda stage: -stage[1])
     causes = [(len(drives), f"{kind}: {error}", drives[0]) for kind, error, drives in figures.causes]
-    workers = [
-        (n, f"{a:.1f}", f"{b:.1f}", f"{most / 1e6:.0f}", name) for name, n, a, b, most in figures.workers
-    ]
+    workers = [(n, f"{a:.1f}", f"{b:.1f}", f"{most / 1e6:.0f}", name) for name, n, a, b, most in figures.workers]
     body = [f"<p>{escape(fact)}</p>" for fact in facts]
     body += _table("Why drives failed", ("drives", "cause", "first"), causes)
     body += _table("Time by stage", ("stage", "seconds"), [(name, f"{taken:.1f}") for name, taken in stages])
-    body += _table(
-        "Slowest drives", ("drive", "seconds"), [(name, f"{taken:.1f}") for name, taken in figures.slowest]
-    )
+    body += _table("Slowest drives", ("drive", "seconds"), [(name, f"{taken:.1f}") for name, taken in figures.slowest])
     body += _table("Workers", ("drives", "seconds", "of processor", "most memory [MB]", "worker"), workers)
     title = escape(f"{figures.verb} over {sum(figures.states.values())} drives")
     with replacing(target, overwrite=overwrite) as draft:

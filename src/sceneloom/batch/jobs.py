@@ -286,9 +286,7 @@ def _listed(file: Path, files: Mapping[str, FileOption], others: frozenset[str])
             yield _line(line, file, number, files, others)
 
 
-def _line(
-    line: str, file: Path, number: int, files: Mapping[str, FileOption], others: frozenset[str]
-) -> Input:
+def _line(line: str, file: Path, number: int, files: Mapping[str, FileOption], others: frozenset[str]) -> Input:
     if not line.startswith("{"):
         return Input(location=_beside(file, line))
     location = f"line {number}"
@@ -309,9 +307,7 @@ def _line(
     for name, value in part.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < _LONGEST:
             stated = repr(value)[:_SHORT]
-            raise DataError(
-                file, location, f"{name} {stated}; expected seconds from the beginning of the drive on"
-            )
+            raise DataError(file, location, f"{name} {stated}; expected seconds from the beginning of the drive on")
     return Input(
         location=_beside(file, path),
         options={**part, **_reading(reported.get(_READING), file, location)},
@@ -344,9 +340,7 @@ def _reading(reported: Any, file: Path, location: str) -> dict[str, str | bool]:
     """How a drive is opened, as far as a line says it."""
     stated = {} if reported is None else reported
     if not isinstance(stated, dict) or not all(isinstance(value, str | bool) for value in stated.values()):
-        raise DataError(
-            file, location, f"reading {reported!r}; expected options by their names, each a text or true"
-        )
+        raise DataError(file, location, f"reading {reported!r}; expected options by their names, each a text or true")
     return {READING + name: value for name, value in stated.items()}
 
 
@@ -380,10 +374,7 @@ def output_names(inputs: Sequence[Input], suffix: str) -> tuple[str, ...]:
 def _drive_names(inputs: Sequence[Input]) -> tuple[str, ...]:
     """Name drives as their outputs are, without a suffix, and alike for all parts of one in time."""
     reading = [{name: value for name, value in one.options.items() if name not in PART} for one in inputs]
-    whole = [
-        Input(location=one.location, options=own or _NOTHING)
-        for one, own in zip(inputs, reading, strict=True)
-    ]
+    whole = [Input(location=one.location, options=own or _NOTHING) for one, own in zip(inputs, reading, strict=True)]
     keys = [(one.location, *sorted(one.options.items())) for one in whole]
     once = dict(zip(keys, whole, strict=True))
     names = dict(zip(once, output_names(tuple(once.values()), ""), strict=True))
@@ -391,11 +382,7 @@ def _drive_names(inputs: Sequence[Input]) -> tuple[str, ...]:
 
 
 def _parts(drive: Input) -> tuple[str, ...]:
-    text = (
-        unquote(urlsplit(drive.location).path)
-        if is_url(drive.location)
-        else drive.location.replace("\\", "/")
-    )
+    text = unquote(urlsplit(drive.location).path) if is_url(drive.location) else drive.location.replace("\\", "/")
     path = PurePosixPath(text.rstrip("/"))
     parts = [part for part in path.parts if part not in {"/", ".", ".."}] or ["drive"]
     parts[-1] = path.stem or parts[-1]
@@ -488,9 +475,7 @@ def _placed(own: Mapping[str, Any], drive: Input, name: str) -> dict[str, Any]:
 
     def location(path: Path) -> Path:
         if is_url(drive.location) and any(sign in str(path) for sign in _PLACEHOLDERS[1:]):
-            raise OptionError(
-                f"{path}: {drive.name} is behind a URL, which is no path; expected {{name}} only"
-            )
+            raise OptionError(f"{path}: {drive.name} is behind a URL, which is no path; expected {{name}} only")
         found = Path(drive.location)
         words = dict(zip(_PLACEHOLDERS, (name, str(found), str(found.parent)), strict=True))
         return Path(_PLACEHOLDER.sub(lambda match: words[match[0]], str(path)))

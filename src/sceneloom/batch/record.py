@@ -129,9 +129,7 @@ class Record:
         """
         file = folder / FOLDER / _RECORD
         if not file.is_file():
-            raise DataError(
-                folder, "", f"no record of a run; expected {FOLDER}/{_RECORD}, as `sceneloom batch` leaves"
-            )
+            raise DataError(folder, "", f"no record of a run; expected {FOLDER}/{_RECORD}, as `sceneloom batch` leaves")
         with _connected(f"{file.resolve().as_uri()}?mode=ro", file) as connection:
             record = cls(folder, connection)
             record._check()

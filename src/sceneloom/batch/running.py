@@ -164,9 +164,7 @@ def _check_locations(locations: Sequence[str]) -> None:
     for location in locations:
         known = location if is_url(location) else str(Path(location).absolute())
         if known in seen:
-            raise OptionError(
-                f"{redacted(location)}: two outputs of one drive would go there; name other locations"
-            )
+            raise OptionError(f"{redacted(location)}: two outputs of one drive would go there; name other locations")
         seen.add(known)
 
 
@@ -214,9 +212,7 @@ def _open_outputs(store: str, record: Record, *, resume: bool) -> _Outputs:
     before, now = known.get("store", ""), redacted(store)
     if before != now and drives:
         location = before or "it"
-        raise OutputError(
-            f"{record.folder}: holds the record of a run with outputs in {location}; name another one"
-        )
+        raise OutputError(f"{record.folder}: holds the record of a run with outputs in {location}; name another one")
     if drives and not resume:
         raise OutputError(
             f"{record.folder}: holds a run over {drives} drives already; `--resume` goes on with it, "
@@ -261,9 +257,7 @@ def _prepare(job: Job, record: Record, outputs: _Outputs) -> None:
     reported = {**job.options, **job.files}
     record.keep("options", {name: redacted(repr(value)) for name, value in reported.items()})
     meant = {row.number: asked[key] for key, row in known.items() if key in asked}
-    done = _done_rows(
-        job, outputs, record, {row.number: row for row in known.values() if row.number in meant}, meant
-    )
+    done = _done_rows(job, outputs, record, {row.number: row for row in known.values() if row.number in meant}, meant)
     record.wait_again([number for number in meant if number not in done])
 
 
@@ -277,9 +271,7 @@ def _asked_drives(job: Job) -> dict[_DriveKey, Input]:
     found: dict[_DriveKey, Input] = {}
     for drive in job.inputs:
         if found.setdefault(_drive_key(drive.name, drive.options), drive).location != drive.location:
-            raise OptionError(
-                f"{drive.name}: two drives differ in secrets only, which no record keeps; do them apart"
-            )
+            raise OptionError(f"{drive.name}: two drives differ in secrets only, which no record keeps; do them apart")
     return found
 
 
@@ -323,14 +315,10 @@ def _done_rows(
     ]
     with ThreadPoolExecutor(_SIDE_BY_SIDE) as thread_pool:  # servers take their time to answer
         asked = [meant[number] for number in perhaps]
-        once = list(
-            dict.fromkeys(drive.location for drive in asked)
-        )  # drives of a data set lie in one location
+        once = list(dict.fromkeys(drive.location for drive in asked))  # drives of a data set lie in one location
         seen = dict(zip(once, thread_pool.map(fingerprint, once), strict=True))
         now = thread_pool.map(lambda drive: with_files(seen[drive.location], _files_of(job, drive)), asked)
-        return {
-            number for number, found in zip(perhaps, now, strict=True) if found == rows[number].fingerprint
-        }
+        return {number for number, found in zip(perhaps, now, strict=True) if found == rows[number].fingerprint}
 
 
 def _configuration(job: Job, drive: Input, part: Mapping[str, Any]) -> str:

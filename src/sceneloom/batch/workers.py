@@ -103,9 +103,7 @@ def _done(task: Task) -> dict[str, Any]:
             bring(draft, task.further)
             _send(draft, task.target)
     if isinstance(report, dict) and any(location.exists() for location in further.values()):
-        report["further"] = {
-            option: task.further[option] for option, location in further.items() if location.exists()
-        }
+        report["further"] = {option: task.further[option] for option, location in further.items() if location.exists()}
     return {"report": _without_secrets(report), "fingerprint": seen}
 
 
@@ -160,9 +158,7 @@ def _drafts_of(draft: Path, locations: Mapping[str, str]) -> dict[str, Path]:
         draft: of its own output.
         locations: where they belong, by option.
     """
-    return {
-        option: draft.parent / _FURTHER / option / name_of(location) for option, location in locations.items()
-    }
+    return {option: draft.parent / _FURTHER / option / name_of(location) for option, location in locations.items()}
 
 
 def bring(draft: Path, locations: Mapping[str, str]) -> None:

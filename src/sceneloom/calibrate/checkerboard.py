@@ -58,9 +58,7 @@ class Board:
 
     def __post_init__(self) -> None:
         if min(self.columns, self.rows) < 3 or max(self.columns, self.rows) > 100:
-            raise OptionError(
-                f"board of {self.columns}x{self.rows} inner corners; expected 3 to 100 each way"
-            )
+            raise OptionError(f"board of {self.columns}x{self.rows} inner corners; expected 3 to 100 each way")
         least = (self.columns * self.square, self.rows * self.square)
         if not (self.square > 0 and self.width > least[0] and self.height > least[1]):
             raise OptionError(
@@ -76,9 +74,7 @@ class Board:
         """
         found = _TEXT.fullmatch(text.strip())
         if found is None:
-            raise OptionError(
-                f"board {text!r}; expected COLUMNSxROWS:SQUARE[:WIDTHxHEIGHT], like 7x5:0.1:0.9x0.7"
-            )
+            raise OptionError(f"board {text!r}; expected COLUMNSxROWS:SQUARE[:WIDTHxHEIGHT], like 7x5:0.1:0.9x0.7")
         columns, rows, square = int(found[1]), int(found[2]), float(found[3])
         width = float(found[4] or (columns + 1) * square)
         height = float(found[5] or (rows + 1) * square)
@@ -145,10 +141,7 @@ def _saddles(grey: Float32Array) -> Float64Array:
         return np.zeros((0, 2))
     order = np.argsort(-strength[rows, columns])[:_MOST_SADDLES]
     rows, columns = rows[order], columns[order]
-    strong = (
-        strength[rows, columns]
-        > _SHARE * strength[rows[min(20, len(rows) - 1)], columns[min(20, len(rows) - 1)]]
-    )
+    strong = strength[rows, columns] > _SHARE * strength[rows[min(20, len(rows) - 1)], columns[min(20, len(rows) - 1)]]
     return _refined(smooth, columns[strong], rows[strong])
 
 
@@ -180,9 +173,9 @@ def _grown(saddles: Float64Array, tree: cKDTree, seed: int) -> _Grid:
     lengths = np.linalg.norm(trajectories, axis=1)
     for i in range(min(4, len(trajectories))):
         for j in range(len(trajectories)):
-            sine = abs(
-                trajectories[i, 0] * trajectories[j, 1] - trajectories[i, 1] * trajectories[j, 0]
-            ) / max(lengths[i] * lengths[j], 1e-9)
+            sine = abs(trajectories[i, 0] * trajectories[j, 1] - trajectories[i, 1] * trajectories[j, 0]) / max(
+                lengths[i] * lengths[j], 1e-9
+            )
             if sine < 0.4 or not 0.3 < lengths[i] / lengths[j] < 3.3:
                 continue
             grid = _spread(saddles, tree, seed, trajectories[i], trajectories[j])
@@ -191,9 +184,7 @@ def _grown(saddles: Float64Array, tree: cKDTree, seed: int) -> _Grid:
     return best
 
 
-def _spread(
-    saddles: Float64Array, tree: cKDTree, seed: int, right: Float64Array, below: Float64Array
-) -> _Grid:
+def _spread(saddles: Float64Array, tree: cKDTree, seed: int, right: Float64Array, below: Float64Array) -> _Grid:
     grid: _Grid = {(0, 0): seed}
     steps: dict[tuple[int, int], tuple[Float64Array, Float64Array]] = {(0, 0): (right, below)}
     taken, queue = {seed}, [(0, 0)]
@@ -235,9 +226,7 @@ def _whole_board(grid: _Grid, saddles: Float64Array, board: Board) -> Float64Arr
 
 def _windows(size: tuple[int, ...], wanted: tuple[int, int]) -> list[tuple[int, int]]:
     """Where a grid of the wanted size may begin in one that may be a little larger."""
-    return [
-        (u, v) for u in range(max(size[0] - wanted[0] + 1, 0)) for v in range(max(size[1] - wanted[1] + 1, 0))
-    ]
+    return [(u, v) for u in range(max(size[0] - wanted[0] + 1, 0)) for v in range(max(size[1] - wanted[1] + 1, 0))]
 
 
 def _facing(corners: Float64Array, board: Board) -> Float64Array:
@@ -387,9 +376,7 @@ def _extent(points: Float64Array, normal: Float64Array) -> tuple[Float64Array, F
         rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         rotated = flat @ rotation.T
         low, high = rotated.min(axis=0), rotated.max(axis=0)
-        rectangles.append(
-            (float(np.prod(high - low)), 0.5 * (low + high) @ rotation, high - low, rotation @ axes)
-        )
+        rectangles.append((float(np.prod(high - low)), 0.5 * (low + high) @ rotation, high - low, rotation @ axes))
     best = min(rectangles, key=lambda one: one[0])
     middle = best[1] @ axes + normal * float(np.median(points @ normal))
     return middle, best[2], best[3]
@@ -434,16 +421,12 @@ def start_from_target(views: Sequence[BoardView], board: Board) -> MountingEstim
         PoseError: too few views, or all with the board rotated alike.
     """
     if len(views) < _LEAST_VIEWS:
-        raise PoseError(
-            f"{len(views)} views of the board; expected {_LEAST_VIEWS} or more, rotated differently"
-        )
+        raise PoseError(f"{len(views)} views of the board; expected {_LEAST_VIEWS} or more, rotated differently")
     normals = np.array([_towards_camera(view.camera_from_board) for view in views])
     seen = np.array([view.cloud.normal for view in views])
     spread = np.linalg.svd(normals)[1]
     if spread[1] < np.sin(_LEAST_ROTATION) * np.sqrt(len(views)) * 0.5:
-        raise PoseError(
-            "the board is rotated alike in all views; expected rotates by 10 deg or more about two axes"
-        )
+        raise PoseError("the board is rotated alike in all views; expected rotates by 10 deg or more about two axes")
     start = _closed(views, normals, seen)
 
     def errors(step: Float64Array) -> Float64Array:

@@ -244,8 +244,7 @@ def check_drive(scene: Scene, *, progress: Progress | None = None) -> Convention
         if progress is not None:
             progress(number, len(pairs))
     points = [
-        PointsFound(lidar=lidar.id, stated=lidar.points_frame.value, possible=_frames(scene, lidar))
-        for lidar in lidars
+        PointsFound(lidar=lidar.id, stated=lidar.points_frame.value, possible=_frames(scene, lidar)) for lidar in lidars
     ]
     times = [
         TimesFound(
@@ -321,9 +320,7 @@ def hypotheses(
     return tuple(found)
 
 
-def groups(
-    found: Sequence[Hypothesis], *, rotation_deg: float = 0.2, shift: float = 0.02
-) -> list[list[Hypothesis]]:
+def groups(found: Sequence[Hypothesis], *, rotation_deg: float = 0.2, shift: float = 0.02) -> list[list[Hypothesis]]:
     """Group hypotheses of the same transform.
 
     Within an angle [deg] and a distance [m] that cannot be told apart.
@@ -347,9 +344,7 @@ def groups(
     return result
 
 
-def decide(
-    extrinsic: Extrinsic, frames: Sequence[CalibrationFrame] = (), score: Score | None = None
-) -> ExtrinsicFound:
+def decide(extrinsic: Extrinsic, frames: Sequence[CalibrationFrame] = (), score: Score | None = None) -> ExtrinsicFound:
     """Find what an extrinsic means.
 
     Ways to read it that no vehicle has are left out first: a camera far from the lidar, or not upright, or one that
@@ -370,9 +365,7 @@ def decide(
     if not left:
         reason = "no way to read it puts an upright camera where it sees what the lidar sees"
     elif count == 1:
-        reason = (
-            "all other ways put the camera on its side, upside down, too far away, or where it sees nothing"
-        )
+        reason = "all other ways put the camera on its side, upside down, too far away, or where it sees nothing"
     elif score is None:
         reason = "several ways put an upright camera near the lidar, and nothing reports them apart"
     else:
@@ -506,9 +499,7 @@ def _timestamps(sensor: Sensor) -> Int64Array:
     return none
 
 
-def _readings(
-    numbers: Float64Array, *, apart: bool
-) -> Iterator[tuple[dict[str, str], Float64Array, Float64Array]]:
+def _readings(numbers: Float64Array, *, apart: bool) -> Iterator[tuple[dict[str, str], Float64Array, Float64Array]]:
     """Read numbers as matrices, quaternions or angles: the choices, (3, 3) of about a rotation, and (3,)."""
     if numbers.size in _SHAPES:
         rows, columns = (3, 3) if apart else _SHAPES[numbers.size]
@@ -539,9 +530,7 @@ def _readings(
                     yield {**own, "angles": unit.value, "order of angles": name}, matrix, translation
 
 
-def _is_possible(
-    camera_from_points: Float64Array, up: Float64Array | None, frames: Sequence[CalibrationFrame]
-) -> bool:
+def _is_possible(camera_from_points: Float64Array, up: Float64Array | None, frames: Sequence[CalibrationFrame]) -> bool:
     """Whether the camera is near the lidar and upright, and sees enough of what the lidar sees."""
     if np.linalg.norm(camera_from_points[:3, 3]) >= _MOST_APART:
         return False
@@ -627,9 +616,7 @@ def _numbers(value: Any) -> tuple[float, ...] | None:
     """Flatten a list of numbers, or of lists of them; None for anything else."""
     if not isinstance(value, list) or not value:
         return None
-    flat = (
-        [number for row in value for number in row] if all(isinstance(row, list) for row in value) else value
-    )
+    flat = [number for row in value for number in row] if all(isinstance(row, list) for row in value) else value
     return tuple(map(float, flat)) if all(type(number) in {int, float} for number in flat) else None
 
 

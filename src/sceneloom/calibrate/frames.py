@@ -231,9 +231,7 @@ def moved_by(screw: Float64Array) -> Float64Array:
     """
     rotation, shift = screw[:3], screw[3:]
     angle = float(np.linalg.norm(rotation))
-    x = np.array(
-        [[0.0, -rotation[2], rotation[1]], [rotation[2], 0.0, -rotation[0]], [-rotation[1], rotation[0], 0.0]]
-    )
+    x = np.array([[0.0, -rotation[2], rotation[1]], [rotation[2], 0.0, -rotation[0]], [-rotation[1], rotation[0], 0.0]])
     if angle < 1e-8:
         a, b, c = 1.0, 0.5, 1.0 / 6.0
     else:
@@ -342,9 +340,7 @@ class _Locations:
     points: PoseSource | None
 
     @classmethod
-    def of(
-        cls, scene: Scene, camera: CameraSensor, lidar: LidarSensor, ego: EgoMotion | None
-    ) -> "_Locations":
+    def of(cls, scene: Scene, camera: CameraSensor, lidar: LidarSensor, ego: EgoMotion | None) -> "_Locations":
         reach_ns = scene_period_ns(scene)
         try:
             at_camera = sensor_source(scene, camera, ego, reach_ns=reach_ns)
@@ -354,9 +350,7 @@ class _Locations:
         return cls(at_camera, _lidar_position(scene, lidar, ego, reach_ns) or of_points, of_points)
 
 
-def _lidar_position(
-    scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, reach_ns: int
-) -> PoseSource | None:
+def _lidar_position(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, reach_ns: int) -> PoseSource | None:
     try:
         return sensor_source(scene, lidar, ego, reach_ns=reach_ns)
     except PoseError:
@@ -418,9 +412,7 @@ def _frame(
         points_lidar=np.ascontiguousarray(points[finite]),
         intensities=None if levels is None else levels[finite],
         seconds=seconds,
-        scan=find_scan_order(measured[finite], None if rings is None else rings[finite])
-        if of_lidar
-        else None,
+        scan=find_scan_order(measured[finite], None if rings is None else rings[finite]) if of_lidar else None,
         grey=rgb @ _LUMA,
         rgb=rgb,
         twist_lidar=twist,
@@ -440,12 +432,7 @@ location."""
 
 def _placed(sweep: LidarFrame, image: CameraImage, locations: _Locations) -> _Placed | None:
     """Bring points to the image's time by the ways of the sensors; None where these do not reach."""
-    if (
-        locations.camera is None
-        or locations.lidar is None
-        or locations.points is None
-        or len(sweep.points) == 0
-    ):
+    if locations.camera is None or locations.lidar is None or locations.points is None or len(sweep.points) == 0:
         return None
     times = sweep.points.timestamps_ns
     if times is None:

@@ -108,9 +108,7 @@ class _Objective:
         self.chance = self._measured_chance()
         self.replicates = self._drawn_cells()
 
-    def stationary(
-        self, score: Score, measures: Collection[str] = _FINE, *, replicated: bool = False
-    ) -> Float64Array:
+    def stationary(self, score: Score, measures: Collection[str] = _FINE, *, replicated: bool = False) -> Float64Array:
         """Deviations above chance, summed over measures: (1,), or (B,) for the replicates."""
         values = score.values(self.replicates) if replicated else score.values()[None]
         return np.asarray(self.deviations_of(values)[:, _rows(measures)].sum(axis=1))
@@ -145,9 +143,7 @@ class _Objective:
         occupied = np.flatnonzero(self.agreement.score(Change(), by_cells=True).totals.sum(axis=0) > 0)
         weights = np.zeros((_REPLICATES, self.agreement.cells))
         if len(occupied):
-            draws = self.generator.multinomial(
-                len(occupied), np.full(len(occupied), 1 / len(occupied)), _REPLICATES
-            )
+            draws = self.generator.multinomial(len(occupied), np.full(len(occupied), 1 / len(occupied)), _REPLICATES)
             weights[:, occupied] = draws
         return weights
 
@@ -184,9 +180,7 @@ class Surface:
         locations = _in_ball(count, dimensions, generator)
         locations[0] = 0.0
         probes = _in_ball(_PROBES, dimensions, generator)
-        return cls(
-            locations, np.asarray(np.linalg.pinv(_terms(locations)), np.float64), probes, _terms(probes)
-        )
+        return cls(locations, np.asarray(np.linalg.pinv(_terms(locations)), np.float64), probes, _terms(probes))
 
     def tops(self, values: Float64Array) -> Float64Array:
         """Give the tops, (B, P), of the quadratics through values (B, N)."""
@@ -311,10 +305,7 @@ def _find_group(objective: _Objective, start: Float64Array, parameters: Sequence
 
 def _highest(objective: _Objective, locations: Sequence[Float64Array]) -> Float64Array:
     """The location, (8,), where images and sweeps agree best."""
-    heights = [
-        objective.stationary(objective.agreement.score(Change.of(location), _FINE))[0]
-        for location in locations
-    ]
+    heights = [objective.stationary(objective.agreement.score(Change.of(location), _FINE))[0] for location in locations]
     return locations[int(np.argmax(heights))]
 
 
@@ -327,9 +318,7 @@ def _top_around(
 ) -> _Top:
     """Find the top in a ball, and what replicates make of it; `start` is what its gain is reported against."""
     location, replicates = _look_around(objective, location, parameters, radius, _FINE)
-    there, here = (
-        objective.agreement.score(Change.of(numbers), _FINE, by_cells=True) for numbers in (location, start)
-    )
+    there, here = (objective.agreement.score(Change.of(numbers), _FINE, by_cells=True) for numbers in (location, start))
     gains = objective.stationary(there, replicated=True) - objective.stationary(here, replicated=True)
     return _Top(
         tuple(parameters),
@@ -563,9 +552,7 @@ def look_alikes(camera: Camera) -> tuple[Float64Array, Float64Array]:
         left: (2,) float64, what then is left over the image, as a share of the trajectory of the principal point (root
             of the mean square); NaN where the camera model sees nothing.
     """
-    u, v = np.meshgrid(
-        np.linspace(-0.5, camera.width - 0.5, _COLUMNS), np.linspace(-0.5, camera.height - 0.5, _ROWS)
-    )
+    u, v = np.meshgrid(np.linspace(-0.5, camera.width - 0.5, _COLUMNS), np.linspace(-0.5, camera.height - 0.5, _ROWS))
     pixels = np.column_stack([u.ravel(), v.ravel()])
     rays = unproject(camera, pixels)
     moves = [_rotated(camera, rays, axis) for axis in range(3)]
@@ -765,9 +752,7 @@ class _Found:
             return msgspec.structs.replace(item, verdict=Verdict.UNDETERMINED, reason=reason)
         if item.verdict in _WORST_FIRST:
             instead = instead_of_rotation(self.frames[0].camera, best.change[:3])
-            return msgspec.structs.replace(
-                item, reason=f"{item.reason}; {instead}" if instead else item.reason
-            )
+            return msgspec.structs.replace(item, reason=f"{item.reason}; {instead}" if instead else item.reason)
         return item
 
     def _joint(self, name: str) -> Item:
@@ -907,9 +892,7 @@ _BLOCKS = 10
 _ROUNDS = 15
 
 
-def judge_motion(
-    camera_rotations: Float64Array, lidar_rotations: Float64Array, rotation: Float64Array
-) -> Item:
+def judge_motion(camera_rotations: Float64Array, lidar_rotations: Float64Array, rotation: Float64Array) -> Item:
     """Judge a rotation by how camera and lidar rotate.
 
     Args:

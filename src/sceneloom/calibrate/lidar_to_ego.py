@@ -155,9 +155,7 @@ def _motions(
     return multiply_quaternions(back, poses.quaternions_xyzw[stops]), shifts
 
 
-def align_motions(
-    motions: PairedMotions, *, guess: RigidTransform | None = None, frame: str = "ego"
-) -> _HandEye:
+def align_motions(motions: PairedMotions, *, guess: RigidTransform | None = None, frame: str = "ego") -> _HandEye:
     """Solve A X = X B for all pairs at once, robustly.
 
     Args:
@@ -173,9 +171,7 @@ def align_motions(
     solutions = [_solved(motions, start, start)]
     if guess is not None:
         # a guess that is upside down must not keep the search in a wrong valley
-        solutions.append(
-            _solved(motions, RigidTransform(_closed_rotation(motions), guess.translation), start)
-        )
+        solutions.append(_solved(motions, RigidTransform(_closed_rotation(motions), guess.translation), start))
     solution = min(solutions, key=lambda found: found.cost)
     covariance = _sandwich(motions, solution)
     unobserved = unobserved_directions(covariance, frame)
@@ -206,9 +202,7 @@ def _closed_rotation(motions: PairedMotions) -> Float64Array:
     b = rotation_vector_from_quaternion(motions.sensor_rotations)
     straight = 0.1 / (0.1 + np.linalg.norm(a, axis=1))
     trajectories = straight[:, None] ** 4 * motions.body_shifts
-    scale = (
-        np.linalg.norm(a) / max(float(np.linalg.norm(trajectories)), 1e-9) if np.linalg.norm(a) > 0 else 1.0
-    )
+    scale = np.linalg.norm(a) / max(float(np.linalg.norm(trajectories)), 1e-9) if np.linalg.norm(a) > 0 else 1.0
     u, _, vt = np.linalg.svd(
         a.T @ b + min(scale, 1e3) ** 2 * trajectories.T @ (straight[:, None] ** 4 * motions.sensor_shifts)
     )
@@ -257,9 +251,7 @@ def _linearised(motions: PairedMotions, mounting: RigidTransform) -> tuple[Float
     rotated = mounting.rotate(rotation_vector_from_quaternion(motions.sensor_rotations))
     trajectories = mounting.rotate(motions.sensor_shifts)
     rotations = matrix_from_quaternion(motions.body_rotations)
-    shift_errors = (
-        motions.body_shifts + rotations @ mounting.translation - trajectories - mounting.translation
-    )
+    shift_errors = motions.body_shifts + rotations @ mounting.translation - trajectories - mounting.translation
     jacobian = np.zeros((len(motions), 6, 6))
     jacobian[:, :3, :3] = _cross_matrices(rotated)
     jacobian[:, 3:, :3] = _cross_matrices(trajectories)
@@ -351,9 +343,7 @@ def lidar_to_ego(
     """
     lidar = chosen_lidar(scene, lidar_id)
     if trajectory == LIDAR and LIDAR not in scene.trajectories:
-        raise OptionError(
-            "trajectory 'lidar' is found from the lidar itself; expected one that other sensors reported"
-        )
+        raise OptionError("trajectory 'lidar' is found from the lidar itself; expected one that other sensors reported")
     if lidar.points_frame is not PointsFrame.SENSOR:
         raise PoseError(
             f"{scene.source}: points of lidar {lidar.id!r} are in the {lidar.points_frame} frame already; "
@@ -374,9 +364,7 @@ def lidar_to_ego(
 
 def _without_lidars(scene: Scene) -> Scene:
     """A trajectory that lidars took part in would report the stated mounting back."""
-    return replace(
-        scene, sensors=tuple(sensor for sensor in scene.sensors if not isinstance(sensor, LidarSensor))
-    )
+    return replace(scene, sensors=tuple(sensor for sensor in scene.sensors if not isinstance(sensor, LidarSensor)))
 
 
 def _lidar_trajectory(scene: Scene, lidar: LidarSensor, progress: Progress | None) -> Poses:

@@ -103,8 +103,7 @@ def _ground_start(first: Float64Array, second: Float64Array) -> RigidTransform |
         return None
     level = [_levelled(normal, height) for normal, height in (grounds[0], grounds[1])]
     target, source = (
-        _PreparedCloud(one.apply(points), spacing=_COARSE)
-        for one, points in zip(level, (first, second), strict=True)
+        _PreparedCloud(one.apply(points), spacing=_COARSE) for one, points in zip(level, (first, second), strict=True)
     )
     best, stationary = None, -np.inf
     for heading in np.arange(_HEADINGS) * (2.0 * np.pi / _HEADINGS):
@@ -126,9 +125,7 @@ def _levelled(normal: Float64Array, height: float) -> RigidTransform:
     size = float(np.linalg.norm(axis))
     angle = float(np.arctan2(size, normal[2]))
     vector = axis / size * angle if size > 1e-9 else np.array([angle, 0.0, 0.0])
-    return RigidTransform.from_quaternion(
-        np.array([0.0, 0.0, height]), quaternion_from_rotation_vector(vector)
-    )
+    return RigidTransform.from_quaternion(np.array([0.0, 0.0, height]), quaternion_from_rotation_vector(vector))
 
 
 MOST = 20
@@ -197,16 +194,12 @@ def lidar_to_lidar(
     stated = None if first.mount is None or second.mount is None else first.mount.inverse() @ second.mount
     pairs = list(_clouds(scene, first, second, most))
     if not pairs:
-        raise PoseError(
-            f"{scene.source}: no sweeps of {first.id!r} and {second.id!r} at one time; expected some"
-        )
+        raise PoseError(f"{scene.source}: no sweeps of {first.id!r} and {second.id!r} at one time; expected some")
     start = stated if use_stated else None
     started = "stated" if start is not None else "ground"
     start = start or _ground_start(*pairs[len(pairs) // 2])
     if start is None:
-        raise PoseError(
-            f"{scene.source}: no ground in both clouds; expected one, or stated mountings to begin with"
-        )
+        raise PoseError(f"{scene.source}: no ground in both clouds; expected one, or stated mountings to begin with")
     fits = []
     for done, (target, source) in enumerate(pairs, start=1):
         fits.append(_fit_cloud(_PreparedCloud(target), _PreparedCloud(source), start.matrix, _REACHES))
@@ -217,9 +210,7 @@ def lidar_to_lidar(
     return LidarToLidar(first.id, second.id, stated, mounting, overlap, len(fits), agreeing, started)
 
 
-def _chosen(
-    scene: Scene, first_id: Identifier | None, second_id: Identifier | None
-) -> tuple[LidarSensor, LidarSensor]:
+def _chosen(scene: Scene, first_id: Identifier | None, second_id: Identifier | None) -> tuple[LidarSensor, LidarSensor]:
     known = {key_of(lidar.id): lidar for lidar in scene.lidars}
     ids = [lidar.id for lidar in scene.lidars]
     first = first_id if first_id is not None else next(iter(ids), None)
@@ -240,9 +231,7 @@ def _clouds(
     """Clouds of both lidars at one time, each in its own frame then."""
     ego = choose_ego(scene, None) if scene.trajectories else None
     reach_ns = scene_period_ns(scene)
-    chosen = np.unique(
-        np.linspace(0, len(first.frames) - 1, min(most, len(first.frames))).round().astype(int)
-    )
+    chosen = np.unique(np.linspace(0, len(first.frames) - 1, min(most, len(first.frames))).round().astype(int))
     times = second.frames.timestamps_ns
     for k in chosen.tolist():
         if len(times) == 0:
@@ -252,9 +241,7 @@ def _clouds(
         if abs(int(times[other]) - sweep.timestamp_ns) > reach_ns:
             continue
         clouds = [
-            _usable(
-                _at_one_time(frame, lidar, None if ego is None else ego.path, sweep.reference_ns, reach_ns)
-            )
+            _usable(_at_one_time(frame, lidar, None if ego is None else ego.path, sweep.reference_ns, reach_ns))
             for frame, lidar in ((sweep, first), (second.frames[other], second))
         ]
         if min(map(len, clouds)) >= _LEAST_POINTS:
@@ -324,9 +311,7 @@ def _joined(fits: list[_CloudFit], source: str) -> tuple[MountingEstimate, int]:
     axes = np.kron(np.eye(2), middle.rotation)
     covariance = axes @ scatter @ axes.T + np.diag(_SYSTEMATIC**2)
     rotation = RigidTransform.from_quaternion(mean[3:], quaternion_from_rotation_vector(mean[:3]))
-    return MountingEstimate(
-        middle @ rotation, covariance, unobserved_directions(covariance, "first lidar")
-    ), count
+    return MountingEstimate(middle @ rotation, covariance, unobserved_directions(covariance, "first lidar")), count
 
 
 def _most_central(poses: list[RigidTransform]) -> int:

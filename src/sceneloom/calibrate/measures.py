@@ -157,9 +157,7 @@ def box_means(image: Float32Array, size: int) -> Float32Array:
     return np.asarray(ndimage.uniform_filter(image, size, mode="nearest"), np.float32)
 
 
-def measured_image(
-    grey: Float32Array, camera: Camera, *, widths: Sequence[str] = tuple(_WIDTHS_PX)
-) -> _MeasuredImage:
+def measured_image(grey: Float32Array, camera: Camera, *, widths: Sequence[str] = tuple(_WIDTHS_PX)) -> _MeasuredImage:
     """Reduce an image to what its camera model distinguishes at 0.08 degrees, and find its edges and levels.
 
     Args:
@@ -376,9 +374,7 @@ def rows_above(lines: Int64Array, azimuths: Float64Array, count: int, step: floa
     wanted = (lines + 1) * rotation + azimuths
     after = np.clip(np.searchsorted(keys, wanted), 1, len(keys) - 1)
     nearer = np.where(np.abs(keys[after] - wanted) < np.abs(keys[after - 1] - wanted), after, after - 1)
-    found: Int64Array = np.where(
-        np.abs(keys[nearer] - wanted) <= _GAP_STEPS / 2 * max(step, 1e-4), nearer, -1
-    )
+    found: Int64Array = np.where(np.abs(keys[nearer] - wanted) <= _GAP_STEPS / 2 * max(step, 1e-4), nearer, -1)
     found[lines + 1 >= count] = -1
     return found
 
@@ -467,8 +463,7 @@ def extract(frame: CalibrationFrame, image: _MeasuredImage | None = None) -> Fra
     edges = find_depth_edges(frame, chosen)
     stated = frame.camera_from_lidar
     near, far = (
-        project_unbounded(image.camera, stated.apply(points))
-        for points in (edges.points_lidar, edges.outwards_lidar)
+        project_unbounded(image.camera, stated.apply(points)) for points in (edges.points_lidar, edges.outwards_lidar)
     )
     towards = np.arctan2(far[:, 1] - near[:, 1], far[:, 0] - near[:, 0])
     known = _as_in_memory(near, np.flatnonzero(np.isfinite(near).all(axis=1) & np.isfinite(towards)))
@@ -525,8 +520,7 @@ def _around_view(frame: CalibrationFrame) -> Int64Array:
     camera = frame.camera
     across, down = np.linspace(-0.5, camera.width - 0.5, 9), np.linspace(-0.5, camera.height - 0.5, 9)
     border = np.array(
-        [(u, v) for u in across for v in (down[0], down[-1])]
-        + [(u, v) for v in down for u in (across[0], across[-1])]
+        [(u, v) for u in across for v in (down[0], down[-1])] + [(u, v) for v in down for u in (across[0], across[-1])]
     )
     rays = unproject(camera, border)
     angles = np.arccos(np.clip(rays[np.isfinite(rays).all(axis=1), 2], -1.0, 1.0))
@@ -575,9 +569,7 @@ def _evened_levels(intensities: UInt8Array) -> Float32Array:
 
 
 def _tiles(pixels: Float64Array, image: _MeasuredImage) -> AnyArray:
-    columns = np.clip(pixels[:, 0] / image.camera.width * _TILES_ACROSS, 0, _TILES_ACROSS - 1).astype(
-        np.int16
-    )
+    columns = np.clip(pixels[:, 0] / image.camera.width * _TILES_ACROSS, 0, _TILES_ACROSS - 1).astype(np.int16)
     rows = np.clip(pixels[:, 1] / image.camera.height * _TILES_DOWN, 0, _TILES_DOWN - 1).astype(np.int16)
     return np.asarray(rows * _TILES_ACROSS + columns, np.int16)
 
@@ -682,9 +674,7 @@ class Agreement:
             return score
         return Score(np.where(few[:, None], 0.0, score.sums), np.where(few[:, None], 0.0, score.totals))
 
-    def _score(
-        self, change: Change, measures: Collection[str] = MEASURES, *, by_cells: bool = False
-    ) -> Score:
+    def _score(self, change: Change, measures: Collection[str] = MEASURES, *, by_cells: bool = False) -> Score:
         sums, totals = np.zeros((len(MEASURES), self.cells)), np.zeros((len(MEASURES), self.cells))
         placed = []
         histogram = np.zeros((_LEVELS, _LEVELS))

@@ -384,9 +384,7 @@ class _Level:
             width,
             maps,
             np.concatenate([one.maps + kinds * k for k, one in enumerate(cues)]).astype(np.int32),
-            np.concatenate([one.channels + len(_CHANNELS) * k for k, one in enumerate(cues)]).astype(
-                np.int32
-            ),
+            np.concatenate([one.channels + len(_CHANNELS) * k for k, one in enumerate(cues)]).astype(np.int32),
             np.concatenate([one.weights for one in cues]),
         )
 
@@ -558,9 +556,7 @@ class Refinement:
     def sigmas(self) -> dict[str, float]:
         """The standard deviation of each refined number, by its name in lower case: rad, m, logarithm, s."""
         roots = np.sqrt(np.diagonal(self.covariance))
-        return {
-            Parameter(k).name.lower(): float(root) for k, root in zip(self.free.tolist(), roots, strict=True)
-        }
+        return {Parameter(k).name.lower(): float(root) for k, root in zip(self.free.tolist(), roots, strict=True)}
 
     @property
     def found_change(self) -> dict[str, float]:
@@ -714,9 +710,7 @@ def _beginnings(level: _Level) -> list[Float64Array]:
 
 def _best(level: _Level, found: Sequence[Float64Array]) -> list[Float64Array]:
     """Those found, the best first."""
-    stationary = [
-        _stationary(level.around(numbers, _ROTATIONS), np.zeros(len(_ROTATIONS))) for numbers in found
-    ]
+    stationary = [_stationary(level.around(numbers, _ROTATIONS), np.zeros(len(_ROTATIONS))) for numbers in found]
     return [found[k] for k in np.argsort(stationary)[::-1]]
 
 
@@ -857,9 +851,7 @@ def _held_out_gain(levels: Sequence[_Level], held_out: BoolArray, free: Int64Arr
     found = _search(levels, ~held_out, free, thinned=2)
     level = levels[-1].part(held_out)
     values = [
-        float(
-            (level.around(numbers, free).sums(np.zeros(len(free))).values.sum(axis=0) * found.weights).sum()
-        )
+        float((level.around(numbers, free).sums(np.zeros(len(free))).values.sum(axis=0) * found.weights).sum())
         for numbers in (start, found.numbers)
     ]
     return values[1] - values[0]
@@ -964,13 +956,9 @@ def refine(
     """
     groups = _groups(parameters)
     if len(frames) < _LEAST_FRAMES:
-        return _unable(
-            frames, f"{len(frames)} frames; expected {_LEAST_FRAMES} or more, to refine and to judge by"
-        )
+        return _unable(frames, f"{len(frames)} frames; expected {_LEAST_FRAMES} or more, to refine and to judge by")
     reported = _Reported(progress, len(frames) + len(_WIDTHS_PX) + 2 + _FOLDS)
-    cues = tuple(
-        one for frame in frames if len((one := reported.after(find_cues(frame))).weights) >= _LEAST_CUES
-    )
+    cues = tuple(one for frame in frames if len((one := reported.after(find_cues(frame))).weights) >= _LEAST_CUES)
     problem = _why_not(frames, cues)
     if problem:
         return _unable(frames, problem)
@@ -1080,18 +1068,14 @@ def _refine_best(
     held: list[str] = []
     count = int(drive.views[-1]) + 1
     if count < _LEAST_VIEWS:
-        held = [
-            f"{name}: {count} views; expected {_LEAST_VIEWS} or more" for name in groups if name != "rotation"
-        ]
+        held = [f"{name}: {count} views; expected {_LEAST_VIEWS} or more" for name in groups if name != "rotation"]
         groups = ("rotation",)
     while True:
         free = np.array([int(parameter) for name in groups for parameter in _GROUPS[name]], np.int64)
         found = reported.after(_search(drive.levels, drive.all_frames, free))
         covariance = _covariance_of(found, drive.views)
         sigmas = _sigmas(found.free, covariance, groups)
-        loose = {
-            name: sigma for name, sigma in sigmas.items() if sigma > _LOOSEST[name] and name != "rotation"
-        }
+        loose = {name: sigma for name, sigma in sigmas.items() if sigma > _LOOSEST[name] and name != "rotation"}
         if not loose:
             return found, covariance, groups, tuple(held)
         held += [f"{name}: known within {_worded(name, sigma)} only" for name, sigma in loose.items()]

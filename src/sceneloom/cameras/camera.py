@@ -82,9 +82,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
         "mod_equi_fish": _row("fisheye", "k1 k2 k3 k4", Chart.ANGLE, _SFS),
         "mod_kannala": _row("fisheye", "k1 k2 k3 k4", Chart.ANGLE, _SFS),
         "cylindrical": _row("panorama", "", Chart.PANORAMA, "the usual cylindrical panorama", assumed=True),
-        "equirectangular": _row(
-            "panorama", "", Chart.PANORAMA, "the usual equirectangular panorama", assumed=True
-        ),
+        "equirectangular": _row("panorama", "", Chart.PANORAMA, "the usual equirectangular panorama", assumed=True),
         "omnidirectional": _row("omnidirectional", "k1 k2 k3 k4 p1 p2 xi lx ly", Chart.SPHERE, _MEI),
         "fisheye_rad_tan_prism": _row(
             "fisheye",
@@ -116,9 +114,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
             Chart.ANGLE,
             "Kannala and Brandt 2006",
         ),
-        "omnidir": _row(
-            "omnidirectional", "k1 k2 s xi p1 p2", Chart.SPHERE, f"OpenCV; {_MEI}", pixel_axes={"s": "u"}
-        ),
+        "omnidir": _row("omnidirectional", "k1 k2 s xi p1 p2", Chart.SPHERE, f"OpenCV; {_MEI}", pixel_axes={"s": "u"}),
     }
 )
 """The projection models by name: those of the Sensor Fusion Scene format by its names, then others."""
@@ -149,9 +145,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0:
-            raise CalibrationError(
-                f"image size {self.width}x{self.height}; expected positive numbers of pixels"
-            )
+            raise CalibrationError(f"image size {self.width}x{self.height}; expected positive numbers of pixels")
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
         if not all(abs(value) < float("inf") for value in numbers):
             raise CalibrationError(f"camera numbers {numbers}; expected finite ones")

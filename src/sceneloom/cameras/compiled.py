@@ -215,9 +215,7 @@ def look_through_chart(pixels, rays, c):  # type: ignore[no-untyped-def]
 def _project_block(flat_points, pose, c, flat_pixels, x_camera, y_camera, z_camera):  # type: ignore[no-untyped-def]
     """Project as many points as the outputs have room for, and take them into the camera frame."""
     for i in range(len(z_camera)):
-        x, y, z = _camera_coordinates(
-            flat_points[3 * i], flat_points[3 * i + 1], flat_points[3 * i + 2], pose
-        )
+        x, y, z = _camera_coordinates(flat_points[3 * i], flat_points[3 * i + 1], flat_points[3 * i + 2], pose)
         u, v = project_point(x, y, z, c)
         flat_pixels[2 * i], flat_pixels[2 * i + 1] = float32(u), float32(v)
         x_camera[i], y_camera[i], z_camera[i] = float32(x), float32(y), float32(z)

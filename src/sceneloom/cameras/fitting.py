@@ -133,9 +133,7 @@ def measured_fit(exact: Camera, other: Camera) -> Fit:
     if _is_perspective(other):
         held &= rays[:, 2] > _PERSPECTIVE_COSINE
     off = off[held]
-    largest, rms = (
-        (float(off.max()), float(np.sqrt(np.mean(off * off)))) if len(off) else (math.inf, math.inf)
-    )
+    largest, rms = (float(off.max()), float(np.sqrt(np.mean(off * off)))) if len(off) else (math.inf, math.inf)
     return Fit(other, largest, rms, float(held.mean()), read_only(pixels[~held]))
 
 
@@ -147,9 +145,7 @@ def _seen_grid(camera: Camera, size: tuple[int, int]) -> tuple[Float64Array, Flo
     rays = unproject(camera, pixels)
     seen = np.isfinite(rays).all(axis=1)
     if not seen.any():
-        raise CalibrationError(
-            f"{camera.model} camera model: no pixel of its image looks anywhere; is it folded?"
-        )
+        raise CalibrationError(f"{camera.model} camera model: no pixel of its image looks anywhere; is it folded?")
     return pixels[seen], rays[seen]
 
 
@@ -301,7 +297,5 @@ class _Search:
 def _slopes_on_axis(project: Callable[[Float64Array], Float64Array]) -> Float64Array:
     """How many pixels a camera model moves what moves by one radian, near its axis: to the right, and down."""
     sin, cos = math.sin(_NEAR_AXIS), math.cos(_NEAR_AXIS)
-    right, left, down, up = project(
-        np.array([[sin, 0.0, cos], [-sin, 0.0, cos], [0.0, sin, cos], [0.0, -sin, cos]])
-    )
+    right, left, down, up = project(np.array([[sin, 0.0, cos], [-sin, 0.0, cos], [0.0, sin, cos], [0.0, -sin, cos]]))
     return np.array([right[0] - left[0], down[1] - up[1]]) / (2.0 * _NEAR_AXIS)

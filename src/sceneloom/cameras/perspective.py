@@ -138,9 +138,7 @@ def _limit(coefficients: tuple[float, ...]) -> float:
     k1, k2, _, _, k3, k4, k5, k6 = coefficients[:8]
     above, below = np.array([k3, k2, k1, 1.0]), np.array([k6, k5, k4, 1.0])
     # The slope of r N(s)/D(s), s = r², has the sign of N D + 2 s (N' D - N D').
-    bend: Float64Array = np.polysub(
-        np.polymul(np.polyder(above), below), np.polymul(above, np.polyder(below))
-    )
+    bend: Float64Array = np.polysub(np.polymul(np.polyder(above), below), np.polymul(above, np.polyder(below)))
     slope = np.polyadd(np.polymul(above, below), np.polymul([2.0, 0.0], bend))
     limit = math.sqrt(min(first_positive_root(slope), first_positive_root(below)))
     if not any(coefficients[2:4] + coefficients[8:14]):

@@ -125,17 +125,14 @@ def undistorted_camera(
         OptionError: `keep` is not between 0 and 1.
     """
     if not 0.0 <= keep <= 1.0:
-        raise OptionError(
-            f"keep {keep}; expected a number from 0 (valid pixels only) to 1 (all that is seen)"
-        )
+        raise OptionError(f"keep {keep}; expected a number from 0 (valid pixels only) to 1 (all that is seen)")
     size = np.array([width or camera.width, height or camera.height], np.float64)
     valid, whole = _rectangles(_border_on_plane(camera))
     ratio = np.array([1.0, camera.fy / camera.fx])
     fits = [np.maximum(size - 1.0, 1.0) / (area[1] - area[0]) / ratio for area in (valid, whole)]
     focal = np.array([fits[0].max(), fits[1].min()])[:, None] * ratio
     centers = [
-        0.5 * (size - 1.0) - length * area.mean(axis=0)
-        for length, area in zip(focal, (valid, whole), strict=True)
+        0.5 * (size - 1.0) - length * area.mean(axis=0) for length, area in zip(focal, (valid, whole), strict=True)
     ]
     fx, fy = (1.0 - keep) * focal[0] + keep * focal[1]
     cx, cy = (1.0 - keep) * centers[0] + keep * centers[1]

@@ -50,9 +50,7 @@ class Drive:
     @property
     def called(self) -> str:
         """What people call it: its path, and its name in a data set."""
-        return (
-            f"{self.path} (sequence {self.reading['sequence']})" if "sequence" in self.reading else self.path
-        )
+        return f"{self.path} (sequence {self.reading['sequence']})" if "sequence" in self.reading else self.path
 
     @property
     def name(self) -> str:
@@ -200,11 +198,7 @@ class _Run:
             tried |= {drive.name for drive in due}
             lost = self._read(due, files, done) - tried
             done += len(due)
-            due = [
-                Drive(entry.path, entry.options)
-                for scene, entry in self._parts.entries.items()
-                if scene in lost
-            ]
+            due = [Drive(entry.path, entry.options) for scene, entry in self._parts.entries.items() if scene in lost]
             files = _looked_at(due)
 
     def _read(self, drives: Sequence[Drive], files: Mapping[str, str], before: int) -> set[str]:
@@ -451,9 +445,7 @@ def _updated(
     run = _Run(parts, layout.drafts, checks, workers=workers, progress=progress)
     run.go(due, files, done=len(drives) - len(due))
     lost = [
-        Failure(
-            path=damage.file, error=f"{damage}; delete it, and state `update` with the paths of its drives"
-        )
+        Failure(path=damage.file, error=f"{damage}; delete it, and state `update` with the paths of its drives")
         for damage in parts.lost
     ]
     return CatalogReport(

@@ -152,9 +152,7 @@ def opened(catalogue: str | Path) -> Iterator[Database]:
     try:
         import duckdb
     except ImportError as error:
-        raise MissingExtraError(
-            f"queries need duckdb: install it with {how_to_install('catalog')}"
-        ) from error
+        raise MissingExtraError(f"queries need duckdb: install it with {how_to_install('catalog')}") from error
     with duckdb.connect(":memory:", config=_AT_THE_START) as connection:
         database = Database(connection, duckdb, layout)
         try:
@@ -238,9 +236,7 @@ class Selection:
             if bounds is not None and not bounds[0] <= bounds[1]:
                 raise OptionError(f"{name} from {bounds[0]} to {bounds[1]}; expected the lesser number first")
         if self.near is not None and not (abs(self.near[0]) <= 90 and abs(self.near[1]) <= 360):
-            raise OptionError(
-                f"near {self.near[0]}, {self.near[1]}; expected latitude and longitude in degrees"
-            )
+            raise OptionError(f"near {self.near[0]}, {self.near[1]}; expected latitude and longitude in degrees")
         if self.near is not None and not self.near[2] >= 0:
             raise OptionError(f"near: {self.near[2]} m; expected 0 or more")
         if self.count is not None and self.count < 1:
@@ -297,9 +293,7 @@ def _timed(value: float | str, name: str, sign: str) -> _Part:
         ) from error
     moment = moment.replace(tzinfo=moment.tzinfo or UTC)
     since = moment - datetime(1970, 1, 1, tzinfo=UTC)
-    return f"m.timestamp_ns {sign} ?", (
-        (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000,
-    )
+    return f"m.timestamp_ns {sign} ?", ((since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000,)
 
 
 def _near(latitude: float, longitude: float, metres: float) -> _Part:
@@ -368,9 +362,7 @@ def sql_of(selection: Selection, *, show: str = "spans", gap: float = 1.0, margi
     if show == "rows":
         sql = _ROWS.format(chosen=chosen, least=int(least), options=_OPTIONS)
         return sql, values
-    sql = _SPANS.format(
-        chosen=chosen, least=int(least), options=_OPTIONS, gap=_number(gap), margin=_number(margin)
-    )
+    sql = _SPANS.format(chosen=chosen, least=int(least), options=_OPTIONS, gap=_number(gap), margin=_number(margin))
     return (f"{sql} {_OF_SPANS}" if show == "spans" else f"{sql} {_OF_DRIVES}"), values
 
 

@@ -303,9 +303,7 @@ def track_rows(scene: Scene, rows: BoxRows, away: Float64Array, start_ns: int) -
         numbers[track, 2] = np.linalg.norm(np.diff(rows.solids[mine, :3], axis=0), axis=1).sum()
         numbers[track, 3] = np.fmin.reduce(away[mine])
     stated = [_stated(annotation) for annotation in scene.annotations]
-    texts = {
-        name: [row[name] for row in stated] for name in ("annotation", "type", "label", "parent", "sensor")
-    }
+    texts = {name: [row[name] for row in stated] for name in ("annotation", "type", "label", "parent", "sensor")}
     return {
         "track": np.arange(count),
         **texts,
@@ -409,9 +407,7 @@ def scene_rows(
         "attributes": _attribute_rows(scene),
         "findings": _findings(findings),
     }
-    first_lla = (
-        ego.positions_lla(np.array([start_ns]))[0] if summary.start_ns is not None else (np.nan, np.nan)
-    )
+    first_lla = ego.positions_lla(np.array([start_ns]))[0] if summary.start_ns is not None else (np.nan, np.nan)
     whole = {
         "path": path,
         "options": json.dumps(dict(options), sort_keys=True),

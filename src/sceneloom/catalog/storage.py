@@ -79,9 +79,7 @@ class Layout:
                 "`--overwrite`"
             )
         if not there and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise OutputError(
-                f"{folder}: holds something else; expected a new name, an empty folder or a catalogue"
-            )
+            raise OutputError(f"{folder}: holds something else; expected a new name, an empty folder or a catalogue")
         try:
             folder.mkdir(exist_ok=True)
             draft = folder / f".{MARKER}.{os.getpid()}"
@@ -197,9 +195,7 @@ def read_footer(path: Path) -> tuple[int, Any]:
     except (pa.ArrowException, OSError) as error:
         raise DataError(path, "", _problem(error)) from error
     except (KeyError, ValueError, RecursionError) as error:
-        raise DataError(
-            path, "", "does not report which scenes it holds; expected a file of a catalogue"
-        ) from error
+        raise DataError(path, "", "does not report which scenes it holds; expected a file of a catalogue") from error
 
 
 def _check_unpacked(path: Path, footer: Any) -> None:
@@ -231,9 +227,7 @@ def pyarrow() -> tuple[Any, Any]:
         import pyarrow as pa
         from pyarrow import parquet
     except ImportError as error:
-        raise MissingExtraError(
-            f"catalogues need pyarrow: install it with {how_to_install('catalog')}"
-        ) from error
+        raise MissingExtraError(f"catalogues need pyarrow: install it with {how_to_install('catalog')}") from error
     return pa, parquet
 
 
@@ -413,9 +407,7 @@ class Parts:
         self._parts[number] = _Part()
         return number
 
-    def _rewrite(
-        self, number: int, fresh: Iterable[Fresh], *, gone: AbstractSet[str] = frozenset()
-    ) -> set[str]:
+    def _rewrite(self, number: int, fresh: Iterable[Fresh], *, gone: AbstractSet[str] = frozenset()) -> set[str]:
         before, coming, now = self._parts[number], {one.scene: one for one in fresh}, _Part()
         staying = set(before.entries) - set(coming) - gone
         lost: set[str] = set()

@@ -74,9 +74,7 @@ class PartTable:
         """Where a part stands in the file."""
         return subject.annotation_paths[int(self.numbers[part])] + self.suffixes[part]
 
-    def hits(
-        self, subject: Subject, bad: BoolArray, state: Callable[[int], str], *, within: str = ""
-    ) -> Iterator[Hit]:
+    def hits(self, subject: Subject, bad: BoolArray, state: Callable[[int], str], *, within: str = "") -> Iterator[Hit]:
         """Give one hit for each part that has rows at fault.
 
         Args:

@@ -148,9 +148,7 @@ def _count_in_boxes(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     return iter(())
 
 
-def _count_points(
-    subject: Subject, evidence: _Evidence, points_world: Float64Array, rows: Float64Array
-) -> None:
+def _count_points(subject: Subject, evidence: _Evidence, points_world: Float64Array, rows: Float64Array) -> None:
     """Count the points in some boxes near the middle of a sweep, but for those just above their floors."""
     from scipy.spatial import cKDTree
 
@@ -195,9 +193,7 @@ def _against_points(subject: Subject) -> Iterator[Hit]:
         return
     if angles and angles[best] > max(angles[stated], _ALONG_DEG):
         return
-    problem = (
-        f"read as {stated} {found.boxes} boxes hold {points[stated]} points, read as {best} {points[best]}"
-    )
+    problem = f"read as {stated} {found.boxes} boxes hold {points[stated]} points, read as {best} {points[best]}"
     if angles:
         problem += (
             f"; headings are {angles[stated]:.0f}° and {angles[best]:.0f}° off the motion, in the median of "
@@ -336,9 +332,7 @@ def _size_changes(subject: Subject) -> Iterator[Hit]:
     smaller, larger = np.minimum(before, after), np.maximum(before, after)
     jumps = (larger > _SIZE_FACTOR * smaller) & (larger - smaller > _SIZE_CHANGE_M) & np.isfinite(larger)
     bad = _from_second(table, _in_any(jumps))
-    return _hits(
-        subject, bad, lambda row: f"size {_numbers(sizes[row])} m after {_numbers(sizes[row - 1])} m"
-    )
+    return _hits(subject, bad, lambda row: f"size {_numbers(sizes[row])} m after {_numbers(sizes[row - 1])} m")
 
 
 def _from_second(table: PartTable, bad_steps: BoolArray) -> BoolArray:

@@ -155,8 +155,7 @@ _ALIKE = 0.8
 _TYPED = {"sensors": sensor_record, "annotations": annotation_record}
 
 _EXPECTED = {
-    record: tuple(name for name, field in fields.items() if field.expected)
-    for record, fields in RECORDS.items()
+    record: tuple(name for name, field in fields.items() if field.expected) for record, fields in RECORDS.items()
 }
 
 _INNER = {

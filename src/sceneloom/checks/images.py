@@ -273,9 +273,7 @@ def _null(boxes: Float64Array) -> BoolArray:
 
 
 def _negative(subject: Subject) -> Iterator[Hit]:
-    return _box_hits(
-        subject, lambda boxes: np.asarray((boxes[:, 2:] < 0).any(axis=1)), "no negative width or height"
-    )
+    return _box_hits(subject, lambda boxes: np.asarray((boxes[:, 2:] < 0).any(axis=1)), "no negative width or height")
 
 
 def _without_area(subject: Subject) -> Iterator[Hit]:

@@ -77,9 +77,7 @@ def _located(subject: Subject, sensor: _Ranging) -> _Locations:
         own = points[PointsFrame.SENSOR] = sensor_source(scene, sensor, ego, reach_ns=reach_ns)
     if isinstance(sensor, LidarSensor):
         with suppress(SceneloomError):
-            on_ego = points_source(
-                scene, replace(sensor, points_frame=PointsFrame.EGO), ego, reach_ns=reach_ns
-            )
+            on_ego = points_source(scene, replace(sensor, points_frame=PointsFrame.EGO), ego, reach_ns=reach_ns)
             if on_ego is not None:
                 points[PointsFrame.EGO] = on_ego
     return _Locations(own, points)
@@ -95,9 +93,7 @@ def _transform_at(source: PoseSource | None, timestamp_ns: int) -> RigidTransfor
     return RigidTransform.from_quaternion(poses.positions[0], poses.quaternions_xyzw[0])
 
 
-def points_in_world(
-    subject: Subject, lidar: LidarSensor, sweep: LidarFrame, most: int
-) -> Float64Array | None:
+def points_in_world(subject: Subject, lidar: LidarSensor, sweep: LidarFrame, most: int) -> Float64Array | None:
     """At most about `most` finite points of a sweep in the world, (N, 3) [m]; None where its pose is not known."""
     source = _locations(subject, lidar).points.get(lidar.points_frame)
     world_from_points = _transform_at(source, sweep.timestamp_ns)

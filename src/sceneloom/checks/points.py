@@ -198,9 +198,7 @@ def _without_points(subject: Subject) -> Iterator[Hit]:
 def _collapsed(subject: Subject) -> Iterator[Hit]:
     for facts in _sensor_facts(subject).values():
         usual = float(np.median(list(facts.counts.values())))
-        few = [
-            (number, count) for number, count in facts.counts.items() if 0 < count < _COLLAPSED_SHARE * usual
-        ]
+        few = [(number, count) for number, count in facts.counts.items() if 0 < count < _COLLAPSED_SHARE * usual]
         if few and usual >= _ENOUGH_POINTS:
             number, count = few[0]
             message = f"{count} points; the sensor's frames have {usual:.0f} in the middle"
@@ -210,9 +208,7 @@ def _collapsed(subject: Subject) -> Iterator[Hit]:
 def _repeated(subject: Subject) -> Iterator[Hit]:
     for facts in _sensor_facts(subject).values():
         if facts.repeated:
-            message = (
-                f"{len(facts.repeated)} of {len(facts.counts)} frames have the very points of the one before"
-            )
+            message = f"{len(facts.repeated)} of {len(facts.counts)} frames have the very points of the one before"
             yield Hit(f"{facts.path}.frames[{facts.repeated[0]}]", message, count=len(facts.repeated))
 
 
@@ -392,9 +388,7 @@ def _labelled_points_repeated(subject: Subject) -> Iterator[Hit]:
         for entry in entries:
             repeated = len(entry.points.point_ids) - len(np.unique(entry.points.point_ids))
             if repeated:
-                yield Hit(
-                    f"{entry.path}.point_ids", f"{_points(repeated)} named twice in one list", count=repeated
-                )
+                yield Hit(f"{entry.path}.point_ids", f"{_points(repeated)} named twice in one list", count=repeated)
 
 
 def _each_once(scene: Scene) -> Scene:

@@ -130,9 +130,7 @@ def _rotations(subject: Subject) -> Iterator[Hit]:
             continue
         times = np.diff(timestamps_ns) / 1e9
         rotations = np.degrees(angle_between(quaternions_xyzw[:-1], quaternions_xyzw[1:]))
-        wrong = beyond_neighbours(
-            rotations, times, FASTEST_ROTATION_DEG, ROTATION_FACTOR, ROTATION_MARGIN_DEG
-        )
+        wrong = beyond_neighbours(rotations, times, FASTEST_ROTATION_DEG, ROTATION_FACTOR, ROTATION_MARGIN_DEG)
         for k in np.flatnonzero(wrong).tolist():
             problem = f"rotated by {rotations[k]:.1f} degrees in {times[k]:.3f} s, unlike the steps beside it"
             yield Hit(f"{path}.values[{k + 1}]", problem)
@@ -167,9 +165,7 @@ def _times_of_trajectories(subject: Subject) -> Iterator[Hit]:
         timestamps_ns = trajectory.timestamps_ns
         for k in np.flatnonzero(timestamps_ns[1:] <= timestamps_ns[:-1]).tolist():
             timestamp, before = trajectory.timestamps_ns[k + 1], trajectory.timestamps_ns[k]
-            yield Hit(
-                f"trajectories[{name}][{k + 1}]", f"{timestamp} ns after {before} ns; expected a later time"
-            )
+            yield Hit(f"trajectories[{name}][{k + 1}]", f"{timestamp} ns after {before} ns; expected a later time")
 
 
 def _odometry_ids(subject: Subject) -> set[tuple[type, str | int]]:
@@ -262,9 +258,7 @@ def _several_adjustments(subject: Subject) -> Iterator[Hit]:
 
 def _adjustment_short(subject: Subject) -> Iterator[Hit]:
     # inertial sensors and satellite receivers begin and end as they like; what is corrected are frames
-    framed = tuple(
-        s for s in subject.scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor)
-    )
+    framed = tuple(s for s in subject.scene.sensors if isinstance(s, LidarSensor | RadarSensor | CameraSensor))
     span = time_span(replace(subject.scene, sensors=framed))
     if span is None:
         return
@@ -275,9 +269,7 @@ def _adjustment_short(subject: Subject) -> Iterator[Hit]:
             continue
         missing_ns = max(poses.start_ns - span[0], span[1] - poses.stop_ns)
         if missing_ns > period_ns:
-            reported = (
-                f"{poses.start_ns} to {poses.stop_ns} ns; the frames' times are {span[0]} to {span[1]} ns"
-            )
+            reported = f"{poses.start_ns} to {poses.stop_ns} ns; the frames' times are {span[0]} to {span[1]} ns"
             yield Hit(f"{path}.poses", reported)
 
 

@@ -155,9 +155,7 @@ class Subject:
 
     def sensor(self, sensor_id: Identifier) -> Sensor | None:
         """The sensor of that id, of that very type, or None."""
-        known = self.table(
-            "sensors by id", lambda inner: {key_of(one.id): one for one in inner.scene.sensors}
-        )
+        known = self.table("sensors by id", lambda inner: {key_of(one.id): one for one in inner.scene.sensors})
         return known.get((type(sensor_id), sensor_id))
 
 

@@ -63,9 +63,7 @@ def _unknown_sensors(subject: Subject) -> Iterator[Hit]:
     for location, sensor in _items(subject, "sensors"):
         kind = _type_of(sensor)
         if kind not in VALIDATED_SENSORS:
-            yield _hit(
-                (*location, "type"), f"{kind!r}; the library validates {', '.join(VALIDATED_SENSORS)} only"
-            )
+            yield _hit((*location, "type"), f"{kind!r}; the library validates {', '.join(VALIDATED_SENSORS)} only")
 
 
 def _unknown_annotations(subject: Subject) -> Iterator[Hit]:
@@ -151,9 +149,7 @@ def _path_faults(path: Mapping[str, Any], columns: int, location: Location, *, e
     if not rows and not empty:
         yield _hit((*location, "values"), f"no rows; expected at least one of {columns} numbers")
     elif len(timestamps) != len(rows):
-        yield _hit(
-            (*location, "values"), f"{len(rows)} rows for {len(timestamps)} timestamps; expected as many"
-        )
+        yield _hit((*location, "values"), f"{len(rows)} rows for {len(timestamps)} timestamps; expected as many")
     for index, row in enumerate(rows):
         if len(row) != columns:
             yield _hit((*location, "values", index), f"{len(row)} numbers; expected {columns}")

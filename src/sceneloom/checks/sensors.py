@@ -112,9 +112,7 @@ def _empty(subject: Subject) -> Iterator[Hit]:
     """
     named = {(type(mention.sensor_id), mention.sensor_id) for mention in _sensor_mentions(subject)}
     empty = [
-        (path, sensor)
-        for path, sensor in subject.sensors()
-        if _count(sensor) == 0 and key_of(sensor.id) not in named
+        (path, sensor) for path, sensor in subject.sensors() if _count(sensor) == 0 and key_of(sensor.id) not in named
     ]
     reported = sum(fault.code in _EMPTYING for fault in subject.faults)
     explained = sum(isinstance(sensor, CameraSensor) for _, sensor in empty) <= reported
@@ -155,9 +153,7 @@ def _dangling_parents(subject: Subject) -> Iterator[Hit]:
 
 def _sensor_cycles(subject: Subject) -> Iterator[Hit]:
     parents: dict[Key, Key] = {
-        key_of(s.id): (type(s.parent_id), s.parent_id)
-        for s in subject.scene.sensors
-        if s.parent_id is not None
+        key_of(s.id): (type(s.parent_id), s.parent_id) for s in subject.scene.sensors if s.parent_id is not None
     }
     for path, sensor in subject.sensors():
         start: Key = key_of(sensor.id)
@@ -202,9 +198,7 @@ def _off_the_earth(subject: Subject) -> Iterator[Hit]:
         wrong = np.flatnonzero((np.abs(latitudes) > 90) | (np.abs(longitudes) > 180))
         if len(wrong):
             k = wrong[0]
-            problem = (
-                f"latitude {latitudes[k]}, longitude {longitudes[k]}; expected at most 90 and 180 degrees"
-            )
+            problem = f"latitude {latitudes[k]}, longitude {longitudes[k]}; expected at most 90 and 180 degrees"
             yield Hit(f"{path}.positions_lla[{k}]", problem, len(wrong))
 
 
@@ -308,9 +302,7 @@ def _several_for_a_sensor(subject: Subject) -> Iterator[Hit]:
             for k, part in enumerate(parts):
                 before = first.setdefault(key_of(part.sensor_id), k)
                 if before != k:
-                    problem = (
-                        f"{part.sensor_id!r} has one already, at [{before}]; expected one for each sensor"
-                    )
+                    problem = f"{part.sensor_id!r} has one already, at [{before}]; expected one for each sensor"
                     yield Hit(f"{location}[{k}].sensor_id", problem)
 
 
@@ -380,9 +372,7 @@ def _unused(subject: Subject) -> Iterator[Hit]:
         used |= {key_of(link.from_id), key_of(link.to_id)}
     for path, annotation in subject.annotations():
         if _says_nothing(annotation) and key_of(annotation.id) not in used:
-            yield Hit(
-                path, f"the {annotation.type} {annotation.id!r} has no members, no links and no attributes"
-            )
+            yield Hit(path, f"the {annotation.type} {annotation.id!r} has no members, no links and no attributes")
 
 
 def _says_nothing(annotation: Annotation) -> bool:
@@ -401,9 +391,7 @@ def _unknown_points(subject: Subject) -> Iterator[Hit]:
 
 def _spellings(subject: Subject) -> Iterator[Hit]:
     """Group labels by their letters and digits alone; of several in a group, one spelling is meant."""
-    counts = Counter(
-        label for a in subject.scene.annotations if isinstance(label := getattr(a, "label", None), str)
-    )
+    counts = Counter(label for a in subject.scene.annotations if isinstance(label := getattr(a, "label", None), str))
     groups: dict[str, list[str]] = defaultdict(list)
     for label in counts:
         groups["".join(letter for letter in label.casefold() if letter.isalnum())].append(label)

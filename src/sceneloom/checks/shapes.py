@@ -42,9 +42,7 @@ _MOST_VERTICES = 1_000
 def _hits_of(subject: Subject, judge: Callable[[ShapeAnnotation, Float64Array], str | None]) -> Iterator[Hit]:
     """Give a hit for each shape that has keyframes of which `judge` says something; the first one is reported."""
     for path, shape in subject.annotations_of(ShapeAnnotation):
-        found = [
-            (k, stated) for k, v in enumerate(shape.path.vertices) if (stated := judge(shape, v)) is not None
-        ]
+        found = [(k, stated) for k, v in enumerate(shape.path.vertices) if (stated := judge(shape, v)) is not None]
         if found:
             first, message = found[0]
             yield Hit(f"{path}.path.values[{first}]", message, count=len(found))
@@ -72,11 +70,7 @@ def _several_points(subject: Subject) -> Iterator[Hit]:
 def _not_finite(subject: Subject) -> Iterator[Hit]:
     def judge(_: ShapeAnnotation, vertices: Float64Array) -> str | None:
         rows = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-        return (
-            f"vertex {rows[0]} is {vertices[rows[0]].tolist()}; expected finite numbers"
-            if len(rows)
-            else None
-        )
+        return f"vertex {rows[0]} is {vertices[rows[0]].tolist()}; expected finite numbers" if len(rows) else None
 
     yield from _hits_of(subject, judge)
     table = annotation_parts(subject, "points")
@@ -319,19 +313,13 @@ def _static_changes(subject: Subject) -> Iterator[Hit]:
     for stated in _attributes(subject):
         different = [k for k, value in enumerate(stated.values) if not _same(value, stated.values[0])]
         if stated.static and different:
-            message = (
-                f"{stated.name!r} is static and {stated.values[0]!r}, then {stated.values[different[0]]!r}"
-            )
+            message = f"{stated.name!r} is static and {stated.values[0]!r}, then {stated.values[different[0]]!r}"
             yield Hit(f"{stated.path}.values[{different[0]}]", message, count=len(different))
 
 
 def _static_repeats(subject: Subject) -> Iterator[Hit]:
     for stated in _attributes(subject):
-        if (
-            stated.static
-            and len(stated.values) > 1
-            and all(_same(value, stated.values[0]) for value in stated.values)
-        ):
+        if stated.static and len(stated.values) > 1 and all(_same(value, stated.values[0]) for value in stated.values):
             message = f"{stated.name!r} is static and reported {len(stated.values)} times; once is enough"
             yield Hit(stated.path, message)
 
@@ -352,9 +340,7 @@ def _once(attribute: AttributePath) -> AttributePath:
     values, times = attribute.values, attribute.timestamps_ns
     if not attribute.static or len(values) < 2 or not all(_same(value, values[0]) for value in values):
         return attribute
-    return replace(
-        attribute, values=values[:1], timestamps_ns=None if times is None else read_only(times[:1])
-    )
+    return replace(attribute, values=values[:1], timestamps_ns=None if times is None else read_only(times[:1]))
 
 
 def _without_times(subject: Subject) -> Iterator[Hit]:

@@ -132,9 +132,7 @@ def _gaps(subject: Subject) -> Iterator[Hit]:
     for path, intervals, usual in _intervals(subject):
         for k in np.flatnonzero(intervals > _GAP * usual).tolist():
             missing = round(intervals[k] / usual) - 1
-            problem = (
-                f"{seconds(intervals[k])} to the next frame, {seconds(usual)} usually; {missing} seem missing"
-            )
+            problem = f"{seconds(intervals[k])} to the next frame, {seconds(usual)} usually; {missing} seem missing"
             yield Hit(f"{path}[{k}]", problem, max(missing, 1))
 
 
@@ -180,8 +178,7 @@ def _starts_late(subject: Subject) -> Iterator[Hit]:
     span = _file_span(subject.scene)
     if span is not None and LATEST_START_NS < span[0] < _EARLIEST_EPOCH_NS:
         problem = (
-            f"timestamps begin {seconds(span[0])} after the clock's zero; expected at most "
-            f"{seconds(LATEST_START_NS)}"
+            f"timestamps begin {seconds(span[0])} after the clock's zero; expected at most {seconds(LATEST_START_NS)}"
         )
         yield Hit("time_offset", problem)
 
@@ -347,9 +344,7 @@ def _all_equal(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
     if isinstance(frame.frame, LidarFrame):
         times = frame.frame.points.timestamps_ns
         if times is not None and len(times) > 1 and times.min() == times.max():
-            problem = (
-                f"all {len(times)} are {int(times[0])} ns; they state nothing about the motion in the sweep"
-            )
+            problem = f"all {len(times)} are {int(times[0])} ns; they state nothing about the motion in the sweep"
             _note_observation(subject, "point-times-equal", frame, problem)
     return ()
 
@@ -418,9 +413,7 @@ def _all_timed_parts(subject: Subject) -> PartTable:
         for k, attribute in enumerate(getattr(annotation, "attributes", ())):
             if attribute.timestamps_ns is not None:
                 entries.append((number, f".attributes[{k}]", attribute))
-        poses = (
-            annotation.poses if isinstance(annotation, LocalizationAdjustment | CameraCalibration) else None
-        )
+        poses = annotation.poses if isinstance(annotation, LocalizationAdjustment | CameraCalibration) else None
         if poses is not None:
             entries.append((number, ".poses", poses))
     return PartTable.of(entries)
@@ -539,9 +532,7 @@ def _outside(subject: Subject) -> Iterator[Hit]:
         outside = _is_outside(int(times.min()), int(times.max()), bounds)
         if outside and not _holds_always(subject, table, part):
             nearest = int(times.min()) if times.min() > bounds[1] else int(times.max())
-            yield Hit(
-                f"{table.location(subject, part)}.timestamps", _stated_outside(nearest, bounds), len(times)
-            )
+            yield Hit(f"{table.location(subject, part)}.timestamps", _stated_outside(nearest, bounds), len(times))
     for path, event in subject.annotations_of(EventAnnotation):
         length_ns = event.duration_ns or 0
         stop_ns = event.start_ns + (int(length_ns) if 0 < length_ns < np.inf else 0)
@@ -592,9 +583,7 @@ def _part_is_outside(table: PartTable, part: int, bounds: tuple[int, int]) -> bo
 def _holds_always(subject: Subject, table: PartTable, part: int) -> bool:
     """Whether a part holds at all times: of something that is stationary, or a static attribute."""
     annotation, found = subject.scene.annotations[int(table.numbers[part])], table.parts[part]
-    return bool(getattr(annotation, "stationary", None)) or (
-        isinstance(found, AttributePath) and bool(found.static)
-    )
+    return bool(getattr(annotation, "stationary", None)) or (isinstance(found, AttributePath) and bool(found.static))
 
 
 def _stated_outside(time_ns: int, bounds: tuple[int, int]) -> str:

@@ -98,8 +98,7 @@ def _examined(examination: Examination, path: str | Path) -> Subject:
 def _examined_recording(examination: RecordingExamination, path: Path) -> Subject:
     scene = examination.scene or _nothing(path, "recording")
     faults = tuple(
-        fault if fault.code in FAULT_CODES else replace(fault, code=UNREADABLE)
-        for fault in examination.faults
+        fault if fault.code in FAULT_CODES else replace(fault, code=UNREADABLE) for fault in examination.faults
     )
     return Subject(scene, faults=faults, recording=examination.contents)
 
@@ -117,9 +116,7 @@ def _opened(form: FormatSpec, path: Path, options: dict[str, Any]) -> Subject:
 
 
 def _unreadable(path: Path, error: DataError) -> PlacedFault:
-    location = ": ".join(
-        part for part in (error.file.removeprefix(str(path)).lstrip("/"), error.location) if part
-    )
+    location = ": ".join(part for part in (error.file.removeprefix(str(path)).lstrip("/"), error.location) if part)
     return PlacedFault(location, error.problem, "unreadable")
 
 
@@ -175,9 +172,7 @@ RULE_TABLES: tuple[str, ...] = (
 def all_rules() -> tuple[Rule, ...]:
     """Every rule of every profile."""
     tables = (table.split(":") for table in RULE_TABLES)
-    return tuple(
-        r for module, name in tables for r in getattr(import_module(f"{__package__}.{module}"), name)
-    )
+    return tuple(r for module, name in tables for r in getattr(import_module(f"{__package__}.{module}"), name))
 
 
 def chosen_rules(
@@ -365,9 +360,7 @@ class ValidationReport(msgspec.Struct, frozen=True, kw_only=True):
     unwritten: str | None = None
 
 
-def findings_of(
-    hits: _Hits, rules: Sequence[Rule], *, locations: int | None = LOCATIONS
-) -> tuple[Finding, ...]:
+def findings_of(hits: _Hits, rules: Sequence[Rule], *, locations: int | None = LOCATIONS) -> tuple[Finding, ...]:
     """Make findings of hits, the worst first.
 
     Args:
@@ -440,9 +433,7 @@ class _Terms:
             return hits
         of_file = {rule.id for rule in FAULT_RULES}
         return {
-            rule: found
-            if rule in of_file
-            else [replace(hit, path=subject.path_in_file(hit.path)) for hit in found]
+            rule: found if rule in of_file else [replace(hit, path=subject.path_in_file(hit.path)) for hit in found]
             for rule, found in hits.items()
         }
 
@@ -562,9 +553,7 @@ def _write(scene: Scene, path: Path, profile: str | None, *, overwrite: bool) ->
     return write_scene(scene, path, overwrite=overwrite, **options.get(format_for_output(path).name, {}))
 
 
-def _after_fixing(
-    before: ValidationReport, applied: frozenset[str], output: Path, terms: _Terms
-) -> ValidationReport:
+def _after_fixing(before: ValidationReport, applied: frozenset[str], output: Path, terms: _Terms) -> ValidationReport:
     """Check what was written, and state what of the findings before is repaired or was left out."""
     subject = open_subject(output)
     with subject.scene:

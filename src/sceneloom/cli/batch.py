@@ -201,8 +201,7 @@ def _further(name: str, values: dict[str, Any]) -> "tuple[Further, ...]":
     for option in wanted:
         values[option] = str(values[option])
     return tuple(
-        Further(option=option, location=values[option], is_folder=option in batched.folders)
-        for option in wanted
+        Further(option=option, location=values[option], is_folder=option in batched.folders) for option in wanted
     )
 
 
@@ -376,9 +375,7 @@ def find_listed(
 
 def options_of(drive: "Input") -> dict[str, Any]:
     """How a list states that a drive is opened."""
-    return {
-        name.removeprefix(READING): value for name, value in drive.options.items() if name.startswith(READING)
-    }
+    return {name.removeprefix(READING): value for name, value in drive.options.items() if name.startswith(READING)}
 
 
 # one drive
@@ -424,9 +421,7 @@ def run_verb(location: str, output: Path, values: Mapping[str, Any]) -> Any:
     name = given.pop("verb")
     batched, command = BATCHED[name], verb_named(name)
     fixed = {"as_json": True, "quiet": True, "verbose": True, "overwrite": False}
-    given |= {
-        parameter.name: fixed[parameter.name] for parameter in command.params if parameter.name in fixed
-    }
+    given |= {parameter.name: fixed[parameter.name] for parameter in command.params if parameter.name in fixed}
     given[batched.drive] = options.location(location)
     if batched.output:
         given[batched.output] = output
@@ -517,9 +512,7 @@ def status(
         return
     counts = {state: sum(row.state is state for row in rows) for state in State}
     parts = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
-    click.echo(
-        f"{redacted(output)}: {reported.get('verb', '')} over {several(len(rows), 'drive')}: {parts or 'none'}"
-    )
+    click.echo(f"{redacted(output)}: {reported.get('verb', '')} over {several(len(rows), 'drive')}: {parts or 'none'}")
     if quiet:
         return
     stages = sorted(figures.stages.items(), key=lambda stage: -stage[1])
@@ -550,9 +543,7 @@ def _print_summary(summary: "RunSummary", *, verbose: bool) -> None:
     parts += [f"{summary.skipped} of them before and unchanged"] if summary.skipped else []
     parts += [f"{summary.failed} failed"] if summary.failed else []
     parts += [several(summary.retried, "further try", "further tries")] if summary.retried else []
-    click.echo(
-        f"{summary.verb}: {several(summary.total, 'drive')} in {summary.seconds:.1f} s: {', '.join(parts)}"
-    )
+    click.echo(f"{summary.verb}: {several(summary.total, 'drive')} in {summary.seconds:.1f} s: {', '.join(parts)}")
     together = summary.record == summary.output
     click.echo(f"outputs{' and record' if together else ''}: {summary.output}")
     if not together:

@@ -110,9 +110,7 @@ def _asked_repair(given: dict[str, Any]) -> str | None:
     """
     asked = [name for name in _REPAIRS if given[name]]
     if len(asked) > 1:
-        raise click.UsageError(
-            f"{' and '.join('--' + name.replace('_', '-') for name in asked)}: state one of them"
-        )
+        raise click.UsageError(f"{' and '.join('--' + name.replace('_', '-') for name in asked)}: state one of them")
     if not asked:
         stated = [name for name in _OF_REPAIRS if given[name] is not None]
         if stated:
@@ -137,9 +135,7 @@ def _check(path: Path | str, given: dict[str, Any], printer: Printer, reading: d
         names = ("camera", "lidar", "start", "stop", "images", "motion")
         options.refuse(useless, names, "a folder of KITTI's sequences is judged by its boxes")
         return _check_folder(path, given, printer, lenient="lenient" in reading)
-    options.refuse(
-        given, ("det2d", "det3d"), f"{path} is no folder of KITTI's sequences, or has lists beside it"
-    )
+    options.refuse(given, ("det2d", "det3d"), f"{path} is no folder of KITTI's sequences, or has lists beside it")
     reading |= options.stated(sequence=options.one_sequence(given["sequences"]))
     if images is not None:
         is_empty = images.is_dir() and not any(images.iterdir())
@@ -169,9 +165,7 @@ def _check_folder(path: Path | str, given: dict[str, Any], printer: Printer, *, 
     from sceneloom.formats.kitti.tracking_reader import open_tracking_folder
     from sceneloom.pipeline.calibrating import check_sequences
 
-    tracking = open_tracking_folder(
-        path, detector_2d=given["det2d"], detector_3d=given["det3d"], lenient=lenient
-    )
+    tracking = open_tracking_folder(path, detector_2d=given["det2d"], detector_3d=given["det3d"], lenient=lenient)
     found = check_sequences(tracking, given["sequences"])
     printer.show(found, _print_healths)
     verdicts = {str(health.verdict) for health in found}
@@ -216,9 +210,7 @@ def _item_row(item: "Item") -> tuple[str, ...]:
 # --refine, --hand-eye, --lidar-to-lidar, --target
 
 
-def _repair(
-    path: Path | str, repair: str, given: dict[str, Any], printer: Printer, reading: dict[str, Any]
-) -> int:
+def _repair(path: Path | str, repair: str, given: dict[str, Any], printer: Printer, reading: dict[str, Any]) -> int:
     """Repair, write, print, and give the exit code."""
     if given["images"] is not None and repair != "refine":
         raise click.UsageError("--visualize: with --check and --refine only")
@@ -247,9 +239,7 @@ def _repaired(scene: "Scene", repair: str, given: dict[str, Any], progress: Any)
     camera = options.known_id(scene, given["camera"])
     if repair == "target":
         board = given["target"]
-        return calibrating.calibrate_by_target(
-            scene, output, board=board, camera=camera, lidar=lidar, **common
-        )
+        return calibrating.calibrate_by_target(scene, output, board=board, camera=camera, lidar=lidar, **common)
     parameters = given["parameters"]
     changing = options.stated(parameters=None if parameters is None else tuple(parameters.split(",")))
     return calibrating.refine_drive(

@@ -117,9 +117,7 @@ def _print_report(report: "CatalogReport", printer: Printer) -> None:
         )
         if count
     ]
-    click.echo(
-        f"{report.catalogue}: {several(report.scenes, 'scene')}: {', '.join(parts) or 'nothing to do'}"
-    )
+    click.echo(f"{report.catalogue}: {several(report.scenes, 'scene')}: {', '.join(parts) or 'nothing to do'}")
     always = Printer(verbose=printer.verbose)
     always.notes([f"failed: {_reported(failure)}" for failure in report.failed])
     always.notes([f"not there any more: {path}; `--prune` takes it out" for path in report.gone])
@@ -206,9 +204,7 @@ def _selection(filters: dict[str, Any]) -> "Selection":
     pairs = [pair.partition("=") for pair in filters.pop("attributes")]
     for name, sign, value in pairs:
         if not (name and sign):
-            raise click.BadParameter(
-                f"{name + sign + value!r}; expected NAME=VALUE", param_hint="--attribute"
-            )
+            raise click.BadParameter(f"{name + sign + value!r}; expected NAME=VALUE", param_hint="--attribute")
     return Selection(attributes=tuple((name, value) for name, _, value in pairs), **filters)
 
 

@@ -23,18 +23,12 @@ _MOST = 10 * SHOWN
 @click.argument("second", type=options.location)
 @option("--tolerance-m=M", "Ignore distances up to this.", options.not_negative, default=0.0)
 @option("--tolerance-deg=DEG", "Ignore rotations up to this.", options.not_negative, default=0.0)
-@option(
-    "--tolerance-ns=NS", "Ignore differences of timestamps up to this.", options.not_negative, default=0.0
-)
+@option("--tolerance-ns=NS", "Ignore differences of timestamps up to this.", options.not_negative, default=0.0)
 @option("--tolerance-px=PX", "Ignore distances of pixels up to this.", options.not_negative, default=0.0)
-@option(
-    "--other-timestamps", "Take paths that are sampled at other timestamps for equal if their positions are."
-)
+@option("--other-timestamps", "Take paths that are sampled at other timestamps for equal if their positions are.")
 @option("--pixels", "Decode images whose bytes differ, and compare their pixels.")
 @reading_verb
-def diff(
-    first: Path | str, second: Path | str, printer: Printer, reading: dict[str, Any], **given: Any
-) -> int:
+def diff(first: Path | str, second: Path | str, printer: Printer, reading: dict[str, Any], **given: Any) -> int:
     """Report what differs between two drives, field by field; exit 0 where nothing does, 1 where something does."""
     from sceneloom.editing.diff import diff_scenes
     from sceneloom.formats.base.registry import open_scenes
@@ -45,9 +39,7 @@ def diff(
     ):
         found = diff_scenes(a, b, progress=progress, **given)
     if printer.as_json:
-        print_json(
-            {"equal": found.equal, "differences": found.differences, "not_compared": found.not_compared}
-        )
+        print_json({"equal": found.equal, "differences": found.differences, "not_compared": found.not_compared})
     else:
         _print(found, printer)
     return 0 if found.equal else 1

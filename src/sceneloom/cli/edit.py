@@ -202,9 +202,7 @@ _EDITS: Mapping[str, _Edit] = {
         "sceneloom.cli.edit:_applied",
         "Apply localization adjustments and camera calibrations, and remove them.",
         (
-            option(
-                "--only=ID…", "The only annotations to apply. [default: all adjustments and calibrations]"
-            ),
+            option("--only=ID…", "The only annotations to apply. [default: all adjustments and calibrations]"),
             _ANNOTATIONS_IN,
         ),
     ),
@@ -360,9 +358,7 @@ def _counted(
         **given,
     )
     totals = np.sum([lidar.counts.sum(axis=0) for lidar in counts.lidars], axis=0)
-    points = (
-        dict(zip(map(str, counts.annotation_ids), map(int, totals), strict=True)) if counts.lidars else {}
-    )
+    points = dict(zip(map(str, counts.annotation_ids), map(int, totals), strict=True)) if counts.lidars else {}
     details = {
         "cuboids": len(counts.annotation_ids),
         "points_in_cuboids": sum(points.values()),

@@ -51,9 +51,7 @@ _objects = options.stacked(
         "--sequence=NAME… sequences",
         "A sequence to take, such as 0003; may be repeated for KITTI's text. [default: all of the truth]",
     ),
-    option(
-        "-o --plot=OUT.png", "Plot the curves (.png, .svg, .pdf; needs sceneloom[report]).", options.target
-    ),
+    option("-o --plot=OUT.png", "Plot the curves (.png, .svg, .pdf; needs sceneloom[report]).", options.target),
     _overwrite,
     click.option(
         "--no-corrections",
@@ -380,9 +378,7 @@ def _relative_rows(relative: "tuple[RelativeErrors, ...]") -> list[tuple[str, ..
     for step in relative:
         percent, rotation = step.translation_percent, step.rotation_deg_per_m
         reported = "" if percent is None else f"{percent:.4g} %"
-        rows.append(
-            (step.delta, "m", *_error_cells(step.translation), reported, f"{step.translation_per_s:.4g} m/s")
-        )
+        rows.append((step.delta, "m", *_error_cells(step.translation), reported, f"{step.translation_per_s:.4g} m/s"))
         if step.rotation_deg is not None:
             reported = "" if rotation is None else f"{rotation:.4g} °/m"
             per_second = f"{step.rotation_deg_per_s:.4g} °/s"

@@ -26,9 +26,7 @@ if TYPE_CHECKING:
 @option("--from=FOLDER folder", "Write the template for what is in this folder.", options.source())
 @option("--overwrite", "Replace a template that exists.")
 @verb
-def formats(
-    name: str | None, template: Path | None, folder: Path | None, overwrite: bool, printer: Printer
-) -> None:
+def formats(name: str | None, template: Path | None, folder: Path | None, overwrite: bool, printer: Printer) -> None:
     """List the formats, the supported fields of one, or begin a `rig.toml` for your own data.
 
     With NAME: what becomes of each field of a scene that is written in that format.
@@ -37,9 +35,7 @@ def formats(
         _write_template(template, folder, overwrite=overwrite)
         return
     if folder is not None or overwrite:
-        raise click.UsageError(
-            f"{'--from' if folder else '--overwrite'} does nothing without --template rig.toml"
-        )
+        raise click.UsageError(f"{'--from' if folder else '--overwrite'} does nothing without --template rig.toml")
     if name is not None:
         from sceneloom.formats.listing import list_supported_fields
 

@@ -20,9 +20,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @click.command()
 @click.argument("path", type=options.location)
 @options.output("The .sfs file to write; for detections, the .jsonl file.", required=False)
-@option(
-    "--type=sensor|detection fusion_type", "Fuse clouds and images, or detections in them. [default: sensor]"
-)
+@option("--type=sensor|detection fusion_type", "Fuse clouds and images, or detections in them. [default: sensor]")
 @option(
     "--format=jsonl|kitti form",
     "For detections: JSON lines, or for KITTI's folders its text, without tracks. [default: jsonl]",
@@ -145,9 +143,7 @@ def _print_blind(report: "FusionReport") -> None:
     """Note cameras that see nothing of what the lidars see, as with most wrong extrinsics."""
     blind = [str(camera.camera) for camera in report.cameras if camera.paired and not camera.in_image_percent]
     if blind:
-        message = (
-            f"no point falls into the images of {', '.join(blind)}; where they look is in `sceneloom info`"
-        )
+        message = f"no point falls into the images of {', '.join(blind)}; where they look is in `sceneloom info`"
         click.echo(f"assumed: {message}: is the mounting right?", err=True)
 
 

@@ -34,9 +34,7 @@ _STANDARD = EgoAxes(np.eye(3), known=True)
 
 @click.command()
 @click.argument("path", type=options.location)
-@options.visualize(
-    "Draw the annotations into DIR: in the images, from above, over time, and each type by itself."
-)
+@options.visualize("Draw the annotations into DIR: in the images, from above, over time, and each type by itself.")
 @option("--at=S", "When to draw them. [default: the middle of the scene]", float)
 @options.overwrite
 @reading_verb
@@ -64,9 +62,7 @@ def info(
         drawn, undrawn = ([], ()) if images is None else _draw(scene, images, at, overwrite=overwrite)
         summary = structs.replace(summary, warnings=(*summary.warnings, *undrawn))
     if printer.as_json:
-        print_json(
-            summary if images is None else {**structs.asdict(summary), "images": list(map(str, drawn))}
-        )
+        print_json(summary if images is None else {**structs.asdict(summary), "images": list(map(str, drawn))})
         return
     _print_summary(summary, mountings)
     if drawn:
@@ -126,9 +122,7 @@ def _camera_model_range(sensor: SensorSummary) -> str | None:
     if found is None or found.camera_models < 2:
         return None
     ranges = {"fx": found.fx, "fy": found.fy, "cx": found.cx, "cy": found.cy}
-    differing = [
-        f"{name} {least:.6g} to {most:.6g}" for name, (least, most) in ranges.items() if least != most
-    ]
+    differing = [f"{name} {least:.6g} to {most:.6g}" for name, (least, most) in ranges.items() if least != most]
     px = f": {' '.join(differing)} px" if differing else ""
     return f"{found.camera_models} camera models among {several(sensor.count, 'image')}{px}"
 
@@ -168,9 +162,7 @@ def mounting_text(sensor: "Sensor", axes: EgoAxes = _STANDARD) -> str | None:
     rotation = axes.body_from_ego @ mount.matrix[:3, :3]
     x, y, z = mount.translation + 0.0
     facing = (
-        _camera_rotation(rotation)
-        if isinstance(sensor, CameraSensor | DepthCameraSensor)
-        else _body_rotation(rotation)
+        _camera_rotation(rotation) if isinstance(sensor, CameraSensor | DepthCameraSensor) else _body_rotation(rotation)
     )
     location = "" if not np.abs(mount.translation).max() else f" at ({x:.2f}, {y:.2f}, {z:.2f}) m"
     if facing and not axes.known:

@@ -110,9 +110,7 @@ def target(text: str) -> Path:
 
         return draft_of(text)
     if text == "-":
-        raise click.BadParameter(
-            "'-'; nothing is written to standard output: state the name of a file or folder"
-        )
+        raise click.BadParameter("'-'; nothing is written to standard output: state the name of a file or folder")
     return Path(text)
 
 
@@ -152,9 +150,7 @@ def one_sequence(given: Sequence[str]) -> str | None:
         click.UsageError: several were.
     """
     if len(given) > 1:
-        raise click.UsageError(
-            f"--sequence {' --sequence '.join(given)}: one drive is opened at a time; state one"
-        )
+        raise click.UsageError(f"--sequence {' --sequence '.join(given)}: one drive is opened at a time; state one")
     return given[0] if given else None
 
 
@@ -243,9 +239,7 @@ writing_scenes = stacked(
         "--profile=sfs|scale",
         "`scale`: a scene file that Scale's own library loads and validates. [default: sfs]",
     ),
-    option(
-        "--time-unit=microseconds|nanoseconds", "Unit of all times in a scene file. [default: microseconds]"
-    ),
+    option("--time-unit=microseconds|nanoseconds", "Unit of all times in a scene file. [default: microseconds]"),
 )
 """On every verb that writes `.sfs`."""
 
@@ -287,14 +281,10 @@ def trajectory_file(side: str, path: str) -> Callable[[Command], Command]:
     units = ("seconds", "milliseconds", "microseconds", "nanoseconds")
     return stacked(
         option(f"--{side}-form=FORM", f"Format of {path}: tum, kitti, euroc, gnss, csv, jsonl."),
-        option(
-            f"--{side}-times=FILE", f"Times of the poses of {path}, one per line, for KITTI files.", source()
-        ),
+        option(f"--{side}-times=FILE", f"Times of the poses of {path}, one per line, for KITTI files.", source()),
         option(f"--{side}-rate=HZ {side}_rate_hz", "Poses per second instead of times.", positive),
         option(f"--{side}-unit", f"Unit of the times in {path}. [default: that of its format]", units),
-        option(
-            f"--{side}-optical", f"{path} has a camera's poses: rotate z forward, y down to x forward, z up."
-        ),
+        option(f"--{side}-optical", f"{path} has a camera's poses: rotate z forward, y down to x forward, z up."),
     )
 
 
@@ -328,13 +318,9 @@ def stated(**values: Any) -> dict[str, Any]:
 
     others = pairs("--input-option", values.pop(INPUT_OPTIONS, ()))
     for name in sorted(_OF_ALL_FORMATS & others.keys()):
-        raise OptionError(
-            f"--input-option {name}: no format has this option; expected one that its page lists"
-        )
+        raise OptionError(f"--input-option {name}: no format has this option; expected one that its page lists")
     # what is also a flag of its own is true or false there, too
-    switched = {
-        name: as_flag(name, value) for name, value in others.items() if isinstance(values.get(name), bool)
-    }
+    switched = {name: as_flag(name, value) for name, value in others.items() if isinstance(values.get(name), bool)}
     kept = {name: value for name, value in values.items() if value is not None and value is not False}
     return {**kept, **others, **switched}
 

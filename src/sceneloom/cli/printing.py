@@ -60,8 +60,7 @@ class Printer:
         """Print what was assumed, repaired or left out; what was made of corrections first."""
         self.notes(
             [
-                ": ".join(filter(None, (warning.kind, warning.location, warning.message)))
-                + times(warning.count)
+                ": ".join(filter(None, (warning.kind, warning.location, warning.message))) + times(warning.count)
                 for warning in sorted(warnings, key=lambda warning: not _is_correction(warning))
             ]
         )

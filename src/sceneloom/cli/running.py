@@ -63,9 +63,7 @@ def _packed(values: Mapping[str, Any]) -> dict[str, Any]:
     given = dict(values)
     given["printer"] = Printer(given.pop("as_json"), given.pop("quiet"), given.pop("verbose"))
     if options.INPUT_OPTIONS in given:
-        given["reading"] = options.stated(
-            **{name: given.pop(name) for name in options.READING if name in given}
-        )
+        given["reading"] = options.stated(**{name: given.pop(name) for name in options.READING if name in given})
     return given
 
 
@@ -130,12 +128,7 @@ def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
 
 def _salvaging(drive: Path | None, error: DataError) -> str | None:
     """How what is whole is taken out of a scene file; None of other drives."""
-    if (
-        drive is None
-        or drive.suffix.lower() != ".sfs"
-        or str(error.file) != str(drive)
-        or not drive.is_file()
-    ):
+    if drive is None or drive.suffix.lower() != ".sfs" or str(error.file) != str(drive) or not drive.is_file():
         return None
     saved = drive.with_name(f"{drive.stem}-salvaged.sfs")
     return f"`{shlex.join(['sceneloom', 'salvage', str(drive), '-o', str(saved)])}` takes out what is whole"

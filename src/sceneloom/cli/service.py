@@ -90,9 +90,7 @@ def serve(
         from sceneloom.service.running import configured, serve_until_ended
         from sceneloom.service.server import Security, ServerSettings
 
-        limits, configure = configured(
-            config, **options.stated(most_sessions=max_sessions, idle_minutes=idle_minutes)
-        )
+        limits, configure = configured(config, **options.stated(most_sessions=max_sessions, idle_minutes=idle_minutes))
         security = Security(
             tls_certificate=tls_cert,
             tls_key=tls_key,
@@ -326,9 +324,7 @@ def get(
                 click.echo("stopped; what was fetched is kept", err=True)
         else:
             if not follow and not fetched and not _has_received(client):
-                problem = (
-                    f"session {_name(client)!r} has received no records; expected one that data were sent to"
-                )
+                problem = f"session {_name(client)!r} has received no records; expected one that data were sent to"
                 raise OptionError(f"{problem} (--session)")
     summary = {"address": address, "type": kind, "results": fetched, "output": output}
     if printer.as_json:

@@ -66,21 +66,15 @@ def sync(
 
 def _print_report(report: "SyncReport", printer: Printer) -> None:
     if not report.comparisons:
-        click.echo(
-            f"{report.source}: nothing to compare: two streams that report the ego's motion are needed"
-        )
+        click.echo(f"{report.source}: nothing to compare: two streams that report the ego's motion are needed")
         return
     click.echo(f"{report.source}: {several(len(report.off), 'stream')} off, against {report.reference}")
-    print_table(
-        [("stream", "against", "by", "offset [ms]", "skew [ppm]", "verdict"), *map(_row, report.comparisons)]
-    )
+    print_table([("stream", "against", "by", "offset [ms]", "skew [ppm]", "verdict"), *map(_row, report.comparisons)])
     if report.output is not None:
         for correction in report.applied:
             skew = f", skew {correction.skew_ppm:+.1f} ppm" if correction.skew_ppm else ""
             through = f" (through {correction.through})" if correction.through else ""
-            click.echo(
-                f"corrected: {correction.stream}: {-correction.offset_ns / 1e6:+.3f} ms{skew}{through}"
-            )
+            click.echo(f"corrected: {correction.stream}: {-correction.offset_ns / 1e6:+.3f} ms{skew}{through}")
         click.echo(f"written: {report.output}" + ("" if report.applied else ", as it was"))
     printer.warnings(report.warnings)
     printer.losses(report.losses)

@@ -35,9 +35,7 @@ _FILE = options.source(exists=True, dir_okay=False)
 @option("--as-measured", "Do not undo the motion of the sensor during a sweep.")
 @option("--detections=F", "Fused objects of `fuse --type detection`.", _FILE)
 @option("--tracks=F", "Tracked objects of `track`, as JSON lines.", _FILE)
-@option(
-    "--depth=DIR", "Depth images of `fuse --depth` or `depth`.", options.source(exists=True, file_okay=False)
-)
+@option("--depth=DIR", "Depth images of `fuse --depth` or `depth`.", options.source(exists=True, file_okay=False))
 @option("--no-findings", "Do not show the findings of `validate`.")
 @option("--map-tiles", "Let the viewer fetch a map from OpenStreetMap to show behind fixes.")
 @reading_verb
@@ -65,9 +63,7 @@ def view(
     settings = options.take(ViewSettings, given, findings=not given["no_findings"], reading=reading)
     sources = [*paths, *_listed(lists, quiet=printer.quiet)]
     if save is not None and web:
-        raise click.UsageError(
-            "--save and --web: the one keeps the view, the other shows it; state one of them"
-        )
+        raise click.UsageError("--save and --web: the one keeps the view, the other shows it; state one of them")
     with printer.progress("showing" if save is None else "saving") as progress:
         if save is not None:
             report = save_view(sources, save, settings=settings, overwrite=overwrite, progress=progress)

@@ -188,9 +188,7 @@ def _project(
 
     def project(_: int, a: int, b: int) -> None:
         part = room.part(a, b)
-        found.append(
-            (a, kernel(points_world[a:b], camera_from_world, camera_model, camera.width, camera.height, part))
-        )
+        found.append((a, kernel(points_world[a:b], camera_from_world, camera_model, camera.width, camera.height, part)))
 
     thread_pool.share(count, project)
     kept = 0

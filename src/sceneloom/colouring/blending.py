@@ -425,9 +425,7 @@ def blend_colours(
         )
         for view, index in zip(views, camera_indices, strict=True)
     ]
-    total = _Sum(
-        PointSources.none(count), np.full((count, 3), 255, np.float32), np.zeros((count, 3), np.float32)
-    )
+    total = _Sum(PointSources.none(count), np.full((count, 3), 255, np.float32), np.zeros((count, 3), np.float32))
     for samples, view, index in zip(found, views, camera_indices, strict=True):
         _take_better(samples, view, index, total)
     if chosen.mode == "best" or len(views) < 2:
@@ -574,9 +572,7 @@ def paint_points(
     for start in range(0, count, BLOCK):
         stop = min(start + BLOCK, count)
         block, ids = numbers[: stop - start], point_ids[start:stop]
-        _number_painted(
-            pixel_numbers[start:stop], size, visible[start:stop], ids, camera_index.shape[0], block
-        )
+        _number_painted(pixel_numbers[start:stop], size, visible[start:stop], ids, camera_index.shape[0], block)
         if eccentricities.shape[0] > 0:
             _choose(ids, flat_pixels[2 * start : 2 * stop], width, height, eccentricities, block)
         _paint_block(block, ids, flat_rgb, camera, flat_colors, camera_index)

@@ -198,9 +198,7 @@ class _Moving:
         if len(ids):
             find_points_in_boxes(cloud, locations, centers, rotations, halves, stops, ids)
         lists = [_NO_POINTS] * len(counts)
-        for row, part in zip(
-            rows.tolist(), np.split(ids.astype(np.uint32), np.cumsum(found)[:-1]), strict=True
-        ):
+        for row, part in zip(rows.tolist(), np.split(ids.astype(np.uint32), np.cumsum(found)[:-1]), strict=True):
             lists[row] = part
         return counts, tuple(lists)
 
@@ -271,9 +269,7 @@ class _Counter:
         return _Row(there, *boxes.count(points, listed=self.listed))
 
 
-def points_in_world(
-    location: PoseSource, positions: Float32Array, timestamps_ns: Int64Array
-) -> FloatArray | None:
+def points_in_world(location: PoseSource, positions: Float32Array, timestamps_ns: Int64Array) -> FloatArray | None:
     """Take points (N, 3) [m] into the world, each at its own time (N,) [ns].
 
     None where the trajectory does not reach so far.
@@ -458,9 +454,7 @@ def with_labeled_points(scene: Scene, counts: PointCounts) -> Scene:
 
 
 def _is_ours(annotation: Annotation) -> bool:
-    return isinstance(annotation, LabeledPointsAnnotation) and annotation.id == _points_id(
-        annotation.parent_id
-    )
+    return isinstance(annotation, LabeledPointsAnnotation) and annotation.id == _points_id(annotation.parent_id)
 
 
 def _points_id(identifier: Identifier | None) -> str:

@@ -53,9 +53,7 @@ FINE = _Steps(read_only([0.05, 0.2, np.inf], np.float64), read_only([4, 12, 64],
 """Within 0.1 px for all but what stands right before a bent camera model."""
 
 
-COARSE = _Steps(
-    read_only([0.1, 0.2, 0.4, 0.8, 1.6, np.inf], np.float64), read_only([3, 5, 8, 14, 32, 64], np.int64)
-)
+COARSE = _Steps(read_only([0.1, 0.2, 0.4, 0.8, 1.6, np.inf], np.float64), read_only([3, 5, 8, 14, 32, 64], np.int64))
 """Within 1 px, and three times as quick."""
 
 
@@ -194,9 +192,7 @@ class _Edges:
     shares: Float64Array
 
     @classmethod
-    def of(
-        cls, corners: Float64Array, drifts: Float64Array, directions: Float64Array, starts: Int64Array
-    ) -> "_Edges":
+    def of(cls, corners: Float64Array, drifts: Float64Array, directions: Float64Array, starts: Int64Array) -> "_Edges":
         """Put the directions of `sample_edges` on their edges."""
         counts = np.diff(starts)
         boxes = np.repeat(np.arange(len(corners)), counts)
@@ -204,9 +200,7 @@ class _Edges:
         locations = np.arange(len(directions)) - starts[boxes]
         joined = _EDGES[locations // np.maximum(samples, 1)]
         ends, moves = corners[boxes[:, None], joined], drifts[boxes[:, None], joined]
-        return cls(
-            ends, moves, _shares_along(ends, directions, locations % samples / np.maximum(samples - 1, 1))
-        )
+        return cls(ends, moves, _shares_along(ends, directions, locations % samples / np.maximum(samples - 1, 1)))
 
     def some(self, rows: Int64Array) -> "_Edges":
         return _Edges(self.ends[rows], self.drifts[rows], self.shares[rows])
@@ -231,9 +225,7 @@ def _shares_along(ends: Float64Array, directions: Float64Array, even: Float64Arr
     return shares
 
 
-def _rolled_limits(
-    edges: _Edges, leaving: Int64Array, camera: Camera, trajectory: ShutterDirection
-) -> Float64Array:
+def _rolled_limits(edges: _Edges, leaving: Int64Array, camera: Camera, trajectory: ShutterDirection) -> Float64Array:
     """Pixels (L, 2), corner convention, where steps leave the camera model between points within and beyond it."""
     steps = edges.some(leaving[:, 1])
     known, unknown = steps.shares.copy(), edges.shares[leaving[:, 2]].copy()
@@ -309,9 +301,7 @@ def sample_edges(
     units, arcs = np.empty((boxes, 8, 3)), np.empty((boxes, count, 4))
     for b in range(boxes):
         for c in range(8):
-            units[b, c, 0], units[b, c, 1], units[b, c, 2] = _unit(
-                corners[b, c, 0], corners[b, c, 1], corners[b, c, 2]
-            )
+            units[b, c, 0], units[b, c, 1], units[b, c, 2] = _unit(corners[b, c, 0], corners[b, c, 1], corners[b, c, 2])
         longest = 0.0
         for e in range(count):
             tx, ty, tz, angle = _arc(units[b], edges[e, 0], edges[e, 1])
@@ -377,9 +367,7 @@ def _bulge(before, middle, after):  # type: ignore[no-untyped-def]
     return middle
 
 
-@kernel(
-    "Tuple((float64[:,::1], float64[::1], int64[:,::1]))(float64[:,::1], int64[::1], int64, float64, float64)"
-)
+@kernel("Tuple((float64[:,::1], float64[::1], int64[:,::1]))(float64[:,::1], int64[::1], int64, float64, float64)")
 def bound_edges(
     pixels: Float64Array, starts: Int64Array, count: int, width: float, height: float
 ) -> tuple[Float64Array, Float64Array, Int64Array]:
@@ -460,9 +448,7 @@ def extend_bounds(
 
 
 @kernel("void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1])")
-def halve_steps(
-    known: Float64Array, unknown: Float64Array, middles: Float64Array, pixels: Float64Array
-) -> None:
+def halve_steps(known: Float64Array, unknown: Float64Array, middles: Float64Array, pixels: Float64Array) -> None:
     """Take the half of each step in which it leaves the camera model, and give the middle of that.
 
     Args:
@@ -674,9 +660,7 @@ class _Near:
     drifts: Float64Array
 
     def some(self, rows: Int64Array) -> "_Near":
-        return _Near(
-            self.centers[rows], self.sizes[rows], self.quaternions[rows], self.axes[rows], self.drifts[rows]
-        )
+        return _Near(self.centers[rows], self.sizes[rows], self.quaternions[rows], self.axes[rows], self.drifts[rows])
 
     @property
     def arrays(self) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -694,9 +678,7 @@ def _in_view(
     camera: Camera, world_from_camera: RigidTransform, boxes: Boxes, rolling: Rolling | None
 ) -> tuple[Int64Array, _Near]:
     """The boxes that may be in the image, in the camera's frame, and which they are."""
-    locations = (np.abs(boxes.centers_world) < _FARTHEST).all(axis=1) & np.isfinite(
-        boxes.quaternions_xyzw
-    ).all(axis=1)
+    locations = (np.abs(boxes.centers_world) < _FARTHEST).all(axis=1) & np.isfinite(boxes.quaternions_xyzw).all(axis=1)
     sized = ((boxes.sizes_lwh > 0) & (boxes.sizes_lwh < _FARTHEST)).all(axis=1)
     rows = np.flatnonzero(locations & sized)
     camera_from_world = world_from_camera.inverse()
@@ -706,9 +688,7 @@ def _in_view(
     if rolling is not None:
         drifts = rolling.drifts_world[rows].mean(axis=1) @ world_from_camera.rotation
         reaches = (
-            reaches
-            + rolling.trajectory.trajectory
-            + np.linalg.norm(rolling.drifts_world[rows], axis=2).max(axis=1)
+            reaches + rolling.trajectory.trajectory + np.linalg.norm(rolling.drifts_world[rows], axis=2).max(axis=1)
         )
         widest += rolling.trajectory.rotation
     off_axis = np.arccos(np.clip(centers[:, 2] / np.maximum(distances, _NEAR), -1.0, 1.0))
@@ -753,9 +733,7 @@ def _occlusions(
     return shares
 
 
-def _eyes(
-    camera: Camera, pixels: Float64Array, trajectory: ShutterDirection
-) -> tuple[Float64Array, Float64Array]:
+def _eyes(camera: Camera, pixels: Float64Array, trajectory: ShutterDirection) -> tuple[Float64Array, Float64Array]:
     """How the camera was rotated at the lines of pixels, (R, 3, 3), and `lines` of `count_observations`, (R, 4).
 
     Both are in the frame of the camera at the image's time.
@@ -826,9 +804,7 @@ def _rivals(near: _Near, extents: Float64Array, solid: BoolArray) -> tuple[Int64
     lefts, tops, rights, bottoms = np.ascontiguousarray(extents[solids].T)
     counts = np.searchsorted(begins, distances + reaches, side="left")
     found = []
-    for b, (count, (left, top, right, bottom)) in enumerate(
-        zip(counts.tolist(), extents.tolist(), strict=True)
-    ):
+    for b, (count, (left, top, right, bottom)) in enumerate(zip(counts.tolist(), extents.tolist(), strict=True)):
         overlap = (lefts[:count] < right) & (rights[:count] > left)
         overlap &= (tops[:count] < bottom) & (bottoms[:count] > top)
         rivals = solids[:count][overlap]
@@ -849,9 +825,7 @@ def _truncations(camera: Camera, near: _Near, trajectory: ShutterDirection | Non
             corners = _face_grids(some, axis, np.sign(sides[rows, axis]))
             angles = _solid_angles(corners)
             middles = (corners[:, :-1, :-1] + corners[:, 1:, 1:]).reshape(-1, 3) / 2.0
-            inside = _shown(
-                camera, middles, np.repeat(some.drifts, len(middles) // len(rows), axis=0), trajectory
-            )
+            inside = _shown(camera, middles, np.repeat(some.drifts, len(middles) // len(rows), axis=0), trajectory)
             all_of[rows] += angles.sum(axis=1)
             inside_of[rows] += np.where(inside.reshape(angles.shape), angles, 0.0).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -1051,9 +1025,7 @@ class _Look:
         """What moved while an image was taken; None where nothing did, or all lines were taken at once."""
         if shutter.seconds == 0.0 or len(rows) == 0:
             return None
-        first, last = (
-            self.table.placed(rows, end, sensor_id=query) for end in shutter.knots_ns(time_ns, 2).tolist()
-        )
+        first, last = (self.table.placed(rows, end, sensor_id=query) for end in shutter.knots_ns(time_ns, 2).tolist())
         drifts = last.corners_world - first.corners_world
         trajectory = ShutterDirection.of(shutter, time_ns, location)
         if trajectory is None and not (np.abs(drifts) > _STANDS).any():
@@ -1099,8 +1071,7 @@ class _Writer:
             for view in seeing
         ]
         projections = [
-            self._projection(annotation, row, view, *placed)
-            for view, placed in zip(seeing, rows, strict=True)
+            self._projection(annotation, row, view, *placed) for view, placed in zip(seeing, rows, strict=True)
         ]
         others = [each for each in annotation.projections if key_of(each.sensor_id) not in keys]
         attributes = [path for view in seeing for path in _shares(view, view.observations[row])]
@@ -1140,15 +1111,9 @@ def _keep_confirmed(annotation: CuboidAnnotation, view: _View, boxes: Float64Arr
     """Put back the boxes that a person confirmed; says at which images."""
     confirmed = np.zeros(len(boxes), np.bool_)
     for older in annotation.projections:
-        if (
-            key_of(older.sensor_id) != key_of(view.camera_id)
-            or older.boxes is None
-            or older.confirmed is None
-        ):
+        if key_of(older.sensor_id) != key_of(view.camera_id) or older.boxes is None or older.confirmed is None:
             continue
-        for time_ns, box, is_confirmed in zip(
-            older.timestamps_ns.tolist(), older.boxes, older.confirmed, strict=True
-        ):
+        for time_ns, box, is_confirmed in zip(older.timestamps_ns.tolist(), older.boxes, older.confirmed, strict=True):
             images = np.flatnonzero(view.timestamps_ns == time_ns) if is_confirmed else ()
             for image in images:
                 boxes[image], confirmed[image] = box, True
@@ -1160,9 +1125,7 @@ def _shares(view: _View, observations: Sequence[_Observation]) -> Iterator[Attri
         reported = [found for found in observations if found.shares[k] is not None]
         if reported:
             times = view.timestamps_ns[[found.image for found in reported]]
-            yield AttributePath(
-                name, tuple(found.shares[k] for found in reported), times, sensor_id=view.camera_id
-            )
+            yield AttributePath(name, tuple(found.shares[k] for found in reported), times, sensor_id=view.camera_id)
 
 
 def _lost(camera: CameraSensor) -> DataWarning:
@@ -1203,9 +1166,7 @@ def _crossing(x, y, z, centre, b, rotations, halves):  # type: ignore[no-untyped
     for axis in range(3):
         along = rotations[b, 0, axis] * x + rotations[b, 1, axis] * y + rotations[b, 2, axis] * z
         middle = (
-            rotations[b, 0, axis] * centre[0]
-            + rotations[b, 1, axis] * centre[1]
-            + rotations[b, 2, axis] * centre[2]
+            rotations[b, 0, axis] * centre[0] + rotations[b, 1, axis] * centre[1] + rotations[b, 2, axis] * centre[2]
         )
         if along == 0.0:
             if abs(middle) > halves[b, axis]:

@@ -794,9 +794,7 @@ def _rise(slopes: Float32Array, corner: int, across: float, down: float) -> Any:
 
 
 @inlined
-def _evenness(
-    pixels: Float32Array, slopes: Float32Array, corners: tuple[Any, ...], inverses: tuple[Any, ...]
-) -> Any:
+def _evenness(pixels: Float32Array, slopes: Float32Array, corners: tuple[Any, ...], inverses: tuple[Any, ...]) -> Any:
     """Give how far depth itself counts as linear: where slopes miss the other corners, and depths are unlike."""
     least, most, off = min(inverses), max(inverses), _NOTHING
     for own in range(3):
@@ -1067,9 +1065,9 @@ CORNERS = 4
 @inlined
 def _rotation(points: Int64Array, a: int, b: int, p: int) -> int:
     """Positive where p lies to the side of the line from a to b that inner points of triangles lie on."""
-    beside: int = (points[b, 0] - points[a, 0]) * (points[p, 1] - points[a, 1]) - (
-        points[b, 1] - points[a, 1]
-    ) * (points[p, 0] - points[a, 0])
+    beside: int = (points[b, 0] - points[a, 0]) * (points[p, 1] - points[a, 1]) - (points[b, 1] - points[a, 1]) * (
+        points[p, 0] - points[a, 0]
+    )
     return beside
 
 

@@ -186,10 +186,7 @@ class ExposureGains:
 
     def for_views(self, views: Sequence[FusedView], camera_indices: Sequence[int]) -> dict[int, Float64Array]:
         """The factors of the images of one sweep, by the camera's index."""
-        found = {
-            index: self.at(index, view.timestamp_ns)
-            for view, index in zip(views, camera_indices, strict=True)
-        }
+        found = {index: self.at(index, view.timestamp_ns) for view, index in zip(views, camera_indices, strict=True)}
         return {index: gain for index, gain in found.items() if gain is not None}
 
 
@@ -202,9 +199,7 @@ class ExposureLinks:
     _seams: list[tuple[_Node, _Node, Float32Array, Float32Array]] = field(default_factory=list)
     _points: dict[_Node, int] = field(default_factory=dict)
 
-    def add(
-        self, points_world: Float64Array, views: Sequence[FusedView], camera_indices: Sequence[int]
-    ) -> None:
+    def add(self, points_world: Float64Array, views: Sequence[FusedView], camera_indices: Sequence[int]) -> None:
         """Take a sweep: its (N, 3) float64 points [m], and the images that show it."""
         now = {
             (index, view.timestamp_ns): _take_samples(points_world, view)
@@ -225,9 +220,7 @@ class ExposureLinks:
                             self._link(first, second, earlier, later, at_once=False)
         self._recent.append(now)
 
-    def _link(
-        self, first: _Node, second: _Node, a: _SurfaceSamples, b: _SurfaceSamples, *, at_once: bool
-    ) -> None:
+    def _link(self, first: _Node, second: _Node, a: _SurfaceSamples, b: _SurfaceSamples, *, at_once: bool) -> None:
         key_a, key_b = (a.ids, b.ids) if at_once else (a.cubes, b.cubes)
         _, rows_a, rows_b = np.intersect1d(key_a, key_b, return_indices=True)
         if len(rows_a) < _FEWEST:
@@ -254,8 +247,7 @@ class ExposureLinks:
             rows = [k for k, (camera, _) in enumerate(nodes) if camera in group]
             logs[rows] -= np.average(logs[rows], axis=0, weights=np.maximum(weights[rows], 1.0))
         by_camera = {
-            camera: [k for k, node in enumerate(nodes) if node[0] == camera]
-            for camera in {c for c, _ in nodes}
+            camera: [k for k, node in enumerate(nodes) if node[0] == camera] for camera in {c for c, _ in nodes}
         }
         gains = ExposureGains(
             {camera: np.array([nodes[k][1] for k in rows], np.int64) for camera, rows in by_camera.items()},

@@ -61,9 +61,7 @@ def paint_labels(
     """
     count = check_array("points_world", points_world, (None, 3), np.float64)
     if len(views) != len(label_images):
-        raise ArrayError(
-            f"{len(label_images)} label images for {len(views)} views; expected one each, or None"
-        )
+        raise ArrayError(f"{len(label_images)} label images for {len(views)} views; expected one each, or None")
     points, chosen = np.ascontiguousarray(points_world), settings or BlendSettings()
     reported = [pair for pair in zip(views, label_images, strict=True) if pair[1] is not None]
     votes = np.full((len(reported), count), NO_LABEL, np.uint16)

@@ -244,9 +244,7 @@ class MovingBoxes:
                 found[rows] |= _within(points_world[rows], poses)
         return found
 
-    def _near(
-        self, cuboid: CuboidAnnotation, points_world: Float64Array, ends_ns: Sequence[int]
-    ) -> Int64Array:
+    def _near(self, cuboid: CuboidAnnotation, points_world: Float64Array, ends_ns: Sequence[int]) -> Int64Array:
         """Points within reach of the box between two times."""
         poses = cuboid_poses(cuboid, ends_ns, angles=self.angles)
         if not poses.there.any():

@@ -245,9 +245,7 @@ def _search(
     return _Found(pixels, placed, lines, active)
 
 
-def _drifted(
-    in_middle: Float64Array, drifts: Float64Array, lines: Float64Array, line_count: int
-) -> Float64Array:
+def _drifted(in_middle: Float64Array, drifts: Float64Array, lines: Float64Array, line_count: int) -> Float64Array:
     moved: Float64Array = in_middle + drifts * ((lines + 0.5) / line_count - 0.5)[:, None]
     return moved
 

@@ -194,9 +194,7 @@ def look_around(
     if extent is None:
         extent = measure_extent(directions, inverse_ranges, thread_pool=thread_pool)
     distances, ids = np.empty((samples, _SECTORS)), np.empty((samples, _SECTORS), np.int64)
-    find_neighbours(
-        directions, inverse_ranges, extent, _CELL, *_disc(), distances, ids, thread_pool=thread_pool
-    )
+    find_neighbours(directions, inverse_ranges, extent, _CELL, *_disc(), distances, ids, thread_pool=thread_pool)
     drawn = min(samples, len(inverse_ranges))
     points = np.arange(drawn) * len(inverse_ranges) // max(drawn, 1)
     return _Neighbours(points, ids[:drawn], distances[:drawn])
@@ -488,9 +486,7 @@ class VisibilitySettings:
             if value is not None and not (isfinite(value) and value >= 0):
                 raise OptionError(f"{name} {value}; expected a finite number that is not negative")
         if self.surface_distance == 0:
-            raise OptionError(
-                f"surface_distance {self.surface_distance}; expected a positive distance in metres"
-            )
+            raise OptionError(f"surface_distance {self.surface_distance}; expected a positive distance in metres")
         if not 1 <= self.threads <= _MOST_THREADS:
             raise OptionError(f"threads {self.threads}; expected 1 to {_MOST_THREADS}")
         for name in ("window_deg", "near_deg"):
@@ -573,9 +569,7 @@ def _look(
         np.empty((2, len(point_ids)), np.float32),
         np.empty(len(point_ids), np.float32),
     )
-    map_directions(
-        points_world, point_ids, camera_from_world, directions, inverse_ranges, thread_pool=thread_pool
-    )
+    map_directions(points_world, point_ids, camera_from_world, directions, inverse_ranges, thread_pool=thread_pool)
     return directions, inverse_ranges
 
 
@@ -686,9 +680,7 @@ def _raise_to_three(target: Float32Array, source: Float32Array) -> None:
 
 
 @part
-def _raise_along(
-    target: Float32Array, source: Float32Array, right: Float32Array, reach: Any, slope: Any
-) -> None:
+def _raise_along(target: Float32Array, source: Float32Array, right: Float32Array, reach: Any, slope: Any) -> None:
     """Lift `target` to its own cell, and to what the cells on both sides still have at its border."""
     for i in range(target.shape[0]):
         from_left = max(_ONE - _SLACK - right[i], _NOTHING)
@@ -1048,9 +1040,7 @@ def _decide(
     count = picked.shape[0]
     cells, alone, others, a, b = lists[0, :count], lists[1], lists[2], room[0], room[1]
     _gather(picked, rightward, downward, inverse_ranges, numbers, per_cell, limits, cells, room)
-    hidden, free = _search_beside(
-        cells, a, b, room[2], room[3], nearest, right, down, beside, near, alone, others
-    )
+    hidden, free = _search_beside(cells, a, b, room[2], room[3], nearest, right, down, beside, near, alone, others)
     for n in range(hidden):
         visible[picked[alone[n]]] = False
     if eyes.shape[0] > 0:
@@ -1615,9 +1605,7 @@ def find_slopes(
         for axis in range(half):
             one, other = neighbours[s, axis], neighbours[s, axis + half]
             if one >= 0 and other >= 0:
-                slope = _slope(
-                    directions, inverse_ranges, points[s], one, other, nothing, margin, margin_share
-                )
+                slope = _slope(directions, inverse_ranges, points[s], one, other, nothing, margin, margin_share)
                 slopes[s] = slopes[s] if slope <= slopes[s] or math.isnan(slope) else slope
 
 
@@ -1647,9 +1635,7 @@ def _mean_of_middle(counts: AnyArray, known: int) -> float:
 
 
 @kernel(void(IN_F64_2D, float64, int64, int64, float64[::1]))
-def measure_along_axes(
-    distances: Float64Array, cell: float, reach: int, fewest: int, spacings: Float64Array
-) -> None:
+def measure_along_axes(distances: Float64Array, cell: float, reach: int, fewest: int, spacings: Float64Array) -> None:
     """Write how far apart neighbours are along each axis: robust as the median, but not bound to whole cells.
 
     Args:

@@ -76,9 +76,7 @@ def _merged(parts: Iterable[AnyArray], *, agreement: float) -> AnyArray:
     for name in ("count", "position", "intensity"):
         joined[name] = np.add.reduceat(cells[name], starts, axis=0)
     joined["weight"] = np.add.reduceat(np.where(agrees, cells["weight"], np.float32(0)), starts)
-    joined["color"] = np.add.reduceat(
-        np.where(agrees[:, None], cells["color"], np.float32(0)), starts, axis=0
-    )
+    joined["color"] = np.add.reduceat(np.where(agrees[:, None], cells["color"], np.float32(0)), starts, axis=0)
     return joined
 
 
@@ -252,9 +250,9 @@ class WorldMap:
     def _numbers(self, points: AnyArray) -> Int64Array:
         """The number of each point's cube in its tile."""
         cubes = np.floor(points["position"] / self.voxel).astype(np.int64)
-        numbers: Int64Array = (
-            (cubes[:, 0] % TILE_CUBES) * TILE_CUBES + cubes[:, 1] % TILE_CUBES
-        ) * _HEIGHT_CUBES + (cubes[:, 2] + _HEIGHT_CUBES // 2)
+        numbers: Int64Array = ((cubes[:, 0] % TILE_CUBES) * TILE_CUBES + cubes[:, 1] % TILE_CUBES) * _HEIGHT_CUBES + (
+            cubes[:, 2] + _HEIGHT_CUBES // 2
+        )
         return numbers
 
     def _rest(self) -> None:

@@ -49,9 +49,7 @@ def read_by_sensor(text: str, owner: str, example: str) -> dict[int, Any]:
         return {}
     if not isinstance(found, dict):
         raise DataError(owner, "", f"{text[:40]!r}; expected an object as {example}")
-    return {
-        _sensor_id_of(int(name) if _is_number(name) else name, owner, name): found[name] for name in found
-    }
+    return {_sensor_id_of(int(name) if _is_number(name) else name, owner, name): found[name] for name in found}
 
 
 def _sensor_id_of(value: Any, owner: str, location: str) -> int:
@@ -94,9 +92,7 @@ class DeclaredAxes:
 
     def __post_init__(self) -> None:
         axes = np.abs(self.forward_right_up)
-        if not np.array_equal(axes.sum(axis=0), np.ones(3)) or not np.array_equal(
-            axes.sum(axis=1), np.ones(3)
-        ):
+        if not np.array_equal(axes.sum(axis=0), np.ones(3)) or not np.array_equal(axes.sum(axis=1), np.ones(3)):
             raise CalibrationError("axes for forward, right, up; expected x, y and z, each of them once")
         object.__setattr__(self, "forward_right_up", read_only(self.forward_right_up))
 
@@ -116,9 +112,7 @@ class DeclaredAxes:
         Source: table 2 of DB34/T 4101-2022, rows 2 to 4; READING of axis triples in docs/CONVENTIONS.md.
         """
         if len(triple) != 3 or sorted(abs(axis) for axis in triple) != [0, 1, 2]:
-            raise CalibrationError(
-                f"axes {tuple(triple)}; expected 0, 1 and 2 in any order, 1 and 2 with a sign"
-            )
+            raise CalibrationError(f"axes {tuple(triple)}; expected 0, 1 and 2 in any order, 1 and 2 with a sign")
         columns = np.zeros((3, 3))
         for location, axis in enumerate(triple):
             columns[abs(axis), location] = -1.0 if axis < 0 else 1.0
@@ -148,9 +142,7 @@ class DeclaredAxes:
         """The axes in plain words, as "+z,+x,-y"."""
         rows = np.abs(self.forward_right_up).argmax(axis=0)
         signs = self.forward_right_up[rows, range(3)]
-        return ",".join(
-            ("+" if sign > 0 else "-") + "xyz"[row] for row, sign in zip(rows, signs, strict=True)
-        )
+        return ",".join(("+" if sign > 0 else "-") + "xyz"[row] for row, sign in zip(rows, signs, strict=True))
 
     @property
     def left_handed(self) -> bool:
@@ -233,14 +225,10 @@ def camera_of(data: CalibrationData) -> Camera:
     k = np.array(data.intrinsic_matrix).reshape(3, 3)
     others = np.abs([k[0, 1], k[1, 0], k[2, 0], k[2, 1], k[2, 2] - 1.0])
     if others.max() > 1e-6 * max(1.0, abs(k[0, 0])):
-        raise CalibrationError(
-            f"intrinsic_matrix {k.tolist()}; expected fx 0 cx, 0 fy cy, 0 0 1, row after row"
-        )
+        raise CalibrationError(f"intrinsic_matrix {k.tolist()}; expected fx 0 cx, 0 fy cy, 0 0 1, row after row")
     width, height = data.image_size
     coefficients = tuple(data.distortion_coeffs)
-    model, all_of_it = (
-        ("brown_conrady", (*coefficients, *[0.0] * 11)) if any(coefficients) else ("pinhole", ())
-    )
+    model, all_of_it = ("brown_conrady", (*coefficients, *[0.0] * 11)) if any(coefficients) else ("pinhole", ())
     fx, fy, cx, cy = k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     return Camera(model, width, height, fx, fy, cx, cy, all_of_it)
 
@@ -340,9 +328,7 @@ def parse_calibrations(text: str) -> tuple[CalibrationEntry, ...]:
     pairs = [(entry.camera_id, entry.lidar_id) for entry in entries]
     for k, pair in enumerate(pairs):
         if pair in pairs[:k]:
-            raise DataError(
-                _OWNER, f"[{k}]", f"camera {pair[0]} and lidar {pair[1]} again; expected each pair once"
-            )
+            raise DataError(_OWNER, f"[{k}]", f"camera {pair[0]} and lidar {pair[1]} again; expected each pair once")
     return entries
 
 

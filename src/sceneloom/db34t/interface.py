@@ -83,9 +83,7 @@ class RecentTrajectory:
         if before is not None and path.start_ns < before.stop_ns - CLOCK_JUMP_NS:
             before = None
         if before is not None and path.start_ns <= before.stop_ns:
-            raise PoseError(
-                f"a pose at {path.start_ns} ns after one at {before.stop_ns} ns; expected newer ones"
-            )
+            raise PoseError(f"a pose at {path.start_ns} ns after one at {before.stop_ns} ns; expected newer ones")
         parts = [path] if before is None else [before, path]
         times = np.concatenate([part.timestamps_ns for part in parts])
         kept = slice(int(np.searchsorted(times, times[-1] - _KEPT_NS)), None)
@@ -239,9 +237,7 @@ class FusionInterface:
         with self._lock:
             table = self._table.having([CalibrationEntry(camera_id, lidar_id, data)])
             if len(table.entries) > MOST_PAIRS:
-                return refused(
-                    Cause.TOO_MANY, f"{len(table.entries)} calibrations; expected at most {MOST_PAIRS}"
-                )
+                return refused(Cause.TOO_MANY, f"{len(table.entries)} calibrations; expected at most {MOST_PAIRS}")
             outcome = self.properties.set("calibration", format_calibrations(tuple(table.entries.values())))
             if outcome:
                 self._table = table

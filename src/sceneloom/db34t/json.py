@@ -72,9 +72,7 @@ def parse_json(text: str | bytes) -> Any:
     except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
         raise DataError("record", "", f"no JSON: {error}") from error
     if not isinstance(content, dict) or len(content) != 1 or not set(content) <= set(RECORD_KINDS):
-        raise DataError(
-            "record", "", f"{shown(content)}; expected an object with one of {', '.join(RECORD_KINDS)}"
-        )
+        raise DataError("record", "", f"{shown(content)}; expected an object with one of {', '.join(RECORD_KINDS)}")
     ((name, inner),) = content.items()
     return from_json(name, inner)
 
@@ -172,9 +170,7 @@ def _array(values: list[Any], dtype: np.dtype[Any], row: Row, owner: str) -> Any
     raise DataError(owner, row.name, f"{shown(values)}; expected a list of {name}")
 
 
-def _read_members(
-    members: Any, kind: RecordKind, layout: ListLayout, common: Mapping[str, Any]
-) -> dict[str, Any]:
+def _read_members(members: Any, kind: RecordKind, layout: ListLayout, common: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(members, list):
         problem = "missing" if members is None else shown(members)
         raise kind.table.fault(layout.group, f"{problem}; expected a list")

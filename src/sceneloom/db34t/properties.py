@@ -40,17 +40,11 @@ def _parse_mounting(found: Any, owner: str, location: str) -> RigidTransform:
         DataError: it is no such object.
     """
     if not isinstance(found, dict) or not {"position"} <= set(found) <= set(_PARTS):
-        raise DataError(
-            owner, location, f"{found!r}; expected an object with position and perhaps quaternion_xyzw"
-        )
+        raise DataError(owner, location, f"{found!r}; expected an object with position and perhaps quaternion_xyzw")
     values = {"quaternion_xyzw": _NO_ROTATION, **found}
     for name, count in _PARTS.items():
         numbers = values[name]
-        if (
-            not isinstance(numbers, list | tuple)
-            or len(numbers) != count
-            or not all(map(_is_number, numbers))
-        ):
+        if not isinstance(numbers, list | tuple) or len(numbers) != count or not all(map(_is_number, numbers)):
             raise DataError(owner, f"{location}.{name}", f"{numbers!r}; expected {count} finite numbers")
     norm = float(np.linalg.norm(values["quaternion_xyzw"]))
     if abs(norm - 1.0) > _NORM_TOLERANCE:
@@ -136,12 +130,8 @@ def _declared(sensor_id: int, entry: Any) -> DeclaredSensor:
     raw = entry.get("raw")
     if raw is not None and raw not in _RAW_FORMS[kind]:
         raise DataError(_LOCATION, f"{name}.raw", f"{raw!r}; expected one of {', '.join(_RAW_FORMS[kind])}")
-    mounting = (
-        _parse_mounting(entry[_MOUNTING], _LOCATION, f"{name}.{_MOUNTING}") if _MOUNTING in entry else None
-    )
-    return DeclaredSensor(
-        sensor_id, kind, None if raw is None else RawForm(raw), mounting, _shutter(entry, name)
-    )
+    mounting = _parse_mounting(entry[_MOUNTING], _LOCATION, f"{name}.{_MOUNTING}") if _MOUNTING in entry else None
+    return DeclaredSensor(sensor_id, kind, None if raw is None else RawForm(raw), mounting, _shutter(entry, name))
 
 
 def _check_word(word: str, kind: SensorKind, location: str) -> None:
@@ -158,17 +148,11 @@ def _check_word(word: str, kind: SensorKind, location: str) -> None:
 def _shutter(entry: Mapping[str, Any], name: str) -> Shutter:
     """What a camera's entry says of its shutter; all at once where it says nothing."""
     seconds, over_columns = entry.get(_ROLL, 0.0), entry.get(_ROLLS_OVER_COLUMNS, False)
-    if (
-        isinstance(seconds, bool)
-        or not isinstance(seconds, int | float)
-        or not 0 <= seconds <= LONGEST_ROLL_S
-    ):
+    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds <= LONGEST_ROLL_S:
         problem = f"{seconds!r}; expected seconds, 0 to {LONGEST_ROLL_S:g}"
         raise DataError(_LOCATION, f"{name}.{_ROLL}", problem)
     if not isinstance(over_columns, bool):
-        raise DataError(
-            _LOCATION, f"{name}.{_ROLLS_OVER_COLUMNS}", f"{over_columns!r}; expected true or false"
-        )
+        raise DataError(_LOCATION, f"{name}.{_ROLLS_OVER_COLUMNS}", f"{over_columns!r}; expected true or false")
     return Shutter(float(seconds), over_columns)
 
 
@@ -238,9 +222,7 @@ def _detectors(value: str) -> None:
 _PROPERTY_CHECKS: Mapping[str, _Check] = {
     **dict.fromkeys(("camera_coordinate", "lidar_coordinate"), _triple),
     **dict.fromkeys(("camera_axes", "lidar_axes"), _words),
-    **dict.fromkeys(
-        ("camera_frequency", "lidar_frequency", "queue_length", "result_queue_length"), _positive
-    ),
+    **dict.fromkeys(("camera_frequency", "lidar_frequency", "queue_length", "result_queue_length"), _positive),
     "fusion_algorithm": _filled,
     "sensors": parse_sensors,
     "calibration": parse_calibrations,
@@ -325,9 +307,7 @@ class Snapshot:
 
 def _predefined() -> dict[str, Property]:
     return {
-        row.name: Property(
-            row.name, row.description, ValueType.parse(row.type), row.default, row.unit, predefined=True
-        )
+        row.name: Property(row.name, row.description, ValueType.parse(row.type), row.default, row.unit, predefined=True)
         for row in PREDEFINED.values()
     }
 
@@ -371,16 +351,12 @@ class PropertyStore:
             return refused(Cause.ILL_TYPED, error)
         added = Property(name, description, kind)
         if BasicType.ENUM in kind.elements and not added.enumeration:
-            return refused(
-                Cause.ILL_TYPED, "an enum without values; expected name=number pairs in its description"
-            )
+            return refused(Cause.ILL_TYPED, "an enum without values; expected name=number pairs in its description")
         with self._lock:
             if name in self._properties:
                 return refused(Cause.KNOWN_NAME, f"property {name!r} is there already")
             if len(self._properties) >= MOST_PROPERTIES:
-                return refused(
-                    Cause.TOO_MANY, f"there are {MOST_PROPERTIES} properties, as many as there may be"
-                )
+                return refused(Cause.TOO_MANY, f"there are {MOST_PROPERTIES} properties, as many as there may be")
             self._keep(added)
         return DONE
 
@@ -405,9 +381,7 @@ class PropertyStore:
                 return refused(Cause.OUT_OF_RANGE, f"{name}: {error}")
             size = self._size - _size_of(known.value) + _size_of(checked)
             if size > _LARGEST_VALUES:
-                problem = (
-                    f"all values have {size} characters and numbers then; expected at most {_LARGEST_VALUES}"
-                )
+                problem = f"all values have {size} characters and numbers then; expected at most {_LARGEST_VALUES}"
                 return refused(Cause.TOO_MANY, f"{name}: {problem}")
             self._size = size
             if name == "fusion_algorithm":

@@ -116,9 +116,7 @@ def _read_list(repeated: Any, layout: ListLayout, common: Mapping[str, Any]) -> 
             rows = list(map(attrgetter(name), messages))
         values[column.attribute] = np.array(rows, column.dtype).reshape(len(rows), *column.shape)
     for name, attribute in layout.ids.items():
-        values[attribute] = tuple(
-            getattr(message, name) if message.HasField(name) else None for message in messages
-        )
+        values[attribute] = tuple(getattr(message, name) if message.HasField(name) else None for message in messages)
     return values
 
 
@@ -324,8 +322,7 @@ _FEW_PARTS = 1 << 16
 """Messages of fewer bytes are not looked through for how many parts they have."""
 
 _SENT_KINDS: Mapping[int, RecordKind] = {
-    field.number: RECORD_KINDS[field.name]
-    for field in fusion_pb2.SendRequest.DESCRIPTOR.oneofs_by_name["data"].fields
+    field.number: RECORD_KINDS[field.name] for field in fusion_pb2.SendRequest.DESCRIPTOR.oneofs_by_name["data"].fields
 }
 """The kinds of records by their field of a request."""
 
@@ -512,16 +509,12 @@ def decode_send_request(content: bytes) -> SentRecord:
             return cast("SentRecord", record)
     found = None if field is None else _large_record(content, field)
     if field is None and len(content) > _FEW_PARTS:
-        raise DataError(
-            "request", "data", f"{len(content)} bytes; expected one record of one of tables 4 to 8"
-        )
+        raise DataError("request", "data", f"{len(content)} bytes; expected one record of one of tables 4 to 8")
     if found is None:
         return from_send_request(parse_message(fusion_pb2.SendRequest, content))
     kind, message, arrays = found
     values = {
-        row.attribute: arrays[row.number]
-        if row.number in arrays
-        else _read_field(message, row, kind.table.owner)
+        row.attribute: arrays[row.number] if row.number in arrays else _read_field(message, row, kind.table.owner)
         for row in kind.table.rows
     }
     return cast("SentRecord", kind.record_type(**values))
@@ -716,9 +709,7 @@ def _shown_algorithms(properties: dict[str, Property]) -> tuple[str, str]:
     return ("", name) if detections else (name, "")
 
 
-def _array_within(
-    content: bytes, span: tuple[int, int], dtype: np.dtype[Any], owner: str, location: str
-) -> AnyArray:
+def _array_within(content: bytes, span: tuple[int, int], dtype: np.dtype[Any], owner: str, location: str) -> AnyArray:
     """Give the flat array that a part of bytes holds: a read-only view of it, a copy where numbers are not aligned.
 
     Args:

@@ -75,8 +75,7 @@ class _ColumnChecks:
         )
         # of those whose rows have the same bounds the row that stands for all
         self._bounds = tuple(
-            rows[0] if all(row.bounds == rows[0].bounds for row in rows) else None
-            for _, _, rows in self._columns
+            rows[0] if all(row.bounds == rows[0].bounds for row in rows) else None for _, _, rows in self._columns
         )
 
     def settle(self, record: Any) -> int:
@@ -150,9 +149,7 @@ def _settle_ids(record: Any, attribute: str, row: Row, table: Table, count: int)
     object.__setattr__(record, attribute, tuple(ids))
 
 
-def _check_shape(
-    values: Any, column: Column, expected: np.dtype[Any], table: Table, count: int | None
-) -> None:
+def _check_shape(values: Any, column: Column, expected: np.dtype[Any], table: Table, count: int | None) -> None:
     if isinstance(values, np.ndarray) and values.dtype == expected:
         rows = len(values) if values.ndim else -1
         if values.shape == (rows if count is None else count, *column.shape):
@@ -435,9 +432,7 @@ def _check_area(corners_xyxy: UInt32Array, *, group: str) -> None:
         return
     k, axis = divmod(int(np.argmin(areas.reshape(-1))), 2)
     name, first = ("x2", "y2")[axis], int(corners_xyxy[k, axis])
-    problem = (
-        f"{corners_xyxy[k, 2 + axis]}; expected more than {first}, which is {name[0]}1: edges are exclusive"
-    )
+    problem = f"{corners_xyxy[k, 2 + axis]}; expected more than {first}, which is {name[0]}1: edges are exclusive"
     raise BOX_2D.fault(_location(group, k, name), problem)
 
 
@@ -672,14 +667,10 @@ def _check_fields(table: Table, name: str, fields: tuple[str, ...], fields_numbe
     if "" in fields or len(set(fields)) != len(fields):
         raise table.fault(name, f"{shown(fields)}; expected different names")
     if fields_number != len(fields):
-        raise table.fault(
-            "fields_number", f"{fields_number}; expected {len(fields)}, as there are names in {name}"
-        )
+        raise table.fault("fields_number", f"{fields_number}; expected {len(fields)}, as there are names in {name}")
 
 
-def _check_point_count(
-    table: Table, *, names: tuple[str, str], number: int, fields_number: int, length: int
-) -> None:
+def _check_point_count(table: Table, *, names: tuple[str, str], number: int, fields_number: int, length: int) -> None:
     """Check that there are as many values as the points need.
 
     Args:
@@ -1005,9 +996,7 @@ def _check_covariances(name: str, covariances: Float32Array, *, group: str) -> N
         return
     wide = covariances.astype(np.float64)
     asymmetry = np.abs(wide - wide.transpose(0, 2, 1)).max(axis=(1, 2))
-    wrong = (asymmetry > _ASYMMETRY * np.abs(wide).max(axis=(1, 2))) | (
-        wide.diagonal(axis1=1, axis2=2) < 0
-    ).any(axis=1)
+    wrong = (asymmetry > _ASYMMETRY * np.abs(wide).max(axis=(1, 2))) | (wide.diagonal(axis1=1, axis2=2) < 0).any(axis=1)
     if wrong.any():
         k = int(np.argmax(wrong))
         numbers = covariances[k].reshape(-1).tolist()
@@ -1023,9 +1012,7 @@ def _check_seen_in_space(
     for j, name in enumerate(("length", "width", "height")):
         flat = seen & (sizes_lwh[:, j] <= 0)
         if flat.any():
-            raise FUSED_DETECTION.fault(
-                _location(group, int(np.argmax(flat)), name), "0.0; expected more than 0"
-            )
+            raise FUSED_DETECTION.fault(_location(group, int(np.argmax(flat)), name), "0.0; expected more than 0")
     headless = seen & ~directions.any(axis=1)
     if headless.any():
         location = _location(group, int(np.argmax(headless)), "direction")

@@ -70,9 +70,7 @@ def sensor_fusion_record(
     """
     of_lidar = setting.properties["reference_frame"] == 1
     world_from_frame = world_from_lidar if of_lidar else view.world_from_camera
-    axes, kind = (
-        (setting.frames.lidar, SensorKind.LIDAR) if of_lidar else (setting.frames.camera, SensorKind.CAMERA)
-    )
+    axes, kind = (setting.frames.lidar, SensorKind.LIDAR) if of_lidar else (setting.frames.camera, SensorKind.CAMERA)
     points = replace(
         sent.points,
         positions=_moved(frame.points, world_from_frame, axes.standard_from_declared(kind).T),
@@ -112,9 +110,7 @@ def _colors_of(frame: FusedFrame, view: FusedView, setting: Setting) -> UInt8Arr
     return colors
 
 
-def _moved(
-    points: LidarPoints, world_from_frame: RigidTransform, declared_from_standard: Float64Array
-) -> Float32Array:
+def _moved(points: LidarPoints, world_from_frame: RigidTransform, declared_from_standard: Float64Array) -> Float32Array:
     """Give points of the world in a frame of declared axes, (N, 3) float32 [m]."""
     frame_from_world = world_from_frame.inverse()
     rotation = declared_from_standard @ frame_from_world.rotation
@@ -159,16 +155,10 @@ def fused_detections_record(
         "motion_compensated": int(motion_compensated),
         "image_timestamp": Timestamp.of(frame.image_timestamp_ns),
     }
-    return (
-        FusedDetections.of_sound_numbers(**fields, **columns)
-        if sound
-        else FusedDetections(**fields, **columns)
-    )
+    return FusedDetections.of_sound_numbers(**fields, **columns) if sound else FusedDetections(**fields, **columns)
 
 
-def _tilt(
-    columns: dict[str, Any], fused: FusedBoxes, boxes_3d: Boxes3d, standard_from_declared: Float64Array
-) -> None:
+def _tilt(columns: dict[str, Any], fused: FusedBoxes, boxes_3d: Boxes3d, standard_from_declared: Float64Array) -> None:
     """Let directions rise and fall as those that were sent do: objects of the fusion system are upright."""
     rows = np.flatnonzero(fused.rows_3d != NO_BOX)
     up = standard_from_declared[2]

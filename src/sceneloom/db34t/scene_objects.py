@@ -116,9 +116,7 @@ def boxes_2d_of(record: Boxes2d, *, sensor_id: Identifier | None = None) -> Boxe
     )
 
 
-def boxes_2d_record(
-    boxes: Boxes2D, *, sensor_id: int, seq: int, size_wh: tuple[int, int] | None = None
-) -> Boxes2d:
+def boxes_2d_record(boxes: Boxes2D, *, sensor_id: int, seq: int, size_wh: tuple[int, int] | None = None) -> Boxes2d:
     """Give the list of table 8 of boxes in an image, with the whole pixels that each touches.
 
     Boxes that have no area within the image, or are not finite, are left out: the record has fewer then.
@@ -517,9 +515,7 @@ def image_of(record: ImageData, camera: Camera) -> CameraImage:
     if record.pixels is not None:
         _check_shown(record.encoding, record.channel)
         return CameraImage(timestamp_ns, camera, _Pixels(record.pixels, record.encoding), extras=extras)
-    file = EncodedImage(
-        bytes_of(record.data), record.encoding, record.width, record.height, IMAGE.owner, "data"
-    )
+    file = EncodedImage(bytes_of(record.data), record.encoding, record.width, record.height, IMAGE.owner, "data")
     encoded = file.encoded if record.encoding == "jpeg" else None
     return CameraImage(timestamp_ns, camera, file, extras=extras, encoded=encoded)
 

@@ -98,9 +98,7 @@ class Setting:
     faults: Mapping[tuple[int, int], str] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls, properties: Snapshot, table: CalibrationTable, *, before: "Setting | None" = None
-    ) -> "Setting":
+    def of(cls, properties: Snapshot, table: CalibrationTable, *, before: "Setting | None" = None) -> "Setting":
         """Read properties and calibrations.
 
         Args:
@@ -110,11 +108,7 @@ class Setting:
             DataError: the added property `camera_models` cannot be read.
             CalibrationError: a camera model in it cannot be.
         """
-        if (
-            before is not None
-            and before.table is table
-            and _geometry(before.properties) == _geometry(properties)
-        ):
+        if before is not None and before.table is table and _geometry(before.properties) == _geometry(properties):
             parts = before.frames, before.camera_models, before.sensors, before.pairs, before.faults
             return cls(properties, table, *parts)
         frames, camera_models = _declared_frames(properties), _camera_models_of(properties)
@@ -125,9 +119,7 @@ class Setting:
                 pairs[pair] = _resolve_pair(table, *pair, frames, camera_models)
             except CalibrationError as error:
                 faults[pair] = str(error)
-        return cls(
-            properties, table, frames, camera_models, parse_sensors(properties["sensors"]), pairs, faults
-        )
+        return cls(properties, table, frames, camera_models, parse_sensors(properties["sensors"]), pairs, faults)
 
     @cached_property
     def sweep_period_ns(self) -> int:
@@ -298,9 +290,7 @@ def _camera_model(entry: Any, location: str) -> Camera:
         ) from error
     wanted = len(MODELS[model].coefficient_names)
     if len(coefficients) > wanted:
-        raise CalibrationError(
-            f"{CAMERA_MODELS}.{location}: {len(coefficients)} coefficients; {model} has {wanted}"
-        )
+        raise CalibrationError(f"{CAMERA_MODELS}.{location}: {len(coefficients)} coefficients; {model} has {wanted}")
     padded = (*coefficients, *[0.0] * (wanted - len(coefficients)))
     return Camera(model, width, height, fx, fy, cx, cy, padded)
 
@@ -358,9 +348,7 @@ def calibrated_pair(
             f"extrinsic_matrix {problem} with axes {camera_axes.words} of the camera and {lidar_axes.words} of the "
             "lidar; expected a rotation, of determinant +1, between frames that are both right- or both left-handed"
         )
-    return CalibratedPair(
-        camera_model or camera_of(data), transform, _notes(_off_forward_deg(transform.rotation))
-    )
+    return CalibratedPair(camera_model or camera_of(data), transform, _notes(_off_forward_deg(transform.rotation)))
 
 
 def _in_standard_frames(

@@ -146,12 +146,7 @@ class Timestamp:
     ns: int = 0
 
     def __post_init__(self) -> None:
-        if (
-            type(self.s) is int
-            and type(self.ns) is int
-            and 0 <= self.s < 2**32
-            and 0 <= self.ns < NANOSECONDS
-        ):
+        if type(self.s) is int and type(self.ns) is int and 0 <= self.s < 2**32 and 0 <= self.ns < NANOSECONDS:
             return
         for name in ("s", "ns"):
             value = _check_basic(BasicType.UINT32, getattr(self, name), owner="timestamp", location=name)
@@ -288,9 +283,7 @@ def _basic(name: str, text: str) -> BasicType:
 
 
 def _known() -> str:
-    return (
-        f"one of {', '.join(BasicType)}, a tuple of them as (int8, int8), or an array as double[9], string[]"
-    )
+    return f"one of {', '.join(BasicType)}, a tuple of them as (int8, int8), or an array as double[9], string[]"
 
 
 def bytes_of(array: AnyArray) -> bytes:

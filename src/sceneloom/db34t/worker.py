@@ -126,9 +126,7 @@ class Rig:
         yield from self._adopt(setting)
         yield from self._follow_clock(accepted.stream, accepted.timestamp_ns)
         pairs = setting.pairs_of(accepted.kind, accepted.sensor_id)
-        lidar_ids = (
-            (accepted.sensor_id,) if of_lidar and pairs else tuple(sorted(lidar for _, lidar in pairs))
-        )
+        lidar_ids = (accepted.sensor_id,) if of_lidar and pairs else tuple(sorted(lidar for _, lidar in pairs))
         self.counters.share(accepted.ticket, len(lidar_ids))
         for lidar_id in lidar_ids:
             system = self._systems[lidar_id]
@@ -167,9 +165,7 @@ class Rig:
         if self._path is None or self._setting is None:
             return
         declared = self._setting.sensors.get(lidar_id)
-        trajectory = _trajectory_of_mounted(
-            self._path, None if declared is None else declared.body_from_lidar
-        )
+        trajectory = _trajectory_of_mounted(self._path, None if declared is None else declared.body_from_lidar)
         self._trajectories[lidar_id] = trajectory
         self._systems[lidar_id].move(trajectory, reach_ns=_REACH_NS)
 
@@ -316,9 +312,7 @@ class Rig:
         if lidar_id not in self._trajectories:
             return _HERE
         pose = PoseSource(self._trajectories[lidar_id], _HERE, _REACH_NS).at(np.array([time_ns], np.int64))
-        if (
-            pose.coverage[0] == OUT_OF_REACH
-        ):  # which only a sweep without points can be, if it was compensated
+        if pose.coverage[0] == OUT_OF_REACH:  # which only a sweep without points can be, if it was compensated
             return _HERE
         return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
 
@@ -504,9 +498,7 @@ class _TaskQueue:
 
     def _drop_oldest(self, stream: Stream) -> Accepted:
         k, oldest = next(
-            (k, task)
-            for k, task in enumerate(self._tasks)
-            if isinstance(task, Accepted) and task.stream == stream
+            (k, task) for k, task in enumerate(self._tasks) if isinstance(task, Accepted) and task.stream == stream
         )
         del self._tasks[k]
         self._waiting[stream] -= 1

@@ -85,9 +85,7 @@ KINDS: Mapping[str, _Kind] = MappingProxyType(
             (0.8, 0.65, 1.72),
             (0.25, 0.15, 0.15),
         ),
-        "cyclist": _Kind(
-            _PEOPLE, ("bicyclist", "bicycle", "bike", "rider"), (1.75, 0.6, 1.7), (0.2, 0.15, 0.15)
-        ),
+        "cyclist": _Kind(_PEOPLE, ("bicyclist", "bicycle", "bike", "rider"), (1.75, 0.6, 1.7), (0.2, 0.15, 0.15)),
         "motorcyclist": _Kind(
             _PEOPLE, ("motorcycle", "motorbike", "scooter", "moped"), (2.1, 0.75, 1.6), (0.3, 0.15, 0.2)
         ),
@@ -107,22 +105,16 @@ UNLISTED = len(KINDS)
 _OTHERWISE = _Kind("", (), (2.0, 1.2, 1.6), (1.5, 0.6, 0.5))
 _NONE = -1
 
-_KIND_OF = {name: name for name in KINDS} | {
-    word: name for name, kind in KINDS.items() for word in kind.words
-}
+_KIND_OF = {name: name for name in KINDS} | {word: name for name, kind in KINDS.items() for word in kind.words}
 
 _LOCATIONS = {name: k for k, name in enumerate(KINDS)}
 _FAMILIES = tuple(dict.fromkeys(kind.family for kind in KINDS.values()))
 _DROPPED = str.maketrans("", "", " -_.")
 
-FAMILIES: Int64Array = read_only(
-    [*(_FAMILIES.index(kind.family) for kind in KINDS.values()), _NONE], np.int64
-)
+FAMILIES: Int64Array = read_only([*(_FAMILIES.index(kind.family) for kind in KINDS.values()), _NONE], np.int64)
 """(K + 1,), the family of each class of `KINDS`, and -1 for whatever else there is."""
 
-SIZES: Float64Array = read_only(
-    [(*kind.size_lwh, *kind.size_sigmas) for kind in (*KINDS.values(), _OTHERWISE)]
-)
+SIZES: Float64Array = read_only([(*kind.size_lwh, *kind.size_sigmas) for kind in (*KINDS.values(), _OTHERWISE)])
 """(K + 1, 6) float64 [m]: usual length, width and height of each class, and how much they differ; of words in no table
 wide enough to hold a person and a car."""
 
@@ -352,12 +344,8 @@ def independent_detectors(
         )
         for name, kind in KINDS.items()
     }
-    provenance = MappingProxyType(
-        {"data": "none: scores are taken for probabilities of independent detectors"}
-    )
-    return Detectors(
-        name=INDEPENDENT, classes=MappingProxyType(classes), otherwise="car", provenance=provenance
-    )
+    provenance = MappingProxyType({"data": "none: scores are taken for probabilities of independent detectors"})
+    return Detectors(name=INDEPENDENT, classes=MappingProxyType(classes), otherwise="car", provenance=provenance)
 
 
 def _noise(kind: _Kind) -> BoxNoise:

@@ -100,9 +100,7 @@ def _loss(
     weights: Float64Array,
 ) -> float:
     odds = features @ found
-    return float(
-        (np.logaddexp(0.0, odds) - odds * came_true).sum() + (weights * (found - expected) ** 2).sum() / 2
-    )
+    return float((np.logaddexp(0.0, odds) - odds * came_true).sum() + (weights * (found - expected) ** 2).sum() / 2)
 
 
 def fit_deviations(
@@ -280,9 +278,7 @@ def columns_of(examples: Iterable[LabelledPair], *, overlap: float) -> Columns:
 _TABLE = existence_table(independent_detectors())
 
 
-def _example(
-    example: LabelledPair, group: int, overlap: float
-) -> tuple[Prepared, SweepColumns, ImageColumns]:
+def _example(example: LabelledPair, group: int, overlap: float) -> tuple[Prepared, SweepColumns, ImageColumns]:
     pair = example.pair
     three, two = pair.boxes_3d, pair.boxes_2d
     boxes, rows_3d = boxes_with_position(three.centers, three.sizes_lwh, three.yaws)
@@ -332,9 +328,7 @@ def _example(
     return Prepared(pair, 0, boxes, outlines, partners, corners), sweep, image
 
 
-def _reported(
-    boxes: Boxes3D | Boxes2D, rows: Int64Array, kinds: Int64Array
-) -> tuple[Float64Array, Float64Array]:
+def _reported(boxes: Boxes3D | Boxes2D, rows: Int64Array, kinds: Int64Array) -> tuple[Float64Array, Float64Array]:
     """What scores name: logarithms of odds, and probabilities."""
     logit, flat = boxes.score_form is ScoreForm.LOGIT, isinstance(boxes, Boxes2D)
     reported, _, likely = existence.reported_odds(boxes.scores, rows, logit, flat, kinds, _TABLE)
@@ -434,9 +428,7 @@ class _Truth(NamedTuple):
         rows = self._own(np.where(partners == NO_BOX, NO_BOX, found))
         if not len(rows):
             return apart
-        true = project_outlines(pair.camera, pair.camera_from_lidar, self.boxes.copy()).corners_xyxy[
-            found[rows]
-        ]
+        true = project_outlines(pair.camera, pair.camera_from_lidar, self.boxes.copy()).corners_xyxy[found[rows]]
         own = corners[partners[rows]]
         limits = np.array([pair.camera.width, pair.camera.height]) - _BORDER_PX
         low, high = np.minimum(true, own)[:, :2], np.maximum(true, own)[:, 2:]
@@ -741,9 +733,7 @@ def _rotation(errors: Float64Array, yaws: Float64Array) -> None:
 _Ratios = tuple[float, float, float]
 
 
-def _ratios(
-    columns: Columns, name: str, distances: Float64Array, promised: float, *, matched: bool
-) -> _Ratios:
+def _ratios(columns: Columns, name: str, distances: Float64Array, promised: float, *, matched: bool) -> _Ratios:
     """By how much covariances of middles, sizes and headings are too small."""
     rows: BoolArray = (columns.sweep.kind == list(KINDS).index(name)) & np.isfinite(distances).all(axis=1)
     if matched:
@@ -848,9 +838,7 @@ def fit_columns(
     counts = np.bincount(judged, minlength=len(names))[: len(names)]
     kinds = [k for k, count in enumerate(counts.tolist()) if count >= settings.least_count]
     if not kinds:
-        raise OptionError(
-            f"boxes of one class {counts.max(initial=0)}; expected {settings.least_count} or more"
-        )
+        raise OptionError(f"boxes of one class {counts.max(initial=0)}; expected {settings.least_count} or more")
     classes = {names[kind]: _fit_class(columns, kind, settings) for kind in kinds}
     draft = Detectors(
         name=name,

@@ -170,9 +170,7 @@ class _Alone:
 def _rows_of_images(views: tuple[FusedBoxes, ...]) -> _Alone:
     """Join the objects of images alone, camera by camera."""
     count = len(views)
-    joined = _Alone(
-        np.zeros((count, 0), np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)), ()
-    )
+    joined = _Alone(np.zeros((count, 0), np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)), ())
     for c, view in enumerate(views):
         joined = _with_view(joined, c, view, np.flatnonzero(view.rows_3d == NO_BOX))
     return joined

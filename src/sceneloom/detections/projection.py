@@ -382,20 +382,14 @@ class _Found(NamedTuple):
         depths = np.sort((points - origin) @ ray)
         reach = float(np.sqrt(size[0] * size[1])) + _DEEPER
         first, last = _most_at_once(depths, reach, float(placed.ranges[k]), by_height)
-        if last - first < max(_LEAST_POINTS, _LEAST_SHARE * len(depths)) or first > _MOST_NEARER * len(
-            depths
-        ):
+        if last - first < max(_LEAST_POINTS, _LEAST_SHARE * len(depths)) or first > _MOST_NEARER * len(depths):
             return None
         surface = float(np.quantile(depths[first:last], _SURFACE))
         behind, behind_variance = _behind(surface, size, visibility)
         distance, visibility = surface + behind, visibility._replace(is_hidden=first > _HIDDEN * len(depths))
         across = (float(np.trace(placed.center_covariances[k])) - by_height) / 2.0
         across = across * (distance / placed.ranges[k]) ** 2 + _off_ray(distance, size, visibility)
-        along = (
-            _SURFACE_SIGMA**2
-            + behind_variance
-            + visibility.is_cut_across * (_CUT_ALONG * float(size[0])) ** 2
-        )
+        along = _SURFACE_SIGMA**2 + behind_variance + visibility.is_cut_across * (_CUT_ALONG * float(size[0])) ** 2
         return cls(distance, along, across, _height(distance, size, visibility))
 
     def put(self, placed: _Placed, k: int, origin: Float64Array) -> None:
@@ -555,9 +549,7 @@ def project_outlines(
     outside = np.maximum(np.abs((middles[:, None] @ axes)[:, 0]) - halves, 0.0)
     gaps = np.sqrt((outside * outside).sum(axis=1))
     extents, shares = box_extents(camera, corners, steps=COARSE)
-    hide_covered(
-        extents, shares, distances, gaps, np.ones(len(boxes)) if likely is None else likely, _NEAR, _APART
-    )
+    hide_covered(extents, shares, distances, gaps, np.ones(len(boxes)) if likely is None else likely, _NEAR, _APART)
     return Outlines(extents, shares, axes, corners)
 
 
@@ -802,9 +794,7 @@ def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DE
     others = existence.scores_of_image(placed.rows, placed.ranges, image.odds, image.kinds, tables.existence)
     scores = np.concatenate([scores, others])
     labels = (*_labels(sweep, image, partners), *(image.labels[k] for k in placed.rows.tolist()))
-    fused = _joined(
-        pair, sweep, image, outlines, partners, spread, placed, scores, labels, tables.degrees_of_freedom
-    )
+    fused = _joined(pair, sweep, image, outlines, partners, spread, placed, scores, labels, tables.degrees_of_freedom)
     if by_points is None:
         return fused
     return replace(fused, by_points=np.concatenate([np.zeros(len(sweep.rows), np.bool_), by_points]))
@@ -920,18 +910,14 @@ def _refined(
     return _Spread(covariances, of_yaws)
 
 
-def _placed(
-    pair: DetectionPair, sweep: _Seen, image: _Seen, alone: Int64Array
-) -> tuple[_Placed, BoolArray | None]:
+def _placed(pair: DetectionPair, sweep: _Seen, image: _Seen, alone: Int64Array) -> tuple[_Placed, BoolArray | None]:
     """The objects of boxes of the image alone, and which of them points of the sweep have placed."""
     camera, camera_from_lidar = pair.camera, pair.camera_from_lidar
     placed = position_by_height(camera, camera_from_lidar, image.numbers, alone, image.kinds)
     if pair.points_lidar is None:
         return placed, None
     boxes = sweep.numbers[sweep.likely >= _BELIEVED]
-    return _position_by_points(
-        camera, camera_from_lidar, pair.points_lidar, image.numbers, image.kinds, boxes, placed
-    )
+    return _position_by_points(camera, camera_from_lidar, pair.points_lidar, image.numbers, image.kinds, boxes, placed)
 
 
 def _labels(sweep: _Seen, image: _Seen, partners: Int64Array) -> list[str]:

@@ -113,9 +113,7 @@ def _rotation_covariance(
     found = []
     for _ in range(_REPLICATES):
         drawn = np.bincount(generator.integers(count, size=count), minlength=count)
-        found.append(
-            _weighted_rotation(couples[near], jacobian[near], rotation, drawn[block].astype(np.float64))
-        )
+        found.append(_weighted_rotation(couples[near], jacobian[near], rotation, drawn[block].astype(np.float64)))
     return np.atleast_2d(np.cov(np.array(found).T))
 
 
@@ -234,9 +232,7 @@ class BoxResiduals:
         rotation = _refined_rotation(couples, jacobian, _voted_rotation(couples, jacobian))
         agreeing = _agreeing_with(couples, jacobian, rotation)
         x, y, z = np.degrees(rotation).tolist()
-        return Misalignment(
-            (x, y, z), int(agreeing.sum()), int(_agreeing_with(couples, jacobian, _NO_ROTATION).sum())
-        )
+        return Misalignment((x, y, z), int(agreeing.sum()), int(_agreeing_with(couples, jacobian, _NO_ROTATION).sum()))
 
     def rotation(self) -> BoxRotation | None:
         """Find the rotation about which most couples agree, and how sure it is; None where there are too few."""

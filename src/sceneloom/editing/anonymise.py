@@ -118,9 +118,7 @@ def _streams_reported(scene: Scene) -> list[DataWarning]:
         streams: Mapping[str, object] = sensor.streams if isinstance(sensor, ImuSensor) else {}
         for name, what in _REPORTS.items():
             if name in streams:
-                reported.append(
-                    assumed("stream-reports", f"sensors[{sensor.id}].streams.{name}", f"{what}; stays")
-                )
+                reported.append(assumed("stream-reports", f"sensors[{sensor.id}].streams.{name}", f"{what}; stays"))
     return reported
 
 
@@ -229,11 +227,7 @@ class _FieldSweep:
         if isinstance(value, Mapping):
             revealing = [name for name in value if name in _OURS_REVEALING and "location" in self.kinds]
             self.found += [Telltale(f"{location}.{name}", "location") for name in revealing]
-            return {
-                name: self._ours(one, f"{location}.{name}")
-                for name, one in value.items()
-                if name not in revealing
-            }
+            return {name: self._ours(one, f"{location}.{name}") for name, one in value.items() if name not in revealing}
         if isinstance(value, list | tuple):
             return [self._ours(one, f"{location}[{k}]") for k, one in enumerate(value)]
         return value
@@ -259,9 +253,7 @@ class _FieldSweep:
             changes["extras"] = self.fields(extras, f"{location}.extras")
         attributes = getattr(part, "attributes", ())
         kept = tuple(
-            one
-            for one in attributes
-            if not self._goes(one.name, one.values, f"{location}.attributes.{one.name}")
+            one for one in attributes if not self._goes(one.name, one.values, f"{location}.attributes.{one.name}")
         )
         if len(kept) < len(attributes):
             changes["attributes"] = kept
@@ -339,8 +331,7 @@ def _clock_from_zero(scene: Scene) -> Scene:
         scene,
         sensors=tuple(_moved(sensor, correction) for sensor in scene.sensors),
         trajectories={
-            name: retimed_trajectory(trajectory, correction)
-            for name, trajectory in scene.trajectories.items()
+            name: retimed_trajectory(trajectory, correction) for name, trajectory in scene.trajectories.items()
         },
         annotations=tuple(retimed_annotation(one, own, correction.right) for one in scene.annotations),
         attributes=tuple(retimed_annotation(one, own, correction.right) for one in scene.attributes),
@@ -354,9 +345,7 @@ def _moved(sensor: Sensor, correction: ClockCorrection) -> Sensor:
     poses = getattr(moved, "poses", None)
     if not isinstance(poses, Poses) or poses.static:
         return sensor if moved is sensor else _typed(moved)
-    return _typed(
-        replace(moved, poses=replace(poses, timestamps_ns=read_only(correction.right(poses.timestamps_ns))))
-    )
+    return _typed(replace(moved, poses=replace(poses, timestamps_ns=read_only(correction.right(poses.timestamps_ns)))))
 
 
 def _typed(sensor: Any) -> Sensor:

@@ -54,9 +54,7 @@ def _calibrated_camera(sensor: CameraSensor, calibration: CameraCalibration) -> 
     return replace(rotated, camera=calibration.intrinsics or sensor.camera, images=images, poses=poses)
 
 
-def _calibrated_image(
-    sensor: CameraSensor, calibration: CameraCalibration, shift_ns: int, k: int
-) -> CameraImage:
+def _calibrated_image(sensor: CameraSensor, calibration: CameraCalibration, shift_ns: int, k: int) -> CameraImage:
     """Image `k`, not decoded, with its own mounting and camera model corrected."""
     image = sensor.images[k]
     timestamp_ns, mount, camera = (
@@ -97,9 +95,7 @@ def _rotated(sensor: CameraSensor, correction: Poses, shift_ns: int) -> CameraSe
         sensor.mount.quaternion_xyzw[None],
         static=True,
     )
-    return replace(
-        sensor, poses=_behind(mounted, correction, timestamps_ns), mount=None, coordinates=Coordinates.EGO
-    )
+    return replace(sensor, poses=_behind(mounted, correction, timestamps_ns), mount=None, coordinates=Coordinates.EGO)
 
 
 def _behind(path: Poses, correction: Poses, timestamps_ns: Int64Array) -> Poses:
@@ -155,9 +151,7 @@ def _shifted_annotation(annotation: Annotation, sensor_id: Identifier, shift_ns:
             projections=tuple(_shifted(entry, key, shift_ns) for entry in annotation.projections),
         )
     if isinstance(annotation, PointsAnnotation):
-        projections = (
-            tuple(_shifted(e, key, shift_ns) for e in entries) for entries in annotation.projections
-        )
+        projections = (tuple(_shifted(e, key, shift_ns) for e in entries) for entries in annotation.projections)
         return replace(annotation, projections=tuple(projections))
     return annotation
 
@@ -261,9 +255,7 @@ def _calibrated(scene: Scene, calibration: CameraCalibration) -> Scene:
     camera = next((s for s in scene.sensors if key_of(s.id) == key), None)
     if not isinstance(camera, CameraSensor):
         what = f"no camera {calibration.sensor_id!r} in it; not applied"
-        return with_warnings(
-            scene, [skipped("calibration-without-camera", f"annotations[{calibration.id}]", what)]
-        )
+        return with_warnings(scene, [skipped("calibration-without-camera", f"annotations[{calibration.id}]", what)])
     corrected = _calibrated_camera(camera, calibration)
     shift_ns = round(calibration.time_offset_ns or 0)
     changed = replace(
@@ -290,9 +282,7 @@ def _projections(scene: Scene, sensor_id: Identifier) -> int:
     return count
 
 
-def _adjusted(
-    scene: Scene, adjustment: LocalizationAdjustment, annotations_in: Coordinates | str | None
-) -> Scene:
+def _adjusted(scene: Scene, adjustment: LocalizationAdjustment, annotations_in: Coordinates | str | None) -> Scene:
     poses = adjustment.poses
     left = _without(scene, adjustment)
     if _frame(scene) is Coordinates.EGO:
@@ -329,8 +319,7 @@ def _frame(scene: Scene) -> Coordinates:
 def _only_mounted(scene: Scene) -> bool:
     """Whether sensors are mounted on the ego, and nothing says where it or any of them was in the world."""
     placed = any(
-        isinstance(sensor, OdometrySensor) or getattr(sensor, "poses", None) is not None
-        for sensor in scene.sensors
+        isinstance(sensor, OdometrySensor) or getattr(sensor, "poses", None) is not None for sensor in scene.sensors
     )
     clouds = [sensor for sensor in scene.sensors if isinstance(sensor, LidarSensor | RadarSensor)]
     in_world = any(sensor.points_frame is PointsFrame.WORLD for sensor in clouds)

@@ -58,9 +58,7 @@ def _chosen_cameras(
                 yield index, sensor
         elif key_of(sensor.id) in wanted:
             if not isinstance(sensor, CameraSensor):
-                raise OptionError(
-                    f"{scene.source}: sensor {sensor.id!r} is a {sensor.type}; expected a camera"
-                )
+                raise OptionError(f"{scene.source}: sensor {sensor.id!r} is a {sensor.type}; expected a camera")
             _check(scene, sensor)
             yield index, sensor
 
@@ -213,9 +211,7 @@ class _CameraModelChange:
         NaN where a part has no location, or the new image shows nothing of it.
         """
         along = np.linspace(0.0, 1.0, _SIDE)
-        outline = np.concatenate(
-            [np.stack(pair, axis=1) for pair in _sides(along, np.zeros(_SIDE), np.ones(_SIDE))]
-        )
+        outline = np.concatenate([np.stack(pair, axis=1) for pair in _sides(along, np.zeros(_SIDE), np.ones(_SIDE))])
         locations = boxes[:, None, :2] + outline[None] * boxes[:, None, 2:]
         moved = self.pixels(locations.reshape(-1, 2)).reshape(locations.shape)
         low, high = moved.min(axis=1), moved.max(axis=1)
@@ -230,9 +226,7 @@ def _sides(
     return (along, zeros), (along, ones), (zeros, along), (ones, along)
 
 
-def _redrawn(
-    annotations: tuple[Annotation, ...], changes: Mapping[Key, _CameraModelChange]
-) -> tuple[Annotation, ...]:
+def _redrawn(annotations: tuple[Annotation, ...], changes: Mapping[Key, _CameraModelChange]) -> tuple[Annotation, ...]:
     """Move everything that is drawn into images of the cameras whose camera model changes.
 
     Rows of paths that the new camera model does not see whole, or the new image not at all, are left out, and an
@@ -253,9 +247,7 @@ def _moved(annotation: Annotation, changes: Mapping[Key, _CameraModelChange]) ->
         projections = tuple(_moved_projection(one, changes) for one in annotation.projections)
         return replace(annotation, projections=projections)
     if isinstance(annotation, PointsAnnotation):
-        lists = tuple(
-            tuple(_moved_point(one, changes) for one in per_point) for per_point in annotation.projections
-        )
+        lists = tuple(tuple(_moved_point(one, changes) for one in per_point) for per_point in annotation.projections)
         return replace(annotation, projections=lists)
     return annotation
 
@@ -338,9 +330,7 @@ def undistort_scene(
     sensors: list[Any] = list(scene.sensors)
     changes: dict[Key, _CameraModelChange] = {}
     entries = list(ours_of(scene).get("undistorted") or ())
-    for index, sensor in _chosen_cameras(
-        scene, cameras, unless="pinhole" if width is height is None else None
-    ):
+    for index, sensor in _chosen_cameras(scene, cameras, unless="pinhole" if width is height is None else None):
         target = undistorted_camera(sensor.camera, keep=keep, width=width, height=height)
         sensors[index] = _undistorted_camera_sensor(sensor, target)
         changes[key_of(sensor.id)] = _CameraModelChange(sensor.camera, target)
@@ -370,12 +360,8 @@ def _bent(scene: Scene) -> int:
 
 
 def _undistorted_camera_sensor(sensor: CameraSensor, target: Camera) -> CameraSensor:
-    images = LazyFrames(
-        sensor.images.timestamps_ns, partial(_undistorted_image, sensor.images, _Maps(target))
-    )
-    return replace(
-        sensor, camera=target, images=images, video=None, extras=_without_distortion(sensor.extras)
-    )
+    images = LazyFrames(sensor.images.timestamps_ns, partial(_undistorted_image, sensor.images, _Maps(target)))
+    return replace(sensor, camera=target, images=images, video=None, extras=_without_distortion(sensor.extras))
 
 
 def _without_distortion(extras: Mapping[str, Any]) -> Mapping[str, Any]:

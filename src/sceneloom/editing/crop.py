@@ -161,9 +161,7 @@ def _with_labels_chosen(scene: Scene, labels: Iterable[str]) -> Scene:
     unknown = sorted(wanted - stated)
     if unknown:
         known = ", ".join(sorted(repr(label) for label in stated if label is not None))
-        raise OptionError(
-            f"{scene.source}: no annotation has the label {unknown[0]!r}; there are {known or 'none'}"
-        )
+        raise OptionError(f"{scene.source}: no annotation has the label {unknown[0]!r}; there are {known or 'none'}")
     kept = {key_of(a.id) for a in scene.annotations if _label(a) in wanted}
     parents = {key_of(a.id): a.parent_id for a in scene.annotations}
     for key in list(kept):
@@ -209,9 +207,7 @@ class _Region:
 
     def __post_init__(self) -> None:
         if self.box is not None:
-            fits = len(self.box) == 6 and all(
-                low <= high for low, high in zip(self.box[:3], self.box[3:], strict=True)
-            )
+            fits = len(self.box) == 6 and all(low <= high for low, high in zip(self.box[:3], self.box[3:], strict=True))
             if not fits:
                 raise OptionError(
                     f"box {self.box}; expected xmin,ymin,zmin,xmax,ymax,zmax, each minimum at most the maximum"
@@ -253,9 +249,7 @@ def _held_at(regions: tuple[_Placed, ...], timestamp_ns: int, locations: FloatAr
     return inside
 
 
-def _ever_held(
-    alternatives: tuple[tuple[_Placed, ...], ...], times_ns: Int64Array, locations: FloatArray
-) -> BoolArray:
+def _ever_held(alternatives: tuple[tuple[_Placed, ...], ...], times_ns: Int64Array, locations: FloatArray) -> BoolArray:
     """Report at which times a thing lies in all regions of any alternative.
 
     Args:
@@ -518,9 +512,7 @@ def _regions(frame: PointsFrame, box: Sequence[float] | None, reach: float | Non
     return tuple(regions)
 
 
-def _ego(
-    scene: Scene, regions: tuple[_Region, ...], trajectory: str | None, heading: str | None
-) -> EgoMotion | None:
+def _ego(scene: Scene, regions: tuple[_Region, ...], trajectory: str | None, heading: str | None) -> EgoMotion | None:
     """The ego trajectory, if something may need it."""
     posed = [s for s in scene.sensors if isinstance(s, Posed)]
     on_ego = any(s.mount is not None or s.coordinates is Coordinates.EGO for s in posed)
@@ -548,9 +540,7 @@ class _Crop:
         )
         cut = _with_annotations(self.scene, [crop(annotation) for annotation in self.scene.annotations])
         annotations, reported = renumbered(cut.annotations, self.changes)
-        return with_warnings(
-            replace(cut, sensors=sensors, annotations=annotations), (*self.warnings, *reported)
-        )
+        return with_warnings(replace(cut, sensors=sensors, annotations=annotations), (*self.warnings, *reported))
 
     def _sensor(self, sensor: Sensor) -> Sensor:
         if isinstance(sensor, LidarSensor | RadarSensor):
@@ -570,9 +560,7 @@ class _Crop:
         self.warnings.append(skipped("frames-beyond-the-trajectory", location, what, count=lost))
         choice = _FrameChoice(placed)
         self.changes[key_of(sensor.id)] = renumbered_frames(numbers, sensor.frames, choice)
-        frames: Any = with_chosen_points(
-            chosen_frames(sensor.frames, numbers), choice, sensor.id, self.on_points
-        )
+        frames: Any = with_chosen_points(chosen_frames(sensor.frames, numbers), choice, sensor.id, self.on_points)
         return replace(sensor, frames=frames)
 
     def _placed_points(self, sensor: LidarSensor | RadarSensor) -> tuple[_Placed, ...]:
@@ -589,12 +577,9 @@ class _Crop:
             return (tuple((region, self._change(old, region.frame, None)) for region in self.regions),)
         clouds = [s for s in self.scene.sensors if isinstance(s, LidarSensor | RadarSensor)]
         if not clouds:
-            raise OptionError(
-                f"{self.scene.source}: no lidar or radar in it whose frame or distance could be meant"
-            )
+            raise OptionError(f"{self.scene.source}: no lidar or radar in it whose frame or distance could be meant")
         return tuple(
-            tuple((region, self._change(old, region.frame, sensor)) for region in self.regions)
-            for sensor in clouds
+            tuple((region, self._change(old, region.frame, sensor)) for region in self.regions) for sensor in clouds
         )
 
     def _change(

@@ -308,13 +308,9 @@ class _Comparison:
     found: dict[tuple[str, Change], Difference] = field(default_factory=dict)
     not_compared: dict[str, None] = field(default_factory=dict)
 
-    def add(
-        self, path: str, change: Change, message: str, amount: float | None = None, unit: str = ""
-    ) -> None:
+    def add(self, path: str, change: Change, message: str, amount: float | None = None, unit: str = "") -> None:
         """Add a difference; of several in frames the largest one is reported."""
-        made = Difference(
-            path=path, change=change, message=message, amount=amount, unit=unit, frame=self.frame
-        )
+        made = Difference(path=path, change=change, message=message, amount=amount, unit=unit, frame=self.frame)
         before = self.found.get((path, change))
         if before is not None:
             largest = made if (amount or 0.0) > (before.amount or 0.0) else before
@@ -363,9 +359,7 @@ class _Comparison:
             return ()
         metres, degrees = found
         if not (limits.other_timestamps and metres <= limits.metres and degrees <= limits.degrees):
-            reported = (
-                f"{count} timestamps; then {other}; as paths up to {metres:.3g} m and {degrees:.3g} deg apart"
-            )
+            reported = f"{count} timestamps; then {other}; as paths up to {metres:.3g} m and {degrees:.3g} deg apart"
             self.changed(path, reported, metres, _METRES)
         return _PATHS[type(a)][1]
 
@@ -451,19 +445,11 @@ class _Comparison:
         self.records(path, a, b, skipped=("frames", "images", "video"))
         if isinstance(a, CameraSensor) and isinstance(b, CameraSensor):
             videos = self._videos(f"{path}.images", a, b)
-            self._frames(
-                f"{path}.images", a.images, b.images, lambda inner, *pair: inner.images(*pair, videos)
-            )
+            self._frames(f"{path}.images", a.images, b.images, lambda inner, *pair: inner.images(*pair, videos))
         elif isinstance(a, DepthCameraSensor) and isinstance(b, DepthCameraSensor):
             videos = self._videos(f"{path}.frames", a, b)
-            self._frames(
-                f"{path}.frames", a.frames, b.frames, lambda inner, *pair: inner.depth_images(*pair, videos)
-            )
-        elif (
-            isinstance(a, LidarSensor | RadarSensor)
-            and isinstance(b, LidarSensor | RadarSensor)
-            and a.type == b.type
-        ):
+            self._frames(f"{path}.frames", a.frames, b.frames, lambda inner, *pair: inner.depth_images(*pair, videos))
+        elif isinstance(a, LidarSensor | RadarSensor) and isinstance(b, LidarSensor | RadarSensor) and a.type == b.type:
             self._frames(f"{path}.frames", a.frames, b.frames, _Comparison.clouds)
 
     def _frames(
@@ -502,9 +488,7 @@ class _Comparison:
         if self.pixels:
             self._pixels(f"{path}.rgb", a.rgb, b.rgb)
         elif equal is None:
-            self.not_compared[f"{path}: images without files of their own; decode them to compare them"] = (
-                None
-            )
+            self.not_compared[f"{path}: images without files of their own; decode them to compare them"] = None
         elif videos is None:
             self.changed(f"{path}.content", "other bytes")
 
@@ -599,9 +583,7 @@ def _shown(value: Any) -> str:
     return text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"
 
 
-def pairs(
-    first_ns: Int64Array, second_ns: Int64Array, tolerance_ns: float
-) -> Iterator[tuple[int | None, int | None]]:
+def pairs(first_ns: Int64Array, second_ns: Int64Array, tolerance_ns: float) -> Iterator[tuple[int | None, int | None]]:
     """Pair frames by their timestamps (N,) and (M,) [ns], each with the first one near enough.
 
     None beside a lone one.
@@ -698,9 +680,7 @@ def diff_scenes(
         comparison.members(name, here, there, _named, compare)
         if [key for key in here if key in there] != [key for key in there if key in here]:
             comparison.changed(name, "in another order")
-    return SceneDifferences(
-        differences=tuple(comparison.found.values()), not_compared=tuple(comparison.not_compared)
-    )
+    return SceneDifferences(differences=tuple(comparison.found.values()), not_compared=tuple(comparison.not_compared))
 
 
 def _frame_count(scene: Scene) -> int:

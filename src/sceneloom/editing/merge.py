@@ -174,9 +174,7 @@ class _Joint:
     def frames(self, first: LazyFrames[Any], second: LazyFrames[Any]) -> LazyFrames[Any]:
         """The frames of the whole."""
         timestamps = [(first, second)[part].timestamps_ns[number] for part, number in self.locations.tolist()]
-        return LazyFrames(
-            np.array(timestamps, np.int64), partial(_frame_of_parts, (first, second), self.locations)
-        )
+        return LazyFrames(np.array(timestamps, np.int64), partial(_frame_of_parts, (first, second), self.locations))
 
 
 _Joined = tuple[Sensor, _Joint | None]
@@ -194,9 +192,7 @@ def _joined_sensor(first: Sensor, second: Sensor, name: str) -> _Joined:
     """
     join = _SENSOR_JOINS.get(type(first))
     if type(first) is not type(second) or join is None:
-        raise OptionError(
-            f"{name}: a {first.type} in one scene and a {second.type} in another; expected one kind"
-        )
+        raise OptionError(f"{name}: a {first.type} in one scene and a {second.type} in another; expected one kind")
     joined: _Joined = join(first, second, name)
     return joined
 
@@ -243,17 +239,13 @@ def _placed(first: _Moving, second: _Moving, name: str) -> _Moving:
     if first.poses is None or second.poses is None:
         return replace(first, poses=first.poses or second.poses)
     if first.coordinates is not second.coordinates:
-        raise OptionError(
-            f"{name}: poses in {first.coordinates} and in {second.coordinates}; expected one frame"
-        )
+        raise OptionError(f"{name}: poses in {first.coordinates} and in {second.coordinates}; expected one frame")
     return replace(first, poses=_joined_path(first.poses, second.poses, name))
 
 
 def _check_mounts(first: RigidTransform | None, second: RigidTransform | None, name: str) -> None:
     if (first is None) != (second is None) or (
-        first is not None
-        and second is not None
-        and np.abs(first.matrix - second.matrix).max() > _MOUNT_TOLERANCE
+        first is not None and second is not None and np.abs(first.matrix - second.matrix).max() > _MOUNT_TOLERANCE
     ):
         raise OptionError(f"{name}: mounted otherwise in one scene than in another; expected one mounting")
 
@@ -327,9 +319,7 @@ def _gnss(first: GnssSensor, second: GnssSensor, name: str) -> _Joined:
 
 def _unchanging(first: Any, second: Any, name: str) -> _Joined:
     if not _is_same(first, second):
-        raise OptionError(
-            f"{name}: differs between the scenes and has no time; expected the same, or another id"
-        )
+        raise OptionError(f"{name}: differs between the scenes and has no time; expected the same, or another id")
     return first, None
 
 
@@ -373,9 +363,7 @@ def _joined_annotation(first: Annotation, second: Annotation, name: str) -> Anno
 def _joined_rows(first: Any, second: Any) -> Any:
     """Join what has timestamps and an entry of some fields for each; a field that one lacks is left out."""
     rows = _new_rows(first.timestamps_ns, second.timestamps_ns)
-    chosen: dict[str, Any] = {
-        "timestamps_ns": np.concatenate([first.timestamps_ns, second.timestamps_ns])[rows]
-    }
+    chosen: dict[str, Any] = {"timestamps_ns": np.concatenate([first.timestamps_ns, second.timestamps_ns])[rows]}
     for name in _ROWS:
         if hasattr(first, name):
             chosen[name] = _joined_columns(getattr(first, name), getattr(second, name), rows)
@@ -435,17 +423,13 @@ def _cuboid(first: CuboidAnnotation, second: CuboidAnnotation, name: str) -> Cub
 
 def _path(first: Any, second: Any, name: str) -> Any:
     if not _is_same(first.sensor_id, second.sensor_id):
-        raise OptionError(
-            f"{name}: of sensor {first.sensor_id!r} and of {second.sensor_id!r}; expected one sensor"
-        )
+        raise OptionError(f"{name}: of sensor {first.sensor_id!r} and of {second.sensor_id!r}; expected one sensor")
     return replace(first, path=_joined_paths(first, second))
 
 
 def _points(first: PointsAnnotation, second: PointsAnnotation, name: str) -> PointsAnnotation:
     if len(first.paths) != len(second.paths):
-        raise OptionError(
-            f"{name}: {len(first.paths)} points and {len(second.paths)} points; expected as many"
-        )
+        raise OptionError(f"{name}: {len(first.paths)} points and {len(second.paths)} points; expected as many")
     paths = (_joined_rows(a, b) for a, b in zip(first.paths, second.paths, strict=True))
     count = max(len(first.projections), len(second.projections))
     a, b = (((*given, *((),) * count)[:count]) for given in (first.projections, second.projections))
@@ -453,9 +437,7 @@ def _points(first: PointsAnnotation, second: PointsAnnotation, name: str) -> Poi
     return replace(first, paths=tuple(paths), projections=tuple(projections))
 
 
-def _labelled(
-    first: LabeledPointsAnnotation, second: LabeledPointsAnnotation, name: str
-) -> LabeledPointsAnnotation:
+def _labelled(first: LabeledPointsAnnotation, second: LabeledPointsAnnotation, name: str) -> LabeledPointsAnnotation:
     del name
     joined = {(key_of(entry.sensor_id), entry.sensor_frame): entry for entry in first.labeled_points}
     for entry in second.labeled_points:
@@ -475,9 +457,7 @@ def _event(first: EventAnnotation, second: EventAnnotation, name: str) -> EventA
     return replace(first, start_ns=start_ns, duration_ns=None if untold else duration_ns)
 
 
-def _adjustment(
-    first: LocalizationAdjustment, second: LocalizationAdjustment, name: str
-) -> LocalizationAdjustment:
+def _adjustment(first: LocalizationAdjustment, second: LocalizationAdjustment, name: str) -> LocalizationAdjustment:
     return replace(first, poses=_joined_path(first.poses, second.poses, name))
 
 
@@ -734,9 +714,7 @@ _LISTED = ("deskew", "unfused", "extrapolated", "to_ego", "applied")
 """Our entries of the metadata that are lists, of which a merged scene has all."""
 
 
-def merge_scenes(
-    scenes: Sequence[Scene], *, rename: bool = False, join: bool = False, force: bool = False
-) -> Scene:
+def merge_scenes(scenes: Sequence[Scene], *, rename: bool = False, join: bool = False, force: bool = False) -> Scene:
     """Make one scene of several of one drive on one clock.
 
     Scenes whose metadata state which world they were moved from are brought into the first one's. References follow the
@@ -768,13 +746,9 @@ def merge_scenes(
             )
         unrelated = not reasons and _nothing_relates(merged, placed)
         placed = _in_words_of(placed, merged)
-        reported = [
-            assumed("different-drives", scene.source, f"merged all the same: {why}") for why in reasons
-        ]
+        reported = [assumed("different-drives", scene.source, f"merged all the same: {why}") for why in reasons]
         if unrelated:
-            what = (
-                "no city, satellite fixes or ego poses to compare with the others; taken to be of one drive"
-            )
+            what = "no city, satellite fixes or ego poses to compare with the others; taken to be of one drive"
             reported.append(assumed("drives-unrelated", scene.source, what))
         placed = with_warnings(placed, reported)
         merged = _Merger(merged, rename=rename, join=join).with_scene(placed)
@@ -897,9 +871,7 @@ class _Merger:
         numbers = {key: joint.second for key, joint in self.joints.items()}
         return None if named is None else _renumbered(named, numbers)
 
-    def _annotations(
-        self, scene: Scene, first: list[Annotation], second: list[Annotation]
-    ) -> tuple[Annotation, ...]:
+    def _annotations(self, scene: Scene, first: list[Annotation], second: list[Annotation]) -> tuple[Annotation, ...]:
         known = {key_of(annotation.id): k for k, annotation in enumerate(first)}
         used = set(known) | {key_of(annotation.id) for annotation in second}
         joined: set[Key] = set()

@@ -122,9 +122,7 @@ class FrameChange:
         moved: Float64Array = rotated + pose.positions.reshape(lead)
         return moved
 
-    def poses(
-        self, timestamps_ns: Int64Array, positions: Float64Array, quaternions_xyzw: Float64Array
-    ) -> PoseSamples:
+    def poses(self, timestamps_ns: Int64Array, positions: Float64Array, quaternions_xyzw: Float64Array) -> PoseSamples:
         """Give `new_from_body` of a body whose `old_from_body` is given at each time, (M, 3) and (M, 4)."""
         change = self.at(timestamps_ns)
         return PoseSamples(
@@ -226,9 +224,7 @@ def chosen_map(sensor: PointsSensor, rows: Int64Array) -> PointsSensor:
 
 def _chosen_extras(extras: Mapping[str, AnyArray], count: int, rows: Int64Array) -> Mapping[str, AnyArray]:
     """Those rows of unknown arrays; what has not one row per point stays whole."""
-    by_point = {
-        k: isinstance(array, np.ndarray) and array.shape[:1] == (count,) for k, array in extras.items()
-    }
+    by_point = {k: isinstance(array, np.ndarray) and array.shape[:1] == (count,) for k, array in extras.items()}
     return MappingProxyType({k: array[rows] if by_point[k] else array for k, array in extras.items()})
 
 

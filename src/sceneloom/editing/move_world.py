@@ -127,9 +127,7 @@ class _Keyframer:
     def _sets_moving(self) -> bool:
         return self.span_ns is not None and not self.change.is_constant
 
-    def times(
-        self, path: _PathKey, timestamps_ns: Int64Array, *, stationary: bool, sample: _Sampler
-    ) -> Int64Array:
+    def times(self, path: _PathKey, timestamps_ns: Int64Array, *, stationary: bool, sample: _Sampler) -> Int64Array:
         """Give the times (K,) int64 [ns] of the keyframes in the new frame, ascending; none where it is not known.
 
         Args:
@@ -299,9 +297,7 @@ def _moved_shape(mover: _AnnotationMover, annotation: ShapeAnnotation) -> ShapeA
     if len(times_ns) == 0:
         return None
     found = [vertices for vertices in shape_at(old, times_ns) if vertices is not None]
-    vertices = tuple(
-        mover.change.locations(times_ns[k : k + 1], shape[None])[0] for k, shape in enumerate(found)
-    )
+    vertices = tuple(mover.change.locations(times_ns[k : k + 1], shape[None])[0] for k, shape in enumerate(found))
     return replace(
         annotation,
         path=VertexPath(times_ns, vertices, path.extras),
@@ -309,9 +305,7 @@ def _moved_shape(mover: _AnnotationMover, annotation: ShapeAnnotation) -> ShapeA
     )
 
 
-def _moved_points_annotation(
-    mover: _AnnotationMover, annotation: PointsAnnotation
-) -> PointsAnnotation | None:
+def _moved_points_annotation(mover: _AnnotationMover, annotation: PointsAnnotation) -> PointsAnnotation | None:
     stationary = bool(annotation.stationary)
     paths = tuple(
         _moved_point(mover, annotation, number, path, stationary=stationary)
@@ -324,9 +318,7 @@ def _moved_points_annotation(
         annotation,
         paths=paths,
         stationary=mover.keyframer.stationary(first, was=annotation.stationary),
-        projections=tuple(
-            tuple(_seen_point(mover, entry) for entry in entries) for entries in annotation.projections
-        ),
+        projections=tuple(tuple(_seen_point(mover, entry) for entry in entries) for entries in annotation.projections),
     )
 
 
@@ -396,9 +388,7 @@ def _after(outer: Poses, inner: Poses) -> Poses:
     return outer if path is None else path
 
 
-def _seen_from(
-    new_from_old: FrameChange, adjustment: LocalizationAdjustment
-) -> LocalizationAdjustment | None:
+def _seen_from(new_from_old: FrameChange, adjustment: LocalizationAdjustment) -> LocalizationAdjustment | None:
     """Give the adjustment of a world that is seen from another one, before and after it.
 
     A'(t) = new_from_old(t) A(t) old_from_new(t). None where the two are known at no common time.
@@ -639,9 +629,7 @@ class _Moves:
     frames: dict[Key, Renumbering] = field(default_factory=dict)
     warnings: list[DataWarning] = field(default_factory=list)
 
-    def points(
-        self, sensor: LidarSensor | RadarSensor, change: FrameChange | None, frame: PointsFrame
-    ) -> Sensor:
+    def points(self, sensor: LidarSensor | RadarSensor, change: FrameChange | None, frame: PointsFrame) -> Sensor:
         """Move the points of a sensor; frames at whose times the change is not known are left out."""
         if change is None:
             return replace(sensor, points_frame=frame)
@@ -703,9 +691,7 @@ def _moved_sensors(scene: Scene, move: Callable[[_Moves, Sensor], Sensor]) -> Sc
     return with_warnings(moved, (*moves.warnings, *reported))
 
 
-def _sensor_in_world(
-    scene: Scene, ego: EgoMotion | None, moves: _Moves, sensor: Sensor, *, anew: bool
-) -> Sensor:
+def _sensor_in_world(scene: Scene, ego: EgoMotion | None, moves: _Moves, sensor: Sensor, *, anew: bool) -> Sensor:
     reach_ns = scene_period_ns(scene)
     if isinstance(sensor, PlainSensor):
         return moves.not_moved(sensor)
@@ -719,9 +705,7 @@ def _sensor_in_world(
     return moves.points(placed, change, PointsFrame.WORLD)
 
 
-def _sensor_on_ego(
-    scene: Scene, ego: EgoMotion, odometry_id: Identifier, moves: _Moves, sensor: Sensor
-) -> Sensor:
+def _sensor_on_ego(scene: Scene, ego: EgoMotion, odometry_id: Identifier, moves: _Moves, sensor: Sensor) -> Sensor:
     reach_ns = scene_period_ns(scene)
     if isinstance(sensor, PlainSensor):
         return moves.not_moved(sensor)
@@ -844,9 +828,7 @@ def _sensor_in_new_world(moves: _Moves, change: FrameChange, sensor: Sensor) -> 
     if sensor.poses is not None and sensor.coordinates is Coordinates.WORLD:
         sensor = replace(sensor, poses=_moved_path(change, sensor))
     if isinstance(sensor, LidarSensor | RadarSensor):
-        return moves.points(
-            sensor, change if sensor.points_frame is PointsFrame.WORLD else None, sensor.points_frame
-        )
+        return moves.points(sensor, change if sensor.points_frame is PointsFrame.WORLD else None, sensor.points_frame)
     return sensor
 
 
@@ -877,11 +859,7 @@ def _poses_in_world(
         PoseError: the sensor's location on the ego is known, and that of the ego is not.
     """
     own = sensor.poses
-    if (
-        own is not None
-        and sensor.coordinates is Coordinates.WORLD
-        and not (anew and sensor.mount is not None)
-    ):
+    if own is not None and sensor.coordinates is Coordinates.WORLD and not (anew and sensor.mount is not None):
         return own
     if own is not None and len(own.timestamps_ns) > 1 and sensor.coordinates is Coordinates.EGO:
         # at its own times, not by a path composed of both: that would end where the shorter of them ends

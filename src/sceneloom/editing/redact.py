@@ -107,9 +107,7 @@ def _camera_id(scene: Scene, stated: str | None) -> Identifier:
     ids = [camera.id for camera in scene.cameras]
     if stated is None and len(ids) == 1:
         return ids[0]
-    match = next(
-        (one for one in ids if one == stated), next((one for one in ids if str(one) == stated), None)
-    )
+    match = next((one for one in ids if one == stated), next((one for one in ids if str(one) == stated), None))
     if match is None:
         known = ", ".join(repr(one) for one in ids) or "none"
         what = "a box names no camera" if stated is None else f"a box names camera {stated!r}"
@@ -194,14 +192,10 @@ def _image_of(box: ImageBox, times_ns: Int64Array, reach_ns: int) -> int | None:
 
 def _listed_track(rows: list[tuple[int, tuple[float, ...]]]) -> _Track:
     ordered = sorted(rows, key=lambda row: row[0])
-    return _Track(
-        np.array([time for time, _ in ordered], np.int64), np.array([box for _, box in ordered], np.float64)
-    )
+    return _Track(np.array([time for time, _ in ordered], np.int64), np.array([box for _, box in ordered], np.float64))
 
 
-def _along(
-    trajectory: _Track, times_ns: Int64Array, reach_ns: int, hold_ns: int
-) -> tuple[Int64Array, Float64Array]:
+def _along(trajectory: _Track, times_ns: Int64Array, reach_ns: int, hold_ns: int) -> tuple[Int64Array, Float64Array]:
     """The images in which a trajectory is seen, (M,), and its boxes in them, (M, 4)."""
     first_ns = int(trajectory.times_ns[0]) - hold_ns - reach_ns
     last_ns = int(trajectory.times_ns[-1]) + hold_ns + reach_ns
@@ -249,9 +243,7 @@ def hidden_regions(hiding: Hiding, width: int, height: int, *, margin: float = 0
     cut = there & np.any((low < 0.0) | (high > size), axis=1)
     wider = (high - low) * margin
     corners = _whole(low - wider, high + wider, size)
-    pixels = {
-        int(image): corners[there & (hiding.images == image)] for image in np.unique(hiding.images[there])
-    }
+    pixels = {int(image): corners[there & (hiding.images == image)] for image in np.unique(hiding.images[there])}
     return HiddenRegions(pixels, int((~there).sum()), int(cut.sum()))
 
 
@@ -479,9 +471,7 @@ def hide_in_images(
         for location in embedded.locations
     ]
     changed = replace(cleaned, sensors=sensors)
-    return with_warnings(
-        changed, [*out, *_reported(hidings, regions), *_coloured(scene, dropped=drop_colours)]
-    )
+    return with_warnings(changed, [*out, *_reported(hidings, regions), *_coloured(scene, dropped=drop_colours)])
 
 
 def regions_of(scene: Scene, hidings: tuple[Hiding, ...], *, margin: float) -> dict[Key, HiddenRegions]:
@@ -489,8 +479,7 @@ def regions_of(scene: Scene, hidings: tuple[Hiding, ...], *, margin: float) -> d
     cameras = {key_of(camera.id): camera.camera for camera in scene.cameras}
     keyed = ((key_of(hiding.camera_id), hiding) for hiding in hidings)
     return {
-        key: hidden_regions(hiding, cameras[key].width, cameras[key].height, margin=margin)
-        for key, hiding in keyed
+        key: hidden_regions(hiding, cameras[key].width, cameras[key].height, margin=margin) for key, hiding in keyed
     }
 
 
@@ -501,9 +490,7 @@ def _hidden_camera(camera: CameraSensor, regions: HiddenRegions, fill: str) -> C
     return replace(camera, images=LazyFrames(camera.images.timestamps_ns, read), video=None)
 
 
-def _hidden_image(
-    images: LazyFrames[CameraImage], pixels: Mapping[int, Int64Array], fill: str, k: int
-) -> CameraImage:
+def _hidden_image(images: LazyFrames[CameraImage], pixels: Mapping[int, Int64Array], fill: str, k: int) -> CameraImage:
     image, boxes = images[k], pixels.get(k, _NO_BOXES)
     if not len(boxes):
         return image
@@ -541,9 +528,7 @@ def _reported(hidings: tuple[Hiding, ...], regions: Mapping[Key, HiddenRegions])
 
 def _coloured_sensors(scene: Scene) -> tuple[Identifier, ...]:
     """The ids of lidars whose first sweep, and of maps, that have colours."""
-    found = [
-        lidar.id for lidar in scene.lidars if len(lidar.frames) and lidar.frames[0].points.colors is not None
-    ]
+    found = [lidar.id for lidar in scene.lidars if len(lidar.frames) and lidar.frames[0].points.colors is not None]
     maps = [s.id for s in scene.sensors if isinstance(s, PointsSensor) and s.colors is not None]
     return (*found, *maps)
 
@@ -554,7 +539,4 @@ def _coloured(scene: Scene, *, dropped: bool) -> list[DataWarning]:
         if dropped
         else "colours of points came from images before anything was hidden, and stay; `--drop-colours` drops them"
     )
-    return [
-        assumed("colours-of-points", f"sensors[{one}].points.colors", what)
-        for one in _coloured_sensors(scene)
-    ]
+    return [assumed("colours-of-points", f"sensors[{one}].points.colors", what) for one in _coloured_sensors(scene)]

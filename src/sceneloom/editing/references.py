@@ -147,9 +147,7 @@ def _with_attributes(annotation: Any, sensors: NewIds) -> Any:
 def attributes_of(attributes: Iterable[AttributePath], sensors: NewIds) -> tuple[AttributePath, ...]:
     """Give the attributes by the new ids of sensors, without those of sensors that are gone."""
     return tuple(
-        attribute
-        if attribute.sensor_id is None
-        else replace(attribute, sensor_id=sensors(attribute.sensor_id))
+        attribute if attribute.sensor_id is None else replace(attribute, sensor_id=sensors(attribute.sensor_id))
         for attribute in attributes
         if not sensors.gone(attribute.sensor_id)
     )

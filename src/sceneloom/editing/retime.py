@@ -84,9 +84,7 @@ class Clock(Protocol):
         ...
 
 
-def _retimed_lines(
-    scene: Scene, sensors: Mapping[Key, Clock], trajectories: Mapping[str, Clock]
-) -> Mapping[str, Any]:
+def _retimed_lines(scene: Scene, sensors: Mapping[Key, Clock], trajectories: Mapping[str, Clock]) -> Mapping[str, Any]:
     """Give the scene's metadata with the keys of lines moved as their samples are.
 
     Lines of several records of which one is moved are lines no longer: they would report it twice.
@@ -220,9 +218,7 @@ def retimed_scene(
         trajectories=new_trajectories,
     )
     placed = [
-        _placed(sensor, changed)
-        if key_of(sensor.id) in sensors or _default_moved(scene, trajectories)
-        else sensor
+        _placed(sensor, changed) if key_of(sensor.id) in sensors or _default_moved(scene, trajectories) else sensor
         for sensor in changed.sensors
     ]
     own: Mapping[Key, Callable[[Int64Array], Int64Array]] = {key: c.right for key, c in sensors.items()}
@@ -249,9 +245,7 @@ def retimed_sensor(sensor: Sensor, correction: ClockCorrection) -> Sensor:
 
 def retimed_trajectory(trajectory: Trajectory, correction: ClockCorrection) -> Trajectory:
     """Give a trajectory with its times moved."""
-    return replace(
-        trajectory, timestamps_ns=read_only(correction.right(trajectory.timestamps_ns)), file_seconds=None
-    )
+    return replace(trajectory, timestamps_ns=read_only(correction.right(trajectory.timestamps_ns)), file_seconds=None)
 
 
 def _cloud(sensor: Any, correction: ClockCorrection) -> Any:
@@ -267,9 +261,7 @@ def _camera(camera: Shooting, correction: ClockCorrection) -> Shooting:
 
 def _imu(imu: ImuSensor, correction: ClockCorrection) -> ImuSensor:
     streams = {
-        name: replace(
-            samples, timestamps_ns=read_only(correction.right(samples.timestamps_ns)), file_seconds=None
-        )
+        name: replace(samples, timestamps_ns=read_only(correction.right(samples.timestamps_ns)), file_seconds=None)
         for name, samples in imu.streams.items()
     }
     return replace(imu, streams=MappingProxyType(streams))
@@ -315,9 +307,7 @@ class RetimedClouds(Generic[_Cloud]):
             extras[_MEASURED] = self._right(np.asarray(extras[_MEASURED]), frame.timestamp_ns)
         points = replace(points, extras=MappingProxyType(extras))
         timestamp_ns = self.correction.right_ns(frame.timestamp_ns)
-        changed: Any = replace(
-            frame, timestamp_ns=timestamp_ns, points=points, extras=_without_own_times(frame.extras)
-        )
+        changed: Any = replace(frame, timestamp_ns=timestamp_ns, points=points, extras=_without_own_times(frame.extras))
         return changed
 
     def _right(self, times: Int64Array, timestamp_ns: int) -> Int64Array:
@@ -361,9 +351,7 @@ def _along(
     return [
         replace(sensor, poses=new_trajectories[name].poses)
         if isinstance(sensor, OdometrySensor)
-        and (
-            name := next((n for n in corrected if same_direction(sensor.poses, scene.trajectories[n])), None)
-        )
+        and (name := next((n for n in corrected if same_direction(sensor.poses, scene.trajectories[n])), None))
         else sensor
         for sensor in sensors
     ]
@@ -374,12 +362,7 @@ def _placed(sensor: Sensor, scene: Scene) -> Sensor:
     if not isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
         return sensor
     trajectory = next(iter(scene.trajectories.values()), None)
-    if (
-        sensor.poses is None
-        or sensor.mount is None
-        or trajectory is None
-        or trajectory.quaternions_xyzw is None
-    ):
+    if sensor.poses is None or sensor.mount is None or trajectory is None or trajectory.quaternions_xyzw is None:
         return sensor
     source = PoseSource(trajectory.poses, sensor.mount, scene_period_ns(scene))
     poses: Poses | None

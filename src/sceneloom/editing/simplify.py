@@ -107,9 +107,7 @@ def _changed(annotation: Annotation, changes: Mapping[type, Callable[[Any], Any]
 
 
 def _trajectories(scene: Scene, thinner: "_Thinner") -> Mapping[str, Trajectory]:
-    return MappingProxyType(
-        {name: thinner.trajectory(trajectory) for name, trajectory in scene.trajectories.items()}
-    )
+    return MappingProxyType({name: thinner.trajectory(trajectory) for name, trajectory in scene.trajectories.items()})
 
 
 def _warning(kind: str, before: int, after: int) -> DataWarning:
@@ -147,9 +145,7 @@ class _Thinner:
         if count > 2 and not (np.diff(timestamps_ns) > 0).all():
             rows = np.arange(count)
         else:
-            rows = thin_greedily(
-                count, lambda a, b: self._misfits(timestamps_ns, straight, quaternions_xyzw, a, b)
-            )
+            rows = thin_greedily(count, lambda a, b: self._misfits(timestamps_ns, straight, quaternions_xyzw, a, b))
         self.reported.add(kind, count, len(rows))
         return rows
 

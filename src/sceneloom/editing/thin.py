@@ -149,11 +149,7 @@ def thin_scene(
         raise OptionError(f"every {every}; expected 1 or more")
     if every == 1 and not thinning.changes:
         raise OptionError("nothing to thin by; expected one of voxel, share, points or every")
-    chosen = (
-        {key_of(s.id) for s in scene.sensors}
-        if sensors is None
-        else {key_of(scene.sensor(i).id) for i in sensors}
-    )
+    chosen = {key_of(s.id) for s in scene.sensors} if sensors is None else {key_of(scene.sensor(i).id) for i in sensors}
     changes: dict[Key, Renumbering] = {}
     thinned = tuple(
         _thinned(sensor, thinning, every, changes, on_points) if key_of(sensor.id) in chosen else sensor

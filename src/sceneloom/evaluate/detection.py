@@ -166,9 +166,7 @@ def at_difficulty(detections: ScoredDetections, difficulty: _Difficulty) -> Scor
     return replace(detections, true_ignored=true_ignored, found_ignored=found_ignored)
 
 
-def _excused(
-    found: ObjectTable, regions: ObjectTable, frames: int, rules: DetectionRules, least: float
-) -> BoolArray:
+def _excused(found: ObjectTable, regions: ObjectTable, frames: int, rules: DetectionRules, least: float) -> BoolArray:
     in_image = rules.similarity is Similarity.IMAGE
     counts = in_image or rules.regions_in_space
     if not counts or not len(regions) or regions.corners_xyxy is None or found.corners_xyxy is None:
@@ -179,9 +177,7 @@ def _excused(
     return kernels.reached_columns(shares, *pairs.locations, least if in_image else _OTHER_OVERLAP)
 
 
-def _joined(
-    truth: Mapping[str, ObjectTable], found: Mapping[str, ObjectTable]
-) -> tuple[ObjectTable, ObjectTable]:
+def _joined(truth: Mapping[str, ObjectTable], found: Mapping[str, ObjectTable]) -> tuple[ObjectTable, ObjectTable]:
     """Put the sequences behind one another, with frames that go on counting."""
     first, shifts = 0, {}
     for name in sorted(truth):
@@ -328,9 +324,7 @@ class _Calibration(msgspec.Struct, frozen=True, kw_only=True):
     bins: tuple[ReliabilityBin, ...]
 
 
-def judge_calibration(
-    probabilities: Float64Array, are_true: BoolArray, *, bin_count: int = _BINS
-) -> _Calibration:
+def judge_calibration(probabilities: Float64Array, are_true: BoolArray, *, bin_count: int = _BINS) -> _Calibration:
     """Hold scores against what came true.
 
     Args:
@@ -437,13 +431,9 @@ def judge_covariances(
     signs, logs = np.linalg.slogdet(covariances)
     if not (np.isfinite(logs).all() and (signs > 0).all()):
         row = int(np.flatnonzero(~(np.isfinite(logs) & (signs > 0)))[0])
-        raise ArrayError(
-            f"covariances[{row}]: {covariances[row].tolist()}; expected a positive definite matrix"
-        )
+        raise ArrayError(f"covariances[{row}]: {covariances[row].tolist()}; expected a positive definite matrix")
     distances = (errors * np.linalg.solve(covariances, errors[..., None])[..., 0]).sum(axis=1)
-    limits = {
-        level: radius_squared(level, degrees_of_freedom=freedom, dimensions=dimensions) for level in _LEVELS
-    }
+    limits = {level: radius_squared(level, degrees_of_freedom=freedom, dimensions=dimensions) for level in _LEVELS}
     low, high = stats.chi2.ppf((0.025, 0.975), count * dimensions) / count
     return CovarianceScores(
         count=count,
@@ -624,9 +614,7 @@ def _judge_boxes(
     """Judge covariances of boxes in space, whatever boxes the rest is judged by."""
     if all(table.covariances is None or table.boxes is None for table in results.values()):
         return None, None
-    in_space = replace(
-        rules, similarity=Similarity.SPACE, least_overlap=_OVERLAP_OF_ERRORS, neighbours={}, regions=""
-    )
+    in_space = replace(rules, similarity=Similarity.SPACE, least_overlap=_OVERLAP_OF_ERRORS, neighbours={}, regions="")
     detections = pair_detections(results, truth, label, rules=in_space)
     if detections.found.covariances is None or not (_surest_matches(detections) >= 0).any():
         return None, None
@@ -635,9 +623,7 @@ def _judge_boxes(
     # a heading the wrong way round is a mistake of its own, which no covariance is meant to report
     errors[:, 6] = (errors[:, 6] + np.pi / 2) % np.pi - np.pi / 2
     judged = {
-        name: judge_covariances(
-            errors[:, part], covariances[:, part, part], degrees_of_freedom=degrees_of_freedom
-        )
+        name: judge_covariances(errors[:, part], covariances[:, part, part], degrees_of_freedom=degrees_of_freedom)
         for name, part in _PARTS.items()
         if covariances[:, part, part].any()  # what nobody reported has variances of 0
     }
@@ -802,9 +788,7 @@ def _draw_precision(axes: Any, label: str, reported: ClassDetection) -> None:
 
 def _draw_reliability(axes: Any, label: str, reported: ClassDetection) -> None:
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1)
-    calibrations = {
-        name: scores.calibration for name, scores in reported.difficulties.items() if scores.calibration
-    }
+    calibrations = {name: scores.calibration for name, scores in reported.difficulties.items() if scores.calibration}
     for name, calibration in calibrations.items():
         _draw_bins(axes, name, calibration)
     if calibrations:

@@ -57,9 +57,7 @@ def _fused_objects_read_fused(path: Path) -> ObjectTable:
         try:
             record = parse_json(line)
         except DataError as error:
-            raise DataError(
-                path, f"line {number}", f"{error.location or 'record'}: {error.problem}"
-            ) from error
+            raise DataError(path, f"line {number}", f"{error.location or 'record'}: {error.problem}") from error
         if not isinstance(record, FusedDetections):
             raise DataError(path, f"line {number}", "is no record of fused detections (table 10)")
         if record.points_seq in tables:
@@ -264,9 +262,7 @@ def read_both(
     found, true = ({name: side[name] for name in sequences or sorted(sides[1])} for side in sides)
     _note_frames(found, true, ledger)
     if _same_location(results, truth):
-        ledger.note(
-            WarningKind.ASSUMED, "truth-against-itself", str(results), "results and truth are the same files"
-        )
+        ledger.note(WarningKind.ASSUMED, "truth-against-itself", str(results), "results and truth are the same files")
     return BothSides(found, true, _comparable(found, true), _Kind.SCENE in kinds, ledger.warnings)
 
 
@@ -288,9 +284,7 @@ def check_classes(sides: BothSides, classes: Sequence[str]) -> None:
     for label in classes:
         if label.lower() not in there:
             reported = ", ".join(sorted(there)) or "none"
-            raise OptionError(
-                f"class {label!r} occurs neither in the results nor in the truth, which have {reported}"
-            )
+            raise OptionError(f"class {label!r} occurs neither in the results nor in the truth, which have {reported}")
 
 
 def check_similarity(sides: BothSides, similarity: Similarity) -> None:
@@ -301,9 +295,7 @@ def check_similarity(sides: BothSides, similarity: Similarity) -> None:
     """
     if similarity not in sides.similarities:
         reported = ", ".join(sides.similarities) or "nothing: results and truth have no boxes in common"
-        raise OptionError(
-            f"similarity {similarity.value!r}: one side has no such boxes; comparable: {reported}"
-        )
+        raise OptionError(f"similarity {similarity.value!r}: one side has no such boxes; comparable: {reported}")
 
 
 def _kind_of(path: Path | str) -> _Kind:
@@ -346,15 +338,11 @@ def _read_scenes(
     if len(sequences) > 1:
         raise OptionError(f"sequences {', '.join(sequences)}: two scenes are compared; state one sequence")
     chosen = {"sequence": sequences[0]} if sequences else {}
-    with open_scenes(
-        (results, truth), {"lenient": ledger.lenient, "corrections": corrections, **chosen}
-    ) as opened:
+    with open_scenes((results, truth), {"lenient": ledger.lenient, "corrections": corrections, **chosen}) as opened:
         found, true = (scene.corrected() for scene in opened)
         for scene in (found, true):
             for warning in scene.correction_warnings:
-                ledger.note(
-                    warning.kind, warning.code, f"{scene.source}: {warning.location}", warning.message
-                )
+                ledger.note(warning.kind, warning.code, f"{scene.source}: {warning.location}", warning.message)
         times_ns = labelled_times(true)
         return {_OBJECTS: scene_objects(found, times_ns)}, {_OBJECTS: scene_objects(true, times_ns)}
 
@@ -470,9 +458,7 @@ def _check_names(
     for path, side, other in ((paths[0], found, true), (paths[1], true, found)):
         missing = ", ".join(sorted(set(other) - set(side)))
         if missing and not wanted:
-            problem = (
-                f"no sequence {missing}, which the other side has; choose those of both with `--sequence`"
-            )
+            problem = f"no sequence {missing}, which the other side has; choose those of both with `--sequence`"
             raise DataError(path, "", problem)
 
 
@@ -515,6 +501,4 @@ def _have_images(side: _ObjectSequences) -> bool:
 
 def _have_space(side: _ObjectSequences) -> bool:
     filled = [table for table in side.values() if len(table)]
-    return not filled or any(
-        (table.boxes[:, 3:6] > 0).all(axis=1).any() for table in filled if table.boxes is not None
-    )
+    return not filled or any((table.boxes[:, 3:6] > 0).all(axis=1).any() for table in filled if table.boxes is not None)

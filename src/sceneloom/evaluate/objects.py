@@ -275,9 +275,7 @@ class FramePairs:
         return self.true_starts, self.found_starts, self.starts
 
 
-def similarities(
-    truth: ObjectTable, found: ObjectTable, pairs: FramePairs, similarity: Similarity
-) -> Float64Array:
+def similarities(truth: ObjectTable, found: ObjectTable, pairs: FramePairs, similarity: Similarity) -> Float64Array:
     """Report how alike the objects of each pair are.
 
     Args:

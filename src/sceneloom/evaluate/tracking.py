@@ -157,9 +157,7 @@ def _is_hidden(truth: ObjectTable, rules: TrackingRules) -> BoolArray:
     return hidden
 
 
-def _may_be_missing(
-    found: ObjectTable, regions: ObjectTable, frame_count: int, rules: TrackingRules
-) -> BoolArray:
+def _may_be_missing(found: ObjectTable, regions: ObjectTable, frame_count: int, rules: TrackingRules) -> BoolArray:
     """Report which found objects would be nothing wrong if no true one is where they are."""
     small = np.zeros(len(found), np.bool_)
     if found.corners_xyxy is None:
@@ -302,9 +300,7 @@ def _paired_at_alphas(sequence: _ScoredSequence) -> tuple[Float64Array, Float64A
     true_boxes = np.bincount(sequence.true_ids, minlength=sequence.true_count).astype(np.float64)
     found_boxes = np.bincount(sequence.found_ids, minlength=sequence.found_count).astype(np.float64)
     locations = (*sequence.pairs.locations, sequence.true_ids, sequence.found_ids)
-    shared = kernels.shared_frames(
-        sequence.similarities, *locations, sequence.true_count, sequence.found_count
-    )
+    shared = kernels.shared_frames(sequence.similarities, *locations, sequence.true_count, sequence.found_count)
     aligned = shared / (true_boxes[:, None] + found_boxes[None] - shared)
     true_ids, found_ids, alike = kernels.aligned_pairs(sequence.similarities, *locations, aligned)
     couples, of_pair = np.unique(true_ids * sequence.found_count + found_ids, return_inverse=True)
@@ -626,9 +622,7 @@ def _check_ids(results: Path | str, sides: BothSides) -> tuple[DataWarning, ...]
     count = sum(len(table) for table in sides.results.values())
     without = sum(int((table.ids < 0).sum()) for table in sides.results.values())
     if count and without == count:
-        raise OptionError(
-            f"{results}: no object has an id, which tracks need; see `sceneloom eval detection`"
-        )
+        raise OptionError(f"{results}: no object has an id, which tracks need; see `sceneloom eval detection`")
     if not without:
         return ()
     return (
@@ -704,9 +698,7 @@ def _draw_sequences(axes: Any, scores: ClassTracking) -> None:
         "IDF1": [scores.sequences[name].identity.idf1 for name in there],
     }
     for k, (shown, values) in enumerate(bars.items()):
-        axes.bar(
-            [location + 0.27 * (k - 1) for location in range(len(there))], values, width=0.25, label=shown
-        )
+        axes.bar([location + 0.27 * (k - 1) for location in range(len(there))], values, width=0.25, label=shown)
     axes.set_xticks(range(len(there)), there, rotation=45 if len(there) > 6 else 0)
     axes.set(ylim=(0, 1.15))
     axes.set_title("sequences", fontsize=10)

@@ -310,9 +310,7 @@ def associate_poses(
         rows = rows[mutual[rows] == rows]
         found = MatchedPoses(reference.positions, reference.quaternions_xyzw).at(nearest[rows])
     else:
-        rows = rows[
-            (times[rows] >= reference.timestamps_ns[0]) & (times[rows] <= reference.timestamps_ns[-1])
-        ]
+        rows = rows[(times[rows] >= reference.timestamps_ns[0]) & (times[rows] <= reference.timestamps_ns[-1])]
         found = _interpolated(reference, times[rows])
     if not len(rows):
         raise PoseError(_without_pairs(estimate, reference, int(away.min()), tolerance_ns))
@@ -329,21 +327,14 @@ def _nearest(timestamps_ns: Int64Array, query_ns: Int64Array) -> Int64Array:
 
 def _interpolated(reference: Trajectory, times_ns: Int64Array) -> MatchedPoses:
     quaternions = reference.quaternions_xyzw
-    rotations = (
-        np.tile([0.0, 0.0, 0.0, 1.0], (len(reference.timestamps_ns), 1))
-        if quaternions is None
-        else quaternions
-    )
-    positions, rotations, _ = interpolate_poses(
-        reference.timestamps_ns, reference.positions, rotations, times_ns
-    )
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(reference.timestamps_ns), 1)) if quaternions is None else quaternions
+    positions, rotations, _ = interpolate_poses(reference.timestamps_ns, reference.positions, rotations, times_ns)
     return MatchedPoses(positions, None if quaternions is None else rotations)
 
 
 def _without_pairs(estimate: Trajectory, reference: Trajectory, away_ns: int, tolerance_ns: int) -> str:
     (a, b), (c, d) = (
-        (int(trajectory.timestamps_ns[0]), int(trajectory.timestamps_ns[-1]))
-        for trajectory in (estimate, reference)
+        (int(trajectory.timestamps_ns[0]), int(trajectory.timestamps_ns[-1])) for trajectory in (estimate, reference)
     )
     spans = (
         f"no pose of {estimate.name!r} ({_text(a)} to {_text(b)} s) has a partner in {reference.name!r} "
@@ -700,9 +691,7 @@ def _motions(
     return shifts, multiply_quaternions(back, quaternions_xyzw[last])
 
 
-def _step_errors(
-    pairs: Pairs, aligned: MatchedPoses, steps: _Steps
-) -> tuple[Float64Array, Float64Array | None]:
+def _step_errors(pairs: Pairs, aligned: MatchedPoses, steps: _Steps) -> tuple[Float64Array, Float64Array | None]:
     """How far the motions of each step differ: lengths [m], and angles, None without orientations.
 
     With orientations, the error is (Q_i⁻¹ Q_j)⁻¹ (P_i⁻¹ P_j), Q the reference and P the estimate; without, the
@@ -797,9 +786,7 @@ def _short(name: str) -> str:
     return name if len(name) <= _MOST_LETTERS else f"{name[: _MOST_LETTERS - 1]}…"
 
 
-def _plot_errors(
-    errors: _TrajectoryErrors, report: TrajectoryReport, path: Path, *, overwrite: bool = False
-) -> None:
+def _plot_errors(errors: _TrajectoryErrors, report: TrajectoryReport, path: Path, *, overwrite: bool = False) -> None:
     """Draw errors into a file, without touching what the caller does with matplotlib.
 
     Raises:
@@ -842,9 +829,7 @@ def _draw_map(figure: Any, axes: Any, errors: _TrajectoryErrors) -> None:
         label=_short(errors.estimate_name),
         zorder=2,
     )
-    axes.plot(
-        *errors.reference_trajectory[0, :2], marker="s", color="black", linestyle="", label="start", zorder=3
-    )
+    axes.plot(*errors.reference_trajectory[0, :2], marker="s", color="black", linestyle="", label="start", zorder=3)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x [m]", ylabel="y [m]")
     axes.grid(visible=True, alpha=0.3)
@@ -880,9 +865,7 @@ def _doubts_of(alignment: _Alignment, pairs: Pairs, aligned: MatchedPoses) -> li
     ours, theirs = aligned.quaternions_xyzw, pairs.reference.quaternions_xyzw
     if ours is None or theirs is None:
         side = "estimate" if ours is None else "reference"
-        message = (
-            f"the {side} has no orientations: motions are compared in the aligned world, rotates not at all"
-        )
+        message = f"the {side} has no orientations: motions are compared in the aligned world, rotates not at all"
         return [*found, _warning("no-orientations", message)]
     rotation, strays_deg = _rotation_of_axes(ours, theirs)
     # a trajectory that hardly determines the alignment's rotation does not determine that of the axes, either
@@ -1001,9 +984,7 @@ def evaluate_trajectory(
     return report
 
 
-def _both(
-    estimate: _SmoothedTrajectory, reference: _SmoothedTrajectory
-) -> tuple[TrajectoryFile, TrajectoryFile]:
+def _both(estimate: _SmoothedTrajectory, reference: _SmoothedTrajectory) -> tuple[TrajectoryFile, TrajectoryFile]:
     """The two trajectories; fixes are seen from the other's origin, where that is known."""
     ours, theirs = _content(estimate), _content(reference)
     if ours.fixes is not None and theirs.origin_lla is not None:
@@ -1117,9 +1098,7 @@ def _absolute(
     degrees = None
     if aligned.quaternions_xyzw is not None and pairs.reference.quaternions_xyzw is not None:
         degrees = np.degrees(angle_between(aligned.quaternions_xyzw, pairs.reference.quaternions_xyzw))
-    errors = _TrajectoryErrors(
-        estimate.name, reference.name, pairs, aligned, reference.positions, lengths, degrees
-    )
+    errors = _TrajectoryErrors(estimate.name, reference.name, pairs, aligned, reference.positions, lengths, degrees)
     reported = AbsoluteErrors(
         translation=ErrorStatistics.of(lengths),
         horizontal=ErrorStatistics.of(np.hypot(away[:, 0], away[:, 1])),

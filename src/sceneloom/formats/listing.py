@@ -57,9 +57,7 @@ def _supports(name: str) -> Supports:
         return format_named(name).supports
     if name in TRAJECTORY_FORMS:
         return TRAJECTORY_FORMS[name].supports
-    raise OptionError(
-        f"no format or form {name!r}; there are {', '.join((*format_names(), *TRAJECTORY_FORMS))}"
-    )
+    raise OptionError(f"no format or form {name!r}; there are {', '.join((*format_names(), *TRAJECTORY_FORMS))}")
 
 
 def _of_format(form: FormatSpec) -> FormatListing:

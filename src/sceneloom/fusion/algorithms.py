@@ -110,9 +110,7 @@ def algorithm(fusion_type: FusionType, name: AlgorithmChoice) -> Any:
     except OptionError:
         raise
     except Exception as error:  # whatever a foreign package does while it is imported
-        raise OptionError(
-            f"fusion_algorithm {name!r} of {found[0].value} cannot be loaded: {error}"
-        ) from error
+        raise OptionError(f"fusion_algorithm {name!r} of {found[0].value} cannot be loaded: {error}") from error
 
 
 def _brought(fusion_type: FusionType) -> tuple[EntryPoint, ...]:
@@ -200,9 +198,7 @@ class _Checked:
             raise self._returned(found, "sceneloom.detections.FusedBoxes")
 
     def _returned(self, found: Any, expected: str) -> OptionError:
-        return OptionError(
-            f"algorithm {self.name}: it returned a {type(found).__name__}; expected {expected}"
-        )
+        return OptionError(f"algorithm {self.name}: it returned a {type(found).__name__}; expected {expected}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,9 +236,7 @@ class _FileFunction:
             has = ", ".join(known) or "none"
             raise OptionError(f"algorithm {self}: no function {self.function!r} in the file; it has {has}")
         if not callable(found):
-            raise OptionError(
-                f"algorithm {self}: {self.function} is a {type(found).__name__}; expected a function"
-            )
+            raise OptionError(f"algorithm {self}: {self.function} is a {type(found).__name__}; expected a function")
         return found
 
 
@@ -262,9 +256,7 @@ def _module_of(path: Path) -> Any:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # whatever a foreign file does
         del sys.modules[name]
-        raise OptionError(
-            f"algorithm {path}: it cannot be loaded: {type(error).__name__}: {error}"
-        ) from error
+        raise OptionError(f"algorithm {path}: it cannot be loaded: {type(error).__name__}: {error}") from error
     finally:
         sys.path.remove(str(path.parent))
     return module

@@ -110,9 +110,7 @@ class SweepFusion:
         source, location = placed(lidar.source), placed(lidar.location)
         try:
             positions_world, extrapolated = (
-                (frame.points.positions.astype(np.float64), False)
-                if source is None
-                else points_to_world(frame, source)
+                (frame.points.positions.astype(np.float64), False) if source is None else points_to_world(frame, source)
             )
         except PoseError as error:
             return replace(fused, unfused=f"beyond the trajectory: {error}")
@@ -124,9 +122,7 @@ class SweepFusion:
             self._pair(waiting, pairing, camera, placed(camera.source) or camera.source, pairs)
         trajectory = None if location is None else LidarTrajectory.of(frame, location)
         algorithm: FusionAlgorithm = waiting.algorithm
-        coloured = algorithm(
-            positions_world, pairs.requests, waiting.configuration.visibility, trajectory=trajectory
-        )
+        coloured = algorithm(positions_world, pairs.requests, waiting.configuration.visibility, trajectory=trajectory)
         return replace(
             fused,
             points=replace(points, colors=coloured.colors, camera_index=coloured.camera_index),

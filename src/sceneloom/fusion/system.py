@@ -92,9 +92,7 @@ class FusionSystem:
         self._refuse_known(lidar_id)
         self._lidars[lidar_id] = KnownLidar(source, location, period_ns)
 
-    def add_camera(
-        self, camera_id: Identifier, source: PoseSource, *, index: int, shutter: Shutter = GLOBAL
-    ) -> None:
+    def add_camera(self, camera_id: Identifier, source: PoseSource, *, index: int, shutter: Shutter = GLOBAL) -> None:
         """Make a camera known; `index` is what its points bear as `camera_index`, below 255."""
         self._refuse_known(camera_id)
         if not 0 <= index < 255:
@@ -140,9 +138,7 @@ class FusionSystem:
             pairing.expect(camera_ids)
         self._fuse_ready(final=False)
 
-    def send(
-        self, sensor_id: Identifier, measurement: Measurement, *, extras: Mapping[str, Any] = NO_FIELDS
-    ) -> None:
+    def send(self, sensor_id: Identifier, measurement: Measurement, *, extras: Mapping[str, Any] = NO_FIELDS) -> None:
         """Hand in a sweep or its boxes for a lidar, an image or its boxes for a camera.
 
         Args:

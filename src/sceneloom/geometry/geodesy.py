@@ -93,9 +93,7 @@ def normal_gravity(latitude_deg: float, height: float) -> float:
     Source: NIMA TR8350.2, eq. 4-1 (Somigliana) and 4-3, with the constants of its tables 3.1 and 3.4.
     """
     sine2 = math.sin(math.radians(latitude_deg)) ** 2
-    on_ellipsoid = (
-        _EQUATOR_GRAVITY * (1.0 + _GRAVITY_FORMULA * sine2) / math.sqrt(1.0 - _ECCENTRICITY_2 * sine2)
-    )
+    on_ellipsoid = _EQUATOR_GRAVITY * (1.0 + _GRAVITY_FORMULA * sine2) / math.sqrt(1.0 - _ECCENTRICITY_2 * sine2)
     flattened = 1.0 + FLATTENING + _GRAVITY_RATIO - 2.0 * FLATTENING * sine2
     above = height / SEMI_MAJOR_AXIS
     return on_ellipsoid * (1.0 - 2.0 * flattened * above + 3.0 * above * above)

@@ -64,9 +64,7 @@ def interpolate_poses(
     return locations, rotations, coverage
 
 
-def _within_reach(
-    timestamps_ns: Int64Array, query_ns: Int64Array, reach_ns: int
-) -> tuple[Int64Array, UInt8Array]:
+def _within_reach(timestamps_ns: Int64Array, query_ns: Int64Array, reach_ns: int) -> tuple[Int64Array, UInt8Array]:
     """Cut the times to the path and its reach, so that their differences stay within int64."""
     first, last = int(timestamps_ns[0]), int(timestamps_ns[-1])
     times = np.clip(query_ns, max(first - reach_ns, _EARLIEST_NS), min(last + reach_ns, _LATEST_NS))
@@ -119,9 +117,7 @@ def thin_poses(
     level = 0
     while len(open_poses):
         knots_ns = np.union1d(required, timestamps_ns[kept])
-        locations, rotations, _ = interpolate_poses(
-            timestamps_ns, positions, unit, knots_ns, reach_ns=_ANY_REACH_NS
-        )
+        locations, rotations, _ = interpolate_poses(timestamps_ns, positions, unit, knots_ns, reach_ns=_ANY_REACH_NS)
         times = timestamps_ns[open_poses]
         near, rotated, _ = interpolate_poses(knots_ns, locations, rotations, times)
         misfits = np.maximum(
@@ -129,9 +125,7 @@ def thin_poses(
             angle_between(rotated, unit[open_poses]) / rotation_tolerance,
         )
         misfits[np.isnan(misfits)] = np.inf  # poses that are no numbers are kept
-        chosen, undecided = _split(
-            np.searchsorted(knots_ns, times), misfits, at_worst=level < _LEVELS_AT_WORST_POSE
-        )
+        chosen, undecided = _split(np.searchsorted(knots_ns, times), misfits, at_worst=level < _LEVELS_AT_WORST_POSE)
         kept[open_poses[chosen]] = True
         open_poses = open_poses[undecided]
         level += 1

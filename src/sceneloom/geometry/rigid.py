@@ -93,9 +93,7 @@ class RigidTransform:
 
     def __matmul__(self, other: "RigidTransform") -> "RigidTransform":
         """`a_from_b @ b_from_c` is `a_from_c`."""
-        return RigidTransform(
-            self.rotation @ other.rotation, self.rotation @ other.translation + self.translation
-        )
+        return RigidTransform(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
     def inverse(self) -> "RigidTransform":
         """`b_from_a`."""

@@ -70,9 +70,7 @@ def quaternion_from_matrix(matrix: ArrayLike) -> Float64Array:
     )
     outer = np.stack([np.stack(row, axis=-1) for row in products], axis=-2)
     best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
-    return _with_positive_w(
-        normalise_quaternion(np.take_along_axis(outer, best[..., None, None], -2)[..., 0, :])
-    )
+    return _with_positive_w(normalise_quaternion(np.take_along_axis(outer, best[..., None, None], -2)[..., 0, :]))
 
 
 def _with_positive_w(quaternion_xyzw: Float64Array) -> Float64Array:

@@ -155,9 +155,7 @@ _VECTOR = "Array(float64, 1, 'C', readonly=True)"
 
 
 @kernel(f"int64[::1]({_CLOUD}, {_VECTOR}, {_TABLE}, {_VECTOR})")
-def points_in_cones(
-    points: Float32Array, apex: Float64Array, axes: Float64Array, cosines: Float64Array
-) -> Int64Array:
+def points_in_cones(points: Float32Array, apex: Float64Array, axes: Float64Array, cosines: Float64Array) -> Int64Array:
     """Choose the points that lie in any of the cones.
 
     Args:

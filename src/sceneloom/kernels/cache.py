@@ -19,9 +19,7 @@ _MAKERS: Mapping[re.Pattern[str], int] = {
 }
 """How many kernels each place that matches declares; the latter two are factories of `cameras.compiled`."""
 
-_IMPORTED = re.compile(
-    r"^\s*(?:from|import) (sceneloom\.[\w.]+)(?: import (?:\(([^)]*)|([\w, ]+)))?", re.MULTILINE
-)
+_IMPORTED = re.compile(r"^\s*(?:from|import) (sceneloom\.[\w.]+)(?: import (?:\(([^)]*)|([\w, ]+)))?", re.MULTILINE)
 _PACKAGE = Path(__file__).parents[1]
 PACKAGES = ("kernels", "cameras", "colouring", "simulate")
 """Those with kernels."""

@@ -23,9 +23,7 @@ _V, _M = float64[::1], float64[:, ::1]
 
 
 @kernel(types.void(_V, _V, float64, _V, _M))
-def _rotation_between(
-    before: Float64Array, after: Float64Array, h: float, v: Float64Array, m: Float64Array
-) -> None:
+def _rotation_between(before: Float64Array, after: Float64Array, h: float, v: Float64Array, m: Float64Array) -> None:
     """Write the rotation over h seconds in which the rate changes evenly. Source: Magnus 1954, second term."""
     c = h * h / 12.0
     v[0] = 0.5 * h * (before[0] + after[0]) + c * (before[1] * after[2] - before[2] * after[1])
@@ -158,9 +156,7 @@ def _reading_at(
     share = min(max(share, 0.0), 1.0)
     for k in range(3):
         rate[k] = samples[one - 1, k] + share * (samples[one, k] - samples[one - 1, k]) - bias[k]
-        force[k] = (
-            samples[one - 1, 3 + k] + share * (samples[one, 3 + k] - samples[one - 1, 3 + k]) - bias[3 + k]
-        )
+        force[k] = samples[one - 1, 3 + k] + share * (samples[one, 3 + k] - samples[one - 1, 3 + k]) - bias[3 + k]
 
 
 @kernel(
@@ -358,9 +354,7 @@ def _rotation_residual(
     expected[:] = work
     for a in range(3):
         for b in range(3):
-            relative[a, b] = (
-                rotation[0, a] * after[0, b] + rotation[1, a] * after[1, b] + rotation[2, a] * after[2, b]
-            )
+            relative[a, b] = rotation[0, a] * after[0, b] + rotation[1, a] * after[1, b] + rotation[2, a] * after[2, b]
     transposed_times(expected, relative, rest)
     rotation_vector(rest, residual)
     right_slope(residual[0:3], -1.0, inverse)
@@ -368,9 +362,7 @@ def _rotation_residual(
     for a in range(3):
         for b in range(3):
             first[a, b] = -(
-                inverse[a, 0] * relative[b, 0]
-                + inverse[a, 1] * relative[b, 1]
-                + inverse[a, 2] * relative[b, 2]
+                inverse[a, 0] * relative[b, 0] + inverse[a, 1] * relative[b, 1] + inverse[a, 2] * relative[b, 2]
             )
             second[a, b] = inverse[a, b]
     # by the gyroscope's bias: -J⁻¹ restᵀ J(small) slope
@@ -381,9 +373,7 @@ def _rotation_residual(
     for a in range(3):
         for b in range(3):
             first[a, 9 + b] = -(
-                correction[a, 0] * slope[0, b]
-                + correction[a, 1] * slope[1, b]
-                + correction[a, 2] * slope[2, b]
+                correction[a, 0] * slope[0, b] + correction[a, 1] * slope[1, b] + correction[a, 2] * slope[2, b]
             )
 
 
@@ -520,9 +510,7 @@ def add_relative_poses(
         rotation = rotations[i]
         first[:, :] = 0.0
         second[:, :] = 0.0
-        _rotation_residual(
-            rotation, rotations[i + 1], delta_rotations[f], no_slope, no_change, residual, first, second
-        )
+        _rotation_residual(rotation, rotations[i + 1], delta_rotations[f], no_slope, no_change, residual, first, second)
         for a in range(3):
             trajectory = 0.0
             for k in range(3):
@@ -898,9 +886,7 @@ def times(first: Float64Array, second: Float64Array, product: Float64Array) -> N
     """Write the product of two (3, 3) matrices into a third."""
     for i in range(3):
         for j in range(3):
-            product[i, j] = (
-                first[i, 0] * second[0, j] + first[i, 1] * second[1, j] + first[i, 2] * second[2, j]
-            )
+            product[i, j] = first[i, 0] * second[0, j] + first[i, 1] * second[1, j] + first[i, 2] * second[2, j]
 
 
 @kernel(types.void(_M, _M, _M))
@@ -908,9 +894,7 @@ def transposed_times(first: Float64Array, second: Float64Array, product: Float64
     """Write the product of the transposed first and the second (3, 3) matrix into a third."""
     for i in range(3):
         for j in range(3):
-            product[i, j] = (
-                first[0, i] * second[0, j] + first[1, i] * second[1, j] + first[2, i] * second[2, j]
-            )
+            product[i, j] = first[0, i] * second[0, j] + first[1, i] * second[1, j] + first[2, i] * second[2, j]
 
 
 @kernel(types.void(_M, _V, _M))

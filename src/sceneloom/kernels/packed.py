@@ -139,9 +139,7 @@ def fold(plain: UInt8Array, packed: UInt8Array) -> int:
 
 
 _RECORD = numba.from_dtype(
-    np.dtype(
-        [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "u1"), ("ring", "<u2"), ("timestamp", "<f8")]
-    )
+    np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "u1"), ("ring", "<u2"), ("timestamp", "<f8")])
 )
 
 _RECORDS = types.Array(_RECORD, 1, "C", readonly=True)

@@ -276,9 +276,7 @@ def draw_depths(
         thread_pool: the threads that share the rows of the image.
     """
     rows = len(depth_image)
-    thread_pool.share(
-        rows, lambda _, top, bottom: _draw_rows(pixel_numbers, depths, visible, top, bottom, depth_image)
-    )
+    thread_pool.share(rows, lambda _, top, bottom: _draw_rows(pixel_numbers, depths, visible, top, bottom, depth_image))
 
 
 @kernel(void(IN_F32_2D, IN_U8_3D, float32[:, ::1]))

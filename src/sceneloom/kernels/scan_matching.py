@@ -141,9 +141,7 @@ def _meet_surfaces(
         rz = s[5] * dx + s[7] * dy + s[8] * dz
         squared = dx * rx + dy * ry + dz * rz
         along = (
-            dx * (s[9] * dx + 2.0 * (s[10] * dy + s[11] * dz))
-            + dy * (s[12] * dy + 2.0 * s[13] * dz)
-            + s[14] * dz * dz
+            dx * (s[9] * dx + 2.0 * (s[10] * dy + s[11] * dz)) + dy * (s[12] * dy + 2.0 * s[13] * dz) + s[14] * dz * dz
         )
         near = 1.0 / (1.0 + SUPPORT * along)
         near *= near

@@ -367,9 +367,7 @@ def kept_pairs(
     return kept[:count].copy()
 
 
-@kernel(
-    "float64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64, int64)"
-)
+@kernel("float64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64, int64)")
 def shared_frames(
     similarities: Float64Array,
     true_starts: Int64Array,

@@ -188,9 +188,7 @@ def _read(mean, covariance, apart, root, crossed, gain):  # type: ignore[no-unty
     mean[_YAW] = _wrapped(mean[_YAW])
 
 
-@kernel(
-    "void(float64[:,::1], float64[:,:,::1], int64[::1], float64[:,::1], float64[:,:,::1], int64[::1], float64)"
-)
+@kernel("void(float64[:,::1], float64[:,:,::1], int64[::1], float64[:,::1], float64[:,:,::1], int64[::1], float64)")
 def read_boxes(
     means: Float64Array,
     covariances: Float64Array,
@@ -226,9 +224,7 @@ def read_boxes(
 
 
 @kernel("void(float64[:,::1], float64[:,:,::1], boolean[::1], float64)")
-def read_no_slip(
-    means: Float64Array, covariances: Float64Array, vehicles: BoolArray, variance: float
-) -> None:
+def read_no_slip(means: Float64Array, covariances: Float64Array, vehicles: BoolArray, variance: float) -> None:
     """Read of vehicles that their velocity across their heading is 0, in place.
 
     Args:

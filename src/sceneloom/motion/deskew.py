@@ -107,9 +107,7 @@ class BodyKnots:
                 f"points from {first_ns} to {last_ns} ns; the poses reach from "
                 f"{source.path.start_ns} to {source.path.stop_ns} ns and {source.reach_ns} ns beyond"
             )
-        return cls(
-            knots_ns, body.positions, body.quaternions_xyzw, bool((body.coverage == EXTRAPOLATED).any())
-        )
+        return cls(knots_ns, body.positions, body.quaternions_xyzw, bool((body.coverage == EXTRAPOLATED).any()))
 
     def seen_from(self, frame_from_world: RigidTransform) -> "BodyKnots":
         """The same poses in another frame that is stationary; linear ways and slerp stay what they are."""
@@ -168,9 +166,7 @@ class PointTimesStatistics:
 
     def warnings(self, location: str = "sensors[].frames[].points.timestamps") -> tuple[DataWarning, ...]:
         """What was assumed, repaired or left out, each with the number of sweeps, or of stray points."""
-        warnings = [
-            _warning(found, location, count) for found, count in self.counts.items() if found.kind in _NOTES
-        ]
+        warnings = [_warning(found, location, count) for found, count in self.counts.items() if found.kind in _NOTES]
         if self.stray_points:
             message = (
                 "times of single points lie far away from those of their sweep; "
@@ -354,9 +350,7 @@ def _measured(frame: LidarFrame) -> Int64Array:
     return np.full(len(frame.points), frame.timestamp_ns, np.int64) if times is None else times
 
 
-def _at_moment(
-    frame: LidarFrame, positions: Float32Array, measured_ns: Int64Array, moment_ns: int
-) -> LidarFrame:
+def _at_moment(frame: LidarFrame, positions: Float32Array, measured_ns: Int64Array, moment_ns: int) -> LidarFrame:
     further = {name: array for name, array in frame.points.extras.items() if name != "file_seconds"}
     points = replace(
         frame.points,

@@ -152,9 +152,7 @@ def find_ego_motion(
 
     The arguments and errors are those of `ego_motion_as_given`.
     """
-    return ego_motion_as_given(
-        scene.corrected(), name=name, heading=heading, progress=progress, lenient=lenient
-    )
+    return ego_motion_as_given(scene.corrected(), name=name, heading=heading, progress=progress, lenient=lenient)
 
 
 def ego_motion_as_given(
@@ -204,9 +202,7 @@ def check_odometry(scene: Scene) -> None:
         PoseError: poses are in ego coordinates, and nothing recorded says where the ego was.
     """
     for sensor in scene.sensors:
-        on_ego = (
-            getattr(sensor, "coordinates", None) is Coordinates.EGO and getattr(sensor, "mount", None) is None
-        )
+        on_ego = getattr(sensor, "coordinates", None) is Coordinates.EGO and getattr(sensor, "mount", None) is None
         if on_ego and getattr(sensor, "poses", None) is not None:
             ego_path(scene, sensor, None)  # type: ignore[arg-type]
 
@@ -241,9 +237,7 @@ def with_trajectory_estimated(scene: Scene, ego: EgoMotion) -> Scene:
         ego.name, path.timestamps_ns, path.positions, path.quaternions_xyzw, covariances=ego.covariances
     )
     others = {name: other for name, other in scene.trajectories.items() if name != ego.name}
-    found = replace(
-        scene, trajectories={ego.name: trajectory, **others}, warnings=(*scene.warnings, *ego.warnings)
-    )
+    found = replace(scene, trajectories={ego.name: trajectory, **others}, warnings=(*scene.warnings, *ego.warnings))
     if ego.enu_origin_lla is None:
         return found
     origin = dict(zip(("latitude", "longitude", "altitude"), ego.enu_origin_lla, strict=True))
@@ -255,9 +249,7 @@ def with_trajectory_estimated(scene: Scene, ego: EgoMotion) -> Scene:
 def placeable_lidars(scene: Scene) -> tuple[LidarSensor, ...]:
     """The lidars whose points are not in the world yet, so that they report how the ego moved."""
     return tuple(
-        lidar
-        for lidar in scene.lidars
-        if lidar.points_frame is not PointsFrame.WORLD and len(lidar.frames) > 0
+        lidar for lidar in scene.lidars if lidar.points_frame is not PointsFrame.WORLD and len(lidar.frames) > 0
     )
 
 
@@ -312,9 +304,7 @@ def _lidar_beside_gnss(
     except PoseError as error:
         message = f"the lidar could not be taken in with the fixes: {error}"
         return None, (
-            DataWarning(
-                kind=WarningKind.SKIPPED, code="gnss-without-lidar", location=scene.source, message=message
-            ),
+            DataWarning(kind=WarningKind.SKIPPED, code="gnss-without-lidar", location=scene.source, message=message),
         )
     return run.trajectory, run.warnings
 
@@ -327,9 +317,7 @@ def _in_known_world(ego: EgoMotion, scene: Scene) -> EgoMotion:
             continue
         known = trajectory.poses.interpolate(first_ns)
         if known.coverage[0] == 0:
-            return ego.seen_from(
-                RigidTransform.from_quaternion(known.positions[0], known.quaternions_xyzw[0])
-            )
+            return ego.seen_from(RigidTransform.from_quaternion(known.positions[0], known.quaternions_xyzw[0]))
     return ego
 
 
@@ -355,9 +343,5 @@ def _left_behind(scene: Scene) -> tuple[DataWarning, ...]:
 
 
 def _assumed(scene: Scene) -> DataWarning:
-    message = (
-        "no trajectory in it; the ego trajectory was found from the lidar's sweeps (`--trajectory lidar`)"
-    )
-    return DataWarning(
-        kind=WarningKind.ASSUMED, code="trajectory-from-lidar", location=scene.source, message=message
-    )
+    message = "no trajectory in it; the ego trajectory was found from the lidar's sweeps (`--trajectory lidar`)"
+    return DataWarning(kind=WarningKind.ASSUMED, code="trajectory-from-lidar", location=scene.source, message=message)

@@ -48,11 +48,7 @@ def usable_samples(samples: VectorSamples) -> tuple[Int64Array, Float64Array, in
 def gaps_between(timestamps_ns: Int64Array) -> Int64Array:
     """The times before and after each gap in (N,) times [ns], (G, 2) int64 [ns]."""
     steps = np.diff(timestamps_ns)
-    holes = (
-        np.flatnonzero(steps > (_MISSING_SAMPLES + 0.5) * np.median(steps))
-        if len(steps)
-        else np.zeros(0, int)
-    )
+    holes = np.flatnonzero(steps > (_MISSING_SAMPLES + 0.5) * np.median(steps)) if len(steps) else np.zeros(0, int)
     return np.stack([timestamps_ns[holes], timestamps_ns[holes + 1]], axis=1)
 
 
@@ -129,9 +125,7 @@ def find_stationary(
     return _Stationary(rates[stood[rate_windows]].mean(axis=0), float(stood.sum()) * _WINDOW_NS * 1e-9)
 
 
-def _statistics(
-    windows: Int64Array, values: Float64Array, count: int, quiet: float
-) -> tuple[Float64Array, BoolArray]:
+def _statistics(windows: Int64Array, values: Float64Array, count: int, quiet: float) -> tuple[Float64Array, BoolArray]:
     """Mean of the values in each window, (count, 3), and whether they deviate by less than `quiet`, (count,)."""
     samples = np.maximum(np.bincount(windows, minlength=count), 1)[:, None]
     mean = _sums(windows, values, count) / samples
@@ -176,9 +170,7 @@ def imu_motion(scene: Scene) -> InertialMotion:
     times, values, left_out = usable_samples(rates)
     location = f"{scene.source}: sensors[{imu.id}].streams.{GYROSCOPE}"
     if len(times) < 2:
-        raise PoseError(
-            f"{location}: {len(times)} usable samples; expected two or more to report how the ego rotated"
-        )
+        raise PoseError(f"{location}: {len(times)} usable samples; expected two or more to report how the ego rotated")
     stationary = _stationary(imu, times, values)
     bias = None if stationary is None else stationary.rate
     rotating = integrate_rates(times, values if bias is None else values - bias)
@@ -188,9 +180,7 @@ def imu_motion(scene: Scene) -> InertialMotion:
         message = "samples that are no numbers, or not later than the one before, were left out"
         warnings.append(_warning(WarningKind.REPAIRED, "imu-samples", location, message, left_out))
     if len(gaps_ns):
-        message = (
-            f"at least {_MISSING_SAMPLES} samples in a row are missing; sweeps in such a gap stay as they are"
-        )
+        message = f"at least {_MISSING_SAMPLES} samples in a row are missing; sweeps in such a gap stay as they are"
         warnings.append(_warning(WarningKind.SKIPPED, "imu-gaps", location, message, len(gaps_ns)))
     path = Poses(times, np.zeros((len(times), 3)), rotating)
     return InertialMotion(EgoMotion("imu", path, warnings=tuple(warnings)), gaps_ns, bias)

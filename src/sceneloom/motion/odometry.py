@@ -71,9 +71,7 @@ class OdometryConfiguration:
             if not getattr(self, name) > 0:
                 raise OptionError(f"odometry.{name}: {getattr(self, name)}; expected a positive number")
         if self.farthest <= self.nearest:
-            raise OptionError(
-                f"odometry.farthest: {self.farthest} m; expected more than nearest, {self.nearest} m"
-            )
+            raise OptionError(f"odometry.farthest: {self.farthest} m; expected more than nearest, {self.nearest} m")
 
 
 _ROTATION, _SHIFT, _YAW_RATE, _VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
@@ -227,9 +225,7 @@ def _usable_sweep(
         squared = np.einsum("ij,ij->i", positions_ego, positions_ego)
     usable = np.flatnonzero((squared > configuration.nearest**2) & (squared < configuration.farthest**2))
     points = np.asarray(positions_ego[usable], np.float64)
-    offsets_ns = (
-        np.zeros(len(points), np.int64) if timestamps_ns is None else timestamps_ns[usable] - middle_ns
-    )
+    offsets_ns = np.zeros(len(points), np.int64) if timestamps_ns is None else timestamps_ns[usable] - middle_ns
     chosen = np.empty(len(points), np.int64)
     count = thin_points(points, configuration.spacing, chosen)
     return _Sweep(middle_ns, first_ns, last_ns, points, np.asarray(offsets_ns * 1e-9), chosen[:count])
@@ -369,9 +365,7 @@ class _Fit:
     steps: int
 
 
-def _fit_sweep(
-    points_ego: Float64Array, seconds: Float64Array, prior: _MotionState, local_map: LocalMap
-) -> _Fit:
+def _fit_sweep(points_ego: Float64Array, seconds: Float64Array, prior: _MotionState, local_map: LocalMap) -> _Fit:
     """Find the state that agrees best with the prior and with the map.
 
     Args:
@@ -609,9 +603,7 @@ class LidarOdometry:
 
     def _begin(self, sweep: _Sweep) -> PoseEstimate:
         """The first sweep with enough points defines the world; until it comes, all poses are the identity."""
-        state = _MotionState(
-            sweep.timestamp_ns, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), _unknown_motion()
-        )
+        state = _MotionState(sweep.timestamp_ns, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), _unknown_motion())
         self._state = state
         if len(sweep.chosen) < self.configuration.least_points:
             return PoseEstimate(state, self._drift.copy(), Outcome.TOO_FEW, sweep.first_ns, sweep.last_ns)
@@ -662,9 +654,7 @@ class LidarOdometry:
             first = _moved_between(before, fit.state)
         return fit, first
 
-    def _first_motions(
-        self, anchor: _Sweep, sweep: _Sweep, before: _MotionState, seconds: float
-    ) -> list[_MotionState]:
+    def _first_motions(self, anchor: _Sweep, sweep: _Sweep, before: _MotionState, seconds: float) -> list[_MotionState]:
         """What the motion may be: as it was before the start, and what matching the two sweeps says."""
         motions = [before]
         guesses = _guess_motion(
@@ -694,15 +684,11 @@ class LidarOdometry:
             return self._restart(sweep, prior)
         return self._predicted(sweep, prior, Outcome.MISFIT)
 
-    def _fit_from_guess(
-        self, sweep: _Sweep, prior: _MotionState, fit: _Fit, last: _Sweep, state: _MotionState
-    ) -> _Fit:
+    def _fit_from_guess(self, sweep: _Sweep, prior: _MotionState, fit: _Fit, last: _Sweep, state: _MotionState) -> _Fit:
         """Fit again from where matching with the last good sweep puts the ego, if that is better."""
         seconds = (sweep.timestamp_ns - state.timestamp_ns) * 1e-9
         speed = float(prior.rotation[:, 0] @ prior.velocity)
-        guesses = _guess_motion(
-            last.points_ego[last.chosen], sweep.points_ego[sweep.chosen], seconds, speeds=(speed,)
-        )
+        guesses = _guess_motion(last.points_ego[last.chosen], sweep.points_ego[sweep.chosen], seconds, speeds=(speed,))
         for guess in guesses[:1]:
             moved = replace(
                 prior,
@@ -839,9 +825,7 @@ class _Source:
         return [
             *self.statistics.warnings(f"{location}[].points.timestamps"),
             *(
-                DataWarning(
-                    kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=found
-                )
+                DataWarning(kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=found)
                 for code, found, message in notes
                 if found
             ),
@@ -1006,9 +990,7 @@ def _grouped(sources: list[_Source], warnings: list[DataWarning]) -> list[list[t
         if (order != np.arange(len(order))).any():
             message = "sweeps were not in the order of their time; they were taken in that order"
             warnings.append(
-                DataWarning(
-                    kind=WarningKind.REPAIRED, code="sweeps-sorted", location=location, message=message
-                )
+                DataWarning(kind=WarningKind.REPAIRED, code="sweeps-sorted", location=location, message=message)
             )
         fresh = np.diff(timestamps[order], prepend=timestamps[order[0]] - 1) > 0
         if not fresh.all():
@@ -1020,11 +1002,7 @@ def _grouped(sources: list[_Source], warnings: list[DataWarning]) -> list[list[t
     for timestamp_ns, number, index in sorted(entries):
         period_ns = sources[number].period_ns
         is_slow = period_ns >= _SAME_PERIOD * longest_ns
-        if (
-            groups
-            and timestamp_ns - start_ns < _SAME_PERIOD * longest_ns
-            and not (is_slow and number in latest)
-        ):
+        if groups and timestamp_ns - start_ns < _SAME_PERIOD * longest_ns and not (is_slow and number in latest):
             groups[-1].append((number, index))
         else:
             groups.append([(number, index)])
@@ -1059,9 +1037,7 @@ def _own(estimate: PoseEstimate, timestamp_ns: int, k: int) -> tuple[int, Float6
     return timestamp_ns, position, quaternion_from_matrix(rotation), k
 
 
-def _between(
-    before: PoseEstimate, after: PoseEstimate, k: int
-) -> list[tuple[int, Float64Array, Float64Array, int]]:
+def _between(before: PoseEstimate, after: PoseEstimate, k: int) -> list[tuple[int, Float64Array, Float64Array, int]]:
     """The knots between the middles of two sweeps."""
     middles_ns = before.state.timestamp_ns, after.state.timestamp_ns
     longest_ns = 2 * max(before.last_ns - before.first_ns, after.last_ns - after.first_ns)
@@ -1216,23 +1192,17 @@ _NOTES: Mapping[Outcome, tuple[str, str]] = MappingProxyType(
 
 def _notes(counts: Counter[Outcome], late: int, location: str) -> list[DataWarning]:
     warnings = [
-        DataWarning(
-            kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=counts[outcome]
-        )
+        DataWarning(kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=counts[outcome])
         for outcome, (code, message) in _NOTES.items()
         if counts[outcome]
     ]
     if not counts[Outcome.FITTED]:
         message = "no two sweeps could be compared, so nothing is known of the motion; the ego was taken as stationary"
         warnings.append(
-            DataWarning(
-                kind=WarningKind.ASSUMED, code="odometry-without-motion", location=location, message=message
-            )
+            DataWarning(kind=WarningKind.ASSUMED, code="odometry-without-motion", location=location, message=message)
         )
     if late:
-        message = (
-            "sweeps whose middle is not later than that of the sweep before were left out of the odometry"
-        )
+        message = "sweeps whose middle is not later than that of the sweep before were left out of the odometry"
         warnings.append(
             DataWarning(
                 kind=WarningKind.SKIPPED,

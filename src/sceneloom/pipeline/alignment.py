@@ -245,9 +245,7 @@ def _moved_annotation(annotation: Annotation, origin_world: Float64Array) -> Ann
 def _moved_fields(parts: tuple[Any, ...], name: str, offset: Float64Array) -> tuple[Any, ...]:
     """Activations or projections whose field `name`, if they have it, is moved."""
     return tuple(
-        part
-        if getattr(part, name) is None
-        else replace(part, **{name: read_only(getattr(part, name) - offset)})
+        part if getattr(part, name) is None else replace(part, **{name: read_only(getattr(part, name) - offset)})
         for part in parts
     )
 
@@ -258,9 +256,7 @@ def _output_sensor(sensor: Sensor, sources: Mapping[Identifier, PoseSource]) -> 
         return replace(sensor, poses=path, coordinates=Coordinates.WORLD)
     if isinstance(sensor, LidarSensor):
         empty: LazyFrames[LidarFrame] = LazyFrames.of([], [])
-        return replace(
-            sensor, frames=empty, poses=None, coordinates=Coordinates.WORLD, points_frame=PointsFrame.WORLD
-        )
+        return replace(sensor, frames=empty, poses=None, coordinates=Coordinates.WORLD, points_frame=PointsFrame.WORLD)
     return sensor
 
 

@@ -159,9 +159,7 @@ def _judged_motion(part: Scene, camera_id: Identifier, lidar_id: Identifier) -> 
         return Item.unknown(MOTION, "there are no two images")
     ego = find_ego_motion(part) if needs_ego(part) else None
     reach_ns = scene_period_ns(part)
-    trajectories = [
-        sensor_source(part, sensor, ego, reach_ns=reach_ns).at(times) for sensor in (camera, lidar)
-    ]
+    trajectories = [sensor_source(part, sensor, ego, reach_ns=reach_ns).at(times) for sensor in (camera, lidar)]
     steps = _steps(rotating.quaternions_xyzw)
     steps[np.diff(rotating.chunks) != 0] = np.nan
     given = _steps(trajectories[1].quaternions_xyzw)
@@ -223,9 +221,7 @@ def _within(drive: DetectedDrive, part: Scene, camera_id: Identifier) -> Detecte
     camera = next(camera for camera in part.cameras if camera.id == camera_id)
     times = camera.images.timestamps_ns
     cameras = {
-        known: replace(
-            found, boxes=tuple(b for b in found.boxes if times.min() <= b.timestamp_ns <= times.max())
-        )
+        known: replace(found, boxes=tuple(b for b in found.boxes if times.min() <= b.timestamp_ns <= times.max()))
         for known, found in drive.cameras.items()
         if known == camera_id
     }
@@ -260,9 +256,7 @@ def _save_images(
     return [folder / name for name in written]
 
 
-def _draw_points(
-    frame: CalibrationFrame, points_lidar: Float64Array, change: Change, caption: str
-) -> PilImage:
+def _draw_points(frame: CalibrationFrame, points_lidar: Float64Array, change: Change, caption: str) -> PilImage:
     """Draw points of a frame over its image under a candidate calibration, coloured by range.
 
     Args:
@@ -374,9 +368,7 @@ def _with_repair(scene: Scene, repair: Repair) -> Scene:
         return _remounted(scene, repair)
     sensor = scene.sensor(repair.camera_id)
     if not isinstance(sensor, CameraSensor):
-        raise OptionError(
-            f"{scene.source}: sensor {repair.camera_id!r} is a {sensor.type}; expected a camera"
-        )
+        raise OptionError(f"{scene.source}: sensor {repair.camera_id!r} is a {sensor.type}; expected a camera")
     difference = repair.stated @ repair.repaired.inverse()
     first_ns = sensor.images.timestamps_ns[:1]
     annotation = CameraCalibration(
@@ -413,9 +405,7 @@ def _free_id(scene: Scene, wanted: str) -> str:
 def _table_3(scene: Scene, repair: Repair) -> str:
     del scene
     if repair.camera is None:
-        raise OptionError(
-            "table 3 holds the calibration of a camera and a lidar; there is no camera in this one"
-        )
+        raise OptionError("table 3 holds the calibration of a camera and a lidar; there is no camera in this one")
     axes = DeclaredAxes.of_words(_CAMERA_AXES), DeclaredAxes.of_words(_LIDAR_AXES)
     record = calibration_data(repair.camera, repair.repaired, *axes)
     return format_json(record)
@@ -441,9 +431,7 @@ def _change_camera(entry: dict[str, Any], repair: Repair) -> None:
     if repair.camera is not None and "focalLengthX" in entry:
         entry["focalLengthX"], entry["focalLengthY"] = repair.camera.fx, repair.camera.fy
     if repair.time_offset:
-        entry["imuToCameraShiftSeconds"] = (
-            float(entry.get("imuToCameraShiftSeconds") or 0.0) + repair.time_offset
-        )
+        entry["imuToCameraShiftSeconds"] = float(entry.get("imuToCameraShiftSeconds") or 0.0) + repair.time_offset
 
 
 def _calibration_of(scene: Scene) -> dict[str, Any]:
@@ -723,9 +711,7 @@ _ROTATIONS = frozenset({"pitch", "yaw", "roll", "rotation_x", "rotation_y", "rot
 
 
 def _in_degrees(numbers: dict[str, float]) -> dict[str, float]:
-    return {
-        name: value * 57.29577951308232 if name in _ROTATIONS else value for name, value in numbers.items()
-    }
+    return {name: value * 57.29577951308232 if name in _ROTATIONS else value for name, value in numbers.items()}
 
 
 @dataclass(frozen=True, slots=True)

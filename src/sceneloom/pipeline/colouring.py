@@ -411,9 +411,7 @@ def _numbered_labels(scene: Scene) -> dict[str, int]:
     """
     names = sorted({_name(each) for each in _labelled(scene)})
     if not names:
-        raise DataError(
-            scene.source, "annotations", "no labelled points in it; expected labels of lidar frames"
-        )
+        raise DataError(scene.source, "annotations", "no labelled points in it; expected labels of lidar frames")
     if len(names) >= NO_LABEL:
         raise DataError(scene.source, "annotations", f"{len(names)} labels; expected at most {NO_LABEL - 1}")
     if all(name.isascii() and name.isdigit() and 0 < int(name) < NO_LABEL for name in names):
@@ -654,9 +652,7 @@ def _label_annotation(
     while annotation_id in taken:
         annotation_id += "-painted"
     taken.add(annotation_id)
-    return LabeledPointsAnnotation(
-        annotation_id, entries, label=names.get(label, str(label)), is_instance=False
-    )
+    return LabeledPointsAnnotation(annotation_id, entries, label=names.get(label, str(label)), is_instance=False)
 
 
 @dataclass(slots=True)
@@ -1032,9 +1028,7 @@ def colour(
         removed_by_rays=job.removed_by_rays,
         unjudged=job.unjudged,
         written=0 if sinks.map is None else sinks.map.written,
-        exposure=None
-        if gains is None
-        else _ExposureReport.of(gains, [camera.id for camera in scene.cameras]),
+        exposure=None if gains is None else _ExposureReport.of(gains, [camera.id for camera in scene.cameras]),
         labels=_label_report(job, colouring, sinks),
         cameras=statistics.camera_reports,
         files=sinks.files,

@@ -119,19 +119,13 @@ def fields_meant(location: str, kinds: Mapping[str, str]) -> tuple[str, ...]:
 
 def _by_kind(location: str, kinds: Mapping[str, str]) -> list[str]:
     """The location with a kind instead of the id; several where all of them are meant."""
-    owner = max(
-        (key for key in kinds if location == key or location.startswith(f"{key}.")), key=len, default=None
-    )
+    owner = max((key for key in kinds if location == key or location.startswith(f"{key}.")), key=len, default=None)
     if owner is not None:
         return [_plain(kinds[owner] + location[len(owner) :])]
     several = _SEVERAL.match(location)
     if several is None:
         return [_plain(location)]
-    return [
-        _plain(kind + location[several.end() :])
-        for kind in KINDS.values()
-        if kind.startswith(several.group(1))
-    ]
+    return [_plain(kind + location[several.end() :]) for kind in KINDS.values() if kind.startswith(several.group(1))]
 
 
 def _plain(location: str) -> str:
@@ -229,9 +223,7 @@ def _support(field: str, count: int, holding: Holding | None, lines: list[Loss])
         count=count,
         support=max(supports, key=SEVERITY.__getitem__, default=Support.KEPT),
         how=tuple(dict.fromkeys(how)),
-        largest_error=max(
-            (line.largest_error for line in lines if line.largest_error is not None), default=None
-        ),
+        largest_error=max((line.largest_error for line in lines if line.largest_error is not None), default=None),
     )
 
 
@@ -288,9 +280,7 @@ class ConversionReport(msgspec.Struct, frozen=True, kw_only=True):
         kept = self.of_support(Support.KEPT)
         groups = [
             *(_Group(str(one), self.of_support(one)) for one in reversed(Support) if one != Support.KEPT),
-            _Group(
-                "kept aside, where other programs do not look", tuple(field for field in kept if field.how)
-            ),
+            _Group("kept aside, where other programs do not look", tuple(field for field in kept if field.how)),
             _Group("kept", tuple(field for field in kept if not field.how), explained=False),
         ]
         return tuple(group for group in groups if group.fields)
@@ -346,9 +336,7 @@ def _check_report_name(path: Path) -> None:
         OptionError: its suffix is none of those of reports.
     """
     if path.suffix.lower() not in _REPORT_SUFFIXES:
-        raise OptionError(
-            f"{path}: suffix {path.suffix!r}; a loss report is written as {', '.join(_REPORT_SUFFIXES)}"
-        )
+        raise OptionError(f"{path}: suffix {path.suffix!r}; a loss report is written as {', '.join(_REPORT_SUFFIXES)}")
 
 
 def _write_report(report: ConversionReport, path: Path, *, overwrite: bool = False) -> None:
@@ -491,8 +479,7 @@ class _Conversion:
         if not gone:
             return
         named = "; ".join(
-            f"{field.field} ({field.support}{': ' + field.how[0] if field.how else ''})"
-            for field in gone[:_NAMED]
+            f"{field.field} ({field.support}{': ' + field.how[0] if field.how else ''})" for field in gone[:_NAMED]
         )
         further = f"; and {len(gone) - _NAMED} more" if len(gone) > _NAMED else ""
         problem = (
@@ -720,8 +707,7 @@ def _with_progress(scene: Scene, progress: Progress | None) -> Scene:
     total = sum(
         len(frame_times(sensor))
         for sensor in scene.sensors
-        if isinstance(sensor, LidarSensor | RadarSensor)
-        or (isinstance(sensor, CameraSensor) and sensor.video is None)
+        if isinstance(sensor, LidarSensor | RadarSensor) or (isinstance(sensor, CameraSensor) and sensor.video is None)
     )
     read: set[tuple[type, Identifier, int]] = set()
 

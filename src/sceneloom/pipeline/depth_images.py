@@ -184,9 +184,7 @@ def write_depth_images(
     system = build_system(aligned.scene, aligned.ego, configuration or FusionConfiguration(), skips)
     total, unfused = aligned.sweeps, Counter[str]()
     with telling(skips), counting_left_out() as left, ExitStack() as stack:
-        writer = _open_writer(
-            aligned, location, drawn, stack, form=form, confidence=confidence, overwrite=overwrite
-        )
+        writer = _open_writer(aligned, location, drawn, stack, form=form, confidence=confidence, overwrite=overwrite)
         for done, frame in enumerate(play(aligned.scene, system, skips=skips), start=1):
             leave_out("points", int((~finite_rows(frame.points.positions)).sum()))
             if frame.unfused is not None:

@@ -172,10 +172,7 @@ class _DeskewPlan:
         frames = LazyFrames(timestamps_ns, DeskewedFrames(sensor.frames, deskewer, reported))
         poses = sensor.poses
         if poses is not None and sensor.coordinates is Coordinates.WORLD and self.trajectory != IMU:
-            poses = (
-                sensor_path(sensor_source(self.scene, sensor, self.ego, reach_ns=reach_ns), timestamps_ns)
-                or poses
-            )
+            poses = sensor_path(sensor_source(self.scene, sensor, self.ego, reach_ns=reach_ns), timestamps_ns) or poses
         return replace(sensor, frames=frames, poses=poses)
 
 
@@ -225,9 +222,7 @@ def _plan_deskew(
         _check_on_ego(scene, lidars)
     # a heading comes from the trajectory before the part, too
     whole = part if heading is None else scene
-    ego = find_ego_motion(
-        whole, name=trajectory, heading=heading, progress=progress, lenient=skips is not None
-    )
+    ego = find_ego_motion(whole, name=trajectory, heading=heading, progress=progress, lenient=skips is not None)
     return _DeskewPlan(part, lidars, ego, _NO_GAPS, at)
 
 
@@ -280,9 +275,7 @@ def _earlier(scene: Scene) -> list[Mapping[str, Any]]:
     entries = ours_of(scene).get("deskew")
     if not isinstance(entries, list):
         return []
-    return [
-        entry for entry in entries if isinstance(entry, Mapping) and isinstance(entry.get("lidars"), list)
-    ]
+    return [entry for entry in entries if isinstance(entry, Mapping) and isinstance(entry.get("lidars"), list)]
 
 
 def _in_world(scene: Scene, sensor: LidarSensor) -> str:

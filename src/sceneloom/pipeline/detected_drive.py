@@ -243,9 +243,7 @@ def calibration_warnings(drive: DetectedDrive) -> tuple[DataWarning, ...]:
     for moment in moments(drive):
         for camera_id, pair in moment.pairs.items():
             residuals[camera_id].add(pair)
-    return tuple(
-        warning for camera_id, found in residuals.items() for warning in found.warnings(str(camera_id))
-    )
+    return tuple(warning for camera_id, found in residuals.items() for warning in found.warnings(str(camera_id)))
 
 
 def _nearest(drive: DetectedDrive, camera: DetectedCamera) -> list[int]:
@@ -299,18 +297,14 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
     if path is None or sequence.lidar_from_imu is None:
         message = "the ego trajectory is not known: objects are followed as if it was stationary"
         warnings.append(
-            DataWarning(
-                kind=WarningKind.ASSUMED, code="no-trajectory", location=sequence.name, message=message
-            )
+            DataWarning(kind=WarningKind.ASSUMED, code="no-trajectory", location=sequence.name, message=message)
         )
     else:
         ego_from_lidar = sequence.lidar_from_imu.inverse()
     known = path is not None and sequence.lidar_from_imu is not None
     detectors = _kitti_detectors()
     if detectors is not None:
-        message = (
-            f"boxes are taken to be as sure and exact as those of {detectors}; `--detectors` says otherwise"
-        )
+        message = f"boxes are taken to be as sure and exact as those of {detectors}; `--detectors` says otherwise"
         warnings.append(DataWarning(kind=WarningKind.ASSUMED, code="detectors", location="", message=message))
     path = path if known and path is not None else Poses.identity()
     frames = range(sequence.frame_count)

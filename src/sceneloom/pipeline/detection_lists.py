@@ -150,11 +150,7 @@ def _complete(lists: list[Any], context: ListContext, empty: Any) -> list[Any]:
         missing = [t for t in context.timestamps_ns.tolist() if first <= t <= last and t not in known]
         tick_ns = _half_step(context)
         near = sorted(known)
-        lists += [
-            empty(t, sensor_id=context.sensor_id)
-            for t in missing
-            if min(abs(t - one) for one in near) > tick_ns
-        ]
+        lists += [empty(t, sensor_id=context.sensor_id) for t in missing if min(abs(t - one) for one in near) > tick_ns]
     return [lists[k] for k in _sorted_by_time(lists)]
 
 
@@ -163,9 +159,7 @@ def _half_step(context: ListContext) -> int:
     return int(steps.min()) // 2 if len(steps) else 0
 
 
-def _records(
-    path: Path, context: ListContext, ledger: Ledger, wanted: tuple[type[Any], type[Any]]
-) -> Iterator[Any]:
+def _records(path: Path, context: ListContext, ledger: Ledger, wanted: tuple[type[Any], type[Any]]) -> Iterator[Any]:
     """The lists of boxes of a file; bare boxes of one frame are put together, wherever they stand.
 
     Raises:
@@ -275,9 +269,7 @@ def _result_rows(path: Path, *, in_space: bool) -> _KittiRows:
         results = results.select(results.have_position)
     scores = np.ones(len(results)) if results.scores is None else results.scores
     placed = results.sizes_hwl, results.bottoms, results.rotations_y
-    return _KittiRows(
-        results.frames, results.types, scores, _score_form(scores), results.corners_xyxy, placed
-    )
+    return _KittiRows(results.frames, results.types, scores, _score_form(scores), results.corners_xyxy, placed)
 
 
 def _read_lists_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
@@ -309,9 +301,7 @@ def _kitti_boxes_3d(rows: _KittiRows, path: Path, context: ListContext, ledger: 
     sensor_from_camera = context.sensor_from_camera
     if sensor_from_camera is None:
         if len(rows.frames):
-            problem = (
-                "its boxes are in the camera's frame, and no camera is known; expected one, or `--camera ID`"
-            )
+            problem = "its boxes are in the camera's frame, and no camera is known; expected one, or `--camera ID`"
             raise DataError(path, "", problem)
         sensor_from_camera = RigidTransform.identity()
     message = "its boxes are taken to be in the frame of the camera that was chosen"
@@ -355,10 +345,7 @@ def _rows_by_frame(frames: Int64Array, context: ListContext, path: Path) -> list
     if len(frames):
         context.time_of(int(frames.min()), path, "")
         context.time_of(int(frames.max()), path, "")
-    return [
-        (time_ns, np.flatnonzero(frames == frame))
-        for frame, time_ns in enumerate(context.timestamps_ns.tolist())
-    ]
+    return [(time_ns, np.flatnonzero(frames == frame)) for frame, time_ns in enumerate(context.timestamps_ns.tolist())]
 
 
 def _score_form(scores: Float64Array) -> ScoreForm:
@@ -426,9 +413,7 @@ def _sample_times(path: Path, results: Mapping[str, Any], context: ListContext) 
         rows = msgspec.json.decode(read_bytes(table))
         times = {row["token"]: int(row["timestamp"]) * 1000 for row in rows}
     except (msgspec.DecodeError, RecursionError, TypeError, KeyError, ValueError) as error:
-        raise DataError(
-            table, "", f"{error}; expected a list of objects with token and timestamp [µs]"
-        ) from error
+        raise DataError(table, "", f"{error}; expected a list of objects with token and timestamp [µs]") from error
     return {token: t for token, t in times.items() if token in results and _in_drive(t, context)}
 
 
@@ -551,9 +536,7 @@ def form_of(path: Path) -> _ListForm | None:
         if form.recognises(head):
             return form
     known = "; ".join(f"{form.name}, {form.looks_like}" for form in _FORMS)
-    raise UnknownFormatError(
-        path, "line 1", f"{head.splitlines()[0][:60]!r}; expected a list of boxes: {known}"
-    )
+    raise UnknownFormatError(path, "line 1", f"{head.splitlines()[0][:60]!r}; expected a list of boxes: {known}")
 
 
 def read_boxes_3d(path: Path | str, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
@@ -666,9 +649,7 @@ class DetectionInput:
                 "trajectory are known"
             )
         self.refuse_part(path, reading)
-        return open_tracking_folder(
-            path, detector_2d=self.detector_2d, detector_3d=self.detector_3d, lenient=lenient
-        )
+        return open_tracking_folder(path, detector_2d=self.detector_2d, detector_3d=self.detector_3d, lenient=lenient)
 
     @staticmethod
     def refuse_part(path: str | Path, reading: Mapping[str, Any] | None) -> None:
@@ -751,9 +732,7 @@ def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -
         )
         lists = [read_boxes_3d(path, context, ledger) for path in files.boxes_3d]
         boxes = (
-            _together(lists, _joined_3d)
-            if lists
-            else [Boxes3D.empty(t, sensor_id=lidar.id) for t in sweeps.tolist()]
+            _together(lists, _joined_3d) if lists else [Boxes3D.empty(t, sensor_id=lidar.id) for t in sweeps.tolist()]
         )
         drive = DetectedDrive(
             name=Path(scene.source).stem or "drive",

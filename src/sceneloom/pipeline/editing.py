@@ -99,9 +99,7 @@ def edit_files(
     statistics = _Statistics(progress)
     with open_scenes(sources, reading or {}) as scenes:
         changed = scene_for(format_for_output(Path(output)), change(scenes, statistics.add_before))
-        statistics.total = sum(
-            len(s.frames) for s in changed.sensors if isinstance(s, LidarSensor | RadarSensor)
-        )
+        statistics.total = sum(len(s.frames) for s in changed.sensors if isinstance(s, LidarSensor | RadarSensor))
         losses = write_scene(watched(changed, statistics.add_after), output, overwrite=overwrite, **writing)
     return EditReport(
         edit=edit,

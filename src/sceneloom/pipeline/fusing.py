@@ -211,9 +211,7 @@ class FusionStatistics:
             "points have no times of their own; they were taken as measured at their sweep's time, and what the ego "
             "moved during a sweep stays in them"
         )
-        non_finite = (
-            "points without finite coordinates were kept as they are; they get no colour and no depth"
-        )
+        non_finite = "points without finite coordinates were kept as they are; they get no colour and no depth"
         points = "sensors[].frames[].points"
         return (
             assumed("no-point-times", f"{points}.timestamps", timeless, count=self.timeless),
@@ -405,9 +403,7 @@ def fuse(
     )
 
 
-def _configured(
-    configuration: FusionConfiguration | None, algorithm: AlgorithmChoice | None
-) -> FusionConfiguration:
+def _configured(configuration: FusionConfiguration | None, algorithm: AlgorithmChoice | None) -> FusionConfiguration:
     settings = configuration or FusionConfiguration()
     chosen = settings.fusion_algorithm if algorithm is None else algorithm
     return replace(settings, fusion_algorithm=chosen_algorithm(FusionType.SENSOR_DATA, chosen))

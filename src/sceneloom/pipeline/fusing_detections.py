@@ -89,9 +89,7 @@ def _looked_for(boxes: Boxes3D | Boxes2D, classes: _Classes) -> BoolArray:
     return np.array([classes is None or label in classes for label in boxes.labels], np.bool_)
 
 
-def _part(
-    pair: DetectionPair, in_space: BoolArray, in_image: BoolArray, settings: ProjectionSettings
-) -> FusedBoxes:
+def _part(pair: DetectionPair, in_space: BoolArray, in_image: BoolArray, settings: ProjectionSettings) -> FusedBoxes:
     """Fuse some of the boxes; rows are reported all."""
     if in_space.all() and in_image.all():
         return fuse_by_projection(pair, settings=settings)
@@ -161,9 +159,7 @@ def iter_fused_detections(
         detect = _fusion_for(drive.classes_2d, drive.classes, found, wanted) or partial(
             fuse_by_projection, settings=wanted
         )
-    system = FusionSystem(
-        chosen, detect=detect if drive.points is None else _WithPoints(drive.points, detect)
-    )
+    system = FusionSystem(chosen, detect=detect if drive.points is None else _WithPoints(drive.points, detect))
     system.add_lidar(drive.lidar_id, drive.source, period_ns=drive.period_ns, location=drive.source)
     for index, (camera_id, camera) in enumerate(drive.cameras.items()):
         system.add_camera(camera_id, camera.source, index=index)
@@ -415,9 +411,7 @@ def fuse_detections(
     fuse = partial(iter_fused_detections, configuration=configuration, settings=settings)
     tracking = wanted.tracking_folder(path, lenient=lenient, reading=reading)
     if tracking is not None:
-        reports = _fuse_sequences(
-            tracking, wanted.sequences, output, form, fuse, progress, overwrite=overwrite
-        )
+        reports = _fuse_sequences(tracking, wanted.sequences, output, form, fuse, progress, overwrite=overwrite)
         return _report(str(tracking.path), output, reports, tracking.warnings, begun)
     if form != "jsonl":
         raise OptionError(
@@ -537,9 +531,7 @@ def _report(
         output=str(output),
         drives=tuple(reports),
         seconds=time.perf_counter() - begun,
-        warnings=tuple(
-            dict.fromkeys([*warnings, *(warning for report in reports for warning in report.warnings)])
-        ),
+        warnings=tuple(dict.fromkeys([*warnings, *(warning for report in reports for warning in report.warnings)])),
     )
 
 
@@ -628,9 +620,7 @@ def _record(path: Path, number: int, line: str) -> FusedDetections:
             problem = f"a {type(record).__name__}; expected the detections of table 10"
             raise DataError("record", "", problem)  # noqa: TRY301 - its location is added below, as to all of them
     except DataError as error:
-        raise DataError(
-            path, ": ".join(filter(None, (f"line {number}", error.location))), error.problem
-        ) from error
+        raise DataError(path, ": ".join(filter(None, (f"line {number}", error.location))), error.problem) from error
     return record
 
 

@@ -231,14 +231,10 @@ def _report_packages() -> Iterator[Finding]:
 
 def _needed(package: _Package) -> Finding:
     if package.problem is None:
-        return Finding(
-            group="packages", name=package.name, status=Status.GOOD, stated=package.installed or "there"
-        )
+        return Finding(group="packages", name=package.name, status=Status.GOOD, stated=package.installed or "there")
     bound = f">={package.least}" if package.least else ""
     remedy = f"pip uninstall {package.name}, then pip install '{package.name}{bound}'"
-    return Finding(
-        group="packages", name=package.name, status=Status.BROKEN, stated=package.problem, remedy=remedy
-    )
+    return Finding(group="packages", name=package.name, status=Status.BROKEN, stated=package.problem, remedy=remedy)
 
 
 def _extras(packages: Iterable[_Package]) -> Iterator[Finding]:
@@ -258,9 +254,7 @@ def _extras(packages: Iterable[_Package]) -> Iterator[Finding]:
 
 
 def _machine() -> Iterator[Finding]:
-    yield Finding(
-        group="machine", name="processors", status=Status.GOOD, stated=_processor_line(processors())
-    )
+    yield Finding(group="machine", name="processors", status=Status.GOOD, stated=_processor_line(processors()))
     yield Finding(group="machine", name="memory", status=Status.GOOD, stated=_memory_line())
     folder, free = _temporary_space()
     short = free < _LEAST_TEMPORARY_BYTES
@@ -301,9 +295,7 @@ def _codecs() -> Iterator[Finding]:
 
         codecs = available_codecs()
     except ImportError as error:
-        yield Finding(
-            group="codecs", name="video", status=Status.BROKEN, stated=f"cannot be imported: {error}"
-        )
+        yield Finding(group="codecs", name="video", status=Status.BROKEN, stated=f"cannot be imported: {error}")
         return
     for name, there in codecs.items():
         lacking = Status.BROKEN if name in NEEDED_CODECS else Status.MISSING

@@ -28,9 +28,7 @@ def check_has_lidar(scene: Scene, needing: str) -> None:
         DataError: it has none.
     """
     if not scene.lidars:
-        raise DataError(
-            scene.source, "", f"no lidar in it; {needing} one (`sceneloom info` lists what is there)"
-        )
+        raise DataError(scene.source, "", f"no lidar in it; {needing} one (`sceneloom info` lists what is there)")
 
 
 @dataclass(slots=True)
@@ -159,9 +157,7 @@ def in_time_order(scene: Scene) -> Iterator[tuple[int, Identifier, Reader]]:
         yield timestamp_ns, sensor_id, read
 
 
-def _timestamped(
-    order: int, sensor: LidarSensor | CameraSensor
-) -> Iterator[tuple[int, int, Identifier, Reader]]:
+def _timestamped(order: int, sensor: LidarSensor | CameraSensor) -> Iterator[tuple[int, int, Identifier, Reader]]:
     frames = sensor.frames if isinstance(sensor, LidarSensor) else sensor.images
     for index, timestamp_ns in enumerate(frames.timestamps_ns.tolist()):
         yield timestamp_ns, order, sensor.id, lambda index=index: frames[index]  # type: ignore[misc]

@@ -222,9 +222,7 @@ class _Settings:
         hidings = find_hidings(scene, boxes=self.boxes, labels=self.labels, hold=self.hold)
         regions = regions_of(scene, hidings, margin=self.margin)
         pixels = {key: found.pixels for key, found in regions.items()}
-        bare = hide_in_images(
-            scene, hidings, fill=self.fill, margin=self.margin, drop_colours=self.drop_colours
-        )
+        bare = hide_in_images(scene, hidings, fill=self.fill, margin=self.margin, drop_colours=self.drop_colours)
         changed, encoded = _with_videos(scene, _with_hidden_files(scene, bare, pixels), folder, losses)
         counts = {key_of(camera.id): len(camera.images) for camera in scene.cameras}
         return changed, [
@@ -234,9 +232,7 @@ class _Settings:
         ]
 
 
-def _with_videos(
-    scene: Scene, hidden: Scene, folder: Path, losses: list[Loss]
-) -> tuple[Scene, frozenset[Key]]:
+def _with_videos(scene: Scene, hidden: Scene, folder: Path, losses: list[Loss]) -> tuple[Scene, frozenset[Key]]:
     """Encode the images of videos again; of odd sizes, which H.264 cannot hold, they stay single images.
 
     Args:
@@ -273,9 +269,7 @@ def _with_videos(
             what = "the video is encoded again, as H.264 of quality 18"
             count = len(sensor.images)
             losses.append(
-                Loss(
-                    field=f"sensors[{sensor.id}].video", what=what, count=count, support=Support.APPROXIMATED
-                )
+                Loss(field=f"sensors[{sensor.id}].video", what=what, count=count, support=Support.APPROXIMATED)
             )
         sensors.append(replace(sensor, video=VideoContent(partial(open_file, target), codec)))
         encoded.add(key)
@@ -327,9 +321,7 @@ _ALIASES: Mapping[str, str] = MappingProxyType(
 )
 """Other words for the columns."""
 
-_COLUMNS = (
-    "camera, number or time or timestamp_ns, x1, y1, x2, y2 (or left, top, width, height), track, label"
-)
+_COLUMNS = "camera, number or time or timestamp_ns, x1, y1, x2, y2 (or left, top, width, height), track, label"
 
 _MOST_SECONDS = 9_000_000_000
 
@@ -381,9 +373,7 @@ def _csv_rows(path: Path, text: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
             raise DataError(path, "line 1", f"columns {', '.join(columns) or 'none'}; expected {_COLUMNS}")
         for row in reader:
             if None in row or None in row.values():
-                raise DataError(
-                    path, f"line {reader.line_num}", "has more or fewer values than there are columns"
-                )
+                raise DataError(path, f"line {reader.line_num}", "has more or fewer values than there are columns")
             yield f"line {reader.line_num}", _named(row)
     except csv.Error as error:
         raise DataError(path, f"line {reader.line_num}", f"is no CSV: {error}") from error

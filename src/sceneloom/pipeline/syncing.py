@@ -155,9 +155,7 @@ def sync(
     return msgspec.structs.replace(report, seconds=time.perf_counter() - begun)
 
 
-def corrected_scene(
-    scene: Scene, corrections: Collection[AppliedCorrection], *, reference: str | None = None
-) -> Scene:
+def corrected_scene(scene: Scene, corrections: Collection[AppliedCorrection], *, reference: str | None = None) -> Scene:
     """Give the scene with corrections applied; each stands in a warning, all in `metadata.sceneloom.clocks`.
 
     Args:
@@ -231,8 +229,7 @@ def _compared(
     later = [
         stream
         for stream in others
-        if compare(first, stream).estimate.verdict is ClockVerdict.NOT_OBSERVABLE
-        or stream.kind is StreamKind.GNSS
+        if compare(first, stream).estimate.verdict is ClockVerdict.NOT_OBSERVABLE or stream.kind is StreamKind.GNSS
     ]
     if second is not None:
         for stream in later:
@@ -241,9 +238,7 @@ def _compared(
     return tuple(comparisons)
 
 
-def _corrections(
-    comparisons: Collection[ClockComparison], reference: str | None
-) -> tuple[AppliedCorrection, ...]:
+def _corrections(comparisons: Collection[ClockComparison], reference: str | None) -> tuple[AppliedCorrection, ...]:
     """What streams that are off are off against the reference, found directly, or through the first trajectory."""
     direct = {c.stream: c for c in comparisons if c.reference == reference}
     indirect = {c.stream: c for c in comparisons if c.reference != reference}
@@ -305,9 +300,7 @@ def _warning(correction: AppliedCorrection, reference: str | None) -> DataWarnin
     message = f"its times were moved by {-correction.offset_ns / 1e6:+.3f} ms against {reference!r}" + (
         f", its clock slowed by {correction.skew_ppm:.1f} ppm" if correction.skew_ppm else ""
     )
-    return DataWarning(
-        kind=WarningKind.REPAIRED, code="clock-corrected", location=correction.stream, message=message
-    )
+    return DataWarning(kind=WarningKind.REPAIRED, code="clock-corrected", location=correction.stream, message=message)
 
 
 def _listed(found: Mapping[str, Stream]) -> str:

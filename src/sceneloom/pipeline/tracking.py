@@ -441,9 +441,7 @@ def _following(scene: Scene, path: Poses) -> Scene:
     """The scene with this ego trajectory as its default one; an ego that is stationary has none."""
     if path.static:
         return scene
-    known = next(
-        (name for name, trajectory in scene.trajectories.items() if same_direction(trajectory, path)), None
-    )
+    known = next((name for name, trajectory in scene.trajectories.items() if same_direction(trajectory, path)), None)
     followed = Trajectory(FOLLOWED, path.timestamps_ns, path.positions, path.quaternions_xyzw)
     first = {FOLLOWED: followed} if known is None else {known: scene.trajectories[known]}
     return replace(scene, trajectories=MappingProxyType({**first, **scene.trajectories}))
@@ -485,9 +483,7 @@ class _TrackableDrive:
 _Write = Callable[[_TrackedDrive, _TrackableDrive, Path, TrackOutputs], LossReport]
 
 
-def _write_kitti(
-    tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs
-) -> LossReport:
+def _write_kitti(tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs) -> LossReport:
     drive = source.drive
     if len(drive.cameras) != 1:
         raise OptionError(
@@ -500,36 +496,26 @@ def _write_kitti(
         rectified_from_lidar = camera.source.mount.inverse() @ drive.source.mount
     poses = zip(drive.locations(), poses_at(camera.source, drive.timestamps_ns), strict=True)
     found = []
-    for frame, (objects, (world_from_lidar, world_from_camera)) in enumerate(
-        zip(tracked.moments, poses, strict=True)
-    ):
+    for frame, (objects, (world_from_lidar, world_from_camera)) in enumerate(zip(tracked.moments, poses, strict=True)):
         boxes = _in_lidar(objects, world_from_lidar)
         camera_from_lidar = world_from_camera.inverse() @ world_from_lidar
-        corners = _image_boxes(
-            objects, boxes, camera_id, camera.camera_model, camera_from_lidar, outputs.box2d
-        )
+        corners = _image_boxes(objects, boxes, camera_id, camera.camera_model, camera_from_lidar, outputs.box2d)
         placed = boxes.centers, boxes.sizes_lwh, boxes.yaws
         found.append(
-            KittiObjects(
-                frame, objects.ids, objects.labels, objects.scores, corners, placed, camera.camera_model
-            )
+            KittiObjects(frame, objects.ids, objects.labels, objects.scores, corners, placed, camera.camera_model)
         )
     write_labels(kitti_labels(found, rectified_from_lidar), path)
     return LossReport()
 
 
-def _write_lines(
-    tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs
-) -> LossReport:
+def _write_lines(tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs) -> LossReport:
     del source, outputs
     with path.open("wb") as file:
         file.writelines(line + b"\n" for line in track_lines(tracked.moments))
     return LossReport()
 
 
-def _write_scene(
-    tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs
-) -> LossReport:
+def _write_scene(tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs) -> LossReport:
     labelled = label_drive(source.scene, source.drive, tracked.tracks)
     return write_scene(labelled.scene, path, format="sfs", **outputs.scene_options)
 
@@ -588,9 +574,7 @@ def projected_boxes(boxes: Boxes3D, camera_model: Camera, camera_from_lidar: Rig
     if not len(ahead):
         return found
     extents, _ = box_extents(camera_model, corners_camera[ahead], steps=FINE)
-    shown = (
-        np.isfinite(extents).all(axis=1) & (extents[:, 2] > extents[:, 0]) & (extents[:, 3] > extents[:, 1])
-    )
+    shown = np.isfinite(extents).all(axis=1) & (extents[:, 2] > extents[:, 0]) & (extents[:, 3] > extents[:, 1])
     found[ahead[shown]] = extents[shown]
     return found
 
@@ -888,9 +872,7 @@ class _Job:
             if images is not None:
                 save_tracking_images(source.scene, source.drive, tracked.moments, images)
         labels = {
-            number: label
-            for m in tracked.moments
-            for number, label in zip(m.ids.tolist(), m.labels, strict=True)
+            number: label for m in tracked.moments for number, label in zip(m.ids.tolist(), m.labels, strict=True)
         }
         report = _TrackedReport(
             name=source.drive.name,

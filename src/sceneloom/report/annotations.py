@@ -164,17 +164,13 @@ class Labels(msgspec.Struct, frozen=True, kw_only=True):
         """How many objects of which class there are, how large, how far, how well seen."""
         rest = self.classes[_MOST_CLASSES:]
         types = [(name.replace("_", " "), count(number)) for name, number in self.types.items()]
-        attributes = [
-            (name, count(number)) for name, number in sorted(self.attributes.items())[:_MOST_ATTRIBUTES]
-        ]
+        attributes = [(name, count(number)) for name, number in sorted(self.attributes.items())[:_MOST_ATTRIBUTES]]
         tables = [
             Table(
                 "Boxes in space by class: the median, and what 90 % lie between",
                 _CLASS_COLUMNS,
                 self.classes[:_MOST_CLASSES],
-                more=f"{len(rest)} further classes with {sum(c.objects for c in rest):,} objects."
-                if rest
-                else "",
+                more=f"{len(rest)} further classes with {sum(c.objects for c in rest):,} objects." if rest else "",
             ),
             Table("Annotations by type", pair_columns("Type", "Annotations", numeric=True), types),
             Table(
@@ -217,9 +213,7 @@ class Labels(msgspec.Struct, frozen=True, kw_only=True):
         if self.range_counts:
             names = [*(f"{a:g}–{b:g}" for a, b in pairwise(self.range_edges)), f"{self.range_edges[-1]:g}+"]
             svg = columns(names, self.range_counts, x_name="range [m]", y_name="boxes")
-            found.append(
-                Drawing("Boxes by range", f"Boxes at {several(self.moments, 'moment')} by distance", svg)
-            )
+            found.append(Drawing("Boxes by range", f"Boxes at {several(self.moments, 'moment')} by distance", svg))
         if self.point_counts:
             names = [str(a) if b == a + 1 else f"{a}–{b - 1}" for a, b in pairwise(self.point_edges)]
             names.append(f"{self.point_edges[-1]}+")
@@ -418,9 +412,7 @@ def _over_time(scene: Scene, table: BoxTable, start_ns: int) -> tuple[tuple[floa
         timestamps = annotation.path.timestamps_ns
         always = annotation.stationary is True
         counts += always | ((times >= timestamps[0]) & (times <= timestamps[-1]))
-    return tuple(
-        (round((t - start_ns) / 1e9, 4), n) for t, n in zip(times.tolist(), counts.tolist(), strict=True)
-    )
+    return tuple((round((t - start_ns) / 1e9, 4), n) for t, n in zip(times.tolist(), counts.tolist(), strict=True))
 
 
 def _binned(values: Sequence[float], edges: Sequence[float]) -> tuple[int, ...]:
@@ -446,9 +438,7 @@ def draw_labels(scene: Scene, figures: Figures) -> None:
     if not scene.annotations:
         return
     try:
-        samples = scene.samples(
-            reference="lidar" if any(len(x.frames) for x in scene.lidars[:1]) else "camera"
-        )
+        samples = scene.samples(reference="lidar" if any(len(x.frames) for x in scene.lidars[:1]) else "camera")
         sample = samples[len(samples) // 2] if len(samples) else None
     except OptionError:
         return

@@ -68,9 +68,7 @@ class Figures:
             self.left_out += 1
             return
         if image.width > _WIDTH_PX:
-            image = image.resize(
-                (_WIDTH_PX, max(1, round(image.height * _WIDTH_PX / image.width))), reducing_gap=2.0
-            )
+            image = image.resize((_WIDTH_PX, max(1, round(image.height * _WIDTH_PX / image.width))), reducing_gap=2.0)
         self.photos.append(_Photo(section, title, text, image.width, image.height, _encoded(image)))
 
     def of(self, section: str) -> list[_Photo]:
@@ -308,9 +306,7 @@ def columns(names: Sequence[str], counts: Sequence[float], *, x_name: str, y_nam
     return draw_svg(PLOT_INCHES, draw)
 
 
-def bars(
-    names: Sequence[str], values: Sequence[float], *, labels: Sequence[str], most: float | None = None
-) -> bytes:
+def bars(names: Sequence[str], values: Sequence[float], *, labels: Sequence[str], most: float | None = None) -> bytes:
     """Draw bars to the right, each with its name before it and a label behind it."""
 
     def draw(axes: Any) -> None:

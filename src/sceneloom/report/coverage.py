@@ -152,9 +152,7 @@ class CloudStatistics:
         flat = np.bincount(directions * _STEPS + steps, minlength=_FINE * _STEPS)
         self._by_direction += flat.reshape(_FINE, _STEPS)
         heights = np.degrees(np.arcsin(np.clip(points_level[:, 2] / ranges, -1.0, 1.0)))
-        self._elevations += np.bincount(
-            np.clip(((heights + 90.0) * 10.0).astype(np.int64), 0, 1799), minlength=1800
-        )
+        self._elevations += np.bincount(np.clip(((heights + 90.0) * 10.0).astype(np.int64), 0, 1799), minlength=1800)
 
     def coverage(self, sensor: Identifier, kind: str, *, of: int) -> CloudCoverage:
         """Give the averages; `of` so many sweeps in all."""
@@ -184,9 +182,7 @@ class CloudStatistics:
             range_median=_STEP * _quantile(by_range, 0.5),
             range_95=_STEP * _quantile(by_range, _FAR_SHARE),
             range_max=self.farthest,
-            rings=tuple((self._rings[: last_ring[-1] + 1] / sweeps).round(2).tolist())
-            if len(last_ring)
-            else (),
+            rings=tuple((self._rings[: last_ring[-1] + 1] / sweeps).round(2).tolist()) if len(last_ring) else (),
             lowest_deg=low,
             highest_deg=high,
             sectors=tuple((sectors.sum(axis=1) / sweeps).round(2).tolist()),
@@ -268,9 +264,7 @@ class Coverage(msgspec.Struct, frozen=True, kw_only=True):
     def of(cls, scene: Scene, *, sweeps: int = _SWEEPS, ego: EgoMotion | None = None) -> "Coverage":
         """Look at some sweeps of each lidar and radar, and at all camera models."""
         survey = _Survey.of(scene, ego)
-        clouds = tuple(
-            survey.cloud(s, sweeps) for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor)
-        )
+        clouds = tuple(survey.cloud(s, sweeps) for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor))
         cameras = tuple(survey.view(camera) for camera in scene.cameras)
         lidar, camera = _seen_by_lidars(clouds), _seen_by_cameras(cameras)
         return cls(
@@ -319,12 +313,8 @@ class Coverage(msgspec.Struct, frozen=True, kw_only=True):
         looking = [camera for camera in self.cameras if camera.left_deg is not None]
         if not reaching and not looking:
             return []
-        looks = [
-            f"{camera.sensor} from {camera.left_deg:.0f}° to {camera.right_deg:.0f}°" for camera in looking
-        ]
-        seen = [
-            f"{c.sensor} sees {percent(c.horizon_share, 0)} of the horizon" for c in self.clouds if c.sweeps
-        ]
+        looks = [f"{camera.sensor} from {camera.left_deg:.0f}° to {camera.right_deg:.0f}°" for camera in looking]
+        seen = [f"{c.sensor} sees {percent(c.horizon_share, 0)} of the horizon" for c in self.clouds if c.sweeps]
         caption = (
             f"Ahead, as known {_AHEAD[self.ahead_by]}, is up. Outlines: within them lie 95 % of the points of each "
             "direction, from the sensor. Wedges: the middle rows of the images; their length means nothing."
@@ -347,15 +337,12 @@ _CLOUD_COLUMNS = (
     ),
     Column("Elevation [deg]", lambda cloud: f"{cloud.lowest_deg:.1f} to {cloud.highest_deg:.1f}"),
     Column("Horizon", lambda cloud: percent(cloud.horizon_share, 0)),
-    Column(
-        "Rings", lambda cloud: count(sum(number > 0 for number in cloud.rings)) if cloud.rings else NOTHING
-    ),
+    Column("Rings", lambda cloud: count(sum(number > 0 for number in cloud.rings)) if cloud.rings else NOTHING),
     Column("Non-finite", lambda cloud: percent(cloud.non_finite_share)),
     text_column(
         "Points have",
         lambda cloud: (
-            ", ".join(n for n in ("times", "intensities", "colours") if getattr(cloud, f"with_{n}"))
-            or NOTHING
+            ", ".join(n for n in ("times", "intensities", "colours") if getattr(cloud, f"with_{n}")) or NOTHING
         ),
     ),
 )
@@ -367,16 +354,12 @@ _CAMERA_COLUMNS = (
     Column(
         "Across / upright [deg]",
         lambda row: (
-            NOTHING
-            if row[0].across_deg is None
-            else f"{row[0].across_deg:.0f} / {row[0].upright_deg or 0.0:.0f}"
+            NOTHING if row[0].across_deg is None else f"{row[0].across_deg:.0f} / {row[0].upright_deg or 0.0:.0f}"
         ),
     ),
     Column("Looks to [deg]", lambda row: _direction(row[0].heading_deg)),
     Column("Up [deg]", lambda row: fixed(row[0].pitch_deg, 1)),
-    Column(
-        "Points in the image", lambda row: NOTHING if row[1] is None else f"{row[1].in_image_percent:.1f} %"
-    ),
+    Column("Points in the image", lambda row: NOTHING if row[1] is None else f"{row[1].in_image_percent:.1f} %"),
     Column("Hidden of these", lambda row: NOTHING if row[1] is None else f"{row[1].hidden_percent:.1f} %"),
 )
 """Of a camera, and of its part in the fusion if it has one."""
@@ -483,9 +466,7 @@ class _Survey:
             return sensor.mount.inverse()
         points = frame_of_points(self.scene, sensor, self.ego)
         own = locations_of(self.scene, [sensor], self.ego)[sensor.id]
-        of_points, of_sensor = (
-            pose.world_from_sensor for pose in poses_at([(points, time_ns), (own, time_ns)])
-        )
+        of_points, of_sensor = (pose.world_from_sensor for pose in poses_at([(points, time_ns), (own, time_ns)]))
         if of_points is None or of_sensor is None:
             return None
         return of_sensor.inverse() @ of_points

@@ -127,9 +127,7 @@ def hash_of(path: Path) -> tuple[str | None, str | None, int | None]:
     try:
         for file, size in zip(files, sizes, strict=True):
             if not (path.is_file() and whole):
-                digest.update(
-                    f"{file.relative_to(path).as_posix()}\0{size}\0".encode(errors="surrogateescape")
-                )
+                digest.update(f"{file.relative_to(path).as_posix()}\0{size}\0".encode(errors="surrogateescape"))
             for part in _parts(file, size, whole=whole):
                 digest.update(part)
     except OSError:
@@ -192,16 +190,13 @@ class _Conversion(msgspec.Struct, frozen=True, kw_only=True):
 def conversions_of(scene: Scene) -> tuple[_Conversion, ...]:
     """Look up what becomes of the fields that a scene holds; only the first frame of each sensor is read."""
     fields = list(contents_of(scene))
-    return tuple(
-        _conversion(form.name, fields) for form in list_formats() if form.writes and not form.trajectory
-    )
+    return tuple(_conversion(form.name, fields) for form in list_formats() if form.writes and not form.trajectory)
 
 
 def _conversion(name: str, fields: list[str]) -> _Conversion:
     supported_fields = list_supported_fields(name)
     supports = {
-        field: supported_fields[field].support if field in supported_fields else Support.DROPPED
-        for field in fields
+        field: supported_fields[field].support if field in supported_fields else Support.DROPPED for field in fields
     }
     return _Conversion(
         format=name,
@@ -360,9 +355,7 @@ def _from_timing(report: "DriveReport") -> Iterator[Advice]:
 def _gap_advice(stream: StreamTiming) -> Advice:
     longest = max(stream.gaps, key=lambda gap: gap.stop - gap.start, default=None)
     where = (
-        ""
-        if longest is None
-        else f"; the longest gap is {longest.stop - longest.start:.2f} s at {longest.start:.2f} s"
+        "" if longest is None else f"; the longest gap is {longest.stop - longest.start:.2f} s at {longest.start:.2f} s"
     )
     return Advice(
         severity=Severity.WARNING,
@@ -630,9 +623,7 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
                 heading="In other formats",
                 tables=[Table(caption, _CONVERSION_COLUMNS, self.conversions, folded=True)],
                 list_title="What would be dropped",
-                listed=[
-                    f"{each.format}: {', '.join(each.dropped)}" for each in self.conversions if each.dropped
-                ],
+                listed=[f"{each.format}: {', '.join(each.dropped)}" for each in self.conversions if each.dropped],
             ),
             Block(lines=[more], faint=True),
         ]
@@ -722,9 +713,7 @@ _LOSS_COLUMNS = (
     text_column("Support", _support_text),
     text_column("What happened", lambda loss: loss.what, wide=True),
     Column("Times", lambda loss: count(loss.count)),
-    Column(
-        "Largest error", lambda loss: NOTHING if loss.largest_error is None else f"{loss.largest_error:.4g}"
-    ),
+    Column("Largest error", lambda loss: NOTHING if loss.largest_error is None else f"{loss.largest_error:.4g}"),
     text_column("Kept in", lambda loss: loss.kept or NOTHING),
 )
 

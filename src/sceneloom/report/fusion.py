@@ -179,9 +179,7 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
     time_differences_ms: dict[str, float] = msgspec.field(default_factory=dict)
 
     @classmethod
-    def sampled(
-        cls, scene: Scene, figures: Figures, *, sweeps: int = _SWEEPS, lenient: bool = True
-    ) -> "Fusion":
+    def sampled(cls, scene: Scene, figures: Figures, *, sweeps: int = _SWEEPS, lenient: bool = True) -> "Fusion":
         """Fuse some sweeps spread over the drive, and draw what came out.
 
         Args:
@@ -279,9 +277,7 @@ class _Gathered:
 def _with_some_sweeps(scene: Scene, most: int) -> Scene:
     """The scene with at most so many sweeps of each lidar, and of cameras the images within two sweeps of these."""
     kept = {lidar.id: spread_rows(len(lidar.frames), most) for lidar in scene.lidars}
-    spans = [
-        (lidar.frames.timestamps_ns[kept[lidar.id]], 2 * sweep_period_ns(lidar)) for lidar in scene.lidars
-    ]
+    spans = [(lidar.frames.timestamps_ns[kept[lidar.id]], 2 * sweep_period_ns(lidar)) for lidar in scene.lidars]
 
     def thinned(sensor: Sensor) -> Sensor:
         if isinstance(sensor, LidarSensor):

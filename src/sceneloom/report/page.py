@@ -124,9 +124,7 @@ def collect(
         DataError: nothing of the drive can be read, the loss report cannot, or the truth cannot be compared with it.
     """
     if settings.truth is not None and not Path(settings.truth).exists():
-        raise DataError(
-            settings.truth, "", "no such file or folder; expected what the drive is compared with"
-        )
+        raise DataError(settings.truth, "", "no such file or folder; expected what the drive is compared with")
     losses = () if settings.losses is None else read_losses(settings.losses)
     if isinstance(source, Scene):
         return _Collector(source, None, settings, dict(reading or {}), progress, made).collect(losses)
@@ -200,17 +198,13 @@ class _Collector:
             conversions=self.part("conversions", lambda: conversions_of(self.scene), ()),
             losses=losses,
             warnings=self.scene.warnings,
-            provenance=provenance_of(
-                self.scene, path, {**self.settings.stated, **self.reading}, made=self.made
-            ),
+            provenance=provenance_of(self.scene, path, {**self.settings.stated, **self.reading}, made=self.made),
             sampling=tuple(self.sampling),
             left_out=self.left_out,
         )
         return Collected(msgspec.structs.replace(report, verdict=Verdict.of(report)), figures)
 
-    def part(
-        self, name: str, work: Callable[[], _Part], otherwise: _Part, *, required: bool = False
-    ) -> _Part:
+    def part(self, name: str, work: Callable[[], _Part], otherwise: _Part, *, required: bool = False) -> _Part:
         """Do a part of the work; note why where it cannot be done, unless it is `required`."""
         try:
             with stage(name):
@@ -233,9 +227,7 @@ class _Collector:
         count = sum(len(frame_times(sensor)) for sensor in self.scene.sensors if _is_read(sensor))
         frames = not self.settings.quick and count <= _MOST_FRAMES_VALIDATED
         if not frames:
-            self.sampling.append(
-                f"the rules read none of {count:,} frames and images; `sceneloom validate` reads all"
-            )
+            self.sampling.append(f"the rules read none of {count:,} frames and images; `sceneloom validate` reads all")
         source = self.scene if self.where is None else self.where
         options = {key: value for key, value in self.reading.items() if key != "lenient"}
         return validate(source, frames=frames, **(options if self.where is not None else {}))
@@ -295,9 +287,7 @@ class _Collector:
     def _metrics(self) -> Metrics:
         is_part = not self.reading.keys().isdisjoint(PART)
         if is_part and self.settings.truth is not None:
-            self.sampling.append(
-                "objects are compared with a truth in whole drives only; this is a part of one"
-            )
+            self.sampling.append("objects are compared with a truth in whole drives only; this is a part of one")
         return Metrics.of(
             self.scene,
             source=None if is_part else self.where,
@@ -428,9 +418,7 @@ def write_report(
         DataError: nothing of the drive can be read.
     """
     wanted = [
-        (Path(target), suffix)
-        for target, suffix in ((output, ".html"), (numbers, ".json"))
-        if target is not None
+        (Path(target), suffix) for target, suffix in ((output, ".html"), (numbers, ".json")) if target is not None
     ]
     for target, suffix in wanted:
         if target.suffix.lower() != suffix:

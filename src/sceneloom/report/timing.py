@@ -143,9 +143,7 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
         found = []
         for sensor in scene.sensors:
             for stream, times_ns in _streams(sensor):
-                timing = stream_timing(
-                    sensor.id, str(sensor.type), times_ns, start_ns=start_ns, stream=stream
-                )
+                timing = stream_timing(sensor.id, str(sensor.type), times_ns, start_ns=start_ns, stream=stream)
                 if reference is not None and sensor is not reference:
                     phase = _phase(reference.id, times_ns, frame_times(reference))
                     timing = msgspec.structs.replace(timing, phase=phase)
@@ -156,9 +154,9 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
     def section(self) -> Section:
         """How even the streams are, what is missing in them, and how they lie to one another."""
         streams = [stream for stream in self.streams if stream.count]
-        intervals = [
-            _intervals(stream) for stream in streams if stream.bins is not None and stream.count >= 4
-        ][:_MOST_PLOTS]
+        intervals = [_intervals(stream) for stream in streams if stream.bins is not None and stream.count >= 4][
+            :_MOST_PLOTS
+        ]
         return Section(
             key="timing",
             name="Timing and gaps",
@@ -179,9 +177,7 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
             return []
         gaps = sum(stream.gap_count for stream in self.streams)
         spans = "; ".join(f"{s.name} from {s.start:.2f} to {s.stop:.2f} s" for s in shown)
-        caption = (
-            "Bars: from the first timestamp to the last. Red: gaps. Green behind: when all give something."
-        )
+        caption = "Bars: from the first timestamp to the last. Red: gaps. Green behind: when all give something."
         return [
             Drawing(
                 "Streams over time",
@@ -211,9 +207,7 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
         return draw_svg((WIDE_INCHES, 0.8 + 0.3 * len(shown)), draw)
 
     def _explanation(self) -> str:
-        references = dict.fromkeys(
-            stream.phase.reference for stream in self.streams if stream.phase is not None
-        )
+        references = dict.fromkeys(stream.phase.reference for stream in self.streams if stream.phase is not None)
         text = (
             "Jitter is the standard deviation of the intervals that are no gaps; a gap is longer than 1.5 usual "
             "intervals; missing is how many would fill the gaps."
@@ -242,9 +236,7 @@ _STREAM_COLUMNS = (
     Column(
         "Beside the reference [ms]",
         lambda stream: (
-            NOTHING
-            if stream.phase is None
-            else f"{stream.phase.median_ms:+.2f} ± {stream.phase.spread_ms:.2f}"
+            NOTHING if stream.phase is None else f"{stream.phase.median_ms:+.2f} ± {stream.phase.spread_ms:.2f}"
         ),
     ),
 )
@@ -293,9 +285,7 @@ def stream_timing(
     steps = np.diff(times_ns)
     rising = steps[steps > 0]
     if len(rising) == 0:
-        return msgspec.structs.replace(
-            known, repeated=int((steps == 0).sum()), backwards=int((steps < 0).sum())
-        )
+        return msgspec.structs.replace(known, repeated=int((steps == 0).sum()), backwards=int((steps < 0).sum()))
     usual = float(np.median(rising))
     even = rising[rising <= GAP_FACTOR * usual]
     missing = int((np.rint(rising[rising > GAP_FACTOR * usual] / usual) - 1).sum())

@@ -226,9 +226,7 @@ class Trajectories(msgspec.Struct, frozen=True, kw_only=True):
         """Draw trajectories and fixes as a map, with north up where it is known; None where there are none."""
         rotation, shift = self._north_up()
         lines = [
-            (t.name, drawable([(c.x, c.y) for c in t.corners]) @ rotation.T)
-            for t in self.trajectories
-            if t.corners
+            (t.name, drawable([(c.x, c.y) for c in t.corners]) @ rotation.T) for t in self.trajectories if t.corners
         ]
         fixes = [(f"fixes of {each.sensor}", self._fixes(each, shift)) for each in self.fixes]
         if self.north is None and lines:
@@ -255,14 +253,10 @@ class Trajectories(msgspec.Struct, frozen=True, kw_only=True):
         if self.origin_lla is None or not self._is_north_up:
             return ""
         rotation, shift = self._north_up()
-        lines = [
-            np.array([(c.x, c.y) for c in t.corners]).reshape(-1, 2) @ rotation.T for t in self.trajectories
-        ]
+        lines = [np.array([(c.x, c.y) for c in t.corners]).reshape(-1, 2) @ rotation.T for t in self.trajectories]
         positions = np.concatenate([*lines, *(self._fixes(each, shift) for each in self.fixes)])
         east, north = (positions.min(axis=0) + positions.max(axis=0)) / 2 - shift
-        latitude, longitude, _ = geodetic_from_enu(np.array([[east, north, 0.0]]), np.array(self.origin_lla))[
-            0
-        ]
+        latitude, longitude, _ = geodetic_from_enu(np.array([[east, north, 0.0]]), np.array(self.origin_lla))[0]
         return f"{_degrees(latitude, 'NS')}, {_degrees(longitude, 'EW')}"
 
     @property
@@ -290,9 +284,7 @@ class Trajectories(msgspec.Struct, frozen=True, kw_only=True):
         heights = [[(corner.seconds, corner.z) for corner in line] for line in lines]
         first = self.trajectories[0]
         caption = "" if len(lines) < 2 else "Colours as on the map."
-        speed = (
-            f"{first.name}: {first.mean_speed:.1f} m/s on the average, {first.top_speed:.1f} m/s at the top"
-        )
+        speed = f"{first.name}: {first.mean_speed:.1f} m/s on the average, {first.top_speed:.1f} m/s at the top"
         height = f"{first.name}: from {first.lowest:.1f} to {first.highest:.1f} m"
         speed_plot = line_plot(speeds, x_name="time [s]", y_name="speed [m/s]", with_zero=True)
         height_plot = line_plot(heights, x_name="time [s]", y_name="height z [m]")
@@ -335,9 +327,7 @@ _TRAJECTORY_COLUMNS = (
 
 _FIX_COLUMNS = (
     text_column("Receiver", lambda f: f.sensor),
-    Column(
-        "Fixes", lambda f: f"{f.count:,}" if f.usable == f.count else f"{f.usable:,} usable of {f.count:,}"
-    ),
+    Column("Fixes", lambda f: f"{f.count:,}" if f.usable == f.count else f"{f.usable:,} usable of {f.count:,}"),
     text_column("First", lambda f: _position_text(f.first_lla)),
     text_column("Last", lambda f: _position_text(f.last_lla)),
     Column("Height, first and last [m]", lambda f: f"{f.first_lla[2]:.1f} / {f.last_lla[2]:.1f}"),
@@ -409,10 +399,7 @@ def _speeds(times: Float64Array, locations: Float64Array, grid: Float64Array) ->
     half = max(_HALF_WINDOW, float(np.median(np.diff(times))))
     before, after = np.maximum(grid - half, times[0]), np.minimum(grid + half, times[-1])
     moved = np.column_stack(
-        [
-            np.interp(after, times, locations[:, k]) - np.interp(before, times, locations[:, k])
-            for k in range(3)
-        ]
+        [np.interp(after, times, locations[:, k]) - np.interp(before, times, locations[:, k]) for k in range(3)]
     )
     speeds: Float64Array = np.linalg.norm(moved, axis=1) / np.maximum(after - before, 1e-9)
     return speeds
@@ -434,9 +421,7 @@ def _rotated(quaternions_xyzw: Float64Array) -> float:
     matrices = matrix_from_quaternion(quaternions_xyzw)
     axis = int(np.argmin(np.abs(matrices[:, 2]).mean(axis=0)))
     headings = np.unwrap(np.arctan2(matrices[:, 1, axis], matrices[:, 0, axis]))
-    thinned = headings[
-        np.unique(np.linspace(0, len(headings) - 1, min(len(headings), MOST_CORNERS)).astype(int))
-    ]
+    thinned = headings[np.unique(np.linspace(0, len(headings) - 1, min(len(headings), MOST_CORNERS)).astype(int))]
     rotations = np.degrees(np.abs(np.diff(thinned)))
     return float(rotations[rotations > 0.05].sum())
 
@@ -492,9 +477,7 @@ def _north(trajectory: Trajectory, receiver: GnssSensor, origin_lla: Float64Arra
     if len(times) < 3 or np.linalg.norm(enu - enu[0], axis=1).max() < _LEAST_LENGTH:
         return None
     try:
-        reported = evaluate_trajectory(
-            Trajectory("fixes", times, enu[first]), trajectory, align="yaw", rpe_deltas=()
-        )
+        reported = evaluate_trajectory(Trajectory("fixes", times, enu[first]), trajectory, align="yaw", rpe_deltas=())
     except (PoseError, OptionError, ArrayError):
         return None
     x, y = matrix_from_quaternion(np.array([reported.alignment.quaternion_xyzw]))[0][:2, 1]
@@ -545,9 +528,7 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
         """
         collected = _Comparisons()
         true_trajectory = scene.trajectories.get(_TRUTH)
-        reference = (
-            next(iter(scene.trajectories.values()), None) if true_trajectory is None else true_trajectory
-        )
+        reference = next(iter(scene.trajectories.values()), None) if true_trajectory is None else true_trajectory
         if true_trajectory is not None:
             for name, trajectory in scene.trajectories.items():
                 if name != _TRUTH and not same_direction(trajectory, true_trajectory):
@@ -605,16 +586,12 @@ _ERROR_COLUMNS = (
     ),
     Column(
         "Rotation error, rms [deg]",
-        lambda report: (
-            NOTHING if report.absolute.rotation_deg is None else fixed(report.absolute.rotation_deg.rms, 3)
-        ),
+        lambda report: NOTHING if report.absolute.rotation_deg is None else fixed(report.absolute.rotation_deg.rms, 3),
     ),
     Column("Drift over 10 m [%]", lambda report: fixed(_drift_over_10_m(report), 2)),
     Column(
         "KITTI [%]",
-        lambda report: (
-            NOTHING if report.kitti is None else fixed(report.kitti.overall.translation_percent, 2)
-        ),
+        lambda report: NOTHING if report.kitti is None else fixed(report.kitti.overall.translation_percent, 2),
     ),
 )
 
@@ -635,9 +612,7 @@ def _track_table(tracks: TrackingReport) -> Table:
         Column("Found objects", lambda row: count(row[1].found_objects)),
     )
     rows = [(label, numbers.combined) for label, numbers in tracks.classes.items()]
-    return Table(
-        f"Objects against {tracks.truth}, by boxes of the kind {tracks.similarity} [%]", table_columns, rows
-    )
+    return Table(f"Objects against {tracks.truth}, by boxes of the kind {tracks.similarity} [%]", table_columns, rows)
 
 
 class _Comparisons:
@@ -662,9 +637,7 @@ class _Comparisons:
             found = Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)
             self.trajectories.append(evaluate_trajectory(found, reference))
         except SceneloomError as error:
-            problem = (
-                f"nothing can be compared with what is found from {name}: {getattr(error, 'problem', error)}"
-            )
+            problem = f"nothing can be compared with what is found from {name}: {getattr(error, 'problem', error)}"
             raise DataError(scene.source, "", f"{problem}; leave `--compare {name}` out") from error
 
     def against(self, scene: Scene, source: Path | str | None, truth: Path | str) -> None:

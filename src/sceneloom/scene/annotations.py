@@ -85,9 +85,7 @@ class CuboidPath:
         hold_array(self, "cuboid.path.values", (count, 9), np.float64)
 
 
-def cut_cuboid_paths(
-    timestamps_ns: Int64Array, values: Float64Array, counts: Sequence[int]
-) -> list[CuboidPath]:
+def cut_cuboid_paths(timestamps_ns: Int64Array, values: Float64Array, counts: Sequence[int]) -> list[CuboidPath]:
     """Cut the paths of many cuboids out of the arrays of all of them, which are checked once.
 
     Args:

@@ -62,13 +62,9 @@ class CuboidAngles:
         Raises:
             OptionError: unit or order is none of those known.
         """
-        return quaternion_from_matrix(
-            rotation_from_cuboid_angles(angles_rpy, unit=self.unit, order=self.order)
-        )
+        return quaternion_from_matrix(rotation_from_cuboid_angles(angles_rpy, unit=self.unit, order=self.order))
 
-    def from_quaternions(
-        self, quaternions_xyzw: Float64Array, *, near: Float64Array | None = None
-    ) -> Float64Array:
+    def from_quaternions(self, quaternions_xyzw: Float64Array, *, near: Float64Array | None = None) -> Float64Array:
         """Give roll, pitch and yaw (..., 3) of rotations (..., 4).
 
         Args:
@@ -78,9 +74,7 @@ class CuboidAngles:
         Raises:
             OptionError: unit or order is none of those known.
         """
-        angles = cuboid_angles_from_rotation(
-            matrix_from_quaternion(quaternions_xyzw), unit=self.unit, order=self.order
-        )
+        angles = cuboid_angles_from_rotation(matrix_from_quaternion(quaternions_xyzw), unit=self.unit, order=self.order)
         if near is None:
             return angles
         rotation = 360.0 if self.unit == AngleUnit.DEGREES else 2.0 * np.pi
@@ -309,9 +303,7 @@ def activated(
         delta_rotations[reported],
     )
     # the object moved as its path did since the activation began, rotating about its own centre
-    onward = multiply_quaternions(
-        poses.quaternions_xyzw[moves], conjugate_quaternion(begun.quaternions_xyzw[moves])
-    )
+    onward = multiply_quaternions(poses.quaternions_xyzw[moves], conjugate_quaternion(begun.quaternions_xyzw[moves]))
     later: BoolArray = np.logical_and(moves, times_ns != starts[rows])
     centers[later] += poses.centers_world[later] - begun.centers_world[later]
     rotations[later] = multiply_quaternions(onward[later[moves]], delta_rotations[later])
@@ -326,9 +318,7 @@ def _path_poses(annotation: CuboidAnnotation, times_ns: ArrayLike, angles: Cuboi
         nowhere = np.full((len(found.share), 4), np.nan)
         return CuboidPoses(nowhere[:, :3], nowhere[:, :3], nowhere, found.there)
     rows = found.blend(path.values[:, :6])
-    delta_rotations = rotated(
-        angles, path.values[found.before, 6:], path.values[found.after, 6:], found.share
-    )
+    delta_rotations = rotated(angles, path.values[found.before, 6:], path.values[found.after, 6:], found.share)
     rows[~found.there], delta_rotations[~found.there] = np.nan, np.nan
     return CuboidPoses(np.ascontiguousarray(rows[:, 3:]), rows[:, :3], delta_rotations, found.there)
 
@@ -380,9 +370,7 @@ def cuboid_at(
     times = np.asarray(times_ns, np.int64).reshape(-1)
     seen = cuboid_poses(annotation, times, angles=angles, sensor_id=sensor_id)
     if activation.cuboids is not None and seen.there.any():
-        own = activation.cuboids[
-            np.clip(np.searchsorted(activation.timestamps_ns, times, side="right") - 1, 0, None)
-        ]
+        own = activation.cuboids[np.clip(np.searchsorted(activation.timestamps_ns, times, side="right") - 1, 0, None)]
         reported = np.flatnonzero(seen.there & np.isfinite(own).all(axis=1))
         rows[reported, :3], rows[reported, 3:6] = seen.sizes_lwh[reported], seen.centers_world[reported]
         rows[reported, 6:] = angles.from_quaternions(seen.quaternions_xyzw[reported], near=own[reported, 6:])
@@ -402,9 +390,7 @@ def box_2d_at(annotation: Box2DAnnotation, times_ns: ArrayLike) -> tuple[Float64
     return _straight(path.timestamps_ns, path.values, times_ns, stationary=bool(annotation.stationary))
 
 
-def point_at(
-    path: PointPath, times_ns: ArrayLike, *, stationary: bool = False
-) -> tuple[Float64Array, BoolArray]:
+def point_at(path: PointPath, times_ns: ArrayLike, *, stationary: bool = False) -> tuple[Float64Array, BoolArray]:
     """Give a named point at times (M,) [ns]: locations (M, 3) [m], and where it is there."""
     return _straight(path.timestamps_ns, path.values, times_ns, stationary=stationary)
 
@@ -524,9 +510,7 @@ class BoxTable:
 
     def __init__(self, scene: Scene) -> None:
         """Collect the boxes; unit and order of their angles are those that the scene's metadata name."""
-        found = [
-            a for a in scene.annotations if isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns)
-        ]
+        found = [a for a in scene.annotations if isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns)]
         self.annotations = tuple(found)
         self._in_world = annotations_frame(scene) is Coordinates.WORLD
         self._source = scene.source
@@ -619,9 +603,7 @@ class BoxTable:
             seen = self._seen(annotation, sensor_id, time_ns)
             if not seen.there[0]:
                 continue  # it holds beyond the ends of its path
-            for part, own in zip(
-                parts, (seen.centers_world, seen.sizes_lwh, seen.quaternions_xyzw), strict=True
-            ):
+            for part, own in zip(parts, (seen.centers_world, seen.sizes_lwh, seen.quaternions_xyzw), strict=True):
                 part[k] = own[0]
         return replace(boxes, centers_world=parts[0], sizes_lwh=parts[1], quaternions_xyzw=parts[2])
 

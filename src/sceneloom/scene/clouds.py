@@ -340,6 +340,4 @@ def _restored_map(
     parent_id: Identifier | None,
     extras: Mapping[str, Any],
 ) -> PointsSensor:
-    return PointsSensor(
-        sensor_id, cast("Float32Array", _unpacked(positions)), _unpacked(colors), parent_id, extras
-    )
+    return PointsSensor(sensor_id, cast("Float32Array", _unpacked(positions)), _unpacked(colors), parent_id, extras)

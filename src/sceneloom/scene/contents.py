@@ -159,11 +159,7 @@ _SAMPLES = {
 
 _IMU = {
     **_SENSOR,
-    **{
-        f"streams.{stream}.{field}": words
-        for stream in (*IMU_STREAMS, "other")
-        for field, words in _SAMPLES.items()
-    },
+    **{f"streams.{stream}.{field}": words for stream in (*IMU_STREAMS, "other") for field, words in _SAMPLES.items()},
 }
 
 _GNSS = {
@@ -384,9 +380,7 @@ class _Location:
 @cache
 def _locations(cls: Any, trajectory: str) -> tuple[_Location, ...]:
     found = (field for field in fields(cls) if not field.name.startswith("_") and field.name not in NO_DATA)
-    return tuple(
-        _Location(field.name, _named(f"{trajectory}.{field.name}"), _default(field)) for field in found
-    )
+    return tuple(_Location(field.name, _named(f"{trajectory}.{field.name}"), _default(field)) for field in found)
 
 
 def _named(name: str) -> str:
@@ -411,11 +405,7 @@ def _held_values(holder: Any, trajectory: str) -> Iterator[tuple[str, Any]]:
     """
     for location in _locations(holder.__class__, trajectory):
         value = getattr(holder, location.attribute)
-        if (
-            value is not None
-            and not isinstance(value, LazyFrames)
-            and _says_something(value, location.default)
-        ):
+        if value is not None and not isinstance(value, LazyFrames) and _says_something(value, location.default):
             yield from _values_in(value, location.name)
 
 
@@ -451,9 +441,7 @@ def _is_parted(value: Any) -> bool:
 def frame_values(sensor: _FramedSensor, frame: Any) -> Iterator[tuple[str, Any]]:
     """Give name and value of each field that one sweep, image or image holds."""
     trajectory = f"{KINDS[type(sensor)]}.{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
-    own_camera_model = isinstance(frame, CameraImage | DepthFrame) and not _same_camera_model(
-        frame.camera, sensor
-    )
+    own_camera_model = isinstance(frame, CameraImage | DepthFrame) and not _same_camera_model(frame.camera, sensor)
     for name, value in _held_values(frame, trajectory):
         if own_camera_model or not isinstance(value, Camera):
             yield name, value

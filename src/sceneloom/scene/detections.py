@@ -214,9 +214,7 @@ def _hold_labels(boxes: "Boxes3D | Boxes2D", count: int) -> None:
         labels = tuple(labels)
         object.__setattr__(boxes, "labels", labels)
     if not isinstance(labels, tuple) or len(labels) != count:
-        raise ArrayError(
-            f"boxes.labels: {type(labels).__name__} of {len(labels)}; expected a tuple of {count}"
-        )
+        raise ArrayError(f"boxes.labels: {type(labels).__name__} of {len(labels)}; expected a tuple of {count}")
 
 
 def _freeze(boxes: Boxes3D | Boxes2D, names: tuple[str, ...]) -> None:

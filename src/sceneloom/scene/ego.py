@@ -206,9 +206,7 @@ def _moved_forward(path: Poses) -> Float64Array | None:
 def _unrotated(quaternions_xyzw: Float64Array, vectors: Float64Array) -> Float64Array:
     """Vectors of the parent frame, (N, 3) or (1, 3), in the frames of the body."""
     rotations = matrix_from_quaternion(normalise_quaternion(quaternions_xyzw))
-    return np.asarray(
-        np.einsum("nij,ni->nj", rotations, np.broadcast_to(vectors, (len(rotations), 3))), np.float64
-    )
+    return np.asarray(np.einsum("nij,ni->nj", rotations, np.broadcast_to(vectors, (len(rotations), 3))), np.float64)
 
 
 def _steady(vectors: Float64Array) -> Float64Array | None:
@@ -257,17 +255,14 @@ def needs_ego(scene: Scene) -> bool:
         lidar.mount is not None and lidar.points_frame is not PointsFrame.WORLD for lidar in scene.lidars
     )
     return rider_association or any(
-        must_be_placed(sensor) and (sensor.poses is None or _rides_unnamed(scene, sensor))
-        for sensor in _fused(scene)
+        must_be_placed(sensor) and (sensor.poses is None or _rides_unnamed(scene, sensor)) for sensor in _fused(scene)
     )
 
 
 def _rides_unnamed(scene: Scene, sensor: LidarSensor | CameraSensor) -> bool:
     """Whether poses lead to the ego, and no odometry sensor of the scene says where that is."""
     odometries = [other.id for other in scene.sensors if isinstance(other, OdometrySensor)]
-    return (
-        sensor.coordinates is Coordinates.EGO and sensor.parent_id not in odometries and len(odometries) != 1
-    )
+    return sensor.coordinates is Coordinates.EGO and sensor.parent_id not in odometries and len(odometries) != 1
 
 
 def must_be_placed(sensor: LidarSensor | CameraSensor) -> bool:
@@ -312,9 +307,7 @@ def points_source(
     return PoseSource(ego_path(scene, lidar, ego), RigidTransform.identity(), reach_ns)
 
 
-def lidar_position(
-    scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, *, reach_ns: int
-) -> PoseSource | None:
+def lidar_position(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, *, reach_ns: int) -> PoseSource | None:
     """Give `world_from_lidar`, from where a lidar measured; None where that is not known.
 
     A mounting that is exactly the identity was not measured: it says that the points come in the ego's frame.

@@ -59,9 +59,7 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
         kept = tuple(items)
         times_ns = as_array("frames.timestamps_ns", timestamps_ns, (None,), np.int64)
         if times_ns.shape != (len(kept),):
-            raise ArrayError(
-                f"frames.timestamps_ns: {times_ns.shape} for {len(kept)} frames; expected as many of both"
-            )
+            raise ArrayError(f"frames.timestamps_ns: {times_ns.shape} for {len(kept)} frames; expected as many of both")
         return cls(times_ns, kept.__getitem__)
 
     def __reduce__(self) -> tuple[Any, ...]:

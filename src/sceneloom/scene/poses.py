@@ -60,9 +60,7 @@ class Poses:
         backwards = np.flatnonzero(self.timestamps_ns[1:] <= self.timestamps_ns[:-1])
         if len(backwards):
             k = int(backwards[0]) + 1
-            raise ArrayError(
-                f"poses.timestamps_ns[{k}]: {self.timestamps_ns[k]}; expected strictly increasing times"
-            )
+            raise ArrayError(f"poses.timestamps_ns[{k}]: {self.timestamps_ns[k]}; expected strictly increasing times")
         if not (np.isfinite(self.positions).all() and np.isfinite(self.quaternions_xyzw).all()):
             raise ArrayError("poses: a value is not finite")
         with np.errstate(over="ignore"):  # huge numbers have the norm infinity, which is no 1 either

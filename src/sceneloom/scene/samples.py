@@ -228,9 +228,7 @@ def _arrays_of(sample: Sample) -> dict[str, np.ndarray[Any, Any]]:
     return {**arrays, **dict(_boxes(sample))}
 
 
-def _cloud(
-    sensor_id: Identifier, frame: LidarFrame | RadarFrame | None, names: tuple[str, ...]
-) -> Iterator[_Named]:
+def _cloud(sensor_id: Identifier, frame: LidarFrame | RadarFrame | None, names: tuple[str, ...]) -> Iterator[_Named]:
     """The arrays that the points have; of a frame that is not there no points."""
     if frame is None:
         yield f"{sensor_id}.positions", np.zeros((0, 3), np.float32)
@@ -358,9 +356,7 @@ class _SampleMaker:
             images={camera.id: frames.get(camera.id) for camera in selection.cameras},
             radar_frames={radar.id: frames.get(radar.id) for radar in selection.radars},
             depth_frames={camera.id: frames.get(camera.id) for camera in selection.depth_cameras},
-            cameras={
-                camera.id: _camera_model(camera, frames.get(camera.id)) for camera in selection.shooting
-            },
+            cameras={camera.id: _camera_model(camera, frames.get(camera.id)) for camera in selection.shooting},
             times_ns=found.times_ns,
             missing=found.missing,
             find_poses=_Once(partial(self._poses, frames, found.times_ns)),

@@ -107,9 +107,7 @@ def _reference(scene: Scene, wanted: Identifier) -> LidarSensor | CameraSensor:
         if sensor.type == wanted:
             return sensor
     there = _listed(sensors)
-    raise OptionError(
-        f"{scene.source}: reference {wanted!r}; expected one of its lidars and cameras: {there}"
-    )
+    raise OptionError(f"{scene.source}: reference {wanted!r}; expected one of its lidars and cameras: {there}")
 
 
 def chosen_sensors(scene: Scene, kind: str, there: tuple[_Kind, ...], wanted: Choice) -> tuple[_Kind, ...]:
@@ -368,9 +366,7 @@ def choose_ego(scene: Scene, trajectory: str | EgoMotion | None) -> EgoMotion | 
     )
 
 
-def locations_of(
-    scene: Scene, sensors: Iterable[Posed], ego: EgoMotion | None
-) -> Mapping[Identifier, Location]:
+def locations_of(scene: Scene, sensors: Iterable[Posed], ego: EgoMotion | None) -> Mapping[Identifier, Location]:
     """Give the locations of sensors by id; a sensor of which nothing is known has a location that says why."""
     return {sensor.id: _location(scene, sensor, ego) for sensor in sensors}
 

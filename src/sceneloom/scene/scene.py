@@ -289,9 +289,7 @@ _OURS, _ENTRY = "sceneloom", "assumed_models"
 """Where a scene's metadata state with which of these models it may be computed."""
 
 
-def check_camera_models(
-    scene: Scene, cameras: Iterable[CameraSensor | DepthCameraSensor] | None = None
-) -> None:
+def check_camera_models(scene: Scene, cameras: Iterable[CameraSensor | DepthCameraSensor] | None = None) -> None:
     """Refuse to compute with camera models of models that no source confirms, unless that was asked for on opening.
 
     Args:
@@ -315,11 +313,7 @@ def check_camera_models(
 def assumed_models(scene: Scene) -> tuple[str, ...]:
     """The models that were asked for."""
     reported = _ours(scene).get(_ENTRY)
-    return (
-        tuple(name for name in reported if isinstance(name, str))
-        if isinstance(reported, list | tuple)
-        else ()
-    )
+    return tuple(name for name in reported if isinstance(name, str)) if isinstance(reported, list | tuple) else ()
 
 
 def _ours(scene: Scene) -> Mapping[str, Any]:

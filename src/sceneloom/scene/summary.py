@@ -128,9 +128,7 @@ class SceneSummary(msgspec.Struct, frozen=True, kw_only=True):
 
 def _span_of_trajectories(scene: Scene) -> tuple[int, int] | None:
     timestamps = [
-        trajectory.timestamps_ns
-        for trajectory in scene.trajectories.values()
-        if len(trajectory.timestamps_ns)
+        trajectory.timestamps_ns for trajectory in scene.trajectories.values() if len(trajectory.timestamps_ns)
     ]
     if not timestamps:
         return None
@@ -257,10 +255,7 @@ def _intrinsics(sensor: Sensor, *, each_camera_model: bool) -> Intrinsics | None
             camera_models.add(images[k].camera)
     camera_models = camera_models or {sensor.camera}
     table = np.array(
-        [
-            (camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy)
-            for camera_model in camera_models
-        ]
+        [(camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy) for camera_model in camera_models]
     )
     fx, fy, cx, cy = zip(table.min(axis=0).tolist(), table.max(axis=0).tolist(), strict=True)
     return Intrinsics(camera_models=len(camera_models), fx=fx, fy=fy, cx=cx, cy=cy)
@@ -274,9 +269,7 @@ def _codec(sensor: Sensor) -> str | None:
 
 def _coordinates(sensor: Sensor) -> str | None:
     if isinstance(sensor, LidarSensor):
-        return f"points {sensor.points_frame}" + (
-            "" if sensor.poses is None else f", poses {sensor.coordinates}"
-        )
+        return f"points {sensor.points_frame}" + ("" if sensor.poses is None else f", poses {sensor.coordinates}")
     if isinstance(sensor, CameraSensor | DepthCameraSensor) and sensor.poses is not None:
         return f"poses {sensor.coordinates}"
     return None

@@ -255,9 +255,7 @@ def select_rows(holder: _Timed, rows: slice | Int64Array | BoolArray) -> _Timed:
     return replace(holder, **chosen)
 
 
-def chosen_interval(
-    scene: Scene, *, start: float | None = None, stop: float | None = None
-) -> Interval | None:
+def chosen_interval(scene: Scene, *, start: float | None = None, stop: float | None = None) -> Interval | None:
     """Convert seconds after a scene's first timestamp to timestamps; None for the whole scene.
 
     Args:
@@ -309,15 +307,12 @@ def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = 
         return scene
     times = _Times(part, (part[0], max([part[1], *(_sweeps_end(lidar, part) for lidar in scene.lidars)])))
     sensors = tuple(
-        _cut_sensor(sensor, times.with_images if isinstance(sensor, _CAMERAS) else part)
-        for sensor in scene.sensors
+        _cut_sensor(sensor, times.with_images if isinstance(sensor, _CAMERAS) else part) for sensor in scene.sensors
     )
     if not any(len(frame_times(sensor)) for sensor in sensors if isinstance(sensor, _FRAMED)):
         length = np.ptp(time_span(scene) or (0, 0)) / 1e9
         until = "the end" if stop is None else f"{stop} s"
-        raise OptionError(
-            f"{scene.source}: no frame from {start or 0.0} s to {until}; the scene lasts {length:.3f} s"
-        )
+        raise OptionError(f"{scene.source}: no frame from {start or 0.0} s to {until}; the scene lasts {length:.3f} s")
     annotations, reported = _cut_annotations(scene, times)
     return replace(
         scene,
@@ -415,9 +410,7 @@ def _cut_annotations(scene: Scene, times: _Times) -> tuple[tuple[Annotation, ...
 def _kept_frames(scene: Scene, part: Interval) -> dict[Key, Renumbering]:
     """The old numbers of the frames that stay, of each lidar and radar that loses some."""
     clouds = [sensor for sensor in scene.sensors if isinstance(sensor, LidarSensor | RadarSensor)]
-    rows = {
-        key_of(sensor.id): (_rows_between(frame_times(sensor), part), len(sensor.frames)) for sensor in clouds
-    }
+    rows = {key_of(sensor.id): (_rows_between(frame_times(sensor), part), len(sensor.frames)) for sensor in clouds}
     return {
         key: Renumbering(np.arange(kept.start, kept.stop))
         for key, (kept, count) in rows.items()
@@ -438,9 +431,7 @@ def _without_loose_ends(
     gone = {key_of(a.id) for a in before} - {key_of(a.id) for a in kept}
     if not gone:
         return kept, 0
-    firm = [
-        a for a in kept if not (isinstance(a, LinkAnnotation) and {key_of(a.from_id), key_of(a.to_id)} & gone)
-    ]
+    firm = [a for a in kept if not (isinstance(a, LinkAnnotation) and {key_of(a.from_id), key_of(a.to_id)} & gone)]
     freed = [_freed(a, gone) for a in firm]
     return tuple(freed), sum(now is not then for now, then in zip(freed, firm, strict=True))
 

@@ -147,9 +147,7 @@ class FusionClient:
         self.address, self.session, self.deadline_s = address, session, deadline_s
         self._metadata = () if token is None else (("authorization", f"Bearer {token}"),)
         pair = None if certificate is None else (Path(certificate[0]), Path(certificate[1]))
-        self._channel = open_channel(
-            address, ca=None if ca is None else Path(ca), certificate=pair, token=token
-        )
+        self._channel = open_channel(address, ca=None if ca is None else Path(ca), certificate=pair, token=token)
         self._calls = {method.name: self._call(method) for method in SERVICE.methods}
 
     def __enter__(self) -> Self:
@@ -170,9 +168,7 @@ class FusionClient:
 
     def add_property(self, name: str, description: str, type: str) -> Outcome:
         """Add a property, clause 5.3."""
-        request = fusion_pb2.AddPropertyRequest(
-            name=name, description=description, type=type, session=self.session
-        )
+        request = fusion_pb2.AddPropertyRequest(name=name, description=description, type=type, session=self.session)
         return self._status("AddProperty", request)
 
     def set_property(self, name: str, value: Any) -> Outcome:
@@ -202,9 +198,7 @@ class FusionClient:
         """Set or replace the calibration of a camera and a lidar; it counts for all records that come after."""
         if not all(isinstance(number, int) and 0 <= number <= 255 for number in (camera_id, lidar_id)):
             return refused(Cause.OUT_OF_RANGE, f"camera {camera_id}, lidar {lidar_id}; expected 0 to 255")
-        request = fusion_pb2.SetCalibrationRequest(
-            camera_id=camera_id, lidar_id=lidar_id, session=self.session
-        )
+        request = fusion_pb2.SetCalibrationRequest(camera_id=camera_id, lidar_id=lidar_id, session=self.session)
         fill_message(request.calibration, data)
         return self._status("SetCalibration", request)
 
@@ -259,18 +253,14 @@ class FusionClient:
             OptionError: there is no such type.
         """
         wait_ms = min(max(round(timeout_s * 1e3), 0), _LONGEST_WAIT_MS)
-        request = fusion_pb2.GetRequest(
-            fusion_type=_type_or_none(fusion_type), wait_ms=wait_ms, session=self.session
-        )
+        request = fusion_pb2.GetRequest(fusion_type=_type_or_none(fusion_type), wait_ms=wait_ms, session=self.session)
         return _result_of(self._ask("Get", request, wait_s=wait_ms / 1e3))
 
     def results(self, fusion_type: int | None = None) -> Iterator[Result]:
         """Fetch all results that are there."""
         return iter(lambda: self.get(fusion_type), None)
 
-    def subscribe(
-        self, fusion_type: int | None = None, *, most: int = 0, track: bool = False
-    ) -> Iterator[Result]:
+    def subscribe(self, fusion_type: int | None = None, *, most: int = 0, track: bool = False) -> Iterator[Result]:
         """Give results as they come, until the session ends or the iteration does.
 
         Args:

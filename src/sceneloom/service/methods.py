@@ -281,18 +281,13 @@ def _step(lidar: _OneLidar) -> list[Result]:
             first.frame.timestamp_ns,
             world_from_lidar,
             {found.frame.camera_id: found.frame.fused for _, found in pairs},
-            {
-                found.frame.camera_id: View(found.frame.camera, found.frame.camera_from_lidar)
-                for _, found in pairs
-            },
+            {found.frame.camera_id: View(found.frame.camera, found.frame.camera_from_lidar) for _, found in pairs},
         )
     )
     return [_tracked(result, found, objects, world_from_lidar.inverse()) for result, found in pairs]
 
 
-def _tracked(
-    result: Result, found: FoundObjects, objects: TrackedObjects, lidar_from_world: RigidTransform
-) -> Result:
+def _tracked(result: Result, found: FoundObjects, objects: TrackedObjects, lidar_from_world: RigidTransform) -> Result:
     if not isinstance(result.record, FusedDetections):
         return result
     seen = _boxes_of(objects, found.frame.camera_id, lidar_from_world)
@@ -536,9 +531,7 @@ def _status_bytes(outcome: Outcome) -> bytes:
     """Give the bytes of a `Status`."""
     if outcome is DONE:
         return _DONE
-    return fusion_pb2.Status(
-        status=outcome.status, cause=str(outcome.cause), reason=outcome.reason
-    ).SerializeToString()
+    return fusion_pb2.Status(status=outcome.status, cause=str(outcome.cause), reason=outcome.reason).SerializeToString()
 
 
 _DONE = fusion_pb2.Status(status=1).SerializeToString()

@@ -36,9 +36,7 @@ class ResultSink(Protocol):
 
 def described(result: Result) -> dict[str, Any]:
     """Give a result as a JSON object with the standard's names; arrays of sensor data are left out."""
-    content = (
-        to_json(result.record, lists=True) if isinstance(result.record, FusedDetections) else _plain(result)
-    )
+    content = to_json(result.record, lists=True) if isinstance(result.record, FusedDetections) else _plain(result)
     return {"number": result.number, **content}
 
 
@@ -155,9 +153,7 @@ def _write_columns(path: Path, record: SensorFusionData) -> None:
         for k, name in enumerate(record.point_fields):
             plain = name if name.isprintable() and not set(name) & set("/\\:") else quote(name, safe="")
             with archive.open(f"{plain}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(
-                    member, np.ascontiguousarray(record.points[:, k]), allow_pickle=False
-                )
+                np.lib.format.write_array(member, np.ascontiguousarray(record.points[:, k]), allow_pickle=False)
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -132,9 +132,7 @@ def _records() -> list[SentRecord]:
 _ENDING = (signal.SIGTERM, signal.SIGINT)
 
 
-def configured(
-    path: Path | None, **limits: Any
-) -> tuple[ServiceLimits, Callable[[FusionInterface], None] | None]:
+def configured(path: Path | None, **limits: Any) -> tuple[ServiceLimits, Callable[[FusionInterface], None] | None]:
     """Read what a server starts from: the limits of its table `[service]`, and what sets up new sessions.
 
     Args:

@@ -97,14 +97,10 @@ def sent_rig(scene: Scene, *, trajectory: str | None = None, heading: str | None
     lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
     cameras = [camera for camera in scene.cameras if len(camera.images)]
     if not lidars or not cameras:
-        problem = (
-            f"{len(lidars)} lidars with sweeps, {len(cameras)} cameras with images; expected one of each"
-        )
+        problem = f"{len(lidars)} lidars with sweeps, {len(cameras)} cameras with images; expected one of each"
         raise DataError(scene.source, "", problem)
     if len(lidars) + len(cameras) > _MOST_SENSORS:
-        raise DataError(
-            scene.source, "", f"more than {_MOST_SENSORS} sensors, as many as a session can number"
-        )
+        raise DataError(scene.source, "", f"more than {_MOST_SENSORS} sensors, as many as a session can number")
     ids = (*(lidar.id for lidar in lidars), *(camera.id for camera in cameras))
     numbers = {sensor_id: number for number, sensor_id in enumerate(ids)}
     ego, warnings = _ego(scene, trajectory, heading)
@@ -121,9 +117,7 @@ def sent_rig(scene: Scene, *, trajectory: str | None = None, heading: str | None
         warnings += [*loose, *(reported if lidar is lidars[0] else ())]
     sources = {lidar.id: locations.of_points(lidar) for lidar in lidars}
     path = _path(sources[lidars[0].id])
-    return _SentRig(
-        scene, numbers, tuple(calibrations), camera_models, sources, at_once, path, tuple(warnings)
-    )
+    return _SentRig(scene, numbers, tuple(calibrations), camera_models, sources, at_once, path, tuple(warnings))
 
 
 def _table_3(
@@ -177,9 +171,7 @@ def _format_camera_models(camera_models: Mapping[int, Camera]) -> str:
 
 def _format_sensors(rig: _SentRig) -> str:
     """Write the value of the property `sensors`: what shutters roll; empty where none does, as kinds need no saying."""
-    shutters = {
-        rig.numbers[camera.id]: Shutter.of(camera) for camera in rig.scene.cameras if camera.id in rig.numbers
-    }
+    shutters = {rig.numbers[camera.id]: Shutter.of(camera) for camera in rig.scene.cameras if camera.id in rig.numbers}
     if not any(shutter.seconds for shutter in shutters.values()):
         return ""
     entries: dict[str, dict[str, Any]] = {str(number): {"kind": "lidar"} for number in rig.numbers.values()}
@@ -192,9 +184,7 @@ def _format_sensors(rig: _SentRig) -> str:
     return msgspec.json.encode(entries).decode()
 
 
-def _ego(
-    scene: Scene, trajectory: str | None, heading: str | None
-) -> tuple[EgoMotion | None, list[DataWarning]]:
+def _ego(scene: Scene, trajectory: str | None, heading: str | None) -> tuple[EgoMotion | None, list[DataWarning]]:
     """The ego trajectory as far as it is known without looking for it."""
     if trajectory is not None:
         return find_ego_motion(scene, name=trajectory, heading=heading), []
@@ -205,9 +195,7 @@ def _ego(
     except PoseError as error:
         message = f"sent without motion: {error}"
         return None, [
-            DataWarning(
-                kind=WarningKind.SKIPPED, code="motion-unknown", location=scene.source, message=message
-            )
+            DataWarning(kind=WarningKind.SKIPPED, code="motion-unknown", location=scene.source, message=message)
         ]
 
 
@@ -261,12 +249,8 @@ class _Locations:
         times = times[np.unique(np.linspace(0, len(times) - 1, _LOOKED_AT).astype(np.int64))]
         cameras, points = of_camera.at(times), of_points.at(times)
         for k in np.flatnonzero((cameras.coverage < 2) & (points.coverage < 2)):
-            world_from_camera = RigidTransform.from_quaternion(
-                cameras.positions[k], cameras.quaternions_xyzw[k]
-            )
-            world_from_points = RigidTransform.from_quaternion(
-                points.positions[k], points.quaternions_xyzw[k]
-            )
+            world_from_camera = RigidTransform.from_quaternion(cameras.positions[k], cameras.quaternions_xyzw[k])
+            world_from_points = RigidTransform.from_quaternion(points.positions[k], points.quaternions_xyzw[k])
             yield world_from_camera.inverse() @ world_from_points
 
 
@@ -275,9 +259,7 @@ def _loose(
 ) -> list[DataWarning]:
     """Report where a camera moves against a lidar: a record of table 3 holds one location."""
     shift = max(float(np.linalg.norm(one.translation - middle.translation)) for one in found)
-    rotation = max(
-        float(np.linalg.norm(one.rotation @ middle.rotation.T - np.eye(3))) / np.sqrt(2) for one in found
-    )
+    rotation = max(float(np.linalg.norm(one.rotation @ middle.rotation.T - np.eye(3))) / np.sqrt(2) for one in found)
     if shift <= _LOOSE_M and rotation <= _LOOSE_RAD:
         return []
     message = (
@@ -286,9 +268,7 @@ def _loose(
         "middle of the drive was taken"
     )
     return [
-        DataWarning(
-            kind=WarningKind.ASSUMED, code="mounting-moves", location=f"sensors[{camera.id}]", message=message
-        )
+        DataWarning(kind=WarningKind.ASSUMED, code="mounting-moves", location=f"sensors[{camera.id}]", message=message)
     ]
 
 
@@ -337,9 +317,7 @@ class _Maker:
             first_ns, most_s = int(path.timestamps_ns[0]), 2**63 / 1e9
             raise OptionError(f"times from {first_ns} ns; messages hold {most_s:.0f} s from the first")
         self._sent_poses = stop
-        return Poses(
-            path.timestamps_ns[rows] + self.shift_ns, path.positions[rows], path.quaternions_xyzw[rows]
-        )
+        return Poses(path.timestamps_ns[rows] + self.shift_ns, path.positions[rows], path.quaternions_xyzw[rows])
 
     def records(self, sensor_id: Identifier, frame: LidarFrame | CameraImage) -> list[SentRecord]:
         """Give the records of a frame: the frame itself, then the boxes in it."""
@@ -353,9 +331,7 @@ class _Maker:
     def _of_sweep(self, lidar_id: Identifier, number: int, seq: int, frame: LidarFrame) -> list[SentRecord]:
         if lidar_id in self.rig.at_once:
             frame = replace(frame, points=replace(frame.points, timestamps_ns=None))
-        timed = timed_frame(
-            frame, sweep_period_ns(self._lidars[lidar_id]), previous=self._raw_times.get(lidar_id)
-        )
+        timed = timed_frame(frame, sweep_period_ns(self._lidars[lidar_id]), previous=self._raw_times.get(lidar_id))
         self._raw_times[lidar_id] = timed.raw
         moved = _shifted(timed.frame, self.shift_ns)
         records: list[SentRecord] = [point_cloud_of(moved, sensor_id=number, seq=seq)]
@@ -674,13 +650,9 @@ def _configure(receiver: Receiver, rig: _SentRig) -> None:
         "camera_axes": _CAMERA_AXES,
         "lidar_axes": _LIDAR_AXES,
         "sensors": _format_sensors(rig),
-        "lidar_frequency": _frequency(
-            sweep_period_ns(lidar) for lidar in rig.scene.lidars if lidar.id in rig.numbers
-        ),
+        "lidar_frequency": _frequency(sweep_period_ns(lidar) for lidar in rig.scene.lidars if lidar.id in rig.numbers),
         "camera_frequency": _frequency(
-            usual_period_ns(camera.images.timestamps_ns)
-            for camera in rig.scene.cameras
-            if camera.id in rig.numbers
+            usual_period_ns(camera.images.timestamps_ns) for camera in rig.scene.cameras if camera.id in rig.numbers
         ),
     }
     fastest = max(settings["lidar_frequency"], settings["camera_frequency"])
@@ -688,9 +660,7 @@ def _configure(receiver: Receiver, rig: _SentRig) -> None:
     least = {"pairing_timeout_ms": PATIENCE_MS, "queue_length": room}
     settings |= {name: value for name, value in least.items() if receiver.get_property(name) < value}
     if rig.camera_models:
-        receiver.add_property(
-            CAMERA_MODELS, "camera models that table 3 cannot state, as JSON by camera_id", "string"
-        )
+        receiver.add_property(CAMERA_MODELS, "camera models that table 3 cannot state, as JSON by camera_id", "string")
         settings[CAMERA_MODELS] = _format_camera_models(rig.camera_models)
     for name, value in settings.items():
         _must(receiver.set_property(name, value), f"property {name}")

@@ -80,9 +80,7 @@ class Security:
         if self.tls_certificate is None or self.tls_key is None:
             return None
         certificate, key = read_pair(self.tls_certificate, self.tls_key)
-        authority = (
-            None if self.tls_client_authority is None else read_certificates(self.tls_client_authority)
-        )
+        authority = None if self.tls_client_authority is None else read_certificates(self.tls_client_authority)
         return grpc.ssl_server_credentials(
             [(key, certificate)], root_certificates=authority, require_client_auth=authority is not None
         )
@@ -100,9 +98,7 @@ class _TokenCheck(ServerInterceptor):
 
     async def intercept_service(
         self,
-        continuation: Callable[
-            [grpc.HandlerCallDetails], "Awaitable[grpc.RpcMethodHandler[Any, Any] | None]"
-        ],
+        continuation: Callable[[grpc.HandlerCallDetails], "Awaitable[grpc.RpcMethodHandler[Any, Any] | None]"],
         handler_call_details: grpc.HandlerCallDetails,
     ) -> "grpc.RpcMethodHandler[Any, Any] | None":
         """Let a call through that shows it."""

@@ -352,9 +352,7 @@ class _Messages:
         known = {} if before is None else before.table.entries
         for pair, entry in setting.table.entries.items():
             if known.get(pair) is not entry:
-                request = fusion_pb2.SetCalibrationRequest(
-                    camera_id=pair[0], lidar_id=pair[1], session=self._session
-                )
+                request = fusion_pb2.SetCalibrationRequest(camera_id=pair[0], lidar_id=pair[1], session=self._session)
                 fill_message(request.calibration, entry.data)
                 yield self._message("calibration", request)
         if set(known) - set(setting.table.entries):
@@ -419,9 +417,7 @@ class _LogFile:
             if name not in self._schemas:
                 self._schemas[name] = self._writer.add_schema(name, "protobuf", schema_bytes(message.type))  # type: ignore[arg-type]
             metadata = {"session": session, "what": message.what}
-            self._channels[topic, name] = self._writer.add_channel(
-                topic, "protobuf", self._schemas[name], metadata
-            )
+            self._channels[topic, name] = self._writer.add_channel(topic, "protobuf", self._schemas[name], metadata)
         return self._channels[topic, name]
 
     def flush(self) -> None:
@@ -603,9 +599,7 @@ def compare(path: str | Path) -> ReplayReport:
         equal=dict(equal),
         different={name: tuple(found) for name, found in different.items()},
         beyond={
-            name: tuple(f"{kind} {number}" for kind, number in left)
-            for name, left in ours.items()
-            if name not in gaps
+            name: tuple(f"{kind} {number}" for kind, number in left) for name, left in ours.items() if name not in gaps
         },
         complete=is_complete(Path(path)),
         gaps=dict(gaps),

@@ -56,11 +56,7 @@ class _Bell:
             return
         self._ringing = True
         # in its own thread the loop is awake, and need not be woken through a pipe
-        call = (
-            self._loop.call_soon
-            if threading.get_ident() == self._thread_id
-            else self._loop.call_soon_threadsafe
-        )
+        call = self._loop.call_soon if threading.get_ident() == self._thread_id else self._loop.call_soon_threadsafe
         try:
             call(self._wake)
         except RuntimeError:

@@ -64,11 +64,7 @@ class ServiceLimits:
             if name not in known:
                 raise DataError(file, where, f"unknown; expected one of {', '.join(known)}")
             whole = known[name] is int
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int if whole else int | float)
-                or not value > 0
-            ):
+            if isinstance(value, bool) or not isinstance(value, int if whole else int | float) or not value > 0:
                 wanted = "a whole number above 0" if whole else "a number above 0"
                 raise DataError(file, where, f"{value!r}; expected {wanted}")
         return cls(**table)

@@ -116,11 +116,7 @@ def _best_seen(drive: SimulatedDrive, view: _View) -> tuple[StreetObject, Street
     shown = view.instances[view.middle]
     edge = set(np.concatenate([shown[:, 0], shown[:, -1], shown[-1]]).tolist())
     counts = np.bincount(shown[shown > 0], minlength=len(drive.truth.objects) + 1)
-    cars = [
-        thing
-        for thing in drive.truth.objects
-        if thing.label == "car" and counts[thing.instance] > _LEAST_PIXELS
-    ]
+    cars = [thing for thing in drive.truth.objects if thing.label == "car" and counts[thing.instance] > _LEAST_PIXELS]
     whole = [thing for thing in cars if thing.instance not in edge]
     best = sorted(whole, key=lambda thing: -int(counts[thing.instance]))
     if len(best) < 2:
@@ -193,9 +189,7 @@ def _path_ahead(drive: SimulatedDrive) -> Float64Array:
     trajectory = next(iter(drive.scene.trajectories.values())).positions
     along = (trajectory[-1] - trajectory[-2])[:2]
     ahead = trajectory[-1, :2] + along / np.linalg.norm(along) * np.linspace(1.0, _LANE_AHEAD, 12)[:, None]
-    locations = np.concatenate(
-        [trajectory[np.linspace(0, len(trajectory) - 1, 12).astype(np.int64), :2], ahead]
-    )
+    locations = np.concatenate([trajectory[np.linspace(0, len(trajectory) - 1, 12).astype(np.int64), :2], ahead])
     return np.column_stack([locations, np.zeros(len(locations))])
 
 
@@ -255,10 +249,7 @@ def _keypoints(drive: SimulatedDrive, view: _View, car: StreetObject) -> PointsA
     roof, times = _corners(drive, car)[4:], view.times_ns
     camera = next(camera.camera for camera in drive.scene.cameras if camera.id == _CAMERA)
     pixels = np.stack(
-        [
-            project(camera, drive.truth.world_from_camera(_CAMERA, k).inverse().apply(roof))[0]
-            for k in range(len(times))
-        ]
+        [project(camera, drive.truth.world_from_camera(_CAMERA, k).inverse().apply(roof))[0] for k in range(len(times))]
     )
     names = ("front left", "back left", "back right", "front right")
     return PointsAnnotation(

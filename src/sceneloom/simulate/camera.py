@@ -91,9 +91,7 @@ class Exposure:
         """The factor of a image at a time [ns]."""
         seconds, spec = (timestamp_ns - self.start_ns) * 1e-9, self.spec
         rotations = 2.0 * np.pi * seconds / spec.drift_period
-        waves = 0.7 * np.sin(rotations + self.phases[0]) + 0.3 * np.sin(
-            rotations / _SECOND_WAVE + self.phases[1]
-        )
+        waves = 0.7 * np.sin(rotations + self.phases[0]) + 0.3 * np.sin(rotations / _SECOND_WAVE + self.phases[1])
         stops = spec.drift_stops * waves
         for begin, step in spec.steps:
             if seconds >= begin:
@@ -164,9 +162,7 @@ class CameraSpec:
     """
 
     camera: Camera = field(default=Camera("pinhole", 1242, 375, 720.0, 720.0, 620.5, 187.0))
-    mount: RigidTransform = field(
-        default_factory=lambda: camera_mount(yaw_deg=-0.4, pitch_deg=0.6, roll_deg=0.2)
-    )
+    mount: RigidTransform = field(default_factory=lambda: camera_mount(yaw_deg=-0.4, pitch_deg=0.6, roll_deg=0.2))
     offset_ns: int = 50_000_000
     supersampling: int = 1
     readout_ns: int = 0
@@ -302,9 +298,7 @@ class RenderedCamera:
         """Image k, rendered when its pixels are asked for."""
         exposure_ns = 0 if self.spec.exposure is None else self.spec.exposure.exposure_ns
         extras = {_EXPOSURE_FIELD: exposure_ns / 1e9} if exposure_ns else NO_FIELDS
-        return CameraImage(
-            int(self.timestamps_ns[k]), self.spec.camera, partial(self.render, k), extras=extras
-        )
+        return CameraImage(int(self.timestamps_ns[k]), self.spec.camera, partial(self.render, k), extras=extras)
 
     def render(self, k: int) -> UInt8Array:
         """Render image k, (H, W, 3) uint8, with the camera's exposure."""

@@ -209,9 +209,7 @@ def _moving(street: Street, origins: Float64Array, times_ns: Int64Array, *, reac
     movers, first = street.movers, len(street.shapes)
     frame_of_shape = np.full(len(street.bodies), -1, np.int32)
     frames, spheres = np.zeros((len(times_ns), 0, 3, 4)), street.bodies.spheres
-    candidates = np.flatnonzero(
-        np.linalg.norm(spheres[:first, :3] - middle, axis=1) < within + spheres[:first, 3]
-    )
+    candidates = np.flatnonzero(np.linalg.norm(spheres[:first, :3] - middle, axis=1) < within + spheres[:first, 3])
     near = movers.near(middle, times_ns, within=within)
     if len(near):
         placed = movers.placed(near, times_ns)
@@ -275,9 +273,7 @@ def instances_of(street: Street, hits: Hits) -> AnyArray:
     return numbers[hits.shapes]
 
 
-def velocities_of(
-    street: Street, shapes: AnyArray, points_world: Float64Array, times_ns: Int64Array
-) -> Float64Array:
+def velocities_of(street: Street, shapes: AnyArray, points_world: Float64Array, times_ns: Int64Array) -> Float64Array:
     """Give the velocity of what was hit, at the point where it was, (N, 3) float64 [m/s], world frame.
 
     Args:

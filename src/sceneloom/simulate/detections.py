@@ -57,9 +57,7 @@ class ScoreSpec:
         )
         check_bounds("scores", bounds)
         if self.form == ScoreForm.PROBABILITY and (self.logit_scale, self.logit_shift) != (1.0, 0.0):
-            raise OptionError(
-                "scores: logit_scale and logit_shift are for logits; set form to ScoreForm.LOGIT"
-            )
+            raise OptionError("scores: logit_scale and logit_shift are for logits; set form to ScoreForm.LOGIT")
 
 
 class LooksLike(NamedTuple):
@@ -74,9 +72,7 @@ class LooksLike(NamedTuple):
     false_shares: Float64Array
 
 
-def deal_out(
-    chances: Float64Array, false_count: float, *, repeated: float = 0.0, likeness: float = 0.2
-) -> LooksLike:
+def deal_out(chances: Float64Array, false_count: float, *, repeated: float = 0.0, likeness: float = 0.2) -> LooksLike:
     """Deal the expected false boxes of a class out to its objects.
 
     Args:
@@ -108,9 +104,7 @@ def draw_scores(
     """
     a = spec.concentration * true_shares + true
     b = spec.concentration * (1.0 - true_shares) + ~true
-    scores = np.clip(
-        generator.beta(np.maximum(a, _SMALLEST), np.maximum(b, _SMALLEST)), _SMALLEST, 1.0 - _SMALLEST
-    )
+    scores = np.clip(generator.beta(np.maximum(a, _SMALLEST), np.maximum(b, _SMALLEST)), _SMALLEST, 1.0 - _SMALLEST)
     if spec.form == ScoreForm.PROBABILITY:
         return scores
     logits: Float64Array = spec.logit_scale * np.log(scores / (1.0 - scores)) + spec.logit_shift
@@ -459,9 +453,7 @@ class _Finding:
         instances = np.concatenate([self.look.instances[self.rows], np.full(false_count, FALSE)])
         normals, share = self.generator.standard_normal((len(instances), columns)), self.spec.lasting_share
         for row in np.flatnonzero(instances != FALSE) if share else ():
-            own = _frame_generator(
-                self.stream, self.spec.seed, self.sensor_id, _OBJECTS | int(instances[row])
-            )
+            own = _frame_generator(self.stream, self.spec.seed, self.sensor_id, _OBJECTS | int(instances[row]))
             normals[row] = np.sqrt(1.0 - share) * normals[row] + np.sqrt(share) * own.standard_normal(columns)
         return instances, normals
 
@@ -612,9 +604,7 @@ def detect_2d(
     camera = drive.scene.cameras[0] if camera_id is None else drive.scene.sensor(camera_id)
     if not isinstance(camera, CameraSensor):
         raise OptionError(f"sensor {camera_id!r} is of type {camera.type}; expected a camera")
-    drafts = [
-        _image_draft(drive, spec, camera, index) for index in _chosen_frames(len(camera.images), frames)
-    ]
+    drafts = [_image_draft(drive, spec, camera, index) for index in _chosen_frames(len(camera.images), frames)]
     return _with_scores(drafts, spec.scores, repeated=spec.repeated)
 
 
@@ -643,9 +633,7 @@ class _ImageLook:
     camera_model: Camera
 
 
-def _look_at_image(
-    drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int
-) -> _ImageLook:
+def _look_at_image(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int) -> _ImageLook:
     truth, number = drive.truth, _true_frame(drive, camera.id, index)
     rendered = truth.cameras[str(camera.id)]
     time_ns, pose = int(rendered.timestamps_ns[number]), rendered.pose(number)
@@ -700,9 +688,7 @@ def _clutter(image: ImageTruth, shown: AnyArray, instances: Int64Array, look: _P
     return np.column_stack([columns[low], rows[low], depths[low]])
 
 
-def _image_draft(
-    drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int
-) -> _Draft[Boxes2D]:
+def _image_draft(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int) -> _Draft[Boxes2D]:
     """Everything about an image but the scores."""
     look = _look_at_image(drive, spec, camera, index)
     finding = _Finding.of(Stream.DETECTIONS_2D, spec, camera.id, _true_frame(drive, camera.id, index), look)
@@ -800,8 +786,7 @@ def detect_3d(
     spec = spec or Detector3dSpec()
     lidar = _lidar(drive, lidar_id)
     drafts = [
-        _sweep_draft(drive, spec, lidar, index, boxes_frame)
-        for index in _chosen_frames(len(lidar.frames), frames)
+        _sweep_draft(drive, spec, lidar, index, boxes_frame) for index in _chosen_frames(len(lidar.frames), frames)
     ]
     return _with_scores(drafts, spec.scores, repeated=spec.repeated)
 
@@ -939,9 +924,7 @@ def _false_boxes_in_space(
 def _joined(first: Boxes3D, second: Boxes3D) -> Boxes3D:
     """The exact boxes of two lists."""
     names = ("centers", "sizes_lwh", "yaws", "scores", "velocities")
-    both: dict[str, Any] = {
-        name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names
-    }
+    both: dict[str, Any] = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names}
     return replace(first, **both, labels=first.labels + second.labels)
 
 
@@ -991,9 +974,7 @@ def _rotations(yaws: Float64Array) -> Float64Array:
     return rotations
 
 
-def _stated(
-    drive: SimulatedDrive, look: _SweepLook, boxes: Boxes3D, lidar: LidarSensor, frame: PointsFrame
-) -> Boxes3D:
+def _stated(drive: SimulatedDrive, look: _SweepLook, boxes: Boxes3D, lidar: LidarSensor, frame: PointsFrame) -> Boxes3D:
     """Boxes of the world as a system that trusts the scene has them: by its timestamps, mounting and poses."""
     own = boxes.moved(look.world_from_lidar.inverse(), PointsFrame.SENSOR)
     own = replace(own, timestamp_ns=look.stated_ns, sensor_id=lidar.id)
@@ -1003,7 +984,5 @@ def _stated(
         if lidar.mount is None:
             raise PoseError(f"{drive.scene.source}: the scene does not state how {lidar.id!r} is mounted")
         return own.moved(lidar.mount, frame)
-    pose = sensor_source(drive.scene, lidar, None, reach_ns=_REACH_NS).at(
-        np.array([look.stated_ns], np.int64)
-    )
+    pose = sensor_source(drive.scene, lidar, None, reach_ns=_REACH_NS).at(np.array([look.stated_ns], np.int64))
     return own.moved(RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]), frame)

@@ -115,9 +115,7 @@ def imu_sensor(spec: ImuSpec, truth: ImuTruth, *, seed: int) -> ImuSensor:
         "accelerometer": _noisy(forces, noise * spec.accelerometer_noise, seed, Stream.ACCELEROMETER),
         "gyroscope": _noisy(rates, noise * spec.gyroscope_noise, seed, Stream.GYROSCOPE),
     }
-    return ImuSensor(
-        "imu", {name: VectorSamples(truth.timestamps_ns, values) for name, values in streams.items()}
-    )
+    return ImuSensor("imu", {name: VectorSamples(truth.timestamps_ns, values) for name, values in streams.items()})
 
 
 def _bias(sigma: float, seed: int, stream: Stream) -> Float64Array:
@@ -269,9 +267,7 @@ class Rig:
         """
         length_ns = self.frames * self.period_ns
         count = max(0, -(-(length_ns - spec.offset_ns) // spec.period_ns))
-        starts: Int64Array = (
-            self.start_ns + spec.offset_ns + spec.period_ns * np.arange(count, dtype=np.int64)
-        )
+        starts: Int64Array = self.start_ns + spec.offset_ns + spec.period_ns * np.arange(count, dtype=np.int64)
         return starts
 
     def position_lidars(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, ScanningLidar]:
@@ -313,9 +309,7 @@ class Rig:
             )
         for name, spec in list(self.lidars.items())[1:]:
             if spec.period_ns > _LONGEST_PERIOD_NS:
-                raise OptionError(
-                    f"{name}.period_ns: {spec.period_ns}; expected at most {_LONGEST_PERIOD_NS}"
-                )
+                raise OptionError(f"{name}.period_ns: {spec.period_ns}; expected at most {_LONGEST_PERIOD_NS}")
 
 
 def _scene_sensors(
@@ -511,9 +505,7 @@ class Truth:
         inside = np.flatnonzero(alone)
         return OcclusionTruth(inside + 1, visible[inside], alone[inside])
 
-    def visible(
-        self, camera_id: str, k: int, points_world: ArrayLike, *, tolerance: float = 0.01
-    ) -> BoolArray:
+    def visible(self, camera_id: str, k: int, points_world: ArrayLike, *, tolerance: float = 0.01) -> BoolArray:
         """Report for each surface point whether nothing stands between it and the camera, when its line is taken.
 
         Whether it falls into the image is another question.
@@ -696,9 +688,7 @@ def demo_drive(seed: int = 0, *, frames: int = 30) -> SimulatedDrive:
 
     A lidar that looks up.
     """
-    ahead = Camera(
-        "brown_conrady", 800, 400, 430.0, 430.0, 399.5, 190.0, (-0.12, 0.04, 0.0004, -0.0003, -0.006)
-    )
+    ahead = Camera("brown_conrady", 800, 400, 430.0, 430.0, 399.5, 190.0, (-0.12, 0.04, 0.0004, -0.0003, -0.006))
     aside = Camera("fisheye", 640, 400, 250.0, 250.0, 319.5, 190.0, (0.03, -0.008, 0.002, -0.0004))
     cameras = (
         CameraSpec(ahead, camera_mount(pitch_deg=0.6), supersampling=2),

@@ -102,9 +102,7 @@ class SensorFaults:
     @property
     def error(self) -> RigidTransform:
         """`true_from_stated` of the mounting, in the sensor's axes."""
-        return RigidTransform.from_quaternion(
-            np.array(self.shift, np.float64), _quaternion(self.rotation_deg)
-        )
+        return RigidTransform.from_quaternion(np.array(self.shift, np.float64), _quaternion(self.rotation_deg))
 
     @property
     def named(self) -> frozenset[str]:
@@ -295,9 +293,7 @@ def _emptied(points: Any) -> Any:
     """The same arrays of a lidar's or a radar's points, without rows."""
     arrays = {f.name: getattr(points, f.name) for f in fields(points) if f.name != "extras"}
     empty = {name: None if array is None else array[:0] for name, array in arrays.items()}
-    extras = {
-        name: array[:0] if len(array) == len(points) else array for name, array in points.extras.items()
-    }
+    extras = {name: array[:0] if len(array) == len(points) else array for name, array in points.extras.items()}
     return replace(points, **empty, extras=extras)
 
 
@@ -398,9 +394,7 @@ def _placement(sensor: LidarSensor | RadarSensor | CameraSensor, wrong: SensorFa
 def _inject_into_imu(sensor: ImuSensor, job: _Job) -> tuple[ImuSensor, Int64Array]:
     plans = {name: job.plan(samples.timestamps_ns) for name, samples in sensor.streams.items()}
     streams = {
-        name: VectorSamples(
-            plans[name].stated_ns, _rotated(samples.values[plans[name].contents], job.wrong.error)
-        )
+        name: VectorSamples(plans[name].stated_ns, _rotated(samples.values[plans[name].contents], job.wrong.error))
         for name, samples in sensor.streams.items()
     }
     contents = max((plan.contents for plan in plans.values()), key=len, default=np.zeros(0, np.int64))

@@ -88,9 +88,7 @@ class LidarSpec:
         own = (("beams", self.beams, 1, 65535), ("steps", self.steps, 1, self.period_ns))
         check_bounds("lidar", (*scan_bounds(self), *own, *self._angles()))
         if (count := len(self.elevations_deg)) not in {2, self.beams}:
-            raise OptionError(
-                f"lidar.elevations_deg: {count} angles; expected 2, or {self.beams} for as many beams"
-            )
+            raise OptionError(f"lidar.elevations_deg: {count} angles; expected 2, or {self.beams} for as many beams")
 
     def _angles(self) -> Iterator[tuple[str, float, float, float]]:
         """Bounds of the angles: ring 0 is the lowest."""
@@ -300,9 +298,7 @@ class Raster:
 
     def _locations(self) -> tuple[Int64Array, Int64Array]:
         """The row, from the lowest, and the column in its channel, from the left, that each moment looks at."""
-        from_top = np.concatenate(
-            [np.arange(first, self.rows, self.interleave) for first in range(self.interleave)]
-        )
+        from_top = np.concatenate([np.arange(first, self.rows, self.interleave) for first in range(self.interleave)])
         sweep = np.arange(self.columns)
         columns = np.where(np.arange(self.rows)[:, None] % 2 == 0, sweep, sweep[::-1])
         return np.repeat(self.rows - 1 - from_top, self.columns).astype(np.int64), columns.ravel()
@@ -582,9 +578,7 @@ class SimulatedRadar:
         moving = velocities_of(self.street, hits.shapes[chosen], positions, times_ns.repeat(len(chosen)))
         over_ground = (moving * in_world).sum(axis=1)
         speeds = over_ground - in_world @ self.velocity_world(k)
-        return RadarTruth(
-            int(times_ns[0]), ranges, directions, speeds, over_ground, positions, instances[chosen]
-        )
+        return RadarTruth(int(times_ns[0]), ranges, directions, speeds, over_ground, positions, instances[chosen])
 
     def _with_false_alarms(self, k: int, truth: RadarTruth, generator: np.random.Generator) -> RadarTruth:
         """Add returns from nowhere, anywhere in the field of view, with any speed."""

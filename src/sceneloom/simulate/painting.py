@@ -367,14 +367,10 @@ def _ground_weights(s: float, d: float, ws: float, wd: float, weights: Float64Ar
 
 
 @njit(**INNER)
-def _ground_brightness(
-    x: float, y: float, s: float, d: float, w: float, ws: float, wd: float, part: int
-) -> float:
+def _ground_brightness(x: float, y: float, s: float, d: float, w: float, ws: float, wd: float, part: int) -> float:
     """Grain of each kind of ground."""
     if part == 0:
-        return (
-            1.0 + 0.07 * noise(x / 0.25, y / 0.25, 1, w / 0.25) + 0.06 * noise(s / 4.0, d / 0.8, 2, w / 0.8)
-        )
+        return 1.0 + 0.07 * noise(x / 0.25, y / 0.25, 1, w / 0.25) + 0.06 * noise(s / 4.0, d / 0.8, 2, w / 0.8)
     if part == 1:
         return float(1.0 + 0.05 * noise(x / 0.3, y / 0.3, 3, w / 0.3))
     if part == 2:
@@ -382,9 +378,7 @@ def _ground_brightness(
         return float(1.0 - 0.2 * joints + 0.05 * noise(s / 0.6, d / 0.45, 4, w / 0.45))
     if part == 3:
         return float(1.0 - 0.15 * bands(s, 1.0, 0.0, 0.03, ws))
-    return float(
-        1.0 + 0.13 * noise(x / 0.35, y / 0.35, 5, w / 0.35) + 0.12 * noise(x / 3.0, y / 3.0, 6, w / 3.0)
-    )
+    return float(1.0 + 0.13 * noise(x / 0.35, y / 0.35, 5, w / 0.35) + 0.12 * noise(x / 3.0, y / 3.0, 6, w / 3.0))
 
 
 @njit(**INNER)
@@ -440,11 +434,7 @@ def _paint_sky(u: float, v: float, w: float, color: Float64Array) -> None:
     color[1] = _HORIZON[1] + (150.0 - _HORIZON[1]) * blue
     color[2] = _HORIZON[2] + (214.0 - _HORIZON[2]) * blue
     x, y = 1.6 * u / (height + 0.12), 1.6 * v / (height + 0.12)
-    density = (
-        noise(0.5 * x, 0.5 * y, 11, 0.0)
-        + 0.5 * noise(x, y, 12, 0.0)
-        + 0.25 * noise(2.1 * x, 2.1 * y, 13, 0.2)
-    )
+    density = noise(0.5 * x, 0.5 * y, 11, 0.0) + 0.5 * noise(x, y, 12, 0.0) + 0.25 * noise(2.1 * x, 2.1 * y, 13, 0.2)
     cloud = min(1.0, max(0.0, 1.1 * density - 0.15)) * min(1.0, height / 0.16)
     hills = 0.022 + 0.012 * noise(3.0 * azimuth, 0.5, 14, 0.0) + 0.006 * noise(9.0 * azimuth, 0.5, 15, 0.0)
     hill = min(1.0, max(0.0, (hills - w) / 0.004))
@@ -482,15 +472,9 @@ def _paint_shape(
         footprint * math.sqrt(1.0 + (along / steep) ** 2),
         footprint * math.sqrt(1.0 + (rising / steep) ** 2),
     )
-    second, third, bright = _mix_palette(
-        patterns[hit], face, su, sv, wu, wv, point, half, measures[hit], salts[hit]
-    )
+    second, third, bright = _mix_palette(patterns[hit], face, su, sv, wu, wv, point, half, measures[hit], salts[hit])
     for i in range(3):
-        local[i] = (
-            m[0, i] * half[0] * frame[0, 0]
-            + m[1, i] * half[1] * frame[0, 1]
-            + m[2, i] * half[2] * frame[0, 2]
-        )
+        local[i] = m[0, i] * half[0] * frame[0, 0] + m[1, i] * half[1] * frame[0, 1] + m[2, i] * half[2] * frame[0, 2]
     for i in range(3):
         base = palettes[hit, 0, i] * (1.0 - second - third)
         color[i] = bright * (base + palettes[hit, 1, i] * second + palettes[hit, 2, i] * third)
@@ -527,9 +511,7 @@ def _paint_chunk(
         if hit == SKY:
             _paint_sky(u, v, w, color)
         elif hit == GROUND:
-            _paint_ground(
-                x, y, u, v, w, footprint, road, corner, cell, ground_palette, location, weights, color
-            )
+            _paint_ground(x, y, u, v, w, footprint, road, corner, cell, ground_palette, location, weights, color)
             facing = w
         else:
             column = frame_of_shape[hit]

@@ -23,9 +23,7 @@ def check_bounds(device: str, bounds: Iterable[tuple[str, float, float, float]])
             raise OptionError(f"{device}.{name}: {value}; expected {low} to {high}")
 
 
-def each_of(
-    name: str, values: Sequence[float], low: float, high: float
-) -> Iterator[tuple[str, float, float, float]]:
+def each_of(name: str, values: Sequence[float], low: float, high: float) -> Iterator[tuple[str, float, float, float]]:
     """Give the same bounds to each of several numbers, for `check_bounds`."""
     return ((f"{name}[{index}]", value, low, high) for index, value in enumerate(values))
 
@@ -38,9 +36,7 @@ def check_fan(device: str, name: str, fan_deg: tuple[float, float], limit_deg: f
     """
     low, high = fan_deg
     if not -limit_deg <= low < high <= limit_deg:
-        raise OptionError(
-            f"{device}.{name}: {fan_deg}; expected two rising angles within {limit_deg} degrees"
-        )
+        raise OptionError(f"{device}.{name}: {fan_deg}; expected two rising angles within {limit_deg} degrees")
 
 
 @unique

@@ -196,9 +196,7 @@ def _trace_bundle(
     rays, axis, own = np.empty((stop - start, 3)), np.empty(3), np.empty(6)
     cosine, spread = _bundle_cone(directions, pose_of_ray, rotations, origins, start, stop, rays, axis)
     chosen, nears = np.empty(len(candidates), np.int32), np.empty(len(candidates))
-    count = _cull(
-        axis, cosine, origins[pose_of_ray[start]], spread, spheres, candidates, reach, chosen, nears
-    )
+    count = _cull(axis, cosine, origins[pose_of_ray[start]], spread, spheres, candidates, reach, chosen, nears)
     for k in range(start, stop):
         x, y, z = origins[pose_of_ray[k], 0], origins[pose_of_ray[k], 1], origins[pose_of_ray[k], 2]
         u, v, w = rays[k - start, 0], rays[k - start, 1], rays[k - start, 2]
@@ -212,9 +210,7 @@ def _trace_bundle(
                 t = _meet_shape(kinds[chosen[c]], maps[chosen[c]], x, y, z, u, v, w, best)
             else:
                 take_into_frame(frames[pose_of_ray[k], frame_of_shape[chosen[c]]], x, y, z, u, v, w, own)
-                t = _meet_shape(
-                    kinds[chosen[c]], maps[chosen[c]], own[0], own[1], own[2], own[3], own[4], own[5], best
-                )
+                t = _meet_shape(kinds[chosen[c]], maps[chosen[c]], own[0], own[1], own[2], own[3], own[4], own[5], best)
             if t < best:
                 best, hit = t, chosen[c]
         ranges[slots[k]] = best if hit != SKY else 0.0
@@ -325,9 +321,7 @@ def _count_bundle(
     rays, axis, own = np.empty((stop - start, 3)), np.empty(3), np.empty(6)
     cosine, spread = _bundle_cone(directions, pose_of_ray, rotations, origins, start, stop, rays, axis)
     chosen, nears = np.empty(len(candidates), np.int32), np.empty(len(candidates))
-    count = _cull(
-        axis, cosine, origins[pose_of_ray[start]], spread, spheres, candidates, reach, chosen, nears
-    )
+    count = _cull(axis, cosine, origins[pose_of_ray[start]], spread, spheres, candidates, reach, chosen, nears)
     # The shapes of an object follow each other, so a ray that has met it once is known by the object before.
     chosen = np.sort(chosen[:count])
     for k in range(start, stop):
@@ -342,9 +336,7 @@ def _count_bundle(
                 t = _meet_shape(kinds[shape], maps[shape], x, y, z, u, v, w, reach)
             else:
                 take_into_frame(frames[pose_of_ray[k], frame_of_shape[shape]], x, y, z, u, v, w, own)
-                t = _meet_shape(
-                    kinds[shape], maps[shape], own[0], own[1], own[2], own[3], own[4], own[5], reach
-                )
+                t = _meet_shape(kinds[shape], maps[shape], own[0], own[1], own[2], own[3], own[4], own[5], reach)
             if t < reach:
                 counts[thing] += 1
                 met = thing

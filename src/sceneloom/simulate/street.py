@@ -154,10 +154,7 @@ class PackedShapes:
     def joined(self, others: "PackedShapes") -> "PackedShapes":
         """These shapes, then others."""
         return PackedShapes(
-            *(
-                np.concatenate([getattr(self, part.name), getattr(others, part.name)])
-                for part in fields(PackedShapes)
-            )
+            *(np.concatenate([getattr(self, part.name), getattr(others, part.name)]) for part in fields(PackedShapes))
         )
 
 
@@ -249,9 +246,7 @@ def _lying(x: float, y: float, z: float) -> RigidTransform:
     return RigidTransform(quarter, np.array([x, y, z]))
 
 
-def _stationary(
-    kind: ShapeKind, half: tuple[float, float, float], foot: Sequence[float], material: Material
-) -> Shape:
+def _stationary(kind: ShapeKind, half: tuple[float, float, float], foot: Sequence[float], material: Material) -> Shape:
     """A shape whose lowest point is at `foot`."""
     return Shape(kind, _at(foot[0], foot[1], foot[2] + half[2]), half, material)
 
@@ -506,9 +501,7 @@ class Movers:
 
         Beyond the drive, and where a mover is not in the street, the numbers are only continuous.
         """
-        values, rates = spline_derivatives(
-            self.control_points, np.asarray(which), self._along(times_ns), orders=2
-        )
+        values, rates = spline_derivatives(self.control_points, np.asarray(which), self._along(times_ns), orders=2)
         values = values + self.anchors[which]
         rates = rates / self.knot_step
         level = np.zeros(values.shape[:-1])
@@ -541,9 +534,7 @@ class Movers:
         states = spline_grid(self.control_points[which], self._along(times_ns)) + self.anchors[which]
         there = self.present(which[None, :], times_ns[:, None])
         frames = np.empty((len(times_ns), len(parts), 3, 4))
-        put_parts(
-            states, there, mover_of_part, self.hinges[parts], self.swings[parts], self.leads[parts], frames
-        )
+        put_parts(states, there, mover_of_part, self.hinges[parts], self.swings[parts], self.leads[parts], frames)
         part_columns = np.full(len(self.mover_of_part), -1, np.int32)
         part_columns[parts] = np.arange(len(parts), dtype=np.int32)
         part_of_shape = part_columns[self.part_of_shape]
@@ -556,9 +547,7 @@ class Movers:
         seconds = (np.asarray(times_ns, np.int64) - self.start_ns) * 1e-9
         return np.asarray((seconds - self.first_knot) / self.knot_step, np.float64)
 
-    def _balls(
-        self, shapes: Int64Array, low: Float64Array, high: Float64Array, columns: AnyArray
-    ) -> Float64Array:
+    def _balls(self, shapes: Int64Array, low: Float64Array, high: Float64Array, columns: AnyArray) -> Float64Array:
         """Balls (Q, 4) that hold shapes while x, y, yaw and gait of their movers lie between (K, 4) and (K, 4)."""
         part = self.part_of_shape[shapes]
         column = columns[self.mover_of_part[part]]
@@ -575,9 +564,7 @@ class Movers:
             [middle[:, 0] + cosine * x - sine * y, middle[:, 1] + sine * x + cosine * y, centers[:, 2], radii]
         )
 
-    def point_velocities(
-        self, shapes: Int64Array, points_world: Float64Array, times_ns: Int64Array
-    ) -> Float64Array:
+    def point_velocities(self, shapes: Int64Array, points_world: Float64Array, times_ns: Int64Array) -> Float64Array:
         """Velocity of points (N, 3) of (N,) own shapes at (N,) times, (N, 3) float64 [m/s], world frame."""
         part = self.part_of_shape[shapes]
         states = self.states(self.mover_of_part[part], times_ns)
@@ -762,9 +749,7 @@ def _limb(start: _Point, end: _Point, radius: float, material: Material) -> Shap
     beside = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.9 else [0.0, 1.0, 0.0])
     beside /= np.linalg.norm(beside)
     rotation = np.column_stack([beside, np.cross(axis, beside), axis])
-    return Shape(
-        ShapeKind.CYLINDER, RigidTransform(rotation, (a + b) / 2), (radius, radius, length / 2), material
-    )
+    return Shape(ShapeKind.CYLINDER, RigidTransform(rotation, (a + b) / 2), (radius, radius, length / 2), material)
 
 
 def _designed(label: str, parts: tuple[Part, ...]) -> MovingDesign:
@@ -776,9 +761,7 @@ def _designed(label: str, parts: tuple[Part, ...]) -> MovingDesign:
         for angle in np.linspace(-part.swing, part.swing, 9 if part.swing else 1):
             delta_rotation = rotation_from_angles(np.zeros(()), np.array(-angle), np.zeros(()))
             locations = np.abs(centers @ delta_rotation.T + part.hinge)
-            for shape, rotation, location in zip(
-                part.shapes, delta_rotation @ rotations, locations, strict=True
-            ):
+            for shape, rotation, location in zip(part.shapes, delta_rotation @ rotations, locations, strict=True):
                 reach = np.maximum(reach, location + _half_extents(shape, rotation))
     return MovingDesign(label, parts, (float(2 * reach[0]), float(2 * reach[1]), float(reach[2])))
 
@@ -1317,10 +1300,7 @@ def _plans_of(shapes: PackedShapes) -> _Plans:
     yaws = np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])
     along = np.stack([np.cos(yaws), np.sin(yaws)], axis=1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    extents = [
-        (np.abs(np.einsum("pi,pij->pj", axis, rotations[:, :2])) * half).sum(axis=1)
-        for axis in (along, across)
-    ]
+    extents = [(np.abs(np.einsum("pi,pij->pj", axis, rotations[:, :2])) * half).sum(axis=1) for axis in (along, across)]
     lowest = shapes.spheres[:, 2] - (np.abs(rotations[:, 2]) * half).sum(axis=1)
     return _Plans(shapes.spheres[:, :2], yaws, np.stack(extents, axis=1), lowest < _HEADROOM)
 
@@ -1517,9 +1497,7 @@ def plan_traffic(
     count = int(np.ceil((last - first + 2 * _MARGIN) / _KNOT_STEP)) + DEGREE + 1
     knots: Float64Array = first - _MARGIN + _KNOT_STEP * (np.arange(count, dtype=np.float64) - 2.0)
     looks: Float64Array = np.arange(first, last + _LOOK, _LOOK)
-    plan = _Plan(
-        path, Lane.of(path), knots, looks, _Clearance(_plans_of(street.shapes), [_ego_plans(path, looks)])
-    )
+    plan = _Plan(path, Lane.of(path), knots, looks, _Clearance(_plans_of(street.shapes), [_ego_plans(path, looks)]))
     _add_cars(generator, spec, plan)
     _add_cyclists(generator, spec, plan)
     _add_pedestrians(generator, spec, plan)

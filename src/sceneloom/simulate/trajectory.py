@@ -392,9 +392,7 @@ def _plan_speeds(
     rotating = np.abs(np.gradient(headings, step)) / spec.yaw_rate
     if step < _KNOT_STEP:
         width = round(_KNOT_STEP / step)
-        rotating = np.convolve(np.pad(rotating, width, mode="edge"), np.ones(width) / width, "same")[
-            width:-width
-        ]
+        rotating = np.convolve(np.pad(rotating, width, mode="edge"), np.ones(width) / width, "same")[width:-width]
     phase, rate = generator.uniform(0, 2 * np.pi), generator.uniform(0.35, 0.5)
     slowest, fastest = spec.speeds
     wish = 0.5 * (slowest + fastest) + 0.5 * (fastest - slowest) * np.sin(rate * knots + phase)

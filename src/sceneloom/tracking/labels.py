@@ -335,9 +335,7 @@ def _of_heading(track: Track) -> Iterator[_Flag]:
         yield from _flag(track, FlagKind.YAW_FLIP, float(rotations.max()), int(rotations.argmax()) + 1)
     if len(rotations) > 1 and rotations.max() <= _LIMITS[FlagKind.YAW_FLIP]:
         bends = np.abs(_off_lines(track, np.unwrap(track.yaws)[:, None])[:, 0])
-        yield from _flag(
-            track, FlagKind.YAW_JITTER, float(np.quantile(bends, _MIDDLING)), int(bends.argmax()) + 1
-        )
+        yield from _flag(track, FlagKind.YAW_JITTER, float(np.quantile(bends, _MIDDLING)), int(bends.argmax()) + 1)
     driving = np.flatnonzero(np.linalg.norm(track.velocities[:, :2], axis=1) > _DRIVES)
     if len(driving):
         courses = np.arctan2(track.velocities[driving, 1], track.velocities[driving, 0])
@@ -471,9 +469,7 @@ def _contradiction(track: Track, heard: _Heard) -> list[_Flag]:
     return list(_flag(track, FlagKind.RADAR, float(np.median(misfits[reported])), row))
 
 
-def _heard(
-    scene: Scene, radar: RadarSensor, tracks: Sequence[Track], ego: EgoMotion | None
-) -> dict[int, _Heard]:
+def _heard(scene: Scene, radar: RadarSensor, tracks: Sequence[Track], ego: EgoMotion | None) -> dict[int, _Heard]:
     reach_ns = scene_period_ns(scene)
     location = points_source(scene, radar, ego, reach_ns=reach_ns) or WORLD
     own = sensor_source(scene, radar, ego, reach_ns=reach_ns)
@@ -516,9 +512,7 @@ def _listen(heard: _Heard, track: Track, time_ns: int, returns: Float64Array) ->
     center, size, yaw, velocity = state[:3], state[3:6], state[6], state[7:]
     apart = returns[:, :3] - center
     cos, sin = np.cos(yaw), np.sin(yaw)
-    along = np.column_stack(
-        [cos * apart[:, 0] + sin * apart[:, 1], cos * apart[:, 1] - sin * apart[:, 0], apart[:, 2]]
-    )
+    along = np.column_stack([cos * apart[:, 0] + sin * apart[:, 1], cos * apart[:, 1] - sin * apart[:, 0], apart[:, 2]])
     inside = returns[(np.abs(along) <= size / 2.0 + _MARGIN).all(axis=1)]
     if len(inside) == 0:
         return
@@ -588,9 +582,7 @@ def _stepped(name: str, times_ns: Int64Array, values: Float64Array, step: float)
     return AttributePath(name, tuple(round(float(values[k]), _LABELS_DECIMALS) for k in kept), times_ns[kept])
 
 
-_RIDDEN = frozenset(
-    {"bicycle", "bike", "motorcycle", "motorbike", "scooter", "moped", "cyclist", "motorcyclist"}
-)
+_RIDDEN = frozenset({"bicycle", "bike", "motorcycle", "motorbike", "scooter", "moped", "cyclist", "motorcyclist"})
 
 _NEAR = 0.8
 """A rider's middle is no farther than this from that of what he rides, seen from above [m]."""
@@ -658,9 +650,7 @@ def _boxes_in_images(
     """
     cameras: dict[Key, CameraSensor] = {key_of(camera.id): camera for camera in scene.cameras}
     for camera_id, corners in track.corners_xyxy.items():
-        rows = np.flatnonzero(
-            np.isfinite(corners).all(axis=1) & (corners[:, 2:] > corners[:, :2]).all(axis=1)
-        )
+        rows = np.flatnonzero(np.isfinite(corners).all(axis=1) & (corners[:, 2:] > corners[:, :2]).all(axis=1))
         if len(rows) == 0 or key_of(camera_id) not in cameras:
             continue
         times, chosen = _at_images(cameras[key_of(camera_id)], track.timestamps_ns[rows])
@@ -818,9 +808,7 @@ def _annotations(
     boxes: Sequence[Box2DAnnotation] = ()
     if settings.boxes_2d:
         gap_ns = round(settings.longest_gap * 1e9)
-        boxes = list(
-            _boxes_in_images(scene, track, object_id(track), f"box-{track.id}", longest_gap_ns=gap_ns)
-        )
+        boxes = list(_boxes_in_images(scene, track, object_id(track), f"box-{track.id}", longest_gap_ns=gap_ns))
     about = heard.attributes.get(track.id, ())
     whole = replace(cuboid, attributes=(*reported, *about, *cuboid.attributes))
     return [ObjectAnnotation(object_id(track), label=track.label), whole, *boxes]
@@ -842,9 +830,7 @@ def _seen_by_sensors(
             scene = project_cuboids(scene, trajectory=ego, activations=True)
             warnings += scene.warnings[known:]
         except (PoseError, CalibrationError) as error:
-            warnings.append(
-                skipped("labels-not-projected", "annotations", f"cuboids are in no image: {error}")
-            )
+            warnings.append(skipped("labels-not-projected", "annotations", f"cuboids are in no image: {error}"))
     if settings.points and scene.lidars:
         try:
             counts = count_points(scene, moment="points", trajectory=ego, activations=False)

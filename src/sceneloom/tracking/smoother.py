@@ -171,18 +171,14 @@ def _smoothed(
         before = moments[k].predicted
         row = int(np.searchsorted(before.ids, number))
         predicted.append((before.means[row], before.covariances[row], moments[k].slopes[row]))
-    return smoothed(
-        *(np.array(column) for column in (*zip(*states, strict=True), *zip(*predicted, strict=True)))
-    )
+    return smoothed(*(np.array(column) for column in (*zip(*states, strict=True), *zip(*predicted, strict=True))))
 
 
 def _track(course: Course, moments: Sequence[Moment], settings: TrackerSettings) -> Track:
     kept = _filled(course, settings)
     corners = {
         camera_id: _corners(course, camera_id, moments, settings)[kept]
-        for camera_id in dict.fromkeys(
-            c for k in course.moments.tolist() for c in moments[k].observation.views
-        )
+        for camera_id in dict.fromkeys(c for k in course.moments.tolist() for c in moments[k].observation.views)
     }
     supports = np.where(course.supports == Support.PREDICTED, Support.INTERPOLATED, course.supports)
     return Track(
@@ -219,9 +215,7 @@ def _corners(
 ) -> Float64Array:
     """Boxes of an object in the images of a camera, (K, 4)."""
     observations = [moments[k].observation for k in course.moments.tolist()]
-    outlined = np.array(
-        [_outline(mean, o, camera_id) for mean, o in zip(course.means, observations, strict=True)]
-    )
+    outlined = np.array([_outline(mean, o, camera_id) for mean, o in zip(course.means, observations, strict=True)])
     differing = np.zeros((len(course), 4))
     if settings.image_box is ImageBox.IMAGE and camera_id in course.seen:
         differing = _smoothed_differences(course, course.seen[camera_id], outlined)
@@ -254,9 +248,7 @@ def _smoothed_differences(course: Course, seen: Float64Array, outlined: Float64A
     return smoothed_walk(apart, noises, known, drift * seconds, tracking_states.UNKNOWN)
 
 
-_COLUMNS = (
-    *("centers", "sizes_lwh", "yaws", "velocities", "yaw_rates", "covariances", "scores", "supports"),
-)
+_COLUMNS = (*("centers", "sizes_lwh", "yaws", "velocities", "yaw_rates", "covariances", "scores", "supports"),)
 
 
 def track_drive(

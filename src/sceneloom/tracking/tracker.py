@@ -205,9 +205,7 @@ class _Observations:
 
 def visibility(observation: Observation) -> _Observations:
     """Give the boxes of all cameras' fusions in the world frame, those of the sweep once each."""
-    parts = [
-        (camera_id, fused, np.flatnonzero(_sound(fused))) for camera_id, fused in observation.fused.items()
-    ]
+    parts = [(camera_id, fused, np.flatnonzero(_sound(fused))) for camera_id, fused in observation.fused.items()]
     parts = [part for part in parts if len(part[2])]
     if not parts:
         return _observations([], observation.world_from_lidar)
@@ -269,8 +267,7 @@ def _observations(
     columns = [_columns(fused, rows, world_from_lidar) for _, fused, rows in parts]
     labels = tuple(fused.labels[k] for _, fused, rows in parts for k in rows.tolist())
     stacked: dict[str, Any] = {
-        name: np.concatenate([c[name] for c in columns]) if columns else empty
-        for name, empty in _EMPTY.items()
+        name: np.concatenate([c[name] for c in columns]) if columns else empty for name, empty in _EMPTY.items()
     }
     numbers = stacked.pop("rows_3d")
     codes = _codes_of(labels)
@@ -445,9 +442,7 @@ def read(
     tracking.read_boxes(means, covariances, rows, measures, noises, columns, _FREEDOM)
 
 
-def read_no_slip(
-    means: Float64Array, covariances: Float64Array, vehicles: BoolArray, side_slip: float
-) -> None:
+def read_no_slip(means: Float64Array, covariances: Float64Array, vehicles: BoolArray, side_slip: float) -> None:
     """Read of vehicles, in place, that they do not move across their heading, but for so much [m/s]."""
     tracking.read_no_slip(means, covariances, vehicles, side_slip**2)
 
@@ -596,9 +591,7 @@ UNKNOWN = 0.15**2
 """Variance of how they differ before anything is known of it."""
 
 
-def outlines(
-    numbers: Float64Array, likely: Float64Array, world_from_lidar: RigidTransform, view: View
-) -> Outlines:
+def outlines(numbers: Float64Array, likely: Float64Array, world_from_lidar: RigidTransform, view: View) -> Outlines:
     """Where an image shows boxes of the world.
 
     Args:
@@ -712,9 +705,7 @@ _LEAST_OVERLAP = 0.3
 _LEAST_SIGMA = 0.3
 """No middle of a box is where it is expected to within less than this [m]."""
 
-_AGREEMENT = (
-    0.5 * (_FREEDOM + 1.0) * float(np.log1p(((1.0 - _USUAL_OVERLAP) / _OVERLAP_SIGMA) ** 2 / _FREEDOM))
-)
+_AGREEMENT = 0.5 * (_FREEDOM + 1.0) * float(np.log1p(((1.0 - _USUAL_OVERLAP) / _OVERLAP_SIGMA) ** 2 / _FREEDOM))
 """What an image adds at most: where boxes are the same."""
 
 
@@ -1041,9 +1032,7 @@ class Tracker:
         return objects if there.all() else objects.select(there)
 
 
-def _predicted(
-    objects: _Population, seconds: float, settings: TrackerSettings
-) -> tuple[_Population, Float64Array]:
+def _predicted(objects: _Population, seconds: float, settings: TrackerSettings) -> tuple[_Population, Float64Array]:
     """The objects so much later, and the slopes of their states."""
     moved = objects.copied()
     moved.means, moved.covariances, slopes = predicted(

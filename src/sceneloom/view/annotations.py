@@ -325,9 +325,7 @@ def _stands(annotation: CuboidAnnotation) -> bool:
 def _show_stationary(group: _Group, angles: CuboidAngles, origin: Float64Array) -> None:
     """Show cuboids that stand."""
     timestamps = [one.path.timestamps_ns[:1] for one in group.annotations]
-    poses = [
-        cuboid_poses(one, t, angles=angles) for one, t in zip(group.annotations, timestamps, strict=True)
-    ]
+    poses = [cuboid_poses(one, t, angles=angles) for one, t in zip(group.annotations, timestamps, strict=True)]
     held = [bool(_held(p, origin).all()) for p in poses]
     group.stream.leave_out("stationary cuboids", held.count(False))
     group = replace(group, annotations=tuple(compress(group.annotations, held)))
@@ -445,9 +443,7 @@ def _draw_boxes(group: _Group, times_ns: Int64Array, kind: str) -> _Drawn:
     return _drawn_boxes(group, kind, [box_2d_at(one, times_ns)[0] for one in group.annotations])
 
 
-def _draw_projections(
-    group: _Group, times_ns: Int64Array, kind: str, *, projections: Sequence[Projection]
-) -> _Drawn:
+def _draw_projections(group: _Group, times_ns: Int64Array, kind: str, *, projections: Sequence[Projection]) -> _Drawn:
     """Where a camera sees cuboids: one entry of the group for each projection."""
     boxes = [_rows_at(one.timestamps_ns, one.boxes, times_ns) for one in projections]
     return _drawn_boxes(group, kind, boxes)
@@ -502,9 +498,7 @@ def _rows_at(timestamps_ns: Int64Array, values: Float64Array | None, times_ns: I
     order = np.argsort(timestamps_ns, kind="stable")
     ordered = timestamps_ns[order]
     at = np.clip(np.searchsorted(ordered, times_ns), 1, max(len(ordered) - 1, 1))
-    before = np.abs(times_ns - ordered[at - 1]) <= np.abs(
-        ordered[np.minimum(at, len(ordered) - 1)] - times_ns
-    )
+    before = np.abs(times_ns - ordered[at - 1]) <= np.abs(ordered[np.minimum(at, len(ordered) - 1)] - times_ns)
     rows = order[np.where(before, at - 1, np.minimum(at, len(ordered) - 1))]
     same = np.abs(timestamps_ns[rows] - times_ns) <= _SAME_NS
     found[same] = values[rows[same]]
@@ -724,11 +718,7 @@ def _list_annotations(stream: Stream, scene: Scene) -> bool:
     """Show a table of all annotations with their attributes, and of those that hold for the scene; whether any."""
     fixed = [one for one in scene.attributes if not one.is_timed]
     rows = [f"| {kind} | {text} |" for kind, text in ((_attribute_name(a), _word(a.values)) for a in fixed)]
-    parts = (
-        ["# Attributes of the scene\n| attribute | value |\n| --- | --- |\n" + "\n".join(rows)]
-        if rows
-        else []
-    )
+    parts = ["# Attributes of the scene\n| attribute | value |\n| --- | --- |\n" + "\n".join(rows)] if rows else []
     if scene.annotations:
         head = "| type | label | id | parent | attributes |\n| --- | --- | --- | --- | --- |\n"
         listed = [_row(one) for one in scene.annotations[:_MOST_ROWS]]
@@ -866,13 +856,9 @@ class AnnotationView:
         """Log the moments that wait, and the timestamps up to the last of them; None: all that are left."""
         start = self._done_until
         stop = (
-            len(self.timestamps_ns)
-            if until_ns is None
-            else int(np.searchsorted(self.timestamps_ns, until_ns, "right"))
+            len(self.timestamps_ns) if until_ns is None else int(np.searchsorted(self.timestamps_ns, until_ns, "right"))
         )
-        moments = np.unique(
-            np.concatenate([self.timestamps_ns[start:stop], np.array(self._waiting, np.int64)])
-        )
+        moments = np.unique(np.concatenate([self.timestamps_ns[start:stop], np.array(self._waiting, np.int64)]))
         self._done_until, self._waiting = max(start, stop), []
         _log_in_parts(self.in_space, moments)
 
@@ -972,9 +958,7 @@ class _Maker:
                     seen.setdefault(_label_of(one), []).append((one, _active(one, entry)))
         for label, pairs in seen.items():
             draw = partial(_draw_projections, projections=[entry for _, entry in pairs])
-            yield _Layer(
-                self._group(f"{base}/projections", label, [one for one, _ in pairs]), draw, "projections"
-            )
+            yield _Layer(self._group(f"{base}/projections", label, [one for one, _ in pairs]), draw, "projections")
         named = [
             (one, _point_name(one, k), entry)
             for one in self._of(PointsAnnotation)

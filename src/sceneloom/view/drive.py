@@ -78,15 +78,11 @@ class _Reported:
         )
 
 
-def _log_notes(
-    stream: Stream, time_ns: int, warnings: Sequence[DataWarning], findings: Sequence[Finding]
-) -> None:
+def _log_notes(stream: Stream, time_ns: int, warnings: Sequence[DataWarning], findings: Sequence[Finding]) -> None:
     """Log them at a time, the worst first; warnings that a finding reports already are not repeated."""
     reported = {finding.message for finding in findings}
     order = {level: k for k, level in enumerate(("ERROR", "WARN", "INFO"))}
-    lines = [
-        (_LEVELS[one.severity], f"{one.path}: {one.message}; {one.remedy} [{one.rule}]") for one in findings
-    ]
+    lines = [(_LEVELS[one.severity], f"{one.path}: {one.message}; {one.remedy} [{one.rule}]") for one in findings]
     lines += [
         (_LEVELS[one.kind], f"{one.kind}: {one.location}: {one.message}{_times(one.count)}")
         for one in warnings
@@ -165,8 +161,7 @@ class _Facts:
             events=any(isinstance(one, EventAnnotation) for one in scene.annotations),
             attributes=any(one.is_timed and one.values for one in scene.attributes),
             relations=any(
-                one.parent_id is not None or one.type in {"link", "group", "object"}
-                for one in scene.annotations
+                one.parent_id is not None or one.type in {"link", "group", "object"} for one in scene.annotations
             ),
             listed=bool(scene.annotations) or any(not one.is_timed for one in scene.attributes),
         )
@@ -258,9 +253,7 @@ def _camera(facts: _Facts, camera_id: Identifier) -> Any:
 def _tabs(facts: _Facts) -> list[Any]:
     rrb = _blueprint_sdk()
     root = facts.root
-    views = [
-        rrb.TextLogView(origin=root, contents=[f"+ {root}/{_NOTES}", f"+ {root}/{EVENTS}/**"], name="log")
-    ]
+    views = [rrb.TextLogView(origin=root, contents=[f"+ {root}/{_NOTES}", f"+ {root}/{EVENTS}/**"], name="log")]
     if facts.gnss:
         views.append(rrb.TimeSeriesView(origin=f"{root}/{GNSS}", name="satellite fixes"))
     for sensor_id, streams in facts.curves:
@@ -272,9 +265,7 @@ def _tabs(facts: _Facts) -> list[Any]:
     if facts.plan:
         views.append(rrb.Spatial2DView(origin=f"{root}/{MAP}", name="map [m]", background=_BACKGROUND))
     if facts.earth:
-        views.append(
-            rrb.MapView(origin=f"{root}/{EARTH}", name="map", background=rrb.MapProvider.OpenStreetMap)
-        )
+        views.append(rrb.MapView(origin=f"{root}/{EARTH}", name="map", background=rrb.MapProvider.OpenStreetMap))
     if facts.events:
         views.append(rrb.StateTimelineView(origin=f"{root}/{EVENTS}", name="events"))
     if facts.attributes:
@@ -316,9 +307,7 @@ class DriveView:
     reported: _Reported
 
     @classmethod
-    def of(
-        cls, scene: Scene, name: str, settings: ViewSettings, *, progress: Progress | None = None
-    ) -> "DriveView":
+    def of(cls, scene: Scene, name: str, settings: ViewSettings, *, progress: Progress | None = None) -> "DriveView":
         """Choose what of a scene is shown, and find where its sensors are.
 
         Args:
@@ -336,9 +325,7 @@ class DriveView:
         chosen = _with_sensors(scene, settings.sensors)
         part = cut_scene(chosen, start=settings.start, stop=settings.stop)
         straight, bent = with_straight_camera_models(part, reported)
-        locations = Locations.of(
-            straight, trajectory=settings.trajectory, heading=settings.heading, progress=progress
-        )
+        locations = Locations.of(straight, trajectory=settings.trajectory, heading=settings.heading, progress=progress)
         return cls(name, straight, part, _reference_ns(scene), locations, bent, settings, reported)
 
     @staticmethod
@@ -475,9 +462,7 @@ class _Run:
     def _placed(
         self, sensor: CameraSensor | DepthCameraSensor, times_ns: Int64Array, *, has_pinhole: bool = True
     ) -> PlacedCamera:
-        placed = PlacedCamera(
-            self.stream, self.view.locations, sensor, self.view.reported, has_pinhole=has_pinhole
-        )
+        placed = PlacedCamera(self.stream, self.view.locations, sensor, self.view.reported, has_pinhole=has_pinhole)
         placed.log_poses(np.unique(times_ns[:: self.view.settings.every]))
         return placed
 

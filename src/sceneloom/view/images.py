@@ -213,9 +213,7 @@ DEPTH = "depth"
 
 def _depth_image(depths: Float32Array) -> Any:
     """An image of depths (H, W) [m], 0 for none, as the viewer takes it."""
-    steps: UInt16Array = np.clip(np.rint(np.nan_to_num(depths) * _STEPS_PER_METRE), 0, _LARGEST).astype(
-        np.uint16
-    )
+    steps: UInt16Array = np.clip(np.rint(np.nan_to_num(depths) * _STEPS_PER_METRE), 0, _LARGEST).astype(np.uint16)
     rr = sdk()
     near = steps[steps > 0]
     farthest = float(np.percentile(near, 98)) if len(near) else _LARGEST
@@ -320,9 +318,7 @@ class _FusedDepthView:
         if undistortion is not None:
             depths = _Straightener(undistortion).straight(undistortion.source, depths)[1]
         path = f"{image_path(self.stream, entry.camera)}/{DEPTH}"
-        self.stream.log(
-            entry.image_ns, path, _depth_image(depths), kind="fused depth images", size=2 * depths.size
-        )
+        self.stream.log(entry.image_ns, path, _depth_image(depths), kind="fused depth images", size=2 * depths.size)
 
 
 def fused_depth_feed(stream: Stream, folder: Path, measured: Scene, shown: Scene) -> Feed:
@@ -345,9 +341,7 @@ def fused_depth_feed(stream: Stream, folder: Path, measured: Scene, shown: Scene
         else None
         for camera_id, camera_model in camera_models.items()
     }
-    entries = sorted(
-        (e for e in _written_depths(folder) if e.camera in camera_models), key=lambda e: e.image_ns
-    )
+    entries = sorted((e for e in _written_depths(folder) if e.camera in camera_models), key=lambda e: e.image_ns)
     times_ns = np.array([entry.image_ns for entry in entries], np.int64)
     return Feed(times_ns, _FusedDepthView(stream, folder, tuple(entries), maps).log)
 

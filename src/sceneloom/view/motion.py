@@ -67,9 +67,7 @@ def _show_ego(stream: Stream, locations: Locations) -> None:
     held = fits(samples.positions)
     stream.leave_out("ego poses", np.count_nonzero(~held))
     entity, shown = stream.path(WORLD, EGO), np.flatnonzero(held)
-    stream.columns(
-        path.timestamps_ns[rows][shown], entity, transform_columns(samples, shown), kind="ego poses"
-    )
+    stream.columns(path.timestamps_ns[rows][shown], entity, transform_columns(samples, shown), kind="ego poses")
     stream.static(entity, rr.TransformAxes3D(1.5))
     stream.static(
         stream.path(WORLD, TRAJECTORIES, _trajectory_name(locations)),

@@ -160,9 +160,7 @@ _LARGEST = 10.0
 _THIN, _THICK = -1.0, -2.0
 
 
-def ellipsoid(
-    covariances: Float64Array, *, degrees_of_freedom: float = np.inf
-) -> tuple[Float64Array, Float64Array]:
+def ellipsoid(covariances: Float64Array, *, degrees_of_freedom: float = np.inf) -> tuple[Float64Array, Float64Array]:
     """Give the ellipsoids that hold errors of such covariances with the probability `_CERTAINTY`.
 
     Args:
@@ -243,16 +241,12 @@ class _ObjectsView:
             support=[Support(int(one)).name.lower() for one in moment.supports],
         )
         reported = (stated,) if count else ()
-        self.stream.log(
-            moment.timestamp_ns, f"{base}/boxes", boxes, *reported, kind=self.kind, size=200 * count
-        )
+        self.stream.log(moment.timestamp_ns, f"{base}/boxes", boxes, *reported, kind=self.kind, size=200 * count)
 
     def _names(self, moment: TrackedObjects) -> list[str]:
         if self.has_history:
             return [f"{label} {one}" for label, one in zip(moment.labels, moment.ids.tolist(), strict=True)]
-        return [
-            f"{label} {score:.0%}" for label, score in zip(moment.labels, moment.scores.tolist(), strict=True)
-        ]
+        return [f"{label} {score:.0%}" for label, score in zip(moment.labels, moment.scores.tolist(), strict=True)]
 
     def _ellipsoids(self, moment: TrackedObjects, base: str, colours: np.ndarray) -> None:
         covariances = moment.covariances[:, :3, :3]
@@ -268,9 +262,7 @@ class _ObjectsView:
         self.stream.log(moment.timestamp_ns, f"{base}/certainty", shown)
 
     def _velocities(self, moment: TrackedObjects, base: str, colours: np.ndarray) -> None:
-        moving = np.isfinite(moment.velocities).all(axis=1) & (
-            np.abs(moment.velocities).max(axis=1, initial=0) > 0.1
-        )
+        moving = np.isfinite(moment.velocities).all(axis=1) & (np.abs(moment.velocities).max(axis=1, initial=0) > 0.1)
         arrows = sdk().Arrows3D(
             origins=(moment.centers - self.origin)[moving],
             vectors=moment.velocities[moving],
@@ -312,7 +304,4 @@ class _ObjectsView:
 def _by_camera(moments: tuple[TrackedObjects, ...]) -> dict[Identifier, tuple[TrackedObjects, ...]]:
     """Moments of single cameras, those of each camera together."""
     cameras = dict.fromkeys(camera_id for moment in moments for camera_id in moment.corners_xyxy)
-    return {
-        camera_id: tuple(moment for moment in moments if camera_id in moment.corners_xyxy)
-        for camera_id in cameras
-    }
+    return {camera_id: tuple(moment for moment in moments if camera_id in moment.corners_xyxy) for camera_id in cameras}

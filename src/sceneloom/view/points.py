@@ -205,9 +205,7 @@ class LidarView:
         time_ns, rr = frame.reference_ns, sdk()
         shown_from_sensor = pose_at(self._sensor_source, time_ns)
         if shown_from_sensor is not None:
-            self.stream.log(
-                time_ns, self.stream.path(WORLD, SENSORS, self.lidar.id), transform(shown_from_sensor)
-            )
+            self.stream.log(time_ns, self.stream.path(WORLD, SENSORS, self.lidar.id), transform(shown_from_sensor))
         in_sensor = self.lidar.points_frame is PointsFrame.SENSOR
         shown_from_points = shown_from_sensor if in_sensor else pose_at(self._source, time_ns)
         if shown_from_points is None:
@@ -308,9 +306,7 @@ class RadarView:
         colours = np.where((rotated * positions).sum(axis=1) < 0, _NEARING, _LEAVING).astype(np.uint32)
         shown = rr.Points3D(positions, colors=colours, radii=_ui_points(_RADAR_SIZE))
         self.stream.log(time_ns, f"{entity}/points", shown, kind="radar cycles", size=16 * len(points))
-        arrows = rr.Arrows3D(
-            vectors=rotated, origins=positions, colors=colours, radii=_ui_points(_ARROW_SIZE)
-        )
+        arrows = rr.Arrows3D(vectors=rotated, origins=positions, colors=colours, radii=_ui_points(_ARROW_SIZE))
         self.stream.log(time_ns, f"{entity}/velocities", arrows)
 
     def _into_sensor(self, shown_from_sensor: RigidTransform, time_ns: int) -> RigidTransform | None:

@@ -76,9 +76,7 @@ class ViewSettings:
             OptionError: there are such files.
         """
         if count > 1 and any(path is not None for path in (self.detections, self.tracks, self.depth)):
-            raise OptionError(
-                f"detections, tracks and depth images belong to one drive; {count} drives are shown"
-            )
+            raise OptionError(f"detections, tracks and depth images belong to one drive; {count} drives are shown")
 
 
 @dataclass(frozen=True, slots=True)

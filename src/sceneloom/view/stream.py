@@ -101,9 +101,7 @@ class Stream:
         """Log what holds at all times."""
         self.recording.log(path, *archetypes, static=True, strict=True)
 
-    def columns(
-        self, times_ns: Int64Array, path: str, *columns: Iterable[Any], kind: str | None = None
-    ) -> None:
+    def columns(self, times_ns: Int64Array, path: str, *columns: Iterable[Any], kind: str | None = None) -> None:
         """Log many times at once: (N,) int64 [ns], and columns of N rows."""
         if len(times_ns) == 0:
             return

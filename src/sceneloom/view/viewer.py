@@ -273,9 +273,7 @@ def viewer_command(*options: str) -> list[str]:
     return [str(Path(found.origin).with_name(name)), *options]
 
 
-def silent_environment(
-    folder: Path, given: Mapping[str, str] | None = None, *, offline: bool = True
-) -> dict[str, str]:
+def silent_environment(folder: Path, given: Mapping[str, str] | None = None, *, offline: bool = True) -> dict[str, str]:
     """Give an environment in which Rerun's program sends no usage data and writes to `folder` only.
 
     The program sends none after its own command `analytics disable`, which it keeps in its folder of settings: that is

@@ -122,9 +122,7 @@ def figures_in_world(
             yield annotation, figure
 
 
-def figures_in_image(
-    scene: Scene, sensor_id: Identifier, timestamp_ns: int
-) -> Iterator[tuple[Annotation, Figure]]:
+def figures_in_image(scene: Scene, sensor_id: Identifier, timestamp_ns: int) -> Iterator[tuple[Annotation, Figure]]:
     """Give what is drawn in the images of one camera at a time [ns], as pixels in the centre convention."""
     for annotation in scene.annotations:
         draw = _IN_IMAGE.get(_key(annotation))
@@ -184,9 +182,7 @@ def _shape_in_world(annotation: ShapeAnnotation, timestamp_ns: int, _: CuboidAng
 def _keypoints(annotation: PointsAnnotation, timestamp_ns: int, _: CuboidAngles) -> Figure | None:
     found = [rows[0].reshape(-1, 3) for rows, there in points_at(annotation, [timestamp_ns]) if there[0]]
     marks = np.concatenate(found) if found else np.zeros((0, 3))
-    return (
-        None if len(marks) == 0 else _figure(annotation, timestamp_ns, marks=marks, anchor=marks.mean(axis=0))
-    )
+    return None if len(marks) == 0 else _figure(annotation, timestamp_ns, marks=marks, anchor=marks.mean(axis=0))
 
 
 def _shape_in_image(annotation: ShapeAnnotation, sensor_id: Identifier, timestamp_ns: int) -> Figure | None:
@@ -203,9 +199,7 @@ def _box_in_image(annotation: Box2DAnnotation, sensor_id: Identifier, timestamp_
     return _rectangle(annotation, timestamp_ns, rows[0]) if there[0] else None
 
 
-def _projected_cuboid(
-    annotation: CuboidAnnotation, sensor_id: Identifier, timestamp_ns: int
-) -> Figure | None:
+def _projected_cuboid(annotation: CuboidAnnotation, sensor_id: Identifier, timestamp_ns: int) -> Figure | None:
     if not active_at(annotation, sensor_id, [timestamp_ns])[0]:
         return None
     for projection in annotation.projections:
@@ -216,18 +210,12 @@ def _projected_cuboid(
     return None
 
 
-def _projected_points(
-    annotation: PointsAnnotation, sensor_id: Identifier, timestamp_ns: int
-) -> Figure | None:
+def _projected_points(annotation: PointsAnnotation, sensor_id: Identifier, timestamp_ns: int) -> Figure | None:
     seen = []
     for projections in annotation.projections:
         for projection in projections:
             row = _nearest_row(projection.timestamps_ns, timestamp_ns)
-            if (
-                _same_id(projection.sensor_id, sensor_id)
-                and row is not None
-                and projection.points is not None
-            ):
+            if _same_id(projection.sensor_id, sensor_id) and row is not None and projection.points is not None:
                 seen.append(projection.points[row] - CORNER_FROM_CENTRE)
     marks = np.array([pixel for pixel in seen if np.isfinite(pixel).all()], np.float64).reshape(-1, 2)
     return None if len(marks) == 0 else _figure(annotation, timestamp_ns, marks=marks)
@@ -310,9 +298,7 @@ def _active_events(scene: Scene, timestamp_ns: int) -> list[str]:
 def _relations_in_world(scene: Scene, timestamp_ns: int) -> Iterator[Figure]:
     """Give links as lines between what they join, groups and objects as frames around what belongs to them."""
     locations = {
-        key_of(a.id): figure.anchor
-        for a, figure in figures_in_world(scene, timestamp_ns)
-        if figure.anchor is not None
+        key_of(a.id): figure.anchor for a, figure in figures_in_world(scene, timestamp_ns) if figure.anchor is not None
     }
     for annotation in scene.annotations:
         name = _name_of(annotation, timestamp_ns)
@@ -383,9 +369,7 @@ def _image(sample: Sample, camera_id: Identifier) -> Canvas:
     return image_canvas(subdued(image.rgb))
 
 
-def draw_annotations_in_image(
-    scene: Scene, sample: Sample, camera_id: Identifier, *, title: str = ""
-) -> PilImage:
+def draw_annotations_in_image(scene: Scene, sample: Sample, camera_id: Identifier, *, title: str = "") -> PilImage:
     """Draw an image of a sample with all annotations that have a location in it.
 
     Boxes, lines, areas and points of the world go through the camera model; what files state in pixels is drawn as they
@@ -450,9 +434,7 @@ def draw_annotations_above(
         OptionError: the reach or the size cannot be drawn.
     """
     points_world, colors = _cloud(scene, sample)
-    pose = sample.world_from_lidar or next(
-        (p for p in sample.world_from_camera.values() if p is not None), None
-    )
+    pose = sample.world_from_lidar or next((p for p in sample.world_from_camera.values() if p is not None), None)
     ego = None if pose is None else EgoPosition(pose.translation, _level(pose.rotation))
     events = _active_events(scene, sample.timestamp_ns)
     now = f" · now: {', '.join(events)}" if events else ""
@@ -471,9 +453,7 @@ def _cloud(scene: Scene, sample: Sample) -> tuple[Float64Array, UInt8Array | Non
     """The sweep in the world; of a scene without one its maps."""
     world_from_points = sample.poses.world_from_points if sample.sweep is not None else None
     if sample.sweep is not None and world_from_points is not None:
-        return world_from_points.apply(
-            sample.sweep.points.positions.astype(np.float64)
-        ), sample.sweep.points.colors
+        return world_from_points.apply(sample.sweep.points.positions.astype(np.float64)), sample.sweep.points.colors
     maps = [sensor.positions for sensor in scene.sensors if isinstance(sensor, PointsSensor)]
     return (np.concatenate(maps) if maps else np.zeros((0, 3))).astype(np.float64), None
 
@@ -515,9 +495,7 @@ class _Row:
     indented: bool = False
 
 
-def draw_timeline(
-    scene: Scene, *, title: str = "annotations over time", width_px: int = _WIDTH_PX
-) -> PilImage:
+def draw_timeline(scene: Scene, *, title: str = "annotations over time", width_px: int = _WIDTH_PX) -> PilImage:
     """Draw when annotations hold: paths with their key frames, events, activations, projections and attributes.
 
     Types of which there are few come first. More than 60 lines are not drawn, but counted in the caption.
@@ -528,9 +506,7 @@ def draw_timeline(
     rows = [row for annotation in ordered for row in _rows(annotation, first_ns, last_ns)]
     rows[:0] = [_attribute_row(attribute, last_ns, indented=False) for attribute in scene.attributes]
     known = [
-        timestamp
-        for row in rows
-        for timestamp in (*row.timestamps, *(end for span in row.spans for end in span[:2]))
+        timestamp for row in rows for timestamp in (*row.timestamps, *(end for span in row.spans for end in span[:2]))
     ]
     first_ns, last_ns = min([first_ns, *known]), max([last_ns, *known, first_ns + _SHORTEST_NS])
     text_px = text_height(width_px, 600)
@@ -631,9 +607,7 @@ def _draw_row(canvas: Canvas, axis: _Axis, row: _Row, middle: int, line: int) ->
     indent = canvas.text_px * (2 if row.indented else 1)
     room = axis.left - indent - canvas.text_px
     ink = FAINT_INK if row.indented else INK
-    canvas.text(
-        (indent, middle), canvas.fitted(row.name, room, scale=0.86), anchor="lm", colour=ink, scale=0.86
-    )
+    canvas.text((indent, middle), canvas.fitted(row.name, room, scale=0.86), anchor="lm", colour=ink, scale=0.86)
     half = 0.2 * line if row.indented else 0.3 * line
     for start_ns, stop_ns, text in row.spans:
         left, right = axis.column(start_ns), axis.column(stop_ns)
@@ -730,9 +704,7 @@ def _some_trajectory(scene: Scene) -> Poses | None:
     for trajectory in scene.trajectories.values():
         if trajectory.quaternions_xyzw is not None:
             return trajectory.poses
-    lidars = [
-        s.poses for s in scene.sensors if isinstance(s, LidarSensor | CameraSensor) and s.poses is not None
-    ]
+    lidars = [s.poses for s in scene.sensors if isinstance(s, LidarSensor | CameraSensor) and s.poses is not None]
     return lidars[0] if lidars else None
 
 
@@ -851,9 +823,7 @@ def save_annotation_images(
     given = replace(scene, annotations=pending, corrections=Corrections.IGNORE)
     with filling(folder, overwrite=overwrite) as drafts:
         plots = list(_plots(corrected, at))
-        if len(corrected.pending_corrections) < len(
-            pending
-        ):  # what they change is seen before they are applied
+        if len(corrected.pending_corrections) < len(pending):  # what they change is seen before they are applied
             plots += [drawing for drawing in _plots(given, at) if drawing[0].startswith("type_")]
         for name, draw in plots:
             save_image(draw(), drafts / f"{name}.png")

@@ -115,9 +115,7 @@ class Canvas:
         """Draw a line through two or more points."""
         ImageDraw.Draw(self.image).line(points, fill=colour, width=width, joint="curve")
 
-    def polygon(
-        self, corners: Sequence[tuple[float, float]], colour: Colour, *, opacity: float = 1.0
-    ) -> None:
+    def polygon(self, corners: Sequence[tuple[float, float]], colour: Colour, *, opacity: float = 1.0) -> None:
         """Fill a polygon, with smooth edges; below an opacity of 1 what is there shines through."""
         columns, rows = zip(*corners, strict=True)
         left, top = max(int(min(columns)), 0) - 1, max(int(min(rows)), 0) - 1
@@ -131,9 +129,7 @@ class Canvas:
         ImageDraw.Draw(mask).polygon(fine, fill=round(255 * opacity))
         self.image.paste(colour, (left, top), mask.resize((width, height), Image.Resampling.BOX))
 
-    def arrow(
-        self, tail: tuple[float, float], tip: tuple[float, float], colour: Colour, *, width: float
-    ) -> None:
+    def arrow(self, tail: tuple[float, float], tip: tuple[float, float], colour: Colour, *, width: float) -> None:
         """Draw an arrow of a given shaft width [px]."""
         along = np.subtract(tip, tail)
         along = along / max(float(np.hypot(*along)), 1e-9)
@@ -163,9 +159,7 @@ class Canvas:
         box = (column - radius, row - radius, column + radius, row + radius)
         ImageDraw.Draw(self.image).ellipse(box, fill=colour)
 
-    def label(
-        self, location: tuple[float, float], text: str, *, colour: Colour = INK, scale: float = 1.0
-    ) -> None:
+    def label(self, location: tuple[float, float], text: str, *, colour: Colour = INK, scale: float = 1.0) -> None:
         """Write one line around a location, on a dark plate that sets it off from an image."""
         half, line = self.text_width(text, scale=scale) / 2 + 3, 0.62 * self.text_px * scale + 2
         column, row = location
@@ -241,9 +235,7 @@ def draw_discs(
     return _blend(image, owners, colours[np.argsort(-depths, kind="stable")])
 
 
-def draw_crosses(
-    image: UInt8Array, pixels: FloatArray, colour: tuple[int, int, int], *, arm_px: int = 2
-) -> UInt8Array:
+def draw_crosses(image: UInt8Array, pixels: FloatArray, colour: tuple[int, int, int], *, arm_px: int = 2) -> UInt8Array:
     """Draw a small diagonal cross of one colour at each of (N, 2) pixels; gives a new image."""
     height, width = image.shape[:2]
     marked = image.copy()
@@ -270,9 +262,7 @@ def _fine_discs(
     return fine[:, 0], fine[:, 1], np.maximum(np.rint(radii * _STAMPING_FINE), 1).astype(np.int64)
 
 
-def _owners(
-    height: int, width: int, columns: Int64Array, rows: Int64Array, radii: Int64Array
-) -> NDArray[np.int32]:
+def _owners(height: int, width: int, columns: Int64Array, rows: Int64Array, radii: Int64Array) -> NDArray[np.int32]:
     """Give for each cell the 1-based number of the last disc that covers it, 0 for none, (height, width)."""
     owners = np.zeros(height * width, np.int32)
     numbers = np.arange(1, len(columns) + 1, dtype=np.int32)

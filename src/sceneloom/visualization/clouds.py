@@ -66,9 +66,7 @@ def find_ego(
         ego_path: (K, 3) float [m], the trajectory through the world.
         views: what cameras saw; they stand in for an ego that is not known.
     """
-    poses = [
-        pose for pose in (world_from_ego, *(view.world_from_camera for view in views)) if pose is not None
-    ]
+    poses = [pose for pose in (world_from_ego, *(view.world_from_camera for view in views)) if pose is not None]
     if not poses:
         return None
     position = poses[0].translation
@@ -137,9 +135,7 @@ class _DrawnCloud:
     left_out: int = 0
 
 
-def _drawn_cloud(
-    points_world: FloatArray, colors: UInt8Array | None, camera_index: UInt8Array | None
-) -> _DrawnCloud:
+def _drawn_cloud(points_world: FloatArray, colors: UInt8Array | None, camera_index: UInt8Array | None) -> _DrawnCloud:
     """Give seen points their colours, and points that no camera saw a grey that grows lighter with height.
 
     Args:
@@ -297,10 +293,7 @@ class MapLayout:
         locations = np.repeat(np.array([self.center_world]), len(numbers), axis=0)
         locations[:, axis] = numbers * spacing
         pixels = self.pixels(locations)[:, axis]
-        return [
-            (float(at) + 0.0, round(float(pixel)))
-            for at, pixel in zip(numbers * spacing, pixels, strict=True)
-        ]
+        return [(float(at) + 0.0, round(float(pixel))) for at, pixel in zip(numbers * spacing, pixels, strict=True)]
 
 
 def layout_map(center_world: tuple[float, float], reach: float, size_px: tuple[int, int]) -> MapLayout:
@@ -357,13 +350,9 @@ def draw_cloud_above(
         farthest=_FARTHEST_REACH,
         aspect=width / height,
     )
-    layout = layout_map(
-        (float(location.position_world[0]), float(location.position_world[1])), chosen, size_px
-    )
+    layout = layout_map((float(location.position_world[0]), float(location.position_world[1])), chosen, size_px)
     spacing = round_up(_SPACING_LETTERS * text_px / layout.px_per_m, COARSE_DIGITS)
-    drawn = _with_discs(
-        _grid_image(layout, spacing), layout, cloud.points_world, cloud.colours, _radius(layout)
-    )
+    drawn = _with_discs(_grid_image(layout, spacing), layout, cloud.points_world, cloud.colours, _radius(layout))
     if ego_path is not None:
         drawn = _with_path(drawn, layout, ego_path, text_px)
     plot = Canvas.of(drawn, text_px=text_px)
@@ -426,9 +415,7 @@ def _draw_compass(plot: Canvas) -> None:
     for step, name, anchor in (((2.4, 0.0), "x", "lm"), ((0.0, -2.4), "y", "ms")):
         tip = (corner[0] + step[0] * size, corner[1] + step[1] * size)
         plot.arrow(corner, tip, INK, width=size / 8)
-        plot.text(
-            (tip[0] + 0.1 * step[0] * size, tip[1] + 0.1 * step[1] * size), name, anchor=anchor, scale=_SMALL
-        )
+        plot.text((tip[0] + 0.1 * step[0] * size, tip[1] + 0.1 * step[1] * size), name, anchor=anchor, scale=_SMALL)
 
 
 def _framed(
@@ -630,9 +617,7 @@ def _grid_points(location: EgoPosition, reach: float, ground: float) -> Float64A
     return np.concatenate([across, np.column_stack([middle[0] + b, middle[1] + a, level])])
 
 
-def _with_layers(
-    image: UInt8Array, viewpoint: Viewpoint, layers: Sequence[_Layer], reach: float
-) -> UInt8Array:
+def _with_layers(image: UInt8Array, viewpoint: Viewpoint, layers: Sequence[_Layer], reach: float) -> UInt8Array:
     """Draw all layers at once, so that the nearest point covers the others whatever layer it is of."""
     shown = [_shown(viewpoint, layer, reach) for layer in layers]
     pixels, depths, order, colours, radii_px = (np.concatenate(parts) for parts in zip(*shown, strict=True))

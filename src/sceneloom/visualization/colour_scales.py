@@ -129,9 +129,7 @@ def _smooth_curve(anchors: Float64Array) -> Float64Array:
     start, stop = anchors[piece], anchors[piece + 1]
     bend = t * (1 - t)
     return np.asarray(
-        start
-        + (stop - start) * t * t * (3 - 2 * t)
-        + bend * ((1 - t) * tangents[piece] - t * tangents[piece + 1])
+        start + (stop - start) * t * t * (3 - 2 * t) + bend * ((1 - t) * tangents[piece] - t * tangents[piece + 1])
     )
 
 
@@ -181,9 +179,7 @@ class DepthScale:
     def fractions(self, depths: FloatArray) -> Float64Array:
         """Give where depths [m] lie between the ends, 0 for `near`, 1 for `far`; unlimited."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(
-                np.log(np.asarray(depths, np.float64) / self.near) / np.log(self.far / self.near)
-            )
+            return np.asarray(np.log(np.asarray(depths, np.float64) / self.near) / np.log(self.far / self.near))
 
     def colours(self, depths: FloatArray) -> UInt8Array:
         """Give (..., 3) uint8 colours of (...) depths [m]."""

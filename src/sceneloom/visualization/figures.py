@@ -136,9 +136,7 @@ def pixels_of(camera: Camera, camera_from_world: RigidTransform, positions: Floa
     return project_unbounded(camera, camera_from_world.apply(positions))
 
 
-def _projected_line(
-    line: Float64Array, camera: Camera, camera_from_world: RigidTransform
-) -> Iterator[Float64Array]:
+def _projected_line(line: Float64Array, camera: Camera, camera_from_world: RigidTransform) -> Iterator[Float64Array]:
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
     pixels = pixels_of(camera, camera_from_world, sample_polyline(line, max(length / _CHUNKS, 1e-6)))
     reach = _JUMP_SHARE * max(camera.width, camera.height)

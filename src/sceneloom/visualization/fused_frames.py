@@ -72,9 +72,7 @@ def draw_overlay(view: FusedView, *, scale: DepthScale | None = None, show_hidde
     radius = _disc_radius(view)
     drawn = draw_discs(drawn, view.pixels[view.visible], depths, used.colours(depths), radius)
     hidden = len(view.depths) - len(depths)
-    counts = f"{count_text(len(depths), 'point')}, {hidden:,} more hidden" + (
-        " (crosses)" if show_hidden else ""
-    )
+    counts = f"{count_text(len(depths), 'point')}, {hidden:,} more hidden" + (" (crosses)" if show_hidden else "")
     return framed(image_canvas(drawn), [_title(view), counts], scale=used)
 
 
@@ -124,9 +122,7 @@ def subdued(rgb: UInt8Array) -> UInt8Array:
 def framed(plot: Canvas, lines: Sequence[str], *, scale: DepthScale | None = None) -> PilImage:
     """Add a strip below an image, with the caption, and with the bar of its depths where it shows any."""
     width, height = plot.image.size
-    canvas = Canvas.blank(
-        max(width, _LEAST_WIDTH_PX), height + strip_height(plot.text_px), text_px=plot.text_px
-    )
+    canvas = Canvas.blank(max(width, _LEAST_WIDTH_PX), height + strip_height(plot.text_px), text_px=plot.text_px)
     canvas.paste(plot, 0, 0)
     draw_strip(canvas, height)
     room = canvas.image.width if scale is None else draw_depth_bar(canvas, height, scale)

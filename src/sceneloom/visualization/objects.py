@@ -162,9 +162,7 @@ def draw_objects_above(
     )
 
 
-def _draw_over(
-    objects: TrackedObjects, trails: Mapping[int, Float64Array], plot: Canvas, layout: MapLayout
-) -> None:
+def _draw_over(objects: TrackedObjects, trails: Mapping[int, Float64Array], plot: Canvas, layout: MapLayout) -> None:
     names: list[Name] = []
     for k in range(len(objects)):
         trail = trails.get(int(objects.ids[k]))
@@ -215,9 +213,7 @@ def _from_above(objects: TrackedObjects, k: int) -> Figure:
     nose = np.stack([center, corners[[0, 3]].mean(axis=0)])
     ahead = np.stack([center, center + _ARROW_SECONDS * objects.velocities[k]])
     around = np.concatenate([corners, corners[:1]])
-    return Figure(
-        _name(objects, k), _colour(objects, k), (around, nose, ahead), areas=(corners,), anchor=corners[0]
-    )
+    return Figure(_name(objects, k), _colour(objects, k), (around, nose, ahead), areas=(corners,), anchor=corners[0])
 
 
 def _uncertainty(objects: TrackedObjects, k: int) -> Figure:

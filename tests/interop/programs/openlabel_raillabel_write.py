@@ -29,9 +29,7 @@ builder = builder.add_cuboid(
 scene = builder.result
 matrix = (500.0, 0.0, 320.0, 0.0, 0.0, 510.0, 241.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 scene.sensors["rgb_center"] = Camera(
-    IntrinsicsPinhole(
-        camera_matrix=matrix, distortion=(-0.1, 0.0, 0.0, 0.0, 0.0), width_px=640, height_px=480
-    )
+    IntrinsicsPinhole(camera_matrix=matrix, distortion=(-0.1, 0.0, 0.0, 0.0, 0.0), width_px=640, height_px=480)
 )
 scene.sensors["lidar"] = Lidar(extrinsics=Transform(Point3d(1.0, 2.0, 3.0), Quaternion(0.0, 0.0, 0.0, 1.0)))
 scene.frames[3].timestamp = Decimal("1632321743.100000072")

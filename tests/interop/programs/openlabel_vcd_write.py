@@ -61,9 +61,7 @@ for k in range(3):
         types.Transform(
             "vehicle-iso8855",
             "odom",
-            types.TransformData(
-                val=list(map(float, ego.flatten())), t_type=types.TransformDataType.matrix_4x4
-            ),
+            types.TransformData(val=list(map(float, ego.flatten())), t_type=types.TransformDataType.matrix_4x4),
         ),
     )
     v.add_frame_properties(frame_num=k, timestamp=f"2024-01-01T00:00:0{k}.25Z")
@@ -73,9 +71,7 @@ for k in range(3):
     box.add_attribute(types.boolean("truncated", k == 1))
     v.add_object_data(car, box, k)
     v.add_object_data(car, types.num("speed", 1.5 * k), k)
-    v.add_object_data(
-        car, types.poly2d("mask", (0, 0, 10, 0, 10, 10), types.Poly2DType.MODE_POLY2D_ABSOLUTE, True), k
-    )
+    v.add_object_data(car, types.poly2d("mask", (0, 0, 10, 0, 10, 10), types.Poly2DType.MODE_POLY2D_ABSOLUTE, True), k)
     reported["euler"].append(c9)
 walker = v.add_object("walker", "Pedestrian", frame_value=[(0, 2)])
 q = [0.0, 0.0, math.sin(0.35), math.cos(0.35)]

@@ -147,9 +147,7 @@ def job(tmp_path, monkeypatch):
 
     def make(name, locations, **settings):
         inputs = tuple(Input(location=location) for location in locations)
-        return Job(
-            verb=name, call=f"verbs_for_batches:{name}", inputs=inputs, **{"suffix": ".txt", **settings}
-        )
+        return Job(verb=name, call=f"verbs_for_batches:{name}", inputs=inputs, **{"suffix": ".txt", **settings})
 
     return make
 

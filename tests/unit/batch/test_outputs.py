@@ -75,9 +75,7 @@ def test_what_a_verb_writes_beside_its_output_is_sent_before_it(tmp_path, drives
 
 def test_another_record_does_not_write_where_a_run_has_been(tmp_path, drives, job, inline, store):
     run(job("copy", drives("a.sfs")), store, record=tmp_path / "record", executor=inline())
-    with pytest.raises(
-        OutputError, match=rf"holds the outputs of a run whose record is {tmp_path}/record on \S+"
-    ):
+    with pytest.raises(OutputError, match=rf"holds the outputs of a run whose record is {tmp_path}/record on \S+"):
         run(job("copy", drives("b.sfs")), store, record=tmp_path / "other", executor=inline())
     with pytest.raises(OutputError, match="holds the record of a run with outputs in local://"):
         run(
@@ -105,9 +103,7 @@ def test_objects_of_strangers_are_left_alone(tmp_path, drives, job, inline, stor
         run(job("copy", drives("a.sfs")), root, record=tmp_path / "four", executor=inline())
 
 
-def test_a_send_that_fails_is_tried_again_where_that_may_help(
-    tmp_path, drives, job, inline, store, monkeypatch
-):
+def test_a_send_that_fails_is_tried_again_where_that_may_help(tmp_path, drives, job, inline, store, monkeypatch):
     monkeypatch.setattr("sceneloom.batch.running._PATIENCE_SECONDS", (0.0,))
     put, faults = stores.Store.put, [PermissionError(13, "not you")]
 
@@ -126,15 +122,11 @@ def test_a_send_that_fails_is_tried_again_where_that_may_help(
 
 @pytest.mark.parametrize("make", [ProcessPool, DaskCluster.local], ids=["pool", "dask"])
 @pytest.mark.few(1)
-def test_a_killed_worker_leaves_nothing_in_the_store_and_no_draft(
-    tmp_path, drives, job, store, make, monkeypatch
-):
+def test_a_killed_worker_leaves_nothing_in_the_store_and_no_draft(tmp_path, drives, job, store, make, monkeypatch):
     (tmp_path / "drafts").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path / "drafts"))
     monkeypatch.setattr("tempfile.tempdir", None)
-    summary = run(
-        job("die", drives("a.sfs", "b.sfs"), retries=9), store, record=tmp_path / "record", executor=make(2)
-    )
+    summary = run(job("die", drives("a.sfs", "b.sfs"), retries=9), store, record=tmp_path / "record", executor=make(2))
     assert (summary.done, summary.failed) == (2, 0)
     assert objects(store) == {"a.txt": "a.sfs", "b.txt": "b.sfs"}
     assert not list((tmp_path / "drafts").glob("sceneloom-*"))

@@ -71,9 +71,7 @@ class Pods:
 
     def command(self, name, *more):
         reported = [
-            word.replace("sceneloom-scheduler:8786", f"127.0.0.1:{self.port}").replace(
-                "/fleet", str(self.fleet)
-            )
+            word.replace("sceneloom-scheduler:8786", f"127.0.0.1:{self.port}").replace("/fleet", str(self.fleet))
             for word in self.specs[name]["command"]
         ]
         return [str(Path(sys.executable).with_name(reported[0])), *reported[1:], *more]

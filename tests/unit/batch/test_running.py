@@ -91,9 +91,7 @@ def test_a_run_is_taken_up_where_it_was_left(tmp_path, drives, job, inline):
 def test_other_options_make_everything_anew(tmp_path, drives, job, inline):
     locations = drives("a.sfs")
     run(job("copy", locations), tmp_path / "out", executor=inline())
-    again = run(
-        job("copy", locations, options={"more": "!"}), tmp_path / "out", executor=inline(), resume=True
-    )
+    again = run(job("copy", locations, options={"more": "!"}), tmp_path / "out", executor=inline(), resume=True)
     assert (again.skipped, outputs(tmp_path / "out")) == (0, {"a.txt": "a.sfs!"})
 
 
@@ -341,9 +339,7 @@ def test_no_secret_is_kept_or_reported_anywhere(tmp_path, job, inline, web):
     assert not any("hush" in text for text in reported)
 
 
-def test_drives_are_known_again_when_they_are_signed_anew_and_looked_at_without_reading(
-    tmp_path, job, inline, web
-):
+def test_drives_are_known_again_when_they_are_signed_anew_and_looked_at_without_reading(tmp_path, job, inline, web):
     for name in ("a.sfs", "b.sfs"):
         (web[0] / name).write_text(name)
     out = tmp_path / "out"
@@ -367,7 +363,5 @@ def test_drives_that_only_secrets_distinguish_are_refused(tmp_path, job, inline,
 
 
 def test_the_folder_of_a_record_has_no_secret_in_its_name():
-    assert record_folder("s3://me:hush@bucket/x?token=hush") == record_folder(
-        "s3://me:other@bucket/x?token=new"
-    )
+    assert record_folder("s3://me:hush@bucket/x?token=hush") == record_folder("s3://me:other@bucket/x?token=new")
     assert "hush" not in str(record_folder("s3://bucket/x?token=hush"))

@@ -83,9 +83,7 @@ def test_one_of_the_trajectories_gives_the_rig_that_was_written(writing, directi
 
 
 def test_other_axes_rotate_the_frames_on_both_sides():
-    body_from_camera = np.array(
-        [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
-    )  # columns: right, down, forward
+    body_from_camera = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # columns: right, down, forward
     stated = np.eye(4)
     stated[:3, :3] = body_from_camera @ RIG[:3, :3] @ Rotation.from_euler("z", -90, degrees=True).as_matrix()
     stated[:3, 3] = body_from_camera @ RIG[:3, 3]
@@ -95,9 +93,7 @@ def test_other_axes_rotate_the_frames_on_both_sides():
         "lidar axes": "x, y along the points' -y, x",
     }
     right = [
-        trajectory
-        for trajectory in hypotheses(stated.reshape(-1))
-        if wanted.items() <= trajectory.choices.items()
+        trajectory for trajectory in hypotheses(stated.reshape(-1)) if wanted.items() <= trajectory.choices.items()
     ]
     assert len(right) == 1
     np.testing.assert_allclose(right[0].camera_from_points, RIG, atol=1e-9)  # rounding alone
@@ -238,9 +234,7 @@ def _judged(judge, combination):
     )
     if not decision.decided:
         return "open"
-    return (
-        "right" if possible and np.allclose(decision.camera_from_lidar, judge.truth, atol=1e-3) else "wrong"
-    )
+    return "right" if possible and np.allclose(decision.camera_from_lidar, judge.truth, atol=1e-3) else "wrong"
 
 
 @pytest.mark.slow
@@ -295,9 +289,7 @@ def _found(tmp_path, text):
 
 def test_matrices_are_found_wherever_they_stand_in_json(tmp_path):
     matrix = [ROWS[:4], ROWS[4:8], ROWS[8:], [0, 0, 0, 1]]
-    found = _found(
-        tmp_path, json.dumps({"cameras": [{"name": "front", "imuToCamera": matrix}], "K": [700, 0, 600]})
-    )
+    found = _found(tmp_path, json.dumps({"cameras": [{"name": "front", "imuToCamera": matrix}], "K": [700, 0, 600]}))
     assert found["cameras[0].imuToCamera"].numbers == (*ROWS, 0, 0, 0, 1)
     assert list(found) == ["cameras[0].imuToCamera"]
 
@@ -337,9 +329,7 @@ def test_named_numbers_leave_no_doubt_of_their_order(tmp_path):
 
 
 def test_a_list_of_a_quaternion_leaves_its_order_open(tmp_path):
-    (extrinsic,) = _found(
-        tmp_path, json.dumps({"translation": READING_TRANSLATION, "rotation": QUATERNION})
-    ).values()
+    (extrinsic,) = _found(tmp_path, json.dumps({"translation": READING_TRANSLATION, "rotation": QUATERNION})).values()
     assert extrinsic.numbers == (*READING_TRANSLATION, *QUATERNION)
     assert "quaternion" not in extrinsic.known
 
@@ -370,9 +360,7 @@ def test_the_files_of_kitti_and_others_are_read(data_dir):
     kitti = read_extrinsics(data_dir / "real" / "kitti_object" / "calib" / "000001.txt")
     assert [extrinsic.location for extrinsic in kitti] == ["R0_rect", "Tr_velo_to_cam", "Tr_imu_to_velo"]
     recording = read_extrinsics(data_dir / "recordings" / "pandaset" / "calibration.json")
-    assert [extrinsic.location for extrinsic in recording][:3] == [
-        f"cameras[{n}].imuToCamera" for n in range(3)
-    ]
+    assert [extrinsic.location for extrinsic in recording][:3] == [f"cameras[{n}].imuToCamera" for n in range(3)]
     nuscenes = read_extrinsics(data_dir / "real" / "nuscenes_one_sample" / "infos.json")
     assert "data_list[0].images.CAM_FRONT.lidar2cam" in {extrinsic.location for extrinsic in nuscenes}
 
@@ -461,10 +449,7 @@ def test_a_camera_whose_mounting_was_reversed_is_reported(scene):
 
 def test_timestamps_in_milliseconds_read_as_seconds_are_reported(scene):
     imu = next(sensor for sensor in scene.sensors if sensor.type == "imu")
-    slow = {
-        name: replace(stream, timestamps_ns=stream.timestamps_ns * 1000)
-        for name, stream in imu.streams.items()
-    }
+    slow = {name: replace(stream, timestamps_ns=stream.timestamps_ns * 1000) for name, stream in imu.streams.items()}
     report = check_drive(replace(scene, sensors=(replace(imu, streams=slow),)))
     assert [found.possible for found in report.times] == [("milliseconds",)]
     assert report.wrong

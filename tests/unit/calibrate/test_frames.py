@@ -28,9 +28,7 @@ def drive() -> SimulatedDrive:
 
 def test_points_lie_where_they_were_when_the_image_was_taken(drive):
     frame = calibration_frames(drive.scene, most=2)[1]
-    sweep = next(
-        k for k, lidar in enumerate(drive.scene.lidars[0].frames) if lidar.reference_ns == frame.sweep_ns
-    )
+    sweep = next(k for k, lidar in enumerate(drive.scene.lidars[0].frames) if lidar.reference_ns == frame.sweep_ns)
     truth_world = drive.truth.clean_points_world(sweep).positions_world
     assert frame.world_from_lidar is not None
     # float32 positions and a trajectory of 100 Hz: millimetres
@@ -42,9 +40,7 @@ def test_the_motion_at_the_image_is_that_of_the_truth(drive):
     ego = drive.truth.path.at(np.array([frame.image_ns]))
     assert frame.twist_lidar is not None
     # the lidar's mounting rotates with the ego, so that speeds differ by a lever of 2 m times the yaw rate
-    assert np.linalg.norm(frame.twist_lidar[3:]) == pytest.approx(
-        float(np.linalg.norm(ego.velocities[0])), abs=0.5
-    )
+    assert np.linalg.norm(frame.twist_lidar[3:]) == pytest.approx(float(np.linalg.norm(ego.velocities[0])), abs=0.5)
 
 
 def test_a_later_image_sees_the_points_from_farther_on(drive):

@@ -41,9 +41,7 @@ def planar_car() -> Poses:
     return Poses(TIMES_NS, np.cumsum(steps, axis=0), quaternion_from_rotation_vector(rotations))
 
 
-def seen_by_sensor(
-    body: Poses, *, rotation_noise: float = 0.0, shift_noise: float = 0.0, seed: int = 0
-) -> Poses:
+def seen_by_sensor(body: Poses, *, rotation_noise: float = 0.0, shift_noise: float = 0.0, seed: int = 0) -> Poses:
     """The sensor's own trajectory, in a world of its own."""
     rng = np.random.default_rng(seed)
     count = len(body.timestamps_ns)

@@ -115,8 +115,7 @@ def rotated(frames: Frames, rotation_deg: tuple[float, float, float]) -> Frames:
     """Frames whose stated camera is rotated from the true one."""
     error = Change.rotation(np.radians(rotation_deg)).camera_from_lidar(np.eye(4))
     return tuple(
-        replace(frame, camera_from_lidar=RigidTransform.nearest(error)[0] @ frame.camera_from_lidar)
-        for frame in frames
+        replace(frame, camera_from_lidar=RigidTransform.nearest(error)[0] @ frame.camera_from_lidar) for frame in frames
     )
 
 
@@ -223,8 +222,7 @@ def test_a_camera_that_sees_no_point_states_nothing(frames):
 
 def test_images_seconds_late_are_never_good(frames):
     late = tuple(
-        replace(frame, rgb=later.rgb, grey=later.grey)
-        for frame, later in zip(frames[:-2], frames[2:], strict=True)
+        replace(frame, rgb=later.rgb, grey=later.grey) for frame, later in zip(frames[:-2], frames[2:], strict=True)
     )
     assert (frames[2].image_ns - frames[0].image_ns) > 1_000_000_000
     assert check_frames(late).verdict in {Verdict.WRONG, Verdict.UNDETERMINED}
@@ -290,10 +288,7 @@ def test_a_rotation_says_which_principal_point_it_may_be_in_truth():
     stated = instead_of_rotation(PINHOLE, np.radians([0.0, 1.0, 0.0]))
     rotations, left = look_alikes(PINHOLE)
     trajectory = np.radians(1.0) / rotations[0, 1]
-    assert (
-        stated
-        == f"its principal point {trajectory:.2g} px off looks the same within {trajectory * left[0]:.2g} px"
-    )
+    assert stated == f"its principal point {trajectory:.2g} px off looks the same within {trajectory * left[0]:.2g} px"
     assert instead_of_rotation(PINHOLE, np.radians([0.1, 0.1, 1.0])) == ""
     assert f"by {trajectory:.3g} px to the side" in why_untold(PINHOLE)
 
@@ -333,9 +328,7 @@ def test_what_is_small_or_along_the_axis_is_not_reported(injected_deg):
 
 
 def test_a_camera_upside_down_is_wrong():
-    assert (
-        judge_motion(*rotations(Rotation.from_rotvec([0, 0, 180.0], degrees=True))).verdict is Verdict.WRONG
-    )
+    assert judge_motion(*rotations(Rotation.from_rotvec([0, 0, 180.0], degrees=True))).verdict is Verdict.WRONG
 
 
 @pytest.mark.parametrize("more", [{"rate_deg": 0.05}, {"count": 10}, {"noise_deg": 2.0}])
@@ -349,9 +342,7 @@ def test_rotating_makes_nothing_good_but_may_contradict():
     good, wrong = (judge("motion", np.radians([d, 0.0]), np.zeros((2, 2))) for d in (0.0, 9.0))
     assert with_coarse(untold, good).verdict is Verdict.UNDETERMINED
     assert with_coarse(untold, wrong).verdict is Verdict.WRONG
-    right = type(untold)(
-        **{f: getattr(untold, f) for f in untold.__struct_fields__} | {"verdict": Verdict.GOOD}
-    )
+    right = type(untold)(**{f: getattr(untold, f) for f in untold.__struct_fields__} | {"verdict": Verdict.GOOD})
     assert with_coarse(right, Item.unknown("motion", "stood")).verdict is Verdict.GOOD
     doubtful = with_coarse(right, wrong)
     assert (doubtful.verdict, ", but " in doubtful.item("motion").reason) == (Verdict.UNDETERMINED, True)
@@ -427,9 +418,7 @@ def test_boxes_decide_where_images_cannot_and_join_them_where_they_can(images_de
     assert [item.name for item in health.items] == [*PARTS, "boxes", "boxes_roll"]
 
 
-@pytest.mark.parametrize(
-    ("images_deg", "found"), [(0.0, rotation(3.0, 0.0, 0.0)), (1.5, rotation(0.0, 0.0, 0.0))]
-)
+@pytest.mark.parametrize(("images_deg", "found"), [(0.0, rotation(3.0, 0.0, 0.0)), (1.5, rotation(0.0, 0.0, 0.0))])
 def test_where_boxes_and_images_contradict_each_other_nothing_is_reported(images_deg, found):
     health = with_boxes(images_state(images_deg), found)
     assert health.verdict is UNTOLD
@@ -438,9 +427,7 @@ def test_where_boxes_and_images_contradict_each_other_nothing_is_reported(images
 
 def test_good_boxes_do_not_excuse_images_that_agree_much_better_elsewhere():
     health = images_state(0.0, stated=4.0)
-    doubted = CalibrationHealth(
-        **{**{k: getattr(health, k) for k in health.__struct_fields__}, "verdict": UNTOLD}
-    )
+    doubted = CalibrationHealth(**{**{k: getattr(health, k) for k in health.__struct_fields__}, "verdict": UNTOLD})
     assert with_boxes(doubted, rotation(0.0, 0.0, 0.0)).verdict is UNTOLD
     assert with_boxes(doubted, rotation(3.0, 0.0, 0.0)).verdict is WRONG
 

@@ -108,17 +108,12 @@ def test_something_that_fills_the_view_states_nothing(frames: tuple[CalibrationF
 @pytest.mark.slow
 def test_an_extrinsic_upside_down_is_never_refined(frames: tuple[CalibrationFrame, ...]) -> None:
     rotated = RigidTransform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ frames[0].camera_from_lidar
-    found = refine(
-        tuple(replace(frame, camera_from_lidar=rotated) for frame in frames), parameters=("rotation",)
-    )
+    found = refine(tuple(replace(frame, camera_from_lidar=rotated) for frame in frames), parameters=("rotation",))
     assert found.verdict is not RefinementVerdict.REFINED
 
 
 def test_a_camera_that_looks_away_sees_too_little(frames: tuple[CalibrationFrame, ...]) -> None:
-    up = (
-        RigidTransform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
-        @ frames[0].camera_from_lidar
-    )
+    up = RigidTransform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3)) @ frames[0].camera_from_lidar
     found = refine(tuple(replace(frame, camera_from_lidar=up) for frame in frames))
     assert found.verdict is RefinementVerdict.UNDETERMINED
 
@@ -146,9 +141,7 @@ def test_few_frames_are_not_enough_to_judge_by(frames: tuple[CalibrationFrame, .
 
 
 @pytest.mark.parametrize("parameters", [("shear",), (), ("rotation", "")])
-def test_unknown_parameters_are_refused(
-    frames: tuple[CalibrationFrame, ...], parameters: tuple[str, ...]
-) -> None:
+def test_unknown_parameters_are_refused(frames: tuple[CalibrationFrame, ...], parameters: tuple[str, ...]) -> None:
     with pytest.raises(OptionError, match="expected some of rotation, translation, time, focal"):
         refine(frames, parameters=parameters)
 
@@ -183,10 +176,7 @@ def test_sums_over_maps_are_those_of_scipy() -> None:
     sum_maps(pixels, slopes, step, weights, rows, groups, maps, sums, squares, gradients)
     moved = pixels[1:] + slopes[1:] @ step
     values = np.array(
-        [
-            map_coordinates(maps[row], [[v], [u]], order=1)[0]
-            for (u, v), row in zip(moved, rows[1:], strict=True)
-        ]
+        [map_coordinates(maps[row], [[v], [u]], order=1)[0] for (u, v), row in zip(moved, rows[1:], strict=True)]
     )
     for group in range(4):
         own = groups[1:] == group

@@ -55,9 +55,7 @@ def _brightness(rays: np.ndarray, camera_from_board: RigidTransform, board: Boar
     return np.where(on, np.where(black, 30.0, 225.0), 110.0)
 
 
-def _on_board(
-    rays: np.ndarray, origin: np.ndarray, frame_from_board: RigidTransform
-) -> tuple[np.ndarray, ...]:
+def _on_board(rays: np.ndarray, origin: np.ndarray, frame_from_board: RigidTransform) -> tuple[np.ndarray, ...]:
     inverse = frame_from_board.inverse()
     directions, start = inverse.rotate(rays), inverse.apply(origin)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -58,9 +58,7 @@ ALL_AROUND = np.column_stack([np.sin(np.linspace(-1, 1, 40)), np.linspace(-0.4, 
 def test_coefficients_in_pixels_grow_with_the_image(model, coefficients):
     camera = Camera(model, 640, 480, 300.0, 300.0, 319.5, 239.5, coefficients)
     twice = camera.resized(1280, 960)
-    edges, edges_twice = (
-        project_unbounded(camera_model, ALL_AROUND) + 0.5 for camera_model in (camera, twice)
-    )
+    edges, edges_twice = (project_unbounded(camera_model, ALL_AROUND) + 0.5 for camera_model in (camera, twice))
     assert np.isfinite(edges).all()
     assert np.allclose(edges_twice, 2 * edges)
 
@@ -69,9 +67,7 @@ def test_skew_and_shift_are_scaled_along_their_own_axis():
     sheared = Camera("omnidir", 640, 480, 300.0, 300.0, 319.5, 239.5, (0.0, 0.0, 1.5, 1.1)).resized(1280, 480)
     assert sheared.coefficients == (0.0, 0.0, 3.0, 1.1)
     numbers = (0.0,) * 8 + (2.0, -4.0)
-    shifted = Camera("fisheye_radial_custom", 640, 480, 300.0, 300.0, 319.5, 239.5, numbers).resized(
-        1280, 240
-    )
+    shifted = Camera("fisheye_radial_custom", 640, 480, 300.0, 300.0, 319.5, 239.5, numbers).resized(1280, 240)
     assert shifted.coefficients[8:] == (4.0, -2.0)
 
 
@@ -79,6 +75,4 @@ def test_an_ftheta_camera_model_cannot_be_made_wider_only():
     camera = Camera("ftheta", 640, 480, 300.0, 300.0, 319.5, 239.5, (0.0, 300.0))
     with pytest.raises(CalibrationError, match="expected the same for both axes of a ftheta camera model"):
         camera.resized(1280, 480)
-    assert camera.resized(213, 160).coefficients[1] == pytest.approx(
-        100.0, rel=1e-3
-    )  # rounded to whole pixels
+    assert camera.resized(213, 160).coefficients[1] == pytest.approx(100.0, rel=1e-3)  # rounded to whole pixels

@@ -13,9 +13,7 @@ from sceneloom.errors import CalibrationError, OptionError
 BARREL = Camera("brown_conrady", 1920, 1080, 1200.0, 1205.0, 959.0, 541.0, (-0.2, 0.06, 1e-3, -5e-4, -0.01))
 PLAIN = Camera("pinhole", 640, 480, 500.0, 510.0, 318.0, 242.0)
 FISHEYE = Camera("fisheye", 1280, 960, 600.0, 601.0, 640.0, 480.0, (0.05, -0.02, 0.01, -0.003))
-ALL_AROUND = Camera(
-    "fisheye", 640, 640, 140.0, 140.0, 319.5, 319.5
-)  # 130 degrees to each side at its corners
+ALL_AROUND = Camera("fisheye", 640, 640, 140.0, 140.0, 319.5, 319.5)  # 130 degrees to each side at its corners
 PRISM_AND_TILT = ("s1", "s2", "s3", "s4", "tx", "ty")
 LOCATIONS = ("fx", "fy", "cx", "cy")
 
@@ -57,9 +55,7 @@ def test_the_best_pinhole_for_a_barrel_magnifies_less_than_its_axis():
     assert 10 < found.rms_px < at_corner <= found.largest_px + 1e-9
     # no other focal length does better in the mean
     for factor in (0.99, 1.01):
-        worse = Camera(
-            "pinhole", 1920, 1080, *(found.camera.fx * factor, found.camera.fy * factor), 959.0, 541.0
-        )
+        worse = Camera("pinhole", 1920, 1080, *(found.camera.fx * factor, found.camera.fy * factor), 959.0, 541.0)
         assert measured_fit(BARREL, worse).rms_px > found.rms_px
 
 
@@ -73,9 +69,7 @@ def test_numbers_that_are_fixed_stay():
 
 
 def test_prism_terms_that_have_no_location_are_taken_over_by_others():
-    prism = Camera(
-        "brown_conrady", 1920, 1080, *(1800.0, 1800.0, 959.5, 539.5), (*(0.0,) * 10, 5e-4, 0, -3e-4)
-    )
+    prism = Camera("brown_conrady", 1920, 1080, *(1800.0, 1800.0, 959.5, 539.5), (*(0.0,) * 10, 5e-4, 0, -3e-4))
     cut = Camera("brown_conrady", 1920, 1080, 1800.0, 1800.0, 959.5, 539.5)
     found = fit(prism, "brown_conrady", fixed=PRISM_AND_TILT)
     assert found.camera.coefficients[10:] == (0,) * 6
@@ -116,9 +110,7 @@ def test_a_camera_model_of_which_the_model_holds_nothing_is_refused():
         fit(backwards, "pinhole")
 
 
-HALF_ROUND = Camera(
-    "fisheye", 640, 480, 230.0, 230.0, 319.5, 239.5, (0.02, -0.004)
-)  # 97 degrees at its corners
+HALF_ROUND = Camera("fisheye", 640, 480, 230.0, 230.0, 319.5, 239.5, (0.02, -0.004))  # 97 degrees at its corners
 WITHOUT_SIDES = ("cylindrical", "equirectangular")  # they have no distortion that could be fitted
 
 
@@ -146,9 +138,7 @@ def test_a_panorama_stands_for_nothing_but_a_panorama(model):
 
 def test_asymmetric_terms_are_found_though_they_are_factors_of_one_another():
     sides = (0.01, 0.002, 0.0, 0.5, 0.3, -0.2, 0.1, 0.004, 0.0, 0.0, 0.2, 0.3, -0.2, 0.1)
-    camera_model = Camera(
-        "kannala_brandt18", 640, 480, 270.0, 270.0, 319.5, 239.5, (0.05, -0.02, 0.01, -0.003, *sides)
-    )
+    camera_model = Camera("kannala_brandt18", 640, 480, 270.0, 270.0, 319.5, 239.5, (0.05, -0.02, 0.01, -0.003, *sides))
     assert fit(camera_model, "fisheye").largest_px > 1
     assert fit(camera_model, "kannala_brandt18").largest_px < 1e-3
 
@@ -164,15 +154,11 @@ def test_of_several_models_the_nearest_one_is_taken_and_of_equals_the_first():
 
 def test_a_fit_is_reported_in_words():
     found = fit(ALL_AROUND, "brown_conrady")
-    assert found.message(ALL_AROUND).startswith(
-        "fisheye camera model reported as brown_conrady, off by up to "
-    )
+    assert found.message(ALL_AROUND).startswith("fisheye camera model reported as brown_conrady, off by up to ")
     assert found.message(ALL_AROUND).endswith(" % of the image cannot be held")
 
 
-@pytest.mark.parametrize(
-    "numbers", [(-0.5894, 0.66, 0.0011, -0.001, -1.0088), (-0.165, 0.0099, -7.5e-4, 5.4e-5, 0.01)]
-)
+@pytest.mark.parametrize("numbers", [(-0.5894, 0.66, 0.0011, -0.001, -1.0088), (-0.165, 0.0099, -7.5e-4, 5.4e-5, 0.01)])
 def test_perspective_camera_models_of_real_cameras_are_held_by_a_sphere_without_shift(numbers):
     focal = 1970.0 if numbers[1] > 0.1 else 930.0
     camera_model = Camera("brown_conrady", 1920, 1080, focal, focal, 970.0, 500.0, numbers)

@@ -42,9 +42,7 @@ def brown_conrady(n, X, Y, Z):
     about_x = np.array([[1, 0, 0], [0, math.cos(tx), math.sin(tx)], [0, -math.sin(tx), math.cos(tx)]])
     about_y = np.array([[math.cos(ty), 0, -math.sin(ty)], [0, 1, 0], [math.sin(ty), 0, math.cos(ty)]])
     rotation = about_y @ about_x
-    onto_plane = np.array(
-        [[rotation[2, 2], 0, -rotation[0, 2]], [0, rotation[2, 2], -rotation[1, 2]], [0, 0, 1]]
-    )
+    onto_plane = np.array([[rotation[2, 2], 0, -rotation[0, 2]], [0, rotation[2, 2], -rotation[1, 2]], [0, 0, 1]])
     tilted = onto_plane @ rotation @ (xd, yd, 1.0)
     return complex(tilted[0] / tilted[2], tilted[1] / tilted[2])
 

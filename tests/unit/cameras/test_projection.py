@@ -241,12 +241,8 @@ def test_the_area_factor_is_positive_all_over_the_domain(camera):
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     down = np.cross(points, right)
     step = 1e-6
-    along = (
-        project_unbounded(camera, points + step * right) - project_unbounded(camera, points - step * right)
-    ).T
-    across = (
-        project_unbounded(camera, points + step * down) - project_unbounded(camera, points - step * down)
-    ).T
+    along = (project_unbounded(camera, points + step * right) - project_unbounded(camera, points - step * right)).T
+    across = (project_unbounded(camera, points + step * down) - project_unbounded(camera, points - step * down)).T
     assert (along[0] * across[1] - along[1] * across[0] > 0).all()
 
 
@@ -256,9 +252,7 @@ def test_coefficients_that_nearly_vanish_change_nothing(tiny):
         plain = Camera(model, *SIZE, (0.1, 0.01, 0.001, 0.0))
         nearly = Camera(model, *SIZE, (0.1, 0.01, 0.001, tiny))
         points = points_before(plain, 20, widest=0.5)
-        assert np.allclose(
-            project_unbounded(plain, points), project_unbounded(nearly, points), atol=ROUNDING_PX
-        )
+        assert np.allclose(project_unbounded(plain, points), project_unbounded(nearly, points), atol=ROUNDING_PX)
     rational = Camera("brown_conrady", *SIZE, (0.1, 0, 0, 0, tiny, 0, 0, tiny))
     assert math.isinf(intrinsics_vector(rational)[-1])
 
@@ -378,9 +372,7 @@ def test_arrays_of_the_wrong_shape_are_refused(function, wrong):
 
 def test_naming_the_models_does_not_load_the_compiler():
     program = "import sys, sceneloom.cameras; print('numba' in sys.modules)"
-    printed = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    ).stdout
+    printed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
     assert printed.strip() == "False"
 
 
@@ -493,9 +485,7 @@ def test_the_far_side_of_the_shifted_sphere_is_hidden():
     assert np.isfinite(rays).all(axis=1).tolist() == [True, False]
 
 
-@pytest.mark.parametrize(
-    "model", ["brown_conrady", "fisheye_rad_tan_prism", "kannala_brandt18", "omnidirectional"]
-)
+@pytest.mark.parametrize("model", ["brown_conrady", "fisheye_rad_tan_prism", "kannala_brandt18", "omnidirectional"])
 def test_a_camera_model_that_folds_at_its_centre_sees_nothing(model):
     coefficients = {
         "brown_conrady": (0.0, 0.0, 10.0, 10.0, 0.0, 0.0, 0.0, 0.0, 3.0, -3.0),

@@ -73,9 +73,7 @@ def test_keeping_valid_pixels_only_shows_nothing_that_the_image_does_not(camera)
     assert maps.seen.all()
     assert maps.target.fx / maps.target.fy == pytest.approx(camera.fx / camera.fy)
     larger = undistorted_camera(camera)
-    wider = Camera(
-        "pinhole", larger.width, larger.height, 0.97 * larger.fx, 0.97 * larger.fy, larger.cx, larger.cy
-    )
+    wider = Camera("pinhole", larger.width, larger.height, 0.97 * larger.fx, 0.97 * larger.fy, larger.cx, larger.cy)
     at_border = border_of(wider)
     beyond = project_unbounded(camera, unproject(wider, at_border))
     inside = ((beyond >= -0.5) & (beyond < [camera.width - 0.5, camera.height - 0.5])).all(axis=1)
@@ -134,9 +132,7 @@ def test_pixels_that_no_old_pixel_fills_have_the_colour_asked_for_and_stand_in_t
 
 
 def test_the_corners_of_an_image_that_the_camera_model_cannot_explain_are_left_out():
-    folded = Camera(
-        "brown_conrady", 640, 480, 300.0, 300.0, 319.5, 239.5, (-0.45,)
-    )  # folds at 0.86 from the axis
+    folded = Camera("brown_conrady", 640, 480, 300.0, 300.0, 319.5, 239.5, (-0.45,))  # folds at 0.86 from the axis
     assert np.isnan(unproject(folded, [[0.0, 0.0]])).all()
     assert Undistortion.between(folded).seen.all()
 
@@ -158,7 +154,5 @@ def test_a_part_to_keep_that_is_none_is_refused(keep):
 
 def test_an_image_whose_middle_looks_too_far_aside_is_refused():
     aside = Camera("fisheye", 64, 64, 20.0, 20.0, 90.0, 32.0)
-    with pytest.raises(
-        CalibrationError, match="the middle of its image looks nowhere, or more than 75 degrees"
-    ):
+    with pytest.raises(CalibrationError, match="the middle of its image looks nowhere, or more than 75 degrees"):
         undistorted_camera(aside)

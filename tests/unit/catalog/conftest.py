@@ -26,9 +26,7 @@ def times_ns(count: int) -> np.ndarray:
 
 
 def box(identifier, label, timestamps_s, centers, *, attributes=()) -> CuboidAnnotation:
-    values = np.column_stack(
-        [np.tile([4.0, 2.0, 1.5], (len(centers), 1)), centers, np.zeros((len(centers), 3))]
-    )
+    values = np.column_stack([np.tile([4.0, 2.0, 1.5], (len(centers), 1)), centers, np.zeros((len(centers), 3))])
     timestamps = np.round(np.asarray(timestamps_s) * 1e9).astype(np.int64)
     return CuboidAnnotation(identifier, CuboidPath(timestamps, values), label, attributes=attributes)
 

@@ -28,9 +28,7 @@ def timestamps(folder):
 
 def rows_of_others(folder, path):
     return {
-        table: query(
-            folder, f"SELECT * FROM {table} WHERE scene != '{scene_name(path, {})}' ORDER BY ALL"
-        ).rows
+        table: query(folder, f"SELECT * FROM {table} WHERE scene != '{scene_name(path, {})}' ORDER BY ALL").rows
         for table in TABLES
     }
 
@@ -114,9 +112,7 @@ def test_workers_make_the_same_catalogue(copies, tmp_path):
     torn.write_bytes(copies[0].read_bytes()[:200])
     reported = []
     reports = [
-        build(
-            [*copies, torn], tmp_path / str(workers), workers=workers, progress=lambda *n: reported.append(n)
-        )
+        build([*copies, torn], tmp_path / str(workers), workers=workers, progress=lambda *n: reported.append(n))
         for workers in (1, 2)
     ]
     assert [[failure.path for failure in report.failed] for report in reports] == [[str(torn)]] * 2
@@ -146,9 +142,7 @@ def test_a_run_that_is_stopped_leaves_what_was_read(copies, tmp_path):
     folder = tmp_path / "catalogue"
     with pytest.raises(KeyboardInterrupt):
         build(copies, folder, progress=stops)
-    assert query(folder, "SELECT path FROM scenes ORDER BY path").rows == [
-        (str(copy),) for copy in copies[:2]
-    ]
+    assert query(folder, "SELECT path FROM scenes ORDER BY path").rows == [(str(copy),) for copy in copies[:2]]
     report = update(folder, copies)
     assert (report.added, report.unchanged) == ((str(copies[2]),), 2)
 
@@ -212,9 +206,7 @@ def test_nothing_else_is_replaced(copies, tmp_path):
         build([], tmp_path / "none")
 
 
-@pytest.mark.parametrize(
-    "path", ["/a/b c.sfs", "/a/2024-01-01", "/", "s3://b/ü.sfs", "/x/'; DROP--", "/a/b\udcff"]
-)
+@pytest.mark.parametrize("path", ["/a/b c.sfs", "/a/2024-01-01", "/", "s3://b/ü.sfs", "/x/'; DROP--", "/a/b\udcff"])
 def test_names_of_scenes_mean_the_same_everywhere(path):
     name = scene_name(path, {})
     assert set(name) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-")

@@ -123,9 +123,7 @@ def test_no_statement_writes_anything_anywhere(copied, tmp_path, monkeypatch, gu
     (part,) = copied.glob("scenes/*.parquet")
     before, refused = content(tmp_path), 0
     with opened(copied) as database:
-        for around, sql, to in product(
-            AROUND, WRITES, (part, "new.csv", f"file://{part}", "http://127.0.0.1/x")
-        ):
+        for around, sql, to in product(AROUND, WRITES, (part, "new.csv", f"file://{part}", "http://127.0.0.1/x")):
             try:
                 database.query(around.format(sql.format(to=to, folder=tmp_path / "new")))
             except OptionError:
@@ -348,9 +346,7 @@ WORDS = (
     *("label", "seconds", "timestamp_ns", "nothing", "a.b", "x[1]", "{'k': 1}", "[1]", "CASE", "END", "OVER ()"),
 )  # fmt: skip
 numbers = st.floats() | st.integers(-5, 5).map(float)
-texts = st.text(st.characters(codec=None), max_size=8) | st.sampled_from(
-    ["*", "[", "[!", "car", "Car", "'", "%"]
-)
+texts = st.text(st.characters(codec=None), max_size=8) | st.sampled_from(["*", "[", "[!", "car", "Car", "'", "%"])
 pairs = st.tuples(numbers, numbers)
 selections = st.fixed_dictionaries(
     {},
@@ -367,9 +363,7 @@ selections = st.fixed_dictionaries(
         "findings": st.lists(texts, max_size=2).map(tuple),
     },
 )
-patient = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+patient = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture(scope="module")

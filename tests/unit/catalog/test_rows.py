@@ -92,9 +92,7 @@ def test_fixes_without_reception_or_height_are_reported_as_far_as_they_are_locat
 )
 def test_a_location_of_the_world_counts_where_it_is_one_and_the_world_was_not_moved(ours, known):
     origin = dict(zip(("latitude", "longitude", "altitude"), (48.0, 11.0, 500.0), strict=True))
-    scene = replace(
-        street(), sensors=street().sensors[1:], metadata={"sceneloom": {"enu_origin": origin, **ours}}
-    )
+    scene = replace(street(), sensors=street().sensors[1:], metadata={"sceneloom": {"enu_origin": origin, **ours}})
     assert np.isfinite(Ego.of(scene).positions_lla(times_ns(3))).all() == known
 
 
@@ -136,13 +134,9 @@ def test_the_moments_of_a_drive_without_frames_are_the_timestamps_of_its_boxes(t
     boxes = (stands, box("goes", "car", [1.0, 2.0, 4.0], [[0, 0, 0], [2, 0, 0], [6, 0, 0]]))
     sceneloom.write(replace(street(annotations=boxes), sensors=()), tmp_path / "boxes.sfs")
     build([tmp_path / "boxes.sfs"], tmp_path / "catalogue")
-    rows = rows_of(
-        tmp_path / "catalogue", "SELECT annotation, x FROM annotations ORDER BY timestamp_ns, track"
-    )
+    rows = rows_of(tmp_path / "catalogue", "SELECT annotation, x FROM annotations ORDER BY timestamp_ns, track")
     assert rows[:1] == [("stands", 1.0)]
-    assert rows[1:] == [
-        (name, x) for goes in (0.0, 2.0, 6.0) for name, x in (("stands", 1.0), ("goes", goes))
-    ]
+    assert rows[1:] == [(name, x) for goes in (0.0, 2.0, 6.0) for name, x in (("stands", 1.0), ("goes", goes))]
     assert query(tmp_path / "catalogue", Selection(labels=("car",), count=2), gap=5.0).rows[0][3:] == (
         3,
         2,

@@ -61,9 +61,7 @@ class Sound:
         given = {"poses": self.path(), "points_frame": PointsFrame.SENSOR}
         return LidarSensor(**{"id": "top", "frames": frames, **given, **fields})
 
-    def camera(
-        self, timestamps_ns: Any = None, *, camera_model: Camera = CAMERA_MODEL, **fields: Any
-    ) -> CameraSensor:
+    def camera(self, timestamps_ns: Any = None, *, camera_model: Camera = CAMERA_MODEL, **fields: Any) -> CameraSensor:
         """A camera with noise for images."""
         times = self.times() if timestamps_ns is None else np.asarray(timestamps_ns, np.int64)
         rng = np.random.default_rng(0)
@@ -72,9 +70,7 @@ class Sound:
         images = LazyFrames.of(shots, times)
         # z forward, y down
         poses = self.path(quaternions_xyzw=np.tile([-0.5, 0.5, -0.5, 0.5], (len(self.times()), 1)))
-        return CameraSensor(
-            **{"id": "front", "camera": camera_model, "images": images, "poses": poses, **fields}
-        )
+        return CameraSensor(**{"id": "front", "camera": camera_model, "images": images, "poses": poses, **fields})
 
     def odometry(self, **fields: Any) -> OdometrySensor:
         """The ego trajectory."""

@@ -116,9 +116,7 @@ def test_radians_are_rotated_as_radians(sound, found):
     values[:, 8] = [3.0, 3.1, -3.1, -3.0, 0.0]
     scene = scene_of(sound, values)
     stated = {"sceneloom": {"euler_unit": "radians", "euler_order": "xyz"}}
-    [(path, message)] = found(
-        type(scene)(scene.sensors, scene.annotations[1:2], metadata=stated), "cuboid-rotation"
-    )
+    [(path, message)] = found(type(scene)(scene.sensors, scene.annotations[1:2], metadata=stated), "cuboid-rotation")
     assert path == "annotations[0].path.values[4]"
     assert message.startswith("rotated by 172°")
 
@@ -178,17 +176,13 @@ def scene_of_of_angles(written, stated, *, tilted=False, speed=10.0, points=True
         centers = start + speed * time_ns / 1e9 * forward
         inside = rng.uniform(-0.49, 0.49, (len(angles), 60, 3)) * SIZE
         cloud = np.concatenate([o.apply(p) + c for o, p, c in zip(orientation, inside, centers, strict=True)])
-        frames.append(
-            LidarFrame(int(time_ns), LidarPoints(cloud[: len(cloud) if points else 0].astype(np.float32)))
-        )
+        frames.append(LidarFrame(int(time_ns), LidarPoints(cloud[: len(cloud) if points else 0].astype(np.float32))))
     lidar = LidarSensor("top", LazyFrames.of(frames, TIMES_OF_ANGLES), points_frame=PointsFrame.WORLD)
     ours = {"euler_unit": stated[0], "euler_order": stated[1]}
     return Scene((lidar,), tuple(annotations), metadata={"sceneloom": ours})
 
 
-@pytest.mark.parametrize(
-    "reading", [("degrees", "xyz"), ("radians", "xyz"), ("degrees", "zyx"), ("radians", "zxy")]
-)
+@pytest.mark.parametrize("reading", [("degrees", "xyz"), ("radians", "xyz"), ("degrees", "zyx"), ("radians", "zxy")])
 @pytest.mark.parametrize("tilted", [False, True])
 def test_the_right_reading_is_left_alone(found, reading, tilted):
     scene = scene_of_of_angles(reading, reading, tilted=tilted)
@@ -241,9 +235,7 @@ def test_where_nothing_is_stated_the_evidence_is_reported(found):
     assert found(scene, "cuboid-angles-unsaid") == []
     [(path, message)] = found(replace(scene, warnings=(assumed,)), "cuboid-angles-unsaid")
     assert path == "annotations"
-    assert message.startswith(
-        "not stated; taken to be degrees in the order xyz: headings are 0° off the motion"
-    )
+    assert message.startswith("not stated; taken to be degrees in the order xyz: headings are 0° off the motion")
     blind = replace(
         scene_of_of_angles(("degrees", "xyz"), ("degrees", "xyz"), speed=0.0, points=False),
         warnings=(assumed,),

@@ -76,9 +76,7 @@ def test_a_fault_of_a_file_is_known_by_its_rule_alone(file_of, found, rule):
 
 def test_an_array_that_is_cut_off_is_reported(file_of, found):
     path = file_of(header(), cut=20)
-    assert [where for where, _ in found(path, "arrays-whole")] == [
-        "sensors[0].frames[0].points.positions ($items[0])"
-    ]
+    assert [where for where, _ in found(path, "arrays-whole")] == ["sensors[0].frames[0].points.positions ($items[0])"]
 
 
 def test_a_sound_file_keeps_all_of_them(file_of, found):
@@ -231,9 +229,7 @@ def header_of_fields():
                 "type": "labeled_points",
                 "label": "road",
                 "is_instance": False,
-                "labeled_points": [
-                    {"sensor_id": "top", "sensor_frame": 0, "point_ids": np.zeros(1, np.uint32)}
-                ],
+                "labeled_points": [{"sensor_id": "top", "sensor_frame": 0, "point_ids": np.zeros(1, np.uint32)}],
             },
             {"id": "a", "type": "localization_adjustment", "poses": POSES},
             {
@@ -322,10 +318,7 @@ def field_findings(tmp_path, encode_sfs):
     def run(content, **options):
         file = tmp_path / "scene.sfs"
         file.write_bytes(encode_sfs(content))
-        return [
-            (f.rule, f.path.partition(" ")[0], f.message)
-            for f in validate(file, frames=False, **options).findings
-        ]
+        return [(f.rule, f.path.partition(" ")[0], f.message) for f in validate(file, frames=False, **options).findings]
 
     return run
 
@@ -368,9 +361,7 @@ def test_a_field_with_nearly_the_name_of_one_that_is_missing_is_found(field_find
     for key in above:
         node = node[key]
     node[last] = wrong
-    reported = [
-        (path, message) for rule, path, message in field_findings(content) if rule == "fields-spelling"
-    ]
+    reported = [(path, message) for rule, path, message in field_findings(content) if rule == "fields-spelling"]
     assert [path for path, _ in reported] == ([] if right is None else [location])
     assert all(repr(right) in message for _, message in reported)
 
@@ -388,9 +379,7 @@ def test_an_outline_of_six_numbers_is_reported_to_be_of_pairs(field_findings, ki
     content = header_of_fields()
     content["annotations"] = [shape("a", kind, 10, 10, 14, 10, 12, 13)]
     stated = [
-        (location, message)
-        for rule, location, message in field_findings(content)
-        if rule == "shape-vertices-pairs"
+        (location, message) for rule, location, message in field_findings(content) if rule == "shape-vertices-pairs"
     ]
     read = "6 numbers, read as 2 x, y, z triples; they may be 3 x, y pairs"
     assert stated == [("annotations[0].path.values", f"{read}, as triples they are too few for a {kind}")]
@@ -447,9 +436,7 @@ def found_of_description(path, *rules, **options):
 @pytest.mark.parametrize(("unit", "dtype"), [("nanoseconds", np.uint64), ("microseconds", np.uint32)])
 def test_times_without_a_dtype_are_as_wide_as_the_unit_says(file, unit, dtype):
     times = np.arange(4, dtype=dtype) * 1000
-    with sceneloom.open(
-        file(scene(sensors=[lidar_of_description(times)], time_unit=unit), bare=True)
-    ) as opened:
+    with sceneloom.open(file(scene(sensors=[lidar_of_description(times)], time_unit=unit), bare=True)) as opened:
         ticks = 1 if unit == "nanoseconds" else 1000
         points = opened.sensors[0].frames[0].points
         assert points.timestamps_ns.tolist() == (np.arange(4) * 1000 * ticks).tolist()
@@ -500,9 +487,7 @@ def test_the_unit_of_time_is_written_back_as_it_was_read(tmp_path, file, decode_
     ("kind", "near"), [("cubiod", "cuboid"), ("Cuboid", "cuboid"), ("box2d", "box_2d"), ("xyzzy", None)]
 )
 def test_a_misspelt_type_of_annotation_is_found_with_the_nearest_one(file, kind, near):
-    ((location, message),) = found_of_description(
-        file(scene({"id": 1, "type": kind})), "annotation-type-known"
-    )
+    ((location, message),) = found_of_description(file(scene({"id": 1, "type": kind})), "annotation-type-known")
     assert location == "annotations[0].type"
     assert (f"which is like {near!r}" in message) if near else "which is like" not in message
 
@@ -590,8 +575,7 @@ def test_vertices_that_are_not_what_was_stated_are_refused(file):
 
 def test_one_bad_sensor_is_reported_once_and_not_by_all_that_name_it(file):
     seen = [
-        cuboid(id=k, projections=[{"sensor_id": "cam", "timestamps": [0], "boxes": [[1, 2, 3, 4]]}])
-        for k in range(20)
+        cuboid(id=k, projections=[{"sensor_id": "cam", "timestamps": [0], "boxes": [[1, 2, 3, 4]]}]) for k in range(20)
     ]
     bad = {"id": "cam", "type": "camera", "poses": POSES_OF_DESCRIPTION, "intrinsics": {"fx": "wide"}}
     child = {"id": "ego", "type": "odometry", "parent_id": "cam", "poses": POSES_OF_DESCRIPTION}
@@ -600,9 +584,7 @@ def test_one_bad_sensor_is_reported_once_and_not_by_all_that_name_it(file):
     path = file(scene(*seen, link, gone, sensors=[lidar_of_description(), bad, child]))
     stated = [message for _, message in found_of_description(path)]
     assert not [message for message in stated if "is no sensor" in message or "is no annotation" in message]
-    assert "sensors[1].intrinsics.fx" in [
-        location for location, _ in found_of_description(path, "fields-valid")
-    ]
+    assert "sensors[1].intrinsics.fx" in [location for location, _ in found_of_description(path, "fields-valid")]
 
 
 def test_a_part_keeps_attributes_without_times_and_points_that_no_camera_sees(tmp_path, file):

@@ -137,9 +137,7 @@ def camera_of(sound, *images, camera_model=None, **fields):
         CameraImage.of(int(t), usual.resized(rgb.shape[1], rgb.shape[0]), rgb)
         for t, rgb in zip(times, images, strict=True)
     ]
-    return CameraSensor(
-        "front", camera_model or usual, LazyFrames.of(made, times), poses=sound.path(), **fields
-    )
+    return CameraSensor("front", camera_model or usual, LazyFrames.of(made, times), poses=sound.path(), **fields)
 
 
 def noise(width=32, height=24):
@@ -170,9 +168,7 @@ def test_images_with_camera_models_of_their_own_may_have_their_own_sizes(sound, 
 def test_images_equal_to_the_one_before_are_counted(sound, found):
     one, other = noise(), noise()
     scene = sound.scene(camera_of(sound, one, other, one, one, one.copy()))
-    assert found(scene, "image-repeated") == [
-        ("sensors[0].images[3]", "2 of 5 images are equal to the one before")
-    ]
+    assert found(scene, "image-repeated") == [("sensors[0].images[3]", "2 of 5 images are equal to the one before")]
 
 
 def test_black_images_and_those_of_one_colour_are_reported(sound, found):
@@ -207,9 +203,7 @@ def outlined(*vertices, name="shape"):
 
 
 def test_a_sound_scene_keeps_all_rules_about_boxes(sound, keeps):
-    empty = CuboidAnnotation(
-        "other", CuboidPath(TIMES, np.ones((2, 9))), projections=(Projection("front", TIMES),)
-    )
+    empty = CuboidAnnotation("other", CuboidPath(TIMES, np.ones((2, 9))), projections=(Projection("front", TIMES),))
     annotations = (
         drawn([0, 0, 32, 24]),
         projected(NULL, (True, False)),

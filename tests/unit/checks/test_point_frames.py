@@ -37,9 +37,7 @@ from sceneloom.simulate import (
 PERIOD = 100_000_000
 RULE = "points-in-another-frame"
 TIMES = np.arange(8, dtype=np.int64) * PERIOD
-EGO_FROM_LIDAR = RigidTransform.from_quaternion(
-    np.array([1.0, 0.5, 1.8]), np.array([0, 0, np.sin(0.6), np.cos(0.6)])
-)
+EGO_FROM_LIDAR = RigidTransform.from_quaternion(np.array([1.0, 0.5, 1.8]), np.array([0, 0, np.sin(0.6), np.cos(0.6)]))
 
 
 def trajectory(speed=10.0, start=(0.0, 0.0), yaw_rate=0.3):
@@ -80,15 +78,9 @@ def seen(path, frame):
 def drive(sound, stated, real, path=None):
     """A lidar mounted on an ego, its points stated to be in one frame and really in another."""
     path = path or trajectory()
-    frames = [
-        LidarFrame(int(t), LidarPoints(points)) for t, points in zip(TIMES, seen(path, real), strict=True)
-    ]
-    mount = Poses(
-        np.zeros(1, np.int64), EGO_FROM_LIDAR.translation[None], EGO_FROM_LIDAR.quaternion_xyzw[None]
-    )
-    lidar = LidarSensor(
-        "top", LazyFrames.of(frames, TIMES), mount, coordinates=Coordinates.EGO, points_frame=stated
-    )
+    frames = [LidarFrame(int(t), LidarPoints(points)) for t, points in zip(TIMES, seen(path, real), strict=True)]
+    mount = Poses(np.zeros(1, np.int64), EGO_FROM_LIDAR.translation[None], EGO_FROM_LIDAR.quaternion_xyzw[None])
+    lidar = LidarSensor("top", LazyFrames.of(frames, TIMES), mount, coordinates=Coordinates.EGO, points_frame=stated)
     return sound.scene(lidar, OdometrySensor("ego", path))
 
 
@@ -124,8 +116,7 @@ def test_a_sensor_that_stands_near_the_origin_shows_nothing(sound, found):
 
 def test_a_lidar_without_a_known_location_is_left_alone(sound, found):
     frames = [
-        LidarFrame(int(t), LidarPoints(points))
-        for t, points in zip(TIMES, seen(trajectory(), "world"), strict=True)
+        LidarFrame(int(t), LidarPoints(points)) for t, points in zip(TIMES, seen(trajectory(), "world"), strict=True)
     ]
     assert found(sound.scene(LidarSensor("top", LazyFrames.of(frames, TIMES))), RULE) == []
 
@@ -252,9 +243,7 @@ def test_a_lidar_that_is_rotated_by_ten_degrees_is_reported(found):
 @pytest.mark.parametrize(
     "broken",
     [
-        lambda scene: changed(
-            scene, CameraSensor, lambda camera: replace(camera, mount=camera.mount.inverse())
-        ),
+        lambda scene: changed(scene, CameraSensor, lambda camera: replace(camera, mount=camera.mount.inverse())),
         lambda scene: changed(
             scene,
             CameraSensor,

@@ -56,9 +56,7 @@ def radar_with(**fields):
 
 def test_a_sound_scene_keeps_all_of_them(sound, keeps):
     map_sensor = PointsSensor("map", np.full((5, 3), 9_999.0, np.float32))
-    coloured = lidar_with(
-        sound, colors=np.arange(300).reshape(100, 3) % 250, camera_index=[0] * 50 + [255] * 50
-    )
+    coloured = lidar_with(sound, colors=np.arange(300).reshape(100, 3) % 250, camera_index=[0] * 50 + [255] * 50)
     scene = sound.scene(coloured, sound.camera(), radar_with(), map_sensor)
     assert keeps(scene, [rule for rule in POINT_RULES if rule.id != "frame-repeated"])
 
@@ -88,10 +86,7 @@ def test_points_beyond_ten_kilometres_are_found(sound, found):
     far[0, 1] = -10_001
     scene = sound.scene(lidar_with(sound, positions=far), PointsSensor("map", far))
     hits = dict(found(scene, "points-far"))
-    assert (
-        hits["sensors[0].frames[0].points.positions"]
-        == "coordinates up to 10001 m, where float32 steps by 0.98 mm"
-    )
+    assert hits["sensors[0].frames[0].points.positions"] == "coordinates up to 10001 m, where float32 steps by 0.98 mm"
     assert "sensors[1].points.positions" in hits
 
 
@@ -100,9 +95,7 @@ def swept(sound, *counts):
     left = iter(counts)
 
     def sweep(timestamp_ns):
-        return sound.sweep(
-            timestamp_ns, positions=locations(next(left)), intensities=None, timestamps_ns=None
-        )
+        return sound.sweep(timestamp_ns, positions=locations(next(left)), intensities=None, timestamps_ns=None)
 
     return sound.scene(sound.lidar(sweep=sweep))
 
@@ -195,9 +188,7 @@ def test_a_sound_scene_keeps_all_rules_about_labelled_points(sound, keeps):
         marked([599], None, name="whole"),
         marked([4], None, name="map", sensor_id="map"),
     )
-    scene = sound.scene(
-        sound.lidar(), PointsSensor("map", np.ones((5, 3), np.float32)), annotations=annotations
-    )
+    scene = sound.scene(sound.lidar(), PointsSensor("map", np.ones((5, 3), np.float32)), annotations=annotations)
     assert keeps(scene, LABELLED_POINT_RULES)
 
 
@@ -215,9 +206,7 @@ def test_points_beyond_their_frame_their_sensor_and_their_map_are_found(sound, f
         marked([600], None, name="whole"),
         marked([5], None, name="map", sensor_id="map"),
     )
-    scene = sound.scene(
-        sound.lidar(), PointsSensor("map", np.ones((5, 3), np.float32)), annotations=annotations
-    )
+    scene = sound.scene(sound.lidar(), PointsSensor("map", np.ones((5, 3), np.float32)), annotations=annotations)
     messages = dict(found(scene, "labelled-point-unknown"))
     assert messages == {
         "annotations[0].labeled_points[0].point_ids": "point 101; frame 0 has 100 points, counted from 0",

@@ -30,9 +30,7 @@ def trajectory(sound, name="ego"):
 
 def test_a_sound_scene_keeps_all_of_them(sound, keeps):
     mounted = sound.lidar(id="mounted", poses=None, mount=MOUNT)
-    scene = sound.scene(
-        sound.lidar(), sound.camera(), mounted, sound.odometry(), trajectories=trajectory(sound)
-    )
+    scene = sound.scene(sound.lidar(), sound.camera(), mounted, sound.odometry(), trajectories=trajectory(sound))
     assert keeps(scene, POSE_RULES)
 
 
@@ -176,9 +174,7 @@ def test_a_second_calibration_of_a_camera_is_found(sound, found):
 
 
 def test_a_calibration_that_says_nothing_is_found(sound, found):
-    scene = sound.scene(
-        annotations=(CameraCalibration("c", "front"), CameraCalibration("d", "front", sound.path()))
-    )
+    scene = sound.scene(annotations=(CameraCalibration("c", "front"), CameraCalibration("d", "front", sound.path())))
     assert [path for path, _ in found(scene, "camera-calibration-empty")] == ["annotations[0]"]
 
 

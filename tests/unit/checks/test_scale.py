@@ -90,6 +90,4 @@ def test_what_the_library_drops_in_silence_is_reported(sound, tmp_path, encode_s
     lidar = {"id": "top", "type": "lidar", "poses": poses, "frames": frames, field: value}
     (tmp_path / "a.sfs").write_bytes(encode_sfs({"version": "1.0", "sensors": [lidar]}))
     report = validate(tmp_path / "a.sfs", profile="scale", rules=RULES)
-    assert [(finding.rule, finding.path) for finding in report.findings] == [
-        ("scale-dropped", f"sensors[0].{field}")
-    ]
+    assert [(finding.rule, finding.path) for finding in report.findings] == [("scale-dropped", f"sensors[0].{field}")]

@@ -52,9 +52,7 @@ def test_a_sound_scene_keeps_all_of_them(sound, keeps):
 
 
 def test_an_empty_scene_is_found(found):
-    assert found(Scene(()), "scene-not-empty") == [
-        ("sensors", "neither a sensor nor an annotation nor a trajectory")
-    ]
+    assert found(Scene(()), "scene-not-empty") == [("sensors", "neither a sensor nor an annotation nor a trajectory")]
 
 
 def test_sensors_without_content_are_found(sound, found):
@@ -88,9 +86,7 @@ def test_a_number_and_a_text_that_look_alike_are_found(sound, found):
 
 @pytest.mark.parametrize("parent", ["roof", 7])
 def test_a_parent_that_is_not_there_is_found(sound, found, parent):
-    [(path, message)] = found(
-        sound.scene(sound.lidar(id="7"), sound.camera(parent_id=parent)), "sensor-parent-known"
-    )
+    [(path, message)] = found(sound.scene(sound.lidar(id="7"), sound.camera(parent_id=parent)), "sensor-parent-known")
     assert path == "sensors[1].parent_id"
     assert repr(parent) in message
 
@@ -267,9 +263,7 @@ def test_links_to_nothing_and_to_themselves_are_found(sound, found):
 def test_an_attribute_of_a_point_that_is_not_there_is_found(sound, found):
     attribute = AttributePath("seen", (1,), static=True, point_index=1)
     scene = sound.scene(annotations=(keypoints(attributes=(attribute,)),))
-    assert [path for path, _ in found(scene, "attribute-point-unknown")] == [
-        "annotations[0].attributes[0].point_index"
-    ]
+    assert [path for path, _ in found(scene, "attribute-point-unknown")] == ["annotations[0].attributes[0].point_index"]
 
 
 def test_an_object_without_anything_is_reported(sound, found):

@@ -113,9 +113,7 @@ def test_edges_that_cross_are_found_and_a_notch_is_not(sound, found, kind):
     def made(outline):
         if kind == ShapeType.POLYGON:
             return lifted(outline)
-        flat = (
-            outline if kind == ShapeType.POLYGON_2D else np.column_stack([outline, np.arange(len(outline))])
-        )
+        flat = outline if kind == ShapeType.POLYGON_2D else np.column_stack([outline, np.arange(len(outline))])
         return shape(kind, flat)
 
     assert len(found(sound.scene(annotations=(made(BOW_TIE),)), "polygon-crosses-itself")) == 1
@@ -153,9 +151,7 @@ def test_outlines_of_other_lengths_are_reported(sound, found):
 
 def test_points_need_labels_projections_and_rows_of_their_own(sound, found):
     wide = PointPath(TIMES, np.ones((2, 6)), id=9)
-    scene = sound.scene(
-        annotations=(points(labels=("tip",), projections=((),), paths=(wide, *points().paths)),)
-    )
+    scene = sound.scene(annotations=(points(labels=("tip",), projections=((),), paths=(wide, *points().paths)),))
     assert [path for path, _ in found(scene, "points-annotation-counts")] == [
         "annotations[0].labels",
         "annotations[0].projections",
@@ -167,9 +163,7 @@ def test_points_of_one_id_are_found_and_those_without_are_not(sound, found):
     named = [PointPath(TIMES, np.ones((2, 3)), id=name) for name in ("a", 1, "1", "a")]
     nameless = PointPath(TIMES, np.ones((2, 3)))
     scene = sound.scene(annotations=(points(paths=(*named, nameless, nameless)),))
-    assert found(scene, "points-annotation-ids") == [
-        ("annotations[0].paths[3].id", "'a' is the id of paths[0], too")
-    ]
+    assert found(scene, "points-annotation-ids") == [("annotations[0].paths[3].id", "'a' is the id of paths[0], too")]
 
 
 def holder(*attributes):
@@ -208,9 +202,7 @@ def test_static_values_that_differ_are_found_and_equal_ones_reported_once(sound,
     changing = AttributePath("colour", ("red", "blue"), TIMES, static=True)
     repeated = AttributePath("make", ("vw", "vw"), TIMES, static=True)
     scene = sound.scene(annotations=(holder(changing, repeated),))
-    assert [path for path, _ in found(scene, "attribute-static-changes")] == [
-        "annotations[0].attributes[0].values[1]"
-    ]
+    assert [path for path, _ in found(scene, "attribute-static-changes")] == ["annotations[0].attributes[0].values[1]"]
     assert [path for path, _ in found(scene, "attribute-static-repeats")] == ["annotations[0].attributes[1]"]
     [repaired] = fixed(scene, "attribute-static-repeats").annotations
     assert repaired.attributes[0] is changing

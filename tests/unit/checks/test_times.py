@@ -90,9 +90,7 @@ def test_a_gap_reports_how_many_frames_are_missing(sound, found):
 
 def test_a_frame_right_after_another_is_found(sound, found):
     times = np.sort([*range(0, 10 * PERIOD, PERIOD), 3 * PERIOD + PERIOD // 50])
-    assert [path for path, _ in found(sound.scene(sound.lidar(times)), "frame-doubled")] == [
-        "sensors[0].frames[4]"
-    ]
+    assert [path for path, _ in found(sound.scene(sound.lidar(times)), "frame-doubled")] == ["sensors[0].frames[4]"]
 
 
 def test_uneven_intervals_are_found_and_small_jitter_is_not(sound, found):
@@ -100,9 +98,7 @@ def test_uneven_intervals_are_found_and_small_jitter_is_not(sound, found):
     even = np.arange(40) * PERIOD
     shifts = rng.uniform(-0.3, 0.3, 40) * PERIOD
     uneven = (even + shifts).astype(np.int64)
-    assert [path for path, _ in found(sound.scene(sound.lidar(uneven)), "frame-jitter")] == [
-        "sensors[0].frames"
-    ]
+    assert [path for path, _ in found(sound.scene(sound.lidar(uneven)), "frame-jitter")] == ["sensors[0].frames"]
     nearly = (even + shifts / 20).astype(np.int64)
     assert found(sound.scene(sound.lidar(nearly)), "frame-jitter") == []
 
@@ -180,9 +176,7 @@ def test_a_sound_scene_keeps_all_rules_about_points(sound, keeps):
     ],
     ids=["relative", "unit too large", "unit too small", "other clock", "wrapped"],
 )
-def test_times_that_are_not_on_the_scenes_clock_are_found_and_their_frames_counted(
-    sound, found, shift, start_ns, what
-):
+def test_times_that_are_not_on_the_scenes_clock_are_found_and_their_frames_counted(sound, found, shift, start_ns, what):
     scene = sound.scene(lidar_with(sound, shift, start_ns=start_ns))
     [(path, message)] = found(scene, "point-times-clock")
     assert path == "sensors[0].frames[0].points.timestamps"
@@ -201,9 +195,7 @@ def test_what_the_reader_of_scene_files_put_right_is_reported(sound, found):
 
 
 def test_points_before_their_frame_are_counted(sound, found):
-    hits = found(
-        sound.scene(lidar_with(sound, lambda times, timestamp: times - PERIOD // 2)), "point-times-frame"
-    )
+    hits = found(sound.scene(lidar_with(sound, lambda times, timestamp: times - PERIOD // 2)), "point-times-frame")
     assert len(hits) == 1
     assert "55 of 100 points lie before their frame, by up to 0.050000 s" in hits[0][1]
 
@@ -282,9 +274,7 @@ def test_sorting_takes_values_along_and_drops_rows_reported_twice(sound, fixed):
     path = CuboidPath(np.array([PERIOD, 0, 2 * PERIOD, PERIOD]), rows)
     attribute = AttributePath("state", ("b", "a"), np.array([PERIOD, 0]))
     projection = Projection("front", np.array([PERIOD, 0]), np.array([[1.0] * 4, [np.nan] * 4]), (True, None))
-    scene = sound.scene(
-        annotations=(CuboidAnnotation("c", path, attributes=(attribute,), projections=(projection,)),)
-    )
+    scene = sound.scene(annotations=(CuboidAnnotation("c", path, attributes=(attribute,), projections=(projection,)),))
     [repaired] = fixed(scene, "annotation-times-increasing").annotations
     assert repaired.path.timestamps_ns.tolist() == [0, PERIOD, 2 * PERIOD]
     np.testing.assert_array_equal(repaired.path.values, rows[[1, 0, 2]])
@@ -365,9 +355,7 @@ def test_events_outside_the_scene_and_of_negative_length_are_found(sound, found)
 
 def test_an_activation_of_negative_length_is_found(sound, found):
     scene = sound.scene(annotations=(cuboid(activations=(Activation("top", TIMES, (0, -1, 3)),)),))
-    assert [path for path, _ in found(scene, "annotation-duration")] == [
-        "annotations[0].activations[0].durations[1]"
-    ]
+    assert [path for path, _ in found(scene, "annotation-duration")] == ["annotations[0].activations[0].durations[1]"]
 
 
 def test_a_projection_between_images_is_found(sound, found):

@@ -32,10 +32,7 @@ POSE = [0, 0, 0, 0, 0, 0, 1]
 
 def header(**fields):
     """A file with a quaternion that is too long, frames out of order, and a sensor without a type."""
-    frames = [
-        {"timestamp": t, "points": {"positions": np.full((3, 3), 1 + t / 1e6, np.float32)}}
-        for t in (100_000, 0)
-    ]
+    frames = [{"timestamp": t, "points": {"positions": np.full((3, 3), 1 + t / 1e6, np.float32)}} for t in (100_000, 0)]
     poses = {"timestamps": [0, 100_000], "values": [POSE, [0, 0, 0, 0, 0, 0, 2]]}
     lidar = {"id": "top", "type": "lidar", "poses": poses, "frames": frames}
     return {"version": "1.0", "sensors": [{"id": "x"}, lidar], **fields}
@@ -149,9 +146,7 @@ def test_fixing_writes_a_sound_scene_and_says_what_was_done(faulty, target):
         assert [float(frame.points.positions[0, 0]) for frame in lidar.frames] == [1.0, pytest.approx(1.1)]
         assert lidar.poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1]] * 2
         assert [
-            (warning.code, warning.location)
-            for warning in scene.warnings
-            if warning.code in ("repaired", "at-fault")
+            (warning.code, warning.location) for warning in scene.warnings if warning.code in ("repaired", "at-fault")
         ] == [
             ("at-fault", "sensors[0].type"),
             ("repaired", "sensors[1].poses.values[1]"),
@@ -164,9 +159,7 @@ def test_what_a_fix_leaves_is_not_reported_as_fixed_though_its_location_moves(tm
     content["sensors"][1]["frames"] = frames
     path = tmp_path / "faulty.sfs"
     path.write_bytes(encode_sfs(content))
-    report = validate(
-        path, fix=target, rules=["frame-times-increasing", "frame-times-unique", "fields-valid"]
-    )
+    report = validate(path, fix=target, rules=["frame-times-increasing", "frame-times-unique", "fields-valid"])
     assert rules_of(report.fixed) == {"frame-times-increasing"}
     assert [(f.rule, f.path) for f in report.findings] == [("frame-times-unique", "sensors[0].frames[1]")]
 
@@ -300,9 +293,7 @@ def test_a_file_with_everything_that_can_be_repaired_is_repaired(sound, tmp_path
             label="car",
             attributes=(repeated,),
         ),
-        LabeledPointsAnnotation(
-            "road", (LabeledPoints("top", np.array([7, 7, 3], np.uint32), 0),), label="road"
-        ),
+        LabeledPointsAnnotation("road", (LabeledPoints("top", np.array([7, 7, 3], np.uint32), 0),), label="road"),
     )
     write_scene(sound.scene(annotations=annotations), tmp_path / "drive.sfs")
     before = validate(tmp_path / "drive.sfs")

@@ -116,9 +116,7 @@ def test_times_that_run_backwards_are_sorted_with_a_warning(call, recording, tmp
     shutil.copytree(recording, folder)
     edit_lines(lambda lines: lines[::-1])(folder)
     straight, backwards = (json.loads(call("info", path, "--json").out) for path in (recording, folder))
-    counts = [
-        [(s["id"], s["count"], s["start"], s["stop"]) for s in x["sensors"]] for x in (straight, backwards)
-    ]
+    counts = [[(s["id"], s["count"], s["start"], s["stop"]) for s in x["sensors"]] for x in (straight, backwards)]
     assert counts[0] == counts[1]
     assert any(warning["kind"] == "repaired" for warning in backwards["warnings"])
 
@@ -136,9 +134,7 @@ def test_lenient_counts_what_it_skips(call, recording, tmp_path):
     assert "data.jsonl" in locations
 
 
-def test_a_camera_that_cannot_be_used_is_skipped_leniently_and_named_without_empty_locations(
-    call, recording, tmp_path
-):
+def test_a_camera_that_cannot_be_used_is_skipped_leniently_and_named_without_empty_locations(call, recording, tmp_path):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     FAULTS["an unknown camera model"][0](folder)
@@ -271,9 +267,7 @@ def with_late_truth(lines):
     return [json.dumps(r | {"time": r["time"] + 100.0 * ("groundTruth" in r)}) for r in records]
 
 
-def test_sweeps_that_could_not_be_read_are_reported_where_the_others_could_not_be_fused(
-    call, recording, tmp_path
-):
+def test_sweeps_that_could_not_be_read_are_reported_where_the_others_could_not_be_fused(call, recording, tmp_path):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     edit_lines(with_late_truth)(folder)
@@ -285,9 +279,7 @@ def test_sweeps_that_could_not_be_read_are_reported_where_the_others_could_not_b
     assert "could be fused" in error
 
 
-def test_a_stray_point_beyond_what_the_file_can_hold_is_reported_as_a_fault_of_the_data(
-    call, recording, tmp_path
-):
+def test_a_stray_point_beyond_what_the_file_can_hold_is_reported_as_a_fault_of_the_data(call, recording, tmp_path):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     file = folder / "lidar" / "000001.bin"
@@ -345,9 +337,7 @@ def test_a_scene_held_against_kittis_text_says_how_to_go_on(call, recording, tmp
     ids=" ".join,
 )
 def test_an_input_that_is_named_has_to_be_there_and_is_used(call, recording, tmp_path, words):
-    outcome = call(
-        *(word.format(recording, tmp_path / "out.sfs", tmp_path / "nothere.tum") for word in words)
-    )
+    outcome = call(*(word.format(recording, tmp_path / "out.sfs", tmp_path / "nothere.tum") for word in words))
     assert outcome.code in {1, 2}, outcome.out
     assert "nothere" in outcome.err or words[-2] in outcome.err
     assert list(tmp_path.iterdir()) == []

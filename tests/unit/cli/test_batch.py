@@ -47,9 +47,7 @@ def test_parts_of_drives_are_those_of_a_list_or_of_the_options(call, recording, 
     parts.write_text(json.dumps({"path": str(recording), "start": start, "stop": start + 0.1}))
     done = call("batch", "convert", "-o", tmp_path / "out", "--list", parts, "--workers", 1)
     assert done.code == 0, done.err
-    with sceneloom.open(
-        tmp_path / "out" / f"{recording.name}_start{start:g}_stop{start + 0.1:g}.sfs"
-    ) as part:
+    with sceneloom.open(tmp_path / "out" / f"{recording.name}_start{start:g}_stop{start + 0.1:g}.sfs") as part:
         assert part.lidars[0].frames.timestamps_ns.tolist() == [times[1]]
     words = ("--start", start, "--stop", start + 0.1, "--quick", "--json")
     numbers = json.loads(call("report", recording, *words).out)
@@ -236,9 +234,7 @@ def web(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("inline")
 @pytest.mark.slow
-def test_each_drive_of_a_hostile_server_fails_by_its_name_and_the_others_are_done(
-    web, call, tmp_path, monkeypatch
-):
+def test_each_drive_of_a_hostile_server_fails_by_its_name_and_the_others_are_done(web, call, tmp_path, monkeypatch):
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
     urls = [web.url(name) for name in ("first", *FAULTS, "last")]

@@ -83,9 +83,7 @@ def test_a_folder_of_lists_alone_is_judged_by_its_boxes(call, folder):
     # couples are known to 0.1 degrees each, and there are 80 of them
     np.testing.assert_allclose(across["values"], [0.0, 2.0], atol=0.1)
     reported = call("calibrate", folder)
-    assert (reported.code, "0001: camera2 to velodyne: wrong (20 images)" in reported.out) == (4, True), (
-        reported.out
-    )
+    assert (reported.code, "0001: camera2 to velodyne: wrong (20 images)" in reported.out) == (4, True), reported.out
 
 
 @pytest.mark.parametrize(
@@ -262,9 +260,7 @@ def test_what_cannot_be_refined_is_reported_and_not_written(call, recording, tmp
 
 def test_one_lidar_is_led_to_the_other(call, two_lidars, tmp_path):
     out = tmp_path / "calibration.json"
-    outcome = call(
-        "calibrate", two_lidars, "--lidar-to-lidar", "--onto", "lidar0", "--lidar", "lidar1", "-o", out
-    )
+    outcome = call("calibrate", two_lidars, "--lidar-to-lidar", "--onto", "lidar0", "--lidar", "lidar1", "-o", out)
     assert outcome.code == 0, outcome.err
     assert "lidar0 from lidar1 (lidar-to-lidar): refined" in outcome.out
     assert f"written as recording: {out}" in outcome.out

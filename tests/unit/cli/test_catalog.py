@@ -62,8 +62,6 @@ def test_a_list_says_nothing_but_how_a_drive_is_read(call, recording, tmp_path):
     (tmp_path / "list.jsonl").write_text(
         json.dumps({"path": str(recording), "reading": {"output": str(tmp_path / "elsewhere.sfs")}})
     )
-    refused = call(
-        "batch", "convert", "--list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1
-    )
+    refused = call("batch", "convert", "--list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
     assert (refused.code, "'output'" in refused.err) == (1, True)
     assert not (tmp_path / "elsewhere.sfs").exists()

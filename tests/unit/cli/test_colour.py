@@ -9,9 +9,7 @@ from PIL import Image
 
 
 def test_a_map_is_written_and_summed_up(call, recording, tmp_path):
-    done = call(
-        "colour", recording, "-o", tmp_path / "map.laz", "--voxel", "0.2", "--visualize", tmp_path / "look"
-    )
+    done = call("colour", recording, "-o", tmp_path / "map.laz", "--voxel", "0.2", "--visualize", tmp_path / "look")
     assert done.code == 0, done.err
     assert "coloured 3 of 3 sweeps" in done.out
     assert "map.laz" in done.out
@@ -25,9 +23,7 @@ def test_the_report_comes_as_json(call, recording, tmp_path):
     assert report["files"] == {"sweeps": 3}
     assert report["exposure"]["seam_before"] is None
     assert report["removed_by_rays"] + report["removed_in_boxes"] < 0.1 * report["points"]
-    assert sorted(path.name for path in (tmp_path / "sweeps").iterdir()) == [
-        f"00000{k}.ply" for k in range(3)
-    ]
+    assert sorted(path.name for path in (tmp_path / "sweeps").iterdir()) == [f"00000{k}.ply" for k in range(3)]
 
 
 def test_missing_label_images_are_counted_and_reported(call, recording, tmp_path):
@@ -51,9 +47,7 @@ def test_missing_label_images_are_counted_and_reported(call, recording, tmp_path
         (("--project-labels", "back"), 1, "no labelled points"),
     ],
 )
-def test_what_cannot_be_done_is_one_clear_error(
-    call, recording, tmp_path, monkeypatch, arguments, code, message
-):
+def test_what_cannot_be_done_is_one_clear_error(call, recording, tmp_path, monkeypatch, arguments, code, message):
     monkeypatch.chdir(tmp_path)
     done = call("colour", recording, *arguments)
     assert done.code == code

@@ -56,23 +56,16 @@ def test_a_drive_is_read_as_the_format_that_is_named(call, recording, tmp_path):
 
 
 def test_an_option_of_another_kind_of_clouds_is_refused(call, recording, tmp_path):
-    reported = call(
-        "convert", recording, tmp_path / "ply", "--to", "ply", "--output-option", "encoding=ascii"
-    )
+    reported = call("convert", recording, tmp_path / "ply", "--to", "ply", "--output-option", "encoding=ascii")
     assert (reported.code, "option 'encoding'; writing ply takes frame, lidar" in reported.err) == (2, True)
     assert not (tmp_path / "ply").exists()
-    assert (
-        call("convert", recording, tmp_path / "pcd", "--to", "pcd", "--output-option", "encoding=ascii").code
-        == 0
-    )
+    assert call("convert", recording, tmp_path / "pcd", "--to", "pcd", "--output-option", "encoding=ascii").code == 0
 
 
 def test_images_are_placed_along_the_trajectory_that_is_named(call, recording, tmp_path):
     done = call("convert", recording, tmp_path / "model", "--to", "colmap", "--trajectory", "groundTruth")
     assert (done.code, (tmp_path / "model" / "sparse").is_dir()) == (0, True), done.err
-    stands = call(
-        "convert", recording, tmp_path / "tables", "--to", "nuscenes", "--trajectory", "identity", "--json"
-    )
+    stands = call("convert", recording, tmp_path / "tables", "--to", "nuscenes", "--trajectory", "identity", "--json")
     assert "the ego is taken to stand" in stands.out, stands.err
     unknown = call("convert", recording, tmp_path / "none", "--to", "colmap", "--trajectory", "nix")
     assert (unknown.code == 0, "nix" in unknown.err) == (False, True)
@@ -80,9 +73,7 @@ def test_images_are_placed_along_the_trajectory_that_is_named(call, recording, t
 
 def test_what_the_verb_itself_takes_is_no_option_of_a_format(call, recording, tmp_path):
     for name in ("trajectory", "overwrite", "progress"):
-        reported = call(
-            "convert", recording, tmp_path / "model", "--to", "colmap", "--output-option", f"{name}=x"
-        )
+        reported = call("convert", recording, tmp_path / "model", "--to", "colmap", "--output-option", f"{name}=x")
         assert (reported.code, f"--output-option {name} does not count here" in reported.err) == (2, True)
     for name in ("start", "path", "format"):
         reported = call("info", recording, "--input-option", f"{name}=1")
@@ -99,9 +90,7 @@ def _tree(folder):
 
 @pytest.mark.few(9)
 @pytest.mark.parametrize("name", written_formats())
-def test_a_folder_is_replaced_only_by_its_like_and_never_with_the_source_in_it(
-    call, recording, tmp_path, name
-):
+def test_a_folder_is_replaced_only_by_its_like_and_never_with_the_source_in_it(call, recording, tmp_path, name):
     drive, own = tmp_path / "drive.sfs", tmp_path / "own"
     convert(recording, drive)
     suffixes = format_named(name).suffixes
@@ -278,9 +267,7 @@ def test_a_scene_is_converted_and_back_without_loss(call, nuscenes, tmp_path):
 
 
 def test_fusing_takes_one_scene_at_a_time(call, nuscenes, tmp_path):
-    two = call(
-        "fuse", nuscenes, "--sequence", "scene-0001", "--sequence", "scene-0002", "-o", tmp_path / "a.sfs"
-    )
+    two = call("fuse", nuscenes, "--sequence", "scene-0001", "--sequence", "scene-0002", "-o", tmp_path / "a.sfs")
     assert two.code == 2
     assert "one drive is opened at a time; state one" in two.err
     one = call("fuse", nuscenes, "--sequence", "scene-0001", "-o", tmp_path / "a.sfs")
@@ -380,9 +367,7 @@ def test_a_rate_stated_by_read_with_is_a_number(call, tmp_path, kind):
     if kind == "openlabel":
         frames = {str(number): {} for number in range(3)}
         drive = tmp_path / "labels.json"
-        drive.write_text(
-            json.dumps({"openlabel": {"metadata": {"schema_version": "1.0.0"}, "frames": frames}})
-        )
+        drive.write_text(json.dumps({"openlabel": {"metadata": {"schema_version": "1.0.0"}, "frames": frames}}))
     else:
         (drive := tmp_path / "clouds").mkdir()
         for number in range(3):

@@ -177,9 +177,7 @@ def reported_json(*words, key=None, codes=(0,)):
 
 def fused_detections(call, drive, out, further):
     lists = ("--boxes3d", drive.parent / "boxes3d.jsonl", "--boxes2d", drive.parent / "boxes2d.jsonl")
-    reported = ran(
-        call, "fuse", drive, "--type", "detection", *lists, "-o", out / "o.jsonl", "--json", *further
-    ).out
+    reported = ran(call, "fuse", drive, "--type", "detection", *lists, "-o", out / "o.jsonl", "--json", *further).out
     return [json.loads(reported)["drives"][0]["both"]]
 
 
@@ -290,9 +288,7 @@ COMPUTING: dict[str, Figures] = {
 
 @pytest.mark.few(13)
 @pytest.mark.parametrize("verb", COMPUTING)
-def test_a_verb_that_computes_gives_for_a_corrected_drive_what_it_gives_for_the_right_one(
-    verb, call, files, tmp_path
-):
+def test_a_verb_that_computes_gives_for_a_corrected_drive_what_it_gives_for_the_right_one(verb, call, files, tmp_path):
     def figures(name, *further):
         out = tmp_path / f"{name}{len(further)}"
         out.mkdir()
@@ -351,17 +347,13 @@ def test_every_verb_that_reads_a_drive_is_known_to_apply_corrections_or_to_keep_
 
 
 @pytest.mark.parametrize("edit", ["crop", "thin", "simplify", "to-world"])
-def test_an_edit_that_does_not_compute_with_cameras_keeps_corrections_and_their_meaning(
-    edit, call, files, tmp_path
-):
+def test_an_edit_that_does_not_compute_with_cameras_keeps_corrections_and_their_meaning(edit, call, files, tmp_path):
     further = {"crop": ("--start", "0"), "thin": ("--voxel", "1")}.get(edit, ())
     outcome = call("edit", edit, files / "repaired.sfs", "-o", tmp_path / "out.sfs", *further)
     assert outcome.code == 0, outcome.err
     with sceneloom.open(tmp_path / "out.sfs") as scene, sceneloom.open(files / "right.sfs") as right:
         assert {"mounted", "placed"} <= {annotation.id for annotation in scene.annotations}
-        np.testing.assert_allclose(
-            figures_of_scene(scene.corrected())[:40], figures_of_scene(right)[:40], atol=0.02
-        )
+        np.testing.assert_allclose(figures_of_scene(scene.corrected())[:40], figures_of_scene(right)[:40], atol=0.02)
 
 
 def test_what_was_corrected_is_not_corrected_again(call, files, tmp_path):
@@ -402,9 +394,7 @@ def test_the_library_applies_corrections_or_leaves_them_off(files):
             fused = next(iter(sceneloom.iter_fused(scene)))
             seen = sceneloom.project_cuboids(scene)
             pose = scene.samples(reference="camera0")[1].poses.world_from_sensor["camera0"]
-            boxes = [
-                np.nansum(part.boxes) for a in seen.annotations for part in getattr(a, "projections", ())
-            ]
+            boxes = [np.nansum(part.boxes) for a in seen.annotations for part in getattr(a, "projections", ())]
             colours = fused.points.colors
             return np.array([*ego.path.positions[1], *pose.matrix.ravel(), *boxes, *colours.mean(axis=0)])
 

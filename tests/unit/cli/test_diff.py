@@ -40,9 +40,7 @@ def test_drives_that_differ_exit_with_one_and_state_where(call, drives):
     outcome = call("diff", *drives)
     assert outcome.code == 1
     lines = outcome.out.splitlines()
-    assert lines[0].startswith(
-        "~ sensors['lidar'].frames[].points.positions: changed by 0.25 m in 1 frame, most in"
-    )
+    assert lines[0].startswith("~ sensors['lidar'].frames[].points.positions: changed by 0.25 m in 1 frame, most in")
     assert lines[-1] == "1 difference"
 
 

@@ -147,9 +147,7 @@ def test_world_and_ego_and_back_give_the_same_scene(call, scene_file, tmp_path):
                 measured.lidars[0].frames[k].points.positions,
                 atol=5e-5,
             )
-        assert [annotation.id for annotation in b.annotations] == [
-            annotation.id for annotation in a.annotations
-        ]
+        assert [annotation.id for annotation in b.annotations] == [annotation.id for annotation in a.annotations]
         for before, after in zip(a.annotations, b.annotations, strict=True):
             if isinstance(before, CuboidAnnotation):
                 np.testing.assert_allclose(after.path.values, before.path.values, atol=1e-9)
@@ -182,9 +180,7 @@ def test_an_adjustment_in_a_file_is_applied(call, scene_file, tmp_path):
     outcome = call("edit", "apply", tmp_path / "given.sfs", "-o", tmp_path / "x.sfs", "--only", "7")
     assert outcome.code == 0, outcome.err
     with sceneloom.open(tmp_path / "x.sfs") as scene:
-        np.testing.assert_allclose(
-            scene.lidars[0].poses.positions, before + np.array([0.0, 0.0, 2.5]), atol=1e-9
-        )
+        np.testing.assert_allclose(scene.lidars[0].poses.positions, before + np.array([0.0, 0.0, 2.5]), atol=1e-9)
         assert scene.metadata["sceneloom"]["applied"] == [{"id": 7, "type": "localization_adjustment"}]
 
 
@@ -199,9 +195,7 @@ def test_no_edit_replaces_a_file_unasked(call, scene_file, tmp_path, verb):
 @pytest.fixture(scope="module")
 def street(tmp_path_factory):
     camera = CameraSpec(Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5))
-    drive = simulate_street(
-        2, frames=3, lidar=LidarSpec(beams=16, steps=360), cameras=(camera,), traffic=TrafficSpec()
-    )
+    drive = simulate_street(2, frames=3, lidar=LidarSpec(beams=16, steps=360), cameras=(camera,), traffic=TrafficSpec())
     path = tmp_path_factory.mktemp("street") / "street.sfs"
     sceneloom.write(drive.scene, path)
     return path
@@ -215,9 +209,7 @@ def test_edit_count_reports_the_points_of_each_cuboid(call, street, tmp_path):
     assert report["points_in_cuboids"] == sum(report["points_by_cuboid"].values()) > 100
     with sceneloom.open(tmp_path / "out.sfs") as scene:
         labelled = [a for a in scene.annotations if isinstance(a, LabeledPointsAnnotation)]
-        assert (
-            sum(len(e.point_ids) for a in labelled for e in a.labeled_points) == report["points_in_cuboids"]
-        )
+        assert sum(len(e.point_ids) for a in labelled for e in a.labeled_points) == report["points_in_cuboids"]
         reported = {
             str(a.id): sum(path.values[k] for path in a.attributes for k in range(len(path.values)))
             for a in scene.annotations
@@ -356,9 +348,7 @@ def test_images_of_a_video_whose_codec_cannot_hold_their_size_go_one_by_one(tmp_
 
 
 def test_it_is_reported_in_words_too_and_without_boxes_nothing_is_written(call, drives, tmp_path):
-    outcome = call(
-        "edit", "blur", drives / "recording", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv"
-    )
+    outcome = call("edit", "blur", drives / "recording", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv")
     assert outcome.code == 0
     assert "1 of 3" in outcome.out
     assert "boxes that lie outside of their images" in outcome.err
@@ -370,9 +360,7 @@ def test_it_is_reported_in_words_too_and_without_boxes_nothing_is_written(call, 
 
 
 def test_images_that_are_not_touched_are_copied_without_what_they_state(call, drives, tmp_path):
-    call(
-        "edit", "blur", drives / "scene.sfs", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv", "-q"
-    )
+    call("edit", "blur", drives / "scene.sfs", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv", "-q")
     with sceneloom.open(drives / "scene.sfs") as before, sceneloom.open(tmp_path / "o.sfs") as after:
         old, new = before.cameras[0].images, after.cameras[0].images
         assert new[0].encoded is None or new[0].encoded() == old[0].encoded()
@@ -380,9 +368,7 @@ def test_images_that_are_not_touched_are_copied_without_what_they_state(call, dr
 
 
 def test_edit_relative_writes_a_drive_that_begins_at_zero(call, drives, tmp_path):
-    outcome = call(
-        "edit", "anonymise", drives / "recording", "-o", tmp_path / "r.sfs", "--dates", "shift", "--json"
-    )
+    outcome = call("edit", "anonymise", drives / "recording", "-o", tmp_path / "r.sfs", "--dates", "shift", "--json")
     assert outcome.code == 0, outcome.err
     codes = {warning["code"] for warning in json.loads(outcome.out)["warnings"]}
     assert "fixes-left-out" in codes
@@ -391,9 +377,7 @@ def test_edit_relative_writes_a_drive_that_begins_at_zero(call, drives, tmp_path
         first = min(sensor.frames.timestamps_ns[0] for sensor in scene.lidars)
         assert abs(int(first)) < 1_000_000_000
         start = int(np.argmin(np.abs(trajectory.timestamps_ns)))
-        assert (
-            np.linalg.norm(trajectory.positions[start]) < 1.0
-        )  # where a pose is, a tenth of a second after the first
+        assert np.linalg.norm(trajectory.positions[start]) < 1.0  # where a pose is, a tenth of a second after the first
 
 
 BARREL = Camera("brown_conrady", 96, 64, 60.0, 60.0, 47.5, 31.5, (-0.2, 0.03))
@@ -438,9 +422,7 @@ def test_edit_undistort_refuses_sizes_and_cameras_that_are_none(call, distorted,
 
 
 def test_edit_camera_model_reports_how_far_off_the_new_camera_model_is(call, distorted, tmp_path):
-    outcome = call(
-        "edit", "camera-model", distorted, "-o", tmp_path / "drive", "--model", "fisheye", "--json"
-    )
+    outcome = call("edit", "camera-model", distorted, "-o", tmp_path / "drive", "--model", "fisheye", "--json")
     assert outcome.code == 0
     warnings = {warning["code"]: warning["message"] for warning in json.loads(outcome.out)["warnings"]}
     assert "brown_conrady camera model reported as fisheye, off by up to" in warnings["camera-model-fitted"]
@@ -449,8 +431,6 @@ def test_edit_camera_model_reports_how_far_off_the_new_camera_model_is(call, dis
 
 
 def test_edit_camera_model_refuses_what_is_further_off_than_the_limit(call, distorted, tmp_path):
-    outcome = call(
-        "edit", "camera-model", distorted, "-o", tmp_path / "d.sfs", "--model", "pinhole", "--limit", "0.5"
-    )
+    outcome = call("edit", "camera-model", distorted, "-o", tmp_path / "d.sfs", "--model", "pinhole", "--limit", "0.5")
     assert (outcome.code, "expected at most 0.5 px" in outcome.err) == (1, True)
     assert not (tmp_path / "d.sfs").exists()

@@ -117,9 +117,7 @@ def test_drawing_leaves_the_callers_matplotlib_alone(trajectories, tmp_path):
         f"sceneloom.evaluate_trajectory(trajectory, trajectory, plot={str(tmp_path / 'a.png')!r})\n"
         "print('matplotlib.pyplot' in sys.modules)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=False)
     assert done.stdout == "False\n", done.stderr
 
 
@@ -168,9 +166,7 @@ def test_a_trajectory_goes_through_all_forms_and_a_drive(call, trajectories, tmp
 
 def test_a_kitti_file_is_converted_with_its_rate_and_axes(call, tmp_path):
     (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 2\n", "ascii")
-    outcome = call(
-        "convert", tmp_path / "poses.txt", tmp_path / "a.tum", "--from-rate", "10", "--from-optical"
-    )
+    outcome = call("convert", tmp_path / "poses.txt", tmp_path / "a.tum", "--from-rate", "10", "--from-optical")
     assert outcome.code == 0
     trajectory = read_trajectory(tmp_path / "a.tum")
     assert trajectory.positions.tolist() == [[0, 0, 0], [2, 0, 0]]
@@ -452,10 +448,7 @@ def test_a_class_that_nobody_has_is_named(call, sides):
     for verb in ("tracking", "detection"):
         outcome = call("eval", verb, *sides, "--class", "cat")
         assert outcome.code == 2
-        assert (
-            "class 'cat' occurs neither in the results nor in the truth, which have car, pedestrian"
-            in outcome.err
-        )
+        assert "class 'cat' occurs neither in the results nor in the truth, which have car, pedestrian" in outcome.err
 
 
 def test_results_without_ids_are_remarked_or_refused(call, sides):

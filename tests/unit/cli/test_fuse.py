@@ -104,9 +104,7 @@ def test_a_function_of_a_file_fuses(drive, tmp_path, file):
     configuration = FusionConfiguration(fusion_algorithm=f"{file}:red")
     found = list(sceneloom.iter_fused(drive, configuration=configuration))
     assert len(found) == 2
-    assert {tuple(c) for c in found[0].points.colors[found[0].points.camera_index < 255].tolist()} == {
-        (255, 0, 0)
-    }
+    assert {tuple(c) for c in found[0].points.colors[found[0].points.camera_index < 255].tolist()} == {(255, 0, 0)}
 
 
 def test_a_function_of_a_file_is_found_by_other_processes(file):
@@ -267,9 +265,7 @@ def test_a_part_of_a_drive_has_the_boxes_of_its_time(call, detected, tmp_path, n
     seen = folder / "boxes2d.jsonl"
     if numbered:
         (seen := tmp_path / "car" / "seen.txt").parent.mkdir()
-        rows = [
-            (k, *corners, 0.9) for k, boxes in enumerate(in_images) for corners in boxes.corners_xyxy.tolist()
-        ]
+        rows = [(k, *corners, 0.9) for k, boxes in enumerate(in_images) for corners in boxes.corners_xyxy.tolist()]
         seen.write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", seen)
     words = ("fuse", folder / "recording", "--type", "detection", *files, "-o")
@@ -347,9 +343,7 @@ def test_records_name_their_camera_or_the_command_does(call, tmp_path):
 @pytest.mark.parametrize("one", ["boxes3d", "boxes2d"])
 def test_one_detector_is_enough(call, detected, tmp_path, one):
     folder, _, _ = detected
-    outcome = call(
-        "track", folder / "recording", f"--{one}", folder / f"{one}.jsonl", "-o", tmp_path / "a.sfs"
-    )
+    outcome = call("track", folder / "recording", f"--{one}", folder / f"{one}.jsonl", "-o", tmp_path / "a.sfs")
     assert outcome.code == 0, outcome.err
     with sceneloom.open(tmp_path / "a.sfs") as scene:
         assert len(scene.lidars) == 1
@@ -439,9 +433,7 @@ def tracking_texts():
 )
 def test_what_cannot_be_fused_is_reported(call, detected, tmp_path, words, code, reported):
     folder, _, _ = detected
-    given = [
-        word.format(boxes2d=folder / "boxes2d.jsonl", boxes3d=folder / "boxes3d.jsonl") for word in words
-    ]
+    given = [word.format(boxes2d=folder / "boxes2d.jsonl", boxes3d=folder / "boxes3d.jsonl") for word in words]
     outcome = call("fuse", folder / "recording", "--type", "detection", "-o", tmp_path / "out.jsonl", *given)
     assert (outcome.code, reported in outcome.err) == (code, True), outcome.err
     assert not list(tmp_path.glob("out*"))
@@ -495,10 +487,7 @@ def test_options_of_detections_need_the_type(call, detected, tmp_path):
 def test_results_whose_other_file_is_missing_are_reported(call, detected, tmp_path):
     folder, _, _ = detected
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
-    assert (
-        call("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "o.jsonl").code
-        == 0
-    )
+    assert call("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "o.jsonl").code == 0
     (tmp_path / "o.frames.jsonl").unlink()
     outcome = call("track", tmp_path / "o.jsonl", "-o", tmp_path / "a.jsonl")
     assert (outcome.code, "o.frames.jsonl: is missing" in outcome.err) == (1, True), outcome.err

@@ -19,9 +19,7 @@ OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def mount(rotation):
-    return RigidTransform.from_quaternion(
-        np.array([1.5, -0.25, 2.0]), Rotation.from_matrix(rotation).as_quat()
-    )
+    return RigidTransform.from_quaternion(np.array([1.5, -0.25, 2.0]), Rotation.from_matrix(rotation).as_quat())
 
 
 def camera(rotation):
@@ -54,9 +52,7 @@ def test_a_quaternion_of_the_wrong_order_shows_itself():
 )
 def test_a_lidar_is_known_by_how_it_is_rotated(euler_deg, words):
     rotation = Rotation.from_euler("xyz", euler_deg, degrees=True).as_matrix()
-    assert mounting_text(LidarSensor("l", LazyFrames.of([], []), mount=mount(rotation))).endswith(
-        f", {words}"
-    )
+    assert mounting_text(LidarSensor("l", LazyFrames.of([], []), mount=mount(rotation))).endswith(f", {words}")
 
 
 def test_a_lidar_that_is_the_ego_says_no_more_than_that():

@@ -19,13 +19,9 @@ def test_doctor_says_what_is_there_and_ends_with_0(call):
 
 
 def test_doctor_ends_with_1_where_something_needed_is_broken(call, monkeypatch):
-    broken = Finding(
-        group="packages", name="av", status=Status.BROKEN, stated="is gone", remedy="pip install av"
-    )
+    broken = Finding(group="packages", name="av", status=Status.BROKEN, stated="is gone", remedy="pip install av")
     good = Finding(group="packages", name="numpy", status=Status.GOOD, stated="2.0")
-    monkeypatch.setattr(
-        installation, "examine_installation", lambda: InstallationReport(findings=(broken, good))
-    )
+    monkeypatch.setattr(installation, "examine_installation", lambda: InstallationReport(findings=(broken, good)))
     outcome = call("doctor", "--quiet")
     assert (outcome.code, "BROKEN" in outcome.out, "pip install av" in outcome.out) == (1, True, True)
     assert "numpy" not in outcome.out

@@ -27,12 +27,8 @@ _USUAL = {signal.SIGINT: signal.default_int_handler}
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such signals")
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name
-)
-def test_a_signal_in_the_middle_of_a_fusion_leaves_nothing_behind(
-    call, recording, tmp_path, monkeypatch, number
-):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)
+def test_a_signal_in_the_middle_of_a_fusion_leaves_nothing_behind(call, recording, tmp_path, monkeypatch, number):
     seen = []
 
     def signalled(*_, **__):
@@ -85,9 +81,7 @@ def test_help_does_not_import_the_pipeline():
 
 
 def test_the_package_can_be_run_as_a_program():
-    done = subprocess.run(
-        [sys.executable, "-m", "sceneloom", "--version"], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([sys.executable, "-m", "sceneloom", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("sceneloom, version ")
 
 

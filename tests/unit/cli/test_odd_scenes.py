@@ -34,9 +34,7 @@ SECONDS = 60
 MEMORY = 3 << 30
 """How much more memory than before a verb may ask for [bytes of address space]; sound scenes take a hundredth."""
 
-UNFORESEEN = (
-    r"Traceback|(Runtime|User|Rerun)Warning|(Value|Index|Type|Key|Overflow|Attribute|Memory|Assertion)Error"
-)
+UNFORESEEN = r"Traceback|(Runtime|User|Rerun)Warning|(Value|Index|Type|Key|Overflow|Attribute|Memory|Assertion)Error"
 """What no output of a verb holds."""
 
 Header = dict[str, Any]
@@ -195,9 +193,7 @@ def all_poses(poses):
 
 ODD["one_pose"] = all_poses(lambda poses: {"timestamps": [0], "values": poses["values"][:1]})
 ODD["no_poses"] = all_poses(lambda _: {"timestamps": [], "values": []})
-ODD["a_quaternion_of_zeros"] = lambda h: sensor(h, "ego")["poses"]["values"][1].__setitem__(
-    slice(3, None), [0.0] * 4
-)
+ODD["a_quaternion_of_zeros"] = lambda h: sensor(h, "ego")["poses"]["values"][1].__setitem__(slice(3, None), [0.0] * 4)
 ODD["no_sensors"] = lambda h: h.update(sensors=[], annotations=[])
 ODD["only_annotations"] = lambda h: h.pop("sensors")
 ODD["only_an_odometry"] = lambda h: h.update(sensors=[sensor(h, "ego")])
@@ -505,9 +501,7 @@ def ids_that_differ_in_type_only(header):
 
 @odd
 def many_sensors_of_a_kind(header):
-    header["sensors"] += [
-        {**deepcopy(sensor(header, name)), "id": f"{name}2"} for name in ("lidar", "camera")
-    ]
+    header["sensors"] += [{**deepcopy(sensor(header, name)), "id": f"{name}2"} for name in ("lidar", "camera")]
 
 
 @odd
@@ -825,9 +819,7 @@ LEFT_OUT = (
 
 @pytest.mark.parametrize(("case", "name", "kind", "count"), LEFT_OUT)
 @pytest.mark.few(5)
-def test_what_an_image_or_a_view_cannot_show_is_counted(
-    call, encode_sfs, lists, tmp_path, case, name, kind, count
-):
+def test_what_an_image_or_a_view_cannot_show_is_counted(call, encode_sfs, lists, tmp_path, case, name, kind, count):
     outcome = call(*words_on(case, name, tmp_path, encode_sfs, lists), "--json")
     assert outcome.code == 0, outcome
     reported = json.loads(outcome.out)
@@ -913,9 +905,7 @@ def test_what_is_no_finite_number_is_an_error_in_every_field_of_a_header(encode_
     for location in numbers_in(header):
         if "attributes" in location and "values" in location:
             continue  # they are anything
-        fields.setdefault(
-            tuple(key for k, key in enumerate(location) if k == 1 or isinstance(key, str)), location
-        )
+        fields.setdefault(tuple(key for k, key in enumerate(location) if k == 1 or isinstance(key, str)), location)
     assert len(fields) > 40
     path.write_bytes(encode_sfs(header))
     known = {(one.rule, one.path) for one in sceneloom.validate(path, frames=False).findings}
@@ -935,9 +925,7 @@ NUMBER = re.compile("finite|number|inf|nan|range", re.IGNORECASE)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("spelling", NO_NUMBERS)
-@pytest.mark.parametrize(
-    ("verb", "further"), [("validate", ()), ("info", ()), ("convert", ("OUT.sfs", "--overwrite"))]
-)
+@pytest.mark.parametrize(("verb", "further"), [("validate", ()), ("info", ()), ("convert", ("OUT.sfs", "--overwrite"))])
 def test_no_verb_breaks_on_what_is_no_finite_number(call, encode_sfs, tmp_path, verb, further, spelling):
     header, path = of_all_annotations(), tmp_path / "drive.sfs"
     words = [word.replace("OUT", str(tmp_path / "out")) for word in further]

@@ -116,9 +116,7 @@ def test_every_verb_prints_for_machines_and_can_be_quiet_or_state_more(verb):
 
 def test_short_names_stand_for_one_long_name_each():
     for verb, option, name in OPTIONS:
-        if name in SHORT and not (
-            name == "-o" and verb.startswith("eval ")
-        ):  # which writes nothing but an image
+        if name in SHORT and not (name == "-o" and verb.startswith("eval ")):  # which writes nothing but an image
             assert SHORT[name] in option.opts, f"{verb} {name}"
 
 
@@ -130,9 +128,7 @@ def test_what_is_piped_or_asked_to_be_plain_has_no_colours_and_no_bar(call, reco
     plain = call(*words, tmp_path / "plain.sfs")
     for reported in (piped, plain):
         assert reported.code == 0, reported.err
-        assert not re.search(
-            r"\x1b\[[0-9;]*[1-9][0-9]*m", reported.out + reported.err
-        )  # marks that set a colour
+        assert not re.search(r"\x1b\[[0-9;]*[1-9][0-9]*m", reported.out + reported.err)  # marks that set a colour
     assert "\r" not in piped.err
 
 
@@ -223,9 +219,7 @@ def is_a_name_of_ours(word):
 
 
 @pytest.mark.parametrize(("verb", "names", "value"), CASES)
-def test_a_value_that_an_option_cannot_have_is_answered_with_the_option(
-    call, recording, tmp_path, verb, names, value
-):
+def test_a_value_that_an_option_cannot_have_is_answered_with_the_option(call, recording, tmp_path, verb, names, value):
     needed = NEEDED.get(verb, ("DRIVE", "-o", "OUT.sfs"))
     words = [word.replace("DRIVE", str(recording)).replace("OUT", str(tmp_path / "out")) for word in needed]
     outcome = call(*verb.split(), *words, names[-1], *value)
@@ -234,9 +228,7 @@ def test_a_value_that_an_option_cannot_have_is_answered_with_the_option(
     last = [line for line in outcome.err.strip().splitlines() if not line.startswith("next: ")][-1]
     bare = names[-1].lstrip("-")
     assert bare in last.lower().replace("_", "-"), last
-    ours = [
-        word for word in re.findall(r"[a-z_]+", last.replace(str(tmp_path), "")) if is_a_name_of_ours(word)
-    ]
+    ours = [word for word in re.findall(r"[a-z_]+", last.replace(str(tmp_path), "")) if is_a_name_of_ours(word)]
     assert not ours, last
 
 

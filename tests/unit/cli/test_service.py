@@ -68,9 +68,7 @@ def test_what_was_sent_is_reported(drive, address):
 
 
 def test_results_without_an_output_are_lines_of_json(address, sent):
-    lines = [
-        json.loads(line) for line in run("get", address, "--type", "sensor", "--session", sent).splitlines()
-    ]
+    lines = [json.loads(line) for line in run("get", address, "--type", "sensor", "--session", sent).splitlines()]
     assert [line["number"] for line in lines] == [0, 1, 2]
     assert {line["width"] for line in lines} == {96}
     assert "image_data" not in lines[0]
@@ -80,9 +78,7 @@ def test_sensor_data_become_a_folder_with_depths_images_and_points(address, sent
     out = tmp_path / "out"
     with FusionClient(address, session=sent) as client:
         client.set_property("result_queue_length", 10)
-    reported = json.loads(
-        run("get", address, "--type", "sensor", "-o", out, "--session", sent, "--count", 2, "--json")
-    )
+    reported = json.loads(run("get", address, "--type", "sensor", "-o", out, "--session", sent, "--count", 2, "--json"))
     assert reported["results"] == 2
     lines = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
     with Image.open(out / lines[0]["depth"]) as image:
@@ -152,9 +148,7 @@ def test_an_address_without_a_port_is_reported_at_once(verb, address):
 
 
 @pytest.mark.parametrize("form", [[], ["--json"], ["-o", "x.jsonl"]])
-def test_a_session_that_received_nothing_is_an_error_and_is_named(
-    address, tmp_path, monkeypatch, capsys, form
-):
+def test_a_session_that_received_nothing_is_an_error_and_is_named(address, tmp_path, monkeypatch, capsys, form):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as ended:
         main(["get", address, "--type", "detection", "--session", "nosuch", *form])
@@ -186,9 +180,7 @@ def test_points_with_fields_of_any_name_become_a_folder(address, tmp_path):
             sensor_id=0, timestamp=now, seq=0, height=8, width=8, encoding="mono8", channel=1, data=pixels
         )
         rows = np.arange(14, dtype=np.float32).reshape(2, 7)
-        cloud = PointCloudData(
-            sensor_id=0, timestamp=now, seq=0, number=2, fields=fields, fields_number=7, data=rows
-        )
+        cloud = PointCloudData(sensor_id=0, timestamp=now, seq=0, number=2, fields=fields, fields_number=7, data=rows)
         assert client.send(image)
         assert client.send(cloud)
         client.flush()
@@ -212,9 +204,7 @@ def conforming():
 def test_our_server_passes_every_check_and_the_report_says_so(call, conforming, tmp_path):
     outcome = call("conformance", conforming, "--report", tmp_path / "r.json", "--quiet")
     assert (outcome.code, outcome.err) == (0, "")
-    assert (
-        outcome.out.splitlines()[0] == f"{conforming}: {len(CHECKS)} checks: {len(CHECKS)} passed, 0 failed"
-    )
+    assert outcome.out.splitlines()[0] == f"{conforming}: {len(CHECKS)} checks: {len(CHECKS)} passed, 0 failed"
     report = json.loads((tmp_path / "r.json").read_text("utf-8"))
     assert (report["passed"], len(report["checks"])) == (True, len(CHECKS))
 
@@ -253,9 +243,7 @@ def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, co
     assert "sent AddProperty speed: expected 1, found 2" in outcome.out
 
 
-def test_nobody_at_the_address_unknown_checks_and_reports_are_reported(
-    call, conforming, tmp_path, monkeypatch
-):
+def test_nobody_at_the_address_unknown_checks_and_reports_are_reported(call, conforming, tmp_path, monkeypatch):
     from sceneloom.db34t.conformance import examination
 
     monkeypatch.setattr(examination, "PATIENCE_S", 1.0)

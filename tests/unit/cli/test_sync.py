@@ -18,9 +18,7 @@ def late(tmp_path_factory):
     trajectory = scene.trajectories["groundTruth"]
     moved = replace(trajectory, timestamps_ns=trajectory.timestamps_ns + 30_000_000)
     sensors = tuple(s for s in scene.sensors if s.id == "imu")
-    sceneloom.write(
-        replace(scene, sensors=sensors, annotations=(), trajectories={"groundTruth": moved}), folder
-    )
+    sceneloom.write(replace(scene, sensors=sensors, annotations=(), trajectories={"groundTruth": moved}), folder)
     return folder
 
 

@@ -29,8 +29,7 @@ def outline(location, size_hwl):
     """The box in the image of a box whose length lies along x of the camera, by its eight corners."""
     h, w, length = size_hwl
     corners = (
-        np.array([[x, y, z] for x in (-length / 2, length / 2) for y in (-h, 0) for z in (-w / 2, w / 2)])
-        + location
+        np.array([[x, y, z] for x in (-length / 2, length / 2) for y in (-h, 0) for z in (-w / 2, w / 2)]) + location
     )
     u, v = FOCAL * corners[:, 0] / corners[:, 2] + CX, FOCAL * corners[:, 1] / corners[:, 2] + CY
     return u.min(), v.min(), u.max(), v.max()
@@ -41,9 +40,7 @@ def folder(tmp_path):
     """Eight frames with a car and a person, both found by both detectors; labels that must never be read."""
     root = tmp_path / "kitti"
     texts = {"calib/0003.txt": CALIB, "label_02/0003.txt": "not to be read"}
-    texts["oxts/0003.txt"] = "".join(
-        f"0 {SPEED * k / 111319.4908:.12f}" + " 0" * 28 + "\n" for k in range(FRAMES)
-    )
+    texts["oxts/0003.txt"] = "".join(f"0 {SPEED * k / 111319.4908:.12f}" + " 0" * 28 + "\n" for k in range(FRAMES))
     for label, number, size in (("Car", 2, SIZE_HWL), ("Pedestrian", 1, PEOPLE_HWL)):
         two, three = "", ""
         for k in range(FRAMES):
@@ -63,9 +60,7 @@ def results(output):
     """Frame by frame, the rows of a class."""
     found = read_labels(output / "0003.txt")
     assert found.scores is not None
-    return found, {
-        label: np.flatnonzero([word == label for word in found.types]) for label in set(found.types)
-    }
+    return found, {label: np.flatnonzero([word == label for word in found.types]) for label in set(found.types)}
 
 
 def test_what_stands_has_one_track_whose_boxes_are_where_it_is(call, folder, tmp_path):
@@ -222,9 +217,7 @@ def test_several_detectors_are_a_question(call, folder, tmp_path):
 def test_images_of_each_sequence_are_drawn_on_request(call, folder, tmp_path):
     outcome = call("track", folder, "-o", tmp_path / "out", "--visualize", tmp_path / "look")
     assert outcome.code == 0, outcome.err
-    drawn = sorted(
-        path.relative_to(tmp_path / "look").as_posix() for path in (tmp_path / "look").rglob("*.png")
-    )
+    drawn = sorted(path.relative_to(tmp_path / "look").as_posix() for path in (tmp_path / "look").rglob("*.png"))
     assert drawn[0] == "0003/000000_above.png"
     assert len(drawn) == FRAMES
 

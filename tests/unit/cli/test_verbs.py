@@ -275,9 +275,7 @@ def test_a_dash_is_no_name_of_an_output(call, recording, tmp_path, monkeypatch, 
     ],
 )
 def test_json_reports_where_the_time_went(call, recording, tmp_path, verb, words, stage):
-    reported = call(
-        verb, recording, *(word.replace("OUT", str(tmp_path / "out")) for word in words), "--json"
-    )
+    reported = call(verb, recording, *(word.replace("OUT", str(tmp_path / "out")) for word in words), "--json")
     stages = json.loads(reported.out)["stages"]
     assert {"opening", stage} <= stages.keys()
     assert all(seconds >= 0.0 for seconds in stages.values())

@@ -69,9 +69,7 @@ def rays_towards(origin: np.ndarray, rays: np.ndarray, center: np.ndarray, radiu
     return np.arange(len(rays)) if tangent <= 0 else np.flatnonzero(rays @ away >= np.sqrt(tangent))
 
 
-def cast(
-    bodies: tuple[np.ndarray, np.ndarray], origin: np.ndarray, rays: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def cast(bodies: tuple[np.ndarray, np.ndarray], origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Range of the first hit of each unit ray, infinite for none, and the number of what it hit; 0 is the road."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ranges = np.where(rays[:, 2] < 0, -origin[2] / rays[:, 2], np.inf)
@@ -116,9 +114,7 @@ def far_from_outlines(look: Callable[[np.ndarray], np.ndarray], pixels: np.ndarr
     around = np.floor(pixels + 0.5).astype(int)[:, None] + steps
     # as one number each: rows of two are sorted many times as slowly
     needed, locations = np.unique(around[..., 0] * 2**20 + around[..., 1] + 2**10, return_inverse=True)
-    hits = look(np.stack([needed // 2**20, needed % 2**20 - 2**10], axis=1))[
-        locations.reshape(len(pixels), -1)
-    ]
+    hits = look(np.stack([needed // 2**20, needed % 2**20 - 2**10], axis=1))[locations.reshape(len(pixels), -1)]
     return (hits == hits[:, :1]).all(axis=1)
 
 

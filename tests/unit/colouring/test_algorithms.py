@@ -108,9 +108,7 @@ PLAIN = VisibilitySettings(enabled=False)
 
 def view(points_world, camera=CAMERA, visibility=PLAIN, rgb=None):
     image = np.zeros((camera.height, camera.width, 3), np.uint8) if rgb is None else rgb
-    return view_points(
-        points_world, camera, POSE, image, camera_id="c", timestamp_ns=7, visibility=visibility
-    )
+    return view_points(points_world, camera, POSE, image, camera_id="c", timestamp_ns=7, visibility=visibility)
 
 
 def cloud(count=4000, seed=0):
@@ -196,9 +194,7 @@ class TestFewPoints:
         assert fused.depth_image.tolist() == [[3.0]]
 
     def test_points_behind_the_camera_are_in_no_image(self, visibility):
-        assert (
-            len(view(POSE.apply(np.array([[0, 0, -5.0], [0, 0, 0]])), visibility=visibility).point_ids) == 0
-        )
+        assert len(view(POSE.apply(np.array([[0, 0, -5.0], [0, 0, 0]])), visibility=visibility).point_ids) == 0
 
 
 def test_a_fisheye_sees_beside_and_behind_itself_but_such_points_have_no_depth():
@@ -266,9 +262,7 @@ WIDE = Camera("fisheye", 640, 640, 150.0, 150.0, 319.5, 319.5)
 def observations_of(points_camera, camera, *, enabled=True):
     rgb = np.zeros((camera.height, camera.width, 3), np.uint8)
     view = view_points(
-        np.where(
-            np.isfinite(points_camera), POSE.apply(np.nan_to_num(points_camera, posinf=0)), points_camera
-        ),
+        np.where(np.isfinite(points_camera), POSE.apply(np.nan_to_num(points_camera, posinf=0)), points_camera),
         camera,
         POSE,
         rgb,
@@ -319,9 +313,7 @@ def test_observations_agree_with_the_points_in_the_image(camera, enabled):
     points = np.random.default_rng(3).normal(size=(20_000, 3)) * [5, 5, 5]
     view, observations = observations_of(points, camera, enabled=enabled)
     np.testing.assert_array_equal(np.flatnonzero(observations <= PointVisibility.HIDDEN), view.point_ids)
-    np.testing.assert_array_equal(
-        np.flatnonzero(observations == PointVisibility.VISIBLE), view.point_ids[view.visible]
-    )
+    np.testing.assert_array_equal(np.flatnonzero(observations == PointVisibility.VISIBLE), view.point_ids[view.visible])
     assert len(np.unique(observations)) == (3 if camera is WIDE else 4)
 
 
@@ -340,9 +332,7 @@ def test_fused_frames_agree_with_what_was_really_there(name):
     truth, k = drive.truth, 3
     sweep = truth.sweep(k)
     measured = np.linalg.norm(sweep.frame.points.positions.astype(np.float64), axis=1)
-    points_world = (
-        sweep.origins_world + (sweep.points_world - sweep.origins_world) * (measured / sweep.ranges)[:, None]
-    )
+    points_world = sweep.origins_world + (sweep.points_world - sweep.origins_world) * (measured / sweep.ranges)[:, None]
     image = drive.scene.cameras[0].images[k]
     request = ViewRequest(
         camera_id="camera0",
@@ -367,9 +357,7 @@ def test_fused_frames_agree_with_what_was_really_there(name):
     assert (fused.colors[view.point_ids[view.visible]] == image.rgb[rows, columns][view.visible]).all()
 
 
-THREADS_CAMERA = Camera(
-    "brown_conrady", 320, 200, 200.0, 200.0, 159.5, 99.5, (-0.1, 0.02, 5e-4, -3e-4, 1e-3, 0.05)
-)
+THREADS_CAMERA = Camera("brown_conrady", 320, 200, 200.0, 200.0, 159.5, 99.5, (-0.1, 0.02, 5e-4, -3e-4, 1e-3, 0.05))
 
 
 COUNT = 30_000  # enough for threads to share them
@@ -405,13 +393,9 @@ def threads_request(number):
 @pytest.mark.parametrize("threads", [2, 3])
 @pytest.mark.parametrize("known_trajectory", [False, True])
 @pytest.mark.parametrize("enabled", [False, True])
-def test_fusion_gives_the_same_to_the_bit_with_any_number_of_threads(
-    images, threads, known_trajectory, enabled
-):
+def test_fusion_gives_the_same_to_the_bit_with_any_number_of_threads(images, threads, known_trajectory, enabled):
     points = threads_cloud()
-    trajectory = LidarTrajectory(
-        np.array([[0, -0.8, 0], [0.2, -0.8, 0.1]]), np.linspace(0, 1, COUNT, dtype=np.float32)
-    )
+    trajectory = LidarTrajectory(np.array([[0, -0.8, 0], [0.2, -0.8, 0.1]]), np.linspace(0, 1, COUNT, dtype=np.float32))
     alone, shared = (
         fuse_by_projection(
             points,

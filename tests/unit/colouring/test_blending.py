@@ -64,9 +64,7 @@ def test_colours_are_taken_between_the_pixels():
 
 
 def test_the_image_that_shows_a_point_away_from_its_border_counts():
-    points = np.array(
-        [[2.4, 0.0, 5.0]]
-    )  # 98 px: at the border of the first, 49 px from the axis of the second
+    points = np.array([[2.4, 0.0, 5.0]])  # 98 px: at the border of the first, 49 px from the axis of the second
     views = [view(points, image(10)), view(points, image(200), x=1.2, camera_id="b", timestamp_ns=7)]
     blended = blend_colours(points, views, [3, 5], settings=BlendSettings(mode="best"))
     assert blended.colors.tolist() == [[200, 200, 200]]
@@ -185,9 +183,7 @@ def test_without_views_no_point_has_a_colour():
 
 
 def test_an_empty_cloud_has_no_colours():
-    colors, camera_index = colour_points(
-        0, [make_view([], [], plain(0)), make_view([], [], plain(0))], [0, 1]
-    )
+    colors, camera_index = colour_points(0, [make_view([], [], plain(0)), make_view([], [], plain(0))], [0, 1])
     assert colors.shape == (0, 3)
     assert camera_index.shape == (0,)
 
@@ -295,9 +291,7 @@ def painted_one_by_one(views, count):
             inside = -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5
             if not (seen and inside and 0 <= k < count):
                 continue
-            off_center = math.hypot(u - (width - 1) / 2, v - (height - 1) / 2) / (
-                math.hypot(width, height) / 2
-            )
+            off_center = math.hypot(u - (width - 1) / 2, v - (height - 1) / 2) / (math.hypot(width, height) / 2)
             if off_center < best[k]:
                 best[k], camera_index[k] = off_center, camera
                 row, column = min(math.floor(v + 0.5), height - 1), min(math.floor(u + 0.5), width - 1)
@@ -342,6 +336,4 @@ def test_of_two_equally_central_views_the_first_counts():
 def test_read_only_images_are_taken():
     ids, pixels, visible, rgb = random_view(5)
     rgb.flags.writeable = False
-    assert painted([(ids, pixels, visible, rgb)], COUNT) == painted_one_by_one(
-        [(ids, pixels, visible, rgb)], COUNT
-    )
+    assert painted([(ids, pixels, visible, rgb)], COUNT) == painted_one_by_one([(ids, pixels, visible, rgb)], COUNT)

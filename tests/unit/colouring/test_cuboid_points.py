@@ -33,9 +33,7 @@ ON_FACES = 0.02
 @pytest.fixture(scope="module")
 def drive():
     """A street with traffic, as seen by a lidar that rotations while everything moves."""
-    return simulate_street(
-        3, frames=2, lidar=LidarSpec(beams=32, steps=400), cameras=(), traffic=TrafficSpec()
-    )
+    return simulate_street(3, frames=2, lidar=LidarSpec(beams=32, steps=400), cameras=(), traffic=TrafficSpec())
 
 
 def exact_counts(drive, k, instances):
@@ -56,9 +54,7 @@ def exact_counts(drive, k, instances):
             if instance in counts and boxes.present[moment, column] and near.any():
                 half = boxes.yaws[moment, column] / 2
                 rotation = np.array([0, 0, np.sin(half), np.cos(half)])
-                counts[instance] += int(
-                    points_in_box(world[near], center, boxes.sizes_lwh[column], rotation).sum()
-                )
+                counts[instance] += int(points_in_box(world[near], center, boxes.sizes_lwh[column], rotation).sum())
     return counts
 
 
@@ -97,17 +93,13 @@ def a_box(identifier, values, timestamps=(0, 1_000_000_000), **more):
 def straight_trajectory():
     """10 m/s along x, rotated a quarter to the left all the time."""
     rotation = np.tile([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)], (2, 1))
-    return Trajectory(
-        "trajectory", np.array([0, 1_000_000_000]), np.array([[0.0, 0, 0], [10.0, 0, 0]]), rotation
-    )
+    return Trajectory("trajectory", np.array([0, 1_000_000_000]), np.array([[0.0, 0, 0], [10.0, 0, 0]]), rotation)
 
 
 def test_points_of_a_sensor_are_met_where_the_sensor_was():
     # 3 m ahead of a sensor that looks along the world's y, at x = 5 m and z = 2 m half a second later
     box = a_box("a", [1, 1, 1, 5, 3, 2, 0, 0, 0])
-    scene = a_scene(
-        [[3.0, 0, 0]], coordinates_path=straight_trajectory(), cuboids=(box,), times_ns=(0, 500_000_000)
-    )
+    scene = a_scene([[3.0, 0, 0]], coordinates_path=straight_trajectory(), cuboids=(box,), times_ns=(0, 500_000_000))
     assert count_points(scene).lidars[0].counts[:, 0].tolist() == [0, 1]
 
 
@@ -191,9 +183,7 @@ def test_counts_become_an_attribute_of_each_cuboid_and_of_each_lidar():
 
 def test_points_in_cuboids_become_labelled_points():
     boxes = (a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0], label="car"), a_box(7, [1, 1, 1, 50, 0, 0, 0, 0, 0]))
-    scene = a_scene(
-        [[9, 9, 9], [0, 0, 0], [1, 1, 1]], frame=PointsFrame.WORLD, cuboids=boxes, times_ns=(0, 1)
-    )
+    scene = a_scene([[9, 9, 9], [0, 0, 0], [1, 1, 1]], frame=PointsFrame.WORLD, cuboids=boxes, times_ns=(0, 1))
     counts = count_points(scene, listed=True)
     once = with_labeled_points(scene, counts)
     twice = with_labeled_points(once, counts)
@@ -239,9 +229,7 @@ def test_a_lidar_with_a_path_of_its_own_is_placed_by_it():
 def test_frames_with_points_of_a_cuboid_become_activations():
     of_others = Activation("camera", np.array([3]))
     box = a_box("a", [1, 1, 1, 5, 0, 0, 0, 0, 0], timestamps=(0, 300), activations=(of_others,))
-    scene = a_scene(
-        [[5, 0, 0], [5.1, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,), times_ns=(0, 100, 200, 400)
-    )
+    scene = a_scene([[5, 0, 0], [5.1, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,), times_ns=(0, 100, 200, 400))
     counts = count_points(scene)
     kept, reported = with_activations(scene, counts).annotations[0].activations
     assert kept is of_others

@@ -164,9 +164,7 @@ def test_images_beyond_the_trajectory_of_the_camera_see_nothing():
 
 def test_progress_counts_images():
     reported = []
-    project_cuboids(
-        Scene((a_camera((0, 1)),), (a_box(),)), progress=lambda done, total: reported.append((done, total))
-    )
+    project_cuboids(Scene((a_camera((0, 1)),), (a_box(),)), progress=lambda done, total: reported.append((done, total)))
     assert reported == [(1, 2), (2, 2)]
 
 
@@ -175,9 +173,7 @@ def street():
     """A street with traffic, seen by a camera ahead and one aside."""
     aside = Camera("fisheye", 640, 480, 250.0, 250.0, 319.5, 239.5, (0.03, -0.008, 0.002, -0.0004))
     cameras = (CameraSpec(), CameraSpec(aside, camera_mount(yaw_deg=60.0)))
-    drive = simulate_street(
-        3, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=cameras, traffic=TrafficSpec()
-    )
+    drive = simulate_street(3, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=cameras, traffic=TrafficSpec())
     return drive, project_cuboids(drive.scene, see_through=("tree", "pole"))
 
 
@@ -187,9 +183,7 @@ def seen_at(annotation, camera_id, time_ns):
         at = np.flatnonzero(projection.timestamps_ns == time_ns)
         if projection.sensor_id == camera_id and len(at) and np.isfinite(projection.boxes[at[0], 0]):
             x, y, width, height = projection.boxes[at[0]]
-            (hidden,) = (
-                a for a in annotation.attributes if (a.name, a.sensor_id) == ("occlusion", camera_id)
-            )
+            (hidden,) = (a for a in annotation.attributes if (a.name, a.sensor_id) == ("occlusion", camera_id))
             share = hidden.values[int(np.searchsorted(hidden.timestamps_ns, time_ns))]
             return np.array([x, y, x + width, y + height]), share
     return None
@@ -244,9 +238,7 @@ def test_whatever_an_image_shows_of_a_cuboid_lies_in_its_box(street):
 def shares_of(scene, name, time_ns):
     """The values of an attribute at a time, by instance."""
     return {
-        int(annotation.id.rsplit("-", 1)[1]): path.values[
-            int(np.flatnonzero(path.timestamps_ns == time_ns)[0])
-        ]
+        int(annotation.id.rsplit("-", 1)[1]): path.values[int(np.flatnonzero(path.timestamps_ns == time_ns)[0])]
         for annotation in scene.annotations
         for path in annotation.attributes
         if path.name == name and (path.timestamps_ns == time_ns).any()
@@ -379,9 +371,7 @@ def seen_at_their_lines(camera, box, points_box, *, over_columns, trajectory):
         line = 0.5 * (low + high)
         seconds = ((line + 0.5) / size - 0.5) * ROLL_S
         rotations, locations = trajectory(seconds)
-        pixels = project_unbounded(
-            camera, rotations.inv().apply(box.location(points_box, seconds) - locations)
-        )
+        pixels = project_unbounded(camera, rotations.inv().apply(box.location(points_box, seconds) - locations))
         later = pixels[:, axis] > line
         low, high = np.where(later, line, low), np.where(later, high, line)
     return pixels
@@ -447,9 +437,7 @@ def test_what_the_image_cuts_off_is_reported_at_the_time_of_each_line():
     rising = Moving("rising", (1.0, 1.0, 1.0), (12.0, 4.5, 8.0), velocity=(0.0, 0.0, 60.0), yaw=0.0)
     shares = {}
     for roll_s in (ROLL_S, 0.0):
-        projected = project_cuboids(
-            a_scene(PINHOLE, [rising], roll_s=roll_s, trajectory=stationary)
-        ).annotations[0]
+        projected = project_cuboids(a_scene(PINHOLE, [rising], roll_s=roll_s, trajectory=stationary)).annotations[0]
         shares[roll_s] = next(path for path in projected.attributes if path.name == "truncation").values[0]
     assert shares[0.0] > 0.2
     assert shares[ROLL_S] == 0.0
@@ -569,9 +557,7 @@ def test_of_a_box_that_leaves_the_image_only_the_part_within_bounds_it():
     seen = observe_cuboids(WIDE_PINHOLE, HERE, some_boxes([[-9.0, -4.0, 10.0]], [[0.001, 4.0, 4.0]], rotated))
     # a diamond of half diagonal 2.83 m -> 141.4 px around (-50, 100): the right tip is in the image, so are the
     # crossings of its left border
-    np.testing.assert_allclose(
-        seen.boxes_xyxy[0], [0.0, 100 - 91.4, 91.4, 100 + 91.4], atol=0.1
-    )  # 1 mm of depth
+    np.testing.assert_allclose(seen.boxes_xyxy[0], [0.0, 100 - 91.4, 91.4, 100 + 91.4], atol=0.1)  # 1 mm of depth
 
 
 @pytest.mark.parametrize("name", CAMERA_MODELS)
@@ -581,9 +567,7 @@ def test_boxes_bound_all_points_of_their_surface_in_the_image_tightly(name, part
     camera_model, compared = CAMERA_MODELS[name], 0
     for seed in range(part * 10, part * 10 + 10):
         center, size, rotation = random_box(seed, ahead=0.0)
-        seen = observe_cuboids(
-            camera_model, HERE, some_boxes([center], [size], rotation.as_quat()), min_pixels=0.0
-        )
+        seen = observe_cuboids(camera_model, HERE, some_boxes([center], [size], rotation.as_quat()), min_pixels=0.0)
         if holds_camera(center, size, rotation):
             assert len(seen.rows) == 0
             continue
@@ -596,9 +580,7 @@ def test_boxes_bound_all_points_of_their_surface_in_the_image_tightly(name, part
         slack = 0.02  # curved edges between samples, after their bulge is taken from parabolas
         assert (box[:2] <= low + slack).all()
         assert (box[2:] >= high - slack).all()
-        steps = (
-            4.0 * (high - low).max() / 120 + 1.0
-        )  # the oracle's points are that far apart, more near the camera
+        steps = 4.0 * (high - low).max() / 120 + 1.0  # the oracle's points are that far apart, more near the camera
         assert (box[:2] >= low - steps).all()
         assert (box[2:] <= high + steps).all()
         compared += 1

@@ -59,9 +59,7 @@ def between_samples(sparse, margin):
     """Pixels with samples on all sides, this far from the outer ones."""
     rows, columns = np.nonzero(sparse)
     inner = np.zeros(sparse.shape, bool)
-    inner[
-        rows.min() + margin : rows.max() + 1 - margin, columns.min() + margin : columns.max() + 1 - margin
-    ] = True
+    inner[rows.min() + margin : rows.max() + 1 - margin, columns.min() + margin : columns.max() + 1 - margin] = True
     return inner
 
 
@@ -352,9 +350,7 @@ def test_what_bends_evenly_comes_out_as_it_is(mesh):
         np.ones(len(triangles), np.float32),
     )
     depths = (1 / inverse).astype(np.float32)
-    fill_triangles(
-        pixels, depths, slopes.astype(np.float32), triangles, ones.astype(bool), ones, ones, *images
-    )
+    fill_triangles(pixels, depths, slopes.astype(np.float32), triangles, ones.astype(bool), ones, ones, *images)
     rows, columns = np.nonzero(images[0])
     locations = np.stack([columns, rows], axis=1)
     reported, straight = bent(locations)[0], LinearNDInterpolator(triangulation, inverse)(locations)
@@ -441,9 +437,7 @@ def test_each_pixel_gets_the_cell_of_its_doubt_and_its_gap():
     doubt_steps, gap_steps = np.array([0.5, 1.0], np.float32), np.array([0.1, 0.2, 0.25], np.float32)
     table = random.random((3, 4)).astype(np.float32)
     confidence = np.empty_like(depths)
-    grade_depths(
-        depths, trusts, spreads, gaps, 3.0, 0.5, 0.05, 0.1, doubt_steps, gap_steps, table, confidence
-    )
+    grade_depths(depths, trusts, spreads, gaps, 3.0, 0.5, 0.05, 0.1, doubt_steps, gap_steps, table, confidence)
     for location in np.ndindex(depths.shape):
         doubt = (1 - 0.9 * trusts[location]) * spreads[location] / max(0.5, 0.05 * depths[location])
         cell = (doubt >= doubt_steps).sum(), (gaps[location] / 3 >= gap_steps).sum()

@@ -44,8 +44,7 @@ def test_exposures_of_cameras_are_recovered_within_two_percent(overlapping):
     drive, gains, _ = overlapping
     for k in range(FRAMES):
         evened = [
-            drive.truth.exposure(f"camera{c}", k)
-            * gains.at(c, int(drive.scene.cameras[c].images.timestamps_ns[k]))
+            drive.truth.exposure(f"camera{c}", k) * gains.at(c, int(drive.scene.cameras[c].images.timestamps_ns[k]))
             for c in range(2)
         ]
         np.testing.assert_allclose(evened[0] / evened[1], 1.0, atol=0.02)

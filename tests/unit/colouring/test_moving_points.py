@@ -78,9 +78,7 @@ def test_points_in_boxes_that_move_are_found_at_their_own_times():
         path = CuboidPath(np.array([0, 1_000_000_000]), rows)
         return CuboidAnnotation(annotation_id, path, stationary=stationary)
 
-    moving = MovingBoxes.of(
-        Scene((), annotations=(box("a", 10.0), box("b", 0.1), box("c", 9.0, stationary=True)))
-    )
+    moving = MovingBoxes.of(Scene((), annotations=(box("a", 10.0), box("b", 0.1), box("c", 9.0, stationary=True))))
     assert [each.id for each in moving.cuboids] == ["a"]
     points = np.array([[0.0, 0.9, 0.0], [5.0, 0.0, 0.0], [5.0, 0.0, 0.0], [5.0, 1.5, 0.0], [np.nan, 0, 0]])
     times = np.array([0, 0, 500_000_000, 500_000_000, 0])

@@ -30,9 +30,7 @@ MOUNT = camera_mount(position=(1.5, 0.3, 1.6), yaw_deg=40.0)
 
 CAMERA_MODELS = {
     "pinhole": Camera("pinhole", 1920, 1080, 1000.0, 1000.0, 959.5, 539.5),
-    "brown_conrady": Camera(
-        "brown_conrady", 1280, 720, 800.0, 800.0, 639.5, 359.5, (-0.12, 0.04, 4e-4, -3e-4)
-    ),
+    "brown_conrady": Camera("brown_conrady", 1280, 720, 800.0, 800.0, 639.5, 359.5, (-0.12, 0.04, 4e-4, -3e-4)),
     "fisheye": Camera("fisheye", 1280, 960, 400.0, 400.0, 639.5, 479.5, (0.03, -0.008, 0.002, -0.0004)),
     "omnidir": Camera("omnidir", 1280, 960, 700.0, 700.0, 639.5, 479.5, (-0.1, 0.02, 0.0, 0.9, 0.0, 0.0)),
     "equirectangular": Camera("equirectangular", 1200, 400, 203.7, 203.7, 599.5, 199.5),

@@ -241,9 +241,7 @@ def test_one_given_reach_leaves_the_other_to_be_measured(street):
 
 def test_a_larger_margin_hides_less(street):
     street_view = street(KITTI)
-    counts = [
-        view(street_view, VisibilitySettings(margin=margin)).visible.sum() for margin in (0.05, 0.5, 5.0)
-    ]
+    counts = [view(street_view, VisibilitySettings(margin=margin)).visible.sum() for margin in (0.05, 0.5, 5.0)]
     assert counts[0] < counts[1] < counts[2]
 
 
@@ -356,9 +354,7 @@ def test_the_ellipse_has_its_axes_across_and_along_the_scan_lines():
 def ground_and_wall(height, *, spacing_deg=0.4, wall_at=40.0, noise=0.02):
     """A cloud of a flat ground, that many metres below the camera, and of a wall ahead."""
     random = np.random.default_rng(0)
-    across, along = np.meshgrid(
-        np.radians(np.arange(-12, 25, spacing_deg)), np.radians(np.arange(-30, 30, 0.2))
-    )
+    across, along = np.meshgrid(np.radians(np.arange(-12, 25, spacing_deg)), np.radians(np.arange(-30, 30, 0.2)))
     rays = np.stack([np.sin(along) * np.cos(across), np.sin(across), np.cos(along) * np.cos(across)], axis=-1)
     rays = rays.reshape(-1, 3)
     with np.errstate(divide="ignore"):
@@ -451,9 +447,7 @@ def test_no_points_are_not_uneven():
     assert not are_uneven(look_around(np.zeros((2, 0), np.float32), np.zeros(0, np.float32)))
 
 
-AHEAD = Poses(
-    np.array([0, 1000], np.int64), np.array([[0.0, 0, 0], [10, 0, 0]]), np.array([[0.0, 0, 0, 1]] * 2)
-)
+AHEAD = Poses(np.array([0, 1000], np.int64), np.array([[0.0, 0, 0], [10, 0, 0]]), np.array([[0.0, 0, 0, 1]] * 2))
 
 
 MOUNT = RigidTransform(np.eye(3), np.array([0.0, 1.0, 2.0]))
@@ -513,9 +507,7 @@ def ellipse(across_deg=0.38, along_deg=0.24, angle=math.pi / 2):
     return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
 
 
-def marked(
-    directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, slope=SLOPE, eyes=None, hiding=None
-):
+def marked(directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, slope=SLOPE, eyes=None, hiding=None):
     """The kernel's answer; point i has row i of the fractions, which rise from 0 to 1."""
     count = len(inverse_ranges)
     visible = np.zeros(len(inverse_ranges), bool)
@@ -766,9 +758,7 @@ def found_one_by_one(directions, inverse_ranges, samples):
             dx, dy = x - int(cells[i, 0]), y - int(cells[i, 1])
             if 0 < math.hypot(dx, dy) <= 6:
                 sector = (dx > 0) + 2 * (dy > 0)
-                nearest[sector] = min(
-                    math.hypot(dx, dy), nearest[sector], key=lambda d: math.inf if d != d else d
-                )
+                nearest[sector] = min(math.hypot(dx, dy), nearest[sector], key=lambda d: math.inf if d != d else d)
         rows.append(nearest)
     return np.array(rows)
 

@@ -66,9 +66,7 @@ def cloud(milliseconds, seq, points=((10.0, 0.0, 0.0),), *, sensor_id=0, times=N
 
 
 def raw(milliseconds, seq, data, *, sensor_id):
-    return RawData(
-        sensor_id=sensor_id, timestamp=timestamp(milliseconds), seq=seq, length=len(data), data=data
-    )
+    return RawData(sensor_id=sensor_id, timestamp=timestamp(milliseconds), seq=seq, length=len(data), data=data)
 
 
 def box_3d(milliseconds, seq, **changed):

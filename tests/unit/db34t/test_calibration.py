@@ -111,9 +111,7 @@ def test_rows_and_columns_are_reported_by_where_the_translation_stands():
     by_rows = declared_record(FORWARD, (1, 2, 3), layout=MatrixLayout.ROW_MAJOR)
     assert possible_layouts(by_columns.extrinsic_matrix) == (MatrixLayout.COLUMN_MAJOR,)
     assert possible_layouts(by_rows.extrinsic_matrix) == (MatrixLayout.ROW_MAJOR,)
-    found = [
-        calibrated_pair(data, CAMERA_AXES, LIDAR_AXES).camera_from_lidar for data in (by_columns, by_rows)
-    ]
+    found = [calibrated_pair(data, CAMERA_AXES, LIDAR_AXES).camera_from_lidar for data in (by_columns, by_rows)]
     np.testing.assert_array_equal(found[0].matrix, found[1].matrix)
     np.testing.assert_array_equal(found[0].translation, (1, 2, 3))
 
@@ -130,12 +128,8 @@ def test_reference_frame_1_maps_into_the_lidar():
     rotation = Rotation.from_euler("zyx", [0.3, -0.1, 0.2]).as_matrix() @ FORWARD
     into_camera = calibrated_pair(declared_record(rotation, (1, 2, 3)), CAMERA_AXES, LIDAR_AXES)
     back = (-rotation.T @ (1, 2, 3)).tolist()
-    into_lidar = calibrated_pair(
-        declared_record(rotation.T, back, reference_frame=1), CAMERA_AXES, LIDAR_AXES
-    )
-    np.testing.assert_allclose(
-        into_lidar.camera_from_lidar.matrix, into_camera.camera_from_lidar.matrix, atol=1e-12
-    )
+    into_lidar = calibrated_pair(declared_record(rotation.T, back, reference_frame=1), CAMERA_AXES, LIDAR_AXES)
+    np.testing.assert_allclose(into_lidar.camera_from_lidar.matrix, into_camera.camera_from_lidar.matrix, atol=1e-12)
 
 
 @pytest.mark.parametrize("left_handed", [False, True])

@@ -18,11 +18,7 @@ BOTH = pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
 
 def rows(page):
     """Cells of all rows of tables, by their first cell without backticks."""
-    found = [
-        [cell.strip() for cell in line.strip("|").split(" | ")]
-        for line in page.splitlines()
-        if line[:1] == "|"
-    ]
+    found = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in page.splitlines() if line[:1] == "|"]
     return {cells[0].replace("`", "").strip(): cells for cells in found}
 
 
@@ -58,9 +54,7 @@ def test_every_counter_stands_there(page):
         fusion.close()
         names = set(fusion.counters.counts())
     documented = [
-        re.compile(
-            re.escape(name).replace("KIND", "[a-z_0-9]+").replace("CAUSE", "[a-z-]+").replace("NAME", r"\S+")
-        )
+        re.compile(re.escape(name).replace("KIND", "[a-z_0-9]+").replace("CAUSE", "[a-z-]+").replace("NAME", r"\S+"))
         for row in rows(page).values()
         for name in re.findall(r"`([^`]+)`", row[0])
     ]

@@ -190,9 +190,7 @@ def test_what_stands_is_at_one_location_whenever_it_was_measured(words, camera_w
     chunks = [path(first + 1, last) for first, last in itertools.pairwise(cuts)]
     record, counts = fused_with_motion(words, camera_words, chunks, order=order)
     assert record.motion_compensated == 1
-    expected = axes_matrix(words) @ (
-        from_lidar(0.04) * (1, -1, 1)
-    )  # the reference is the middle point's time
+    expected = axes_matrix(words) @ (from_lidar(0.04) * (1, -1, 1))  # the reference is the middle point's time
     # the trajectory between poses of each millisecond is straight: 20 m/s * 1 ms bends by less than a tenth of a
     # millimetre
     np.testing.assert_allclose(record.points[:, :3], np.tile(expected, (5, 1)), atol=2e-4)
@@ -209,9 +207,7 @@ def test_what_stands_is_at_one_location_whenever_it_was_measured(words, camera_w
         ([path(-50, 200)], 0, False),
     ],
 )
-def test_without_a_trajectory_that_reaches_all_is_fused_as_if_stationary_and_says_so(
-    chunks, compensate, counted
-):
+def test_without_a_trajectory_that_reaches_all_is_fused_as_if_stationary_and_says_so(chunks, compensate, counted):
     record, counts = fused_with_motion("+x,-y,+z", "+z,+x,-y", chunks, compensate=compensate)
     assert record.motion_compensated == 0
     np.testing.assert_array_equal(record.points[:, :3], moving_sweep().points[:, :3])
@@ -343,9 +339,7 @@ def test_poses_of_the_vehicle_do_where_the_mounting_of_the_lidar_is_known(words)
 def test_a_mounting_that_is_none_is_refused(mounting, problem):
     with FusionInterface(inline=True) as fusion:
         for kind, reported in (("lidar", problem), ("camera", "")):
-            outcome = fusion.set_property(
-                "sensors", json.dumps({"0": {"kind": kind, "body_from_lidar": mounting}})
-            )
+            outcome = fusion.set_property("sensors", json.dumps({"0": {"kind": kind, "body_from_lidar": mounting}}))
             assert outcome.status == 0
             assert reported in outcome.reason
             assert "0.body_from_lidar" in outcome.reason
@@ -406,9 +400,7 @@ def test_boxes_are_put_where_they_are_at_the_time_of_the_image():
     """A car that stands, seen 90 ms later: by then the vehicle is 1.8 m nearer and rotated by 4°."""
     center = from_lidar(0.0)
     then = seen(from_lidar(0.09) * (1, -1, 1))
-    box = boxes_3d(
-        0, 1, X=center[0], Y=center[1], Z=center[2], length=0.5, width=0.5, height=0.5, velocity=0.0
-    )
+    box = boxes_3d(0, 1, X=center[0], Y=center[1], Z=center[2], length=0.5, width=0.5, height=0.5, velocity=0.0)
     edges = {"x1": then[0] - 1, "y1": then[1] - 1, "x2": then[0] + 2, "y2": then[1] + 2}
     matched = []
     for chunks in ([path(-50, 200)], []):

@@ -50,9 +50,7 @@ def test_a_pair_comes_back_as_a_record_of_table_9(both):
     assert record.timestamp == timestamp(0)
     assert record.point_fields == ("x", "y", "z", "r", "g", "b")
     np.testing.assert_array_equal(record.points, [[10, 0, 0, 7, 7, 7], [-10, 0, 0, 128, 128, 128]])
-    assert (
-        record.depths[23, 31] == 10.0 or record.depths[24, 32] == 10.0
-    )  # the axis meets the corner of four pixels
+    assert record.depths[23, 31] == 10.0 or record.depths[24, 32] == 10.0  # the axis meets the corner of four pixels
     assert np.count_nonzero(record.depths) == 1
     assert result.configuration["fusion_type"] == 0
     assert both.get(0) is None
@@ -362,9 +360,7 @@ def test_points_that_are_not_finite_are_left_out_and_counted(fusion):
 
 
 def test_raw_points_that_are_not_finite_are_left_out_and_counted(fusion):
-    assert fusion.set_property(
-        "sensors", '{"0": {"kind": "lidar", "raw": "records"}, "1": {"kind": "camera"}}'
-    )
+    assert fusion.set_property("sensors", '{"0": {"kind": "lidar", "raw": "records"}, "1": {"kind": "camera"}}')
     row = np.zeros(3, [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
     row["xyz"] = [(np.nan, 0, 0), (10, 0, 0), (10, 1, 0)]
     row["t"] = [timestamp(0).nanoseconds / 1e9, timestamp(0).nanoseconds / 1e9, np.nan]
@@ -431,9 +427,7 @@ def test_a_box_that_goes_uphill_heads_there_in_the_result(fusion):
     assert fusion.send(boxes_3d(0, 1, direction=(3.0, 0.0, 4.0), velocity=-2.0))
     fusion.flush()
     (found,) = fusion.get(1).record
-    assert found.direction == pytest.approx((0.6, 0.0, 0.8)) or found.direction == pytest.approx(
-        (-0.6, 0.0, -0.8)
-    )
+    assert found.direction == pytest.approx((0.6, 0.0, 0.8)) or found.direction == pytest.approx((-0.6, 0.0, -0.8))
     assert found.velocity == pytest.approx(-2.0 if found.direction[0] > 0 else 2.0)
 
 

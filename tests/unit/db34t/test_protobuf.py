@@ -59,9 +59,7 @@ def box(**changes):
 
 
 def boxes(*members, **changes):
-    return fusion_pb2.Boxes3d(
-        **{"sensor_id": 1, "seq": 5, "timestamp": TIMESTAMP, "boxes": members, **changes}
-    )
+    return fusion_pb2.Boxes3d(**{"sensor_id": 1, "seq": 5, "timestamp": TIMESTAMP, "boxes": members, **changes})
 
 
 def test_pixels_are_a_read_only_view_of_the_bytes_of_the_message():
@@ -102,9 +100,7 @@ def test_fields_stand_under_their_row_numbers_on_the_wire():
         data=np.array([9], np.uint8),
     ))  # fmt: skip
     # tag = number * 8 + type, written out by hand from the protobuf encoding
-    assert content == bytes.fromhex("0807 1204 0801 1002 1803 2001 2801 3205") + b"mono8" + bytes.fromhex(
-        "3801 420109"
-    )
+    assert content == bytes.fromhex("0807 1204 0801 1002 1803 2001 2801 3205") + b"mono8" + bytes.fromhex("3801 420109")
 
 
 def test_boxes_are_read_into_columns():
@@ -140,9 +136,7 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("message", "location", "problem"), FAULTS, ids=[location for _, location, _ in FAULTS]
-)
+@pytest.mark.parametrize(("message", "location", "problem"), FAULTS, ids=[location for _, location, _ in FAULTS])
 def test_a_fault_in_a_message_is_named(message, location, problem):
     with pytest.raises(DataError) as fault:
         from_protobuf(message)
@@ -151,9 +145,7 @@ def test_a_fault_in_a_message_is_named(message, location, problem):
 
 
 def test_points_that_are_no_whole_number_of_values_are_refused():
-    message = fusion_pb2.PointCloudData(
-        timestamp=TIMESTAMP, fields=["x", "y", "z"], fields_number=3, data=b"12345"
-    )
+    message = fusion_pb2.PointCloudData(timestamp=TIMESTAMP, fields=["x", "y", "z"], fields_number=3, data=b"12345")
     with pytest.raises(DataError, match="data: 5 bytes; expected a multiple of 4"):
         from_protobuf(message)
 
@@ -179,21 +171,14 @@ def test_pixels_of_a_request_are_a_view_of_its_bytes():
 def test_points_of_a_request_are_aligned_wherever_they_stand(before):
     fields = {"timestamp": TIMESTAMP, "fields": ["x", "y", "z"], "fields_number": 3, "number": 1}
     points = fusion_pb2.PointCloudData(**fields, data=np.float32([1, 2, 3]).tobytes())
-    content = (
-        b"\xa2\x06"
-        + bytes([before])
-        + b"a" * before
-        + fusion_pb2.SendRequest(points=points).SerializeToString()
-    )
+    content = b"\xa2\x06" + bytes([before]) + b"a" * before + fusion_pb2.SendRequest(points=points).SerializeToString()
     record = decode_send_request(content)
     assert record.data.flags.aligned
     assert record.data.tolist() == [1, 2, 3]
 
 
 def test_a_record_that_stands_twice_is_read_as_protobuf_reads_it():
-    first, second = (
-        fusion_pb2.SendRequest(image=image(data)).SerializeToString() for data in (b"123", b"456")
-    )
+    first, second = (fusion_pb2.SendRequest(image=image(data)).SerializeToString() for data in (b"123", b"456"))
     assert decode_send_request(first + second).data.tobytes() == b"456"
     other = fusion_pb2.SendRequest(raw=fusion_pb2.RawData(timestamp=TIMESTAMP)).SerializeToString()
     assert type(decode_send_request(first + other)).__name__ == "RawData"
@@ -392,9 +377,7 @@ UNUSUAL = {
     "a field that nobody knows": lambda head, time, box: head + time + tagged(9, 0, b"\x05") + _field(box),
     "such a field in a box": lambda head, time, box: head + time + _field(box + tagged(15, 0, b"\x05")),
     "a number that comes twice": lambda head, time, box: head + time + _field(box + tagged(9, 0, b"\x50")),
-    "a number of 64 bits": lambda head, time, box: (
-        head + time + _field(box + tagged(9, 0, b"\xff" * 9 + b"\x01"))
-    ),
+    "a number of 64 bits": lambda head, time, box: head + time + _field(box + tagged(9, 0, b"\xff" * 9 + b"\x01")),
     "another number of the image": lambda head, time, box: head + time + _field(box + tagged(3, 0, b"\x09")),
     "no UTF-8": lambda head, time, box: head + time + _field(box + tagged(2, 2, b"\x01\xff")),
     "a text that is too long": lambda head, time, box: head + time + _field(box + tagged(2, 2, b"\x7fa")),

@@ -73,9 +73,7 @@ BOX_3D = Box3d(
     direction=(2.0, 3.0, 0.0),
     velocity=1,
 )
-BOX_2D = Box2d(
-    id=1, class_name="Car", image_seq=1, confidence=0.8, timestamp=TIME, x1=103, y1=103, x2=204, y2=204
-)
+BOX_2D = Box2d(id=1, class_name="Car", image_seq=1, confidence=0.8, timestamp=TIME, x1=103, y1=103, x2=204, y2=204)
 FUSION = SensorFusionData(
     timestamp=TIME,
     image_seq=1,
@@ -302,9 +300,7 @@ def test_a_cloud_may_hold_points_that_are_not_finite():
     assert np.isnan(replace(CLOUD, data=data).data[3999])
 
 
-@pytest.mark.parametrize(
-    ("record", "changes", "location", "problem"), FAULTS, ids=lambda value: str(value)[:40]
-)
+@pytest.mark.parametrize(("record", "changes", "location", "problem"), FAULTS, ids=lambda value: str(value)[:40])
 def test_a_fault_names_table_field_value_and_what_was_expected(record, changes, location, problem):
     with pytest.raises(DataError) as fault:
         replace(record, **changes)

@@ -112,9 +112,7 @@ def test_fields_of_no_known_meaning_and_odd_values_stay_as_they_are():
     assert points.rings is None
     assert points.timestamps_ns is None
     assert sorted(points.extras) == ["range", "ring", "time"]
-    np.testing.assert_array_equal(
-        point_cloud_of(lidar_frame_of(record), sensor_id=3, seq=9).data, record.data
-    )
+    np.testing.assert_array_equal(point_cloud_of(lidar_frame_of(record), sensor_id=3, seq=9).data, record.data)
 
 
 def test_a_cloud_without_points_is_a_sweep_without_points():
@@ -156,9 +154,7 @@ def test_raw_bytes_of_a_lidar_are_the_records_of_the_recording_format():
     assert points.timestamps_ns.tolist() == [10_500_000_000, 1]
 
 
-@pytest.mark.parametrize(
-    ("content", "problem"), [(b"1" * 47, "a remainder of 1 bytes"), (b"~" * 46, "times up to")]
-)
+@pytest.mark.parametrize(("content", "problem"), [(b"1" * 47, "a remainder of 1 bytes"), (b"~" * 46, "times up to")])
 def test_raw_bytes_that_are_no_records_are_refused(content, problem):
     raw = RawData(sensor_id=3, timestamp=TIME, seq=1, length=len(content), data=content)
     with pytest.raises(DataError, match=problem):
@@ -190,9 +186,7 @@ def test_a_grey_image_has_equal_colours():
     record = image(RGB[:, :, :1], "mono8")
     camera_image = image_of(record, CAMERA)
     np.testing.assert_array_equal(camera_image.rgb, np.repeat(RGB[:, :, :1], 3, axis=2))
-    np.testing.assert_array_equal(
-        image_data_of(camera_image, sensor_id=1, seq=4, encoding="mono8").data, record.data
-    )
+    np.testing.assert_array_equal(image_data_of(camera_image, sensor_id=1, seq=4, encoding="mono8").data, record.data)
 
 
 def test_a_jpeg_is_passed_on_as_it_is():
@@ -201,9 +195,7 @@ def test_a_jpeg_is_passed_on_as_it_is():
     decoded = np.asarray(Image.open(io.BytesIO(record.data.tobytes())).convert("RGB"))
     # two decoders may round differently by a level or two
     assert np.abs(camera_image.rgb.astype(int) - decoded).max() <= 3
-    np.testing.assert_array_equal(
-        image_data_of(camera_image, sensor_id=1, seq=4, encoding="jpeg").data, record.data
-    )
+    np.testing.assert_array_equal(image_data_of(camera_image, sensor_id=1, seq=4, encoding="jpeg").data, record.data)
 
 
 def test_pixels_in_order_are_not_copied():
@@ -244,9 +236,7 @@ def test_raw_pixels_that_cannot_be_shown_are_refused():
 
 def test_raw_bytes_of_a_camera_are_what_the_encoding_says():
     raw = RawData(sensor_id=1, timestamp=TIME, seq=1, length=36, data=RGB.tobytes())
-    np.testing.assert_array_equal(
-        image_of(image_record_of_raw(raw, CAMERA, "bgr8"), CAMERA).rgb, RGB[:, :, ::-1]
-    )
+    np.testing.assert_array_equal(image_of(image_record_of_raw(raw, CAMERA, "bgr8"), CAMERA).rgb, RGB[:, :, ::-1])
     with pytest.raises(DataError, match="length: 36; expected 12, as 4x3 pixels of mono8 have"):
         image_of(image_record_of_raw(raw, CAMERA, "mono8"), CAMERA)
     with pytest.raises(OptionError, match="expected one of rgb8"):

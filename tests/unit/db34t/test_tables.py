@@ -58,9 +58,7 @@ def test_rows_have_the_names_and_types_of_the_standard_in_its_order(number):
 @pytest.mark.parametrize("number", MESSAGES)
 def test_field_numbers_of_the_messages_are_the_numbers_of_the_rows(number):
     fields = getattr(fusion_pb2, MESSAGES[number]).DESCRIPTOR.fields
-    assert {field.name: field.number for field in fields} == {
-        row.name: row.number for row in TABLES[number].rows
-    }
+    assert {field.name: field.number for field in fields} == {row.name: row.number for row in TABLES[number].rows}
 
 
 @pytest.mark.parametrize("kind", RECORD_KINDS.values(), ids=lambda kind: kind.name)

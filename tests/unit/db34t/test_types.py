@@ -33,9 +33,7 @@ def test_a_type_is_read_as_the_standard_writes_it(text, form, elements, length):
     assert ValueType.parse(str(value_type)) == value_type
 
 
-@pytest.mark.parametrize(
-    "text", ["", "int16", "uint32[0]", "uint32[-1]", "()", "(int8", "int8,int8", "(int8[2])", 3]
-)
+@pytest.mark.parametrize("text", ["", "int16", "uint32[0]", "uint32[-1]", "()", "(int8", "int8,int8", "(int8[2])", 3])
 def test_what_is_no_type_is_refused(text):
     with pytest.raises(DataError, match="expected one of bool, int8"):
         ValueType.parse(text)
@@ -136,9 +134,7 @@ def test_times_are_ordered():
     assert Timestamp(1, 999999999) < Timestamp(2, 0) < Timestamp(2, 1)
 
 
-@pytest.mark.parametrize(
-    ("s", "ns"), [(0, 10**9), (-1, 0), (2**32, 0), (0, -1), (1.5, 0), (0, "5"), (True, 0)]
-)
+@pytest.mark.parametrize(("s", "ns"), [(0, 10**9), (-1, 0), (2**32, 0), (0, -1), (1.5, 0), (0, "5"), (True, 0)])
 def test_numbers_out_of_range_are_refused(s, ns):
     with pytest.raises(DataError, match="expected"):
         Timestamp(s, ns)

@@ -162,9 +162,9 @@ def exists(of_sweep, of_image=None, *, seen_share=1.0):
     """How likely the object of a box of a sweep is, with a partner in the image or without."""
     partners, others = (CAR - 1, CAR * 0.0) if of_image is None else (CAR, of_image[0])
     shares = np.array([seen_share])
-    return existence.scores_of_sweep(
-        OUTLINE, shares, partners, of_sweep[0], of_sweep[1], OUTLINE, others, CAR, TABLE
-    )[0]
+    return existence.scores_of_sweep(OUTLINE, shares, partners, of_sweep[0], of_sweep[1], OUTLINE, others, CAR, TABLE)[
+        0
+    ]
 
 
 @pytest.mark.parametrize("first", [1, 2])
@@ -241,9 +241,7 @@ def test_a_fitted_pair_has_the_odds_that_the_formula_says():
 
 def test_a_single_box_that_the_image_lacks_has_the_odds_of_a_camera_that_is_good_or_poor():
     reported, visibility = CAR_NUMBERS.sweep, CAR_NUMBERS.visibility
-    recall = (
-        1 - visibility.weak_share
-    ) * visibility.recall_2d + visibility.weak_share * visibility.weak_recall_2d
+    recall = (1 - visibility.weak_share) * visibility.recall_2d + visibility.weak_share * visibility.weak_recall_2d
     odds = reported.base + reported.slope * 5.0 + np.log(1 - recall)
     assert scores_without_boxes(1)[0] == pytest.approx(logistic(odds), rel=1e-9)
 
@@ -276,9 +274,7 @@ def test_deviations_lie_along_the_axes_of_the_box_and_grow_with_the_range():
     size = np.array(KINDS["car"].size_lwh)
     along = np.diag(((CENTER_SIGMAS[0] * size + CENTER_SIGMAS[1]) * growth) ** 2)
     np.testing.assert_allclose(found[:3, :3], rotation @ along @ rotation.T, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(
-        found[3:, 3:], np.diag(((SIZE_SIGMAS[0] * size + SIZE_SIGMAS[1]) * growth) ** 2)
-    )
+    np.testing.assert_allclose(found[3:, 3:], np.diag(((SIZE_SIGMAS[0] * size + SIZE_SIGMAS[1]) * growth) ** 2))
     assert not found[:3, 3:].any()
 
 

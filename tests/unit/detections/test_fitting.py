@@ -21,9 +21,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 
 CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)
-CAMERA_FROM_LIDAR = RigidTransform(
-    np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3)
-)
+CAMERA_FROM_LIDAR = RigidTransform(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3))
 CAR = np.array([4.2, 1.8, 1.5])
 SIGMAS = np.array([0.3, 0.1, 0.08])
 RECALL_2D = 0.8
@@ -60,18 +58,14 @@ def test_deviations_are_found_again_whatever_a_few_gross_errors_are():
 
 def test_the_quantile_of_even_weights_is_numpy_s():
     values = np.random.default_rng(2).normal(size=1001)
-    assert weighted_quantile(values, np.ones(1001), 0.95) == pytest.approx(
-        np.quantile(values, 0.95), abs=0.02
-    )
+    assert weighted_quantile(values, np.ones(1001), 0.95) == pytest.approx(np.quantile(values, 0.95), abs=0.02)
 
 
 def reported_and_verdicts(slope, base):
     """Scores, and boxes of which as many are true as a logistic function says."""
     generator = np.random.default_rng(3)
     reported = generator.normal(2.0, 3.0, 20_000)
-    return reported, (generator.random(20_000) < 1 / (1 + np.exp(-(base + slope * reported)))).astype(
-        np.int64
-    )
+    return reported, (generator.random(20_000) < 1 / (1 + np.exp(-(base + slope * reported)))).astype(np.int64)
 
 
 def test_scores_are_held_from_where_on_nearly_all_boxes_are_true():
@@ -104,9 +98,7 @@ def example(seed):
     centers = np.vstack([locations + SIGMAS * generator.normal(size=(6, 3)), false])
     # the logarithm of the odds is twice as sure as it should be: 2 x, of which half is true
     scores = np.concatenate([generator.normal(3.0, 2.0, 6), generator.normal(-3.0, 2.0, 3)])
-    three = Boxes3D(
-        0, centers, np.tile(CAR, (9, 1)), np.zeros(9), scores, ("Car",) * 9, score_form=ScoreForm.LOGIT
-    )
+    three = Boxes3D(0, centers, np.tile(CAR, (9, 1)), np.zeros(9), scores, ("Car",) * 9, score_form=ScoreForm.LOGIT)
     shown = np.array([outline(location) for location in locations]) + generator.normal(size=(6, 4))
     kept = generator.random(6) < RECALL_2D
     two = Boxes2D(0, shown[kept], np.full(int(kept.sum()), 0.9), ("car",) * int(kept.sum()))
@@ -137,9 +129,7 @@ def test_new_boxes_lie_in_the_regions_that_are_promised(fitted):
         fused = fuse_by_projection(reported.pair, settings=settings)
         errors = fused.centers[:6] - reported.truth.centers
         covariances = fused.center_covariances[:6]
-        squares += [
-            error @ np.linalg.solve(own, error) for error, own in zip(errors, covariances, strict=True)
-        ]
+        squares += [error @ np.linalg.solve(own, error) for error, own in zip(errors, covariances, strict=True)]
         assert fused.degrees_of_freedom == fitted.degrees_of_freedom
     # the promise lies between a Student's 9.7 and a Gaussian's 7.8; 360 boxes report 95 % to 1.2 %
     assert 0.92 < np.mean(np.array(squares) < 8.7) < 0.985

@@ -34,9 +34,7 @@ def sweep(*rows, label="car", size=CAR):
     """Boxes that head along x: x, y, z and score of each."""
     numbers = np.array(rows, np.float64).reshape(-1, 4)
     count = len(numbers)
-    return Boxes3D(
-        7, numbers[:, :3], np.tile(size, (count, 1)), np.zeros(count), numbers[:, 3], (label,) * count
-    )
+    return Boxes3D(7, numbers[:, :3], np.tile(size, (count, 1)), np.zeros(count), numbers[:, 3], (label,) * count)
 
 
 def outline(camera_from_lidar, center, size=CAR):
@@ -88,9 +86,7 @@ def test_a_box_of_the_sweep_is_one_object_to_which_each_image_adds_its_evidence(
     # a camera that looks back at the first two cars states nothing of them
     of_sweep = log_odds(views(boxes, back=(BACK, NOTHING))["back"].scores[:2])
     front, left = (log_odds(found[name].scores[:2]) for name in ("front", "left"))
-    np.testing.assert_allclose(
-        log_odds(merged.objects.scores[0]), front[0] + left[0] - of_sweep[0], rtol=1e-9
-    )
+    np.testing.assert_allclose(log_odds(merged.objects.scores[0]), front[0] + left[0] - of_sweep[0], rtol=1e-9)
     np.testing.assert_allclose(merged.objects.scores[1], found["left"].scores[1], rtol=1e-9)
     assert merged.objects.scores[0] > max(found["front"].scores[0], found["left"].scores[0])
 
@@ -158,9 +154,7 @@ def test_two_images_of_one_kind_of_camera_multiply_the_odds_and_count_the_empty_
         ).scores[0]
         for name, how in (("front", FRONT), ("left", LEFT))
     }
-    np.testing.assert_allclose(
-        [view.scores[1] for view in found.values()], list(without.values()), rtol=1e-12
-    )
+    np.testing.assert_allclose([view.scores[1] for view in found.values()], list(without.values()), rtol=1e-12)
     gained = log_odds(merged.objects.scores[1]) - log_odds(without["front"])
     # the second image adds what it says beyond a location of which nobody says anything
     row = tables_of(DEFAULTS).existence[numbers_of(["pedestrian"], [])[0][0]]
@@ -197,9 +191,7 @@ def test_the_same_location_reported_twice_is_no_better_known():
     assert len(merged) == 1
     # rounding of inverses
     np.testing.assert_allclose(merged.objects.centers, found["one"].centers, rtol=1e-6)
-    np.testing.assert_allclose(
-        merged.objects.center_covariances, found["one"].center_covariances, rtol=1e-4, atol=1e-6
-    )
+    np.testing.assert_allclose(merged.objects.center_covariances, found["one"].center_covariances, rtol=1e-4, atol=1e-6)
 
 
 def test_without_boxes_there_are_no_objects():

@@ -93,8 +93,7 @@ def test_no_other_assignment_gains_more(seed):
     assert (takers >= 0).sum() == len(chosen[0])
     wide = gains if rows <= columns else gains.T
     best = max(
-        sum(wide[i, j] for i, j in enumerate(order))
-        for order in permutations(range(wide.shape[1]), wide.shape[0])
+        sum(wide[i, j] for i, j in enumerate(order)) for order in permutations(range(wide.shape[1]), wide.shape[0])
     )
     assert gains[chosen].sum() == pytest.approx(best, rel=1e-12)
     assert (gains[chosen] > 0).all()
@@ -137,19 +136,14 @@ def surface(center, size, yaw):
     """Points on the faces of a box, lidar frame."""
     along = np.linspace(-0.5, 0.5, 41)
     a, b = (grid.ravel() for grid in np.meshgrid(along, along))
-    faces = [
-        np.roll(np.column_stack([np.full(a.size, s), a, b]), k, axis=1) for s in (-0.5, 0.5) for k in range(3)
-    ]
+    faces = [np.roll(np.column_stack([np.full(a.size, s), a, b]), k, axis=1) for s in (-0.5, 0.5) for k in range(3)]
     rotation = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
     return np.vstack(faces) * size @ rotation.T + center
 
 
 def cv2_outline(points_lidar):
     points = points_lidar @ CAMERA_FROM_LIDAR.rotation.T + CAMERA_FROM_LIDAR.translation
-    pixels = (
-        cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0]
-        + 0.5
-    )
+    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0] + 0.5
     seen = pixels[((pixels >= 0) & (pixels <= (CAMERA.width, CAMERA.height))).all(axis=1)]
     return np.concatenate([seen.min(axis=0), seen.max(axis=0)]) if len(seen) else np.zeros(4)
 
@@ -234,10 +228,7 @@ def bounds(state, yaw=YAW):
     rotation = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
     corners = state[:3] + (CORNER_SIGNS * state[3:] / 2) @ rotation.T
     points = corners @ CAMERA_FROM_LIDAR.rotation.T + CAMERA_FROM_LIDAR.translation
-    pixels = (
-        cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0]
-        + 0.5
-    )
+    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0] + 0.5
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
 
@@ -264,10 +255,7 @@ def test_the_update_is_that_of_the_information_form():
     partner = bounds(before) + np.array([1.5, -0.8, 2.4, 0.9])
     step = 1e-4
     slopes = np.column_stack(
-        [
-            (reported(bounds(before + step * e)) - reported(bounds(before - step * e))) / (2 * step)
-            for e in np.eye(6)
-        ]
+        [(reported(bounds(before + step * e)) - reported(bounds(before - step * e))) / (2 * step) for e in np.eye(6)]
     )
     wide, high = partner[2:] - partner[:2]
     noise = np.array(
@@ -389,9 +377,7 @@ def test_what_the_camera_model_has_no_rays_for_is_not_known():
 def test_only_the_boxes_asked_for_are_placed():
     corners = np.array([[400.0, 100.0, 500.0, 200.0], [10.0, 20.0, 30.0, 90.0], [700.0, 100.0, 720.0, 300.0]])
     kinds = table_rows(numbers_of(["car", "bus", "pedestrian"], [])[0])
-    found = position_by_height(
-        CAMERA_ONLY_CAMERA, CAMERA_ONLY_CAMERA_FROM_LIDAR, corners, np.array([2, 0]), kinds
-    )
+    found = position_by_height(CAMERA_ONLY_CAMERA, CAMERA_ONLY_CAMERA_FROM_LIDAR, corners, np.array([2, 0]), kinds)
     assert found.rows.tolist() == [2, 0]
     np.testing.assert_array_equal(found.centers[0], placed(corners[2]).centers[0])
     np.testing.assert_array_equal(found.centers[1], placed(corners[0], label="car").centers[0])
@@ -406,9 +392,7 @@ def slowly_placed(camera, camera_from_lidar, box, label):
     left, top, right, bottom = box
     middle_u, middle_v = (left + right) / 2 - 0.5, (top + bottom) / 2 - 0.5
     pixels = [[middle_u, middle_v], [middle_u, top - 0.5], [middle_u, bottom - 0.5]]
-    middle, up, down, *sides = unproject(
-        camera, np.array([*pixels, [left - 0.5, middle_v], [right - 0.5, middle_v]])
-    )
+    middle, up, down, *sides = unproject(camera, np.array([*pixels, [left - 0.5, middle_v], [right - 0.5, middle_v]]))
     kind = KINDS[label]
     high, wide = angle(up, down), angle(*sides)
     distance = kind.size_lwh[2] / (2 * np.tan(high / 2)) + kind.size_lwh[1] / 2
@@ -437,9 +421,7 @@ def test_locations_are_those_of_the_formulas_for_bent_camera_models_and_rotated_
     slowly = [slowly_placed(bent, how, box, label) for box, label in zip(corners, labels, strict=True)]
     # the chord between rays and their cross product round differently
     np.testing.assert_allclose(found.centers, [center for center, _ in slowly], rtol=1e-8, atol=1e-8)
-    np.testing.assert_allclose(
-        found.center_covariances, [covariance for _, covariance in slowly], rtol=1e-7, atol=1e-9
-    )
+    np.testing.assert_allclose(found.center_covariances, [covariance for _, covariance in slowly], rtol=1e-7, atol=1e-9)
 
 
 FRUSTUM_CAMERA = Camera("pinhole", 1200, 400, 700.0, 700.0, 599.5, 199.5)
@@ -462,9 +444,7 @@ def pair_of(points, corners=PEDESTRIAN, label="pedestrian", boxes_3d=None):
 
 def a_wall(distance, left=0.4, low=-1.7, high=0.3, count=9):
     """Points of a flat thing that faces the camera, (N, 3) [m], in the lidar's frame."""
-    y, z = (
-        grid.ravel() for grid in np.meshgrid(np.linspace(-left, left, count), np.linspace(low, high, count))
-    )
+    y, z = (grid.ravel() for grid in np.meshgrid(np.linspace(-left, left, count), np.linspace(low, high, count)))
     return np.column_stack([np.full(len(y), distance), y, z])
 
 
@@ -542,9 +522,7 @@ def errors():
         ego = drive.truth.path.at(np.array([sweep.reference_ns]))
         world_from_lidar = RigidTransform(ego.rotations[0], ego.positions[0]) @ lidar.spec.mount
         camera_from_lidar = drive.truth.world_from_camera(camera.id, k).inverse() @ world_from_lidar
-        pair = DetectionPair(
-            Boxes3D.empty(0), detected.boxes, camera.camera, camera_from_lidar, sweep.points.positions
-        )
+        pair = DetectionPair(Boxes3D.empty(0), detected.boxes, camera.camera, camera_from_lidar, sweep.points.positions)
         fused, by_height = fuse_by_projection(pair), fuse_by_projection(replace(pair, points_lidar=None))
         truth = drive.truth.boxes(np.array([sweep.reference_ns]))
         centers = world_from_lidar.inverse().apply(truth.centers_world[0])
@@ -605,9 +583,7 @@ def boxes_2d(*rows, labels=None):
 
 def outline(x, y, z):
     """What a pinhole shows of a car that heads along x: the nearer face bounds it, or the farther one on its side."""
-    corners = np.array(
-        [[x + i * 2.0, y + j * 1.0, z + k * 0.8] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]
-    )
+    corners = np.array([[x + i * 2.0, y + j * 1.0, z + k * 0.8] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
     u = 500.0 - 500.0 * corners[:, 1] / corners[:, 0]
     v = 300.0 - 500.0 * corners[:, 2] / corners[:, 0]
     return u.min(), v.min(), u.max(), v.max()

@@ -25,10 +25,7 @@ def shown(center):
     """The corners of a car that heads along x, bounded, by OpenCV."""
     points = (center + CORNER_SIGNS * SIZE / 2) @ CAMERA_FROM_LIDAR.rotation.T
     points = points + CAMERA_FROM_LIDAR.translation
-    pixels = (
-        cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0]
-        + 0.5
-    )
+    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0] + 0.5
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
 
@@ -38,9 +35,7 @@ def pairs(rotation_deg, *, count=40, seed=3):
     rotation = RigidTransform(cv2.Rodrigues(np.radians(rotation_deg))[0], np.zeros(3))
     for _ in range(count):
         ahead = generator.uniform(12.0, 40.0, 5)
-        centers = np.column_stack(
-            [ahead, ahead * generator.uniform(-0.6, 0.6, 5), generator.uniform(-1, 0, 5)]
-        )
+        centers = np.column_stack([ahead, ahead * generator.uniform(-0.6, 0.6, 5), generator.uniform(-1, 0, 5)])
         noisy = centers + 0.1 * generator.normal(size=(5, 3))
         corners = np.array([shown(center) for center in centers]) + generator.normal(size=(5, 4))
         # a false box in each, and one car that the camera does not find

@@ -29,9 +29,7 @@ from sceneloom.scene import (
 RADIUS, RATE = 20.0, 0.5
 """The circle [m], and how fast the ego rotates on it [rad/s]."""
 
-MOUNT = RigidTransform.from_quaternion(
-    np.array([1.0, 0.2, 1.5]), np.array([0.0, 0.0, np.sin(0.3), np.cos(0.3)])
-)
+MOUNT = RigidTransform.from_quaternion(np.array([1.0, 0.2, 1.5]), np.array([0.0, 0.0, np.sin(0.3), np.cos(0.3)]))
 """`ego_from_lidar`."""
 
 CAMERA_MODEL = Camera("pinhole", 8, 6, 5.0, 5.0, 3.5, 2.5)
@@ -63,9 +61,7 @@ class CircleDrive:
         step = 1_000_000_000 // hz
         times = np.arange(-beyond_ns, int(self.timestamps_ns[-1]) + beyond_ns + 1, step, dtype=np.int64)
         poses = [self.world_from_ego(int(time_ns)) for time_ns in times]
-        return Poses(
-            times, np.array([p.translation for p in poses]), np.array([p.quaternion_xyzw for p in poses])
-        )
+        return Poses(times, np.array([p.translation for p in poses]), np.array([p.quaternion_xyzw for p in poses]))
 
     def points_world(self, k):
         """What stands in the world, seen in frame `k`."""
@@ -76,8 +72,7 @@ class CircleDrive:
         lidar = LidarSensor("lidar", self._frames(LidarFrame, LidarPoints, points_frame), mount=MOUNT)
         radar = RadarSensor("radar", self._frames(RadarFrame, RadarPoints, points_frame), mount=MOUNT)
         images = [
-            CameraImage.of(int(t), CAMERA_MODEL, np.zeros((6, 8, 3), np.uint8))
-            for t in self.timestamps_ns + 20_000_000
+            CameraImage.of(int(t), CAMERA_MODEL, np.zeros((6, 8, 3), np.uint8)) for t in self.timestamps_ns + 20_000_000
         ]
         camera = CameraSensor(
             "camera", CAMERA_MODEL, LazyFrames.of(images, [p.timestamp_ns for p in images]), mount=MOUNT

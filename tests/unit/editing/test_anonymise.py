@@ -31,9 +31,7 @@ from sceneloom.scene.annotations import BoxPath
 EARLY = 1_700_000_000_123_456_789
 TIMES = np.array([EARLY, EARLY + 100_000_000, EARLY + 200_000_000])
 ROTATION = np.array([0.0, 0.0, np.sin(0.4), np.cos(0.4)])
-LOCATIONS = np.array([[690_000.0, 5_330_000.0, 520.0]]) + np.outer(
-    np.arange(3.0), [np.cos(0.8), np.sin(0.8), 0.0]
-)
+LOCATIONS = np.array([[690_000.0, 5_330_000.0, 520.0]]) + np.outer(np.arange(3.0), [np.cos(0.8), np.sin(0.8), 0.0])
 LLA = np.array([[48.1, 11.5, 520.0], [48.10001, 11.50002, 520.5], [48.10002, 11.50004, 521.0]])
 CAMERA = Camera("pinhole", 8, 6, 5.0, 5.0, 3.5, 2.5)
 

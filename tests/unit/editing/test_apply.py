@@ -79,9 +79,7 @@ def test_odometry_trajectories_and_poses_are_moved(drive):
             expected = repaired(time_s) @ body
             found = path.interpolate(np.array([time_ns]))
             np.testing.assert_allclose(found.positions[0], expected.translation, atol=1e-9)
-            away = Rotation.from_quat(found.quaternions_xyzw[0]).inv() * Rotation.from_matrix(
-                expected.rotation
-            )
+            away = Rotation.from_quat(found.quaternions_xyzw[0]).inv() * Rotation.from_matrix(expected.rotation)
             assert away.magnitude() < 1e-9
 
 
@@ -155,9 +153,7 @@ def test_what_an_adjustment_undoes_comes_out_as_it_was(drive):
         "undo", Poses(np.zeros(1, np.int64), back.translation[None], back.quaternion_xyzw[None])
     )
     applied = apply_corrections(drive.scene(PointsFrame.WORLD, [there, undo]))
-    np.testing.assert_allclose(
-        applied.sensor("lidar").frames[2].points.positions, drive.points_world(2), atol=2e-5
-    )
+    np.testing.assert_allclose(applied.sensor("lidar").frames[2].points.positions, drive.points_world(2), atol=2e-5)
 
 
 NEW_CAMERA_MODEL = Camera("pinhole", 8, 6, 6.0, 6.5, 3.0, 2.0)
@@ -201,9 +197,7 @@ def test_camera_model_and_times_are_replaced(drive, box):
         projections=(Projection("camera", drive.timestamps_ns), Projection("other", drive.timestamps_ns)),
     )
     drawn = Box2DAnnotation("drawn", "camera", BoxPath(drive.timestamps_ns[:1], np.ones((1, 4))))
-    scene = drive.scene(
-        annotations=[seen, drawn, calibration(intrinsics=NEW_CAMERA_MODEL, time_offset_ns=-3_000_000)]
-    )
+    scene = drive.scene(annotations=[seen, drawn, calibration(intrinsics=NEW_CAMERA_MODEL, time_offset_ns=-3_000_000)])
     applied = apply_corrections(scene)
     camera = applied.sensor("camera")
     assert camera.camera == camera.images[1].camera == NEW_CAMERA_MODEL

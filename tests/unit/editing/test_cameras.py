@@ -120,9 +120,7 @@ def test_images_can_be_pickled_for_other_processes(distorted):
 def test_encoded_images_and_locations_of_features_are_no_longer_true():
     scene = scene_of(BARREL)
     image = scene.cameras[0].images[0]
-    image = CameraImage(
-        0, BARREL, image.decode, extras={"features": [1], "number": 3}, encoded=lambda: b"jpeg"
-    )
+    image = CameraImage(0, BARREL, image.decode, extras={"features": [1], "number": 3}, encoded=lambda: b"jpeg")
     scene = Scene((CameraSensor("front", BARREL, LazyFrames.of([image], [0])),))
     found = undistort_scene(scene).cameras[0].images[0]
     assert found.encoded is None
@@ -144,9 +142,7 @@ def test_boxes_become_what_bounds_their_bent_outline():
 
 
 def test_what_the_new_image_does_not_show_is_left_out_and_counted():
-    corner = np.array(
-        [[1.0, 1.0, 3.0, 3.0]]
-    )  # of a barrel's image, cut off from an image without black border
+    corner = np.array([[1.0, 1.0, 3.0, 3.0]])  # of a barrel's image, cut off from an image without black border
     box = Box2DAnnotation("b", "front", BoxPath(TIME, corner))
     line = ShapeAnnotation(
         "s",
@@ -263,9 +259,7 @@ def test_images_have_their_own_camera_models_converted_too():
     first, second = scene.cameras[0].images
     assert first.camera == scene.cameras[0].camera
     assert second.camera.model == "brown_conrady"
-    assert (
-        np.nanmax(distances_px(OTHER, second.camera)) < 0.1
-    )  # corners may be given up, as the share reports
+    assert np.nanmax(distances_px(OTHER, second.camera)) < 0.1  # corners may be given up, as the share reports
 
 
 def test_a_camera_model_that_comes_no_nearer_than_the_limit_is_refused_with_its_distance():
@@ -274,16 +268,11 @@ def test_a_camera_model_that_comes_no_nearer_than_the_limit_is_refused_with_its_
         match=r"sensors\[front\].camera: fisheye camera model reported as pinhole, off by up to",
     ):
         convert_camera_models(fitted_scene_of(FISHEYE), "pinhole")
-    assert (
-        convert_camera_models(fitted_scene_of(FISHEYE), "pinhole", limit_px=500).cameras[0].camera.model
-        == "pinhole"
-    )
+    assert convert_camera_models(fitted_scene_of(FISHEYE), "pinhole", limit_px=500).cameras[0].camera.model == "pinhole"
 
 
 def test_a_camera_model_that_holds_too_little_of_the_image_is_refused_with_the_share():
-    with pytest.raises(
-        CalibrationError, match="% of the image cannot be held; expected at most 1 px and 1 %"
-    ):
+    with pytest.raises(CalibrationError, match="% of the image cannot be held; expected at most 1 px and 1 %"):
         convert_camera_models(fitted_scene_of(ALL_AROUND), "brown_conrady")
     found = convert_camera_models(fitted_scene_of(ALL_AROUND), "brown_conrady", share=0.2)
     assert found.metadata["sceneloom"]["camera_models"][0]["share"] < 0.5

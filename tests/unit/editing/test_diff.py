@@ -74,9 +74,7 @@ def a_image(k, *, value=7, encoded=b"jpeg"):
 
 def a_camera(images=None):
     made = images or [a_image(k) for k in range(3)]
-    return CameraSensor(
-        "camera", CAMERA_MODEL, LazyFrames.of(made, [p.timestamp_ns for p in made]), poses=a_path()
-    )
+    return CameraSensor("camera", CAMERA_MODEL, LazyFrames.of(made, [p.timestamp_ns for p in made]), poses=a_path())
 
 
 def a_cuboid(identifier="car", *, yaw=30.0, x=5.0, timestamps=TIMESTAMPS, **more):
@@ -159,9 +157,7 @@ def test_frames_are_paired_in_the_order_of_their_timestamps(first, second, toler
 
 def test_timestamps_within_the_tolerance_are_the_same_and_others_are_reported():
     later = with_lidar(
-        LazyFrames.of(
-            [replace(f, timestamp_ns=f.timestamp_ns + 3) for f in sweeps()], (TIMESTAMPS + 3).tolist()
-        )
+        LazyFrames.of([replace(f, timestamp_ns=f.timestamp_ns + 3) for f in sweeps()], (TIMESTAMPS + 3).tolist())
     )
     assert diff_scenes(a_scene(), later, tolerance_ns=3).equal
     changes = diff_scenes(a_scene(), later, tolerance_ns=2).differences
@@ -262,9 +258,7 @@ def test_annotations_are_the_same_by_their_ids():
 
 
 def test_an_id_that_is_a_number_is_not_its_text():
-    found = diff_scenes(
-        a_scene(annotations=(a_cuboid(1),)), a_scene(annotations=(a_cuboid("1"),))
-    ).differences
+    found = diff_scenes(a_scene(annotations=(a_cuboid(1),)), a_scene(annotations=(a_cuboid("1"),))).differences
     assert {f.path for f in found} == {"annotations[1]", "annotations['1']"}
 
 
@@ -293,9 +287,7 @@ def test_cuboids_reported_in_radians_and_another_order_are_the_same_cuboids():
     radians[:, 6:] = cuboid_angles_from_rotation(matrices, unit="radians", order="zyx")
     other = replace(first, path=CuboidPath(TIMESTAMPS, radians))
     ours = {"euler_unit": "radians", "euler_order": "zyx"}
-    found = diff_scenes(
-        Scene((), (degrees,)), Scene((), (other,), metadata={"sceneloom": ours}), tolerance_deg=1e-9
-    )
+    found = diff_scenes(Scene((), (degrees,)), Scene((), (other,), metadata={"sceneloom": ours}), tolerance_deg=1e-9)
     assert [f.path for f in found.differences] == ["metadata['sceneloom']"]
 
 

@@ -47,9 +47,7 @@ def test_sensors_of_both_stand_in_the_merged_scene_and_the_same_odometry_once(dr
     merged = merge_scenes([only(scene, "lidar", "ego"), only(scene, "camera", "radar", "ego")])
     assert [sensor.id for sensor in merged.sensors] == ["lidar", "ego", "camera", "radar"]
     assert list(merged.trajectories) == ["ego"]
-    assert [(warning.code, warning.location) for warning in merged.warnings] == [
-        ("same-sensor", "sensors[ego]")
-    ]
+    assert [(warning.code, warning.location) for warning in merged.warnings] == [("same-sensor", "sensors[ego]")]
 
 
 def test_ids_that_are_taken_are_refused_or_changed_with_all_references(drive, box):
@@ -67,9 +65,7 @@ def test_ids_that_are_taken_are_refused_or_changed_with_all_references(drive, bo
     other = only(drive.scene(annotations=(second, *others)), "camera", "lidar")
     lidar = replace(other.sensor("lidar"), parent_id="camera")
     other = replace(other, sensors=(other.sensor("camera"), lidar))
-    with pytest.raises(
-        OptionError, match=r"sensors\['camera'\]: this id stands in scene, too; state `--rename`"
-    ):
+    with pytest.raises(OptionError, match=r"sensors\['camera'\]: this id stands in scene, too; state `--rename`"):
         merge_scenes([first, other])
     merged = merge_scenes([first, other], rename=True)
     assert [sensor.id for sensor in merged.sensors] == ["camera", "camera-2", "lidar"]
@@ -156,9 +152,7 @@ def test_angles_are_stated_as_the_first_scene_says_them(drive, box):
     other = box("b", [0], [[0.0, 0, 0]])
     other = replace(other, path=replace(other.path, values=rows))
     radians = drive.scene(annotations=[other])
-    radians = replace(
-        only(radians, "radar"), metadata={"sceneloom": {"euler_unit": "radians", "euler_order": "zyx"}}
-    )
+    radians = replace(only(radians, "radar"), metadata={"sceneloom": {"euler_unit": "radians", "euler_order": "zyx"}})
     first = only(drive.scene(annotations=[box("a", [0], [[0.0, 0, 0]])]), "lidar")
     found = merge_scenes([first, radians]).annotations[1].path.values[0, 6:]
     expected = Rotation.from_euler("ZYX", [2.0, -0.4, 0.3])
@@ -228,12 +222,8 @@ def test_parts_of_a_drive_are_joined_to_what_they_were(drive, box):
         camera = joined.sensor("camera")
         assert [image.timestamp_ns for image in camera.images] == (drive.timestamps_ns + 20_000_000).tolist()
         np.testing.assert_array_equal(camera.poses.positions, scene.sensor("camera").poses.positions)
-        np.testing.assert_array_equal(
-            joined.sensor("ego").poses.positions, scene.sensor("ego").poses.positions
-        )
-        np.testing.assert_array_equal(
-            joined.trajectories["ego"].positions, scene.trajectories["ego"].positions
-        )
+        np.testing.assert_array_equal(joined.sensor("ego").poses.positions, scene.sensor("ego").poses.positions)
+        np.testing.assert_array_equal(joined.trajectories["ego"].positions, scene.trajectories["ego"].positions)
         np.testing.assert_array_equal(
             joined.sensor("imu").streams["gyroscope"].values, scene.sensor("imu").streams["gyroscope"].values
         )
@@ -266,9 +256,7 @@ def test_frames_that_are_in_both_parts_are_taken_once_if_they_are_equal(drive):
     joined = merge_scenes(parts, join=True)
     assert joined.sensor("lidar").frames.timestamps_ns.tolist() == drive.timestamps_ns.tolist()
     assert {warning.code: warning.count for warning in joined.warnings} == {"frames-twice": 1}
-    moved = replace(
-        lidar.frames[2], points=replace(lidar.frames[2].points, positions=np.ones((1, 3), np.float32))
-    )
+    moved = replace(lidar.frames[2], points=replace(lidar.frames[2].points, positions=np.ones((1, 3), np.float32)))
     other = replace(scene, sensors=(replace(lidar, frames=LazyFrames.of([moved], [200_000_000])),))
     with pytest.raises(OptionError, match="two frames at 200000000 ns whose points differ"):
         merge_scenes([parts[0], other], join=True)
@@ -288,9 +276,7 @@ def test_what_the_second_part_says_otherwise_is_reported(drive, box):
     weather = [AttributePath("weather", (stated,), static=True) for stated in ("rain", "sun")]
     scenes = [
         replace(
-            drive.scene(
-                annotations=(box("b", drive.timestamps_ns, np.ones(3), label=label, stationary=still),)
-            ),
+            drive.scene(annotations=(box("b", drive.timestamps_ns, np.ones(3), label=label, stationary=still),)),
             attributes=(attribute,),
             extras={"owner": label},
         )
@@ -355,12 +341,8 @@ def test_closing_the_merged_scene_closes_all(drive):
 
 
 def test_metadata_of_both_are_kept_and_differences_reported(drive):
-    first = only(
-        drive.scene(), "lidar", metadata={"weather": "A", "sceneloom": {"applied": [{"id": 1}], "x": 1}}
-    )
-    second = only(
-        drive.scene(), "radar", metadata={"weather": "B", "sceneloom": {"applied": [{"id": 2}], "y": 2}}
-    )
+    first = only(drive.scene(), "lidar", metadata={"weather": "A", "sceneloom": {"applied": [{"id": 1}], "x": 1}})
+    second = only(drive.scene(), "radar", metadata={"weather": "B", "sceneloom": {"applied": [{"id": 2}], "y": 2}})
     merged = merge_scenes([first, second])
     assert merged.metadata == {
         "weather": "A",
@@ -386,9 +368,7 @@ def test_an_event_lasts_until_its_last_part_ends_though_that_is_a_moment(parts, 
 
 def fixes(times, lla):
     count = len(times)
-    return GnssSensor(
-        "gnss", times, np.tile(np.array(lla, np.float64), (count, 1)), np.ones(count), np.ones(count)
-    )
+    return GnssSensor("gnss", times, np.tile(np.array(lla, np.float64), (count, 1)), np.ones(count), np.ones(count))
 
 
 def moved_away(scene, metres):
@@ -404,9 +384,7 @@ def later(scene, seconds):
     lidar = scene.sensor("lidar")
     times = lidar.frames.timestamps_ns + int(seconds * 1e9)
     frames = [replace(f, timestamp_ns=int(t)) for f, t in zip(lidar.frames, times, strict=True)]
-    return replace(
-        scene, sensors=(replace(lidar, id="other", frames=LazyFrames.of(frames, times)),), trajectories={}
-    )
+    return replace(scene, sensors=(replace(lidar, id="other", frames=LazyFrames.of(frames, times)),), trajectories={})
 
 
 @pytest.mark.parametrize(

@@ -92,9 +92,7 @@ def test_a_cuboid_is_seen_from_the_ego_at_every_frame(drive, box):
             pose = drive.world_from_ego(time_ns)
             # the tolerance for which keyframes are added
             np.testing.assert_allclose(pose.apply(ego[k, 3:6]), world[k, 3:6], atol=1.01e-3)
-            rotation = Rotation.from_matrix(pose.rotation) * Rotation.from_euler(
-                "XYZ", ego[k, 6:], degrees=True
-            )
+            rotation = Rotation.from_matrix(pose.rotation) * Rotation.from_euler("XYZ", ego[k, 6:], degrees=True)
             away = rotation.inv() * Rotation.from_euler("XYZ", world[k, 6:], degrees=True)
             assert away.magnitude() < np.radians(0.0101)
 
@@ -126,9 +124,7 @@ def everything(drive, box):
         box("parked", [5], [[10.0, 30, 1]], stationary=True),
         ShapeAnnotation("area", ShapeType.POLYGON, VertexPath(times[:2], (corners, corners + 1.0))),
         ShapeAnnotation("growing", ShapeType.POLYLINE, VertexPath(times[:2], (corners[:2], corners))),
-        ShapeAnnotation(
-            "lane", ShapeType.POLYGON_TOPDOWN, VertexPath(times[:1], (corners,)), stationary=True
-        ),
+        ShapeAnnotation("lane", ShapeType.POLYGON_TOPDOWN, VertexPath(times[:1], (corners,)), stationary=True),
         PointsAnnotation(
             "body",
             (
@@ -214,9 +210,7 @@ def labels(frame):
 def test_a_scene_that_was_changed_can_go_to_another_process(drive):
     changed = to_ego(drive.scene())
     again = pickle.loads(pickle.dumps(changed.sensor("lidar")))
-    np.testing.assert_array_equal(
-        again.frames[1].points.positions, changed.sensor("lidar").frames[1].points.positions
-    )
+    np.testing.assert_array_equal(again.frames[1].points.positions, changed.sensor("lidar").frames[1].points.positions)
 
 
 def test_locations_that_cannot_be_known_are_an_error(drive):
@@ -244,9 +238,7 @@ def test_boxes_on_the_ego_are_not_taken_for_boxes_in_the_world(drive, box):
     with pytest.raises(OptionError, match="sceneloom edit to-world"):
         BoxTable(on_ego).at(0)
     assert len(BoxTable(to_world(on_ego)).at(0)) == 1
-    assert annotations_to_world(on_ego).annotations[0].path.values[0, 3:6].tolist() == pytest.approx(
-        [1, 1, 1]
-    )
+    assert annotations_to_world(on_ego).annotations[0].path.values[0, 3:6].tolist() == pytest.approx([1, 1, 1])
 
 
 @pytest.mark.parametrize(

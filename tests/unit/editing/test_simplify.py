@@ -116,9 +116,7 @@ def counts(scene):
 def test_all_kinds_of_paths_are_simplified_and_reported():
     simple = simplify_scene(a_scene())
     assert counts(simple) == dict.fromkeys(counts(simple), 2)
-    assert {warning.location: warning.count for warning in simple.warnings} == dict.fromkeys(
-        counts(simple), 7
-    )
+    assert {warning.location: warning.count for warning in simple.warnings} == dict.fromkeys(counts(simple), 7)
     trajectory = simple.trajectories["trajectory"]
     assert (trajectory.file_seconds.tolist(), trajectory.covariances.shape) == ([0.0, 800 * 1e-9], (2, 6, 6))
     assert simple.annotations[1].paths[0].id == "q"

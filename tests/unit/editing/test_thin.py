@@ -47,8 +47,7 @@ def scene_of(frames=6, annotations=()):
     times = [k * 100 for k in range(frames)]
     lidar = LidarSensor("top", LazyFrames.of([lidar_frame(k) for k in range(frames)], times))
     cycles = [
-        RadarFrame(t, RadarPoints(np.zeros((4, 3), np.float32), lengths=np.arange(4, dtype=np.float32)))
-        for t in times
+        RadarFrame(t, RadarPoints(np.zeros((4, 3), np.float32), lengths=np.arange(4, dtype=np.float32))) for t in times
     ]
     chart = PointsSensor("map", np.array([[-0.1, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], np.float32))
     return Scene((lidar, RadarSensor("radar", LazyFrames.of(cycles, times)), chart), tuple(annotations))
@@ -107,9 +106,7 @@ def test_labelled_points_follow_the_points_and_frames_that_stay():
         labels(2, 0, 90, 91),
         labels(None, 1, 2, sensor="map"),
     )
-    scene = scene_of(
-        annotations=[LabeledPointsAnnotation("a", entries), LabeledPointsAnnotation("b", entries[1:2])]
-    )
+    scene = scene_of(annotations=[LabeledPointsAnnotation("a", entries), LabeledPointsAnnotation("b", entries[1:2])])
     thinned = thin_scene(scene, voxel=1.0, keep="first", every=2)
     assert [annotation.id for annotation in thinned.annotations] == ["a"]
     found = thinned.annotations[0].labeled_points
@@ -129,9 +126,7 @@ def test_points_that_are_nowhere_go():
 def test_a_thinned_scene_can_go_to_another_process():
     thinned = thin_scene(scene_of(), voxel=1.0)
     again = pickle.loads(pickle.dumps(thinned.sensor("top")))
-    np.testing.assert_array_equal(
-        again.frames[3].points.positions, thinned.sensor("top").frames[3].points.positions
-    )
+    np.testing.assert_array_equal(again.frames[3].points.positions, thinned.sensor("top").frames[3].points.positions)
 
 
 @pytest.mark.parametrize(

@@ -61,9 +61,7 @@ def test_tracks_of_scenes_are_compared_in_space_and_all_their_classes(tmp_path: 
     assert (reported.similarity, sorted(reported.classes)) == ("3d", ["bus", "truck"])
     assert reported.classes["truck"].combined.clear.motp == pytest.approx(3 / 5)
     assert reported.classes["bus"].combined.clear.mota == -1.0
-    with pytest.raises(
-        OptionError, match="similarity '2d': one side has no such boxes; comparable: bev, 3d, distance"
-    ):
+    with pytest.raises(OptionError, match="similarity '2d': one side has no such boxes; comparable: bev, 3d, distance"):
         compare_tracks(tmp_path / "found.sfs", tmp_path / "true.sfs", similarity="2d")
     with pytest.raises(OptionError, match="similarity 'near'; expected one of 2d, bev, 3d, distance"):
         compare_tracks(tmp_path / "found.sfs", tmp_path / "true.sfs", similarity="near")

@@ -31,9 +31,7 @@ def ground(of: KittiLabels, k: int) -> "shapely.Polygon":
     x = np.array([1, 1, -1, -1]) * length / 2
     z = np.array([1, -1, -1, 1]) * width / 2
     cosine, sine = np.cos(of.rotations_y[k]), np.sin(of.rotations_y[k])
-    return shapely.Polygon(
-        np.column_stack([cosine * x + sine * z, -sine * x + cosine * z]) + of.bottoms[k, [0, 2]]
-    )
+    return shapely.Polygon(np.column_stack([cosine * x + sine * z, -sine * x + cosine * z]) + of.bottoms[k, [0, 2]])
 
 
 def test_boxes_of_kitti_overlap_as_their_corners_in_the_camera_do():
@@ -53,9 +51,7 @@ def test_boxes_of_kitti_overlap_as_their_corners_in_the_camera_do():
                 (first.bottoms[i, 1], second.bottoms[j, 1]),
                 (first.sizes_hwl[i, 0], second.sizes_hwl[j, 0]),
             )
-            high = min(bottoms) - max(
-                bottom - height for bottom, height in zip(bottoms, heights, strict=True)
-            )
+            high = min(bottoms) - max(bottom - height for bottom, height in zip(bottoms, heights, strict=True))
             room = common * max(high, 0)
             both = one.area * heights[0] + other.area * heights[1] - room
             assert space[i, j] == pytest.approx(room / both, abs=1e-9)
@@ -79,9 +75,7 @@ def test_columns_cannot_be_changed_from_without():
 
 
 def test_joined_tables_keep_the_columns_that_all_have():
-    one = ObjectTable(
-        np.zeros(1, np.int64), np.zeros(1, np.int64), ("car",), np.zeros((1, 4)), scores=np.ones(1)
-    )
+    one = ObjectTable(np.zeros(1, np.int64), np.zeros(1, np.int64), ("car",), np.zeros((1, 4)), scores=np.ones(1))
     other = ObjectTable(np.ones(1, np.int64), np.zeros(1, np.int64), ("bus",), np.zeros((1, 4)))
     joined = ObjectTable.joined([one, ObjectTable.empty(), other])
     assert (joined.frames.tolist(), joined.labels) == ([0, 1], ("car", "bus"))

@@ -55,9 +55,7 @@ def test_rotates_between_poses_are_even() -> None:
         np.zeros((2, 3)),
         np.array([[0, 0, 0, 1.0], [0, 0, half, half]]),
     )
-    estimate = Trajectory(
-        "found", np.array([50_000_000], np.int64), np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]])
-    )
+    estimate = Trajectory("found", np.array([50_000_000], np.int64), np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))
     pairs = associate_poses(estimate, reference)
     assert pairs.reference.quaternions_xyzw is not None
     eighth = np.pi / 8
@@ -76,9 +74,7 @@ def test_without_overlap_both_spans_and_an_offset_are_reported() -> None:
 
 def test_an_offset_is_added_to_the_nanosecond() -> None:
     late = Trajectory("late", np.array([1403636580838555648], np.int64), np.zeros((1, 3)))
-    report = evaluate_trajectory(
-        along_x([500]), late, align="none", offset_ns=1403636580338555648, tolerance=0.0
-    )
+    report = evaluate_trajectory(along_x([500]), late, align="none", offset_ns=1403636580338555648, tolerance=0.0)
     assert report.pairs == 1
     assert report.start_ns == 1403636580838555648
 
@@ -191,9 +187,7 @@ def test_the_example_of_umeyama_comes_out_as_published() -> None:
 def test_the_rotation_of_se3_is_that_of_scipy(curve: tuple[Trajectory, Trajectory]) -> None:
     pairs = pairs_of(curve)
     found = align_pairs(pairs, "se3")
-    ours, theirs = (
-        side.positions - side.positions.mean(axis=0) for side in (pairs.estimate, pairs.reference)
-    )
+    ours, theirs = (side.positions - side.positions.mean(axis=0) for side in (pairs.estimate, pairs.reference))
     rotation, _ = Rotation.align_vectors(theirs, ours)
     np.testing.assert_allclose(found.rotation, rotation.as_matrix(), atol=1e-12)
     assert found.scale == 1.0
@@ -202,9 +196,7 @@ def test_the_rotation_of_se3_is_that_of_scipy(curve: tuple[Trajectory, Trajector
 def test_the_heading_of_yaw_is_the_best_of_all(curve: tuple[Trajectory, Trajectory]) -> None:
     pairs = pairs_of(curve)
     found = align_pairs(pairs, "yaw")
-    ours, theirs = (
-        side.positions - side.positions.mean(axis=0) for side in (pairs.estimate, pairs.reference)
-    )
+    ours, theirs = (side.positions - side.positions.mean(axis=0) for side in (pairs.estimate, pairs.reference))
 
     def misfit(yaw: float) -> float:
         rotated = Rotation.from_euler("z", yaw).apply(ours)
@@ -242,9 +234,7 @@ def straight(count: int, length: float) -> tuple[Trajectory, Trajectory]:
     world = Rotation.from_euler("zyx", [0.7, -0.2, 1.1])
     rotations = Rotation.from_euler("x", np.linspace(0, 0.3, count)[:, None])
     return (
-        Trajectory(
-            "found", timestamps, world.apply(positions) + np.array([1.0, 2, 3]), (world * rotations).as_quat()
-        ),
+        Trajectory("found", timestamps, world.apply(positions) + np.array([1.0, 2, 3]), (world * rotations).as_quat()),
         Trajectory("true", timestamps, positions, rotations.as_quat()),
     )
 
@@ -256,9 +246,7 @@ def test_on_a_straight_line_the_orientations_report_the_roll(kind: str) -> None:
     assert report.absolute.rotation_deg is not None
     # the root of the rounding of a matrix, in degrees
     assert report.absolute.rotation_deg.max < 1e-5
-    assert [warning.code for warning in report.warnings if "straight" in warning.message] == [
-        "doubtful-alignment"
-    ]
+    assert [warning.code for warning in report.warnings if "straight" in warning.message] == ["doubtful-alignment"]
 
 
 @pytest.mark.parametrize("kind", ["se3", "yaw", "origin"])
@@ -281,9 +269,7 @@ def test_what_stands_has_no_scale() -> None:
         evaluate_trajectory(*straight(20, 0.0), align="sim3")
 
 
-@pytest.mark.parametrize(
-    ("count", "kind", "advice"), [(2, "se3", "yaw"), (2, "sim3", "yaw"), (1, "yaw", "origin")]
-)
+@pytest.mark.parametrize(("count", "kind", "advice"), [(2, "se3", "yaw"), (2, "sim3", "yaw"), (1, "yaw", "origin")])
 def test_too_few_pairs_are_refused_with_an_alignment_that_serves(count: int, kind: str, advice: str) -> None:
     found, true = straight(3, 30.0)
     cut = [
@@ -295,9 +281,7 @@ def test_too_few_pairs_are_refused_with_an_alignment_that_serves(count: int, kin
         )
         for trajectory in (found, true)
     ]
-    with pytest.raises(
-        PoseError, match=f"{count} pairs of poses; alignment '{kind}' needs .*--align {advice}"
-    ):
+    with pytest.raises(PoseError, match=f"{count} pairs of poses; alignment '{kind}' needs .*--align {advice}"):
         evaluate_trajectory(*cut, align=kind)
     assert evaluate_trajectory(*cut, align=advice).pairs == count
 
@@ -340,9 +324,7 @@ def devkit(ours: np.ndarray, theirs: np.ndarray) -> dict[float, list[tuple[float
     found: dict[float, list[tuple[float, float]]] = {}
     for first in range(0, len(theirs), 10):
         for length in (100, 200, 300, 400, 500, 600, 700, 800):
-            last = next(
-                (k for k in range(first, len(theirs)) if trajectory[k] > trajectory[first] + length), None
-            )
+            last = next((k for k in range(first, len(theirs)) if trajectory[k] > trajectory[first] + length), None)
             if last is not None:
                 shift, angle = pose_error(ours, theirs, first, last)
                 found.setdefault(float(length), []).append((shift / length, angle / length))
@@ -376,9 +358,7 @@ def test_kitti_figures_are_those_of_the_development_kit(drive: tuple[Trajectory,
     expected = devkit(*map(matrices, drive))
     kitti = evaluate_trajectory(*drive, align="none").kitti
     assert kitti is not None
-    assert {part.length: part.segments for part in kitti.by_length} == {
-        k: len(v) for k, v in expected.items()
-    }
+    assert {part.length: part.segments for part in kitti.by_length} == {k: len(v) for k, v in expected.items()}
     assert len(expected) == 8, "the drive is long enough for all lengths"
     # the angle of a trace loses half the digits, here of angles around 1e-2
     for part in (*kitti.by_length, kitti.overall):
@@ -405,9 +385,7 @@ def test_steps_of_time_and_trajectory_are_those_of_the_definition(
         expected = np.array([pose_error(ours, theirs, i, j) for i, j in steps])
         assert reported.translation.count == len(steps)
         assert reported.translation.rms == pytest.approx(np.sqrt((expected[:, 0] ** 2).mean()), rel=1e-9)
-        assert reported.translation.percentile_95 == pytest.approx(
-            np.percentile(expected[:, 0], 95), rel=1e-9
-        )
+        assert reported.translation.percentile_95 == pytest.approx(np.percentile(expected[:, 0], 95), rel=1e-9)
         assert reported.rotation_deg is not None
         assert reported.rotation_deg.mean == pytest.approx(np.degrees(expected[:, 1].mean()), rel=1e-5)
         metres = np.mean([trajectory[j] - trajectory[i] for i, j in steps])
@@ -427,9 +405,7 @@ def test_a_gap_is_no_step_of_time() -> None:
 
 
 def test_positions_alone_are_compared_in_the_aligned_world(curve: tuple[Trajectory, Trajectory]) -> None:
-    found, true = (
-        Trajectory(trajectory.name, trajectory.timestamps_ns, trajectory.positions) for trajectory in curve
-    )
+    found, true = (Trajectory(trajectory.name, trajectory.timestamps_ns, trajectory.positions) for trajectory in curve)
     report = evaluate_trajectory(found, true, align="sim3", rpe_deltas=("10f",))
     full = evaluate_trajectory(*curve, align="sim3", rpe_deltas=("10f",))
     assert report.absolute.translation == full.absolute.translation
@@ -438,9 +414,7 @@ def test_positions_alone_are_compared_in_the_aligned_world(curve: tuple[Trajecto
     assert report.relative[0].rotation_deg is None
     how = report.alignment
     rotated = how.scale * Rotation.from_quat(how.quaternion_xyzw).apply(found.positions)
-    differences = np.linalg.norm(
-        rotated[10:] - rotated[:-10] - true.positions[10:] + true.positions[:-10], axis=1
-    )
+    differences = np.linalg.norm(rotated[10:] - rotated[:-10] - true.positions[10:] + true.positions[:-10], axis=1)
     assert report.relative[0].translation.mean == pytest.approx(differences.mean(), rel=1e-9)
     assert "no-orientations" in [warning.code for warning in report.warnings]
 
@@ -451,9 +425,7 @@ def test_axes_of_a_camera_are_noticed(curve: tuple[Trajectory, Trajectory]) -> N
     rotated = (Rotation.from_quat(found.quaternions_xyzw) * optical).as_quat()
     report = evaluate_trajectory(Trajectory("camera", found.timestamps_ns, found.positions, rotated), true)
     assert [warning.code for warning in report.warnings if "axes" in warning.code] == ["other-axes"]
-    assert not [
-        warning for warning in evaluate_trajectory(found, true).warnings if warning.code == "other-axes"
-    ]
+    assert not [warning for warning in evaluate_trajectory(found, true).warnings if warning.code == "other-axes"]
 
 
 NAMES = ("mean", "rms", "median", "max", "min", "std")
@@ -464,31 +436,21 @@ OF_MOTIONS = {  # steps of 10 poses, all pairs; the alignment changes nothing bu
     "sim3 translation": (
         *(0.204660281176, 0.225909462858, 0.186370908943, 0.381423148464, 0.0865661273078, 0.095651736618),
     ),
-    "rotation": (
-        *(0.952557343734, 0.985685644309, 0.918558452459, 1.36727407257, 0.577067051449, 0.253398295759),
-    ),
+    "rotation": (*(0.952557343734, 0.985685644309, 0.918558452459, 1.36727407257, 0.577067051449, 0.253398295759),),
 }
 ABSOLUTE = {
-    "none translation": (
-        *(16.949452533, 17.2595146863, 16.9771179467, 22.5570587622, 11.5371345358, 3.2568245327),
-    ),
-    "none rotation": (
-        *(24.6586402426, 24.6786288863, 24.6194158975, 26.3141846509, 22.9253769399, 0.993068523397),
-    ),
+    "none translation": (*(16.949452533, 17.2595146863, 16.9771179467, 22.5570587622, 11.5371345358, 3.2568245327),),
+    "none rotation": (*(24.6586402426, 24.6786288863, 24.6194158975, 26.3141846509, 22.9253769399, 0.993068523397),),
     "origin translation": (1.43182555501, 1.63483244429, 1.46965813031, 2.75213684662, 0.0, 0.789020089047),
     "origin rotation": (1.99126906987, 2.23291127125, 1.70818354405, 3.48676886917, 0.0, 1.01031689913),
     "se3 translation": (
         *(0.737420557704, 0.818580222555, 0.701484019255, 1.38151863806, 0.207217726455, 0.355365307584),
     ),
-    "se3 rotation": (
-        *(2.28354214923, 2.41239956352, 2.10617723255, 3.63911009083, 1.06387882029, 0.777886178545),
-    ),
+    "se3 rotation": (*(2.28354214923, 2.41239956352, 2.10617723255, 3.63911009083, 1.06387882029, 0.777886178545),),
     "sim3 translation": (
         *(0.0639454395285, 0.0716996425337, 0.0573021594311, 0.12954455017, 0.00970780900512, 0.03243176688),
     ),
-    "sim3 rotation": (
-        *(2.28354214923, 2.41239956352, 2.10617723255, 3.63911009083, 1.06387882029, 0.777886178545),
-    ),
+    "sim3 rotation": (*(2.28354214923, 2.41239956352, 2.10617723255, 3.63911009083, 1.06387882029, 0.777886178545),),
 }
 # evo's figures are quoted with 12 digits; angles near 0 are off by the root of the rounding in its matrices
 CLOSE = {"rel": 1e-10, "abs": 1e-7}

@@ -146,13 +146,9 @@ def test_what_files_of_points_have_no_field_for_is_reported(tmp_path, scene):
     box = CuboidAnnotation("a", CuboidPath(np.zeros(1, np.int64), np.ones((1, 9))))
     fix = GnssSensor("gps", np.zeros(1, np.int64), np.zeros((1, 3)), np.ones(1), np.ones(1))
     lidar = replace(scene.lidars[0], model="M1", id="top")
-    losses = write_scene(
-        Scene((lidar, fix), annotations=(box,), metadata={"city": "x"}), tmp_path / "o", format="ply"
-    )
+    losses = write_scene(Scene((lidar, fix), annotations=(box,), metadata={"city": "x"}), tmp_path / "o", format="ply")
     reported = {loss.field: loss for loss in losses}
-    assert {"sensors[gps]", "sensors[top].model", "annotations.cuboid", "metadata", "sensors[top].id"} == set(
-        reported
-    )
+    assert {"sensors[gps]", "sensors[top].model", "annotations.cuboid", "metadata", "sensors[top].id"} == set(reported)
     assert reported["sensors[top].id"].support is Support.CONVERTED
 
 
@@ -160,9 +156,7 @@ def test_points_are_written_in_the_frame_that_is_asked_for(tmp_path):
     # a quarter rotation to the left at (10, 0, 0): what lies ahead of the sensor lies to the left in the world
     half = np.sqrt(0.5)
     timestamps = np.array(TIMESTAMPS)
-    poses = Poses(
-        timestamps, np.array([[10.0, 0.0, 0.0], [20.0, 0.0, 0.0]]), np.array([[0.0, 0.0, half, half]] * 2)
-    )
+    poses = Poses(timestamps, np.array([[10.0, 0.0, 0.0], [20.0, 0.0, 0.0]]), np.array([[0.0, 0.0, half, half]] * 2))
     ahead = LidarPoints(np.array([[5.0, 0.0, 0.0]], np.float32))
     one = scene_of([LidarFrame(timestamp, ahead) for timestamp in TIMESTAMPS], poses=poses)
     write_scene(one, tmp_path / "world", format="ply", frame="world")
@@ -198,9 +192,7 @@ def test_points_on_the_ego_bring_the_ego_trajectory(tmp_path):
 
 
 def test_several_lidars_are_folders_of_their_own(tmp_path):
-    lidars = [
-        LidarSensor(name, LazyFrames.of([LidarFrame(7, points(7))], [7])) for name in ("top left", "rear/1")
-    ]
+    lidars = [LidarSensor(name, LazyFrames.of([LidarFrame(7, points(7))], [7])) for name in ("top left", "rear/1")]
     losses = write_scene(Scene(tuple(lidars)), tmp_path / "o", format="npz")
     assert not losses
     found = {lidar.id: lidar.frames[0].points for lidar in open_scene(tmp_path / "o").lidars}
@@ -368,9 +360,7 @@ def test_options_that_do_not_count_are_refused(tmp_path, scene):
 def test_one_kind_becomes_another_without_loss(tmp_path, scene):
     write_scene(scene, tmp_path / "first", format="pcd")
     report = convert(tmp_path / "first", tmp_path / "second", to="ply", strict=True)
-    assert not [
-        support for support in report.fields if support.support in {Support.APPROXIMATED, Support.DROPPED}
-    ]
+    assert not [support for support in report.fields if support.support in {Support.APPROXIMATED, Support.DROPPED}]
     found = open_scene(tmp_path / "second").lidars[0]
     for one, other in zip(found.frames, scene.lidars[0].frames, strict=True):
         same(one.points, other.points)

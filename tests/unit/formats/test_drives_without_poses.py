@@ -35,9 +35,7 @@ MOUNT = RigidTransform.identity()
 def drive():
     camera_model = Camera("pinhole", 8, 6, 6.0, 6.0, 4.0, 3.0)
     points = LidarPoints(np.ones((5, 3), np.float32))
-    images = [
-        CameraImage(int(time), camera_model, decode=lambda: np.zeros((6, 8, 3), np.uint8)) for time in TIMES
-    ]
+    images = [CameraImage(int(time), camera_model, decode=lambda: np.zeros((6, 8, 3), np.uint8)) for time in TIMES]
     return Scene(
         (
             LidarSensor("lidar", LazyFrames(TIMES, lambda k: LidarFrame(int(TIMES[k]), points)), mount=MOUNT),
@@ -59,9 +57,7 @@ def moving():
         return LidarFrame(int(times[k]), LidarPoints((hall - (0.2 * k, 0.0, 0.0)).astype(np.float32)))
 
     camera_model = Camera("pinhole", 8, 6, 6.0, 6.0, 4.0, 3.0)
-    images = [
-        CameraImage(int(time), camera_model, decode=lambda: np.zeros((6, 8, 3), np.uint8)) for time in times
-    ]
+    images = [CameraImage(int(time), camera_model, decode=lambda: np.zeros((6, 8, 3), np.uint8)) for time in times]
     return Scene(
         (
             LidarSensor("lidar", LazyFrames(times, sweep), mount=MOUNT),
@@ -96,9 +92,7 @@ def last_ego(name, folder):
 
 @pytest.mark.parametrize(("name", "options"), IN_WORLD)
 @pytest.mark.parametrize("trajectory", [None, "lidar"])
-def test_targets_in_the_world_follow_the_sweeps_where_they_can_and_report_it_alike(
-    name, options, trajectory, tmp_path
-):
+def test_targets_in_the_world_follow_the_sweeps_where_they_can_and_report_it_alike(name, options, trajectory, tmp_path):
     losses = write_scene(moving(), tmp_path / "out", format=name, trajectory=trajectory, **options)
     (loss,) = reported(losses)
     assert (loss.support, loss.what) == (Support.APPROXIMATED, "not known: computed by lidar odometry")
@@ -106,9 +100,7 @@ def test_targets_in_the_world_follow_the_sweeps_where_they_can_and_report_it_ali
 
 
 @pytest.mark.parametrize(("name", "options"), IN_WORLD)
-def test_targets_in_the_world_take_the_ego_as_stationary_as_asked_and_report_it_alike(
-    name, options, tmp_path
-):
+def test_targets_in_the_world_take_the_ego_as_stationary_as_asked_and_report_it_alike(name, options, tmp_path):
     losses = write_scene(moving(), tmp_path / "out", format=name, trajectory="identity", **options)
     assert reported(losses) == [stationary_ego()]
 
@@ -209,9 +201,7 @@ def drifted(*, recorded):
         trajectories = {"recorded": Trajectory("recorded", times, estimated_trajectory, straight)}
     else:
         repair, trajectories = Poses(times, np.array([[100.0, 50.0, 0.0], [101.2, 50.0, 0.0]]), straight), {}
-    return replace(
-        moving(), trajectories=trajectories, annotations=(LocalizationAdjustment("repair", repair),)
-    )
+    return replace(moving(), trajectories=trajectories, annotations=(LocalizationAdjustment("repair", repair),))
 
 
 @pytest.mark.parametrize("recorded", [True, False])

@@ -24,9 +24,7 @@ def test_a_jpeg_of_some_scans_is_decoded_and_one_of_very_many_refused(progressiv
     assert np.ptp(EncodedImage(content, "jpeg", 64, 48)()) == 0
     last = content.rindex(b"\xff\xda")
     many = content[:-2] + content[last:-2] * 200 + content[-2:]
-    with pytest.raises(
-        DataError, match="scans, each of which may paint the whole image; expected at most 100"
-    ):
+    with pytest.raises(DataError, match="scans, each of which may paint the whole image; expected at most 100"):
         EncodedImage(many, "jpeg", 64, 48)()
 
 

@@ -43,9 +43,7 @@ def test_what_decides_the_meaning_of_the_rest_is_refused_even_by_a_lenient_readi
 
 def test_a_message_that_begins_with_its_location_is_taken_apart():
     ledger = FaultLedger("/drive")
-    ledger.fault(
-        "camera_model", CalibrationError("/drive/data.jsonl: line 3: frames[].imuToCamera: is skewed: 0.5")
-    )
+    ledger.fault("camera_model", CalibrationError("/drive/data.jsonl: line 3: frames[].imuToCamera: is skewed: 0.5"))
     ledger.fault("camera_model", CalibrationError("no camera model at all"))
     ledger.fault("camera_model", CalibrationError("/drive/a file: is odd"))
     assert [(fault.path, fault.problem) for fault in ledger.faults] == [

@@ -50,8 +50,7 @@ def digest(scene):
     for cloud in [sensor for sensor in scene.sensors if sensor.type in ("lidar", "radar")]:
         for frame in cloud.frames:
             arrays = [
-                getattr(frame.points, name, None)
-                for name in ("positions", "intensities", "timestamps_ns", "rings")
+                getattr(frame.points, name, None) for name in ("positions", "intensities", "timestamps_ns", "rings")
             ]
             stated.update(b"".join(a.tobytes() for a in arrays if a is not None))
             stated.update(repr((frame.timestamp_ns, sorted(frame.extras))).encode())
@@ -195,9 +194,7 @@ def scenes(locations):
         "deskewed": deskewed_scene(opened["video"]),
         "memory": Scene(
             (
-                LidarSensor(
-                    "top", LazyFrames.of([LidarFrame(5, LidarPoints(np.ones((4, 3), np.float32)))], [5])
-                ),
+                LidarSensor("top", LazyFrames.of([LidarFrame(5, LidarPoints(np.ones((4, 3), np.float32)))], [5])),
                 replace(opened["png"].cameras[0], images=LazyFrames.of(in_memory, timestamps)),
             )
         ),
@@ -318,9 +315,7 @@ def test_a_scene_of_a_file_is_small_when_pickled_and_one_in_memory_takes_its_arr
 def test_a_video_takes_its_list_of_images_along(locations, monkeypatch):
     video = open_video(next((locations / "video").glob("data.*kv")))
     rgb = video.rgb(3)
-    monkeypatch.setattr(
-        "sceneloom.formats.video.reader.read_index", lambda *_: pytest.fail("walked through again")
-    )
+    monkeypatch.setattr("sceneloom.formats.video.reader.read_index", lambda *_: pytest.fail("walked through again"))
     again = pickle.loads(pickle.dumps(video))
     np.testing.assert_array_equal(again.rgb(3), rgb)
     assert again.count == 5
@@ -330,9 +325,7 @@ def test_a_scene_file_takes_the_lists_of_its_videos_along(locations, monkeypatch
     scene = sceneloom.open(locations / "raw.sfs")
     rgb = scene.cameras[1].images[3].rgb
     parcel = pickle.dumps(pickle.loads(pickle.dumps(scene)))
-    monkeypatch.setattr(
-        "sceneloom.formats.video.reader.read_index", lambda *_: pytest.fail("walked through again")
-    )
+    monkeypatch.setattr("sceneloom.formats.video.reader.read_index", lambda *_: pytest.fail("walked through again"))
     np.testing.assert_array_equal(pickle.loads(parcel).cameras[1].images[3].rgb, rgb)
 
 
@@ -393,9 +386,7 @@ def test_a_worker_that_goes_forward_seeks_in_each_video_once(scenes, monkeypatch
     samples = pickle.loads(pickle.dumps(scenes["video"].samples()))
     sought = []
     seek = VideoReader._seek
-    monkeypatch.setattr(
-        VideoReader, "_seek", lambda reader, k: sought.append((reader.name, k)) or seek(reader, k)
-    )
+    monkeypatch.setattr(VideoReader, "_seek", lambda reader, k: sought.append((reader.name, k)) or seek(reader, k))
     for sample in samples:
         assert all(image.rgb.any() for image in sample.images.values())
     assert sorted(k for _, k in sought) == [0, 0]

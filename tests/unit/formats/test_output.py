@@ -144,9 +144,7 @@ def _tree(folder: Path) -> dict[str, str]:
         ({"images/0.png": ""}, "holds no data"),
     ],
 )
-def test_a_folder_with_anything_foreign_in_it_is_left_alone(
-    tmp_path: Path, there: dict[str, str], named: str
-) -> None:
+def test_a_folder_with_anything_foreign_in_it_is_left_alone(tmp_path: Path, there: dict[str, str], named: str) -> None:
     target = tmp_path / "home"
     for name, text in there.items():
         (target / name).parent.mkdir(parents=True, exist_ok=True)
@@ -316,9 +314,7 @@ print(deaths)
 @pytest.mark.parametrize("exchange", ["exchange", "two renames"])
 @pytest.mark.parametrize("job", ["file", "folder", "filling", "trial", "together"])
 @pytest.mark.few(4)
-def test_old_or_new_survives_a_kill_between_any_two_system_calls(
-    tmp_path: Path, job: str, exchange: str
-) -> None:
+def test_old_or_new_survives_a_kill_between_any_two_system_calls(tmp_path: Path, job: str, exchange: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", _KILLED, job, str(tmp_path), exchange],
         capture_output=True,
@@ -329,9 +325,7 @@ def test_old_or_new_survives_a_kill_between_any_two_system_calls(
     assert int(done.stdout) >= 20
 
 
-@pytest.mark.parametrize(
-    "fault", [OSError(errno.EIO, "broken"), KeyboardInterrupt()], ids=["fault", "ctrl-c"]
-)
+@pytest.mark.parametrize("fault", [OSError(errno.EIO, "broken"), KeyboardInterrupt()], ids=["fault", "ctrl-c"])
 def test_a_second_rename_that_fails_leaves_the_old_folder(tmp_path: Path, monkeypatch, fault) -> None:
     target = tmp_path / "home"
     target.mkdir()

@@ -66,9 +66,7 @@ def recording(tmp_path):
             lines.append({"groundTruth": pose, "time": 0.1 * k})
         for k in range(COUNT):
             Image.new("RGB", SIZE, (10 * k, 0, 0)).save(folder / "frames1" / f"{k:08d}.png")
-            camera_model = CAMERA_MODEL | {
-                "focalLengthX": CAMERA_MODEL["focalLengthX"] + (k if different else 0)
-            }
+            camera_model = CAMERA_MODEL | {"focalLengthX": CAMERA_MODEL["focalLengthX"] + (k if different else 0)}
             entry = {
                 "cameraInd": 0,
                 "cameraParameters": camera_model,
@@ -108,15 +106,11 @@ def test_a_target_has_camera_model_and_mounting_of_each_image(recording, tmp_pat
         pytest.importorskip("rosbags")
     with open_scene(recording(different=different)) as scene:
         report = write_scene(scene, tmp_path / name)
-    assert not [
-        loss for loss in report.losses if loss.field.endswith("mount") and loss.support is Support.DROPPED
-    ]
+    assert not [loss for loss in report.losses if loss.field.endswith("mount") and loss.support is Support.DROPPED]
     with open_scene(tmp_path / name) as read:
         found = list(world_from_images(read))
     assert len(found) == COUNT
-    for (mount, camera_model), (ego_from_camera, focal_length) in zip(
-        found, expected(different), strict=True
-    ):
+    for (mount, camera_model), (ego_from_camera, focal_length) in zip(found, expected(different), strict=True):
         np.testing.assert_allclose(mount.matrix, ego_from_camera.matrix, atol=1e-9)
         assert camera_model.fx == pytest.approx(focal_length)
 
@@ -206,9 +200,7 @@ def drifting() -> Poses:
 @cache
 def street() -> Scene:
     camera_model = Camera("pinhole", 80, 48, 45.0, 45.0, 39.5, 23.5)
-    drive = simulate_street(
-        1, frames=5, lidar=LidarSpec(beams=8, steps=60), cameras=(CameraSpec(camera_model),)
-    ).scene
+    drive = simulate_street(1, frames=5, lidar=LidarSpec(beams=8, steps=60), cameras=(CameraSpec(camera_model),)).scene
     return replace(drive, annotations=())
 
 
@@ -240,9 +232,7 @@ def mountings(scene: Scene, injected: Scene) -> np.ndarray:
             trajectories = scene.trajectories or injected.trajectories
             at = np.array([timestamp], np.int64)
             ego, there = (path.held(at) for path in (next(iter(trajectories.values())).poses, camera.poses))
-            ego, there = (
-                RigidTransform.from_quaternion(p.positions[0], p.quaternions_xyzw[0]) for p in (ego, there)
-            )
+            ego, there = (RigidTransform.from_quaternion(p.positions[0], p.quaternions_xyzw[0]) for p in (ego, there))
             mount = there if camera.coordinates is Coordinates.EGO else ego.inverse() @ there
         found.append(mount.matrix)
     return np.linalg.inv(found[0]) @ np.array(found)
@@ -276,17 +266,11 @@ def test_a_camera_that_moves_on_the_vehicle_does_so_in_the_target_or_is_a_loss(n
     target = tmp_path / name
     form = None if "." in name else name
     if kind == "mountings" and not keeps:
-        with pytest.raises(
-            CalibrationError, match=r"images have mountings of their own, up to 0\.3 m and 11"
-        ):
+        with pytest.raises(CalibrationError, match=r"images have mountings of their own, up to 0\.3 m and 11"):
             write_scene(injected, target, format=form)
         return
     report = write_scene(injected, target, format=form)
-    lost = [
-        loss
-        for loss in report
-        if loss.field == "sensors[camera0].poses" and loss.support is Support.APPROXIMATED
-    ]
+    lost = [loss for loss in report if loss.field == "sensors[camera0].poses" and loss.support is Support.APPROXIMATED]
     if not keeps:
         (loss,) = lost
         assert loss.largest_error == pytest.approx(0.3)
@@ -347,8 +331,7 @@ def test_images_of_a_camera_that_moves_on_the_vehicle_stand_where_each_was(name,
     times = injected.cameras[0].images.timestamps_ns
     held = next(iter(injected.trajectories.values())).poses.held(times)
     egos = [
-        RigidTransform.from_quaternion(*pair).matrix
-        for pair in zip(held.positions, held.quaternions_xyzw, strict=True)
+        RigidTransform.from_quaternion(*pair).matrix for pair in zip(held.positions, held.quaternions_xyzw, strict=True)
     ]
     mounts = np.linalg.inv(egos) @ np.array(found)
     np.testing.assert_allclose(np.linalg.inv(mounts[0]) @ mounts, expected_mountings(), atol=1e-5)

@@ -58,9 +58,7 @@ def test_no_format_claims_an_empty_folder_or_a_file_of_noise(name, tmp_path):
     assert claimed == []
 
 
-TWIN = FormatSpec(
-    name="twin", title="a twin", suffixes=(".sfs",), looks_like="its twin", writer="twins:write"
-)
+TWIN = FormatSpec(name="twin", title="a twin", suffixes=(".sfs",), looks_like="its twin", writer="twins:write")
 """A format with the suffix of another."""
 
 

@@ -47,17 +47,13 @@ def theirs(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_format_of_another_package_is_asked_of_every_path(tmp_path, monkeypatch):
     (tmp_path / "a.bin").write_bytes(b"THEIRS")
     assert find_format(tmp_path / "a.bin") is THEIRS
-    monkeypatch.setattr(
-        "sceneloom.formats.base.spec.imported", lambda name: globals()[name.partition(":")[2]]
-    )
+    monkeypatch.setattr("sceneloom.formats.base.spec.imported", lambda name: globals()[name.partition(":")[2]])
     with registry.open_scene(tmp_path / "a.bin", loud=True) as scene:
         assert scene.metadata["loud"] is True
 
 
 def test_options_that_are_not_stated_are_none_and_unknown_ones_are_refused(monkeypatch):
-    monkeypatch.setattr(
-        "sceneloom.formats.base.spec.imported", lambda name: globals()[name.partition(":")[2]]
-    )
+    monkeypatch.setattr("sceneloom.formats.base.spec.imported", lambda name: globals()[name.partition(":")[2]])
     assert THEIRS.open("a", loud=None).metadata["loud"] is False
     with pytest.raises(UnknownOptionError, match="opening theirs"):
         THEIRS.open("a", quiet=True)

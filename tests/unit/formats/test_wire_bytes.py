@@ -33,9 +33,7 @@ def test_fields_are_found_without_being_read():
     assert content[fields[1].head : fields[1].stop] == b"\x18\xac\x02"
 
 
-@pytest.mark.parametrize(
-    "content", [b"\x0b", b"\x0a\x05ab", b"\x08", b"\x08\xff", b"\x0d123", b"\x08" + b"\xff" * 11]
-)
+@pytest.mark.parametrize("content", [b"\x0b", b"\x0a\x05ab", b"\x08", b"\x08\xff", b"\x0d123", b"\x08" + b"\xff" * 11])
 def test_what_is_unusual_is_left_to_protobuf(content):
     assert wire_fields(content, 0, len(content)) is None
 

@@ -23,8 +23,7 @@ def install(site, monkeypatch, entry_points):
     metadata.mkdir(parents=True)
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: somebody-s\nVersion: 1.0\n", "utf-8")
     lines = (
-        f"[{group}]\n" + "\n".join(f"{k} = {v}" for k, v in found.items())
-        for group, found in entry_points.items()
+        f"[{group}]\n" + "\n".join(f"{k} = {v}" for k, v in found.items()) for group, found in entry_points.items()
     )
     (metadata / "entry_points.txt").write_text("\n".join(lines), "utf-8")
     monkeypatch.syspath_prepend(str(site))

@@ -33,9 +33,7 @@ def exhaustive(times_ns: list[int], time_ns: int, tolerance_ns: int) -> int | No
 
 
 @given(st.lists(st.integers(-100, 100), max_size=20, unique=True), st.integers(-120, 120), st.integers(0, 50))
-def test_the_nearest_image_is_found_and_ties_go_to_the_earlier(
-    times: list[int], time: int, tolerance: int
-) -> None:
+def test_the_nearest_image_is_found_and_ties_go_to_the_earlier(times: list[int], time: int, tolerance: int) -> None:
     near = queue_of(times).nearest(time, tolerance)
     assert (None if near is None else near.timestamp_ns) == exhaustive(times, time, tolerance)
 

@@ -179,9 +179,7 @@ def test_without_cameras_the_colours_of_the_source_stay() -> None:
 
 
 def late_sweep(timestamp_ns: int, late_ns: int) -> LidarFrame:
-    times = np.array(
-        [timestamp_ns - late_ns, timestamp_ns - late_ns + 50, timestamp_ns - late_ns + 99], np.int64
-    )
+    times = np.array([timestamp_ns - late_ns, timestamp_ns - late_ns + 50, timestamp_ns - late_ns + 99], np.int64)
     return sweep(timestamp_ns, LidarPoints(np.ones((3, 3), np.float32), timestamps_ns=times))
 
 
@@ -208,9 +206,7 @@ def test_images_do_not_pile_up_where_no_sweep_comes() -> None:
 
 
 def test_one_time_for_all_points_far_from_the_sweep_is_no_time() -> None:
-    path = Poses(
-        np.array([0, 5000], np.int64), np.array([[0.0, 0, 0], [50, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1))
-    )
+    path = Poses(np.array([0, 5000], np.int64), np.array([[0.0, 0, 0], [50, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
     system = system_with(path=path)
     positions, zero = np.zeros((2, 3), np.float32), np.zeros(2, np.int64)
     system.send("lidar", sweep(1000, LidarPoints(positions, timestamps_ns=zero)))
@@ -224,9 +220,7 @@ def test_one_time_for_all_points_far_from_the_sweep_is_no_time() -> None:
 
 
 def test_points_whose_times_count_from_the_sweep_are_moved_by_their_own_times() -> None:
-    path = Poses(
-        np.array([0, 5000], np.int64), np.array([[0.0, 0, 0], [50, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1))
-    )
+    path = Poses(np.array([0, 5000], np.int64), np.array([[0.0, 0, 0], [50, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
     system = system_with(path=path)
     for timestamp in (1000, 1100):
         points = LidarPoints(np.zeros((2, 3), np.float32), timestamps_ns=np.array([0, 90], np.int64))

@@ -47,10 +47,7 @@ def test_points_inside_are_those_between_all_six_faces():
     points = center + rng.uniform(-3, 3, (2000, 3))
     rows = rotation.as_matrix().T  # each row is one of the box's axes
     expected = [
-        all(
-            abs(sum(a * d for a, d in zip(rows[k], point - center, strict=True))) <= size[k] / 2
-            for k in range(3)
-        )
+        all(abs(sum(a * d for a, d in zip(rows[k], point - center, strict=True))) <= size[k] / 2 for k in range(3))
         for point in points
     ]
     found = points_in_box(points, center, size, rotation.as_quat())

@@ -14,17 +14,14 @@ ROUNDING = 1e-14
 def test_rotations_are_those_of_scipy_in_every_order(order):
     angles = np.random.default_rng(0).uniform(-200, 200, (50, 3))
     in_order = angles[:, ["xyz".index(axis) for axis in order]]
-    expected = Rotation.from_euler(
-        order.upper(), in_order, degrees=True
-    ).as_matrix()  # capitals: about moved axes
+    expected = Rotation.from_euler(order.upper(), in_order, degrees=True).as_matrix()  # capitals: about moved axes
     assert np.abs(rotation_from_cuboid_angles(angles, order=order) - expected).max() < ROUNDING
 
 
 def test_the_default_is_roll_times_pitch_times_yaw_in_degrees():
     roll, pitch, yaw = 10.0, 20.0, 30.0
     rx, ry, rz = (
-        Rotation.from_euler(a, v, degrees=True).as_matrix()
-        for a, v in (("x", roll), ("y", pitch), ("z", yaw))
+        Rotation.from_euler(a, v, degrees=True).as_matrix() for a, v in (("x", roll), ("y", pitch), ("z", yaw))
     )
     assert np.allclose(rotation_from_cuboid_angles((roll, pitch, yaw)), rx @ ry @ rz, atol=ROUNDING)
 
@@ -32,8 +29,7 @@ def test_the_default_is_roll_times_pitch_times_yaw_in_degrees():
 def test_yaw_alone_means_the_same_in_every_order():
     rotations = [rotation_from_cuboid_angles((0, 0, 0.7), unit="radians", order=order) for order in ORDERS]
     assert all(
-        np.allclose(rotation, Rotation.from_euler("z", 0.7).as_matrix(), atol=ROUNDING)
-        for rotation in rotations
+        np.allclose(rotation, Rotation.from_euler("z", 0.7).as_matrix(), atol=ROUNDING) for rotation in rotations
     )
 
 

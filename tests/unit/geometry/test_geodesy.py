@@ -40,9 +40,7 @@ def test_a_published_offset_east_north_and_up_is_met():
 
 def test_locations_agree_with_the_ellipse_drawn_by_its_reduced_latitude():
     rng = np.random.default_rng(0)
-    lla = np.column_stack(
-        [rng.uniform(-90, 90, 200), rng.uniform(-180, 180, 200), rng.uniform(-1e4, 1e6, 200)]
-    )
+    lla = np.column_stack([rng.uniform(-90, 90, 200), rng.uniform(-180, 180, 200), rng.uniform(-1e4, 1e6, 200)])
     semi_major, semi_minor = 6378137.0, 6356752.314245179
     for (latitude, longitude, height), found in zip(lla, ecef_from_geodetic(lla), strict=True):
         phi, lam = np.radians(latitude), np.radians(longitude)
@@ -65,9 +63,7 @@ def test_locations_from_the_sea_floor_to_satellites_come_back():
 
 def test_near_the_poles_and_the_equator_heights_keep_their_digits():
     lla = np.array([[lat, 12.0, 123.456] for lat in (90, -90, 89.9999999, -89.9999999, 0, 1e-9, -1e-9)])
-    assert np.allclose(
-        geodetic_from_ecef(ecef_from_geodetic(lla))[:, [0, 2]], lla[:, [0, 2]], rtol=0, atol=1e-8
-    )
+    assert np.allclose(geodetic_from_ecef(ecef_from_geodetic(lla))[:, [0, 2]], lla[:, [0, 2]], rtol=0, atol=1e-8)
 
 
 def test_east_north_and_up_point_where_they_state():

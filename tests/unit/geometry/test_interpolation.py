@@ -25,9 +25,7 @@ def slow_pose(times, positions, quaternions, query):
     """One pose, by exact integer arithmetic and scipy."""
     k = max(i for i in range(len(times) - 1) if i == 0 or times[i] <= query)
     fraction = (int(query) - int(times[k])) / (int(times[k + 1]) - int(times[k]))
-    position = [
-        (1 - fraction) * p + fraction * q for p, q in zip(positions[k], positions[k + 1], strict=True)
-    ]
+    position = [(1 - fraction) * p + fraction * q for p, q in zip(positions[k], positions[k + 1], strict=True)]
     return position, Slerp([0, 1], Rotation.from_quat(quaternions[k : k + 2]))(fraction).as_quat()
 
 

@@ -48,9 +48,7 @@ def test_a_rounded_matrix_becomes_rigid_and_its_error_is_reported():
     rounded = np.round(WORLD_FROM_EGO.matrix, 4)
     found, error = RigidTransform.nearest(rounded)
     assert 1e-6 < error < 1e-3
-    assert (
-        np.abs(found.matrix - WORLD_FROM_EGO.matrix).max() < 1e-4
-    )  # half a unit of the fourth decimal, some
+    assert np.abs(found.matrix - WORLD_FROM_EGO.matrix).max() < 1e-4  # half a unit of the fourth decimal, some
     assert np.array_equal(found.translation, rounded[:3, 3])
 
 

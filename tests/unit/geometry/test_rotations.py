@@ -80,17 +80,13 @@ def test_products_are_those_of_scipy(quaternions):
 
 def test_conjugates_are_the_inverses_of_scipy(quaternions):
     rotations = Rotation.from_quat(quaternions)
-    assert (
-        same_rotation(conjugate_quaternion(rotations.as_quat()), rotations.inv().as_quat()).max() < ROUNDING
-    )
+    assert same_rotation(conjugate_quaternion(rotations.as_quat()), rotations.inv().as_quat()).max() < ROUNDING
 
 
 def test_rotation_vectors_are_those_of_scipy(quaternions):
     rotations = Rotation.from_quat(quaternions)
     expected, found = rotations.as_rotvec(), rotation_vector_from_quaternion(quaternions)
-    half_rotations = (
-        np.abs(np.linalg.norm(expected, axis=1) - np.pi) < 1e-7
-    )  # there v and -v are one rotation
+    half_rotations = np.abs(np.linalg.norm(expected, axis=1) - np.pi) < 1e-7  # there v and -v are one rotation
     assert np.abs(found - expected)[~half_rotations].max() < ROUNDING
     back = quaternion_from_rotation_vector(found)
     assert same_rotation(back, rotations.as_quat()).max() < ROUNDING
@@ -98,17 +94,13 @@ def test_rotation_vectors_are_those_of_scipy(quaternions):
 
 def test_tiny_rotation_vectors_keep_all_their_digits():
     vector = np.array([3e-200, -4e-200, 0.0])
-    assert np.allclose(
-        rotation_vector_from_quaternion(quaternion_from_rotation_vector(vector)), vector, rtol=1e-14
-    )
+    assert np.allclose(rotation_vector_from_quaternion(quaternion_from_rotation_vector(vector)), vector, rtol=1e-14)
 
 
 def test_slerp_is_that_of_scipy_inside_and_beyond_both_ends(quaternions):
     a, b = quaternions[:150], quaternions[150:300]
     for fraction in (0.0, 1e-9, 0.3, 0.999, 1.0):
-        expected = [
-            Slerp([0, 1], Rotation.from_quat([p, q]))(fraction).as_quat() for p, q in zip(a, b, strict=True)
-        ]
+        expected = [Slerp([0, 1], Rotation.from_quat([p, q]))(fraction).as_quat() for p, q in zip(a, b, strict=True)]
         # scipy goes through rotation vectors, which cost it some digits for rotates of nearly half a circle
         assert angle_between(slerp(a, b, fraction), np.array(expected)).max() < 1e-12
     beyond = slerp([0, 0, 0, 1], QUARTER_ROTATION_LEFT, [-1.0, 2.0])
@@ -147,9 +139,7 @@ def test_a_rounded_rotation_is_brought_back_and_its_error_reported():
 
 
 def test_the_nearest_rotation_is_nearer_than_its_neighbours():
-    matrix = Rotation.from_rotvec([0.3, 0.2, -1]).as_matrix() + 0.05 * np.random.default_rng(5).normal(
-        size=(3, 3)
-    )
+    matrix = Rotation.from_rotvec([0.3, 0.2, -1]).as_matrix() + 0.05 * np.random.default_rng(5).normal(size=(3, 3))
     found, _ = nearest_rotation(matrix)
     for step in np.vstack([np.eye(3), -np.eye(3)]) * 1e-4:
         neighbour = found @ Rotation.from_rotvec(step).as_matrix()
@@ -191,6 +181,4 @@ def test_missing_rotations_stay_missing_without_a_warning():
 @pytest.mark.parametrize("scale", [1e-200, 1e200])
 def test_quaternions_of_extreme_length_are_normalised(scale):
     quaternion = scale * np.array(QUARTER_ROTATION_LEFT)
-    assert np.allclose(
-        matrix_from_quaternion(quaternion), matrix_from_quaternion(QUARTER_ROTATION_LEFT), atol=ROUNDING
-    )
+    assert np.allclose(matrix_from_quaternion(quaternion), matrix_from_quaternion(QUARTER_ROTATION_LEFT), atol=ROUNDING)

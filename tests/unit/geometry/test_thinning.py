@@ -124,9 +124,7 @@ def test_paths_of_one_and_two_poses_need_nothing_more():
 def test_a_staircase_of_ever_larger_steps_is_split_in_few_levels():
     count = 20_000
     positions = np.zeros((count, 3))
-    positions[:, 0] = np.exp(np.linspace(0, 12, count)) * (
-        np.arange(count) % 2
-    )  # the worst pose is always the last
+    positions[:, 0] = np.exp(np.linspace(0, 12, count)) * (np.arange(count) % 2)  # the worst pose is always the last
     dense = dense_path(positions, np.zeros((count, 3)))
     distance, _ = deviation(dense, dense[0][[0, -1]], thin_poses(*dense, dense[0][[0, -1]]))
     assert distance <= POSITION_TOLERANCE * NEARLY

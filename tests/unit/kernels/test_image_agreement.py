@@ -20,9 +20,7 @@ def placed():
 
 def interpolated(image, pixels):
     """Bilinear values by scipy."""
-    return ndimage.map_coordinates(
-        np.asarray(image, np.float64), pixels[:, ::-1].T.astype(np.float64), order=1
-    )
+    return ndimage.map_coordinates(np.asarray(image, np.float64), pixels[:, ::-1].T.astype(np.float64), order=1)
 
 
 def test_edges_are_summed_by_cell_and_direction(placed):
@@ -58,8 +56,7 @@ def test_a_histogram_shares_each_point_among_four_bins(placed):
     fill_histogram(ids, pixels, levels, image, histogram)
     bins = np.arange(8)
     hats = [
-        np.maximum(0.0, 1.0 - np.abs(bins - v))
-        for v in (levels[ids][:, None], interpolated(image, pixels)[:, None])
+        np.maximum(0.0, 1.0 - np.abs(bins - v)) for v in (levels[ids][:, None], interpolated(image, pixels)[:, None])
     ]
     np.testing.assert_allclose(histogram, hats[0].T @ hats[1], atol=1e-4)  # float32 levels
     assert histogram.sum() == pytest.approx(len(ids))

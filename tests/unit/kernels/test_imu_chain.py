@@ -12,9 +12,7 @@ from sceneloom.motion.gnss_imu.measurements import InertialSamples, Preintegrate
 from sceneloom.simulate.drive import GRAVITY, ImuSpec, imu_truth
 from sceneloom.simulate.trajectory import EgoPath, PathSpec, plan_path
 
-PATH = plan_path(
-    np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0))
-)
+PATH = plan_path(np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0)))
 
 
 KNOTS = np.arange(9) * 1_000_000_000 + 333_333_333  # between samples of every rate below

@@ -58,9 +58,7 @@ def test_a_box_and_its_copy_are_one_however_they_are_rotated(rotation_of_vector)
 @pytest.mark.parametrize("rotation_of_vector", [0.0, np.pi / 2, np.pi, np.pi / 4])
 def test_edges_that_touch_or_coincide_are_no_trouble(rotation_of_vector):
     first = np.array([[0.0, 0, 0, 4, 2, 1, 0.0]])
-    second = np.array(
-        [[x, y, 0, 4, 2, 1, rotation_of_vector] for x in (0, 1, 2, 3, 4) for y in (0, 1, 2)], float
-    )
+    second = np.array([[x, y, 0, 4, 2, 1, rotation_of_vector] for x in (0, 1, 2, 3, 4) for y in (0, 1, 2)], float)
     above, _ = in_one_frame(first, second)
     reported = [expected(first[0], box)[0] for box in second]
     np.testing.assert_allclose(above[0], reported, rtol=0, atol=1e-9)  # as above

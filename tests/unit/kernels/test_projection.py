@@ -20,12 +20,7 @@ def drawn_one_by_one(pixels, depths, visible, width, height):
     image = np.zeros((height, width), np.float32)
     for (u, v), depth, seen in zip(pixels, depths, visible, strict=True):
         location = pixel_of(float(u), float(v), width, height)
-        if (
-            seen
-            and location is not None
-            and 0 < depth < math.inf
-            and (image[location] == 0 or depth < image[location])
-        ):
+        if seen and location is not None and 0 < depth < math.inf and (image[location] == 0 or depth < image[location]):
             image[location] = depth
     return image
 
@@ -147,9 +142,7 @@ def test_only_the_points_asked_for_are_mapped_and_in_that_order():
     np.testing.assert_array_equal(mapped(points, [5, 2])[0], mapped(points)[0][:, [5, 2]])
 
 
-@pytest.mark.parametrize(
-    "point", [(math.nan, 0, 0), (0, math.inf, 0), (-1.1, 0.3, -0.2), (1e200, 0, 0)], ids=str
-)
+@pytest.mark.parametrize("point", [(math.nan, 0, 0), (0, math.inf, 0), (-1.1, 0.3, -0.2), (1e200, 0, 0)], ids=str)
 def test_a_point_without_direction_has_inverse_range_zero(point):
     directions, inverse_ranges = mapped([point])
     assert directions.tolist() == [[0], [0]]

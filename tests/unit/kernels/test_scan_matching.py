@@ -50,9 +50,7 @@ def equations(local_map, points, seconds, change, scale):
     world, arms = moved(points, seconds, rotation, change[3:6], YAW_RATE + change[6:9], VELOCITY + change[9:])
     information, gradient, sums = np.empty((3, 6, 6)), np.empty((2, 6)), np.empty(4)
     levels = [
-        x
-        for level in (local_map.fine, local_map.coarse)
-        for x in (level.leaf, level.table, level.keys, level.surfaces)
+        x for level in (local_map.fine, local_map.coarse) for x in (level.leaf, level.table, level.keys, level.surfaces)
     ]
     accumulate_normal_equations(world, arms, seconds, scale, *levels, information, gradient, sums)
     return information, gradient, sums
@@ -71,9 +69,7 @@ def test_the_gradient_is_that_of_half_the_squared_error():
     for axis in (0, 1, 5):  # roll, pitch and height: what a level ground reports
         change = np.zeros(12)
         change[axis] = step
-        ahead, behind = (
-            equations(local_map, points, seconds, sign * change, scale)[2][2] for sign in (1, -1)
-        )
+        ahead, behind = (equations(local_map, points, seconds, sign * change, scale)[2][2] for sign in (1, -1))
         assert np.isclose(gradient[0, axis], (ahead - behind) / (4 * step), rtol=0.02)
 
 

@@ -23,15 +23,11 @@ def frame_at(times_ns: np.ndarray, positions: np.ndarray) -> LidarFrame:
     return LidarFrame(int(times_ns[0]), LidarPoints(positions.astype(np.float32), timestamps_ns=times_ns))
 
 
-def scipy_world(
-    path: Poses, mount: RigidTransform, times_ns: np.ndarray, positions: np.ndarray
-) -> np.ndarray:
+def scipy_world(path: Poses, mount: RigidTransform, times_ns: np.ndarray, positions: np.ndarray) -> np.ndarray:
     rotations = Slerp(path.timestamps_ns.astype(float), Rotation.from_quat(path.quaternions_xyzw))(
         times_ns.astype(float)
     )
-    locations = np.stack(
-        [np.interp(times_ns, path.timestamps_ns, path.positions[:, k]) for k in range(3)], axis=1
-    )
+    locations = np.stack([np.interp(times_ns, path.timestamps_ns, path.positions[:, k]) for k in range(3)], axis=1)
     return rotations.apply(positions @ mount.rotation.T + mount.translation) + locations
 
 

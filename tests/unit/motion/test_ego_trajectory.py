@@ -30,9 +30,7 @@ FOUND = Trajectory(
     covariances=np.zeros((2, 6, 6)),
 )
 RECORDED = Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
-NOTE = DataWarning(
-    kind=WarningKind.SKIPPED, code="few-points", location="lidar", message="a sweep was passed over"
-)
+NOTE = DataWarning(kind=WarningKind.SKIPPED, code="few-points", location="lidar", message="a sweep was passed over")
 
 
 def lidar(points_frame: PointsFrame = PointsFrame.SENSOR, sweeps: int = 2) -> LidarSensor:

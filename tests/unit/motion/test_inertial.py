@@ -19,9 +19,7 @@ SECOND = 1_000_000_000
 
 def swinging_rates(seconds: np.ndarray) -> np.ndarray:
     """A vehicle that rotations, rolls and pitches at once, about axes that change."""
-    return np.stack(
-        [0.4 * np.sin(7 * seconds), 0.3 * np.cos(5 * seconds + 1), 0.6 + 0.5 * np.sin(2 * seconds)], axis=1
-    )
+    return np.stack([0.4 * np.sin(7 * seconds), 0.3 * np.cos(5 * seconds + 1), 0.6 + 0.5 * np.sin(2 * seconds)], axis=1)
 
 
 def finely_integrated(stop: float, rate_hz: int) -> Rotation:

@@ -115,9 +115,7 @@ def test_after_a_gap_in_time_a_new_map_begins_where_the_motion_before_leads(clou
     assert deviation.min() > 0.5
     assert miss(estimates[8], estimates[0], drive) < 3 * np.linalg.norm(deviation)
     after = miss(estimates[-1], estimates[8], drive)
-    assert (
-        after < 0.5
-    )  # the heading is as uncertain as the rotating during a second, but the trajectory goes on
+    assert after < 0.5  # the heading is as uncertain as the rotating during a second, but the trajectory goes on
 
 
 def test_the_same_sweep_over_and_over_is_a_stationary_ego(clouds):
@@ -199,9 +197,7 @@ SCENE_ODOMETRY_FRAMES = 8
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return held(
-        simulate_street(3, frames=SCENE_ODOMETRY_FRAMES, lidars=(SCENE_ODOMETRY_SPEC, LEFT), cameras=()).scene
-    )
+    return held(simulate_street(3, frames=SCENE_ODOMETRY_FRAMES, lidars=(SCENE_ODOMETRY_SPEC, LEFT), cameras=()).scene)
 
 
 @pytest.fixture(scope="module")
@@ -261,9 +257,7 @@ def test_one_blind_lidar_among_two_does_not_matter(scene, alone):
         shared_ns = alone.lidars[0].frames.timestamps_ns[-1:] + 90_000_000
         found = run.trajectory.poses.interpolate(shared_ns).positions[0]
         expected = lidar_odometry(alone).trajectory.poses.interpolate(shared_ns).positions[0]
-        assert (
-            np.linalg.norm(found - expected) < 0.4
-        )  # the first point was measured 30 ms later: up to 0.3 m on
+        assert np.linalg.norm(found - expected) < 0.4  # the first point was measured 30 ms later: up to 0.3 m on
 
 
 def test_points_in_the_ego_frame_need_no_mounting(alone):
@@ -271,9 +265,7 @@ def test_points_in_the_ego_frame_need_no_mounting(alone):
     frames = [
         replace(
             frame,
-            points=replace(
-                frame.points, positions=lidar.mount.apply(frame.points.positions).astype(np.float32)
-            ),
+            points=replace(frame.points, positions=lidar.mount.apply(frame.points.positions).astype(np.float32)),
         )
         for frame in lidar.frames
     ]
@@ -342,9 +334,7 @@ def test_broken_point_times_are_repaired_or_left_aside_and_reported(alone, chang
     frames = [
         replace(
             frame,
-            points=replace(
-                frame.points, timestamps_ns=change(frame.points.timestamps_ns, frame.timestamp_ns)
-            ),
+            points=replace(frame.points, timestamps_ns=change(frame.points.timestamps_ns, frame.timestamp_ns)),
         )
         for frame in lidar.frames
     ]
@@ -380,9 +370,7 @@ def test_a_lidar_that_repeats_its_sweep_seems_to_stand_and_that_is_reported(alon
     points = replace(lidar.frames[0].points, timestamps_ns=None)
     stuck = with_frames(lidar, [LidarFrame(timestamp, points) for timestamp in timestamps])
     run = lidar_odometry(replace(alone, sensors=(stuck,)))
-    assert {warning.code: warning.count for warning in run.warnings}[
-        "repeated-sweeps"
-    ] == SCENE_ODOMETRY_FRAMES - 1
+    assert {warning.code: warning.count for warning in run.warnings}["repeated-sweeps"] == SCENE_ODOMETRY_FRAMES - 1
     np.testing.assert_allclose(run.trajectory.positions, 0.0, atol=1e-3)
 
 

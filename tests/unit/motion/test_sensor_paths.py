@@ -16,15 +16,11 @@ MOUNT = RigidTransform(Rotation.from_euler("z", 0.4).as_matrix(), np.array([2.0,
 def winding_path(seconds: float = 4.0, rate: int = 100) -> Poses:
     t = np.arange(0, seconds, 1 / rate)
     positions = np.stack([10 * t, 3 * np.sin(t), 0.1 * np.sin(5 * t)], axis=1)
-    rotations = Rotation.from_euler(
-        "zyx", np.stack([0.5 * np.sin(2 * t), 0.02 * np.sin(7 * t), 0 * t], axis=1)
-    )
+    rotations = Rotation.from_euler("zyx", np.stack([0.5 * np.sin(2 * t), 0.02 * np.sin(7 * t), 0 * t], axis=1))
     return Poses((t * 1e9).astype(np.int64), positions, rotations.as_quat())
 
 
-def test_every_frame_has_its_pose_and_the_rest_stays_within_a_millimetre_and_a_hundredth_of_a_degree() -> (
-    None
-):
+def test_every_frame_has_its_pose_and_the_rest_stays_within_a_millimetre_and_a_hundredth_of_a_degree() -> None:
     source = PoseSource(winding_path(), MOUNT)
     frames = np.arange(100_000_000, 3_800_000_000, 100_000_000, dtype=np.int64)
     thin = sensor_path(source, frames)
@@ -33,9 +29,7 @@ def test_every_frame_has_its_pose_and_the_rest_stays_within_a_millimetre_and_a_h
     times = np.linspace(frames[0], frames[-1], 5001).astype(np.int64)
     truth, near = source.at(times), thin.interpolate(times)
     distance = np.linalg.norm(truth.positions - near.positions, axis=1)
-    angle = (
-        Rotation.from_quat(truth.quaternions_xyzw).inv() * Rotation.from_quat(near.quaternions_xyzw)
-    ).magnitude()
+    angle = (Rotation.from_quat(truth.quaternions_xyzw).inv() * Rotation.from_quat(near.quaternions_xyzw)).magnitude()
     # the promise holds at the times looked at; between them the arc of the mounting adds less than a tenth
     assert distance.max() < 1.1e-3
     assert np.degrees(angle).max() < 0.011

@@ -182,9 +182,7 @@ def test_points_that_lie_in_the_world_need_no_poses(drive: Scene, tmp_path: Path
 
 
 def test_a_camera_without_images_needs_no_location_and_keeps_its_number(drive: Scene, tmp_path: Path) -> None:
-    idle = replace(
-        drive.cameras[0], id="idle", images=LazyFrames.of([], []), video=None, mount=None, poses=None
-    )
+    idle = replace(drive.cameras[0], id="idle", images=LazyFrames.of([], []), video=None, mount=None, poses=None)
     report = fuse(replace(drive, sensors=(idle, *drive.sensors)), tmp_path / "drive.sfs")
     assert next((c.camera, c.images, c.unpaired) for c in report.cameras) == ("idle", 0, 0)
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
@@ -211,9 +209,7 @@ def own_mountings(drive: Scene) -> Scene:
     return changed(drive, camera.id, images=images)
 
 
-def test_an_image_with_a_mounting_of_its_own_has_its_own_pose_in_the_file(
-    drive: Scene, tmp_path: Path
-) -> None:
+def test_an_image_with_a_mounting_of_its_own_has_its_own_pose_in_the_file(drive: Scene, tmp_path: Path) -> None:
     mixed = own_mountings(drive)
     fuse(mixed, tmp_path / "drive.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
     trajectory = drive.trajectories["groundTruth"].poses
@@ -233,17 +229,11 @@ def test_fusing_again_does_not_apply_a_mounting_twice(drive: Scene, tmp_path: Pa
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         for again, first in zip(iter_fused(scene), iter_fused(mixed), strict=True):
             for view, source in zip(again.views, first.views, strict=True):
-                np.testing.assert_allclose(
-                    view.world_from_camera.matrix, source.world_from_camera.matrix, atol=1e-9
-                )
+                np.testing.assert_allclose(view.world_from_camera.matrix, source.world_from_camera.matrix, atol=1e-9)
 
 
 @pytest.mark.parametrize(("sensor_id", "location"), [("lidar", "frames"), ("camera1", "images")])
-def test_times_that_run_backwards_are_refused_with_their_location(
-    drive: Scene, sensor_id: str, location: str
-) -> None:
+def test_times_that_run_backwards_are_refused_with_their_location(drive: Scene, sensor_id: str, location: str) -> None:
     backwards = changed(drive, sensor_id, **{location: getattr(drive.sensor(sensor_id), location)[::-1]})
-    with pytest.raises(
-        DataError, match=rf"sensors\[{sensor_id}\]\.{location}\[1\]\.timestamp: .* in the order"
-    ):
+    with pytest.raises(DataError, match=rf"sensors\[{sensor_id}\]\.{location}\[1\]\.timestamp: .* in the order"):
         fuse(backwards)

@@ -36,9 +36,7 @@ def drive():
 
     Whose images are of another camera model than the one that boxes are made for.
     """
-    return simulate_street(
-        2, frames=14, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(CAMERA_MODEL),)
-    )
+    return simulate_street(2, frames=14, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(CAMERA_MODEL),))
 
 
 def lists(scene, folder, rotation_deg):
@@ -52,9 +50,7 @@ def lists(scene, folder, rotation_deg):
     lines = {"boxes3d": [], "boxes2d": []}
     for k, (time, timestamp) in enumerate(zip(times, timestamps, strict=True)):
         ahead = generator.uniform(12.0, 30.0, 5)
-        centers = np.column_stack(
-            [ahead, ahead * generator.uniform(-0.5, 0.5, 5), generator.uniform(-1, 0, 5)]
-        )
+        centers = np.column_stack([ahead, ahead * generator.uniform(-0.5, 0.5, 5), generator.uniform(-1, 0, 5)])
         corners = centers[:, None] + CORNER_SIGNS * SIZE / 2
         seen = rotation.apply((locations[1][k].inverse() @ locations[0][k]).apply(corners.reshape(-1, 3)))
         pixels = (seen[:, :2] / seen[:, 2:] * 360.0 + [319.5, 159.5]).reshape(5, 8, 2) + 0.5
@@ -96,9 +92,7 @@ def test_boxes_of_one_kind_are_refused(drive, tmp_path):
 @pytest.mark.few(1)
 def test_a_drive_that_rotations_reports_a_camera_that_is_tilted(tilt_deg, verdict):
     camera_model = Camera("pinhole", 320, 120, 180.0, 180.0, 159.5, 59.5)
-    scene = simulate_street(
-        2, frames=30, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(camera_model),)
-    ).scene
+    scene = simulate_street(2, frames=30, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(camera_model),)).scene
     (camera,) = scene.cameras
     tilt = RigidTransform(Rotation.from_euler("x", tilt_deg, degrees=True).as_matrix(), np.zeros(3))
     tilted = replace(camera, mount=camera.mount @ tilt)

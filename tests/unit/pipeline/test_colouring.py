@@ -25,9 +25,7 @@ FRAMES = 4
 def exposed(tmp_path_factory):
     """Two cameras that overlap, each with an automatic of its own; from files, so that images are made once."""
     cameras = [
-        CameraSpec(
-            CAMERA_MODEL, camera_mount(yaw_deg=yaw), exposure=ExposureSpec(drift_stops=0.4), supersampling=2
-        )
+        CameraSpec(CAMERA_MODEL, camera_mount(yaw_deg=yaw), exposure=ExposureSpec(drift_stops=0.4), supersampling=2)
         for yaw in (0.0, 55.0)
     ]
     drive = simulate_street(21, frames=FRAMES, lidar=LidarSpec(beams=32, steps=600), cameras=cameras)
@@ -67,8 +65,7 @@ def mean_error(drive, folder, blend, *, exposure):
 def test_evening_out_exposures_takes_a_third_of_the_error_and_blending_adds_nothing_to_it(exposed, tmp_path):
     plain = mean_error(exposed, tmp_path / "plain", "nearest", exposure=False)
     nearest, best, weighted = (
-        mean_error(exposed, tmp_path / blend, blend, exposure=True)
-        for blend in ("nearest", "best", "weighted")
+        mean_error(exposed, tmp_path / blend, blend, exposure=True) for blend in ("nearest", "best", "weighted")
     )
     assert weighted < 0.75 * plain
     assert weighted <= best  # the mean has less noise
@@ -159,15 +156,11 @@ def test_labels_of_sweeps_go_back_into_the_images_that_they_came_from(exposed, t
         drawn += int((found > 0).sum())
         wrong += int(((found > 0) & (found != wanted)).sum())
     assert drawn > 5000
-    assert (
-        wrong < 0.005 * drawn
-    )  # float32 positions and microseconds in the file move points over a pixel's edge
+    assert wrong < 0.005 * drawn  # float32 positions and microseconds in the file move points over a pixel's edge
 
 
 def test_moving_points_are_left_out_by_boxes_and_by_rays_and_counted(tmp_path):
-    drive = simulate_street(
-        8, frames=22, lidar=LidarSpec(beams=24, steps=400), cameras=(), traffic=TrafficSpec()
-    )
+    drive = simulate_street(8, frames=22, lidar=LidarSpec(beams=24, steps=400), cameras=(), traffic=TrafficSpec())
     (tmp_path / "rays").mkdir()
     settings = ColourSettings(remove_moving=True)
     report = colour(drive.scene, settings=settings, outputs=ColourOutputs(per_sweep=tmp_path / "rays" / "s"))

@@ -65,9 +65,7 @@ def drive(*, events=(), points_ns=0):
         LidarFrame(int(t), LidarPoints(np.ones((4, 3), np.float32), timestamps_ns=np.full(4, t + points_ns)))
         for t in TIMESTAMPS
     ]
-    lidar = LidarSensor(
-        "top", LazyFrames.of(frames, TIMESTAMPS.tolist()), TRAJECTORY, points_frame=PointsFrame.WORLD
-    )
+    lidar = LidarSensor("top", LazyFrames.of(frames, TIMESTAMPS.tolist()), TRAJECTORY, points_frame=PointsFrame.WORLD)
     trajectory = Trajectory("trajectory", TIMESTAMPS, TRAJECTORY.positions, TRAJECTORY.quaternions_xyzw)
     return Scene((lidar,), annotations=events, trajectories={"trajectory": trajectory})
 
@@ -104,10 +102,7 @@ def test_what_is_known_beforehand_is_refused_before_anything_is_written(with_eve
     reported = json.loads((tmp_path / "loss.json").read_text())
     assert reported["written"] is False
     assert {"field": "annotations.event.id", "support": "dropped"}.items() <= {
-        key: value
-        for row in reported["fields"]
-        if row["field"] == "annotations.event.id"
-        for key, value in row.items()
+        key: value for row in reported["fields"] if row["field"] == "annotations.event.id" for key, value in row.items()
     }.items()
     assert caught.value.report.written is False
 
@@ -237,9 +232,7 @@ def test_a_line_is_about_the_field_that_it_names(location, fields):
 
 
 def test_a_line_about_a_sensor_is_about_all_of_its_fields():
-    assert set(fields_meant("sensors[top]", KINDS)) == {
-        f for f in MODEL_FIELDS if f.startswith("sensors.lidar.")
-    }
+    assert set(fields_meant("sensors[top]", KINDS)) == {f for f in MODEL_FIELDS if f.startswith("sensors.lidar.")}
     everywhere = fields_meant("sensors[].poses", KINDS)
     assert set(everywhere) == {f for f in MODEL_FIELDS if f.startswith("sensors.") and f.endswith(".poses")}
 
@@ -270,9 +263,7 @@ def test_the_worst_that_happened_counts_and_the_largest_error():
     assert "it is in the header" in found["sensors.lidar.id"].how[0]
     assert (found["metadata"].support, found["metadata"].how) == (Support.KEPT, ())
     assert (found["replay"].count, found["replay"].how) == (3, ("a note (3 times)",))
-    assert [support.field for support in lost(found.values())] == [
-        "sensors.lidar.frames.points.timestamps_ns"
-    ]
+    assert [support.field for support in lost(found.values())] == ["sensors.lidar.frames.points.timestamps_ns"]
 
 
 def test_what_is_reported_fields_that_the_scene_does_not_hold_stands_by_itself():
@@ -296,9 +287,7 @@ def shape(identifier, kind, times, vertices):
 
 def annotated(with_camera):
     """Three sweeps with an annotation of every type; those in images only where there is a camera."""
-    drive = sceneloom.simulate_street(
-        3, frames=3, lidar=SMALL, **({} if with_camera else {"cameras": ()})
-    ).scene
+    drive = sceneloom.simulate_street(3, frames=3, lidar=SMALL, **({} if with_camera else {"cameras": ()})).scene
     times = drive.lidars[0].frames.timestamps_ns
     here = next(iter(drive.trajectories.values())).positions[20]
     cuboids = [a for a in drive.annotations if isinstance(a, CuboidAnnotation)][:6]
@@ -312,9 +301,7 @@ def annotated(with_camera):
         shape("area", "polygon", times, ahead),
         PointsAnnotation("points", (PointPath(times, np.repeat([ahead[0]], 3, axis=0)),), labels=("a",)),
         EventAnnotation("event", int(times[0]), 10**8, label="start"),
-        LabeledPointsAnnotation(
-            "labelled", (LabeledPoints("lidar", np.arange(5, dtype=np.uint32), 0),), "road"
-        ),
+        LabeledPointsAnnotation("labelled", (LabeledPoints("lidar", np.arange(5, dtype=np.uint32), 0),), "road"),
         ObjectAnnotation("thing", "car"),
         LinkAnnotation("link", cuboids[0].id, cuboids[1].id, "follows", is_bidirectional=False),
         GroupAnnotation("group", "convoy"),
@@ -368,9 +355,7 @@ def test_each_annotation_is_read_back_or_listed_with_its_count(source, target, t
     kept = Counter(n.message.split(" ")[0] for n in applied)
     missing = kinds_of(scene.annotations) - kinds_of(found) - kept
     unlisted = missing - listed
-    assert unlisted.total() <= listed["annotations"], (
-        f"{dict(unlisted)} of {dict(missing)}; {dict(listed)} listed"
-    )
+    assert unlisted.total() <= listed["annotations"], f"{dict(unlisted)} of {dict(missing)}; {dict(listed)} listed"
 
 
 def kinds_of(annotations):
@@ -451,9 +436,7 @@ def test_no_target_holds_the_folder_of_its_source(source_paths, target, tmp_path
         assert b"secret-home" not in path.read_bytes(), path
 
 
-def test_an_assumption_names_the_drive_alone_and_what_was_repaired_is_not_reported_again(
-    source_paths, tmp_path
-):
+def test_an_assumption_names_the_drive_alone_and_what_was_repaired_is_not_reported_again(source_paths, tmp_path):
     repaired = DataWarning(
         kind=WarningKind.REPAIRED, code="poses-sorted", location=f"{source_paths}/oxts.txt", message="sorted"
     )

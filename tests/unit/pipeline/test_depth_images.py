@@ -64,9 +64,7 @@ def test_a_camera_that_sees_no_point_gets_empty_images(drive, tmp_path, method):
 def test_blind_sensors_make_no_depths_out_of_nothing(drive, tmp_path, sensor):
     always = ((0, 10**12),)
     blind = inject(drive, Faults({sensor: SensorFaults(blind=always)}, seed=1))
-    write_depth_images(
-        blind.scene, tmp_path / "out", form="npz", cameras=["camera0"], images=tmp_path / "look"
-    )
+    write_depth_images(blind.scene, tmp_path / "out", form="npz", cameras=["camera0"], images=tmp_path / "look")
     depths, confidence = depths_of(tmp_path / "out", "camera0", 0)
     if sensor == "lidar":
         assert not depths.any()

@@ -46,8 +46,7 @@ def with_lidar(scene: Scene, **changes: object) -> Scene:
     return replace(
         scene,
         sensors=tuple(
-            replace(sensor, **changes) if isinstance(sensor, LidarSensor) else sensor
-            for sensor in scene.sensors
+            replace(sensor, **changes) if isinstance(sensor, LidarSensor) else sensor for sensor in scene.sensors
         ),
     )
 
@@ -78,15 +77,11 @@ def errors(drive: SimulatedDrive, frames: LazyFrames[LidarFrame]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("at", ["start", "middle", "end"])
-def test_points_are_where_they_would_have_been_measured_at_that_moment(
-    drive: SimulatedDrive, at: str
-) -> None:
+def test_points_are_where_they_would_have_been_measured_at_that_moment(drive: SimulatedDrive, at: str) -> None:
     frames = deskewed_scene(drive.scene, at=at).lidars[0].frames
     # float32 at 100 m, and a trajectory of 100 poses a second between which the trajectory is straight
     assert errors(drive, frames).max() < 2e-3
-    for timestamp, frame, measured in zip(
-        frames.timestamps_ns, frames, drive.scene.lidars[0].frames, strict=True
-    ):
+    for timestamp, frame, measured in zip(frames.timestamps_ns, frames, drive.scene.lidars[0].frames, strict=True):
         times = measured.points.timestamps_ns
         moment = {"start": times.min(), "middle": np.median(times), "end": times.max()}[at]
         assert frame.timestamp_ns == timestamp
@@ -128,9 +123,7 @@ def test_a_lidar_with_poses_of_its_own_needs_no_trajectory(drive: SimulatedDrive
 
 
 def test_a_deskewed_scene_fuses_to_the_same_world_as_the_measured_one(drive: SimulatedDrive) -> None:
-    for deskewed, measured in zip(
-        iter_fused(deskewed_scene(drive.scene)), iter_fused(drive.scene), strict=True
-    ):
+    for deskewed, measured in zip(iter_fused(deskewed_scene(drive.scene)), iter_fused(drive.scene), strict=True):
         # two roundings to float32 at 100 m
         np.testing.assert_allclose(deskewed.points.positions, measured.points.positions, atol=5e-5)
 
@@ -154,9 +147,7 @@ def test_the_step_writes_scene_files_and_recordings(drive: SimulatedDrive, tmp_p
             )
         ]
     )
-    np.testing.assert_allclose(
-        [report.mean_shift, report.max_shift], [shifts.mean(), shifts.max()], rtol=1e-5
-    )
+    np.testing.assert_allclose([report.mean_shift, report.max_shift], [shifts.mean(), shifts.max()], rtol=1e-5)
     assert report.points == len(shifts)
     with sceneloom.open(tmp_path / name) as scene:
         assert errors(drive, scene.lidars[0].frames).max() < 2e-3
@@ -192,13 +183,9 @@ def test_a_recording_says_that_it_loses_the_measured_times_and_is_not_moved_agai
             assert before.timestamp_ns == after.timestamp_ns
 
 
-def test_sweeps_beyond_the_trajectory_stay_as_measured_and_are_counted(
-    drive: SimulatedDrive, tmp_path: Path
-) -> None:
+def test_sweeps_beyond_the_trajectory_stay_as_measured_and_are_counted(drive: SimulatedDrive, tmp_path: Path) -> None:
     estimated_trajectory = drive.scene.trajectories["groundTruth"]
-    rows = (
-        estimated_trajectory.timestamps_ns < int(drive.scene.lidars[0].frames.timestamps_ns[1]) + 20_000_000
-    )
+    rows = estimated_trajectory.timestamps_ns < int(drive.scene.lidars[0].frames.timestamps_ns[1]) + 20_000_000
     short = replace(
         estimated_trajectory,
         timestamps_ns=estimated_trajectory.timestamps_ns[rows],
@@ -228,9 +215,7 @@ def test_sweeps_in_a_gap_of_the_imu_stay_as_measured(drive: SimulatedDrive) -> N
     assert reasons == [None, "in a gap of the measured motion", None, None]
 
 
-def test_points_without_times_stay_as_they_are_and_that_is_counted(
-    drive: SimulatedDrive, tmp_path: Path
-) -> None:
+def test_points_without_times_stay_as_they_are_and_that_is_counted(drive: SimulatedDrive, tmp_path: Path) -> None:
     report = deskew(with_frames(drive.scene, without_times), tmp_path / "drive")
     assert (report.deskewed, report.left) == (0, {"no times of the points": SWEEPS})
 
@@ -242,9 +227,7 @@ def test_point_times_from_zero_are_understood_and_reported(drive: SimulatedDrive
 
     scene = with_frames(drive.scene, relative)
     report = deskew(scene, tmp_path / "drive.sfs")
-    assert [(warning.code, warning.count) for warning in report.warnings] == [
-        ("relative-point-times", SWEEPS)
-    ]
+    assert [(warning.code, warning.count) for warning in report.warnings] == [("relative-point-times", SWEEPS)]
     assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 2e-3
 
 
@@ -297,15 +280,11 @@ def test_a_part_is_deskewed_as_it_is_in_the_whole(drive: SimulatedDrive, tmp_pat
     whole = deskewed_scene(drive.scene, trajectory="imu").lidars[0].frames
     with sceneloom.open(tmp_path / "drive.sfs") as written:
         # the moment may differ by what few sweeps report it
-        np.testing.assert_allclose(
-            written.lidars[0].frames[0].points.positions, whole[1].points.positions, atol=2e-2
-        )
+        np.testing.assert_allclose(written.lidars[0].frames[0].points.positions, whole[1].points.positions, atol=2e-2)
 
 
 def test_deskewed_sweeps_go_to_other_processes(drive: SimulatedDrive) -> None:
-    source = LazyFrames.of(
-        list(drive.scene.lidars[0].frames), drive.scene.lidars[0].frames.timestamps_ns.tolist()
-    )
+    source = LazyFrames.of(list(drive.scene.lidars[0].frames), drive.scene.lidars[0].frames.timestamps_ns.tolist())
     frames = deskewed_scene(with_lidar(drive.scene, frames=source)).lidars[0].frames
     again = pickle.loads(pickle.dumps(frames))
     np.testing.assert_array_equal(again[2].points.positions, frames[2].points.positions)
@@ -337,9 +316,7 @@ def test_what_cannot_be_followed_is_refused_with_the_reason(drive: SimulatedDriv
 
 def without_trajectory(scene: Scene) -> Scene:
     """A scene with nothing to find the trajectory by but its sweeps."""
-    return replace(
-        scene, trajectories={}, sensors=tuple(s for s in scene.sensors if not isinstance(s, GnssSensor))
-    )
+    return replace(scene, trajectories={}, sensors=tuple(s for s in scene.sensors if not isinstance(s, GnssSensor)))
 
 
 def test_a_trajectory_that_was_found_goes_along_so_that_nothing_finds_it_again(
@@ -380,12 +357,8 @@ def test_poses_in_ego_coordinates_are_followed(drive: SimulatedDrive) -> None:
         assert errors(drive, deskewed_scene(scene, trajectory=trajectory).lidars[0].frames).max() < 2e-3
 
 
-@pytest.mark.parametrize(
-    "note", [5, {"deskew": 5}, {"deskew": [5, {"lidars": 5}, {"lidars": [["lidar"], {}]}]}]
-)
-def test_whatever_stands_in_the_position_of_the_note_does_no_harm(
-    drive: SimulatedDrive, note: object
-) -> None:
+@pytest.mark.parametrize("note", [5, {"deskew": 5}, {"deskew": [5, {"lidars": 5}, {"lidars": [["lidar"], {}]}]}])
+def test_whatever_stands_in_the_position_of_the_note_does_no_harm(drive: SimulatedDrive, note: object) -> None:
     scene = deskewed_scene(replace(drive.scene, metadata={"sceneloom": note}))
     assert scene.metadata["sceneloom"]["deskew"][-1]["lidars"] == ["lidar"]
 

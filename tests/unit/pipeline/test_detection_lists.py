@@ -15,9 +15,7 @@ from sceneloom.scene import Boxes2D, Boxes3D, Poses, ScoreForm
 from sceneloom.scene.poses import PoseSource
 
 TIMES = np.array([0, 100_000_000, 200_000_000], np.int64)
-LIDAR_FROM_CAMERA = RigidTransform(
-    np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.3, 0.0, -0.1])
-)
+LIDAR_FROM_CAMERA = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.3, 0.0, -0.1]))
 """The camera looks ahead: its z is the lidar's x, its x the lidar's -y, its y the lidar's -z."""
 
 
@@ -134,9 +132,7 @@ NUSCENES = {
 
 def nuscenes(tmp_path, box, *, token=TOKEN, micros=100_000):
     file(tmp_path, json.dumps([{"token": TOKEN, "timestamp": micros}]), "sample.json")
-    return file(
-        tmp_path, json.dumps({"meta": {"use_lidar": True}, "results": {token: [box]}}), "results.json"
-    )
+    return file(tmp_path, json.dumps({"meta": {"use_lidar": True}, "results": {token: [box]}}), "results.json")
 
 
 def test_boxes_of_nuscenes_come_from_the_world_into_the_lidars_frame(tmp_path, context):

@@ -70,9 +70,7 @@ def test_sensor_poses_are_the_trajectory_and_the_mounting_seen_from_the_first_eg
         for sensor in (*scene.cameras, *scene.lidars):
             poses = sensor.poses
             expected = PoseSource(trajectory.poses, drive.sensor(sensor.id).mount).at(poses.timestamps_ns)
-            np.testing.assert_allclose(
-                poses.positions + trajectory.positions[0], expected.positions, atol=1e-6
-            )
+            np.testing.assert_allclose(poses.positions + trajectory.positions[0], expected.positions, atol=1e-6)
             same = np.abs((poses.quaternions_xyzw * expected.quaternions_xyzw).sum(axis=1))
             np.testing.assert_allclose(same, 1.0, atol=1e-9)
         for sensor, times in ((s, s.images.timestamps_ns) for s in scene.cameras):
@@ -87,9 +85,7 @@ def test_boxes_move_with_the_origin(drive: Scene, tmp_path: Path) -> None:
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         assert len(scene.annotations) == len(drive.annotations) > 0
         for ours, source in zip(scene.annotations, drive.annotations, strict=True):
-            np.testing.assert_allclose(
-                ours.path.values[:, 3:6] + origin, source.path.values[:, 3:6], atol=1e-9
-            )
+            np.testing.assert_allclose(ours.path.values[:, 3:6] + origin, source.path.values[:, 3:6], atol=1e-9)
 
 
 def test_a_part_of_a_drive_is_fused_as_it_is_within_the_whole(drive: Scene) -> None:
@@ -200,9 +196,7 @@ def test_sweeps_beyond_the_trajectory_are_kept_unfused_and_counted(drive: Scene,
         np.testing.assert_array_equal(kept[0]["points"]["positions"], expected)
 
 
-def test_sweeps_that_needed_poses_beyond_the_trajectory_are_marked_in_the_file(
-    drive: Scene, tmp_path: Path
-) -> None:
+def test_sweeps_that_needed_poses_beyond_the_trajectory_are_marked_in_the_file(drive: Scene, tmp_path: Path) -> None:
     trajectory, frames = drive.trajectories["groundTruth"], drive.lidars[0].frames
     part = trajectory.timestamps_ns <= frames.timestamps_ns[-1] + 60_000_000
     short = Trajectory(
@@ -219,9 +213,7 @@ def test_sweeps_that_needed_poses_beyond_the_trajectory_are_marked_in_the_file(
         assert scene.metadata["sceneloom"]["extrapolated"] == marks
 
 
-def test_a_sweep_starts_with_its_first_point_and_what_that_moved_is_reported(
-    drive: Scene, tmp_path: Path
-) -> None:
+def test_a_sweep_starts_with_its_first_point_and_what_that_moved_is_reported(drive: Scene, tmp_path: Path) -> None:
     frames = drive.lidars[0].frames
 
     def read(index: int) -> LidarFrame:
@@ -283,9 +275,7 @@ def test_point_times_from_zero_or_in_another_unit_give_the_same_scene_and_are_re
         return replace(frame, points=replace(frame.points, timestamps_ns=times))
 
     fuse(drive, tmp_path / "sound.sfs")
-    reported = fuse(
-        with_lidar(drive, frames=LazyFrames(frames.timestamps_ns, read)), tmp_path / "odd.sfs"
-    ).warnings
+    reported = fuse(with_lidar(drive, frames=LazyFrames(frames.timestamps_ns, read)), tmp_path / "odd.sfs").warnings
     code = "unit-of-point-times" if microseconds else "relative-point-times"
     assert [(warning.code, warning.count) for warning in reported] == [(code, 4)]
     with sceneloom.open(tmp_path / "sound.sfs") as sound, sceneloom.open(tmp_path / "odd.sfs") as odd:
@@ -337,9 +327,7 @@ def test_files_of_lidars_and_cameras_of_like_names_stand_apart(drive: Scene, tmp
     }
 
 
-def test_one_name_for_a_file_and_a_folder_is_refused_before_anything_is_made(
-    drive: Scene, tmp_path: Path
-) -> None:
+def test_one_name_for_a_file_and_a_folder_is_refused_before_anything_is_made(drive: Scene, tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="two names"):
         fuse(drive, tmp_path / "x.sfs", outputs=FusionOutputs(depth=tmp_path / "x.sfs"))
     assert list(tmp_path.iterdir()) == []
@@ -357,9 +345,7 @@ def test_what_is_fused_again_reports_by_what_it_was_placed_first(drive: Scene, t
     assert second["earlier"] == first
 
 
-def test_a_drive_without_trajectory_is_placed_by_its_sweeps_and_the_scene_says_so(
-    drive: Scene, tmp_path: Path
-) -> None:
+def test_a_drive_without_trajectory_is_placed_by_its_sweeps_and_the_scene_says_so(drive: Scene, tmp_path: Path) -> None:
     sensors = tuple(sensor for sensor in drive.sensors if not isinstance(sensor, GnssSensor))
     lost = replace(drive, trajectories={}, sensors=sensors)
     reported: list[tuple[int, int]] = []
@@ -385,15 +371,11 @@ def test_a_trajectory_found_by_the_lidar_begins_where_a_recorded_one_says(drive:
     assert recorded.ego is not None
     first_ns = found.ego.path.timestamps_ns[:1]
     here, known = found.ego.path.interpolate(first_ns), recorded.ego.path.interpolate(first_ns)
-    np.testing.assert_allclose(
-        here.positions + found.origin_world, known.positions + recorded.origin_world, atol=1e-9
-    )
+    np.testing.assert_allclose(here.positions + found.origin_world, known.positions + recorded.origin_world, atol=1e-9)
     np.testing.assert_allclose(here.quaternions_xyzw, known.quaternions_xyzw, atol=1e-9)
 
 
-def test_a_trajectory_on_another_clock_is_an_error_that_leaves_nothing_behind(
-    drive: Scene, tmp_path: Path
-) -> None:
+def test_a_trajectory_on_another_clock_is_an_error_that_leaves_nothing_behind(drive: Scene, tmp_path: Path) -> None:
     trajectory = drive.trajectories["groundTruth"]
     elsewhere = replace(trajectory, timestamps_ns=trajectory.timestamps_ns + 10**15)
     lost = replace(drive, trajectories={"groundTruth": elsewhere})
@@ -402,9 +384,7 @@ def test_a_trajectory_on_another_clock_is_an_error_that_leaves_nothing_behind(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_output_that_exists_is_reported_before_the_trajectory_is_found(
-    drive: Scene, tmp_path: Path
-) -> None:
+def test_an_output_that_exists_is_reported_before_the_trajectory_is_found(drive: Scene, tmp_path: Path) -> None:
     (tmp_path / "drive.sfs").write_bytes(b"mine")
     reported: list[int] = []
     with pytest.raises(OutputError, match="exists already"):
@@ -452,9 +432,7 @@ def test_a_fused_scene_can_be_fused_again_and_keeps_its_origin(drive: Scene, tmp
                 np.testing.assert_array_equal(first.points.camera_index, second.points.camera_index)
 
 
-def test_a_fused_scene_becomes_a_recording_that_fuses_to_the_same_points(
-    drive: Scene, tmp_path: Path
-) -> None:
+def test_a_fused_scene_becomes_a_recording_that_fuses_to_the_same_points(drive: Scene, tmp_path: Path) -> None:
     fuse(drive, tmp_path / "once.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
     sceneloom.convert(tmp_path / "once.sfs", tmp_path / "back")
     with sceneloom.open(tmp_path / "once.sfs") as once, sceneloom.open(tmp_path / "back") as back:

@@ -131,8 +131,7 @@ def test_mountings_may_change_from_frame_to_frame() -> None:
     assert camera.mount is not None
     assert lidar.mount is not None
     rotations = [
-        RigidTransform(Rotation.from_euler("z", 5 * k, degrees=True).as_matrix(), np.zeros(3))
-        for k in range(3)
+        RigidTransform(Rotation.from_euler("z", 5 * k, degrees=True).as_matrix(), np.zeros(3)) for k in range(3)
     ]
     images = [replace(image, mount=rotations[k] @ camera.mount) for k, image in enumerate(camera.images)]
     swinging = LazyFrames(camera.images.timestamps_ns, lambda k: images[k])
@@ -164,12 +163,8 @@ def test_mountings_may_change_from_frame_to_frame() -> None:
         path = trajectory.poses.interpolate(at)
         on_ego = (
             swing[0]
-            * Rotation.from_rotvec(
-                np.outer(np.interp(at, times, np.linspace(0, np.radians(20), 50)), (0, 0, 1))
-            )
-        ).apply(
-            lidar.mount.apply(lidar.frames[k].points.positions) - lidar.mount.translation
-        ) + lidar.mount.translation
+            * Rotation.from_rotvec(np.outer(np.interp(at, times, np.linspace(0, np.radians(20), 50)), (0, 0, 1)))
+        ).apply(lidar.mount.apply(lidar.frames[k].points.positions) - lidar.mount.translation) + lidar.mount.translation
         world = Rotation.from_quat(path.quaternions_xyzw).apply(on_ego) + path.positions
         into_fused = plain.points.positions[0] - points_in_world(drive, k)[0]
         np.testing.assert_allclose(fused.points.positions, world + into_fused, atol=3e-3)

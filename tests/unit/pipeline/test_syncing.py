@@ -71,8 +71,7 @@ def test_the_corrected_drive_is_in_step_and_says_what_was_done(report, drive, co
         assert np.abs(right.sensor("gnss").timestamps_ns - truth).max() < 6_000_000
         assert (
             np.abs(
-                right.trajectories["groundTruth"].timestamps_ns
-                - drive.scene.trajectories["groundTruth"].timestamps_ns
+                right.trajectories["groundTruth"].timestamps_ns - drive.scene.trajectories["groundTruth"].timestamps_ns
             ).max()
             < 3_000_000
         )

@@ -58,9 +58,7 @@ def test_a_trajectory_that_tracking_found_goes_into_the_file_and_labels_lie_in_i
         (cuboid,) = [one for one in read.annotations if isinstance(one, CuboidAnnotation)]
         row = np.abs(cuboid.path.timestamps_ns - sample.timestamp_ns).argmin()
         lidar = sample.world_from_lidar.translation
-        assert (
-            abs(cuboid.path.values[row, 4] - lidar[1] - 10.0) < 2.0
-        )  # the mounting, and half a sweep of driving
+        assert abs(cuboid.path.values[row, 4] - lidar[1] - 10.0) < 2.0  # the mounting, and half a sweep of driving
 
 
 def test_a_trajectory_that_the_scene_has_becomes_its_default_one(simulated):

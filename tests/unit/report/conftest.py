@@ -43,13 +43,9 @@ def short() -> Scene:
     camera_model = Camera("pinhole", 120, 80, 60.0, 60.0, 59.5, 39.5)
     noise = np.random.default_rng(3).integers(0, 255, (80, 120, 3), np.uint8)
     images = LazyFrames.of([CameraImage.of(int(t), camera_model, noise) for t in times], times.tolist())
-    sweeps = LazyFrames.of(
-        [LidarFrame(int(t), LidarPoints(wall_and_ground())) for t in times], times.tolist()
-    )
+    sweeps = LazyFrames.of([LidarFrame(int(t), LidarPoints(wall_and_ground())) for t in times], times.tolist())
     boxes = tuple(
-        CuboidAnnotation(
-            name, CuboidPath(times[:1], np.array([row], np.float64)), label=name, stationary=True
-        )
+        CuboidAnnotation(name, CuboidPath(times[:1], np.array([row], np.float64)), label=name, stationary=True)
         for name, row in (("car", [2, 2, 2, 9, 0, 1, 0, 0, 0]), ("bin", [1, 1, 1, 5, 30, 0, 0, 0, 0]))
     )
     return Scene(
@@ -73,9 +69,7 @@ def wall_and_ground() -> np.ndarray:
     y, z = np.meshgrid(np.linspace(-15, 15, 60), np.linspace(-2, 2, 20))
     wall = np.column_stack([np.full(y.size, 20.0), y.ravel(), z.ravel()])
     angles, ranges = np.meshgrid(np.radians(np.arange(0.5, 360, 10)), np.linspace(4, 22, 10))
-    ground = np.column_stack(
-        [(ranges * np.cos(angles)).ravel(), (ranges * np.sin(angles)).ravel(), np.full(360, -2.0)]
-    )
+    ground = np.column_stack([(ranges * np.cos(angles)).ravel(), (ranges * np.sin(angles)).ravel(), np.full(360, -2.0)])
     return np.concatenate([wall, ground]).astype(np.float32)
 
 

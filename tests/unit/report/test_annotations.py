@@ -112,9 +112,7 @@ def test_a_scene_without_annotations_has_no_labels():
 
 
 def test_annotations_without_sensors_are_counted_all_the_same():
-    found = Labels.measured(
-        Scene((), annotations=(cuboid("a", (1, 1, 1), (0, 0, 0)),), metadata=OURS), start_ns=0
-    )
+    found = Labels.measured(Scene((), annotations=(cuboid("a", (1, 1, 1), (0, 0, 0)),), metadata=OURS), start_ns=0)
     assert (found.classes[0].objects, found.moments) == (1, 0)
 
 
@@ -126,11 +124,7 @@ def test_a_spread_passes_over_what_is_no_number():
 def test_boxes_count_from_the_first_timestamp_to_the_last_in_days_of_today():
     times = (1_700_000_000_000_000_001, 1_700_000_020_000_000_003)
     path = Poses(np.array(times), np.zeros((2, 3)), STILL.quaternions_xyzw)
-    frames = LazyFrames.of(
-        [LidarFrame(t, LidarPoints(np.ones((1, 3), np.float32))) for t in times], list(times)
-    )
+    frames = LazyFrames.of([LidarFrame(t, LidarPoints(np.ones((1, 3), np.float32))) for t in times], list(times))
     boxes = (cuboid("near", (4.0, 2.0, 2.0), (10.0, 0.0, 0.0), times=times),)
-    found = Labels.measured(
-        Scene((LidarSensor("lidar", frames, poses=path),), boxes, metadata=OURS), start_ns=times[0]
-    )
+    found = Labels.measured(Scene((LidarSensor("lidar", frames, poses=path),), boxes, metadata=OURS), start_ns=times[0])
     assert {count for _, count in found.over_time} == {1}

@@ -42,9 +42,7 @@ def test_locations_of_any_size_are_drawn_or_left_out(far):
 @pytest.mark.parametrize("far", [1e9, 1e17, 1e100])
 def test_trajectories_that_go_far_off_have_a_map(far):
     trajectory = Trajectory("ego", np.arange(3) * 10**9, np.array([[0, 0, 0], [5.0, 1, 0], [far, -far, 0]]))
-    trajectories = collect(
-        Scene((), trajectories={"ego": trajectory}), ReportSettings(quick=True)
-    ).report.trajectories
+    trajectories = collect(Scene((), trajectories={"ego": trajectory}), ReportSettings(quick=True)).report.trajectories
     svg = trajectories.draw_map()
     assert svg is not None
     assert "x [m]" in texts(svg)

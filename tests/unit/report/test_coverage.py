@@ -15,9 +15,9 @@ from sceneloom.simulate import camera_mount
 
 def on_circle(degrees: np.ndarray, radius: float, height: float = 0.0) -> np.ndarray:
     angles = np.radians(degrees)
-    return np.column_stack(
-        [radius * np.cos(angles), radius * np.sin(angles), np.full(len(angles), height)]
-    ).astype(np.float32)
+    return np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(len(angles), height)]).astype(
+        np.float32
+    )
 
 
 def lidar(points: np.ndarray, *, rings: np.ndarray | None = None, **more: object) -> LidarSensor:
@@ -60,9 +60,7 @@ def test_elevations_are_those_of_the_points():
 def test_a_camera_sees_what_its_camera_model_and_mounting_state(yaw_deg):
     camera_model = Camera("pinhole", 800, 400, 400.0, 400.0, 399.5, 199.5)
     ahead = CameraSensor("front", camera_model, LazyFrames.of([], []), mount=camera_mount())
-    side = CameraSensor(
-        "side", camera_model, LazyFrames.of([], []), mount=camera_mount(yaw_deg=yaw_deg, pitch_deg=3.0)
-    )
+    side = CameraSensor("side", camera_model, LazyFrames.of([], []), mount=camera_mount(yaw_deg=yaw_deg, pitch_deg=3.0))
     _, found = Coverage.of(Scene((ahead, side))).cameras
     half = math.degrees(math.atan(400.0 / 400.0))
     assert found.across_deg == pytest.approx(2 * half, abs=0.01)

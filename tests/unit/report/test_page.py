@@ -170,19 +170,14 @@ def evil_scene() -> Scene:
     row = np.array([[1.0, 1, 1, 1, 1, 1, 0, 0, 0]])
     attribute = AttributePath(EVIL, (EVIL,), np.array([0]))
     boxes = [
-        CuboidAnnotation(
-            k, CuboidPath(np.array([0]), row), label=label, stationary=True, attributes=(attribute,)
-        )
+        CuboidAnnotation(k, CuboidPath(np.array([0]), row), label=label, stationary=True, attributes=(attribute,))
         for k, label in enumerate((EVIL, QUOTED, ROTATED, "]]></svg>", "{{ 7 * 7 }}", "&lt;b&gt;"))
     ]
     warnings = tuple(
         DataWarning(kind=WarningKind.ASSUMED, code="x", location=location, message=f"`{EVIL}`")
         for location in (EVIL, QUOTED, ROTATED, "p", "q")
     )
-    sensors = [
-        LidarSensor(name, frames, points_frame="world")
-        for name in (EVIL, QUOTED, ROTATED, "</style></title>")
-    ]
+    sensors = [LidarSensor(name, frames, points_frame="world") for name in (EVIL, QUOTED, ROTATED, "</style></title>")]
     return Scene(
         tuple(sensors),
         annotations=tuple(boxes),
@@ -238,13 +233,10 @@ def test_a_scene_of_fixes_alone_has_a_map_with_north():
 def test_huge_counts_make_no_huge_page():
     times = np.arange(60_000, dtype=np.int64) * 10_000_000
     times[30_000:] += 10**9
-    lla = np.column_stack(
-        [52.5 + 1e-7 * np.arange(len(times)), np.full(len(times), 13.4), np.zeros(len(times))]
-    )
+    lla = np.column_stack([52.5 + 1e-7 * np.arange(len(times)), np.full(len(times), 13.4), np.zeros(len(times))])
     none = np.full(len(times), np.nan)
     warnings = tuple(
-        DataWarning(kind=WarningKind.SKIPPED, code="x", location=f"line {k}", message="left out")
-        for k in range(5000)
+        DataWarning(kind=WarningKind.SKIPPED, code="x", location=f"line {k}", message="left out") for k in range(5000)
     )
     text, page = page_of(Scene((GnssSensor("gnss", times, lla, none, none),), warnings=warnings))
     check_sound(page)

@@ -56,9 +56,7 @@ def test_an_ego_that_stands_is_stated_to_stand():
 
 
 def test_a_long_way_is_known_by_few_corners():
-    (found,) = Trajectories.of(
-        Scene((), trajectories={"trajectory": circle(20_001)}), start_ns=0
-    ).trajectories
+    (found,) = Trajectories.of(Scene((), trajectories={"trajectory": circle(20_001)}), start_ns=0).trajectories
     assert len(found.corners) <= MOST_CORNERS
     assert found.corners[-1].seconds == SECONDS
 
@@ -77,10 +75,7 @@ def test_north_is_found_from_the_fixes(north_deg):
 def test_fixes_of_an_ego_that_stands_do_not_report_north():
     trajectory = circle()
     still = replace(trajectory, positions=np.zeros_like(trajectory.positions))
-    assert (
-        Trajectories.of(Scene((fixes(still, 90.0),), trajectories={"trajectory": still}), start_ns=0).north
-        is None
-    )
+    assert Trajectories.of(Scene((fixes(still, 90.0),), trajectories={"trajectory": still}), start_ns=0).north is None
 
 
 def test_a_scene_without_anything_has_no_ways():
@@ -120,9 +115,7 @@ def trajectories(scene: Scene) -> Scene:
 def test_every_way_is_held_against_the_true_one(short):
     (found,) = Metrics.of(trajectories(short), source=None, truth=None).trajectories
     assert (found.estimate, found.reference) == ("odd", "groundTruth")
-    assert found.absolute.vertical.rms == pytest.approx(
-        0.2, rel=0.01
-    )  # the alignment takes next to nothing off
+    assert found.absolute.vertical.rms == pytest.approx(0.2, rel=0.01)  # the alignment takes next to nothing off
 
 
 def test_a_truth_beside_the_drive_gives_tracks_and_ways(short, tmp_path):

@@ -84,9 +84,7 @@ def times_of(cuboid, count=50):
 def test_a_cuboid_rotates_as_scipys_slerp_does(unit, order):
     cuboid = a_cuboid(unit=unit)
     times, timestamps, values = times_of(cuboid), cuboid.path.timestamps_ns, cuboid.path.values
-    expected = Slerp(timestamps.astype(float), scipy_rotations(values[:, 6:], unit, order))(
-        times.astype(float)
-    )
+    expected = Slerp(timestamps.astype(float), scipy_rotations(values[:, 6:], unit, order))(times.astype(float))
     poses = cuboid_poses(cuboid, times, angles=CuboidAngles(unit, order))
     away = (expected.inv() * Rotation.from_quat(poses.quaternions_xyzw)).magnitude()
     assert away.max() < CLOSE
@@ -154,9 +152,7 @@ def test_a_cuboid_without_timestamps_is_nowhere():
 @pytest.mark.parametrize(("unit", "order"), READINGS)
 def test_the_boxes_of_a_moment_are_those_of_each_cuboid(unit, order):
     cuboids = [a_cuboid(seed, count=3 + seed % 4, unit=unit, stationary=seed % 5 == 0) for seed in range(20)]
-    named = tuple(
-        CuboidAnnotation(k, cuboid.path, stationary=cuboid.stationary) for k, cuboid in enumerate(cuboids)
-    )
+    named = tuple(CuboidAnnotation(k, cuboid.path, stationary=cuboid.stationary) for k, cuboid in enumerate(cuboids))
     scene = Scene((), named, metadata={"sceneloom": {"euler_unit": unit, "euler_order": order}})
     time_ns = 450_000_000
     rows, boxes = BoxTable(scene).find(time_ns)
@@ -164,9 +160,7 @@ def test_the_boxes_of_a_moment_are_those_of_each_cuboid(unit, order):
     assert rows.tolist() == [k for k, poses in enumerate(each) if poses.there[0]]
     assert list(boxes.ids) == rows.tolist()
     np.testing.assert_allclose(boxes.centers_world, [each[k].centers_world[0] for k in rows], atol=1e-12)
-    np.testing.assert_allclose(
-        boxes.quaternions_xyzw, [each[k].quaternions_xyzw[0] for k in rows], atol=1e-12
-    )
+    np.testing.assert_allclose(boxes.quaternions_xyzw, [each[k].quaternions_xyzw[0] for k in rows], atol=1e-12)
 
 
 def test_a_box_in_images_goes_straight_and_ends():
@@ -293,18 +287,12 @@ def still_scene(*annotations: CuboidAnnotation) -> Scene:
             drift = SPEED * (t / 1e9 - 0.2)
             points = np.array([row(t / MS)[3:6], OWN[3:6] + np.array([drift, 1.5, 0.0])], np.float32)
             frames.append(LidarFrame(t, LidarPoints(points)))
-        return LidarSensor(
-            name, LazyFrames.of(frames, times), poses=Poses.identity(), points_frame=PointsFrame.WORLD
-        )
+        return LidarSensor(name, LazyFrames.of(frames, times), poses=Poses.identity(), points_frame=PointsFrame.WORLD)
 
     optical = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
-    poses = Poses(
-        np.zeros(1, np.int64), optical.translation[None], optical.quaternion_xyzw[None], static=True
-    )
+    poses = Poses(np.zeros(1, np.int64), optical.translation[None], optical.quaternion_xyzw[None], static=True)
     camera_model = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
-    drive = simulate_street(
-        0, frames=10, lidar=LidarSpec(beams=2, steps=8), cameras=(CameraSpec(camera_model),)
-    ).scene
+    drive = simulate_street(0, frames=10, lidar=LidarSpec(beams=2, steps=8), cameras=(CameraSpec(camera_model),)).scene
     images = [replace(drive.cameras[0].images[k], timestamp_ns=int(t)) for k, t in enumerate(times)]
     camera = CameraSensor(
         "front", camera_model, LazyFrames.of(images, times), poses=poses, coordinates=Coordinates.WORLD
@@ -366,9 +354,7 @@ def test_exports_write_boxes_while_they_are_active_and_list_what_they_cannot_car
     to: str, sensor: str, least: int, frames: int, tmp_path: Path
 ) -> None:
     camera_model = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
-    scene = simulate_street(
-        1, frames=5, lidar=LidarSpec(beams=8, steps=90), cameras=(CameraSpec(camera_model),)
-    ).scene
+    scene = simulate_street(1, frames=5, lidar=LidarSpec(beams=8, steps=90), cameras=(CameraSpec(camera_model),)).scene
     ego = next(iter(scene.trajectories.values()))
     times = (scene.lidars if sensor == "lidar" else scene.cameras)[0]
     timestamps = times.frames.timestamps_ns if sensor == "lidar" else times.images.timestamps_ns

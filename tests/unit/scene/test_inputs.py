@@ -41,9 +41,7 @@ TIMED = {
 
 
 @pytest.mark.parametrize("what", TIMED)
-@pytest.mark.parametrize(
-    "time", [0.5, 1.0, np.float64(3), np.float32(2), True, "7", None, float("nan"), 2**63]
-)
+@pytest.mark.parametrize("time", [0.5, 1.0, np.float64(3), np.float32(2), True, "7", None, float("nan"), 2**63])
 def test_a_time_that_is_no_integer_of_64_bits_is_refused(what, time):
     with pytest.raises(ArrayError, match=r"timestamp|start_ns|time_offset_ns"):
         TIMED[what](time)
@@ -58,16 +56,12 @@ def test_integers_of_numpy_are_times(what, time):
 
 
 def test_a_float_in_seconds_is_answered_with_what_to_write():
-    with pytest.raises(
-        ArrayError, match=r"frame.timestamp_ns: 0.5; expected an integer of nanoseconds.*round"
-    ):
+    with pytest.raises(ArrayError, match=r"frame.timestamp_ns: 0.5; expected an integer of nanoseconds.*round"):
         LidarFrame(0.5, POINTS)
 
 
 def test_lists_are_points():
-    points = LidarPoints(
-        [[1, 2, 3], [4.5, 5, 6]], [0, 255], [[1, 2, 3]] * 2, [10**18 + 1, -5], [0, 65535], [255, 0]
-    )
+    points = LidarPoints([[1, 2, 3], [4.5, 5, 6]], [0, 255], [[1, 2, 3]] * 2, [10**18 + 1, -5], [0, 65535], [255, 0])
     assert points.positions.dtype == np.float32
     assert points.positions.tolist() == [[1, 2, 3], [4.5, 5, 6]]
     assert points.intensities.dtype == np.uint8

@@ -65,9 +65,7 @@ def test_whichever_field_is_asked_for_first_all_are_unpacked_once(name):
     assert len(points) == 3
 
 
-@pytest.mark.parametrize(
-    "trajectory", [lambda points: pickle.loads(pickle.dumps(points)), copy.copy, copy.deepcopy]
-)
+@pytest.mark.parametrize("trajectory", [lambda points: pickle.loads(pickle.dumps(points)), copy.copy, copy.deepcopy])
 def test_copies_are_unpacked(trajectory):
     again = trajectory(LidarPoints.of_packed(Records()))
     assert type(again) is LidarPoints

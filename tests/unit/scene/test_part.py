@@ -89,11 +89,7 @@ def test_a_trajectory_that_misses_the_part_keeps_its_nearest_pose(times: list[in
 
 def test_poses_far_apart_stay_on_both_sides_of_the_part() -> None:
     trajectory = path_at(np.array([0, 50 * SECOND, 150 * SECOND, 190 * SECOND], np.int64))
-    poses = (
-        cut_scene(Scene((lidar(), OdometrySensor("ego", trajectory))), start=100.0, stop=110.0)
-        .sensor("ego")
-        .poses
-    )
+    poses = cut_scene(Scene((lidar(), OdometrySensor("ego", trajectory))), start=100.0, stop=110.0).sensor("ego").poses
     assert poses.timestamps_ns.tolist() == [50 * SECOND, 150 * SECOND]
 
 

@@ -95,9 +95,7 @@ def test_times_from_zero_count_from_the_timestamp(clock: int, first: int, span: 
     np.testing.assert_array_equal(timed.frame.points.timestamps_ns, relative + clock)
 
 
-UNITS = pytest.mark.parametrize(
-    "factor", [Fraction(1000), Fraction(10**6), Fraction(1, 1000), Fraction(1, 10**6)]
-)
+UNITS = pytest.mark.parametrize("factor", [Fraction(1000), Fraction(10**6), Fraction(1, 1000), Fraction(1, 10**6)])
 
 
 def in_unit(times_ns: np.ndarray, factor: Fraction) -> np.ndarray:
@@ -114,9 +112,7 @@ def test_times_in_a_wrong_unit_are_brought_into_the_right_one(factor: Fraction, 
     assert (timed.verdict, timed.found.factor, timed.found.relative) == (PointTimes.WRONG_UNIT, factor, False)
     # what a coarser unit has rounded away does not come back
     coarse = max(float(1 / factor), 1.0)
-    np.testing.assert_allclose(
-        timed.frame.points.timestamps_ns - clock, true - clock, rtol=0, atol=coarse / 2
-    )
+    np.testing.assert_allclose(timed.frame.points.timestamps_ns - clock, true - clock, rtol=0, atol=coarse / 2)
 
 
 @CLOCKS
@@ -185,9 +181,7 @@ def test_a_drive_from_zero_on_is_read_alike_throughout(factor: Fraction) -> None
         previous = timed.raw
         if k > 0:  # nothing comes before the first, where counting from the timestamp is counting from zero
             atol = 500 if factor < 1 else 0
-            np.testing.assert_allclose(
-                timed.frame.points.timestamps_ns, relative + k * PERIOD, rtol=0, atol=atol
-            )
+            np.testing.assert_allclose(timed.frame.points.timestamps_ns, relative + k * PERIOD, rtol=0, atol=atol)
 
 
 @pytest.mark.parametrize("late", [0, PERIOD, 5 * PERIOD])

@@ -47,9 +47,7 @@ def test_the_identity_holds_at_all_times() -> None:
 
 def test_a_pose_that_holds_always_comes_out_of_unit_length_as_every_other() -> None:
     path = Poses(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0, 0, 0.603, 0.804]]), static=True)
-    np.testing.assert_allclose(
-        path.interpolate(np.zeros(2, np.int64)).quaternions_xyzw, [[0, 0, 0.6, 0.8]] * 2
-    )
+    np.testing.assert_allclose(path.interpolate(np.zeros(2, np.int64)).quaternions_xyzw, [[0, 0, 0.6, 0.8]] * 2)
 
 
 def test_a_moved_path_lies_elsewhere_and_keeps_the_rest() -> None:
@@ -77,6 +75,4 @@ def test_ways_are_the_same_only_number_for_number():
     assert not same_direction(Poses(timestamps, far_away + 0.001, rotations), trajectory)
     assert not same_direction(Poses(timestamps + 1, far_away, rotations), trajectory)
     assert not same_direction(Poses(timestamps, far_away, -rotations), trajectory)
-    assert not same_direction(
-        Poses(timestamps, far_away, rotations), Trajectory("locations", timestamps, far_away)
-    )
+    assert not same_direction(Poses(timestamps, far_away, rotations), Trajectory("locations", timestamps, far_away))

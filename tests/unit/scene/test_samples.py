@@ -68,9 +68,7 @@ def sweep(start_ns, middle_ns=50 * MS):
     """Three points around the middle of a sweep."""
     times = start_ns + np.array([0, middle_ns, 99 * MS], np.int64)
     positions = np.arange(9, dtype=np.float32).reshape(3, 3)
-    return LidarFrame(
-        int(start_ns), LidarPoints(positions, np.array([1, 2, 3], np.uint8), timestamps_ns=times)
-    )
+    return LidarFrame(int(start_ns), LidarPoints(positions, np.array([1, 2, 3], np.uint8), timestamps_ns=times))
 
 
 def lidar(sensor_id="lidar", **fields):
@@ -80,8 +78,7 @@ def lidar(sensor_id="lidar", **fields):
 
 def camera(sensor_id="camera0", timestamps=IMAGES_NS, **fields):
     images = [
-        CameraImage.of(t, CAMERA_MODEL, np.full((3, 4, 3), k, np.uint8))
-        for k, t in enumerate(timestamps.tolist())
+        CameraImage.of(t, CAMERA_MODEL, np.full((3, 4, 3), k, np.uint8)) for k, t in enumerate(timestamps.tolist())
     ]
     frames = LazyFrames.of(images, timestamps)
     return replace(CameraSensor(sensor_id, CAMERA_MODEL, frames, mount=transform(EGO_FROM_CAMERA)), **fields)
@@ -89,8 +86,7 @@ def camera(sensor_id="camera0", timestamps=IMAGES_NS, **fields):
 
 def depth_camera(timestamps=IMAGES_NS, **fields):
     images = [
-        DepthFrame.of(t, CAMERA_MODEL, np.full((3, 4), k + 0.5, np.float32))
-        for k, t in enumerate(timestamps.tolist())
+        DepthFrame.of(t, CAMERA_MODEL, np.full((3, 4), k + 0.5, np.float32)) for k, t in enumerate(timestamps.tolist())
     ]
     frames = LazyFrames.of(images, timestamps)
     return DepthCameraSensor("depth0", CAMERA_MODEL, frames, mount=transform(EGO_FROM_CAMERA), **fields)
@@ -206,9 +202,7 @@ def test_a_trajectory_is_chosen_by_name_or_handed_in():
         for choice in (None, "other", EgoMotion.of(shifted))
     ]
     np.testing.assert_allclose(np.subtract(heights, heights[0]), [0, 5, 5], atol=EXACT)
-    with pytest.raises(
-        OptionError, match="no trajectory 'vio'; there are: groundTruth, other, gnss, identity"
-    ):
+    with pytest.raises(OptionError, match="no trajectory 'vio'; there are: groundTruth, other, gnss, identity"):
         scene.samples(trajectory="vio")
     with pytest.raises(PoseError, match="without orientations"):
         scene.samples(trajectory="gnss")
@@ -353,9 +347,7 @@ def box(annotation_id, times_ms, rows, **fields):
 
 
 def test_boxes_are_those_that_are_there_at_the_moment_rotated_the_shorter_arc():
-    moving = box(
-        "car", [40, 60], [[4, 2, 1.5, 0, 0, 0, 0, 0, 170], [4, 2, 2.5, 8, 0, 0, 0, 0, -170]], label="car"
-    )
+    moving = box("car", [40, 60], [[4, 2, 1.5, 0, 0, 0, 0, 0, 170], [4, 2, 2.5, 8, 0, 0, 0, 0, -170]], label="car")
     stationary = box(7, [900], [[1, 1, 1, 5, 5, 5, 10, 20, 30]], stationary=True)
     gone = box("gone", [0, 49], np.ones((2, 9)))
     boxes = drive(annotations=(gone, moving, stationary)).samples()[0].boxes
@@ -380,9 +372,7 @@ def test_arrays_name_each_box_and_number_it_alike_in_all_samples():
     assert first["boxes.labels"].tolist() == ["car", ""]
     assert first["boxes.track_numbers"].tolist() == [0, 1]
     assert (last["boxes.track_ids"].tolist(), last["boxes.track_numbers"].tolist()) == (["7"], [1])
-    assert {name: array.dtype for name, array in first.items()} == {
-        name: array.dtype for name, array in last.items()
-    }
+    assert {name: array.dtype for name, array in first.items()} == {name: array.dtype for name, array in last.items()}
 
 
 ROW = np.array([4.0, 2.0, 1.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -414,9 +404,7 @@ def test_arrays_are_what_the_sample_says_and_the_caller_s_own():
     np.testing.assert_array_equal(arrays["lidar.intensities"], [1, 2, 3])
     np.testing.assert_array_equal(arrays["camera0.matrix"], [[2, 0, 1.5], [0, 2.5, 1], [0, 0, 1]])
     np.testing.assert_array_equal(arrays["camera0.coefficients"], [0.1, 0.02])
-    np.testing.assert_array_equal(
-        arrays["camera0.camera_from_points"], sample.camera_from_points["camera0"].matrix
-    )
+    np.testing.assert_array_equal(arrays["camera0.camera_from_points"], sample.camera_from_points["camera0"].matrix)
     assert arrays["timestamp_ns"] == 150 * MS
     assert arrays["camera0.time_ns"] == 160 * MS
     for array in arrays.values():
@@ -459,8 +447,7 @@ TIMESTAMPS = st.lists(st.integers(0, 60), max_size=12)
 
 def images_at(timestamps):
     items = [
-        CameraImage(timestamp, NEAREST_CAMERA_MODEL, lambda: np.zeros((3, 4, 3), np.uint8))
-        for timestamp in timestamps
+        CameraImage(timestamp, NEAREST_CAMERA_MODEL, lambda: np.zeros((3, 4, 3), np.uint8)) for timestamp in timestamps
     ]
     return LazyFrames.of(items, timestamps)
 
@@ -500,9 +487,7 @@ def sweeps(draw):
 
 
 @given(sweeps(), st.lists(st.integers(-10, 400), min_size=1, max_size=5), st.integers(0, 200))
-def test_the_nearest_sweep_is_found_by_its_own_reference_time_whatever_was_asked_before(
-    frames, times, tolerance
-):
+def test_the_nearest_sweep_is_found_by_its_own_reference_time_whatever_was_asked_before(frames, times, tolerance):
     finder = SweepsByReference(LazyFrames.of(frames, [frame.timestamp_ns for frame in frames]), PERIOD)
     references = [frame.reference_ns for frame in frames]
     for wanted in times:

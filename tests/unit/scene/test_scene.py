@@ -73,9 +73,7 @@ def test_a_part_that_takes_all_images_keeps_the_video_whole() -> None:
     assert part.cameras[0].video.frame_indices is None
 
 
-@pytest.mark.parametrize(
-    ("start", "stop"), [(2.0, 1.0), (-1.0, None), (None, 0.0), (50.0, None), (float("nan"), None)]
-)
+@pytest.mark.parametrize(("start", "stop"), [(2.0, 1.0), (-1.0, None), (None, 0.0), (50.0, None), (float("nan"), None)])
 def test_an_empty_part_is_refused(start: float | None, stop: float | None) -> None:
     with pytest.raises(OptionError):
         cut_scene(Scene((lidar_at([0, SECOND]),)), start=start, stop=stop)
@@ -98,8 +96,7 @@ def test_a_summary_counts_rates_and_gaps() -> None:
 def test_a_summary_says_from_what_to_what_the_camera_models_of_single_images_go() -> None:
     camera_models = [replace(CAMERA, fx=fx) for fx in (3.0, 2.5, 3.0, 4.5)]
     images = [
-        CameraImage.of(k, camera_model, np.zeros((2, 4, 3), np.uint8))
-        for k, camera_model in enumerate(camera_models)
+        CameraImage.of(k, camera_model, np.zeros((2, 4, 3), np.uint8)) for k, camera_model in enumerate(camera_models)
     ]
     varied = CameraSensor("varied", CAMERA, LazyFrames.of(images, range(4)))
     found, same = summarise(Scene((varied, camera_at([0, 1])))).sensors

@@ -75,9 +75,7 @@ PATH = CuboidPath(at(0, 20), rows(9, 2))
 
 
 def test_activations_that_last_into_the_part_stay():
-    activation = Activation(
-        "top", at(2, 4, 6, 10), durations_ns=(SECOND, 2 * SECOND, 1, 1), cuboids=rows(9, 4)
-    )
+    activation = Activation("top", at(2, 4, 6, 10), durations_ns=(SECOND, 2 * SECOND, 1, 1), cuboids=rows(9, 4))
     gone = Activation("top", at(1))
     (kept,) = only(CuboidAnnotation("c", PATH, activations=(activation, gone))).activations
     assert seconds(kept) == [4, 6]
@@ -251,9 +249,7 @@ def test_a_frame_is_asked_for_once_however_many_annotations_have_points_in_it():
         return np.array([1, 3], np.int64) + number
 
     annotations = [
-        LabeledPointsAnnotation(
-            name, tuple(LabeledPoints("top", np.array([ids, 9], np.uint32), k) for k in (1, 0))
-        )
+        LabeledPointsAnnotation(name, tuple(LabeledPoints("top", np.array([ids, 9], np.uint32), k) for k in (1, 0)))
         for name, ids in (("a", 1), ("b", 3))
     ]
     found, _ = renumbered(annotations, {key_of("top"): Renumbering(rows=rows)})

@@ -40,9 +40,7 @@ class Caller:
         }[found.client_streaming, found.server_streaming]
         return make(
             f"/{SERVICE.full_name}/{name}",
-            request_serializer=lambda message: (
-                message if isinstance(message, bytes) else message.SerializeToString()
-            ),
+            request_serializer=lambda message: message if isinstance(message, bytes) else message.SerializeToString(),
             response_deserializer=GetMessageClass(found.output_type).FromString,
         )
 

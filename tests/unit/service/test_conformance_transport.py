@@ -22,9 +22,7 @@ def test_a_server_with_tls_client_certificates_and_a_token_is_checked_like_any(s
     authority = Authority(tmp_path, "authority")
     certificate, key = authority.issue("server")
     server = serve(
-        security=Security(
-            tls_certificate=certificate, tls_key=key, tls_client_authority=authority.path, token=TOKEN
-        )
+        security=Security(tls_certificate=certificate, tls_key=key, tls_client_authority=authority.path, token=TOKEN)
     )
     token = tmp_path / "token"
     token.write_text(TOKEN + "\n")
@@ -87,11 +85,7 @@ def test_a_server_with_the_newer_reflection_alone_is_asked_by_that():
     )
     server = grpc.server(ThreadPoolExecutor(1))
     server.add_generic_rpc_handlers(
-        [
-            grpc.method_handlers_generic_handler(
-                "grpc.reflection.v1.ServerReflection", {"ServerReflectionInfo": method}
-            )
-        ]
+        [grpc.method_handlers_generic_handler("grpc.reflection.v1.ServerReflection", {"ServerReflectionInfo": method})]
     )
     port = server.add_insecure_port("127.0.0.1:0")
     server.start()

@@ -131,9 +131,7 @@ def dying(request):
 
 
 @pytest.mark.few(1)
-def test_what_a_subscriber_had_not_got_when_it_was_killed_goes_to_others_in_order(
-    serve, connect, records, dying
-):
+def test_what_a_subscriber_had_not_got_when_it_was_killed_goes_to_others_in_order(serve, connect, records, dying):
     server = serve()
     call = connect(server)
     process = dying(server, "Subscribe")

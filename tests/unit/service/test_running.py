@@ -178,9 +178,7 @@ def test_a_system_starts_as_the_file_says(read):
         pixels = {"height": 2, "width": 4, "encoding": "mono8", "channel": 1, "data": np.zeros(8, np.uint8)}
         assert fusion.send(ImageData(sensor_id=1, **common, **pixels))
         points = np.ones((1, 3), np.float32)
-        cloud = PointCloudData(
-            sensor_id=0, **common, number=1, fields=("x", "y", "z"), fields_number=3, data=points
-        )
+        cloud = PointCloudData(sensor_id=0, **common, number=1, fields=("x", "y", "z"), fields_number=3, data=points)
         assert fusion.send(cloud)
         assert fusion.send(PointCloudData(**{**as_fields(cloud), "sensor_id": 1})).cause == "unknown-sensor"
 

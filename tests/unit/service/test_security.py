@@ -104,18 +104,14 @@ def test_with_the_certificate_and_the_token_calls_are_answered(serve, connect, s
     assert call("GetProperty", name="chirality").name == "chirality"
 
 
-@pytest.mark.parametrize(
-    "metadata", [(), bearer("0123456789abcdefghix"), bearer(""), (("authorization", TOKEN),)]
-)
+@pytest.mark.parametrize("metadata", [(), bearer("0123456789abcdefghix"), bearer(""), (("authorization", TOKEN),)])
 @pytest.mark.parametrize("method", ["GetProperty", "SendStream", "Subscribe"])
 def test_without_the_token_none_is(serve, connect, method, metadata):
     call = connect(serve(security=Security(token=TOKEN)), metadata=metadata)
     if method == "SendStream":
         assert code(call, method, iter([b""])) == "UNAUTHENTICATED"
     else:
-        assert (
-            code(lambda: list(call(method)) if method == "Subscribe" else call(method)) == "UNAUTHENTICATED"
-        )
+        assert code(lambda: list(call(method)) if method == "Subscribe" else call(method)) == "UNAUTHENTICATED"
 
 
 def test_the_token_is_asked_for_by_reflection_and_not_by_health(serve, connect):
@@ -134,17 +130,13 @@ def test_a_client_without_tls_finds_nobody(serve, connect, security):
 def test_where_clients_need_certificates_those_of_others_are_refused(serve, connect, authority, tmp_path):
     certificate, key = authority.issue("server")
     server = serve(
-        security=Security(
-            tls_certificate=certificate, tls_key=key, tls_client_authority=authority.path, token=TOKEN
-        )
+        security=Security(tls_certificate=certificate, tls_key=key, tls_client_authority=authority.path, token=TOKEN)
     )
     stranger = Authority(tmp_path, "stranger").issue("client of another")
     for client, expected in ((None, "UNAVAILABLE"), (stranger, "UNAVAILABLE")):
         call = connect(server, credentials=credentials(authority, client), metadata=bearer(TOKEN))
         assert code(call, "GetProperty", name="chirality") == expected
-    ours = connect(
-        server, credentials=credentials(authority, authority.issue("client")), metadata=bearer(TOKEN)
-    )
+    ours = connect(server, credentials=credentials(authority, authority.issue("client")), metadata=bearer(TOKEN))
     assert ours("GetProperty", name="chirality").name == "chirality"
 
 
@@ -171,10 +163,7 @@ def test_a_certificate_needs_its_key_and_an_authority_the_certificate(tmp_path):
 @pytest.mark.parametrize(
     ("host", "expected"),
     [("127.0.0.1", True), ("127.9.9.9", True), ("::1", True), ("[::1]", True), ("localhost", True)]
-    + [
-        (host, False)
-        for host in ("0.0.0.0", "::", "10.0.0.1", "localhost.example.org", "127.0.0.1.example.org")
-    ],
+    + [(host, False) for host in ("0.0.0.0", "::", "10.0.0.1", "localhost.example.org", "127.0.0.1.example.org")],
 )
 def test_this_machine_is_distinguished_from_others(host, expected):
     assert is_local(host) is expected

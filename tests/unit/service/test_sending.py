@@ -80,17 +80,12 @@ def test_a_rolling_shutter_is_sent_along_and_every_row_goes_by_its_own_time(rece
         1, frames=4, lidar=LidarSpec(beams=8, steps=90), cameras=(CameraSpec(CAMERA, readout_ns=80_000_000),)
     ).scene
     at_once = replace(scene, sensors=tuple(without_shutter(one) for one in scene.sensors))
-    depths = [
-        [view.depth_image for frame in iter_fused(drive) for view in frame.views]
-        for drive in (scene, at_once)
-    ]
+    depths = [[view.depth_image for frame in iter_fused(drive) for view in frame.views] for drive in (scene, at_once)]
     send_scene(scene, receiver, rate=0)
     results = [result.record.depths for result in receiver.results(0)]
     assert len(results) == len(depths[0]) > 0
     off = [
-        np.concatenate(
-            [np.abs(ours - one)[(ours > 0) & (one > 0)] for ours, one in zip(results, each, strict=True)]
-        )
+        np.concatenate([np.abs(ours - one)[(ours > 0) & (one > 0)] for ours, one in zip(results, each, strict=True)])
         for each in depths
     ]
     # As where all lines are taken at once, above; a vehicle that goes 0.5 m while rows are taken makes it centimetres.
@@ -115,9 +110,7 @@ def test_records_come_in_the_order_of_time_and_each_sensor_counts_its_own(receiv
 def test_poses_are_there_before_what_they_are_for(receiver):
     scene = street()
     order = []
-    receiver.send = lambda record: (order.append(record.timestamp.nanoseconds), receiver.fusion.send(record))[
-        1
-    ]
+    receiver.send = lambda record: (order.append(record.timestamp.nanoseconds), receiver.fusion.send(record))[1]
     known = []
     receiver.send_motion = lambda path: (
         known.append((len(order), path.stop_ns)),
@@ -281,9 +274,7 @@ def test_what_is_refused_is_counted_by_cause(receiver):
     refusing = Kept(receiver.fusion)
     refusing.send = lambda record: refused(Cause.BAD_RECORD, "no")
     report = send_scene(street(frames=2), refusing, rate=0)
-    assert report.refused == {
-        "bad-record": report.sent["image"] + report.sent["points"] + report.sent["boxes_3d"]
-    }
+    assert report.refused == {"bad-record": report.sent["image"] + report.sent["points"] + report.sent["boxes_3d"]}
 
 
 def test_a_session_that_refuses_the_calibration_ends_it(receiver):

@@ -293,9 +293,7 @@ def test_a_limit_that_is_none_is_reported_with_its_location(table, location, wor
 
 
 def test_limits_are_read_from_a_table():
-    assert ServiceLimits.of({"most_sessions": 3, "idle_minutes": 1}) == ServiceLimits(
-        most_sessions=3, idle_minutes=1
-    )
+    assert ServiceLimits.of({"most_sessions": 3, "idle_minutes": 1}) == ServiceLimits(most_sessions=3, idle_minutes=1)
 
 
 LINE = re.compile(r'(?P<name>[a-z_]+)(?:\{(?P<labels>(?:[a-z]+="(?:[^"\\]|\\.)*",?)*)\})? (?P<value>\S+)')

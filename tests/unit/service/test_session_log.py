@@ -180,9 +180,7 @@ def test_a_result_that_differs_is_named(logged, tmp_path):
     assert (report.equal, report.different) == ({"rig": 7}, {"rig": ("detections 2",)})
 
 
-def test_a_live_session_with_drops_idle_flushes_and_hot_calibration_can_be_played_again(
-    tmp_path, monkeypatch
-):
+def test_a_live_session_with_drops_idle_flushes_and_hot_calibration_can_be_played_again(tmp_path, monkeypatch):
     path, results = tmp_path / "live.mcap", []
     gate, held, flushed = threading.Event(), threading.Event(), threading.Event()
     feed = Rig.feed
@@ -418,9 +416,7 @@ def test_chunks_and_times_stand_in_order_whatever_the_clock_does(tmp_path):
     with SessionLog(path, clock_ns=lambda: next(ticks)) as log, begun(log, inline=True) as fusion:
         drive(fusion, 2)
     with path.open("rb") as file:
-        times = [
-            record.log_time for record in StreamReader(file).records if type(record).__name__ == "Message"
-        ]
+        times = [record.log_time for record in StreamReader(file).records if type(record).__name__ == "Message"]
     assert times == sorted(times)
 
 

@@ -176,9 +176,7 @@ def test_pixels_that_the_camera_model_does_not_reach_are_black_and_empty(wall_ca
     camera = wall_camera()
     folding = Camera("fisheye", 200, 100, 40.0, 40.0, 99.5, 49.5, (-0.15, 0.0, 0.0, 0.0))
     spec = CameraSpec(folding, AHEAD)
-    truth = RenderedCamera.of(
-        spec, camera.street, stationary_path, timestamps_ns=np.zeros(1, np.int64)
-    ).truth(0)
+    truth = RenderedCamera.of(spec, camera.street, stationary_path, timestamps_ns=np.zeros(1, np.int64)).truth(0)
     # θ - 0.15 θ³ never exceeds 0.994: no pixel beyond 40 px from the axis is reached.
     v, u = np.mgrid[:100, :200]
     outside = np.hypot(u - 99.5, v - 49.5) > 41
@@ -193,9 +191,7 @@ def test_the_shutter_opens_at_the_offset_where_the_ego_is_then(drive):
     np.testing.assert_array_equal(times, drive.truth.lidar.timestamps_ns + 50_000_000)
     pose, ego = drive.truth.world_from_camera("camera0", 4), drive.truth.path.at(times[4:5])
     mount = drive.scene.cameras[0].mount
-    np.testing.assert_allclose(
-        pose.translation, ego.rotations[0] @ mount.translation + ego.positions[0], atol=1e-12
-    )
+    np.testing.assert_allclose(pose.translation, ego.rotations[0] @ mount.translation + ego.positions[0], atol=1e-12)
     np.testing.assert_allclose(pose.rotation, ego.rotations[0] @ mount.rotation, atol=1e-12)
 
 
@@ -446,9 +442,7 @@ def middles(mask):
         return np.array([np.nan if np.isnan(row).all() else np.nanmean(row) for row in columns])
 
 
-def test_an_upright_pole_beside_the_road_slants_by_the_way_driven_while_the_rows_are_read(
-    rolled_image_of, box
-):
+def test_an_upright_pole_beside_the_road_slants_by_the_way_driven_while_the_rows_are_read(rolled_image_of, box):
     pole = box([0.0, 8.05, 5.0], [0.15, 0.05, 5.0])
     upright = middles(rolled_image_of([pole], LEFT).instances == 1)
     slanted = middles(rolled_image_of([pole], LEFT, readout_ns=READOUT_NS).instances == 1)

@@ -61,10 +61,7 @@ def test_a_whole_street_is_seen_as_the_slow_walk_sees_it(drive, slow_caster):
     street = drive.truth.street
     packed = street.shapes
     rotations = np.linalg.inv(packed.maps[:, :, :3] * packed.halves[:, :, None])
-    poses = [
-        RigidTransform(rotation, sphere[:3])
-        for rotation, sphere in zip(rotations, packed.spheres, strict=True)
-    ]
+    poses = [RigidTransform(rotation, sphere[:3]) for rotation, sphere in zip(rotations, packed.spheres, strict=True)]
     shapes = [
         Shape(ShapeKind(kind), pose, tuple(half), PLAIN)
         for kind, pose, half in zip(packed.kinds, poses, packed.halves, strict=True)
@@ -128,9 +125,7 @@ def test_the_ground_is_met_at_height_over_slope_and_the_sky_nowhere(street_of, s
 
 
 def test_hits_are_reported_by_the_number_of_their_object(street_of, stationary_path, box):
-    street = street_of(
-        [box([0, 50, 2], [1, 1, 1], PLAIN), box([10, 0, 2], [1, 1, 1], PLAIN)], stationary_path
-    )
+    street = street_of([box([0, 50, 2], [1, 1, 1], PLAIN), box([10, 0, 2], [1, 1, 1], PLAIN)], stationary_path)
     found = cast_from(street, np.array([0.0, 0, 2.0]), np.array([[1.0, 0, 0]]))
     assert instances_of(street, found).tolist() == [2]
     assert reflectivities_of(street, found).tolist() == [0.3]

@@ -118,9 +118,7 @@ def test_boxes_of_whole_objects_are_the_projected_boxes_in_space(drive):
     report = detect_2d(drive, "camera0", replace(EVERYTHING, amodal=True), frames=[12])[0]
     visible = detect_2d(drive, "camera0", EVERYTHING, frames=[12])[0]
     camera_from_world = drive.truth.world_from_camera("camera0", 12).inverse()
-    matrix = np.array(
-        [[CAMERA_MODEL.fx, 0, CAMERA_MODEL.cx], [0, CAMERA_MODEL.fy, CAMERA_MODEL.cy], [0, 0, 1.0]]
-    )
+    matrix = np.array([[CAMERA_MODEL.fx, 0, CAMERA_MODEL.cx], [0, CAMERA_MODEL.fy, CAMERA_MODEL.cy], [0, 0, 1.0]])
     known = {thing.instance: thing for thing in drive.truth.objects}
     compared = 0
     for instance, box in zip(report.truth_instances, report.truth.corners_xyxy, strict=True):
@@ -132,9 +130,7 @@ def test_boxes_of_whole_objects_are_the_projected_boxes_in_space(drive):
         if camera_from_world.apply(corners)[:, 2].min() < 0.5:
             continue
         rotation, _ = cv2.Rodrigues(camera_from_world.rotation)
-        pixels = (
-            cv2.projectPoints(corners, rotation, camera_from_world.translation, matrix, None)[0][:, 0] + 0.5
-        )
+        pixels = cv2.projectPoints(corners, rotation, camera_from_world.translation, matrix, None)[0][:, 0] + 0.5
         expected = np.clip([*pixels.min(axis=0), *pixels.max(axis=0)], 0, [320, 200, 320, 200])
         np.testing.assert_allclose(box, expected, atol=1e-6)
         compared += 1
@@ -326,9 +322,7 @@ def test_the_true_boxes_hold_the_points_of_their_objects(busy_drive, reports_3d)
             rotation = np.array([0.0, 0.0, np.sin(half), np.cos(half)])
             own = in_lidar[sweep.instances == instance]
             # The box stands upright in a lidar that leans by half a degree: 2 cm at the ends of a car.
-            inside = points_in_box(
-                own, report.truth.centers[j], report.truth.sizes_lwh[j], rotation, margin=0.04
-            )
+            inside = points_in_box(own, report.truth.centers[j], report.truth.sizes_lwh[j], rotation, margin=0.04)
             assert inside.all()
             assert len(own) == report.evidence[j]
             checked += len(own)
@@ -336,14 +330,10 @@ def test_the_true_boxes_hold_the_points_of_their_objects(busy_drive, reports_3d)
 
 
 def test_boxes_in_other_frames_are_the_same_boxes(busy_drive):
-    report, ego, world = (
-        detect_3d(busy_drive, ALL_3D, boxes_frame=frame, frames=[7])[0] for frame in PointsFrame
-    )
+    report, ego, world = (detect_3d(busy_drive, ALL_3D, boxes_frame=frame, frames=[7])[0] for frame in PointsFrame)
     mount = busy_drive.truth.lidar.spec.mount
     by_instance = [np.argsort(r.instances) for r in (report, ego, world)]
-    own, in_ego, in_world = (
-        r.boxes.select(rows) for r, rows in zip((report, ego, world), by_instance, strict=True)
-    )
+    own, in_ego, in_world = (r.boxes.select(rows) for r, rows in zip((report, ego, world), by_instance, strict=True))
     np.testing.assert_allclose(in_ego.centers, mount.apply(own.centers), atol=1e-9)
     at = busy_drive.truth.path.at(np.array([report.boxes.timestamp_ns]))
     expected = in_ego.centers @ at.rotations[0].T + at.positions[0]
@@ -387,9 +377,7 @@ def test_false_boxes_come_at_their_rate_near_returns_and_away_from_objects(busy_
 
 
 def test_headings_are_rotated_back_as_often_as_asked_for(reports_3d):
-    rotated = np.concatenate(
-        [report.boxes.yaws - report.truth.select(matched(report)).yaws for report in reports_3d]
-    )
+    rotated = np.concatenate([report.boxes.yaws - report.truth.select(matched(report)).yaws for report in reports_3d])
     back = np.cos(rotated) < 0
     assert back.mean() == pytest.approx(0.1, abs=4 * np.sqrt(0.09 / len(back)))
 
@@ -407,8 +395,7 @@ def test_scores_on_a_drive_are_calibrated(fair_3d):
 
 def test_the_surest_box_comes_first_and_logits_are_logits(busy_drive):
     plain, logits = (
-        detect_3d(busy_drive, replace(FAIR_3D, scores=ScoreSpec(form=form)), frames=[2, 30])
-        for form in ScoreForm
+        detect_3d(busy_drive, replace(FAIR_3D, scores=ScoreSpec(form=form)), frames=[2, 30]) for form in ScoreForm
     )
     for report, other in zip(plain, logits, strict=True):
         assert (np.diff(report.boxes.scores) <= 0).all()
@@ -463,17 +450,13 @@ def test_a_share_of_an_objects_errors_lasts_and_the_rest_does_not(busy_drive):
 
 def test_velocities_are_given_on_request(busy_drive, reports_3d):
     assert detect_3d(busy_drive, ALL_3D, frames=[0])[0].boxes.velocities is None
-    errors = np.concatenate(
-        [r.boxes.velocities - r.truth.select(matched(r)).velocities for r in reports_3d[::3]]
-    )
+    errors = np.concatenate([r.boxes.velocities - r.truth.select(matched(r)).velocities for r in reports_3d[::3]])
     assert errors[:, :2].std() == pytest.approx(0.3, rel=4 / np.sqrt(4 * len(errors)))
 
 
 def test_what_moves_has_its_box_and_its_velocity_of_the_reference_time():
     traffic = TrafficSpec(cars=4.0, cyclists=5.0, pedestrians=10.0)
-    busy_drive = simulate_street(
-        5, frames=2, lidar=LidarSpec(beams=24, steps=400), cameras=(), traffic=traffic
-    )
+    busy_drive = simulate_street(5, frames=2, lidar=LidarSpec(beams=24, steps=400), cameras=(), traffic=traffic)
     exact = replace(ALL_3D, classes=dict.fromkeys(("car", "cyclist", "pedestrian"), SHARP["car"]))
     report = detect_3d(busy_drive, exact, boxes_frame=PointsFrame.WORLD, frames=[1])[0]
     assert set(report.truth.labels) == {"car", "cyclist", "pedestrian"}
@@ -639,9 +622,7 @@ def test_drawn_scores_are_spread_as_the_derivation_says():
     generator = np.random.default_rng(2)
     share, kappa, count = 0.7, 2.5, 20_000
     for true, shape in ((True, (kappa * 0.7 + 1, kappa * 0.3)), (False, (kappa * 0.7, kappa * 0.3 + 1))):
-        scores = draw_scores(
-            generator, np.full(count, share), np.full(count, true), ScoreSpec(concentration=kappa)
-        )
+        scores = draw_scores(generator, np.full(count, share), np.full(count, true), ScoreSpec(concentration=kappa))
         assert kstest(scores, beta(*shape).cdf).pvalue > 1e-3
 
 
@@ -769,9 +750,7 @@ def test_whole_boxes_of_a_rolling_shutter_are_what_all_its_lines_see_of_the_boxe
         own = boxes.instances.tolist().index(instance)
         seen = []
         for line, (rotation, origin) in enumerate(zip(rotations, origins, strict=True)):
-            points = edge_points(
-                boxes.centers_world[line, own], boxes.yaws[line, own], boxes.sizes_lwh[own], count=200
-            )
+            points = edge_points(boxes.centers_world[line, own], boxes.yaws[line, own], boxes.sizes_lwh[own], count=200)
             x, y, z = ((points - origin) @ rotation).T
             if z.min() < 0.5:
                 break

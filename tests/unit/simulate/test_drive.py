@@ -138,9 +138,7 @@ def test_cars_point_along_the_street(drive):
     yaws = [np.radians(a.path.values[0, 8]) for a in drive.scene.annotations if a.label == "car"]
     headings = drive.truth.path.at_seconds(np.linspace(-10, 10, 50))
     yaw = np.arctan2(headings.rotations[:, 1, 0], headings.rotations[:, 0, 0])
-    nearest = [
-        np.abs((np.subtract.outer(yaw, angle) + np.pi / 2) % np.pi - np.pi / 2).min() for angle in yaws
-    ]
+    nearest = [np.abs((np.subtract.outer(yaw, angle) + np.pi / 2) % np.pi - np.pi / 2).min() for angle in yaws]
     # Parked along the road, to either side, within 0.03 rad.
     assert np.max(nearest) < 0.05
 
@@ -221,9 +219,7 @@ def test_seeds_are_streets_of_their_own_and_repeat_exactly():
         ours, theirs, others = (d.scene.sensor("imu").streams[name].values for d in (first, again, other))
         np.testing.assert_array_equal(ours, theirs)
         assert not np.array_equal(ours, others)
-    np.testing.assert_array_equal(
-        first.scene.sensor("gnss").positions_lla, again.scene.sensor("gnss").positions_lla
-    )
+    np.testing.assert_array_equal(first.scene.sensor("gnss").positions_lla, again.scene.sensor("gnss").positions_lla)
     a, b, c = (d.scene.lidars[0].frames[1].points.positions for d in (first, again, other))
     np.testing.assert_array_equal(a, b)
     assert not np.array_equal(a, c)
@@ -299,9 +295,7 @@ LIDARS = (SMALL, RASTER, ROSETTE)
 @pytest.fixture(scope="module")
 def rich():
     """A drive with three lidars, two radars and a camera."""
-    return simulate_street(
-        4, frames=5, lidars=LIDARS, cameras=(CameraSpec(TINY),), radars=(RADAR, RadarSpec())
-    )
+    return simulate_street(4, frames=5, lidars=LIDARS, cameras=(CameraSpec(TINY),), radars=(RADAR, RadarSpec()))
 
 
 def test_several_lidars_and_radars_have_ids_in_their_order(rich):
@@ -315,8 +309,7 @@ def test_several_lidars_and_radars_have_ids_in_their_order(rich):
 
 def test_a_single_lidar_has_no_number_however_it_is_given():
     one, listed = (
-        simulate_street(4, frames=2, cameras=(), **given)
-        for given in ({"lidar": RASTER}, {"lidars": (RASTER,)})
+        simulate_street(4, frames=2, cameras=(), **given) for given in ({"lidar": RASTER}, {"lidars": (RASTER,)})
     )
     assert [lidar.id for lidar in (*one.scene.lidars, *listed.scene.lidars)] == ["lidar", "lidar"]
     a, b = (drive.scene.lidars[0].frames[1] for drive in (one, listed))
@@ -434,11 +427,7 @@ def test_two_lidars_see_the_same_walls(rich):
     for cloud in clouds:
         for instance in shared:
             own = cloud.positions_world[cloud.instances == instance]
-            away = (
-                Rotation.from_euler("z", things[instance].yaw)
-                .inv()
-                .apply(own - things[instance].center_world)
-            )
+            away = Rotation.from_euler("z", things[instance].yaw).inv().apply(own - things[instance].center_world)
             assert (np.abs(away) <= np.array(things[instance].size_lwh) / 2 + 1e-6).all()
 
 
@@ -578,9 +567,7 @@ def test_the_noise_has_the_density_and_the_bias_that_were_asked_for(path):
 
 
 def test_biases_differ_between_seeds_and_axes(path):
-    biases = [
-        imu_truth(ImuSpec(), path, timestamps(0.1, 100), seed=seed).accelerometer_bias for seed in range(3)
-    ]
+    biases = [imu_truth(ImuSpec(), path, timestamps(0.1, 100), seed=seed).accelerometer_bias for seed in range(3)]
     assert len(np.unique(np.concatenate(biases))) == 9
 
 

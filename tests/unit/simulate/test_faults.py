@@ -50,9 +50,7 @@ def test_the_stated_mounting_is_off_by_the_injected_error_and_the_truth_is_not(r
     assert drive.truth is right.truth
     stated, true = drive.scene.sensor(sensor_id), right.scene.sensor(sensor_id)
     error = np.linalg.inv(true.mount.matrix) @ stated.mount.matrix
-    np.testing.assert_allclose(
-        Rotation.from_matrix(error[:3, :3]).as_rotvec(degrees=True), [0.4, -1.5, 0.7], atol=1e-9
-    )
+    np.testing.assert_allclose(Rotation.from_matrix(error[:3, :3]).as_rotvec(degrees=True), [0.4, -1.5, 0.7], atol=1e-9)
     np.testing.assert_allclose(error[:3, 3], [0.02, -0.05, 0.11], atol=1e-12)
     for k in (0, -1):
         world_from_true, world_from_stated = (
@@ -74,9 +72,7 @@ def test_points_miss_their_pixels_by_what_a_rotated_camera_explains(right):
     in_ego = (clean - ego.positions[0]) @ ego.rotations[0]
     camera = drive.scene.cameras[0]
     pixels, inside = project(CAMERA_MODEL, camera.mount.inverse().apply(in_ego))
-    exact, exactly_inside = project(
-        CAMERA_MODEL, drive.truth.world_from_camera("camera0", 5).inverse().apply(clean)
-    )
+    exact, exactly_inside = project(CAMERA_MODEL, drive.truth.world_from_camera("camera0", 5).inverse().apply(clean))
     both = inside & exactly_inside
     assert both.sum() > 50
     # A rotation by 1 degree about the downward axis moves what lies at the angle a off the axis from f tan(a) to
@@ -93,9 +89,7 @@ def test_a_rotated_inertial_unit_measures_gravity_askew(right):
     drive = injected(right, "imu", rotation_deg=(10.0, 0.0, 0.0))
     stated, true = (d.scene.sensor("imu").streams["accelerometer"].values for d in (drive, right))
     # The frame is stated as rotated by 10 degrees about x against where the unit is: it hangs 10 degrees the other way.
-    np.testing.assert_allclose(
-        stated, Rotation.from_euler("x", 10, degrees=True).apply(true.copy()), atol=1e-12
-    )
+    np.testing.assert_allclose(stated, Rotation.from_euler("x", 10, degrees=True).apply(true.copy()), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(stated, axis=1), np.linalg.norm(true, axis=1))
 
 
@@ -202,9 +196,7 @@ def test_swapped_sweeps_come_out_of_order_with_their_own_timestamps(right):
     frames = drive.scene.lidars[0].frames
     np.testing.assert_array_equal(frames.timestamps_ns, START_NS + SWEEP_NS * np.array(order))
     assert drive.true_frames["lidar"].tolist() == order
-    np.testing.assert_array_equal(
-        frames[8].points.positions, right.scene.lidars[0].frames[10].points.positions
-    )
+    np.testing.assert_array_equal(frames[8].points.positions, right.scene.lidars[0].frames[10].points.positions)
 
 
 @pytest.mark.parametrize(
@@ -275,9 +267,7 @@ def test_the_stated_camera_model_is_longer_and_the_image_the_same(right):
 
 
 def test_faults_can_be_given_with_the_drive_and_do_not_depend_on_the_order_of_reading(right):
-    faults = Faults(
-        {"lidar": SensorFaults(lost_share=0.4, time_offset_ns=5, blind=((0, START_NS + SWEEP_NS),))}
-    )
+    faults = Faults({"lidar": SensorFaults(lost_share=0.4, time_offset_ns=5, blind=((0, START_NS + SWEEP_NS),))})
     lidar = LidarSpec(beams=8, steps=120, range_sigma=0.0, drop_rate=0.0)
     drive = simulate_street(4, frames=12, lidar=lidar, cameras=(), faults=faults)
     same = inject(right, faults)

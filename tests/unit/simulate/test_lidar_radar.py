@@ -206,9 +206,7 @@ def test_deskewing_by_the_trajectory_gives_the_clean_points_and_without_it_they_
     # The trajectory is sampled at 100 Hz: 0.1 mm and 1e-5 rad, which is 1 mm at 100 m.
     assert error.max() < 1.2e-3
     still = LidarSpec(beams=1).period_ns
-    frozen = replace(
-        frame, points=replace(frame.points, timestamps_ns=np.full(len(frame.points), frame.timestamp_ns))
-    )
+    frozen = replace(frame, points=replace(frame.points, timestamps_ns=np.full(len(frame.points), frame.timestamp_ns)))
     skewed = np.linalg.norm(points_to_world(frozen, source)[0] - clean.positions_world, axis=1)
     speed = np.linalg.norm(exact_drive.truth.path.at(np.array([frame.timestamp_ns])).velocities)
     assert skewed.max() > 0.8 * speed * still * 1e-9
@@ -345,9 +343,7 @@ def test_moments_are_spread_evenly_over_the_frame_and_channels_share_them(lidar_
 
 
 def test_the_rosette_adds_the_bends_of_two_prisms(lidar_before_wall):
-    pattern = Rosette(
-        fov_deg=40.0, shots_per_second=20_000.0, rotations_per_minute=(6000.0, -1700.0), share=0.6
-    )
+    pattern = Rosette(fov_deg=40.0, shots_per_second=20_000.0, rotations_per_minute=(6000.0, -1700.0), share=0.6)
     lidar = lidar_before_wall(pattern)
     for k in (0, 3):
         shots = lidar.shots(k)
@@ -402,8 +398,7 @@ def test_the_rosette_has_times_of_its_own_and_no_rings(lidar_before_wall):
 @pytest.mark.parametrize("pattern", [SMALL, Rosette(shots_per_second=5000.0)], ids=["raster", "rosette"])
 def test_frames_are_the_same_in_whatever_order_they_are_asked_for(lidar_before_wall, pattern):
     lidar, again = (
-        replace(lidar_before_wall(pattern), spec=SolidStateSpec(pattern, mount=SOLID_STATE_UPRIGHT))
-        for _ in range(2)
+        replace(lidar_before_wall(pattern), spec=SolidStateSpec(pattern, mount=SOLID_STATE_UPRIGHT)) for _ in range(2)
     )
     later = lidar.frame(3).points.positions
     assert not np.array_equal(lidar.frame(0).points.positions[:100], later[:100])
@@ -521,9 +516,7 @@ def test_speeds_are_the_change_of_the_ranges_in_rotations_too_with_the_lever_arm
 def passing(moving_path, box):
     """A radar on an ego at 8 m/s; a car-sized box ahead moves at (-3, 2) m/s and rotates by 0.5 rad/s."""
     body = box([0.0, 0.0, 0.8], [2.2, 0.9, 0.8])
-    body = Shape(
-        ShapeKind.BOX, RigidTransform(np.eye(3), np.array([0.0, 0.0, 0.8])), body.half, body.material
-    )
+    body = Shape(ShapeKind.BOX, RigidTransform(np.eye(3), np.array([0.0, 0.0, 0.8])), body.half, body.material)
     seconds = 0.5 * np.arange(-10.0, 20.0)
     curve = np.column_stack([40.0 - 3.0 * seconds, -2.0 + 2.0 * seconds, 0.5 * seconds, np.zeros(30)])
     size = (4.4, 1.8, 1.6)
@@ -647,9 +640,7 @@ def test_speed_over_ground_of_what_stands_is_nothing_after_taking_the_radars_own
 
 
 def test_as_many_false_returns_as_asked_for_lie_in_the_field_of_view(radar_of):
-    spec = replace(
-        RADAR_EXACT, detections_per_object=0.0, ground_clutter=0.0, false_alarms=25.0, max_range=80.0
-    )
+    spec = replace(RADAR_EXACT, detections_per_object=0.0, ground_clutter=0.0, false_alarms=25.0, max_range=80.0)
     radar = radar_of(spec)
     frames = [radar.frame(k).points for k in range(20)]
     # Twenty Poisson numbers of mean 25 add up to 500 with a deviation of 22; five times that.

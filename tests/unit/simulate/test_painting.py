@@ -67,9 +67,7 @@ def excess(kind, half, local):
         ShapeKind.BOX: np.maximum.reduce([x, y, z]),
         ShapeKind.CYLINDER: np.maximum(np.hypot(x, y), z),
         ShapeKind.ELLIPSOID: np.sqrt(x**2 + y**2 + z**2),
-        ShapeKind.GABLE: np.maximum.reduce(
-            [x, y + 0.5 * local[:, 2] / half[2] + 0.5, -local[:, 2] / half[2]]
-        ),
+        ShapeKind.GABLE: np.maximum.reduce([x, y + 0.5 * local[:, 2] / half[2] + 0.5, -local[:, 2] / half[2]]),
     }[kind]
 
 
@@ -94,9 +92,7 @@ def test_the_angle_of_incidence_is_that_to_the_slope_of_the_surface(kind, street
 
 
 def test_a_plain_surface_has_its_colour_in_the_light_of_its_face(street_of, stationary_path, box):
-    street = street_of(
-        [box([10, 0, 5], [2, 2, 2], Material(Pattern.PLAIN, (BASE, BASE, BASE)))], stationary_path
-    )
+    street = street_of([box([10, 0, 5], [2, 2, 2], Material(Pattern.PLAIN, (BASE, BASE, BASE)))], stationary_path)
     front = look(street, [0, 0, 5], np.array([[1.0, 0, 0.01]]))[1].colors[0].astype(float)
     top = look(street, [10, 0, 15], np.array([[0.0, 0, -1.0]]))[1].colors[0].astype(float)
     for color in (front, top):
@@ -108,9 +104,7 @@ def test_a_plain_surface_has_its_colour_in_the_light_of_its_face(street_of, stat
 @pytest.mark.parametrize("pattern", Pattern)
 def test_every_pattern_only_mixes_the_colours_of_its_palette(pattern, street_of, stationary_path, box):
     material = Material(pattern, ((255.0, 0, 0), (0, 255.0, 0), (0, 0, 255.0)), (2.0, 2.5, 0.2))
-    street = street_of(
-        [box([10, 0, 3], [1, 5, 3], material), box([8, 8, 0.5], [2, 1, 0.5], material)], stationary_path
-    )
+    street = street_of([box([10, 0, 3], [1, 5, 3], material), box([8, 8, 0.5], [2, 1, 0.5], material)], stationary_path)
     aims = np.random.default_rng(0).uniform([9, -5, -1.5], [9, 9, 3], (4000, 3))
     hits, seen = look(street, [0, 0, 1.6], aims / np.linalg.norm(aims, axis=1, keepdims=True))
     colors = seen.colors[hits.shapes >= 0].astype(float)

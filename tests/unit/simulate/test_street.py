@@ -207,8 +207,7 @@ def movers_of(designs, curves, *, spans=None, first_instance=1):
     last_ns = START_NS + int(STEP * (COUNT - 6) * 1e9)
     spans = spans or [(START_NS, last_ns)] * len(designs)
     things = [
-        Mover(first_instance + k, design.label, design.size_lwh, *spans[k], False)
-        for k, design in enumerate(designs)
+        Mover(first_instance + k, design.label, design.size_lwh, *spans[k], False) for k, design in enumerate(designs)
     ]
     return pack_movers(things, designs, np.array(curves), start_ns=START_NS, first_knot=0.0, knot_step=STEP)
 
@@ -228,9 +227,7 @@ def at(seconds):
 
 def cast_one_by_one(street, origins, directions, seconds, reach=200.0):
     """Rays that each have an origin and a time of their own, in one bundle per direction."""
-    rays = Rays.bundled(
-        directions, bundles_by_direction(directions, across=4), pose_of_ray=np.arange(len(directions))
-    )
+    rays = Rays.bundled(directions, bundles_by_direction(directions, across=4), pose_of_ray=np.arange(len(directions)))
     upright = np.tile(np.eye(3), (len(directions), 1, 1))
     return cast(street, rays, upright, origins, at(seconds), reach=reach), rays, upright
 
@@ -255,9 +252,7 @@ def test_a_box_that_drives_and_rotates_is_met_where_it_is_at_each_rays_time(stre
     for begin in (0.0, 2.0, 6.0, 9.0):
         seconds = begin + np.sort(generator.uniform(0, 0.1, 600))
         origins = np.column_stack([8.0 * seconds, 0.1 * seconds, np.full(600, 1.8)])
-        centers = np.column_stack(
-            [60.0 + velocity[0] * seconds, -6.0 + velocity[1] * seconds, np.full(600, 0.9)]
-        )
+        centers = np.column_stack([60.0 + velocity[0] * seconds, -6.0 + velocity[1] * seconds, np.full(600, 0.9)])
         aims = centers + generator.normal(0, [2.5, 1.5, 0.8], (600, 3)) - origins
         directions = aims / np.linalg.norm(aims, axis=1, keepdims=True)
         found, _, _ = cast_one_by_one(street, origins, directions, seconds)
@@ -301,17 +296,13 @@ def test_people_and_cars_are_met_where_the_slow_walk_enters_them(street_with, sl
     for seconds in (0.2, 0.9, 1.6):
         shapes = [
             shape.moved(frame)
-            for frame, part in zip(
-                slow_frames(movers, seconds), (p for d in designs for p in d.parts), strict=True
-            )
+            for frame, part in zip(slow_frames(movers, seconds), (p for d in designs for p in d.parts), strict=True)
             for shape in part.shapes
         ]
         middles = np.array([shape.pose.translation for shape in shapes])
         aims = middles + generator.normal(0, 0.08, middles.shape) - origin
         directions = aims / np.linalg.norm(aims, axis=1, keepdims=True)
-        found, _, _ = cast_one_by_one(
-            street, np.tile(origin, (len(aims), 1)), directions, np.full(len(aims), seconds)
-        )
+        found, _, _ = cast_one_by_one(street, np.tile(origin, (len(aims), 1)), directions, np.full(len(aims), seconds))
         for k, direction in enumerate(directions):
             expected, index = slow_caster.first_hit(shapes, origin, direction, 200.0)
             assert found.ranges[k] == pytest.approx(expected, abs=EXACT)
@@ -346,9 +337,7 @@ def test_points_of_a_walkers_legs_move_as_the_frames_of_the_legs_do(street_with)
         part = movers.part_of_shape[shape]
         for seconds in generator.uniform(1, 8, 5):
             local = generator.uniform([-0.2, -0.2, 0.0], [0.2, 0.2, 1.6])
-            locations = [
-                list(slow_frames(movers, seconds + shift))[part].apply(local) for shift in (-step, 0, step)
-            ]
+            locations = [list(slow_frames(movers, seconds + shift))[part].apply(local) for shift in (-step, 0, step)]
             velocity = velocities_of(street, np.array([shape]), locations[1][None], at([seconds]))[0]
             # h²/6 times a third derivative: 0.3 rad swing of 1 m at 5 rad/s give 40, so 7e-8; a nanosecond of
             # rounding in 1e-4 s at 2 m/s is 2e-5.
@@ -380,9 +369,7 @@ def test_movers_hide_what_stands_and_are_hidden_by_it(street_with, box):
 def test_patterns_stick_to_what_moves_and_the_light_does_not(street_with):
     generator = np.random.default_rng(3)
     design = design_moving_car(generator)
-    still, driving = (
-        straight_curve((8.0, 3.0), v, 0.4, w) for v, w in (((0.0, 0.0), 0.0), ((3.0, -1.0), 0.0))
-    )
+    still, driving = (straight_curve((8.0, 3.0), v, 0.4, w) for v, w in (((0.0, 0.0), 0.0), ((3.0, -1.0), 0.0)))
     aims = np.array([8.0, 3.0, 0.8]) + generator.normal(0, [1.0, 1.0, 0.4], (500, 3)) - [0, 0, 1.7]
     directions = aims / np.linalg.norm(aims, axis=1, keepdims=True)
     looks = []
@@ -520,9 +507,7 @@ SEED = 7
 
 
 def drive_through(traffic, *, seed=SEED, frames=12, cameras=(SMALL, ROLLING), **options):
-    return simulate_street(
-        seed, frames=frames, lidar=EXACT_LIDAR, cameras=cameras, traffic=traffic, **options
-    )
+    return simulate_street(seed, frames=frames, lidar=EXACT_LIDAR, cameras=cameras, traffic=traffic, **options)
 
 
 @pytest.fixture(scope="module")

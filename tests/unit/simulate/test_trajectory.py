@@ -56,9 +56,7 @@ def test_the_plane_curve_is_the_quintic_spline_of_its_control_points(path, secon
 def test_velocity_is_the_slope_of_position_and_acceleration_that_of_velocity(path, seconds):
     before, after = path.at_seconds(seconds - STEP), path.at_seconds(seconds + STEP)
     states = path.at_seconds(seconds)
-    np.testing.assert_allclose(
-        (after.positions - before.positions) / (2 * STEP), states.velocities, atol=DIFFERENCE
-    )
+    np.testing.assert_allclose((after.positions - before.positions) / (2 * STEP), states.velocities, atol=DIFFERENCE)
     np.testing.assert_allclose(
         (after.velocities - before.velocities) / (2 * STEP), states.accelerations, atol=DIFFERENCE
     )
@@ -128,9 +126,7 @@ def test_interpolated_samples_at_100_hz_stay_within_a_millimetre(path):
 def test_motion_with_stops_has_the_derivatives_that_it_says(seed, seconds):
     path = planned(seed, STOPPING)
     before, states, after = (path.at_seconds(seconds + shift) for shift in (-STEP, 0.0, STEP))
-    np.testing.assert_allclose(
-        (after.positions - before.positions) / (2 * STEP), states.velocities, atol=DIFFERENCE
-    )
+    np.testing.assert_allclose((after.positions - before.positions) / (2 * STEP), states.velocities, atol=DIFFERENCE)
     np.testing.assert_allclose(
         (after.velocities - before.velocities) / (2 * STEP), states.accelerations, atol=DIFFERENCE
     )
@@ -157,9 +153,7 @@ def test_a_car_that_stops_stands_truly_still_and_drives_the_same_curve():
     np.testing.assert_array_equal(path.control_points, driving.control_points)
     seconds = np.linspace(8.0, 20.0, 60)
     parameters, _, _ = path.warp.at(seconds)
-    np.testing.assert_array_equal(
-        path.at_seconds(seconds).positions, driving.at_seconds(parameters).positions
-    )
+    np.testing.assert_array_equal(path.at_seconds(seconds).positions, driving.at_seconds(parameters).positions)
     moving = np.linalg.norm(path.at_seconds(np.linspace(12.0, 12.5, 9)).velocities, axis=1)
     assert moving.min() > 3.0
 
@@ -223,9 +217,7 @@ def test_a_grid_of_times_and_splines_is_the_same_as_one_by_one():
 def test_splines_pass_cubics_through_their_samples():
     at = np.arange(20) - 2.0
     cubic = np.stack([0.3 * at**3 - 2 * at**2 + at, 5.0 - at], axis=1)[None]
-    (values,) = spline_derivatives(
-        control_points_through(cubic), np.zeros(1, np.int64), np.arange(1.0, 14.0), orders=1
-    )
+    (values,) = spline_derivatives(control_points_through(cubic), np.zeros(1, np.int64), np.arange(1.0, 14.0), orders=1)
     # The first and last control point keep their samples: two knots from either end nothing is left of that.
     np.testing.assert_allclose(values, cubic[0, 3:16], atol=1e-9)
 
@@ -258,9 +250,7 @@ def warp():
 
 
 def test_the_warped_time_is_the_integral_of_the_pace(warp):
-    corners = sorted(
-        {t for s in STOPS for t in (s.at_s - RAMP, s.at_s, s.at_s + s.for_s, s.at_s + s.for_s + RAMP)}
-    )
+    corners = sorted({t for s in STOPS for t in (s.at_s - RAMP, s.at_s, s.at_s + s.for_s, s.at_s + s.for_s + RAMP)})
     for second in (-3.0, 0.0, 2.0, 3.9, 5.0, 7.3, 12.0, 18.5, 22.0, 26.0, 40.0):
         points = [t for t in corners if min(0, second) < t < max(0, second)] or None
         expected, _ = quad(slow_pace, 0.0, second, points=points, limit=200)

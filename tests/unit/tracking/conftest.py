@@ -57,9 +57,7 @@ class Street:
     sigma: float = 0.1
     rotated: frozenset[int] = field(default_factory=frozenset)
 
-    def observe(
-        self, times: Sequence[float], *, views: Mapping[str, View] | None = None
-    ) -> list[Observation]:
+    def observe(self, times: Sequence[float], *, views: Mapping[str, View] | None = None) -> list[Observation]:
         """What is seen at these times [s]."""
         random = np.random.default_rng(1)
         views = {"front": FRONT} if views is None else views
@@ -67,9 +65,7 @@ class Street:
 
     def _observation(self, k, seconds, views, random):
         world_from_lidar = _pose(*self.ego(seconds))
-        fused = {
-            name: self._fused(k, seconds, world_from_lidar, view, random) for name, view in views.items()
-        }
+        fused = {name: self._fused(k, seconds, world_from_lidar, view, random) for name, view in views.items()}
         return Observation(round(seconds * 1e9), world_from_lidar, fused, views)
 
     def _fused(self, k, seconds, world_from_lidar, view, random):

@@ -73,9 +73,7 @@ def test_a_heading_that_was_reversed_on_the_way_is_the_last_one_all_along():
         rows[name][:, tracker.YAW] = 0.0
     rows["means"][3:, tracker.YAW] = np.pi - 1e-3
     rows["predicted"][4:, tracker.YAW] = np.pi - 1e-3
-    later, _ = smoothed(
-        rows["means"], rows["covariances"], rows["predicted"], rows["spreads"], rows["slopes"]
-    )
+    later, _ = smoothed(rows["means"], rows["covariances"], rows["predicted"], rows["spreads"], rows["slopes"])
     assert np.abs(tracker.wrapped(later[:, tracker.YAW] - np.pi)).max() < 0.01
 
 

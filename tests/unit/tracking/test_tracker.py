@@ -83,9 +83,7 @@ def test_a_box_near_to_where_it_is_expected_is_read_as_by_kalman():
     for k in range(3):
         information = np.linalg.inv(covariances[k]) + visibility.T @ np.linalg.inv(noise) @ visibility
         expected = np.linalg.inv(information)
-        mean = expected @ (
-            np.linalg.inv(covariances[k]) @ means[k] + visibility.T @ np.linalg.inv(noise) @ measures[k]
-        )
+        mean = expected @ (np.linalg.inv(covariances[k]) @ means[k] + visibility.T @ np.linalg.inv(noise) @ measures[k])
         mean[6] = tracker.wrapped(mean[6])
         assert spread[k] == pytest.approx(expected, abs=1e-9)
         assert after[k] == pytest.approx(mean, abs=1e-9)
@@ -173,9 +171,7 @@ def last_yaw(tracks, near):
         ([driving(22.0), towards], -1.0),  # of two opinions
     ],
 )
-def test_a_crawling_car_whose_boxes_are_rotated_heads_as_those_before_it_in_its_lane(
-    street, actor, others, heads
-):
+def test_a_crawling_car_whose_boxes_are_rotated_heads_as_those_before_it_in_its_lane(street, actor, others, heads):
     drive = street([actor(crawling), *map(actor, others)], rotated=OFTEN_ROTATED)
     yaw = last_yaw(track_drive(drive.observe(TIMES)), (14.5, 3.0))
     assert np.cos(yaw) == pytest.approx(heads, abs=0.1)  # boxes are off by 0.1 m, headings by less
@@ -188,9 +184,7 @@ def test_persons_do_not_head_as_their_neighbours(street, actor):
     assert np.cos(yaw) == pytest.approx(-1.0, abs=0.1)
 
 
-ROTATION = RigidTransform(
-    np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([5.0, 6.0, 7.0])
-)
+ROTATION = RigidTransform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([5.0, 6.0, 7.0]))
 
 
 def stationary(street, actor, **options):
@@ -234,9 +228,7 @@ def test_yaw_variances_of_the_fusion_count_where_they_are_some(street, actor):
     seen = stationary(street, actor)
     for stated, expected in ((np.array([0.04]), 0.04), (np.array([np.nan]), 0.01), (None, 0.01)):
         fused = replace(seen.fused["front"], yaw_variances=stated)
-        assert visibility(replace(seen, fused={"front": fused})).covariances[0, 6, 6] == pytest.approx(
-            expected
-        )
+        assert visibility(replace(seen, fused={"front": fused})).covariances[0, 6, 6] == pytest.approx(expected)
 
 
 TRACKER_TIMES = np.arange(40) / 10.0
@@ -269,9 +261,7 @@ def test_deviations_of_states_are_as_large_as_the_covariances_state(street, acto
     )
     squares = []
     for track in tracks:
-        truth = np.column_stack(
-            [10.0 + 8.0 * TRACKER_TIMES[5:], np.full(35, round(track.centers[-1, 1] / 6.0) * 6.0)]
-        )
+        truth = np.column_stack([10.0 + 8.0 * TRACKER_TIMES[5:], np.full(35, round(track.centers[-1, 1] / 6.0) * 6.0)])
         off = track.centers[5:, :2] - truth
         squares += np.einsum("ni,nij,nj->n", off, np.linalg.inv(track.covariances[5:, :2, :2]), off).tolist()
     # of two numbers the mean is 2; the noise of motion that is not there makes states less sure than they could be
@@ -287,9 +277,7 @@ def test_a_rotation_is_followed_with_its_rate(street, actor):
 
 
 def test_what_is_stationary_is_stationary_for_a_lidar_that_moves_and_rotates(street, actor):
-    seen = street([actor(lambda t: (30.0, 4.0, 0.3))], ego=lambda t: (5.0 * t, 0.0, 0.1 * t)).observe(
-        TRACKER_TIMES
-    )
+    seen = street([actor(lambda t: (30.0, 4.0, 0.3))], ego=lambda t: (5.0 * t, 0.0, 0.1 * t)).observe(TRACKER_TIMES)
     track = track_drive(seen)[0]
     assert np.linalg.norm(track.velocities[-1]) < 0.4
     assert track.centers[-1, :2] == pytest.approx([30.0, 4.0], abs=0.15)
@@ -401,9 +389,7 @@ def test_moments_without_boxes_or_cameras_are_moments(street, actor):
 
 
 def test_cars_one_behind_the_other_are_two_however_they_overlap_in_the_image(street, actor):
-    seen = street([actor(straight(0.0, start=12.0)), actor(straight(0.0, start=17.5))]).observe(
-        TRACKER_TIMES[:5]
-    )
+    seen = street([actor(straight(0.0, start=12.0)), actor(straight(0.0, start=17.5))]).observe(TRACKER_TIMES[:5])
     assert len(track_drive(seen)) == 2
 
 

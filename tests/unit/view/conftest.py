@@ -50,11 +50,7 @@ class Saved:
 
     def lasting(self, path: str, component: str) -> Any:
         """A component that holds at all times."""
-        return next(
-            row.values[component]
-            for row in self.rows[path]
-            if row.time_ns is None and component in row.values
-        )
+        return next(row.values[component] for row in self.rows[path] if row.time_ns is None and component in row.values)
 
 
 def nanoseconds(value: Any) -> int:

@@ -65,9 +65,7 @@ def test_tracks_are_boxes_with_ellipsoids_in_the_world_and_in_images(save, injec
     rows = saved.timed("/injected/world/tracks/boxes", "Boxes3D:centers")
     assert [row.time_ns for row in rows] == TIMES.tolist()
     assert np.allclose(rows[1].array("Boxes3D:centers"), [[11.0, 2.0, 0.5], [5.0, -3.0, 0.9]])
-    assert np.allclose(
-        Rotation.from_quat(rows[1].array("Boxes3D:quaternions")).as_euler("xyz")[:, 2], [0.3, -1.2]
-    )
+    assert np.allclose(Rotation.from_quat(rows[1].array("Boxes3D:quaternions")).as_euler("xyz")[:, 2], [0.3, -1.2])
     assert rows[1].values["Boxes3D:labels"] == ["car 4", "pedestrian 9"]
     assert rows[1].values["support"] == ["both", "image"]
     reported = saved.timed("/injected/world/tracks/certainty", "Ellipsoids3D:half_sizes")[0]
@@ -94,9 +92,7 @@ def test_fused_detections_are_shown_where_the_lidar_was(save, injected, tmp_path
     monkeypatch.setattr(objects, "_read_detections", lambda path: (shown,))
     saved = save(injected, detections=tmp_path / "any")
     row = saved.timed("/injected/world/detections/left/boxes", "Boxes3D:centers")[0]
-    assert np.allclose(
-        row.array("Boxes3D:centers")[0], lidar.apply(np.array([[8.0, 0.0, 0.0]]))[0], atol=1e-6
-    )
+    assert np.allclose(row.array("Boxes3D:centers")[0], lidar.apply(np.array([[8.0, 0.0, 0.0]]))[0], atol=1e-6)
     reported = saved.timed("/injected/world/detections/left/certainty", "Ellipsoids3D:half_sizes")[0]
     rotation = Rotation.from_quat(reported.array("Ellipsoids3D:quaternions")[0]).as_matrix()
     squares = reported.array("Ellipsoids3D:half_sizes")[0] ** 2 / stats.chi2.ppf(0.95, 3)

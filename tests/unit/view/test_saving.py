@@ -95,17 +95,13 @@ def test_points_as_measured_are_those_of_the_file(save, injected):
     assert np.array_equal(shown.array("Points3D:positions").astype(np.float32), RANDOM_POINTS[2])
 
 
-def test_points_that_ride_on_the_ego_or_lie_in_the_world_are_the_same_locations(
-    save, injected, injected_saved
-):
+def test_points_that_ride_on_the_ego_or_lie_in_the_world_are_the_same_locations(save, injected, injected_saved):
     from tests.properties.injected import injected_scene
 
     rider_association = injected_scene(odd=True)
     path = "/injected/world/clouds/top"
     shown = save(replace(rider_association, corrections="ignore")).timed(path, "Points3D:positions")[1]
-    world = (
-        rotated(shown).apply(shown.array("Points3D:positions")) + shown.array("Transform3D:translation")[0]
-    )
+    world = rotated(shown).apply(shown.array("Points3D:positions")) + shown.array("Transform3D:translation")[0]
     locations, rotations = ego_at(TIMES[1] + np.arange(POINTS) * 1_000_001)
     assert np.allclose(world, locations + rotations.apply(RANDOM_POINTS[1]), atol=1e-4)
 
@@ -128,9 +124,7 @@ def test_a_radar_return_has_an_arrow_as_long_as_its_way_in_a_second(injected_sav
     arrows = injected_saved.timed(f"{SENSORS}/radar_front/velocities", "Arrows3D:vectors")[0]
     points = RANDOM_POINTS[0][:5].astype(np.float64)
     directions = points / np.linalg.norm(points, axis=1, keepdims=True)
-    assert np.allclose(
-        arrows.array("Arrows3D:vectors"), directions * np.linspace(-2, 2, 5)[:, None], atol=SINGLE
-    )
+    assert np.allclose(arrows.array("Arrows3D:vectors"), directions * np.linspace(-2, 2, 5)[:, None], atol=SINGLE)
     assert np.allclose(arrows.array("Arrows3D:origins"), points, atol=SINGLE)
 
 
@@ -149,15 +143,11 @@ def test_images_of_a_pinhole_are_its_own_files(save, injected):
     shown = saved.timed(f"{SENSORS}/left/image", "EncodedImage:blob")
     assert [bytes(row.values["EncodedImage:blob"][0]) for row in shown] == [jpeg(k) for k in range(3)]
     matrix = pinhole_of(saved)
-    assert np.allclose(
-        matrix, [[50.0, 0.0, 31.5], [0.0, 51.0, 24.5], [0.0, 0.0, 1.0]]
-    )  # counted from the corner
+    assert np.allclose(matrix, [[50.0, 0.0, 31.5], [0.0, 51.0, 24.5], [0.0, 0.0, 1.0]])  # counted from the corner
 
 
 def test_what_a_bent_camera_model_shows_is_where_the_shown_pinhole_has_it(save, injected):
-    camera_model = Camera(
-        "brown_conrady", 400, 300, 250.0, 250.0, 199.5, 149.5, (-0.3, 0.1, 0.002, -0.001, 0.0)
-    )
+    camera_model = Camera("brown_conrady", 400, 300, 250.0, 250.0, 199.5, 149.5, (-0.3, 0.1, 0.002, -0.001, 0.0))
     marks = np.array([[-0.5, -0.35, 1.0], [0.45, -0.3, 1.0], [0.1, 0.2, 1.0], [-0.4, 0.3, 1.0]])
     pixels, _ = cv2.projectPoints(
         marks, np.zeros(3), np.zeros(3), camera_model.matrix, np.array(camera_model.coefficients)
@@ -173,9 +163,7 @@ def test_what_a_bent_camera_model_shows_is_where_the_shown_pinhole_has_it(save, 
     count, _, _, centres = cv2.connectedComponentsWithStats((shown > 128).astype(np.uint8))
     assert count == 1 + len(marks)
     expected = (marks @ matrix.T)[:, :2] - 0.5
-    for (
-        location
-    ) in expected:  # marks of five pixels around a rounded location, resampled and encoded: a pixel at most
+    for location in expected:  # marks of five pixels around a rounded location, resampled and encoded: a pixel at most
         assert np.linalg.norm(centres[1:] - location, axis=1).min() < 1.0
 
 
@@ -183,13 +171,11 @@ def test_what_is_drawn_into_a_bent_image_follows_it(injected_saved):
     matrix = pinhole_of(injected_saved)
     points = injected_saved.timed(f"{SENSORS}/left/image/points", "Points2D:positions")[0]
     drawn = np.array([[10.0, 20.0], [11.0, 20.0]]) - 0.5
-    straight = cv2.undistortPoints(
-        drawn[:, None], CAMERA_MODEL.matrix, np.array(CAMERA_MODEL.coefficients)
-    ).reshape(-1, 2)
+    straight = cv2.undistortPoints(drawn[:, None], CAMERA_MODEL.matrix, np.array(CAMERA_MODEL.coefficients)).reshape(
+        -1, 2
+    )
     expected = (np.column_stack([straight, np.ones(2)]) @ matrix.T)[:, :2]
-    assert np.allclose(
-        points.array("Points2D:positions"), expected, atol=2e-3
-    )  # OpenCV iterates to 1e-3 of a pixel
+    assert np.allclose(points.array("Points2D:positions"), expected, atol=2e-3)  # OpenCV iterates to 1e-3 of a pixel
 
 
 def test_depths_are_steps_of_a_256th_of_a_metre_and_none_is_made_up(injected_saved):
@@ -272,9 +258,7 @@ def test_fixes_are_degrees_on_earth_and_curves(injected_saved):
     heights = injected_saved.timed("/injected/gnss/antenna/height", "Scalars:scalars")
     assert [row.values["Scalars:scalars"] for row in heights] == [[520.5]] * 3
     inertial = injected_saved.timed("/injected/imu/imu_box/accelerometer", "Scalars:scalars")
-    assert np.allclose(
-        [row.values["Scalars:scalars"] for row in inertial], np.linspace(9, 10, 9).reshape(3, 3)
-    )
+    assert np.allclose([row.values["Scalars:scalars"] for row in inertial], np.linspace(9, 10, 9).reshape(3, 3))
 
 
 def test_findings_and_warnings_are_in_the_log_the_worst_first(injected_saved):
@@ -295,9 +279,7 @@ def test_no_map_is_fetched_unless_it_is_asked_for(save, injected):
 
 
 def test_every_camera_has_a_view_and_the_layout_is_not_guessed(injected_saved):
-    names = [
-        value[0] for name, value in injected_saved.layout if name == "ViewBlueprint:display_name" and value
-    ]
+    names = [value[0] for name, value in injected_saved.layout if name == "ViewBlueprint:display_name" and value]
     assert {"left", "right", "depth", "world", "from afar", "log", "events", "accelerometer"} <= set(names)
     assert ("ViewportBlueprint:auto_views", [False]) in injected_saved.layout
 
@@ -327,14 +309,10 @@ def test_several_drives_have_roots_of_their_own(save, injected):
 def test_a_world_far_away_is_shown_from_a_location_near_the_drive(save, injected):
     far = np.array([691_234.5, 5_334_567.25, 500.0])
     trajectory = injected.trajectories["vio"]
-    moved = Trajectory(
-        "vio", trajectory.timestamps_ns, trajectory.positions + far, trajectory.quaternions_xyzw
-    )
+    moved = Trajectory("vio", trajectory.timestamps_ns, trajectory.positions + far, trajectory.quaternions_xyzw)
     lidar = injected.lidars[0]
     own = Poses(lidar.poses.timestamps_ns, lidar.poses.positions + far, lidar.poses.quaternions_xyzw)
-    scene = replace(
-        injected, sensors=(replace(lidar, poses=own),), annotations=(), trajectories={"vio": moved}
-    )
+    scene = replace(injected, sensors=(replace(lidar, poses=own),), annotations=(), trajectories={"vio": moved})
     saved = save(scene)
     origin = np.array(saved.report.drives[0].origin)
     assert np.abs(far - origin).max() <= 51.0

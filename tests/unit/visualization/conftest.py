@@ -28,9 +28,7 @@ def _make_view(
         camera=Camera("pinhole", width, height, 100.0, 100.0, (width - 1) / 2, (height - 1) / 2),
         timestamp_ns=12_345_678_901,
         # The camera looks along x of the world, its x to the right: -y.
-        world_from_camera=RigidTransform(
-            np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)
-        ),
+        world_from_camera=RigidTransform(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)),
         rgb=np.full((height, width, 3), level, np.uint8),
         point_ids=np.arange(len(rows), dtype=np.int64),
         pixels=rows[:, :2].copy(),

@@ -89,9 +89,7 @@ def test_what_is_about_the_car_is_drawn_on_the_car(drive, scene, sample, annotat
 def test_labelled_points_fall_on_the_pixels_that_show_the_car(drive, scene, sample):
     chosen, _annotation = only(scene, "labeled_points")
     marked = changed_pixels(chosen, sample)
-    instance = int(
-        next(a.id for a in scene.annotations if a.type == "cuboid" and a.projections).split("-")[1]
-    )
+    instance = int(next(a.id for a in scene.annotations if a.type == "cuboid" and a.projections).split("-")[1])
     shown = drive.truth.instances("camera0", 1) == instance
     assert marked.sum() > 100
     # points that the lidar sees past the car's edges are drawn as discs of three pixels
@@ -100,9 +98,7 @@ def test_labelled_points_fall_on_the_pixels_that_show_the_car(drive, scene, samp
 
 def test_a_cuboid_is_drawn_through_its_projected_corners(scene, sample):
     _, _cuboid = only(scene, "cuboid")
-    chosen = replace(
-        scene, annotations=tuple(a for a in scene.annotations if getattr(a, "projections", ())[:1])
-    )
+    chosen = replace(scene, annotations=tuple(a for a in scene.annotations if getattr(a, "projections", ())[:1]))
     figures = dict(figures_in_world(chosen, sample.timestamp_ns))
     (figure,) = (f for a, f in figures.items() if a.type == "cuboid")
     assert len(figure.lines) == 13
@@ -111,11 +107,7 @@ def test_a_cuboid_is_drawn_through_its_projected_corners(scene, sample):
 
 
 def test_pixels_of_files_count_from_the_corner_and_are_drawn_from_the_centre(scene, sample):
-    (pair,) = (
-        (a, f)
-        for a, f in figures_in_image(scene, "camera0", sample.times_ns["camera0"])
-        if a.type == "box_2d"
-    )
+    (pair,) = ((a, f) for a, f in figures_in_image(scene, "camera0", sample.times_ns["camera0"]) if a.type == "box_2d")
     annotation, figure = pair
     np.testing.assert_allclose(figure.lines[0][0], annotation.path.values[1, :2] - 0.5)
 
@@ -129,9 +121,7 @@ def test_from_above_a_link_joins_what_it_links(scene, sample):
     chosen, link = only(scene, "link")
     ends = tuple(a for a in scene.annotations if a.id in (link.from_id, link.to_id))
     apart = np.asarray(draw_annotations_above(replace(chosen, annotations=ends), sample, reach=30.0))
-    joined = np.asarray(
-        draw_annotations_above(replace(chosen, annotations=(*ends, link)), sample, reach=30.0)
-    )
+    joined = np.asarray(draw_annotations_above(replace(chosen, annotations=(*ends, link)), sample, reach=30.0))
     assert (apart != joined).any()
     alone = np.asarray(draw_annotations_above(replace(chosen, annotations=(link,)), sample, reach=30.0))
     without = np.asarray(draw_annotations_above(replace(chosen, annotations=()), sample, reach=30.0))

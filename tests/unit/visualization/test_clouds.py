@@ -313,9 +313,7 @@ def test_perspectives_that_cannot_be_drawn_are_refused():
 
 
 # An IMU whose x points to the left of the car, as z stays up.
-ROTATED = RigidTransform(
-    np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([5.0, 0.0, 1.0])
-)
+ROTATED = RigidTransform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([5.0, 0.0, 1.0]))
 
 
 def test_forward_is_where_the_path_leads_not_where_the_imu_points():
@@ -360,6 +358,8 @@ def test_the_arrow_points_forward_and_is_as_long_as_asked():
 
 def test_the_middle_of_no_points_is_the_origin():
     assert middle_of(np.zeros((0, 3))).position_world.tolist() == [0.0, 0.0, 0.0]
-    assert middle_of(
-        np.array([[1.0, 5.0, 0.0], [2.0, 4.0, 9.0], [90.0, 3.0, 1.0]])
-    ).position_world.tolist() == [2, 4, 1]
+    assert middle_of(np.array([[1.0, 5.0, 0.0], [2.0, 4.0, 9.0], [90.0, 3.0, 1.0]])).position_world.tolist() == [
+        2,
+        4,
+        1,
+    ]

@@ -68,9 +68,7 @@ def test_no_colour_of_a_map_had_to_be_clipped_visibly(name):
     anchors = np.array(ANCHORS[name])
     hue = np.deg2rad(anchors[:, 2])
     wanted = np.column_stack([anchors[:, 0], anchors[:, 1] * np.cos(hue), anchors[:, 1] * np.sin(hue)])
-    nearest = np.linalg.norm(oklab_from_srgb(colour_map(name).table)[None] - wanted[:, None], axis=2).min(
-        axis=1
-    )
+    nearest = np.linalg.norm(oklab_from_srgb(colour_map(name).table)[None] - wanted[:, None], axis=2).min(axis=1)
     # 0.02 is about the smallest difference that is seen side by side.
     assert nearest.max() < 0.02
 
@@ -100,9 +98,7 @@ def test_rounding_finds_the_nearest_round_number_on_each_side(digits, value):
     assert round_down(value, digits) == pytest.approx(
         max(n for n in _round_numbers(digits) if n <= value * (1 + 5e-10))
     )
-    assert round_up(value, digits) == pytest.approx(
-        min(n for n in _round_numbers(digits) if n >= value * (1 - 5e-10))
-    )
+    assert round_up(value, digits) == pytest.approx(min(n for n in _round_numbers(digits) if n >= value * (1 - 5e-10)))
 
 
 @given(st.lists(DEPTHS, min_size=1, max_size=50))
@@ -141,9 +137,7 @@ def test_ticks_start_with_the_ends_and_lie_between_them(near, ratio):
     assert all(any(math.isclose(tick, 10.0**power) for tick in inner) for power in decades)
 
 
-@pytest.mark.parametrize(
-    ("near", "far"), [(0.0, 10.0), (5.0, 5.0), (8.0, 2.0), (1.0, math.inf), (math.nan, 3.0)]
-)
+@pytest.mark.parametrize(("near", "far"), [(0.0, 10.0), (5.0, 5.0), (8.0, 2.0), (1.0, math.inf), (math.nan, 3.0)])
 def test_a_scale_without_extent_is_refused(near, far):
     with pytest.raises(OptionError, match="0 < near < far"):
         DepthScale(near, far)

@@ -62,9 +62,7 @@ def test_hidden_points_are_drawn_only_on_request_and_then_as_crosses(make_view):
     without, crossed = _pixels(draw_overlay(view)), _pixels(draw_overlay(view, show_hidden=True))
     assert np.array_equal(without[90, 150], without[10, 10])
     changed = np.argwhere((without[: view.camera.height] != crossed[: view.camera.height]).any(axis=2))
-    assert {(90, 150), (89, 149), (91, 151), (89, 151), (91, 149)} == {
-        tuple(location) for location in changed.tolist()
-    }
+    assert {(90, 150), (89, 149), (91, 151), (89, 151), (91, 149)} == {tuple(location) for location in changed.tolist()}
     assert np.ptp(crossed[90, 150].astype(int)) < 20
 
 
@@ -249,8 +247,7 @@ def test_the_same_frame_gives_the_same_bytes(make_view, tmp_path):
 def test_a_contact_sheet_shows_every_image_in_its_column():
     colours = [(200, 0, 0), (0, 200, 0), (0, 0, 200)]
     images = [
-        Image.new("RGB", size, colour)
-        for size, colour in zip([(40, 20), (80, 80), (10, 5)], colours, strict=True)
+        Image.new("RGB", size, colour) for size, colour in zip([(40, 20), (80, 80), (10, 5)], colours, strict=True)
     ]
     sheet = np.asarray(contact_sheet(images, columns=2, width_px=340))
     # Gaps of 2 px: two columns of 167 px; the first row is as high as the square image.
@@ -260,9 +257,7 @@ def test_a_contact_sheet_shows_every_image_in_its_column():
     assert tuple(sheet[200, 80]) == colours[2]
 
 
-@pytest.mark.parametrize(
-    ("count", "options"), [(0, {}), (1, {"columns": 0}), (1, {"columns": 9, "width_px": 20})]
-)
+@pytest.mark.parametrize(("count", "options"), [(0, {}), (1, {"columns": 0}), (1, {"columns": 9, "width_px": 20})])
 def test_a_sheet_without_room_is_refused(count, options):
     with pytest.raises(OptionError, match="room"):
         contact_sheet([Image.new("RGB", (5, 5))] * count, **options)

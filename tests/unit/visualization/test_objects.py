@@ -57,9 +57,7 @@ def test_what_an_image_alone_shows_has_its_box_in_the_image_alone():
     only = objects(Support.IMAGE, corners_xyxy=corners)
     pixels = coloured(draw_objects_in_image(BLACK, only, WORLD_FROM_CAMERA, "camera"))
     outline = pixels[pixels[:, 1] > 60]
-    assert (outline[:, 0].min(), outline[:, 0].max(), outline[:, 1].max()) == pytest.approx(
-        (99, 199, 119), abs=1
-    )
+    assert (outline[:, 0].min(), outline[:, 0].max(), outline[:, 1].max()) == pytest.approx((99, 199, 119), abs=1)
     assert len(coloured(draw_objects_in_image(BLACK, only, WORLD_FROM_CAMERA, "other"))) == 0
 
 

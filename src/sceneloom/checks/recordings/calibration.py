@@ -307,15 +307,11 @@ def _pairs(subject: Subject) -> list[_CameraPair]:
     if subject.recording is None:
         return []
     cameras = subject.recording.calibration.cameras
-    mounted = [
-        (index, c.camera_from_imu) for index, c in sorted(cameras.items()) if c.camera_from_imu is not None
-    ]
+    mounted = [(index, c.camera_from_imu) for index, c in sorted(cameras.items()) if c.camera_from_imu is not None]
     found = []
     for (first, a), (second, b) in combinations(mounted, 2):
         pair = _CameraPair(first, second, a @ b.inverse())
-        rotated = np.degrees(
-            np.arccos(np.clip((np.trace(pair.first_from_second.rotation) - 1) / 2, -1.0, 1.0))
-        )
+        rotated = np.degrees(np.arccos(np.clip((np.trace(pair.first_from_second.rotation) - 1) / 2, -1.0, 1.0)))
         if rotated <= _ALIKE_DEG:
             found.append(pair)
     return found
@@ -633,9 +629,7 @@ def _cost(
     rays = unproject(camera_models[0], np.column_stack([u.ravel(), v.ravel()]).astype(np.float64))
     rays = rays / rays[:, 2:]
     second_from_first = pair.first_from_second.inverse()
-    away = (
-        second_from_first.translation * shift / (camera_models[0].fx * float(np.linalg.norm(pair.baseline)))
-    )
+    away = second_from_first.translation * shift / (camera_models[0].fx * float(np.linalg.norm(pair.baseline)))
     pixels, visible = project(camera_models[1], second_from_first.rotate(rays) + away)
     columns = np.clip(np.rint(np.nan_to_num(pixels[:, 0])), 0, second.shape[1] - 1).astype(int)
     rows = np.clip(np.rint(np.nan_to_num(pixels[:, 1])), 0, second.shape[0] - 1).astype(int)

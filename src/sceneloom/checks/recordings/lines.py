@@ -91,9 +91,7 @@ def _with_all_cameras(scene: Scene) -> Scene:
         more = [{"cameraInd": index, "missingBitmap": True} for index in missing]
         return msgspec.json.encode({**line, "frames": [*entries, *more]}).decode()
 
-    return _with_notes(
-        scene, lambda notes: {**notes, "texts": [listed(text) for text in notes.get("texts", [])]}
-    )
+    return _with_notes(scene, lambda notes: {**notes, "texts": [listed(text) for text in notes.get("texts", [])]})
 
 
 def _with_notes(scene: Scene, change: Callable[[Mapping[str, Any]], dict[str, Any]]) -> Scene:
@@ -152,17 +150,13 @@ def _gaps(frames: FrameColumns) -> Iterator[Hit]:
     for row in np.flatnonzero(np.diff(numbers) > 1).tolist():
         before, after = int(numbers[row]), int(numbers[row + 1])
         missing = str(before + 1) if after == before + 2 else f"{before + 1} to {after - 1}"
-        yield Hit(
-            _at(lines[row + 1]), f"number: {after} after {before}; {missing} missing", after - before - 1
-        )
+        yield Hit(_at(lines[row + 1]), f"number: {after} after {before}; {missing} missing", after - before - 1)
 
 
 def _without_cameras(frames: FrameColumns) -> Iterator[Hit]:
     """Lines that lack a camera which other lines have."""
     if not frames.cameras:
-        yield Hit(
-            _at(frames.lines[0]), "frames: no line names a camera; expected one entry each", len(frames.lines)
-        )
+        yield Hit(_at(frames.lines[0]), "frames: no line names a camera; expected one entry each", len(frames.lines))
     for index, camera in sorted(frames.cameras.items()):
         has_it = np.zeros(len(frames.lines), np.bool_)
         has_it[np.asarray(camera.rows, np.int64)] = True
@@ -259,9 +253,7 @@ def _doubled(subject: Subject) -> Iterator[Hit]:
     for lidar in lidars.values():
         for name, line in zip(lidar.files, lidar.lines, strict=True):
             if counts[name] > 1 and name in seen:
-                reported = (
-                    f"lidar.dataFile: {name!r} is that of line {seen[name]}, too; expected one of its own"
-                )
+                reported = f"lidar.dataFile: {name!r} is that of line {seen[name]}, too; expected one of its own"
                 yield Hit(f"data.jsonl: line {line}", reported)
             seen.setdefault(name, line)
 
@@ -288,9 +280,7 @@ def _absurd(subject: Subject) -> Iterator[Hit]:
         middle = float(np.median(found)) if found else 1.0
         if NEAREST <= middle <= FARTHEST:
             continue
-        meant = (
-            "probably millimetres or centimetres" if middle > FARTHEST else "probably kilometres, or noise"
-        )
+        meant = "probably millimetres or centimetres" if middle > FARTHEST else "probably kilometres, or noise"
         reported = f"half of the points are farther than {middle:.3g} m; expected {NEAREST:g} to {FARTHEST:g}: {meant}"
         yield Hit(f"{path}.frames[].points.positions", reported, len(found))
 
@@ -321,9 +311,7 @@ def _unknown(subject: Subject) -> Iterator[Hit]:
         if setting.key not in KNOWN_KEYS:
             near = similar_key(setting.key)
             meant = "" if near is None else f"; is {near!r} meant?"
-            yield Hit(
-                f"{VIO_CONFIG_FILE}: line {setting.line}", f"{setting.key!r} is not publicly known{meant}"
-            )
+            yield Hit(f"{VIO_CONFIG_FILE}: line {setting.line}", f"{setting.key!r} is not publicly known{meant}")
 
 
 def _repeated(subject: Subject) -> Iterator[Hit]:

@@ -149,9 +149,7 @@ class _PoseIntervals:
         step = max(_INTERVAL, float(np.median(np.diff(seconds))))
         knots = np.flatnonzero(np.diff(np.floor((seconds + 1e-6) / step), prepend=-1.0))
         lengths = np.diff(seconds[knots])
-        usable = np.flatnonzero(
-            (lengths > 0.5 * step) & (lengths < min(2.0 * step, _LONGEST_INTERVAL + 1e-6))
-        )
+        usable = np.flatnonzero((lengths > 0.5 * step) & (lengths < min(2.0 * step, _LONGEST_INTERVAL + 1e-6)))
         usable = usable[:: len(usable) // _MOST_INTERVALS + 1]
         first, last = knots[usable].astype(np.int64), knots[usable + 1].astype(np.int64)
         return cls(seconds[first], seconds[last], first, last)
@@ -166,9 +164,7 @@ class _PoseIntervals:
 
     def rates(self, quaternions_xyzw: Float64Array) -> Float64Array:
         """Mean yaw rate over each interval in the axes of the device, (M, 3) [rad/s]."""
-        rotated = multiply_quaternions(
-            conjugate_quaternion(quaternions_xyzw[self.first]), quaternions_xyzw[self.last]
-        )
+        rotated = multiply_quaternions(conjugate_quaternion(quaternions_xyzw[self.first]), quaternions_xyzw[self.last])
         return rotation_vector_from_quaternion(rotated) / self.lengths[:, None]
 
     def velocities(self, positions: Float64Array) -> Float64Array:
@@ -321,9 +317,7 @@ def _comparisons(subject: Subject) -> Sequence[_Comparison]:
 def _compare_all(subject: Subject) -> list[_Comparison]:
     imu = next((sensor for sensor in subject.scene.sensors if isinstance(sensor, ImuSensor)), None)
     trajectories = [
-        trajectory
-        for trajectory in subject.scene.trajectories.values()
-        if trajectory.quaternions_xyzw is not None
+        trajectory for trajectory in subject.scene.trajectories.values() if trajectory.quaternions_xyzw is not None
     ]
     found = [] if imu is None else [_compared(trajectory, imu) for trajectory in trajectories]
     return [comparison for comparison in found if comparison is not None]
@@ -341,16 +335,12 @@ def _compared(trajectory: Trajectory, imu: ImuSensor) -> _Comparison | None:
     if rates is None or rotating is None:
         none = np.zeros(0)
         return None if up is None else _Comparison(trajectory.name, up, none, none, 0.0, 0.0, 0.0)
-    tolerance = max(
-        float(np.median(np.diff(rates.seconds))), float(np.median(np.diff(trajectory.timestamps_ns))) / 1e9
-    )
+    tolerance = max(float(np.median(np.diff(rates.seconds))), float(np.median(np.diff(trajectory.timestamps_ns))) / 1e9)
     shifts, correlations, measured, reported = rotating
     return _Comparison(trajectory.name, up, shifts, correlations, tolerance, measured, reported)
 
 
-def _up(
-    intervals: _PoseIntervals, quaternions_xyzw: Float64Array, forces: _CleanSamples | None
-) -> Float64Array | None:
+def _up(intervals: _PoseIntervals, quaternions_xyzw: Float64Array, forces: _CleanSamples | None) -> Float64Array | None:
     """The accelerometer's mean in the world as part of its mean length, (3,); None for too few samples."""
     if forces is None:
         return None
@@ -440,9 +430,7 @@ def _scale(subject: Subject) -> Iterator[Hit]:
         scale = found.measured / found.reported
         if not _SCALES[0] <= scale <= _SCALES[1]:
             hint = ": probably degrees per second" if abs(np.radians(scale) - 1) < _NEAR_DEGREES else ""
-            problem = (
-                f"the gyroscope rotates {scale:.3g} times as fast as the orientations of {found.name!r}{hint}"
-            )
+            problem = f"the gyroscope rotates {scale:.3g} times as fast as the orientations of {found.name!r}{hint}"
             yield Hit("sensors[imu].streams.gyroscope", problem)
 
 

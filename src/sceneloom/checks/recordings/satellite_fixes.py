@@ -54,9 +54,7 @@ def _fixes_in_order(stream: Stream) -> Int64Array:
     return first
 
 
-def _column_hits(
-    stream: Stream, wrong: BoolArray, column: str, values: Float64Array, expected: str
-) -> Iterator[Hit]:
+def _column_hits(stream: Stream, wrong: BoolArray, column: str, values: Float64Array, expected: str) -> Iterator[Hit]:
     rows = np.flatnonzero(wrong)
     if len(rows):
         row = int(rows[0])
@@ -121,9 +119,7 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
         steps = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1)
         for k in np.flatnonzero(peaks | too_far).tolist():
             speed = steps[k] / (seconds[k] - seconds[k - 1]) if k else 0.0
-            lies = (
-                f"lies {off[k]:.1f} m off the trajectory between its neighbours, " if off[k] > 0 else "lies "
-            )
+            lies = f"lies {off[k]:.1f} m off the trajectory between its neighbours, " if off[k] > 0 else "lies "
             problem = (
                 f"{stream.at(int(rows[k]))} {lies}{steps[k]:.1f} m from the one before, {speed:.0f} m/s; its accuracy "
                 f"is {sigmas[k]:.2g} m"
@@ -218,9 +214,7 @@ def _mirrored(subject: Subject) -> Iterator[Hit]:
             continue
         times, rotations = reported
         measured = np.diff(np.interp(times, seconds, rotated))
-        known = (
-            (np.abs(rotations) < _SHARPEST_ROTATION) & (times[:-1] >= seconds[0]) & (times[1:] <= seconds[-1])
-        )
+        known = (np.abs(rotations) < _SHARPEST_ROTATION) & (times[:-1] >= seconds[0]) & (times[1:] <= seconds[-1])
         rotations, measured = rotations[known], measured[known]
         if len(rotations) < _FEWEST_ROTATIONS or np.sqrt((measured * measured).mean()) < _LEAST_ROTATION:
             continue
@@ -256,9 +250,7 @@ def _rotations_of(fixes: Stream) -> tuple[Float64Array, Float64Array] | None:
     locations, seconds = enu_from_geodetic(lla, lla[0])[:, :2], fixes.seconds[usable]
     accuracies = fixes.values[usable, 3]
     stated = accuracies[accuracies > 0]
-    ends = _ends_of_legs(
-        locations, max(_SHORTEST_LEG, _LEG_SIGMAS * float(np.median(stated)) if len(stated) else 0.0)
-    )
+    ends = _ends_of_legs(locations, max(_SHORTEST_LEG, _LEG_SIGMAS * float(np.median(stated)) if len(stated) else 0.0))
     legs = np.diff(locations[ends], axis=0)
     courses = np.unwrap(np.arctan2(legs[:, 1], legs[:, 0]))
     return 0.5 * (seconds[ends[1:]] + seconds[ends[:-1]]), np.diff(courses)
@@ -400,8 +392,7 @@ def _upside_down(subject: Subject) -> Iterator[Hit]:
         correlation = float((ups * heights).mean() / (ups.std() * heights.std()))
         if correlation < _ROTATED_HEIGHTS:
             reported = (
-                f"z falls where the fixes climb (correlation {correlation:.2f}): probably z of the world "
-                f"points down"
+                f"z falls where the fixes climb (correlation {correlation:.2f}): probably z of the world points down"
             )
             yield Hit(f"trajectories[{case.name}]", reported)
 

@@ -227,9 +227,7 @@ def _without_kept_poses(scene: Scene) -> Scene:
     if not isinstance(kept, Mapping) or not isinstance(texts, list):
         return scene
     origins = kept.get("trajectory_origins", {})
-    known = {
-        tuple(origins.get(name, (name, name))): trajectory for name, trajectory in scene.trajectories.items()
-    }
+    known = {tuple(origins.get(name, (name, name))): trajectory for name, trajectory in scene.trajectories.items()}
     stay = [k for k, text in enumerate(texts) if not _is_known_pose(text, known)]
     if len(stay) == len(texts):
         return scene
@@ -313,9 +311,7 @@ def _lengths(subject: Subject) -> Iterator[Hit]:
             if len(off):
                 worst = int(errors.argmax())
                 length = float(np.linalg.norm(trajectory.quaternions_xyzw[worst]))
-                reported = (
-                    f"{len(off)} of {len(errors)} orientations are not of length 1, the worst {length:.5f}"
-                )
+                reported = f"{len(off)} of {len(errors)} orientations are not of length 1, the worst {length:.5f}"
                 yield Hit(
                     f"trajectories[{name}]",
                     f"{reported} at {trajectory.timestamps_ns[worst] / 1e9:.6f} s",
@@ -330,9 +326,7 @@ def _norm_errors(quaternions_xyzw: Float64Array) -> Float64Array:
 
 def with_unit_orientations(scene: Scene) -> Scene:
     """Scale orientations to length 1 that are off by more than rounding; the others stay as they are."""
-    trajectories = {
-        name: _with_unit_orientations(trajectory) for name, trajectory in scene.trajectories.items()
-    }
+    trajectories = {name: _with_unit_orientations(trajectory) for name, trajectory in scene.trajectories.items()}
     if all(trajectories[name] is trajectory for name, trajectory in scene.trajectories.items()):
         return scene
     return replace(scene, trajectories=MappingProxyType(trajectories))
@@ -482,9 +476,7 @@ def _single_losses(subject: Subject) -> Iterator[Hit]:
         if stream.kind in _FRAMES or _off(stream, period).mean() > JITTER_SHARE:
             continue
         more = stream.intervals - period
-        lacking = np.flatnonzero(
-            (more > FRAME_GAP_PERIODS * period) & (more <= _gap_threshold(stream, period))
-        )
+        lacking = np.flatnonzero((more > FRAME_GAP_PERIODS * period) & (more <= _gap_threshold(stream, period)))
         if len(lacking):
             row = int(lacking[0])
             count = int(np.rint(stream.intervals[lacking] / period - 1).sum())
@@ -536,9 +528,7 @@ def _wrong_rates(subject: Subject) -> Iterator[Hit]:
 
 def _unit_in_question(rates: Mapping[Stream, float]) -> str:
     """What unit times are in, where all streams that have a lowest rate come too seldom, and would not in that unit."""
-    judged = [
-        (rate, *RATES_HZ[stream.kind]) for stream, rate in rates.items() if RATES_HZ[stream.kind][0] > 0
-    ]
+    judged = [(rate, *RATES_HZ[stream.kind]) for stream, rate in rates.items() if RATES_HZ[stream.kind][0] > 0]
     if len(judged) > 1 and all(rate < lowest for rate, lowest, _ in judged):
         for factor, unit in _WRONG_UNITS:
             if all(lowest <= rate * factor <= highest for rate, lowest, highest in judged) and all(

@@ -40,9 +40,7 @@ def _refusals(bench: Bench, *cases: dict[str, Any]) -> Iterator[Seen]:
         yield refused(f"SetCalibration {name} = {shown}", bench.peer().calibrate(**changed))
 
 
-@CHECKS.row(
-    3, "image_size", "two whole numbers above 0: width, height; an image of another size does not fit"
-)
+@CHECKS.row(3, "image_size", "two whole numbers above 0: width, height; an image of another size does not fit")
 def _image_size(bench: Bench) -> Iterator[Seen]:
     yield from _refusals(
         bench, {"image_size": ()}, {"image_size": (64,)}, {"image_size": (0, 48)}, {"image_size": (64, 48, 3)}
@@ -66,9 +64,7 @@ def _distortion(bench: Bench) -> Iterator[Seen]:
     peer.calibrate(distortion_coeffs=coefficients)
     cloud = scene.lidar_from_camera(np.array([[8.0 * point[0], 8.0 * point[1], 8.0]])).astype(np.float32)
     found = _pixels(peer, scene.cloud(points=cloud))
-    yield same(
-        f"a point at (x, y) / z = {point} after k1 k2 p1 p2 k3 = {coefficients}", [(column, row)], found
-    )
+    yield same(f"a point at (x, y) / z = {point} after k1 k2 p1 p2 k3 = {coefficients}", [(column, row)], found)
 
 
 def _distorted(point: tuple[float, float], coefficients: tuple[float, ...]) -> tuple[float, float]:
@@ -84,9 +80,7 @@ def _distorted(point: tuple[float, float], coefficients: tuple[float, ...]) -> t
     return scene.FOCAL * u + scene.MIDDLE[0], scene.FOCAL * v + scene.MIDDLE[1]
 
 
-@CHECKS.row(
-    3, "intrinsic_matrix", "3x3, row after row: focal lengths and middle state which pixel a ray meets"
-)
+@CHECKS.row(3, "intrinsic_matrix", "3x3, row after row: focal lengths and middle state which pixel a ray meets")
 def _intrinsic(bench: Bench) -> Iterator[Seen]:
     f, (cx, cy) = scene.FOCAL, scene.MIDDLE
     yield from _refusals(
@@ -103,9 +97,7 @@ def _intrinsic(bench: Bench) -> Iterator[Seen]:
     yield same("a point after fx 32, cx 30, fy 44.8, cy 22: pixel", expected, _pixels(peer, cloud))
 
 
-@CHECKS.row(
-    3, "reference_frame", "0: the matrix leads into the camera's frame, 1: into the lidar's", reading=True
-)
+@CHECKS.row(3, "reference_frame", "0: the matrix leads into the camera's frame, 1: into the lidar's", reading=True)
 def _reference_frame(bench: Bench) -> Iterator[Seen]:
     yield from _refusals(bench, {"reference_frame": 2})
     inverse = np.linalg.inv(scene.CAMERA_FROM_LIDAR)
@@ -137,9 +129,7 @@ def _extrinsic(bench: Bench) -> Iterator[Seen]:
         yield same(f"a pair after the matrix by {layout}: pixels", _EXPECTED, _pixels(peer))
 
 
-@CHECKS.clause(
-    "4.1-1", "4.1", "the standard's own example of a calibration is taken, and points lie where it says"
-)
+@CHECKS.clause("4.1-1", "4.1", "the standard's own example of a calibration is taken, and points lie where it says")
 def _example(bench: Bench) -> Iterator[Seen]:
     matrix = (468.3708, 0.0, 339.7596, 0.0, 470.2517, 235.6143, 0.0, 0.0, 1.0)
     rotation = np.array([[0.0070, -0.9999, 0.0016], [1e-06, -0.0016, -0.9999], [0.9999, 0.0070, -1e-06]])
@@ -238,9 +228,7 @@ def _boxes(peer: Peer, sent: str, lidar: np.ndarray[Any, Any]) -> Iterator[Seen]
     )
 
 
-@CHECKS.clause(
-    "5.2-1", "5.2", "chirality 1: data of left-handed frames are fused, and come back in them", reading=True
-)
+@CHECKS.clause("5.2-1", "5.2", "chirality 1: data of left-handed frames are fused, and come back in them", reading=True)
 def _chirality(bench: Bench) -> Iterator[Seen]:
     properties = {"chirality": 1, "lidar_coordinate": [0, 1, 2], "camera_coordinate": [2, 0, 1]}
     yield from _look(bench, properties, _MIRRORED_CAMERA, _MIRRORED_LIDAR)

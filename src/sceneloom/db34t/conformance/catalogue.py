@@ -32,9 +32,7 @@ class _Quote(NamedTuple):
     chinese: str
 
 
-QUOTES: Mapping[str, Mapping[str, Any]] = tomllib.loads(
-    files(__package__).joinpath("quotes.toml").read_text("utf-8")
-)
+QUOTES: Mapping[str, Mapping[str, Any]] = tomllib.loads(files(__package__).joinpath("quotes.toml").read_text("utf-8"))
 """`clauses`, and rows of `table_1` and `table_2`, by name: English and Chinese."""
 
 _Made = TypeVar("_Made")
@@ -126,9 +124,7 @@ class Peer:
         """Clause 5.5; the value."""
         return _plain_value(self.get(name).value)
 
-    def calibrate(
-        self, *, camera_id: int = scene.CAMERA_ID, lidar_id: int = scene.LIDAR_ID, **changed: Any
-    ) -> int:
+    def calibrate(self, *, camera_id: int = scene.CAMERA_ID, lidar_id: int = scene.LIDAR_ID, **changed: Any) -> int:
         """Send a calibration, that of the scene but for what is stated; the status."""
         return self.calibrate_with(scene.calibration(**changed), camera_id=camera_id, lidar_id=lidar_id)
 

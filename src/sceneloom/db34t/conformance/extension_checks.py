@@ -39,9 +39,7 @@ CHECKS = Catalogue()
 _TABLE_2 = list(QUOTES["table_2"])
 
 
-@CHECKS.extension(
-    1, "Status, fields 100 and 101", "a 0 comes with a reason for people and a cause for programs"
-)
+@CHECKS.extension(1, "Status, fields 100 and 101", "a 0 comes with a reason for people and a cause for programs")
 def _reasons(bench: Bench) -> Iterator[Seen]:
     peer = bench.peer()
     replies = {
@@ -82,9 +80,7 @@ def _closed(bench: Bench) -> Iterator[Seen]:
     yield same("CloseSession, GetProperty camera_frequency", 10, peer.value("camera_frequency"))
 
 
-@CHECKS.extension(
-    4, "ListProperties", "all properties, those of table 2 first, and a number that counts the changes"
-)
+@CHECKS.extension(4, "ListProperties", "all properties, those of table 2 first, and a number that counts the changes")
 def _listed(bench: Bench) -> Iterator[Seen]:
     peer = bench.peer()
     peer.add("added", "by the kit", "uint32")
@@ -92,9 +88,7 @@ def _listed(bench: Bench) -> Iterator[Seen]:
     names = [found.name for found in first.properties]
     yield same("ListProperties: the first names", _TABLE_2, names[: len(_TABLE_2)])
     marks = {found.name: found.predefined for found in first.properties}
-    yield same(
-        "AddProperty, ListProperties: predefined", (True, False), (marks["fusion_type"], marks.get("added"))
-    )
+    yield same("AddProperty, ListProperties: predefined", (True, False), (marks["fusion_type"], marks.get("added")))
     peer.set("added", 3)
     second = peer.call("ListProperties").revision
     third = peer.call("ListProperties").revision
@@ -107,9 +101,7 @@ def _listed(bench: Bench) -> Iterator[Seen]:
     yield same("ListProperties again: revision", second, third)
 
 
-@CHECKS.extension(
-    5, "Get, wait_ms", "a get that waits for nothing comes back with no_data when its time is over"
-)
+@CHECKS.extension(5, "Get, wait_ms", "a get that waits for nothing comes back with no_data when its time is over")
 def _waits(bench: Bench) -> Iterator[Seen]:
     found = bench.ready().fetch(SENSOR_DATA, wait_ms=50).WhichOneof("result")
     yield same("Get wait_ms 50 of nothing", "no_data", found)
@@ -124,22 +116,16 @@ def _subscribed(bench: Bench) -> Iterator[Seen]:
     yield same("then Get: points_seq", 3, peer.result(SENSOR_DATA).points_seq)
 
 
-@CHECKS.extension(
-    7, "SendStream", "a stream of records is taken like one by one; what was refused is known by number"
-)
+@CHECKS.extension(7, "SendStream", "a stream of records is taken like one by one; what was refused is known by number")
 def _streamed(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     summary = peer.send_stream([scene.image(), scene.image(2, height=0), scene.cloud()])
-    yield same(
-        "SendStream of good, bad, good: accepted, refused", (2, 1), (summary.accepted, summary.refused)
-    )
+    yield same("SendStream of good, bad, good: accepted, refused", (2, 1), (summary.accepted, summary.refused))
     yield same("the numbers of those refused", [1], [found.number for found in summary.refusals])
     yield same("then Get: points_seq", 1, peer.result(SENSOR_DATA).points_seq)
 
 
-@CHECKS.extension(
-    8, "GetReply, field 100", "results are numbered from 0 on, each type by itself, without gaps"
-)
+@CHECKS.extension(8, "GetReply, field 100", "results are numbered from 0 on, each type by itself, without gaps")
 def _numbered(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     send_pairs(peer, range(3))
@@ -147,9 +133,7 @@ def _numbered(bench: Bench) -> Iterator[Seen]:
     yield same("three pairs, Get three times: number", [0, 1, 2], found)
 
 
-@CHECKS.extension(
-    9, "GetReply, field 101", "a result carries the properties that were in force when its sweep came"
-)
+@CHECKS.extension(9, "GetReply, field 101", "a result carries the properties that were in force when its sweep came")
 def _configuration(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     peer.set("lidar_frequency", 20)
@@ -160,9 +144,7 @@ def _configuration(bench: Bench) -> Iterator[Seen]:
     yield same("lidar_frequency 20, a pair, Get: its configuration", 20, found.get("lidar_frequency"))
 
 
-@CHECKS.extension(
-    10, "table 9, field 100", 'depth_kind "range": distances along the rays; the record says which'
-)
+@CHECKS.extension(10, "table 9, field 100", 'depth_kind "range": distances along the rays; the record says which')
 def _range(bench: Bench) -> Iterator[Seen]:
     yield same("the scene's pair, Get: depth_kind", "z", bench.once(fused_pair).depth_kind)
     peer = bench.ready()
@@ -175,9 +157,7 @@ def _range(bench: Bench) -> Iterator[Seen]:
         yield near(f"image_depth at column {point.column}, row {point.row}", length, found, 1e-5 * length)
 
 
-@CHECKS.extension(
-    11, "table 9, field 101", "reference_frame 0: the points of results are in the camera's frame"
-)
+@CHECKS.extension(11, "table 9, field 101", "reference_frame 0: the points of results are in the camera's frame")
 def _camera_frame(bench: Bench) -> Iterator[Seen]:
     yield same("the scene's pair, Get: point_frame", "lidar", bench.once(fused_pair).point_frame)
     peer = bench.ready()
@@ -192,9 +172,7 @@ def _camera_frame(bench: Bench) -> Iterator[Seen]:
 def _image_time(bench: Bench) -> Iterator[Seen]:
     expected = scene.in_ns(scene.timestamp(scene.IMAGE_LATER_NS))
     for make in (fused_pair, fused_boxes):
-        yield same(
-            "a pair, Get: image_timestamp [ns]", expected, scene.in_ns(bench.once(make).image_timestamp)
-        )
+        yield same("a pair, Get: image_timestamp [ns]", expected, scene.in_ns(bench.once(make).image_timestamp))
 
 
 @CHECKS.extension(13, "table 10, fields 101 and 102", "a detection names the boxes that it was made of")
@@ -204,14 +182,10 @@ def _boxes_named(bench: Bench) -> Iterator[Seen]:
     ids = (both.box_3d_id, both.box_2d_id)
     yield same("what both saw: box_3d_id, box_2d_id", (scene.MATCHED.id, scene.MATCHED_2D_ID), ids)
     found = (alone.box_3d_id, alone.HasField("box_2d_id"))
-    yield same(
-        "what the lidar alone saw: box_3d_id, whether there is a box_2d_id", (scene.ALONE.id, False), found
-    )
+    yield same("what the lidar alone saw: box_3d_id, whether there is a box_2d_id", (scene.ALONE.id, False), found)
 
 
-@CHECKS.extension(
-    14, "FusedDetections, fields 2 to 6", "detections state of which image and which sweep they are"
-)
+@CHECKS.extension(14, "FusedDetections, fields 2 to 6", "detections state of which image and which sweep they are")
 def _pair_named(bench: Bench) -> Iterator[Seen]:
     found = bench.once(fused_boxes)
     numbers = (
@@ -225,9 +199,7 @@ def _pair_named(bench: Bench) -> Iterator[Seen]:
     yield same("image_seq, points_seq, camera_id, lidar_id, timestamp", expected, numbers)
 
 
-@CHECKS.extension(
-    15, "SendMotion", "where the vehicle moves between sweep and image, points are seen from where it is"
-)
+@CHECKS.extension(15, "SendMotion", "where the vehicle moves between sweep and image, points are seen from where it is")
 def _motion(bench: Bench) -> Iterator[Seen]:
     # 2 m forward from the sweep to the image: a point 10 m before the camera is then 8 m before it
     yield same("without motion: motion_compensated", 0, int(bench.once(fused_pair).motion_compensated))
@@ -257,9 +229,7 @@ def _pose(offset_ns: int, forward: float) -> fusion_pb2.Pose:
     )
 
 
-@CHECKS.extension(
-    16, "SetCalibration, fields 100 and 101", "several cameras and lidars: a result for each pair"
-)
+@CHECKS.extension(16, "SetCalibration, fields 100 and 101", "several cameras and lidars: a result for each pair")
 def _several(bench: Bench) -> Iterator[Seen]:
     peer = bench.peer()
     for camera_id in (7, 8):
@@ -271,9 +241,7 @@ def _several(bench: Bench) -> Iterator[Seen]:
         peer.send(scene.cloud(sensor_id=lidar_id))
     found = [peer.result(SENSOR_DATA) for _ in range(4)]
     pairs = sorted((record.camera_id, record.lidar_id) for record in found)
-    yield same(
-        "an image of cameras 7, 8, a sweep of lidars 3, 4: pairs", [(7, 3), (7, 4), (8, 3), (8, 4)], pairs
-    )
+    yield same("an image of cameras 7, 8, a sweep of lidars 3, 4: pairs", [(7, 3), (7, 4), (8, 3), (8, 4)], pairs)
 
 
 @CHECKS.extension(17, "Flush", "what waits is fused with what has come")
@@ -354,9 +322,7 @@ def _surroundings_listed(bench: Bench) -> Iterator[Seen]:
     "reflection gives the methods, messages and fields of the .proto, further ones aside",
 )
 def _described(bench: Bench) -> Iterator[Seen]:
-    files = [
-        FileDescriptorProto.FromString(content) for content in bench.transport.files_with(SERVICE.full_name)
-    ]
+    files = [FileDescriptorProto.FromString(content) for content in bench.transport.files_with(SERVICE.full_name)]
     methods = {
         method.name: _of_method(method)
         for file in files
@@ -383,7 +349,4 @@ def _of_method(method: object) -> tuple[object, ...]:
 
 def _fields(message: DescriptorProto) -> set[tuple[int, str, int, bool, str]]:
     repeated = 3  # FieldDescriptorProto.Label.LABEL_REPEATED
-    return {
-        (field.number, field.name, field.type, field.label == repeated, field.type_name)
-        for field in message.field
-    }
+    return {(field.number, field.name, field.type, field.label == repeated, field.type_name) for field in message.field}

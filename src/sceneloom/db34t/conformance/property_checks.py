@@ -94,9 +94,7 @@ def _refused(peer: Peer, values: _Values) -> Iterator[Seen]:
 
 
 for _values in _TYPES:
-    _title = (
-        f"a property of type {_values.type} keeps what the type can hold, and refuses the rest without change"
-    )
+    _title = f"a property of type {_values.type} keeps what the type can hold, and refuses the rest without change"
     CHECKS.row(1, _values.type, _title)(_look(_values))
 
 _TRIPLE = "(int8,int8,int8)"
@@ -133,16 +131,12 @@ def _properties_look(name: str) -> Look:
         yield same(f"GetProperty {name}: type", kind, found.type.replace(" ", ""))
         start = peer.value(name)
         if default is None:
-            yield true(
-                f"GetProperty {name}: value", "a name", start, agrees=isinstance(start, str) and bool(start)
-            )
+            yield true(f"GetProperty {name}: value", "a name", start, agrees=isinstance(start, str) and bool(start))
         else:
             yield same(f"GetProperty {name}: value", default, start)
         for value in (*kept, start):
             status = peer.set(name, value)
-            yield same(
-                f"SetProperty {value!r}, GetProperty", value, peer.value(name) if status else "refused"
-            )
+            yield same(f"SetProperty {value!r}, GetProperty", value, peer.value(name) if status else "refused")
         for value in wrong:
             yield refused(f"SetProperty {value!r}", peer.set(name, value))
             yield same(f"GetProperty after {value!r} was refused", start, peer.value(name))
@@ -182,9 +176,7 @@ def _status_of_add(bench: Bench) -> Iterator[Seen]:
     yield same("AddProperty camera_frequency", 0, peer.add("camera_frequency", "", "uint32"))
 
 
-@CHECKS.clause(
-    "5.3-4", "5.3.2", "types are tuples and arrays, too, as tables 2 and 3 write them", reading=True
-)
+@CHECKS.clause("5.3-4", "5.3.2", "types are tuples and arrays, too, as tables 2 and 3 write them", reading=True)
 def _compound_types(bench: Bench) -> Iterator[Seen]:
     peer = bench.peer()
     cases: tuple[tuple[str, list[Any], list[Any]], ...] = (

@@ -35,9 +35,7 @@ _FLOATS = (float("nan"), float("inf"))
 _TIMESTAMPS = (None, fusion_pb2.Timestamp(s=1, ns=10**9), fusion_pb2.Timestamp(s=1, ns=2**32 - 1))
 """No timestamp, and such whose nanoseconds make a second or more."""
 
-_RAW_SENSORS = (
-    f'{{"{scene.CAMERA_ID}": {{"kind": "camera", "raw": "rgb8"}}, "{scene.LIDAR_ID}": {{"kind": "lidar"}}}}'
-)
+_RAW_SENSORS = f'{{"{scene.CAMERA_ID}": {{"kind": "camera", "raw": "rgb8"}}, "{scene.LIDAR_ID}": {{"kind": "lidar"}}}}'
 """The property `sensors` for raw data that are pixels."""
 
 _PIXELS = scene.drawn_image().tobytes()
@@ -80,9 +78,7 @@ def _uncalibrated(bench: Bench) -> Iterator[Seen]:
     yield refused("Send of a lidar that has none", status)
 
 
-@CHECKS.clause(
-    "5.6-5", "5.6.1", "lists without boxes are taken: frames in which nothing was found", reading=True
-)
+@CHECKS.clause("5.6-5", "5.6.1", "lists without boxes are taken: frames in which nothing was found", reading=True)
 def _empty_lists(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     for request in (scene.boxes_2d(boxes=[]), scene.boxes_3d(boxes=[])):
@@ -94,9 +90,7 @@ def _empty_lists(bench: Bench) -> Iterator[Seen]:
 @CHECKS.clause("5.6-6", "5.6.1", "boxes that come one by one are those of their frame", reading=True)
 def _bare(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
-    peer.set(
-        "pairing_timeout_ms", 10_000
-    )  # only the next number closes a frame, however slow the connection is
+    peer.set("pairing_timeout_ms", 10_000)  # only the next number closes a frame, however slow the connection is
     later = scene.PERIOD_NS + scene.IMAGE_LATER_NS
     for box in (scene.box_2d(), scene.box_2d(2, later)):
         yield taken(f"Send box_2d of image {box.image_seq}", peer.send(fusion_pb2.SendRequest(box_2d=box)))
@@ -120,9 +114,7 @@ def _duplicate(bench: Bench) -> Iterator[Seen]:
     yield refused("Send of clouds with seq 5 and 5: the second", status)
 
 
-@CHECKS.clause(
-    "5.6-8", "5.6.2", "seq is a uint32 that goes on from 4294967295 with 0, and comes back as it was sent"
-)
+@CHECKS.clause("5.6-8", "5.6.2", "seq is a uint32 that goes on from 4294967295 with 0, and comes back as it was sent")
 def _wrap(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     numbers = [2**31 - 1, 2**31, 2**32 - 2, 2**32 - 1, 0, 1]
@@ -338,9 +330,7 @@ def _raw_pixels(bench: Bench) -> Iterator[Seen]:
     )
 
 
-@CHECKS.clause(
-    "6.3-1", "6.3", "an image in bgr8 gives the points the colours that it has in rgb8", reading=True
-)
+@CHECKS.clause("6.3-1", "6.3", "an image in bgr8 gives the points the colours that it has in rgb8", reading=True)
 def _blue_first(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     blue_first = scene.drawn_image()[:, :, ::-1].tobytes()
@@ -425,9 +415,7 @@ def _type(bench: Bench) -> Iterator[Seen]:
     for fusion_type in (DETECTIONS, SENSOR_DATA):
         peer.set("fusion_type", fusion_type)
         found = peer.fetch(None).WhichOneof("result")
-        yield same(
-            f"SetProperty fusion_type {fusion_type}, Get without a type", RESULT_NAMES[fusion_type], found
-        )
+        yield same(f"SetProperty fusion_type {fusion_type}, Get without a type", RESULT_NAMES[fusion_type], found)
     try:
         found = f"an answer with {peer.fetch(2, wait_ms=0).WhichOneof('result')}"
     except CallFailedError:
@@ -455,9 +443,7 @@ def _once(bench: Bench) -> Iterator[Seen]:
     yield same("Get a third time", "no_data", _held(peer, SENSOR_DATA, 0))
 
 
-@CHECKS.clause(
-    "5.7-5", "5.7.3", "where there is no result, the answer says so, and is no error", reading=True
-)
+@CHECKS.clause("5.7-5", "5.7.3", "where there is no result, the answer says so, and is no error", reading=True)
 def _no_data(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     for fusion_type in (SENSOR_DATA, DETECTIONS):

@@ -67,9 +67,7 @@ def _image_data(bench: Bench) -> Iterator[Seen]:
     pixels = found.reshape(scene.HEIGHT, scene.WIDTH, 3)
     for point in scene.SEEN:
         color = tuple(pixels[point.row, point.column].tolist())
-        yield same(
-            f"{_SENT}: image_data at column {point.column}, row {point.row}", scene.color_at(point), color
-        )
+        yield same(f"{_SENT}: image_data at column {point.column}, row {point.row}", scene.color_at(point), color)
     equal = np.array_equal(pixels, scene.drawn_image())
     yield true(f"{_SENT}: image_data", "the image", "the image" if equal else "another", agrees=equal)
 
@@ -93,9 +91,7 @@ def _image_depth(bench: Bench) -> Iterator[Seen]:
     yield true(f"{_SENT}: pixels with a depth", "none far from the points", pixels, agrees=all(near_points))
 
 
-@CHECKS.row(
-    9, "point_fields", "names of what each point has, x, y and z first, r, g and b last", reading=True
-)
+@CHECKS.row(9, "point_fields", "names of what each point has, x, y and z first, r, g and b last", reading=True)
 def _point_fields(bench: Bench) -> Iterator[Seen]:
     names = list(bench.once(fused_pair).point_fields)
     yield same(f"{_SENT}: point_fields", [*"xyz", *"rgb"], names)
@@ -153,9 +149,7 @@ def _layout(bench: Bench) -> Iterator[Seen]:
         yield same(f"points with {name}, Get: r, g, b of those seen", colors, found[: len(colors)].tolist())
 
 
-@CHECKS.clause(
-    "6.7-2", "6.7", "an image comes back as it was sent: encoding, channels and data", reading=True
-)
+@CHECKS.clause("6.7-2", "6.7", "an image comes back as it was sent: encoding, channels and data", reading=True)
 def _encodings(bench: Bench) -> Iterator[Seen]:
     red, green, blue = np.moveaxis(scene.drawn_image(), 2, 0)
     clear = np.full_like(red, 200)
@@ -180,9 +174,7 @@ def _encodings(bench: Bench) -> Iterator[Seen]:
         yield true(f"the scene's image in {encoding}, Get: image_data", "as sent", found, agrees=agrees)
 
 
-@CHECKS.clause(
-    "6.7-3", "6.7", "points that the image does not show have r, g, b = 128, 128, 128", reading=True
-)
+@CHECKS.clause("6.7-3", "6.7", "points that the image does not show have r, g, b = 128, 128, 128", reading=True)
 def _unseen(bench: Bench) -> Iterator[Seen]:
     found = columns_of(bench.once(fused_pair), ("r", "g", "b"))[len(scene.SEEN) :]
     yield same(f"{_SENT}: r, g, b of points not seen", [[128.0] * 3] * len(found), found.tolist())
@@ -201,18 +193,14 @@ def _id(bench: Bench) -> Iterator[Seen]:
     yield true(f"{_BOXES_SENT}: ids", "different ones", ids, agrees=len(set(ids)) == len(ids))
 
 
-@CHECKS.row(
-    10, "confidence", "a probability, 0 to 1; two detectors that agree are no less sure than each alone"
-)
+@CHECKS.row(10, "confidence", "a probability, 0 to 1; two detectors that agree are no less sure than each alone")
 def _confidence(bench: Bench) -> Iterator[Seen]:
     result = bench.once(fused_boxes)
     values = [found.confidence for found in result.detections]
     agrees = bool(values) and all(0 <= value <= 1 for value in values)
     yield true(f"{_BOXES_SENT}: confidences", "0 to 1", values, agrees=agrees)
     both = detection_of(result, scene.MATCHED).confidence
-    yield true(
-        f"{_BOXES_SENT}: confidence of what both saw with 0.75", "0.75 or more", both, agrees=both >= 0.75
-    )
+    yield true(f"{_BOXES_SENT}: confidence of what both saw with 0.75", "0.75 or more", both, agrees=both >= 0.75)
 
 
 @CHECKS.row(10, "timestamp", "the sweep's time, exact to the nanosecond", reading=True)
@@ -226,9 +214,7 @@ def _time_of_detections(bench: Bench) -> Iterator[Seen]:
 def _class(bench: Bench) -> Iterator[Seen]:
     result = bench.once(fused_boxes)
     for box in _BOXES:
-        yield same(
-            f"{_BOXES_SENT}: class of the {box.name}", box.name, getattr(detection_of(result, box), "class")
-        )
+        yield same(f"{_BOXES_SENT}: class of the {box.name}", box.name, getattr(detection_of(result, box), "class"))
 
 
 _ROWS_OF_BOXES: Mapping[str, tuple[str, Callable[[scene.SentBox], Sequence[float]], int, float]] = {
@@ -291,9 +277,7 @@ for _name, (_title, *_) in _ROWS_OF_BOXES.items():
     CHECKS.row(10, _name, _title)(_look_at_number(_name))
 
 for _name in ("center_cov", "size_cov"):
-    CHECKS.row(10, _name, "3x3 numbers of a covariance: symmetric, no variance below 0")(
-        _look_at_covariance(_name)
-    )
+    CHECKS.row(10, _name, "3x3 numbers of a covariance: symmetric, no variance below 0")(_look_at_covariance(_name))
 
 
 @CHECKS.row(10, "direction", "heads where the box in space does, in the lidar's frame")
@@ -303,9 +287,7 @@ def _direction(bench: Bench) -> Iterator[Seen]:
         found = np.array(detection_of(result, box).direction, np.float64)
         yield same(f"{_BOXES_SENT}: numbers of direction", 3, len(found))
         cosine = float(found @ box.direction / (np.linalg.norm(found) * np.linalg.norm(box.direction)))
-        yield near(
-            f"{_BOXES_SENT}: cosine between direction and that of the {box.name}", 1.0, cosine, _TOLERANCE
-        )
+        yield near(f"{_BOXES_SENT}: cosine between direction and that of the {box.name}", 1.0, cosine, _TOLERANCE)
 
 
 @CHECKS.row(10, "velocity", "speed along the direction, negative for reversing", reading=True)

@@ -107,9 +107,7 @@ class _Log:
         """Poses of a sensor along the trajectory."""
         if mount is None:
             return None
-        return poses_along(
-            self.world_from_ego, {0: mount}, np.zeros(len(timestamps_ns), np.int64), timestamps_ns
-        )
+        return poses_along(self.world_from_ego, {0: mount}, np.zeros(len(timestamps_ns), np.int64), timestamps_ns)
 
 
 def open_argoverse2(
@@ -279,9 +277,7 @@ def _read_cameras(log: _Log, *, distorted: bool) -> list[CameraSensor]:
         message = f"no images of {', '.join(without)}; only camera model and mounting are known"
         ledger.note(WarningKind.SKIPPED, "images-missing", str(folder), message, count=len(without))
     if not distorted:
-        message = (
-            "images of this data set are undistorted: k1, k2 and k3 are in the cameras' extras and not used"
-        )
+        message = "images of this data set are undistorted: k1, k2 and k3 are in the cameras' extras and not used"
         ledger.note(WarningKind.ASSUMED, "undistorted", str(file), message, count=len(names))
     rows = ({key: column[k] for key, column in columns.items()} for k in range(len(names)))
     return [_camera(log, row, distorted=distorted) for row in rows]
@@ -325,9 +321,7 @@ def _read_cuboids(log: _Log) -> tuple[CuboidAnnotation, ...]:
     values, known = _cuboid_values(log, file, columns)
     if not known.all():
         k = int(np.argmin(known))
-        problem = (
-            f"row {k} is at {columns['timestamp_ns'][k]} ns; expected a time of which the ego's pose is known"
-        )
+        problem = f"row {k} is at {columns['timestamp_ns'][k]} ns; expected a time of which the ego's pose is known"
         error = DataError(file, "timestamp_ns", problem)
         log.ledger.fault("boxes-without-pose", error, count=int((~known).sum()))
     rows_of: dict[str, list[int]] = {}
@@ -352,15 +346,11 @@ def _cuboid_values(log: _Log, file: Path, columns: Columns) -> tuple[Float64Arra
     values = np.full((len(sizes), 9), np.nan)
     values[:, :3] = sizes
     values[known, 3:6] = rotate_vectors(rotations, positions_ego[known]) + ego.positions[known]
-    values[known, 6:] = CuboidAngles().from_quaternions(
-        multiply_quaternions(rotations, quaternions_ego[known])
-    )
+    values[known, 6:] = CuboidAngles().from_quaternions(multiply_quaternions(rotations, quaternions_ego[known]))
     return values, known
 
 
-def _cuboid(
-    file: Path, track: str, rows: list[int], columns: Columns, values: Float64Array
-) -> CuboidAnnotation:
+def _cuboid(file: Path, track: str, rows: list[int], columns: Columns, values: Float64Array) -> CuboidAnnotation:
     order = np.array(rows)[np.argsort(columns["timestamp_ns"][rows], kind="stable")]
     timestamps_ns: Int64Array = columns["timestamp_ns"][order]
     repeated = np.flatnonzero(timestamps_ns[1:] == timestamps_ns[:-1])
@@ -387,9 +377,7 @@ def _timestamped_files(folder: Path, suffix: str) -> tuple[tuple[Path, ...], Int
     """The files of a folder that are named after their timestamp, and these timestamps (N,) [ns], ascending."""
     found = []
     for file in folder.glob(f"*{suffix}"):
-        if not (
-            file.stem.isascii() and file.stem.isdigit() and len(file.stem) < 20 and int(file.stem) < 1 << 63
-        ):
+        if not (file.stem.isascii() and file.stem.isdigit() and len(file.stem) < 20 and int(file.stem) < 1 << 63):
             problem = f"expected files named after their time in nanoseconds, as 315966265259836000{suffix}"
             raise DataError(file, "", problem)
         found.append((int(file.stem), file))
@@ -411,9 +399,7 @@ def read_columns(path: Path, kinds: Mapping[str, type[Any]]) -> dict[str, AnyArr
         import pyarrow as pa
         from pyarrow import feather
     except ImportError as error:
-        raise MissingExtraError(
-            f"feather files need pyarrow: install it with {how_to_install('argoverse')}"
-        ) from error
+        raise MissingExtraError(f"feather files need pyarrow: install it with {how_to_install('argoverse')}") from error
     if not path.exists():
         raise DataError(path, "", "is not there; expected a feather file")
     try:

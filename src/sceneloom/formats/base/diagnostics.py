@@ -45,9 +45,7 @@ class Ledger:
         """
         if not self.lenient:
             raise error
-        location = (
-            ": ".join(filter(None, (error.file, error.location))) if isinstance(error, DataError) else ""
-        )
+        location = ": ".join(filter(None, (error.file, error.location))) if isinstance(error, DataError) else ""
         problem = error.problem if isinstance(error, DataError) else str(error)
         self._add(code, WarningKind.SKIPPED, code, location, f"left out: {problem}", count)
 

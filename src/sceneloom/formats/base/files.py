@@ -177,9 +177,7 @@ def check_length(path: Path) -> int:
     """
     size = path.stat().st_size
     if size > LARGEST_READ:
-        raise DataError(
-            path, "", f"{size} bytes; expected {LARGEST_READ} at most in a file that is read whole"
-        )
+        raise DataError(path, "", f"{size} bytes; expected {LARGEST_READ} at most in a file that is read whole")
     return size
 
 

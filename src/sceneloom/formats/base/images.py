@@ -165,13 +165,9 @@ def _decode_png(content: bytes) -> UInt8Array:
         raise ValueError(str(error)) from error
 
 
-_SIZES: Mapping[str, Callable[[bytes], tuple[int, int]]] = MappingProxyType(
-    {"jpeg": _jpeg_size, "png": _png_size}
-)
+_SIZES: Mapping[str, Callable[[bytes], tuple[int, int]]] = MappingProxyType({"jpeg": _jpeg_size, "png": _png_size})
 
-_DECODERS: Mapping[str, Callable[[bytes], UInt8Array]] = MappingProxyType(
-    {"jpeg": _decode_jpeg, "png": _decode_png}
-)
+_DECODERS: Mapping[str, Callable[[bytes], UInt8Array]] = MappingProxyType({"jpeg": _decode_jpeg, "png": _decode_png})
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 """Endings of files that hold images."""
@@ -479,9 +475,7 @@ def read_depth_png(path: Path) -> Float32Array:
     try:
         with open_image(path, ("PNG",)) as image:
             if not image.mode.startswith("I"):
-                raise DataError(
-                    path, "", f"an image of mode {image.mode}; expected depths of 16 bits a pixel"
-                )
+                raise DataError(path, "", f"an image of mode {image.mode}; expected depths of 16 bits a pixel")
             return np.asarray(image, np.float32) / np.float32(_STEPS_PER_METRE)
     except (OSError, SyntaxError, ValueError) as error:
         raise DataError(path, "", f"cannot be read as a depth image: {error}") from error
@@ -527,13 +521,9 @@ def write_confidence_png(confidence: Float32Array, path: Path, *, overwrite: boo
 
     check_array("confidence", confidence, (None, None), np.float32)
     if confidence.size == 0 or not (confidence >= 0).all() or not (confidence <= 1).all():
-        raise ArrayError(
-            f"confidence: {confidence.shape}; expected at least one pixel, and numbers from 0 to 1"
-        )
+        raise ArrayError(f"confidence: {confidence.shape}; expected at least one pixel, and numbers from 0 to 1")
     with replacing(path, overwrite=overwrite) as draft:
-        Image.fromarray(np.rint(confidence * 255).astype(np.uint8)).save(
-            draft, "PNG", compress_level=_COMPRESSION
-        )
+        Image.fromarray(np.rint(confidence * 255).astype(np.uint8)).save(draft, "PNG", compress_level=_COMPRESSION)
 
 
 def _check(depth_image: Float32Array) -> None:

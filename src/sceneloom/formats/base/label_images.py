@@ -57,9 +57,7 @@ def write_label_png(labels: UInt16Array, path: Path, *, overwrite: bool = False)
     check_array("labels", labels, (None, None), np.uint16)
     small = int(labels.max(initial=0)) <= _LARGEST_BYTE
     with replacing(path, overwrite=overwrite) as draft:
-        Image.fromarray(labels.astype(np.uint8) if small else labels).save(
-            draft, "PNG", compress_level=_COMPRESSION
-        )
+        Image.fromarray(labels.astype(np.uint8) if small else labels).save(draft, "PNG", compress_level=_COMPRESSION)
 
 
 NAMES_FILE = "labels.json"
@@ -107,9 +105,7 @@ class LabelFolder:
             found._files.update(_matched(images, camera))
         if not found._files:
             expected = ", ".join(f"{stem}/<number or time>.png" for stem in stems)
-            raise DataError(
-                folder, "", f"no label image in it; expected {expected or 'a scene with cameras'}"
-            )
+            raise DataError(folder, "", f"no label image in it; expected {expected or 'a scene with cameras'}")
         return found
 
     def image(self, camera: CameraSensor, number: int, size_px: tuple[int, int]) -> UInt16Array | None:
@@ -129,9 +125,7 @@ class LabelFolder:
             return None
         labels = _read_label_png(path)
         if labels.shape != (size_px[1], size_px[0]):
-            problem = (
-                f"{labels.shape[1]}x{labels.shape[0]} pixels; expected {size_px[0]}x{size_px[1]}, the image's"
-            )
+            problem = f"{labels.shape[1]}x{labels.shape[0]} pixels; expected {size_px[0]}x{size_px[1]}, the image's"
             raise DataError(path, "", problem)
         self.used += 1
         return labels
@@ -176,7 +170,5 @@ def _by_time(path: Path, timestamps_ns: Int64Array) -> int:
             if abs(int(timestamps_ns[number]) - time_ns) <= _NEAR_NS:
                 return number
     span = f"{timestamps_ns.min()} to {timestamps_ns.max()} ns" if len(timestamps_ns) else "none"
-    problem = (
-        f"named for no image; expected a number from 0 to {len(timestamps_ns) - 1}, or a time of one ({span})"
-    )
+    problem = f"named for no image; expected a number from 0 to {len(timestamps_ns) - 1}, or a time of one ({span})"
     raise DataError(path, "", problem)

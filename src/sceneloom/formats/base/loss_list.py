@@ -29,9 +29,7 @@ class Losses:
 
     def approximated(self, field: str, what: str, *, count: int = 1, error: float | None = None) -> None:
         """Something is replaced by something near."""
-        self._add(
-            Loss(field=field, what=what, count=count, support=Support.APPROXIMATED, largest_error=error)
-        )
+        self._add(Loss(field=field, what=what, count=count, support=Support.APPROXIMATED, largest_error=error))
 
     def _add(self, loss: Loss) -> None:
         if loss.count > 0:

@@ -110,9 +110,7 @@ class LossReport(msgspec.Struct, frozen=True):
 def joined(first: Loss, second: Loss) -> Loss:
     """Two losses of one kind as one: counts are added, the largest error counts."""
     errors = [loss.largest_error for loss in (first, second) if loss.largest_error is not None]
-    return msgspec.structs.replace(
-        first, count=first.count + second.count, largest_error=max(errors, default=None)
-    )
+    return msgspec.structs.replace(first, count=first.count + second.count, largest_error=max(errors, default=None))
 
 
 SEVERITY: Mapping[Support, int] = {support: rank for rank, support in enumerate(Support)}
@@ -159,9 +157,7 @@ def field_losses(scene: Scene, supports: Supports) -> Iterator[Loss]:
     for name in _ROOT:
         value = getattr(scene, name)
         if value:
-            yield from _reported(
-                name, holding_of(supports, name), 1 if isinstance(value, int) else len(value)
-            )
+            yield from _reported(name, holding_of(supports, name), 1 if isinstance(value, int) else len(value))
 
 
 def _of_sensor(sensor: Any, supports: Supports) -> Iterator[Loss]:

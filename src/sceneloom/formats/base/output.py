@@ -253,9 +253,7 @@ def _check_folder(target: Path, kind: FolderKind) -> None:
     try:
         kind.check(target)
     except OSError as error:
-        raise OutputError(
-            f"{target}: cannot be looked through, and is left alone: {error.strerror}"
-        ) from error
+        raise OutputError(f"{target}: cannot be looked through, and is left alone: {error.strerror}") from error
 
 
 def _check_still_free(location: Path, *, overwrite: bool) -> None:
@@ -265,9 +263,7 @@ def _check_still_free(location: Path, *, overwrite: bool) -> None:
 
 
 def _taken(location: Path) -> OutputError:
-    return OutputError(
-        f"{location}: was made by another program meanwhile; choose another name or state `--overwrite`"
-    )
+    return OutputError(f"{location}: was made by another program meanwhile; choose another name or state `--overwrite`")
 
 
 def _rename_to_free(draft: Path, target: Path) -> None:
@@ -369,9 +365,7 @@ def _move_all(workplace: Path, folder: Path, *, overwrite: bool) -> None:
         if location.exists():
             _check_still_free(location, overwrite=overwrite)
             if draft.is_dir() or location.is_dir():
-                raise OutputError(
-                    f"{location}: is in the way; expected a {'folder' if draft.is_dir() else 'file'}"
-                )
+                raise OutputError(f"{location}: is in the way; expected a {'folder' if draft.is_dir() else 'file'}")
             _check_not_read(location)
     (workplace / _LISTING).write_text(os.path.relpath(folder, workplace), "utf-8", "surrogateescape")
     (workplace / _LISTING).rename(workplace / _READY)
@@ -413,10 +407,7 @@ _IDLE_S = 3600.0
 
 
 def _workplaces(target: Path) -> list[Path]:
-    return [
-        target.with_name(f".{target.name}.sceneloom" + (f"-{number}" if number else ""))
-        for number in range(_MOST)
-    ]
+    return [target.with_name(f".{target.name}.sceneloom" + (f"-{number}" if number else "")) for number in range(_MOST)]
 
 
 @contextmanager
@@ -444,9 +435,7 @@ def _own_workplace(target: Path) -> tuple[Path, int]:
     if not target.name:
         raise OutputError(f"{target}: is no name of an output; choose another one")
     for workplace in _workplaces(target):
-        with suppress(
-            FileExistsError, FileNotFoundError
-        ):  # somebody has it, or has just taken it for a dead one's
+        with suppress(FileExistsError, FileNotFoundError):  # somebody has it, or has just taken it for a dead one's
             workplace.mkdir()
             lock = os.open(workplace / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
             try:

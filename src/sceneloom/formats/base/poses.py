@@ -83,9 +83,7 @@ def default_poses(trajectories: Mapping[Any, Trajectory], location: str, ledger:
     if default is None:
         return None
     if default.quaternions_xyzw is None:
-        message = (
-            f"trajectory {default.name!r} holds positions without orientations, so the sensors have no poses"
-        )
+        message = f"trajectory {default.name!r} holds positions without orientations, so the sensors have no poses"
         ledger.note(WarningKind.SKIPPED, "orientations-missing", location, message)
         return None
     return default.poses
@@ -194,9 +192,7 @@ def mounting(
     own = mounts_of_shots(sensor) if isinstance(sensor, CameraSensor | DepthCameraSensor) else None
     if own is not None:
         known = [mount for mount in own if mount is not None]
-        return (sensor.mount or known[0]), (
-            [] if each else _one_for_all(sensor, sensor.mount or known[0], known)
-        )
+        return (sensor.mount or known[0]), ([] if each else _one_for_all(sensor, sensor.mount or known[0], known))
     relative, outside = _ego_from_sensor(sensor, ego_path)
     field, losses = f"sensors[{sensor.id}].poses", list[Loss]()
     if outside:
@@ -267,9 +263,7 @@ class _MountedShots:
         return replace(shot, mount=RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0]))
 
 
-def _moved(
-    mount: RigidTransform, positions: Float64Array, quaternions_xyzw: Float64Array
-) -> tuple[float, float]:
+def _moved(mount: RigidTransform, positions: Float64Array, quaternions_xyzw: Float64Array) -> tuple[float, float]:
     """How far poses on the ego are from a mounting, at most [m, deg]."""
     moved = float(np.linalg.norm(positions - mount.translation, axis=1).max())
     return moved, degrees(float(angle_between(quaternions_xyzw, mount.quaternion_xyzw).max()))
@@ -296,9 +290,7 @@ def _one_for_all(sensor: Any, mount: RigidTransform, own: Sequence[RigidTransfor
     return [Loss(field=field, what=what, count=len(own), support=Support.APPROXIMATED)]
 
 
-def _ego_from_sensor(
-    sensor: ShootingSensor | LidarSensor, ego_path: Poses | None
-) -> tuple[Poses | None, int]:
+def _ego_from_sensor(sensor: ShootingSensor | LidarSensor, ego_path: Poses | None) -> tuple[Poses | None, int]:
     """The poses of a sensor on the ego, None where they are not known; and how many have none of the ego."""
     poses = sensor.poses
     if poses is None or sensor.coordinates is Coordinates.EGO:

@@ -121,9 +121,7 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
             ),
         ),
         "kitti-object": FormatRow(f"{_KITTI}:OBJECT", folder=("calib", "training/calib", "testing/calib")),
-        "kitti-tracking": FormatRow(
-            f"{_KITTI}:TRACKING", folder=("calib", "training/calib", "testing/calib")
-        ),
+        "kitti-tracking": FormatRow(f"{_KITTI}:TRACKING", folder=("calib", "training/calib", "testing/calib")),
         "kitti-odometry": FormatRow(
             f"{_KITTI}:ODOMETRY",
             folder=("calib.txt", "times.txt", "sequences", "[0-9][0-9]/calib.txt", "[0-9][0-9]/times.txt"),
@@ -149,12 +147,8 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "las": FormatRow(f"{_POINTS}:LAS", file=(".las",), folder=("*.las", "*/*.las")),
         "laz": FormatRow(f"{_POINTS}:LAZ", file=(".laz",), folder=("*.laz", "*/*.laz")),
         "kitti-bin": FormatRow(f"{_POINTS}:KITTI_BIN", file=(".bin",), folder=("*.bin", "*/*.bin")),
-        "nuscenes-bin": FormatRow(
-            f"{_POINTS}:NUSCENES_BIN", file=(".pcd.bin",), folder=("*.pcd.bin", "*/*.pcd.bin")
-        ),
-        "npz": FormatRow(
-            f"{_POINTS}:NPZ", file=(".npz", ".npy"), folder=("*.npz", "*.npy", "*/*.npz", "*/*.npy")
-        ),
+        "nuscenes-bin": FormatRow(f"{_POINTS}:NUSCENES_BIN", file=(".pcd.bin",), folder=("*.pcd.bin", "*/*.pcd.bin")),
+        "npz": FormatRow(f"{_POINTS}:NPZ", file=(".npz", ".npy"), folder=("*.npz", "*.npy", "*/*.npz", "*/*.npy")),
         "euroc-mav": FormatRow(
             "sceneloom.formats.euroc_mav.spec:FORMAT",
             folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv"),
@@ -484,8 +478,7 @@ def format_for_output(path: Path) -> FormatSpec:
         names = " or ".join(f"`--to {form.name}`" for form in found)
         raise OptionError(f"{path}: suffix {path.suffix!r} belongs to several formats; state {names}")
     known = ", ".join(
-        f"{name} ({' '.join(s or 'folder' for s in format_named(name).suffixes)})"
-        for name in written_formats()
+        f"{name} ({' '.join(s or 'folder' for s in format_named(name).suffixes)})" for name in written_formats()
     )
     raise OptionError(
         f"{path}: suffix {path.suffix!r} belongs to no format; expected one of: {known}, or name it with `--to`"

@@ -108,9 +108,7 @@ class FormatSpec:
             UnknownOptionError: an option is unknown.
             OptionError: the value of an option cannot be followed.
         """
-        return self._read(
-            self.examiner, path, {name: value for name, value in options.items() if name != "lenient"}
-        )
+        return self._read(self.examiner, path, {name: value for name, value in options.items() if name != "lenient"})
 
     def write(self, scene: "Scene", path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Write beside the target, then rename; state what the format could not hold.
@@ -151,9 +149,7 @@ class FormatSpec:
             for module in self.needs:
                 import_module(module)
         except ImportError as missing:
-            raise MissingExtraError(
-                f"{missing}; install the extra: {how_to_install(self.extra)}"
-            ) from missing
+            raise MissingExtraError(f"{missing}; install the extra: {how_to_install(self.extra)}") from missing
         found: Callable[..., Any] = imported(name)
         return found
 
@@ -208,9 +204,7 @@ def named_folder(path: Path) -> Path:
     return path if path.name else path.resolve()
 
 
-def choose_drive(
-    path: Path, drives: Sequence[Path], sequence: str | None, *, called: str, expected: str
-) -> Path:
+def choose_drive(path: Path, drives: Sequence[Path], sequence: str | None, *, called: str, expected: str) -> Path:
     """Choose one of the drives of a folder.
 
     Args:

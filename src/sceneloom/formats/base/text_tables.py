@@ -71,9 +71,7 @@ def parse_timestamp(text: str, unit: str | None, *, hint: str = '`unit = "{unit}
         raise TimestampError(f"{text[:40]!r}; expected a number, or a date as 2011-09-26 13:02:25.594")
     timestamp_ns = int((number * UNITS_NS[unit or "seconds"]).to_integral_value())
     if abs(timestamp_ns) > FARTHEST_NS:
-        raise TimestampError(
-            f"{text!r} {unit or 'seconds'}; expected a time near ours{_unit_hint(number, unit, hint)}"
-        )
+        raise TimestampError(f"{text!r} {unit or 'seconds'}; expected a time near ours{_unit_hint(number, unit, hint)}")
     return timestamp_ns
 
 
@@ -118,11 +116,7 @@ _UNIT_ENDINGS = {"_ns": "nanoseconds", "_us": "microseconds", "_ms": "millisecon
 _SECONDS = ("seconds", "secs", "sec", "stamp_sec", "stamp_secs")
 
 TIME_COLUMNS = (
-    *(
-        f"{name}{ending}"
-        for name in ("timestamp", "time", "t", "timestamp")
-        for ending in ("", *_UNIT_ENDINGS)
-    ),
+    *(f"{name}{ending}" for name in ("timestamp", "time", "t", "timestamp") for ending in ("", *_UNIT_ENDINGS)),
     *(*_SECONDS, "nanoseconds", "utc"),
 )
 """Names by which columns are known."""
@@ -338,9 +332,7 @@ def pick_columns(
         if role not in wanted:
             close = get_close_matches(role, wanted, 1, 0.5)
             hint = f"; did you mean {close[0]!r}?" if close else ""
-            raise DataError(
-                manifest, f"{location}.{role}", f"unknown; expected some of {', '.join(wanted)}{hint}"
-            )
+            raise DataError(manifest, f"{location}.{role}", f"unknown; expected some of {', '.join(wanted)}{hint}")
     columns = {role: table.column(name) for role, name in named.items()}
     for role, names in wanted.items():
         found = table.find(names)

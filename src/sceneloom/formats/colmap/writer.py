@@ -25,9 +25,7 @@ from sceneloom.formats.posed_images.spec import SUPPORTS, PosedSettings
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.scene import Scene
 
-_MODEL_NUMBERS: Mapping[str, int] = MappingProxyType(
-    {"PINHOLE": 1, "OPENCV": 4, "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6}
-)
+_MODEL_NUMBERS: Mapping[str, int] = MappingProxyType({"PINHOLE": 1, "OPENCV": 4, "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6})
 
 _PARAMETERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -114,15 +112,11 @@ def _write_points_text(file: TextIO, points: MapPoints) -> None:
     )
 
 
-def _write_binary(
-    folder: Path, cameras: list[_ColmapCamera], images: list[_ColmapImage], points: MapPoints
-) -> None:
+def _write_binary(folder: Path, cameras: list[_ColmapCamera], images: list[_ColmapImage], points: MapPoints) -> None:
     """Write cameras.bin, images.bin and points3D.bin, little-endian."""
     parts = [struct.pack("<Q", len(cameras))]
     for camera in cameras:
-        parts.append(
-            struct.pack("<iiQQ", camera.number, _MODEL_NUMBERS[camera.model], camera.width, camera.height)
-        )
+        parts.append(struct.pack("<iiQQ", camera.number, _MODEL_NUMBERS[camera.model], camera.width, camera.height))
         parts.append(struct.pack(f"<{len(camera.parameters)}d", *camera.parameters))
     (folder / "cameras.bin").write_bytes(b"".join(parts))
     parts = [struct.pack("<Q", len(images))]

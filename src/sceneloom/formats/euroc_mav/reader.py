@@ -127,14 +127,10 @@ def _camera_model(path: Path, description: dict[str, Any], size: tuple[int, int]
     """
     intrinsics = _numbers(path, description, "intrinsics")
     if description.get("camera_model", "pinhole") != "pinhole" or len(intrinsics) != 4:
-        problem = (
-            f"{description.get('camera_model')!r} with {len(intrinsics)} numbers; expected pinhole with 4"
-        )
+        problem = f"{description.get('camera_model')!r} with {len(intrinsics)} numbers; expected pinhole with 4"
         raise DataError(path, "camera_model, intrinsics", problem)
     coefficients = (
-        _numbers(path, description, "distortion_coefficients")
-        if "distortion_coefficients" in description
-        else []
+        _numbers(path, description, "distortion_coefficients") if "distortion_coefficients" in description else []
     )
     kind = str(description.get("distortion_model", "none")).lower()
     model = "pinhole" if not coefficients else _MODELS.get((kind, len(coefficients)))
@@ -253,11 +249,7 @@ def _those_there(
 def _reported_size(location: Path, description: dict[str, Any]) -> tuple[int, int]:
     """Width and height of images of which none is there [px]."""
     reported = description.get("resolution")
-    if (
-        isinstance(reported, list)
-        and len(reported) == 2
-        and all(isinstance(one, int) and one > 0 for one in reported)
-    ):
+    if isinstance(reported, list) and len(reported) == 2 and all(isinstance(one, int) and one > 0 for one in reported):
         return reported[0], reported[1]
     raise DataError(location, "resolution", f"{reported!r}, and no image is there; expected [width, height]")
 
@@ -326,29 +318,21 @@ def _trajectories(folder: Path, ledger: Ledger) -> dict[str, Trajectory]:
             reported = f"velocities and biases beside the poses are not read: {', '.join(content.columns)}"
             ledger.note(WarningKind.SKIPPED, "states-not-read", str(table), reported)
         description = folder / name / DESCRIPTION
-        mount = (
-            _body_from_sensor(description, _read_sensor_yaml(description)) if description.is_file() else None
-        )
+        mount = _body_from_sensor(description, _read_sensor_yaml(description)) if description.is_file() else None
         found[called] = _of_body(content.trajectory, mount, str(table), ledger)
     return found
 
 
-def _of_body(
-    trajectory: Trajectory, mount: RigidTransform | None, location: str, ledger: Ledger
-) -> Trajectory:
+def _of_body(trajectory: Trajectory, mount: RigidTransform | None, location: str, ledger: Ledger) -> Trajectory:
     """The trajectory of the body that carries what was measured, `world_from_body`."""
     if mount is None or np.array_equal(mount.matrix, np.eye(4)):
         return trajectory
     if trajectory.quaternions_xyzw is None:
-        reported = (
-            f"positions are those of a marker at {np.round(mount.translation, 4).tolist()} m of the body"
-        )
+        reported = f"positions are those of a marker at {np.round(mount.translation, 4).tolist()} m of the body"
         ledger.note(WarningKind.ASSUMED, "marker-positions", location, reported)
         return trajectory
     sensor_from_body = mount.inverse()
-    positions = (
-        rotate_vectors(trajectory.quaternions_xyzw, sensor_from_body.translation) + trajectory.positions
-    )
+    positions = rotate_vectors(trajectory.quaternions_xyzw, sensor_from_body.translation) + trajectory.positions
     rotations = multiply_quaternions(trajectory.quaternions_xyzw, sensor_from_body.quaternion_xyzw)
     return replace(trajectory, positions=read_only(positions), quaternions_xyzw=read_only(rotations))
 

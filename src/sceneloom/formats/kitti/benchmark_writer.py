@@ -217,9 +217,7 @@ class _LabelRows:
         wanted = key_of(self._camera.id)
         return next((p for p in annotation.projections if key_of(p.sensor_id) == wanted), None)
 
-    def _frames_of(
-        self, annotation: CuboidAnnotation, seen: Projection | None
-    ) -> tuple[Int64Array, Float64Array]:
+    def _frames_of(self, annotation: CuboidAnnotation, seen: Projection | None) -> tuple[Int64Array, Float64Array]:
         """The frames in which a box is reported, and where its image shows it (NaN where that is not reported).
 
         These are the frames of its boxes in images, where it has some, else all in which it is there.
@@ -252,11 +250,7 @@ class _LabelRows:
         """The frames' times, brought within the box's own."""
         timestamps = annotation.path.timestamps_ns
         times = self._timeline.timestamps_ns[frames]
-        return (
-            times
-            if annotation.stationary or not len(timestamps)
-            else np.clip(times, timestamps[0], timestamps[-1])
-        )
+        return times if annotation.stationary or not len(timestamps) else np.clip(times, timestamps[0], timestamps[-1])
 
     def _outline(
         self, frame: int, center: Float64Array, size_lwh: Float64Array, rotation: Float64Array
@@ -559,9 +553,7 @@ def _write_labels(
     )
     labels = rows.labels()
     write_object_labels(labels.with_frames(numbers), folder, frames=numbers)
-    tracked = sum(
-        isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns) > 1 for a in choice.scene.annotations
-    )
+    tracked = sum(isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns) > 1 for a in choice.scene.annotations)
     what = "frames know nothing of each other: an object is another one in each"
     choice.losses.dropped("annotations.cuboid.id", what, count=tracked)
 
@@ -581,9 +573,7 @@ _TRACKING_KIND = FolderKind(
 )
 
 
-def write_tracking(
-    scene: Scene, path: Path, *, overwrite: bool = False, sequence: str | None = None
-) -> LossReport:
+def write_tracking(scene: Scene, path: Path, *, overwrite: bool = False, sequence: str | None = None) -> LossReport:
     """Write a scene as a sequence in a folder `training`.
 
     Args:

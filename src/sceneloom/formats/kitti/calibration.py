@@ -28,9 +28,7 @@ _SPELLINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """What the entries are called in the tracking benchmark, in the object benchmark, and in that of odometry; with or
 without a colon behind."""
 
-_OPTICAL_FROM_BODY = RigidTransform(
-    np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3)
-)
+_OPTICAL_FROM_BODY = RigidTransform(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3))
 """Takes a frame that looks forward, left and up into the camera's: right, down, forward."""
 
 _IMAGE_SIZES: Mapping[float, tuple[int, int]] = MappingProxyType(
@@ -171,9 +169,7 @@ def projection_of(line: Line) -> Float64Array:
     k = matrix[:, :3]
     upright = np.array_equal(k[[1, 2, 2], [0, 0, 1]], np.zeros(3)) and k[2, 2] == 1 and k[0, 1] == 0
     if not (upright and k[0, 0] > 0 and k[1, 1] > 0):
-        raise line.fault(
-            f"{k.tolist()}; expected rows (f, 0, c), (0, f, c), (0, 0, 1) with focal lengths above 0"
-        )
+        raise line.fault(f"{k.tolist()}; expected rows (f, 0, c), (0, f, c), (0, 0, 1) with focal lengths above 0")
     return matrix
 
 
@@ -250,9 +246,7 @@ _AHEAD_FROM_LIDAR = RigidTransform(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]
 """x right, y down, z forward, out of x forward, y left, z up."""
 
 
-def write_calibration(
-    path: Path, benchmark: str, mounted: Mounted, kept: Mapping[str, Any] | None
-) -> RigidTransform:
+def write_calibration(path: Path, benchmark: str, mounted: Mounted, kept: Mapping[str, Any] | None) -> RigidTransform:
     """Write a calibration file; gives what takes the lidar's frame into the one that labels are in.
 
     Args:
@@ -308,8 +302,7 @@ def files_lidar_from_lidar(
     ):
         return None
     pairs = [
-        (camera_from_lidar[number] @ between, mounted.camera_from_lidar[number])
-        for number in mounted.camera_models
+        (camera_from_lidar[number] @ between, mounted.camera_from_lidar[number]) for number in mounted.camera_models
     ]
     return between if all(_same(a, b) for a, b in pairs) else None
 
@@ -355,15 +348,11 @@ def _built(benchmark: str, mounted: Mounted) -> dict[str, list[float]]:
         Camera("pinhole", 1242, 375, 721.5377, 721.5377, 609.5593, 172.854),
     )
     for number in range(CAMERAS):
-        camera_model = mounted.camera_models.get(
-            number, mounted.camera_models.get(mounted.reference or 0, spare)
-        )
+        camera_model = mounted.camera_models.get(number, mounted.camera_models.get(mounted.reference or 0, spare))
         shift = np.zeros(3)
         if number in mounted.camera_from_lidar and number != mounted.reference:
             shift = (mounted.camera_from_lidar[number] @ base.inverse()).translation
-        found[f"P{number}"] = (
-            np.column_stack([camera_model.matrix, camera_model.matrix @ shift]).reshape(-1).tolist()
-        )
+        found[f"P{number}"] = np.column_stack([camera_model.matrix, camera_model.matrix @ shift]).reshape(-1).tolist()
     rectification, lidar, unit = _NAMES[benchmark]
     if rectification:
         found[rectification] = np.eye(3).reshape(-1).tolist()

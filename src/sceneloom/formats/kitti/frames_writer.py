@@ -117,9 +117,7 @@ class Choice:
             mount, lost = mounting(camera, path, each=not rigid)
             losses.extend(lost if rigid else [])
             if mount is None:
-                _drop(
-                    camera, "left out: neither its mounting nor its poses against the ego are known", losses
-                )
+                _drop(camera, "left out: neither its mounting nor its poses against the ego are known", losses)
                 del named[number]
             else:
                 mounts[number] = mount
@@ -146,9 +144,7 @@ class Choice:
 
     def mounted(self, *, with_imu: bool) -> Mounted:
         """One calibration for all frames; `with_imu` states where the ego is."""
-        mounts = {
-            number: mount.inverse() @ self.ego_from_lidar for number, mount in self.ego_from_camera.items()
-        }
+        mounts = {number: mount.inverse() @ self.ego_from_lidar for number, mount in self.ego_from_camera.items()}
         return Mounted(
             {number: camera.camera for number, camera in self.cameras.items()},
             mounts,
@@ -177,9 +173,7 @@ class Choice:
         losses = Losses()
         for camera in self.cameras.values():
             if camera.video is not None:
-                what = (
-                    f"{camera.id!r}: {camera.video.codec} decoded; each image is a PNG of the decoded pixels"
-                )
+                what = f"{camera.id!r}: {camera.video.codec} decoded; each image is a PNG of the decoded pixels"
                 losses.converted("sensors.camera.video", what)
         return losses
 
@@ -216,9 +210,7 @@ class Choice:
         if one_time:
             losses.extend(_time_losses("sensors.lidar.frames.timestamp_ns", frames, sweeps, starts))
             for number, timestamps in cameras.items():
-                losses.extend(
-                    _time_losses("sensors.camera.images.timestamp_ns", frames, images[number], timestamps)
-                )
+                losses.extend(_time_losses("sensors.camera.images.timestamp_ns", frames, images[number], timestamps))
         self.losses.extend(losses if report else ())
         return Timeline(frames, sweeps, images)
 
@@ -375,9 +367,7 @@ def _dropped_parts(scene: Scene, held: frozenset[type]) -> Losses:
     if boxes and annotations_frame(scene) is Coordinates.WORLD and ego_trajectory(scene) is None:
         losses.extend([stationary_ego()])
     others = max(len(scene.trajectories) - 1, 0)
-    losses.dropped(
-        "trajectories", "left out: the folder holds the trajectory that is the default one", count=others
-    )
+    losses.dropped("trajectories", "left out: the folder holds the trajectory that is the default one", count=others)
     losses.dropped("attributes", what, count=len(scene.attributes))
     return losses
 
@@ -433,9 +423,7 @@ def nearest_frames(frames_ns: Int64Array, timestamps_ns: Int64Array) -> Int64Arr
         return np.full(len(timestamps_ns), NONE, np.int64)
     right = np.clip(np.searchsorted(frames_ns, timestamps_ns), 0, len(frames_ns) - 1)
     left = np.maximum(right - 1, 0)
-    nearest = np.where(
-        np.abs(timestamps_ns - frames_ns[left]) <= np.abs(frames_ns[right] - timestamps_ns), left, right
-    )
+    nearest = np.where(np.abs(timestamps_ns - frames_ns[left]) <= np.abs(frames_ns[right] - timestamps_ns), left, right)
     near = np.abs(frames_ns[nearest] - timestamps_ns) <= _period(frames_ns) // 2
     found: Int64Array = np.where(near, nearest, NONE)
     return found
@@ -452,9 +440,7 @@ def _period(timestamps_ns: Int64Array) -> int:
     return int(np.median(np.diff(timestamps_ns))) if len(timestamps_ns) > 1 else 100_000_000
 
 
-def _with_lonely_images(
-    moments_ns: Int64Array, cameras: Mapping[int, Int64Array], period_ns: int
-) -> Int64Array:
+def _with_lonely_images(moments_ns: Int64Array, cameras: Mapping[int, Int64Array], period_ns: int) -> Int64Array:
     """The moments of sweeps, and those of images that are far from all of them."""
     frames = moments_ns
     for timestamps in cameras.values():
@@ -484,9 +470,7 @@ def _nearest(frames_ns: Int64Array, timestamps_ns: Int64Array, period_ns: int) -
     return found
 
 
-def _time_losses(
-    name: str, frames_ns: Int64Array, chosen: Int64Array, timestamps_ns: Int64Array
-) -> list[Loss]:
+def _time_losses(name: str, frames_ns: Int64Array, chosen: Int64Array, timestamps_ns: Int64Array) -> list[Loss]:
     there = chosen != NONE
     errors = np.abs(frames_ns[there] - timestamps_ns[chosen[there]])
     count = int((errors > 0).sum())
@@ -501,9 +485,7 @@ _COMPRESSION = 1
 """PNG's quickest: images of drives hardly shrink further, and it takes a third of the time."""
 
 
-def write_image(
-    camera: CameraSensor, image: CameraImage, path: Path, *, own_camera_model: bool = False
-) -> None:
+def write_image(camera: CameraSensor, image: CameraImage, path: Path, *, own_camera_model: bool = False) -> None:
     """Write an image as PNG; one that is such a file is copied, and a grey one written as grey.
 
     Args:
@@ -604,11 +586,7 @@ class SweepFiles:
         times = frame.points.timestamps_ns
         if times is None:
             times = np.full(len(frame.points), frame.timestamp_ns, np.int64)
-        moved = (
-            change.locations(times, frame.points.positions[:, None])[:, 0]
-            if len(times)
-            else frame.points.positions
-        )
+        moved = change.locations(times, frame.points.positions[:, None])[:, 0] if len(times) else frame.points.positions
         if not np.isfinite(moved).all():
             raise PoseError(
                 f"lidar {lidar.id!r}: sweep at {frame.timestamp_ns} ns: no pose for some of its points, which have to "

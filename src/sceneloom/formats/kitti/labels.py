@@ -94,9 +94,7 @@ class KittiLabels:
     def __post_init__(self) -> None:
         count = check_array("labels.frames", self.frames, (None,), np.int64)
         for name, (dtype, shape) in _COLUMNS.items():
-            check_array(
-                f"labels.{name}", getattr(self, name), (count, *shape), dtype, optional=name == "scores"
-            )
+            check_array(f"labels.{name}", getattr(self, name), (count, *shape), dtype, optional=name == "scores")
         if len(self.types) != count:
             raise ArrayError(f"labels.types: {len(self.types)}; expected {count}")
         for name in ("frames", *_COLUMNS):
@@ -181,9 +179,7 @@ def read_labels(path: Path | str) -> KittiLabels:
 
 def _head(line: Line) -> tuple[tuple[int, int, str], int]:
     if len(line.words) < 3:
-        raise line.fault(
-            f"{len(line.words)} values; expected 17 or 18: frame, track, class, {', '.join(NUMBERS)}"
-        )
+        raise line.fault(f"{len(line.words)} values; expected 17 or 18: frame, track, class, {', '.join(NUMBERS)}")
     return (line.whole_at(0, "frame"), line.whole_at(1, "track", low=NO_TRACK), _word(line, 2)), 3
 
 
@@ -200,9 +196,7 @@ def _values(line: Line, first: int) -> list[float]:
     values = line.floats(first, [*NUMBERS, "score"][: len(line.words) - first])
     for name, value in zip(NUMBERS[7:10], values[7:10], strict=True):
         if value <= 0 and value not in (-1.0, -1000.0):
-            raise line.fault(
-                f"{name} {value:g}; expected a size above 0, or -1 or -1000 where it is not reported"
-            )
+            raise line.fault(f"{name} {value:g}; expected a size above 0, or -1 or -1000 where it is not reported")
     if values[1] != int(values[1]):
         raise line.fault(f"occluded {values[1]:g}; expected a whole number")
     return values

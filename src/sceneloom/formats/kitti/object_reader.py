@@ -156,17 +156,13 @@ def _open(folder: Path, ledger: Ledger) -> Scene:
     labels = calibrations.kept(numbered_files(folder / "label_2", TEXTS, ledger), ledger)
     every = np.unique(np.concatenate([files.numbers for files in (sweeps, labels, *images.values())]))
     if not len(every):
-        raise DataError(
-            folder, "", "holds no frame with a calibration; expected calib/000000.txt for each frame"
-        )
+        raise DataError(folder, "", "holds no frame with a calibration; expected calib/000000.txt for each frame")
     times = FrameTimes(every)
     path = Poses(*_still(len(every)))
     sensors: list[Sensor] = []
     reported = _labels(labels, ledger)
     if len(sweeps):
-        sensors.append(
-            lidar_sensor(sweeps, times.of(sweeps.numbers), RigidTransform.identity(), path, ledger)
-        )
+        sensors.append(lidar_sensor(sweeps, times.of(sweeps.numbers), RigidTransform.identity(), path, ledger))
     for number, files in images.items():
         if len(files) or (number == 2 and reported.have_outline.any()):
             sensors.append(_camera(number, files, calibrations, times, ledger))

@@ -91,16 +91,12 @@ def _read_point_labels(path: Path, count: int) -> UInt32Array:
     """
     content = read_bytes(path)
     if len(content) != 4 * count:
-        problem = (
-            f"{len(content)} bytes for the {count} points of the sweep; expected {4 * count}, 4 for each"
-        )
+        problem = f"{len(content)} bytes for the {count} points of the sweep; expected {4 * count}, 4 for each"
         raise DataError(path, "", problem)
     return np.frombuffer(content, "<u4").astype(np.uint32, copy=False)
 
 
-def _point_annotations(
-    labels: NumberedFiles, sweeps: NumberedFiles, ledger: Ledger
-) -> tuple[Annotation, ...]:
+def _point_annotations(labels: NumberedFiles, sweeps: NumberedFiles, ledger: Ledger) -> tuple[Annotation, ...]:
     """Give the labels of all sweeps as one annotation for each class and each object; unlabelled points have none.
 
     Args:
@@ -115,9 +111,7 @@ def _point_annotations(
     frames = {number: frame for frame, number in enumerate(sweeps.numbers.tolist())}
     alone = [number for number in labels.numbers.tolist() if number not in frames]
     if alone:
-        fault = DataError(
-            labels.folder, f"{alone[0]:06d}.label", "has no sweep; expected velodyne/NNNNNN.bin for each"
-        )
+        fault = DataError(labels.folder, f"{alone[0]:06d}.label", "has no sweep; expected velodyne/NNNNNN.bin for each")
         ledger.fault("labels-without-sweep", fault, count=len(alone))
     for number, path in zip(labels.numbers.tolist(), labels.paths, strict=True):
         if number not in frames:
@@ -167,9 +161,7 @@ _TRUTH, _ESTIMATE = "groundTruth", "pose"
 _LABELS = ("read", "skip")
 
 
-def open_odometry(
-    path: Path, *, sequence: str | None = None, labels: str = "read", lenient: bool = False
-) -> Scene:
+def open_odometry(path: Path, *, sequence: str | None = None, labels: str = "read", lenient: bool = False) -> Scene:
     """Open a sequence of the odometry benchmark.
 
     Args:
@@ -197,9 +189,7 @@ def _open(location: OdometrySequence, ledger: Ledger, *, with_labels: bool) -> S
         ledger,
     )
     sweeps = numbered_files(folder / "velodyne", SWEEPS, ledger)
-    images = {
-        number: numbered_files(folder / name, IMAGES, ledger) for number, name in ODOMETRY_CAMERAS.items()
-    }
+    images = {number: numbered_files(folder / name, IMAGES, ledger) for number, name in ODOMETRY_CAMERAS.items()}
     labels = numbered_files(folder / "labels", LABELS, ledger)
     if len(labels) and not with_labels:
         message = "labels of points are left aside, as was asked for"
@@ -219,9 +209,7 @@ def _open(location: OdometrySequence, ledger: Ledger, *, with_labels: bool) -> S
     for number, files in images.items():
         if len(files):
             if number not in calibration.projections:
-                raise DataError(
-                    folder / "calib.txt", "", f"no P{number}; expected that of {ODOMETRY_CAMERAS[number]}"
-                )
+                raise DataError(folder / "calib.txt", "", f"no P{number}; expected that of {ODOMETRY_CAMERAS[number]}")
             camera_model = calibration.camera(number, images_image_size(files.paths[0]))
             mount = calibration.camera_from_lidar(number).inverse()
             sensors.append(camera_sensor(number, files, times[files.numbers], camera_model, mount, path))
@@ -253,9 +241,7 @@ def _times(location: OdometrySequence, found: list[NumberedFiles], ledger: Ledge
     times = line_timestamps(path, "seconds")
     back = np.flatnonzero(np.diff(times) <= 0)
     if len(back):
-        raise DataError(
-            path, f"line {int(back[0]) + 2}", "is not later than the line before; expected rising times"
-        )
+        raise DataError(path, f"line {int(back[0]) + 2}", "is not later than the line before; expected rising times")
     if count and count < len(times):
         problem = f"{len(times)} times, and the last file has number {count - 1}; expected a file for each"
         ledger.fault("counts-disagree", DataError(path, "", problem), count=len(times) - count)

@@ -146,9 +146,7 @@ _KIND = FolderKind(
 )
 
 
-def write_odometry(
-    scene: Scene, path: Path, *, overwrite: bool = False, sequence: str | None = None
-) -> LossReport:
+def write_odometry(scene: Scene, path: Path, *, overwrite: bool = False, sequence: str | None = None) -> LossReport:
     """Write a scene as a sequence in folders `sequences` and `poses`.
 
     Args:
@@ -185,9 +183,7 @@ def write_odometry(
         images = {number: folder / kind for number, kind in ODOMETRY_CAMERAS.items()}
         choice.write_frames(timeline, "{:06d}".format, folder / "velodyne", images, reported)
         mounted = choice.mounted(with_imu=False)
-        rectified_from_lidar = write_calibration(
-            folder / "calib.txt", "odometry", mounted, kept_calibration(scene)
-        )
+        rectified_from_lidar = write_calibration(folder / "calib.txt", "odometry", mounted, kept_calibration(scene))
         write_lines(folder / "times.txt", map(seconds_text, timeline.timestamps_ns.tolist()))
         if choice.ego_path is not None:
             (draft / "poses").mkdir()
@@ -217,9 +213,7 @@ def _poses(choice: Choice, timeline: Timeline, rectified_from_lidar: RigidTransf
     if path is not None and not path.static:
         timestamps = timeline.timestamps_ns
         beyond = int(((timestamps < path.start_ns) | (timestamps > path.stop_ns)).sum())
-        losses.approximated(
-            "trajectories.positions", "beyond the trajectory: its end poses written", count=beyond
-        )
+        losses.approximated("trajectories.positions", "beyond the trajectory: its end poses written", count=beyond)
         further = len(np.setdiff1d(path.timestamps_ns, timestamps))
         what = "a pose for each frame; those between are left out"
         losses.approximated("trajectories.timestamps_ns", what, count=further)

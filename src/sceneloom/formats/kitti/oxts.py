@@ -161,9 +161,7 @@ def rising(
     times, rows = np.unique(timestamps_ns, return_index=True)
     lost = len(timestamps_ns) - len(times)
     if lost:
-        ledger.note(
-            WarningKind.SKIPPED, "repeated-times", location, "lines with the time of another one", count=lost
-        )
+        ledger.note(WarningKind.SKIPPED, "repeated-times", location, "lines with the time of another one", count=lost)
     return values[rows], times.astype(np.int64)
 
 
@@ -207,9 +205,7 @@ def oxts_lines(scene: Scene, path: Poses, timestamps_ns: Int64Array) -> OxtsLine
     imu = next((sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)), None)
     gnss = next((sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)), None)
     held = path.held(timestamps_ns)
-    beyond = (
-        0 if path.static else int(((timestamps_ns < path.start_ns) | (timestamps_ns > path.stop_ns)).sum())
-    )
+    beyond = 0 if path.static else int(((timestamps_ns < path.start_ns) | (timestamps_ns > path.stop_ns)).sum())
     if beyond:
         what = "beyond the trajectory: its end poses written"
         table.losses.approximated("trajectories.positions", what, count=beyond)
@@ -238,9 +234,7 @@ class _Table:
         return self.values[:, [_FIELDS.index(name) for name in names]]
 
 
-def _put_locations(
-    table: _Table, scene: Scene, path: Poses, positions: Float64Array, gnss: GnssSensor | None
-) -> None:
+def _put_locations(table: _Table, scene: Scene, path: Poses, positions: Float64Array, gnss: GnssSensor | None) -> None:
     """Latitude, longitude and altitude of the trajectory: by the world's origin where it is known."""
     names = ("lat", "lon", "alt")
     if gnss is not None and np.array_equal(gnss.timestamps_ns, table.timestamps_ns):
@@ -348,9 +342,7 @@ def _at(table: _Table, imu: ImuSensor, stream: str) -> Float64Array | None:
 def _put_accuracies(table: _Table, gnss: GnssSensor | None) -> None:
     if gnss is None or not len(gnss.timestamps_ns):
         return
-    nearest = np.clip(
-        np.searchsorted(gnss.timestamps_ns, table.timestamps_ns), 0, len(gnss.timestamps_ns) - 1
-    )
+    nearest = np.clip(np.searchsorted(gnss.timestamps_ns, table.timestamps_ns), 0, len(gnss.timestamps_ns) - 1)
     table.put(("pos_accuracy",), np.nan_to_num(gnss.accuracies[nearest], nan=0.0)[:, None])
     if np.isfinite(gnss.vertical_accuracies).any():
         table.losses.dropped("sensors.gnss.vertical_accuracies", "left out", count=len(gnss.timestamps_ns))

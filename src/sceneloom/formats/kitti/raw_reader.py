@@ -176,9 +176,7 @@ def read_raw_calibration(folder: Path, cameras: tuple[int, ...], *, rectified: b
 def _image_sizes(folder: Path, number: int) -> dict[bool, tuple[int, int]]:
     """Width and height of a camera's images [px], by whether they are rectified."""
     file = RawFile.read(folder / CAM_TO_CAM)
-    return {
-        rectified: _size(file, f"{name}_{number:02d}") for rectified, name in ((True, "S_rect"), (False, "S"))
-    }
+    return {rectified: _size(file, f"{name}_{number:02d}") for rectified, name in ((True, "S_rect"), (False, "S"))}
 
 
 def _size(file: RawFile, name: str) -> tuple[int, int]:
@@ -213,9 +211,7 @@ def _recorded_camera(file: RawFile, number: int) -> tuple[Camera, RigidTransform
     k = file.numbers(name, _COUNTS["K"]).reshape(3, 3)
     line = file.lines[name]
     if not (k[0, 0] > 0 and k[1, 1] > 0 and k[2].tolist() == [0, 0, 1] and k[0, 1] == k[1, 0] == 0):
-        raise line.fault(
-            f"{k.tolist()}; expected rows (f, 0, c), (0, f, c), (0, 0, 1) with focal lengths above 0"
-        )
+        raise line.fault(f"{k.tolist()}; expected rows (f, 0, c), (0, f, c), (0, 0, 1) with focal lengths above 0")
     distortion = tuple(file.numbers(f"D_{number:02d}", _COUNTS["D"]).tolist())
     numbers = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
     size = _size(file, f"S_{number:02d}")
@@ -483,24 +479,18 @@ def _tracklet_annotations(
     for k, tracklet in enumerate(tracklets):
         numbers = range(tracklet.first_frame, tracklet.first_frame + len(tracklet.poses))
         if numbers[-1] > last:
-            fault = DataError(
-                path, f"tracklets/item[{k}]", f"frame {numbers[-1]}; the drive's last is {last}"
-            )
+            fault = DataError(path, f"tracklets/item[{k}]", f"frame {numbers[-1]}; the drive's last is {last}")
             ledger.fault("frames-beyond", fault)
         rows = [row for row, number in enumerate(numbers) if number in times_ns]
         timestamps = np.array([times_ns[numbers[row]] for row in rows], np.int64)
         if source is None or not rows:
             continue
         lidar = source.at(timestamps)
-        values = _rows(
-            tracklet, tracklet.poses[rows], _matrix_from_known(lidar.quaternions_xyzw), lidar.positions
-        )
+        values = _rows(tracklet, tracklet.poses[rows], _matrix_from_known(lidar.quaternions_xyzw), lidar.positions)
         known = np.isfinite(values).all(axis=1)
         if not known.all():
             message = "boxes in frames beyond the ego trajectory"
-            ledger.note(
-                WarningKind.SKIPPED, "boxes-beyond-trajectory", str(path), message, count=int((~known).sum())
-            )
+            ledger.note(WarningKind.SKIPPED, "boxes-beyond-trajectory", str(path), message, count=int((~known).sum()))
         if known.any():
             poses = tracklet.poses[rows][known]
             box = CuboidAnnotation(k, CuboidPath(timestamps[known], values[known]), label=tracklet.label)
@@ -595,11 +585,7 @@ def _drive(folder: Path) -> RawDrive:
     match = DRIVE_NAME.fullmatch(folder.resolve().name)
     locations = (folder, folder / "calib", folder.resolve().parent)
     calibration = next(
-        (
-            location
-            for location in locations
-            if any((location / name).is_file() for name in CALIBRATION_FILES)
-        ),
+        (location for location in locations if any((location / name).is_file() for name in CALIBRATION_FILES)),
         locations[-1],
     )
     return RawDrive(folder, calibration, None if match is None else match["kind"])
@@ -642,9 +628,7 @@ def _open(drive: RawDrive, ledger: Ledger) -> Scene:
     sweeps = _stream(drive.folder / "velodyne_points", (*SWEEPS, *TEXTS), ledger)
     lines = _stream(drive.folder / "oxts", TEXTS, ledger)
     if not cameras and sweeps is None and lines is None:
-        raise DataError(
-            drive.folder, "", "holds no files; expected those of image_02, velodyne_points or oxts"
-        )
+        raise DataError(drive.folder, "", "holds no files; expected those of image_02, velodyne_points or oxts")
     rectified = _is_rectified(drive, cameras, ledger)
     needed = tuple(cameras) if cameras or sweeps is None or lines is None else ()
     calibration = read_raw_calibration(drive.calibration, needed, rectified=rectified)
@@ -662,9 +646,7 @@ def _open(drive: RawDrive, ledger: Ledger) -> Scene:
     sensors: list[Sensor] = []
     if sweeps is not None:
         timestamps, rotations = _rotations(drive.folder / "velodyne_points", sweeps, ledger)
-        sensors.append(
-            lidar_sensor(sweeps.files, timestamps, ego_from_lidar, poses, ledger, rotations=rotations)
-        )
+        sensors.append(lidar_sensor(sweeps.files, timestamps, ego_from_lidar, poses, ledger, rotations=rotations))
     for number, stream in cameras.items():
         mount = ego_from_lidar @ calibration.camera_from_lidar[number].inverse()
         camera_model = calibration.camera_models[number]
@@ -741,9 +723,7 @@ def _rotations(folder: Path, sweeps: _Stream, ledger: Ledger) -> tuple[Int64Arra
     for location in locations:
         timestamps = _TimestampFile.read(location)
         if len(timestamps.values_ns) < len(sweeps.timestamps.values_ns):
-            counts = (
-                f"{len(timestamps.values_ns)} times for {len(sweeps.timestamps.values_ns)} of timestamps.txt"
-            )
+            counts = f"{len(timestamps.values_ns)} times for {len(sweeps.timestamps.values_ns)} of timestamps.txt"
             raise DataError(location, "", f"{counts}; expected as many")
         found.append(timestamps.values_ns[sweeps.files.numbers])
     starts, ends = found
@@ -751,9 +731,7 @@ def _rotations(folder: Path, sweeps: _Stream, ledger: Ledger) -> tuple[Int64Arra
     if len(wrong):
         number = int(sweeps.files.numbers[wrong[0]])
         problem = "start, forward and end of the sweep are not in this order; expected rising times"
-        ledger.fault(
-            "rotations-out-of-order", DataError(locations[0], f"line {number + 1}", problem), count=len(wrong)
-        )
+        ledger.fault("rotations-out-of-order", DataError(locations[0], f"line {number + 1}", problem), count=len(wrong))
         return sweeps.timestamps_ns, None
     message = (
         "times of points are derived from their directions: the scanner rotates counter-clockwise from "

@@ -59,9 +59,7 @@ from sceneloom.scene.types import Identifier
 _SPARE = Camera("pinhole", 1242, 375, 721.5377, 721.5377, 609.5593, 172.854)
 
 
-def _write_raw_calibration(
-    folder: Path, mounted: Mounted, kept: Mapping[str, Any] | None, *, rectified: bool
-) -> None:
+def _write_raw_calibration(folder: Path, mounted: Mounted, kept: Mapping[str, Any] | None, *, rectified: bool) -> None:
     """Write the files: as the scene was read with them where they still hold, else such that state the same.
 
     Args:
@@ -88,9 +86,7 @@ def _says(folder: Path, mounted: Mounted, *, rectified: bool) -> bool:
         read = read_raw_calibration(folder, tuple(mounted.camera_models), rectified=rectified)
     except SceneloomError:
         return False
-    if any(
-        read.camera_models[number] != camera_model for number, camera_model in mounted.camera_models.items()
-    ):
+    if any(read.camera_models[number] != camera_model for number, camera_model in mounted.camera_models.items()):
         return False
     return files_lidar_from_lidar(read.camera_from_lidar, read.lidar_from_imu, mounted) is not None
 
@@ -213,10 +209,7 @@ class _RotationWriter:
         """Write the times; starts and ends only where they report those of points."""
         for column, name in enumerate(_NAMES):
             if self._rotated or name == "timestamps.txt":
-                times = (
-                    "" if rotation is None else format_timestamp(rotation[column])
-                    for rotation in self._rotations
-                )
+                times = ("" if rotation is None else format_timestamp(rotation[column]) for rotation in self._rotations)
                 write_lines(self.folder / name, times)
         losses, field = self.choice.losses, "sensors.lidar.frames.points.timestamps_ns"
         losses.extend(self._files.losses)
@@ -230,9 +223,7 @@ class _RotationWriter:
         reported = [rotation[column] for rotation in self._rotations if rotation is not None]
         away = [abs(a - b) for a, b in zip(reported, self._starts, strict=True)]
         what, worst = "the moment of the sweep in place of its start [s]", max(away, default=0) / 1e9
-        losses.approximated(
-            "sensors.lidar.frames.timestamp_ns", what, count=sum(map(bool, away)), error=worst
-        )
+        losses.approximated("sensors.lidar.frames.timestamp_ns", what, count=sum(map(bool, away)), error=worst)
 
 
 _LABELLED = 2.0
@@ -309,9 +300,7 @@ def _tracklet(
     lidar_id: Identifier | None,
 ) -> tuple[Tracklet, float]:
     """A run of frames as a tracklet, and how far sizes are from the one that it has [m]."""
-    poses = activated(
-        annotation, lidar_id, times, cuboid_poses(annotation, times, angles=angles), angles=angles
-    )
+    poses = activated(annotation, lidar_id, times, cuboid_poses(annotation, times, angles=angles), angles=angles)
     length, width, height = poses.sizes_lwh[len(frames) // 2].tolist()
     error = float(np.abs(poses.sizes_lwh - np.array([length, width, height])).max())
     rows = np.full((len(frames), len(POSE_FIELDS) + len(FURTHER_FIELDS)), -1.0)
@@ -429,14 +418,11 @@ def _kind_of(scene: Scene) -> str:
     if kept.get("benchmark") == "raw":
         return "sync" if kept.get("rectified", True) else "extract"
     path = ego_trajectory(scene)
-    mounts = [
-        mount for camera in scene.cameras if (mount := mounting(camera, path, each=True)[0]) is not None
-    ]
+    mounts = [mount for camera in scene.cameras if (mount := mounting(camera, path, each=True)[0]) is not None]
     if any(camera.camera.model == "brown_conrady" for camera in scene.cameras):
         return "extract"
     if any(
-        float(angle_between(mount.quaternion_xyzw, mounts[0].quaternion_xyzw)) > PARALLEL_WITHIN
-        for mount in mounts
+        float(angle_between(mount.quaternion_xyzw, mounts[0].quaternion_xyzw)) > PARALLEL_WITHIN for mount in mounts
     ):
         return "extract"
     counts = {len(camera.images) for camera in scene.cameras if len(camera.images)}
@@ -460,11 +446,7 @@ def _names(scene: Scene, choice: Choice, kind: str, sequence: str | None) -> tup
 def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> Int64Array:
     """Write sweeps and images; gives the times of frames as they are reported."""
     lidar = choice.lidar
-    rotations = (
-        _RotationWriter(choice, folder / "velodyne_points")
-        if lidar is not None and len(lidar.frames)
-        else None
-    )
+    rotations = _RotationWriter(choice, folder / "velodyne_points") if lidar is not None and len(lidar.frames) else None
     timestamps: dict[int, list[str]] = {number: [] for number, c in choice.cameras.items() if len(c.images)}
     for number in timestamps:
         (folder / RAW_CAMERAS[number] / "data").mkdir(parents=True)
@@ -478,9 +460,7 @@ def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> Int64Array:
                 lines.append("")
                 continue
             image = choice.cameras[number].images[row]
-            write_image(
-                choice.cameras[number], image, folder / RAW_CAMERAS[number] / "data" / f"{k:010d}.png"
-            )
+            write_image(choice.cameras[number], image, folder / RAW_CAMERAS[number] / "data" / f"{k:010d}.png")
             lines.append(format_timestamp(image.timestamp_ns))
     for number, lines in timestamps.items():
         write_lines(folder / RAW_CAMERAS[number] / "timestamps.txt", lines)

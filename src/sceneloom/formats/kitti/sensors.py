@@ -245,9 +245,7 @@ def stationary(timestamps_ns: Int64Array, location: Path | str, reason: str, led
     )
     times = np.unique(np.array([timestamps_ns.min(), timestamps_ns.max()], np.int64))
     rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
-    return Trajectory(
-        _STATIONARY, read_only(times), read_only(np.zeros((len(times), 3))), read_only(rotations)
-    )
+    return Trajectory(_STATIONARY, read_only(times), read_only(np.zeros((len(times), 3))), read_only(rotations))
 
 
 def kitti_metadata(benchmark: str, **reported: Any) -> Mapping[str, Any]:
@@ -320,9 +318,7 @@ def _cuboid_rows(labels: KittiLabels, world_from_rectified: PoseSamples) -> Floa
         ],
         axis=1,
     )
-    rotations = (
-        matrix_from_quaternion(world_from_rectified.quaternions_xyzw) if len(labels) else np.zeros((0, 3, 3))
-    )
+    rotations = matrix_from_quaternion(world_from_rectified.quaternions_xyzw) if len(labels) else np.zeros((0, 3, 3))
     centers_world = np.einsum("nij,nj->ni", rotations, centers) + world_from_rectified.positions
     angles = cuboid_angles_from_rotation(rotations @ rectified_from_box)
     return np.concatenate([labels.sizes_hwl[:, ::-1], centers_world, angles], axis=1)
@@ -385,9 +381,7 @@ def _boxes(labels: KittiLabels, rows: Int64Array) -> Float64Array:
     return np.concatenate([corners[:, :2] + CENTRE_TO_CORNER, corners[:, 2:] - corners[:, :2]], axis=1)
 
 
-def _attributes(
-    labels: KittiLabels, rows: Int64Array, locations: LabelLocations
-) -> tuple[AttributePath, ...]:
+def _attributes(labels: KittiLabels, rows: Int64Array, locations: LabelLocations) -> tuple[AttributePath, ...]:
     """What is reported beside the boxes, as the text has it; what it does not report is left out."""
     timestamps = locations.timestamps_ns[rows]
     reported: dict[str, Sequence[float | str]] = {

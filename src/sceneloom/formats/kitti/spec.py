@@ -169,8 +169,7 @@ def _tracking_names(folder: Path) -> set[str]:
         return {
             path.stem
             for path in folder.iterdir()
-            if _TRACKING_NAME.fullmatch(path.stem)
-            and (path.is_dir() if wants_folders else path.suffix == ".txt")
+            if _TRACKING_NAME.fullmatch(path.stem) and (path.is_dir() if wants_folders else path.suffix == ".txt")
         }
     except OSError:
         return set()
@@ -308,9 +307,7 @@ _MOTION: Supports = MappingProxyType(
         "sensors.imu.id": converted("it is `imu`"),
         "sensors.imu.streams.accelerometer": approximated("a value for each line"),
         "sensors.imu.streams.gyroscope": approximated("a value for each line"),
-        "sensors.imu.streams.other": approximated(
-            "those of the OXTS unit, of its own lines; others are dropped"
-        ),
+        "sensors.imu.streams.other": approximated("those of the OXTS unit, of its own lines; others are dropped"),
         "sensors.imu.streams.other.file_seconds": _NO_POSITION,
         "sensors.imu.streams.accelerometer.file_seconds": _NO_POSITION,
         "sensors.imu.streams.gyroscope.file_seconds": _NO_POSITION,
@@ -332,9 +329,7 @@ _BOXES: Supports = MappingProxyType(
         "annotations.cuboid.label": converted("a word without blanks"),
         "annotations.cuboid.path.timestamps_ns": _FRAMES,
         "annotations.cuboid.path.values": approximated("upright boxes in frames whose images show them"),
-        "annotations.cuboid.attributes": approximated(
-            "truncated, occluded, alpha and score; others are dropped"
-        ),
+        "annotations.cuboid.attributes": approximated("truncated, occluded, alpha and score; others are dropped"),
         "annotations.cuboid.projections.sensor_id": converted("the reference camera"),
         "annotations.cuboid.projections.timestamps_ns": _FRAMES,
         "annotations.cuboid.projections.boxes": _LABEL,
@@ -359,9 +354,7 @@ _RAW_SUPPORTS: Supports = MappingProxyType(
         "annotations.cuboid.id": dropped("tracklets have none"),
         "annotations.cuboid.label": KEPT,
         "annotations.cuboid.path.timestamps_ns": _FRAMES,
-        "annotations.cuboid.path.values": approximated(
-            "one size, in the lidar's frame, in all frames of a run"
-        ),
+        "annotations.cuboid.path.values": approximated("one size, in the lidar's frame, in all frames of a run"),
         "annotations.cuboid.attributes": approximated("the states of tracklets; others are dropped"),
     }
 )
@@ -415,9 +408,7 @@ _ODOMETRY_SUPPORTS: Supports = MappingProxyType(
         "annotations.labeled_points.id": converted("names and numbers of SemanticKITTI"),
         "annotations.labeled_points.label": converted("a number of SemanticKITTI, where it has one"),
         "annotations.labeled_points.is_instance": converted("whether it has a number of its own"),
-        "annotations.labeled_points.labeled_points": approximated(
-            "points of sweeps whose class has a number"
-        ),
+        "annotations.labeled_points.labeled_points": approximated("points of sweeps whose class has a number"),
         "annotations.labeled_points.labeled_points.sensor_id": _NUMBERED,
         "annotations.labeled_points.labeled_points.extras": _NO_POSITION,
     }

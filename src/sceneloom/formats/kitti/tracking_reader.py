@@ -171,9 +171,7 @@ class KittiTracking:
             DataError: there is none of that name, or a file of it is faulty.
         """
         if name not in self.sequences:
-            raise DataError(
-                self.path, f"sequence {name}", f"is not there; expected one of {', '.join(self.sequences)}"
-            )
+            raise DataError(self.path, f"sequence {name}", f"is not there; expected one of {', '.join(self.sequences)}")
         ledger = Ledger(lenient=self.lenient)
         with ledger.telling():
             return _read_sequence(self, name, ledger)
@@ -197,9 +195,7 @@ def open_tracking_folder(
         folder = folder / "training"
     sequences = tuple(sorted(file.stem for file in (folder / "calib").glob("*.txt")))
     if not sequences:
-        raise DataError(
-            folder, "calib", "holds no *.txt; expected a calibration for each sequence, as 0000.txt"
-        )
+        raise DataError(folder, "calib", "holds no *.txt; expected a calibration for each sequence, as 0000.txt")
     ledger = Ledger(lenient=lenient)
     found = {
         prefix: _find_detector(folder, prefix, chosen)
@@ -214,9 +210,7 @@ def open_tracking_folder(
     for prefix, detector in found.items():
         if detector is None:
             kind = {"det2d_": "boxes of images", "det3d_": "boxes of sweeps"}[prefix]
-            ledger.note(
-                WarningKind.SKIPPED, "no-detector", str(folder), f"no folder {prefix}*: goes without {kind}"
-            )
+            ledger.note(WarningKind.SKIPPED, "no-detector", str(folder), f"no folder {prefix}*: goes without {kind}")
     return KittiTracking(folder, sequences, found["det2d_"], found["det3d_"], lenient, ledger.warnings)
 
 
@@ -243,9 +237,7 @@ def _read_sequence(tracking: KittiTracking, name: str, ledger: Ledger) -> KittiS
     folder = tracking.path
     calibration = read_calibration(folder / "calib" / f"{name}.txt")
     if _CAMERA not in calibration.projections:
-        raise DataError(
-            folder / "calib" / f"{name}.txt", "", f"no P{_CAMERA}; expected that of the left colour camera"
-        )
+        raise DataError(folder / "calib" / f"{name}.txt", "", f"no P{_CAMERA}; expected that of the left colour camera")
     boxes_2d = _detections(tracking.detector_2d, name, COLUMNS_2D, read_boxes_2d_list, ledger)
     boxes_3d = _detections(tracking.detector_3d, name, COLUMNS_3D, read_boxes_3d_list, ledger)
     _note_lonely_classes(tracking, name, (boxes_2d, boxes_3d), ledger)
@@ -285,17 +277,13 @@ def _detections(
     if detector is None:
         return None
     files: list[tuple[Path, str | None]] = [
-        (child / f"{name}.txt", class_word(child.name))
-        for child in sorted(detector.iterdir())
-        if child.is_dir()
+        (child / f"{name}.txt", class_word(child.name)) for child in sorted(detector.iterdir()) if child.is_dir()
     ]
     if columns is COLUMNS_3D and (detector / f"{name}.txt").is_file():
         files.append((detector / f"{name}.txt", None))
     for file, _ in files:
         if not file.is_file():
-            ledger.note(
-                WarningKind.SKIPPED, "no-detections", str(file), "no such list: goes without its boxes"
-            )
+            ledger.note(WarningKind.SKIPPED, "no-detections", str(file), "no such list: goes without its boxes")
     lists = [read(file, label, ledger) for file, label in files if file.is_file()]
     if not files:
         ledger.note(
@@ -327,9 +315,7 @@ def _note_lonely_classes(
             ledger.note(WarningKind.SKIPPED, "one-detector", f"{name}: {label}", message)
 
 
-def _frame_count(
-    folder: Path, name: str, lists: Sequence[DetectionList | None], ledger: Ledger
-) -> tuple[int, int]:
+def _frame_count(folder: Path, name: str, lists: Sequence[DetectionList | None], ledger: Ledger) -> tuple[int, int]:
     """How many frames a sequence has, and of how many the OXTS unit reports."""
     oxts = folder / "oxts" / f"{name}.txt"
     poses = len(read_fields(oxts)) if oxts.is_file() and read_bytes(oxts).strip() else 0
@@ -362,9 +348,7 @@ def _frame_times(folder: Path, name: str, frame_count: int) -> Int64Array:
         raise DataError(file, "", f"{len(times)} times for {frame_count} frames; expected as many")
     back = np.flatnonzero(np.diff(times) <= 0)
     if len(back):
-        raise DataError(
-            file, f"line {int(back[0]) + 2}", "is not later than the line before; expected rising times"
-        )
+        raise DataError(file, f"line {int(back[0]) + 2}", "is not later than the line before; expected rising times")
     return times[:frame_count].copy()
 
 
@@ -408,10 +392,7 @@ def _open(folder: Path, name: str, ledger: Ledger) -> Scene:
         raise DataError(location, "", f"is missing; sequence {name} needs its calibration")
     calibration = read_calibration(location)
     sweeps = numbered_files(folder / "velodyne" / name, SWEEPS, ledger)
-    images = {
-        number: numbered_files(folder / kind / name, IMAGES, ledger)
-        for number, kind in TRACKING_CAMERAS.items()
-    }
+    images = {number: numbered_files(folder / kind / name, IMAGES, ledger) for number, kind in TRACKING_CAMERAS.items()}
     labels = _labels(folder / "label_02" / f"{name}.txt", ledger)
     fields = _fields(folder / "oxts" / f"{name}.txt")
     counts = [int(files.numbers[-1]) + 1 for files in (sweeps, *images.values()) if len(files)]
@@ -433,9 +414,7 @@ def _open(folder: Path, name: str, ledger: Ledger) -> Scene:
     for number, found in images.items():
         files = frames_within(found, len(times), folder / "times" / f"{name}.txt", ledger)
         if len(files) or (number == _CAMERA and labels is not None and labels.have_outline.any()):
-            sensors.append(
-                _camera(number, files, times, (folder, name), calibration, ego_from_lidar, path, ledger)
-            )
+            sensors.append(_camera(number, files, times, (folder, name), calibration, ego_from_lidar, path, ledger))
     _note_others(folder, ledger)
     annotations: tuple[Annotation, ...] = ()
     if labels is not None and path is not None:
@@ -470,9 +449,7 @@ def _fields(path: Path) -> np.ndarray | None:
 
 def _times(folder: Path, name: str, count: int, ledger: Ledger) -> Int64Array:
     if count == 0:
-        raise DataError(
-            folder, f"sequence {name}", "holds no frames; expected sweeps, images, labels or OXTS lines"
-        )
+        raise DataError(folder, f"sequence {name}", "holds no frames; expected sweeps, images, labels or OXTS lines")
     if not (folder / "times" / f"{name}.txt").is_file():
         message = "frames have no times: frame k is at k / 10 s"
         ledger.note(WarningKind.ASSUMED, "frame-times", f"{folder}/{name}", message)
@@ -538,14 +515,10 @@ def _annotations(
     known = np.isfinite(locations.positions[:, 0])
     if not known.all():
         message = "labels of frames beyond the ego trajectory"
-        ledger.note(
-            WarningKind.SKIPPED, "boxes-beyond-trajectory", str(file), message, count=int((~known).sum())
-        )
+        ledger.note(WarningKind.SKIPPED, "boxes-beyond-trajectory", str(file), message, count=int((~known).sum()))
         labels = labels.select(known)
         locations = source.at(times[labels.frames])
-    return label_annotations(
-        labels, LabelLocations(times[labels.frames], locations, camera_id(_CAMERA), file)
-    )
+    return label_annotations(labels, LabelLocations(times[labels.frames], locations, camera_id(_CAMERA), file))
 
 
 def _find_sequence(path: Path, wanted: str | None, ledger: Ledger) -> tuple[Path, str]:

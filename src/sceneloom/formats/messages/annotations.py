@@ -75,9 +75,7 @@ def _gather(
             track.boxes.append(box)
     location = f"{survey.log.name}: {topic}"
     if others:
-        survey.ledger.note(
-            WarningKind.SKIPPED, "plots-not-read", location, "plots that are no boxes", count=others
-        )
+        survey.ledger.note(WarningKind.SKIPPED, "plots-not-read", location, "plots that are no boxes", count=others)
     if nameless:
         message = "boxes without an id; each is an object of its own"
         survey.ledger.note(WarningKind.ASSUMED, "boxes-without-id", location, message, count=nameless)
@@ -179,9 +177,7 @@ def _attributes(times: Int64Array, boxes: Sequence[Any]) -> tuple[AttributePath,
 
 
 def _attribute(name: str, times: Int64Array, values: Sequence[str | None]) -> AttributePath:
-    changes = [
-        k for k, value in enumerate(values) if value is not None and (k == 0 or values[k - 1] != value)
-    ]
+    changes = [k for k, value in enumerate(values) if value is not None and (k == 0 or values[k - 1] != value)]
     numbers = np.array(changes, np.int64)
     return AttributePath(name, tuple(_value(values[k]) for k in changes), times[numbers])
 
@@ -206,9 +202,7 @@ def read_annotations(survey: Survey, locations: Locations, cameras: Mapping[str,
     found = [*_cuboids(survey, locations), *_boxes_2d(survey, cameras)]
     notes = {(str(note.get("topic")), str(note.get("key"))): note for note in survey.notes.annotations}
     order = {key: row for row, key in enumerate(notes)}
-    noted = [
-        (order.get(key, len(order)), _with_note(annotation, notes.get(key))) for key, annotation in found
-    ]
+    noted = [(order.get(key, len(order)), _with_note(annotation, notes.get(key))) for key, annotation in found]
     return _with_unique_ids([annotation for _, annotation in sorted(noted, key=lambda row: row[0])])
 
 
@@ -238,11 +232,7 @@ def _cuboids(survey: Survey, locations: Locations) -> list[tuple[_Key, Annotatio
 
 def _boxes_2d(survey: Survey, cameras: Mapping[str, Any]) -> list[tuple[_Key, Annotation]]:
     found: list[tuple[_Key, Annotation]] = []
-    noted = {
-        note["boxes_topic"]: note["id"]
-        for note in survey.notes.sensors
-        if {"boxes_topic", "id"} <= note.keys()
-    }
+    noted = {note["boxes_topic"]: note["id"] for note in survey.notes.sensors if {"boxes_topic", "id"} <= note.keys()}
     for topic in survey.topics(Kind.BOXES_2D):
         records = survey.of(topic, Boxes2DRecord)
         camera = noted.get(topic.name)
@@ -349,9 +339,7 @@ def cuboid_stream(
         while location < len(ends) and ends[location][1] < time_ns:
             gone.append(keys[ends[location][0]])
             location += 1
-        boxes = tuple(
-            _cuboid(annotations[owner], keys[owner], row, frame_id, angles) for owner, row in rows.at(k)
-        )
+        boxes = tuple(_cuboid(annotations[owner], keys[owner], row, frame_id, angles) for owner, row in rows.at(k))
         yield topic, Boxes3DRecord(time_ns, boxes, tuple(gone))
 
     return Stream(rows.times_ns, make)
@@ -363,16 +351,13 @@ def _cuboid(annotation: CuboidAnnotation, key: str, row: int, frame_id: str, ang
     return Box3D(key, frame_id, values[3:6], rotation, values[:3], annotation.label)
 
 
-def box_2d_stream(
-    annotations: Sequence[Box2DAnnotation], keys: Sequence[str], topic: str, frame_id: str
-) -> Stream:
+def box_2d_stream(annotations: Sequence[Box2DAnnotation], keys: Sequence[str], topic: str, frame_id: str) -> Stream:
     """Draw boxes into the images of a camera at each of their times."""
     rows = _Rows.of(annotations)
 
     def make(k: int) -> Iterator[Stated]:
         boxes = tuple(
-            Box2D(keys[owner], _ltwh(annotations[owner], row), annotations[owner].label)
-            for owner, row in rows.at(k)
+            Box2D(keys[owner], _ltwh(annotations[owner], row), annotations[owner].label) for owner, row in rows.at(k)
         )
         yield topic, Boxes2DRecord(int(rows.times_ns[k]), frame_id, boxes)
 

@@ -311,9 +311,7 @@ class _MessageVideo:
         codec: as FFmpeg calls it.
     """
 
-    def __init__(
-        self, log: TopicLog, topic: Topic, rows: Int64Array, timestamps_ns: Int64Array, codec: str
-    ) -> None:
+    def __init__(self, log: TopicLog, topic: Topic, rows: Int64Array, timestamps_ns: Int64Array, codec: str) -> None:
         """Read nothing yet."""
         self.log, self.topic, self.rows, self.timestamps_ns, self.codec = (
             log,
@@ -497,8 +495,7 @@ class ImageReader:
             image = image_of(record, self.log.name, self.location(k))
             if image.shape[:2] != (camera_model.height, camera_model.width):
                 problem = (
-                    f"an image of {record.width}x{record.height}; expected "
-                    f"{camera_model.width}x{camera_model.height}"
+                    f"an image of {record.width}x{record.height}; expected {camera_model.width}x{camera_model.height}"
                 )
                 raise DataError(self.log.name, self.location(k), problem)
             return image
@@ -519,9 +516,7 @@ class DepthReader:
     def __call__(self, k: int) -> DepthFrame:
         """Make image `k` without reading it."""
         timestamp_ns = int(self.images.timestamps_ns[k])
-        return DepthFrame(
-            timestamp_ns, self.images.camera_models.at(timestamp_ns), partial(self.depth, k), self.scale
-        )
+        return DepthFrame(timestamp_ns, self.images.camera_models.at(timestamp_ns), partial(self.depth, k), self.scale)
 
     def depth(self, k: int) -> Float32Array:
         """Decode image `k`."""

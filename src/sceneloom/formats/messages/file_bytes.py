@@ -57,9 +57,7 @@ class FileBytes:
         self.path = redacted(location) if isinstance(location, str) else location
         self._identity: FileIdentity | RemoteIdentity
         try:
-            self._identity = (
-                RemoteIdentity.of(location) if isinstance(location, str) else FileIdentity.of(location)
-            )
+            self._identity = RemoteIdentity.of(location) if isinstance(location, str) else FileIdentity.of(location)
         except OSError as error:
             raise DataError(path, "", f"cannot be opened: {error.strerror or error}") from error
         self.size = self._identity.size
@@ -97,9 +95,7 @@ class FileBytes:
     def read_up_to(self, start: int, length: int) -> bytes:
         """Read bytes, fewer where the file ends before."""
         if start < 0 or length < 0:
-            raise DataError(
-                self.path, f"byte {start}", f"{length} bytes wanted; expected a position in the file"
-            )
+            raise DataError(self.path, f"byte {start}", f"{length} bytes wanted; expected a position in the file")
         with self._lock:
             file = self._opened()
             try:
@@ -240,9 +236,7 @@ class ChunkedMessages:
         chunks: in the order of the file.
     """
 
-    def __init__(
-        self, file: FileBytes, message_at: Callable[[bytes, int], tuple[int, int]], head_size: int
-    ) -> None:
+    def __init__(self, file: FileBytes, message_at: Callable[[bytes, int], tuple[int, int]], head_size: int) -> None:
         """Begin without messages.
 
         Args:

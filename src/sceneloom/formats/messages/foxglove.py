@@ -222,8 +222,7 @@ def _write_cloud(record: CloudRecord) -> tuple[str, _Parts]:
         pose={"position": _xyz((0, 0, 0)), "orientation": _xyzw((0, 0, 0, 1))},
         point_stride=record.stride,
         fields=[
-            {"name": field.name, "offset": field.offset, "type": _TYPES[field.dtype.str[1:]]}
-            for field in record.fields
+            {"name": field.name, "offset": field.offset, "type": _TYPES[field.dtype.str[1:]]} for field in record.fields
         ],
     )
 
@@ -316,9 +315,7 @@ def _write_pose(record: PoseRecord) -> tuple[str, _Parts]:
     pose: dict[str, Any] = {"position": _xyz(record.position)}
     if record.quaternion_xyzw is not None:
         pose["orientation"] = _xyzw(record.quaternion_xyzw)
-    return _message(
-        "foxglove.PoseInFrame", timestamp=_time(record.timestamp_ns), frame_id=record.frame_id, pose=pose
-    )
+    return _message("foxglove.PoseInFrame", timestamp=_time(record.timestamp_ns), frame_id=record.frame_id, pose=pose)
 
 
 def _read_fixes(parsed: _Parsed) -> Iterable[FixRecord]:
@@ -340,9 +337,7 @@ def _write_fix(record: FixRecord) -> tuple[str, _Parts]:
     if record.variances is not None:
         fields["position_covariance"] = np.diag(record.variances).reshape(-1).tolist()
         fields["position_covariance_type"] = _DIAGONAL
-    return _message(
-        "foxglove.LocationFix", timestamp=_time(record.timestamp_ns), frame_id=record.frame_id, **fields
-    )
+    return _message("foxglove.LocationFix", timestamp=_time(record.timestamp_ns), frame_id=record.frame_id, **fields)
 
 
 def _read_sample(content: Mapping[str, Any]) -> Sequence[SampleRecord]:
@@ -390,17 +385,13 @@ def _read_boxes_3d(parsed: _Parsed) -> Sequence[Boxes3DRecord]:
                     _vector(cube.pose.position),
                     _rotation(cube.pose.orientation),
                     _vector(cube.size),
-                    label
-                    if label is not None
-                    else next((text.text for text in entity.texts if text.text), None),
+                    label if label is not None else next((text.text for text in entity.texts if text.text), None),
                     MappingProxyType(reported),
                 )
             )
     timestamps = [*message.entities, *message.deletions]
     gone = tuple(deletion.id for deletion in message.deletions if deletion.type == _MATCHING_ID)
-    return (
-        [Boxes3DRecord(_time_ns(timestamps[0].timestamp), tuple(boxes), gone, others)] if timestamps else []
-    )
+    return [Boxes3DRecord(_time_ns(timestamps[0].timestamp), tuple(boxes), gone, others)] if timestamps else []
 
 
 def _write_boxes_3d(record: Boxes3DRecord) -> tuple[str, _Parts]:

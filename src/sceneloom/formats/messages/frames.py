@@ -92,9 +92,7 @@ class FrameTree:
         quaternions = normalise_quaternion(np.array(rows.quaternions).reshape(-1, 4))
         signs = np.where((quaternions * quaternions[0]).sum(axis=1) < 0, -1.0, 1.0)
         rotations = np.abs(quaternions * signs[:, None] - quaternions[0]).max()
-        if rows.fixed or (
-            np.abs(positions - positions[0]).max() <= _STANDS_M and rotations <= _STANDS_ROTATION
-        ):
+        if rows.fixed or (np.abs(positions - positions[0]).max() <= _STANDS_M and rotations <= _STANDS_ROTATION):
             # of a frame that is stated to be fixed, the latest word counts
             return Edge(rows.parent, fixed=RigidTransform.from_quaternion(positions[-1], quaternions[-1]))
         times, first = np.unique(np.array(rows.times_ns, np.int64), return_index=True)

@@ -270,7 +270,5 @@ def _topic(index: McapIndex, number: int, count: int) -> Topic:
         why = f"in the encoding {channel.message_encoding!r}; expected protobuf or json"
         return Topic(number, channel.topic, name, None, count, why)
     if schema is None:
-        return Topic(
-            number, channel.topic, f"{channel.message_encoding or 'bytes'} without a schema", None, count
-        )
+        return Topic(number, channel.topic, f"{channel.message_encoding or 'bytes'} without a schema", None, count)
     return Topic(number, channel.topic, name, kind, count)

@@ -224,9 +224,7 @@ def _scanned(file: FileBytes, ledger: Ledger, *, until: int) -> McapIndex:
             op, length = _HEAD.unpack(file.read(location, _HEAD.size))
             start = location + _HEAD.size
             if start + length > until:
-                problem = (
-                    f"record {op} of {length} bytes, of which {until - start} are there: the file is cut off"
-                )
+                problem = f"record {op} of {length} bytes, of which {until - start} are there: the file is cut off"
                 ledger.fault("mcap-cut-off", DataError(file.path, f"byte {location}", problem))
                 break
             if op == Opcode.DATA_END:
@@ -419,9 +417,7 @@ class McapWriter:
         self._chunk.take([_packed(schema)])
         return schema.id
 
-    def add_channel(
-        self, topic: str, encoding: str, schema_id: int, metadata: Mapping[str, str] | None = None
-    ) -> int:
+    def add_channel(self, topic: str, encoding: str, schema_id: int, metadata: Mapping[str, str] | None = None) -> int:
         """Begin a stream of messages, and give its id."""
         channel = Channel(_next_id(self._channels), topic, encoding, dict(metadata or {}), schema_id)
         self._channels[channel.id] = channel
@@ -446,13 +442,9 @@ class McapWriter:
         """
         published = log_time_ns if publish_time_ns is None else publish_time_ns
         if not (0 <= log_time_ns < 1 << 64 and 0 <= published < 1 << 64):
-            raise OutputError(
-                f"time {log_time_ns} ns; MCAP holds times from 0 to 2^64 ns: move the scene in time"
-            )
+            raise OutputError(f"time {log_time_ns} ns; MCAP holds times from 0 to 2^64 ns: move the scene in time")
         size, number = sum(len(part) for part in parts), self._counts[channel_id]
-        head = _WRITER_MESSAGE.pack(
-            Opcode.MESSAGE, size + 22, channel_id, number & 0xFFFFFFFF, log_time_ns, published
-        )
+        head = _WRITER_MESSAGE.pack(Opcode.MESSAGE, size + 22, channel_id, number & 0xFFFFFFFF, log_time_ns, published)
         self._counts[channel_id] += 1
         chunk = self._large_chunk if self._large_apart and size >= _LARGE_MESSAGE else self._chunk
         if channel_id not in chunk.described:

@@ -236,9 +236,7 @@ class FoundTimes:
     last_ns: int
 
 
-def _find_point_times(
-    name: str, values: AnyArray, timestamp_ns: int, sweep_ns: int | None
-) -> FoundTimes | None:
+def _find_point_times(name: str, values: AnyArray, timestamp_ns: int, sweep_ns: int | None) -> FoundTimes | None:
     """Find the unit and the zero of a column of times.
 
     They have to lie within one and a half seconds of the timestamp, over a millisecond or more. Of several readings,
@@ -262,9 +260,7 @@ def _find_point_times(
     found: list[tuple[float, int, FoundTimes]] = []
     for order, unit in enumerate(_ORDERS[values.dtype.kind]):
         for rank, (reference, zero_ns) in enumerate((("timestamp", 0), ("clock", timestamp_ns))):
-            first, last = (
-                _nanoseconds(value, UNITS_NS[unit], exact=exact) - zero_ns for value in (low, high)
-            )
+            first, last = (_nanoseconds(value, UNITS_NS[unit], exact=exact) - zero_ns for value in (low, high))
             if max(abs(first), abs(last)) > _LONGEST_SWEEP_NS or last - first < _SHORTEST_SWEEP_NS:
                 continue
             badness = abs(np.log((last - first) / (sweep_ns or _USUAL_SWEEP_NS)))
@@ -291,9 +287,7 @@ _DIRECTION_COLUMNS = ("direction_x", "direction_y", "direction_z")
 _OLD_TIME_COLUMN = "offset_ns"
 """Name of the times of points in messages that we wrote before `t`."""
 
-_TIME_COLUMNS: Mapping[tuple[str, str], str] = MappingProxyType(
-    {("t", "u4"): "nanoseconds", ("time", "f8"): "seconds"}
-)
+_TIME_COLUMNS: Mapping[tuple[str, str], str] = MappingProxyType({("t", "u4"): "nanoseconds", ("time", "f8"): "seconds"})
 """Names and dtypes of the times of points from their sweep's timestamp, in messages of ours, and their units.
 
 Source: `t` as the drivers of Ouster write it, `time` as those of Velodyne do, but with 64 bits; programs that read
@@ -475,9 +469,7 @@ def _understood(reader: _CloudReader, ledger: Ledger) -> _CloudReader:
     roles = find_roles(cloud.columns, {})
     mapping = reader.mapping
     if "intensity" in roles:
-        mapping = replace(
-            mapping, scale=_scale(cloud.columns[roles["intensity"]], roles["intensity"], where, ledger)
-        )
+        mapping = replace(mapping, scale=_scale(cloud.columns[roles["intensity"]], roles["intensity"], where, ledger))
     reader = replace(reader, mapping=mapping)
     return _with_times(reader, cloud, k, roles["time"], where, ledger) if "time" in roles else reader
 
@@ -504,16 +496,12 @@ def _scale(values: AnyArray, name: str, where: str, ledger: Ledger) -> Any:
     return scale
 
 
-def _with_times(
-    reader: _CloudReader, cloud: Cloud, k: int, name: str, where: str, ledger: Ledger
-) -> _CloudReader:
+def _with_times(reader: _CloudReader, cloud: Cloud, k: int, name: str, where: str, ledger: Ledger) -> _CloudReader:
     sweep_ns = int(np.median(np.diff(reader.timestamps_ns))) if len(reader.timestamps_ns) > 1 else None
     values = cloud.columns[name]
     found = _find_point_times(name, values, int(reader.timestamps_ns[k]), sweep_ns or None)
     if found is None:
-        message = (
-            f"field {name!r} is no time of points in any unit, relative or absolute; it is kept as it is"
-        )
+        message = f"field {name!r} is no time of points in any unit, relative or absolute; it is kept as it is"
         ledger.note(WarningKind.SKIPPED, "point-times-not-used", where, message)
         return reader
     meaning = found.meaning
@@ -524,8 +512,7 @@ def _with_times(
     if not found.first_ns < -_EARLY_NS:
         return reader
     message = (
-        f"sweeps begin {-found.first_ns / 1e9:.6f} s before the timestamps of their messages, and "
-        f"are timestamped so"
+        f"sweeps begin {-found.first_ns / 1e9:.6f} s before the timestamps of their messages, and are timestamped so"
     )
     ledger.note(WarningKind.ASSUMED, "timestamps-after-start", where, message)
     return replace(reader, starts_ns=read_only(reader.timestamps_ns + found.first_ns))
@@ -556,9 +543,7 @@ class CloudDraft:
         poses = locations.poses(self.frame_id, mount, self.reader.starts_ns)
         return self.sensor(sensor_id, mount=mount, poses=poses, points_frame=frame)
 
-    def sensor(
-        self, sensor_id: str | int, *, radar: bool | None = None, **fields: Any
-    ) -> LidarSensor | RadarSensor:
+    def sensor(self, sensor_id: str | int, *, radar: bool | None = None, **fields: Any) -> LidarSensor | RadarSensor:
         """The sensor, with further fields."""
         times = self.reader.starts_ns
         if self.is_radar if radar is None else radar:
@@ -674,9 +659,7 @@ class CloudWriter:
 
     def _record(self, columns: _Columns, count: int, timestamp_ns: int) -> CloudRecord:
         packed = pack(columns, count)
-        return CloudRecord(
-            timestamp_ns, self.frame_id, packed.fields, packed.stride, packed.data, packed.count
-        )
+        return CloudRecord(timestamp_ns, self.frame_id, packed.fields, packed.stride, packed.data, packed.count)
 
     def _add_extras(self, columns: _Columns, extras: Mapping[str, AnyArray]) -> None:
         taken = {name for names in columns for name in names}
@@ -690,9 +673,7 @@ class CloudWriter:
                 or stated in _TIME_COLUMNS
                 or name.startswith("_")
             ):
-                self.losses.dropped(
-                    location, "not one number for each point, or of a name that means something else"
-                )
+                self.losses.dropped(location, "not one number for each point, or of a name that means something else")
             elif column.dtype.str[1:] in _HELD:
                 columns[name,] = column
             elif column.dtype.kind in "iufb":
@@ -745,9 +726,7 @@ def _offsets(timestamps_ns: AnyArray, timestamp_ns: int) -> _Columns:
     exact to the nanosecond over 52 days.
     """
     span_ns = (
-        (int(timestamps_ns.min()), int(timestamps_ns.max()))
-        if len(timestamps_ns)
-        else (timestamp_ns, timestamp_ns)
+        (int(timestamps_ns.min()), int(timestamps_ns.max())) if len(timestamps_ns) else (timestamp_ns, timestamp_ns)
     )
     if span_ns[0] < timestamp_ns or span_ns[1] > timestamp_ns + _MOST_NS:
         return {("time",): (timestamps_ns - timestamp_ns).astype(np.float64) / 1e9}

@@ -96,16 +96,12 @@ def _pose_rows(survey: Survey, name: str, records: Sequence[PoseRecord]) -> _Pos
     covariances = [spread for spread in spreads if spread is not None]
     if 0 < len(quaternions) < len(chosen):
         message = "poses with and without orientation; none of the orientations is used"
-        survey.ledger.note(
-            WarningKind.SKIPPED, "orientations-missing", location, message, count=len(quaternions)
-        )
+        survey.ledger.note(WarningKind.SKIPPED, "orientations-missing", location, message, count=len(quaternions))
     return _PoseRows(
         np.array([record.timestamp_ns for record in chosen], np.int64),
         np.array([record.position for record in chosen]),
         np.array(quaternions) if len(quaternions) == len(chosen) else None,
-        np.array(covariances)[:, _ROTATION_FIRST][:, :, _ROTATION_FIRST]
-        if len(covariances) == len(chosen)
-        else None,
+        np.array(covariances)[:, _ROTATION_FIRST][:, :, _ROTATION_FIRST] if len(covariances) == len(chosen) else None,
         chosen[0].frame_id,
         chosen[0].body,
     )
@@ -118,9 +114,7 @@ def _pose_fault(record: PoseRecord) -> str | None:
         return None
     norms, wrong = lengths_of(record.quaternion_xyzw[None])
     if wrong[0]:
-        return (
-            f"orientation {record.quaternion_xyzw.tolist()} of length {norms[0]:.4g}; expected 1 within 0.01"
-        )
+        return f"orientation {record.quaternion_xyzw.tolist()} of length {norms[0]:.4g}; expected 1 within 0.01"
     return None
 
 
@@ -132,9 +126,7 @@ def _trajectory(name: str, rows: _PoseRows, locations: Locations, survey: Survey
     if rows.body and ego is not None and rows.body != ego:
         mount = locations.mount(rows.body)
         if mount is None:
-            message = (
-                f"poses of frame {rows.body!r}, which is not connected with {ego!r}, are taken for the ego's"
-            )
+            message = f"poses of frame {rows.body!r}, which is not connected with {ego!r}, are taken for the ego's"
             survey.ledger.note(WarningKind.ASSUMED, "pose-of-other-body", location, message)
         else:
             body_from_ego = mount.inverse()
@@ -158,9 +150,7 @@ def _gnss_sensor(
     received = [record for record in records if record.received]
     if len(received) < len(records):
         count = len(records) - len(received)
-        survey.ledger.note(
-            WarningKind.SKIPPED, "no-reception", location, "fixes without reception", count=count
-        )
+        survey.ledger.note(WarningKind.SKIPPED, "no-reception", location, "fixes without reception", count=count)
     rows = in_order(np.array([record.timestamp_ns for record in received], np.int64), location, survey.ledger)
     chosen = [received[row] for row in rows.tolist()]
     unknown = (np.nan, np.nan, np.nan)
@@ -197,8 +187,7 @@ def _imu_sensor(
         rotation = None
     if rotation is not None:
         message = (
-            "measurements were converted to the axes of the ego; that the unit sits elsewhere is not "
-            "accounted for"
+            "measurements were converted to the axes of the ego; that the unit sits elsewhere is not accounted for"
         )
         survey.ledger.note(WarningKind.ASSUMED, "imu-rotated", location, message)
     streams: Mapping[str, VectorSamples] = MappingProxyType(
@@ -216,16 +205,12 @@ def _stream(
 ) -> VectorSamples:
     widths = {len(values) for _, values in rows}
     if len(widths) > 1:
-        raise DataError(
-            survey.log.name, location, f"{name} of {sorted(widths)} values; expected as many each time"
-        )
+        raise DataError(survey.log.name, location, f"{name} of {sorted(widths)} values; expected as many each time")
     order = in_order(np.array([time for time, _ in rows], np.int64), f"{location}.{name}", survey.ledger)
     values = np.array([rows[row][1] for row in order.tolist()], np.float64).reshape(len(order), -1)
     if rotation is not None and name in _VECTORS and values.shape[1] == 3:
         values = values @ rotation.T
-    return VectorSamples(
-        read_only(np.array([rows[row][0] for row in order.tolist()], np.int64)), read_only(values)
-    )
+    return VectorSamples(read_only(np.array([rows[row][0] for row in order.tolist()], np.int64)), read_only(values))
 
 
 _Note = Mapping[str, Any]
@@ -311,9 +296,7 @@ class _Noted:
         draft = self.clouds.get(note["topic"])
         if draft is None:
             nothing: LazyFrames[LidarFrame | RadarFrame] = LazyFrames.of([], [])
-            made: Sensor = sensor_type(
-                note["id"], nothing, **self.posed(note, nothing.timestamps_ns), **fields
-            )
+            made: Sensor = sensor_type(note["id"], nothing, **self.posed(note, nothing.timestamps_ns), **fields)
             return made
         return draft.sensor(note["id"], radar=radar, **self.posed(note, draft.reader.starts_ns), **fields)
 
@@ -354,9 +337,7 @@ class _Noted:
         rows = self.rows(note["topic"])
         if rows is None:
             raise DataError(self.survey.log.name, note["topic"], "no poses; expected those of the odometry")
-        return OdometrySensor(
-            note["id"], _path_of(rows, static=bool(note.get("static"))), **self.common(note)
-        )
+        return OdometrySensor(note["id"], _path_of(rows, static=bool(note.get("static"))), **self.common(note))
 
     makers: Mapping[str, Callable[["_Noted", _Note], Sensor]] = MappingProxyType(
         {
@@ -535,9 +516,7 @@ def _draft_all(found: Survey, drafts: Drafts) -> None:
                 continue
             camera_model = _camera_model_topic_of(topic, camera_model_topics)
             if topic.name in noted:
-                camera_model = next(
-                    (other for other in camera_model_topics if other.name == noted[topic.name]), None
-                )
+                camera_model = next((other for other in camera_model_topics if other.name == noted[topic.name]), None)
             drafts.cameras.append(draft_camera(found, topic, camera_model))
         except UnknownFormatError as error:
             location = f"{found.log.name}: {topic.name}"
@@ -562,18 +541,14 @@ def _location(
     quiet = Ledger(lenient=True) if found.notes.ours else ledger
     small = [record.frame_id for kind, of in _SMALL for record in found.all_of(kind, of)]
     wanted = [*drafts.frames, *dict.fromkeys(small)]
-    roles = choose_roles(
-        tree, wanted, ego=chosen["ego"], world=chosen["world"], location=log.name, ledger=quiet
-    )
+    roles = choose_roles(tree, wanted, ego=chosen["ego"], world=chosen["world"], location=log.name, ledger=quiet)
     locations = Locations(tree, roles, None)
     trajectories = _noted_trajectories(found)
     if not found.notes.ours:
         trajectories = _foreign_trajectories(found, locations)
         loose = sorted({frame for frame in drafts.frames if frame not in frames})
         if loose:
-            message = (
-                f"frames {', '.join(map(repr, loose))} are in no transform, so their sensors are not placed"
-            )
+            message = f"frames {', '.join(map(repr, loose))} are in no transform, so their sensors are not placed"
             ledger.note(WarningKind.SKIPPED, "frames-missing", log.name, message, count=len(loose))
     trajectory = next(iter(trajectories.values()), None)
     if trajectory is not None and trajectory.quaternions_xyzw is None:
@@ -624,9 +599,7 @@ def _foreign_sensors(
     """The sensors that no note of ours speaks of; the ids of cameras are noted down by their topics."""
     noted = {name for note in found.notes.sensors for name in _topics_of(note)}
     topics = [
-        topic
-        for topic in found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.SAMPLE, Kind.FIX)
-        if topic.name not in noted
+        topic for topic in found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.SAMPLE, Kind.FIX) if topic.name not in noted
     ]
     clouds = {draft.reader.topic.number: draft for draft in drafts.clouds}
     cameras = {draft.topic.number: draft for draft in drafts.cameras}

@@ -96,9 +96,7 @@ def _open_bag(
             for bag in bags:
                 bag.close()
             raise
-        scene = scene_from_topics(
-            log, ledger, form=form, metadata={}, timestamps=timestamps, ego=ego, world=world
-        )
+        scene = scene_from_topics(log, ledger, form=form, metadata={}, timestamps=timestamps, ego=ego, world=world)
     return with_assumed_models(scene) if assume_model else scene
 
 

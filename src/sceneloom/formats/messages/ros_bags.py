@@ -143,13 +143,9 @@ def _files(folder: Path, reported: Mapping[str, Any], ledger: Ledger) -> list[Pa
     files = []
     for name in map(str, named):
         # old bags state the path from where they were recorded
-        file = next(
-            (location for location in (folder / name, folder / Path(name).name) if location.is_file()), None
-        )
+        file = next((location for location in (folder / name, folder / Path(name).name) if location.is_file()), None)
         if file is None or not file.resolve().is_relative_to(folder.resolve()):
-            error = DataError(
-                folder / METADATA, "relative_file_paths", f"{name!r}; expected a file of the folder"
-            )
+            error = DataError(folder / METADATA, "relative_file_paths", f"{name!r}; expected a file of the folder")
             ledger.fault("bag-file-missing", error)
         else:
             files.append(file)
@@ -197,9 +193,7 @@ class _ChunkedBag:
         self._messages.file.close()
 
 
-def _open_chunked(
-    read: Callable[[FileBytes, Ledger], _ChunkedBag], path: Path, ledger: Ledger
-) -> _ChunkedBag:
+def _open_chunked(read: Callable[[FileBytes, Ledger], _ChunkedBag], path: Path, ledger: Ledger) -> _ChunkedBag:
     file = FileBytes(path)
     try:
         return read(file, ledger)
@@ -397,9 +391,7 @@ class _SqliteBag:
         database = self._opened()
         tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type='table'")}
         if not {"topics", "messages"} <= tables:
-            raise DataError(
-                self.path, "", f"tables {', '.join(sorted(tables)) or 'none'}; expected topics, messages"
-            )
+            raise DataError(self.path, "", f"tables {', '.join(sorted(tables)) or 'none'}; expected topics, messages")
         definitions = {}
         if "message_definitions" in tables:
             query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"

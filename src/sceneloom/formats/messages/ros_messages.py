@@ -99,9 +99,7 @@ def store_of(connection: Connection, distro: str | None) -> Any:
         return _defined(connection.type, connection.definition, connection.form)
     store = distro_store(distro or _USUAL_DISTRO[connection.encoding])
     if connection.type not in store.fielddefs:
-        raise ValueError(
-            f"the bag does not define {connection.type}, and neither does ROS {distro or 'by itself'}"
-        )
+        raise ValueError(f"the bag does not define {connection.type}, and neither does ROS {distro or 'by itself'}")
     return store
 
 
@@ -212,9 +210,7 @@ def _compressed_image(message: Any) -> Sequence[CompressedImageRecord]:
 def _video(message: Any) -> Sequence[CompressedImageRecord]:
     form = message.format.lower()
     return [
-        CompressedImageRecord(
-            _timestamp_ns(message.timestamp), _frame(message.frame_id), form, _bytes(message.data)
-        )
+        CompressedImageRecord(_timestamp_ns(message.timestamp), _frame(message.frame_id), form, _bytes(message.data))
     ]
 
 
@@ -418,9 +414,7 @@ class Messages:
         """A time of a message."""
         seconds, nanoseconds = divmod(time_ns + self._shift_ns, 1_000_000_000)
         if not 0 <= seconds <= _LATEST_SECOND:
-            raise OutputError(
-                f"time {time_ns} ns; ROS holds times from 0 to 2^31 seconds: move the scene in time"
-            )
+            raise OutputError(f"time {time_ns} ns; ROS holds times from 0 to 2^31 seconds: move the scene in time")
         return self.make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
 
     def header(self, time_ns: int, frame_id: str) -> Any:
@@ -443,9 +437,7 @@ class Messages:
 
     def spread_pose(self, pose: Any, covariance: Any) -> Any:
         """A pose with its covariance, zeros for none."""
-        numbers = (
-            np.zeros(36) if covariance is None else np.ascontiguousarray(covariance, np.float64).reshape(-1)
-        )
+        numbers = np.zeros(36) if covariance is None else np.ascontiguousarray(covariance, np.float64).reshape(-1)
         return self.make("geometry_msgs/msg/PoseWithCovariance", pose, numbers)
 
     def transform(self, record: TransformRecord) -> _Message:
@@ -460,9 +452,7 @@ class Messages:
     def cloud(self, record: CloudRecord) -> _Message:
         """Points."""
         fields = [
-            self.make(
-                "sensor_msgs/msg/PointField", field.name, field.offset, _NUMBERS[field.dtype.str[1:]], 1
-            )
+            self.make("sensor_msgs/msg/PointField", field.name, field.offset, _NUMBERS[field.dtype.str[1:]], 1)
             for field in record.fields
         ]
         count = record.count or 0
@@ -507,9 +497,7 @@ class Messages:
         """A camera model."""
         name = "sensor_msgs/msg/CameraInfo"
         numbers = {"d": record.coefficients, "k": record.k, "r": np.eye(3).reshape(-1), "p": record.p}
-        named = {
-            key.upper() if self._ros1 else key: np.array(row, np.float64) for key, row in numbers.items()
-        }
+        named = {key.upper() if self._ros1 else key: np.array(row, np.float64) for key, row in numbers.items()}
         region = self.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, do_rectify=False)
         return name, self.make(
             name,

@@ -93,8 +93,7 @@ def _holds_messages(folder: Path) -> bool:
     """Whether a folder without metadata holds files of messages and nothing else."""
     files = [file for file in folder.iterdir() if not file.name.startswith(".")]
     return bool(files) and all(
-        file.is_file() and (_is_sqlite_bag(file) or (file.suffix == ".mcap" and _is_ros_mcap(file)))
-        for file in files
+        file.is_file() and (_is_sqlite_bag(file) or (file.suffix == ".mcap" and _is_ros_mcap(file))) for file in files
     )
 
 
@@ -111,9 +110,7 @@ _NO_MESSAGE = "there are no messages for it"
 _SOURCE_TIMESTAMPS = "timestamps of the source are not written beside our own"
 _JSON = converted("written as JSON; values that JSON cannot state are dropped, which is reported")
 
-_ALONG = converted(
-    "reported by the mounting and the ego trajectory where these state the same, within their rounding"
-)
+_ALONG = converted("reported by the mounting and the ego trajectory where these state the same, within their rounding")
 
 _QUATERNION = converted("rotations become unit quaternions")
 
@@ -136,12 +133,8 @@ def _seeing(kind: str, frames: str) -> dict[str, Holding]:
         f"{kind}.mount": _QUATERNION,
         f"{kind}.poses": _ALONG,
         f"{kind}.extras": _JSON,
-        f"{kind}.camera": converted(
-            "camera models that other programs do not know are written as only we read them"
-        ),
-        f"{kind}.{frames}.mount": converted(
-            "transforms, at the times of images where they are not all the same"
-        ),
+        f"{kind}.camera": converted("camera models that other programs do not know are written as only we read them"),
+        f"{kind}.{frames}.mount": converted("transforms, at the times of images where they are not all the same"),
         f"{kind}.{frames}.extras": dropped(_NO_MESSAGE),
     }
 
@@ -159,13 +152,9 @@ _SUPPORTS: Supports = MappingProxyType(
         "sensors.gnss.extras": _JSON,
         "sensors.gnss.mount": _QUATERNION,
         "sensors.camera.images.encoded": converted("JPEG files are copied"),
-        "sensors.camera.video": converted(
-            "H.264 and HEVC are copied packet by packet, others become JPEG files"
-        ),
+        "sensors.camera.video": converted("H.264 and HEVC are copied packet by packet, others become JPEG files"),
         "sensors.depth_camera.video": dropped("depth images are written one by one"),
-        "sensors.depth_camera.frames.scale": converted(
-            "millimetres are kept; other steps become floats of metres"
-        ),
+        "sensors.depth_camera.frames.scale": converted("millimetres are kept; other steps become floats of metres"),
         "sensors.imu.streams.accelerometer.file_seconds": dropped(_SOURCE_TIMESTAMPS),
         "sensors.imu.streams.gyroscope.file_seconds": dropped(_SOURCE_TIMESTAMPS),
         "sensors.imu.streams.magnetometer.file_seconds": dropped(_SOURCE_TIMESTAMPS),
@@ -205,9 +194,7 @@ _BAG_SUPPORTS: Supports = MappingProxyType(
             'images become JPEG files, unless foxglove_msgs are asked for (images="video")'
         ),
         "sensors.imu.streams.magnetometer.values": converted("tesla instead of µT"),
-        "sensors.imu.streams.other": dropped(
-            "there are messages for temperatures only, which are converted to °C"
-        ),
+        "sensors.imu.streams.other": dropped("there are messages for temperatures only, which are converted to °C"),
         "annotations.box_2d.path.values": converted("centre and size are written"),
         "trajectories.covariances": converted("location before rotate"),
     }
@@ -227,9 +214,7 @@ MCAP = FormatSpec(
     reads_urls=True,
     writer="sceneloom.formats.messages.mcap:write_mcap",
     write_options=("compression", "images"),
-    supports=MappingProxyType(
-        {**_SUPPORTS, "trajectories.covariances": dropped("messages of poses have none")}
-    ),
+    supports=MappingProxyType({**_SUPPORTS, "trajectories.covariances": dropped("messages of poses have none")}),
     extra="mcap",
     needs=("foxglove_schemas_protobuf", "google.protobuf", "mcap"),
 )

@@ -32,9 +32,7 @@ _TAILS = frozenset(
 _CAMERA_MODEL_TAILS = frozenset({"camera_info", "calibration", "camera_calibration", "info", "intrinsics"})
 
 _SAYING = (
-    _TAILS
-    | _CAMERA_MODEL_TAILS
-    | {"annotations", "detections", "detections_2d", "boxes", "bounding_boxes", "objects"}
+    _TAILS | _CAMERA_MODEL_TAILS | {"annotations", "detections", "detections_2d", "boxes", "bounding_boxes", "objects"}
 )
 
 
@@ -189,9 +187,7 @@ def attribute_notes(attributes: Iterable[AttributePath]) -> tuple[list[dict[str,
             continue
         if attribute.timestamps_ns is not None:
             reported["timestamps_ns"] = attribute.timestamps_ns.tolist()
-        reported |= {
-            name: value for name in _ATTRIBUTE_PARTS if (value := getattr(attribute, name)) is not None
-        }
+        reported |= {name: value for name in _ATTRIBUTE_PARTS if (value := getattr(attribute, name)) is not None}
         kept.append(reported)
     return kept, lost
 
@@ -290,9 +286,7 @@ def _settle_times(
 def _strangers(all_times: Sequence[_TopicTimes], name: str, ledger: Ledger) -> frozenset[int]:
     """The topics whose timestamps are of another clock than those of the others."""
     delays = {
-        times.topic.number: (times.topic.name, delay)
-        for times in all_times
-        if (delay := times.delay_ns) is not None
+        times.topic.number: (times.topic.name, delay) for times in all_times if (delay := times.delay_ns) is not None
     }
     if not delays:
         return frozenset()
@@ -393,21 +387,15 @@ def survey(log: TopicLog, ledger: Ledger, *, timestamps: str | None) -> Survey:
             reported, looked = log.timestamps(topic)
             if not looked and not found.notes.ours:
                 message = "some messages state the time at which they were received, so the others are taken to do so"
-                ledger.note(
-                    WarningKind.ASSUMED, "timestamps-from-index", f"{log.name}: {topic.name}", message
-                )
+                ledger.note(WarningKind.ASSUMED, "timestamps-from-index", f"{log.name}: {topic.name}", message)
             times.append(_TopicTimes(topic, reported, received))
         else:
             rows[topic.number] = _read(log, topic, ledger)
             first = np.array([records[0].timestamp_ns for _, records in rows[topic.number]], np.int64)
             kept = received[[k for k, _ in rows[topic.number]]] if len(first) else np.zeros(0, np.int64)
-            fixed = topic.kind is Kind.CAMERA_MODEL or _are_fixed(
-                [r for _, row in rows[topic.number] for r in row]
-            )
+            fixed = topic.kind is Kind.CAMERA_MODEL or _are_fixed([r for _, row in rows[topic.number] for r in row])
             times.append(_TopicTimes(topic, first, kept, fixed))
-    settled = _settle_times(
-        [row for row in times if len(row.timestamps_ns)], log.name, ledger, wanted=timestamps
-    )
+    settled = _settle_times([row for row in times if len(row.timestamps_ns)], log.name, ledger, wanted=timestamps)
     # our own writer moves scenes that begin before 0 where a format knows no such times
     moved_ns = int(found.notes.root.get("time_shift_ns", 0))
     for row in times:

@@ -53,9 +53,7 @@ def _trajectory_of(scene: Scene) -> Poses | None:
     return default.poses
 
 
-def _trajectory_streams(
-    scene: Scene, dialect: Dialect, losses: Losses
-) -> tuple[list[Stream], list[dict[str, Any]]]:
+def _trajectory_streams(scene: Scene, dialect: Dialect, losses: Losses) -> tuple[list[Stream], list[dict[str, Any]]]:
     """Report each trajectory on a topic of its own; give the streams and the notes of them."""
     parts = _unique_parts([dialect.part(name) for name in scene.trajectories])
     streams, notes = [], []
@@ -71,9 +69,7 @@ def _trajectory_streams(
             "timestamps of the source",
             count=trajectory.file_seconds is not None,
         )
-        if trajectory.covariances is not None and not (
-            dialect.covariances and trajectory.quaternions_xyzw is not None
-        ):
+        if trajectory.covariances is not None and not (dialect.covariances and trajectory.quaternions_xyzw is not None):
             losses.dropped(f"trajectories[{name}].covariances", "messages of poses have none")
     return streams, notes
 
@@ -275,9 +271,7 @@ class _SensorStreams:
             note["parent_id"] = sensor.parent_id
         location = f"sensors.{sensor.type}"
         extras, lost = sayable(getattr(sensor, "extras", {}))
-        self.losses.dropped(
-            f"{location}.extras", f"values that JSON cannot state: {', '.join(lost)}", count=len(lost)
-        )
+        self.losses.dropped(f"{location}.extras", f"values that JSON cannot state: {', '.join(lost)}", count=len(lost))
         if extras:
             note["extras"] = extras
         _WRITERS[type(sensor)](self, sensor, note)
@@ -320,9 +314,7 @@ class _SensorStreams:
         """
         kind, frame = f"sensors.{sensor.type}", note["frame"]
         first = own[0]
-        if first is not None and all(
-            mount is not None and np.array_equal(mount.matrix, first.matrix) for mount in own
-        ):
+        if first is not None and all(mount is not None and np.array_equal(mount.matrix, first.matrix) for mount in own):
             note["mount"] = True
             self.mounts[frame] = (self.dialect.ego, first)
             what = "the camera's own mounting, which no image has"
@@ -342,9 +334,7 @@ class _SensorStreams:
         name = "images" if isinstance(sensor, CameraSensor) else "frames"
         self.losses.converted(f"{kind}.{name}.mount", what, count=len(known))
 
-    def _is_derived(
-        self, sensor: Any, poses: Poses, own: Sequence[RigidTransform | None] | None = None
-    ) -> bool:
+    def _is_derived(self, sensor: Any, poses: Poses, own: Sequence[RigidTransform | None] | None = None) -> bool:
         """Whether poses are no more than what the mounting and the ego trajectory state."""
         if sensor.coordinates is not Coordinates.WORLD or poses.static:
             return False
@@ -356,8 +346,7 @@ class _SensorStreams:
             and np.array_equal(along.timestamps_ns, poses.timestamps_ns)
             and bool(np.abs(along.positions - poses.positions).max() <= _SAME_M)
             and bool(
-                (1 - np.abs((along.quaternions_xyzw * poses.quaternions_xyzw).sum(axis=1))).max()
-                <= _SAME_ROTATION
+                (1 - np.abs((along.quaternions_xyzw * poses.quaternions_xyzw).sum(axis=1))).max() <= _SAME_ROTATION
             )
         )
 
@@ -385,9 +374,7 @@ class _SensorStreams:
         """Write the cycles of a radar."""
         self._posed(sensor, note)
         note["topic"] = f"/{note['part']}/points"
-        writer = CloudWriter(
-            note["topic"], self._points_frame(sensor, note), "sensors.radar.frames", self.losses
-        )
+        writer = CloudWriter(note["topic"], self._points_frame(sensor, note), "sensors.radar.frames", self.losses)
         self.streams.append(Stream(sensor.frames.timestamps_ns, lambda k: writer.radar(sensor, k)))
 
     def add_map(self, sensor: PointsSensor, note: _Note) -> None:
@@ -456,9 +443,7 @@ class _SensorStreams:
     def add_depth_camera(self, sensor: DepthCameraSensor, note: _Note) -> None:
         """Write the images of a camera that measures depth."""
         writer = self._shots(sensor, note, "depth")
-        self.losses.dropped(
-            "sensors.depth_camera.video", "written as single images", count=sensor.video is not None
-        )
+        self.losses.dropped("sensors.depth_camera.video", "written as single images", count=sensor.video is not None)
         self.streams.append(Stream(sensor.frames.timestamps_ns, lambda k: writer.depth(sensor, k)))
 
     def add_odometry(self, sensor: OdometrySensor, note: _Note) -> None:
@@ -526,9 +511,7 @@ def _fixes(sensor: GnssSensor, topic: str, frame_id: str) -> Callable[[int], Ite
     return make
 
 
-def _samples(
-    sensor: ImuSensor, names: list[str], topic: str, frame_id: str
-) -> Callable[[int], Iterator[Stated]]:
+def _samples(sensor: ImuSensor, names: list[str], topic: str, frame_id: str) -> Callable[[int], Iterator[Stated]]:
     def make(k: int) -> Iterator[Stated]:
         values = {name: tuple(sensor.streams[name].values[k].tolist()) for name in names}
         yield topic, SampleRecord(int(sensor.streams[names[0]].timestamps_ns[k]), frame_id, values)
@@ -639,9 +622,7 @@ class SceneStreams:
         by_camera: dict[tuple[type, Any], list[Box2DAnnotation]] = {}
         for annotation in annotations:
             if isinstance(annotation, Box2DAnnotation) and len(annotation.path.timestamps_ns):
-                by_camera.setdefault((type(annotation.sensor_id), annotation.sensor_id), []).append(
-                    annotation
-                )
+                by_camera.setdefault((type(annotation.sensor_id), annotation.sensor_id), []).append(annotation)
         for camera, boxes in by_camera.items():
             note = next((n for n in sensor_notes if (type(n["id"]), n["id"]) == camera), None)
             if note is None:
@@ -667,9 +648,7 @@ class SceneStreams:
         self.losses.dropped(f"{kind}.attributes", "values that JSON cannot state", count=lost)
         extras, names = sayable(annotation.extras)
         self.losses.dropped(f"{kind}.extras", "values that JSON cannot state", count=len(names))
-        self.losses.dropped(
-            f"{kind}.path.extras", "further fields of a path", count=bool(annotation.path.extras)
-        )
+        self.losses.dropped(f"{kind}.path.extras", "further fields of a path", count=bool(annotation.path.extras))
         timestamps = annotation.path.timestamps_ns
         repeated = len(timestamps) - len(np.unique(timestamps))
         self.losses.dropped(f"{kind}.path.timestamps_ns", "rows with the time of another one", count=repeated)
@@ -683,9 +662,7 @@ class SceneStreams:
             "stationary": annotation.stationary,
         }
         note |= {name: value for name, value in reported.items() if value is not None}
-        return (
-            note | ({"attributes": attributes} if attributes else {}) | ({"extras": extras} if extras else {})
-        )
+        return note | ({"attributes": attributes} if attributes else {}) | ({"extras": extras} if extras else {})
 
     def _free_fields(self) -> dict[str, Any]:
         scene, found = self._scene, {}
@@ -711,9 +688,7 @@ def _transforms(parent: str, child: str, path: Any) -> Callable[[int], Iterator[
     def make(k: int) -> Iterator[Stated]:
         yield (
             _FRAMES_TOPIC,
-            TransformRecord(
-                int(path.timestamps_ns[k]), parent, child, path.positions[k], path.quaternions_xyzw[k]
-            ),
+            TransformRecord(int(path.timestamps_ns[k]), parent, child, path.positions[k], path.quaternions_xyzw[k]),
         )
 
     return make

@@ -47,9 +47,7 @@ _KIND = FolderKind(
 _GL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def write_nerfstudio(
-    scene: Scene, path: Path, *, options: PosedSettings, overwrite: bool = False
-) -> LossReport:
+def write_nerfstudio(scene: Scene, path: Path, *, options: PosedSettings, overwrite: bool = False) -> LossReport:
     """Write a folder with `transforms.json`, `images` and `points.ply`.
 
     Raises:

@@ -173,9 +173,7 @@ class WritingPlan:
         channels = _channels(scene, estimated_trajectory, losses, names)
         _report_poses(scene, estimated_trajectory, channels, losses)
         about = _about(scene, path)
-        samples = choose_samples(
-            scene, [channel.sensor for channel in channels], rate_hz=rate_hz, name=about[0].name
-        )
+        samples = choose_samples(scene, [channel.sensor for channel in channels], rate_hz=rate_hz, name=about[0].name)
         return cls(scene, version or _version(scene), about, channels, samples, estimated_trajectory, losses)
 
     def egos_at(self, timestamps_ns: Int64Array) -> list[RigidTransform]:

@@ -97,9 +97,7 @@ class _SweepFiles:
         Raises:
             DataError: the file is missing, cut off or no cloud.
         """
-        return LidarFrame(
-            self.frames.timestamp(k), _lidar_points(self.frames.files[k]), self.frames.extras(k)
-        )
+        return LidarFrame(self.frames.timestamp(k), _lidar_points(self.frames.files[k]), self.frames.extras(k))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,9 +222,7 @@ class _SceneTables:
     others: int = 0
 
 
-def _select(
-    location: Location, sequence: str | None, ledger: Ledger, *, keyframes: bool = False
-) -> _SceneTables:
+def _select(location: Location, sequence: str | None, ledger: Ledger, *, keyframes: bool = False) -> _SceneTables:
     """Read the rows of one scene.
 
     Args:
@@ -268,9 +264,7 @@ def scene_names(path: Path) -> tuple[str, ...]:
 
 def _chosen(location: Location, scenes: list[SceneRow], sequence: str | None) -> SceneRow:
     names = [row.name for row in scenes]
-    shown = ", ".join(
-        [*names[:_MOST_NAMES], *([f"… ({len(names)} in all)"] if len(names) > _MOST_NAMES else [])]
-    )
+    shown = ", ".join([*names[:_MOST_NAMES], *([f"… ({len(names)} in all)"] if len(names) > _MOST_NAMES else [])])
     if sequence is not None:
         match = [row for row in scenes if sequence in (row.name, row.token)]
         if len(match) != 1:
@@ -279,18 +273,14 @@ def _chosen(location: Location, scenes: list[SceneRow], sequence: str | None) ->
     if not scenes:
         raise DataError(location.tables / "scene.json", "", "no row; expected one scene at least")
     if len(scenes) > 1:
-        raise OptionError(
-            f"{location.tables}: {len(scenes)} scenes; choose one with `--sequence NAME`: {shown}"
-        )
+        raise OptionError(f"{location.tables}: {len(scenes)} scenes; choose one with `--sequence NAME`: {shown}")
     return scenes[0]
 
 
 def _check_count(location: Location, scene: SceneRow, count: int, ledger: Ledger) -> None:
     if scene.nbr_samples not in (0, count):
         problem = f"{count} samples; scene.json says {scene.nbr_samples}: is the table cut off?"
-        ledger.fault(
-            "samples-missing", DataError(location.tables / "sample.json", f"scene {scene.name}", problem)
-        )
+        ledger.fault("samples-missing", DataError(location.tables / "sample.json", f"scene {scene.name}", problem))
 
 
 def _log(location: Location, scene: SceneRow, ledger: Ledger) -> LogRow | None:
@@ -299,9 +289,7 @@ def _log(location: Location, scene: SceneRow, ledger: Ledger) -> LogRow | None:
         return None
     log = next((row for row in iter_rows(location.tables, "log") if row.token == scene.log_token), None)
     if log is None:
-        ledger.fault(
-            "dangling-tokens", _dangling_token(location, "scene", scene.token, "log", scene.log_token)
-        )
+        ledger.fault("dangling-tokens", _dangling_token(location, "scene", scene.token, "log", scene.log_token))
     return log
 
 
@@ -367,9 +355,7 @@ def _followed(
         wanted = row.calibrated_sensor_token
         fault = _dangling_token(location, "sample_data", row.token, "calibrated_sensor", wanted)
     elif calibration.sensor_token not in sensors:
-        fault = _dangling_token(
-            location, "calibrated_sensor", calibration.token, "sensor", calibration.sensor_token
-        )
+        fault = _dangling_token(location, "calibrated_sensor", calibration.token, "sensor", calibration.sensor_token)
     if fault is not None or calibration is None:
         ledger.fault("dangling-tokens", fault or SceneloomError())
         return None
@@ -380,9 +366,7 @@ def _is_there(location: Location, row: SampleDataRow, ledger: Ledger) -> bool:
     file = _file_of(location, "sample_data", row.token, row.filename)
     if file.is_file():
         return True
-    hint = (
-        "" if row.is_key_frame else "; without the folder sweeps/, open the key frames only (`--keyframes`)"
-    )
+    hint = "" if row.is_key_frame else "; without the folder sweeps/, open the key frames only (`--keyframes`)"
     ledger.fault("files-missing", DataError(file, "", f"is not there; sample_data.json names it{hint}"))
     return False
 
@@ -456,9 +440,7 @@ def _trajectory_of(tables: _SceneTables, ledger: Ledger) -> Trajectory | None:
     return Trajectory(_TRAJECTORY, times_ns, positions[first], quaternions[first])
 
 
-def _quaternions(
-    tables: _SceneTables, table: str, rotations: Sequence[tuple[str, Quaternion]]
-) -> Float64Array:
+def _quaternions(tables: _SceneTables, table: str, rotations: Sequence[tuple[str, Quaternion]]) -> Float64Array:
     """Rotate `w x y z` into unit quaternions (N, 4), scalar last.
 
     Raises:
@@ -469,9 +451,7 @@ def _quaternions(
     wrong = np.flatnonzero(is_off)
     if len(wrong):
         token, rotation = rotations[int(wrong[0])]
-        problem = (
-            f"rotation {list(rotation)} has the length {norms[wrong[0]]:.4f}; expected w, x, y, z of length 1"
-        )
+        problem = f"rotation {list(rotation)} has the length {norms[wrong[0]]:.4f}; expected w, x, y, z of length 1"
         raise DataError(tables.location.tables / f"{table}.json", f"row {token}", problem)
     return normalise_quaternion(values[:, [1, 2, 3, 0]])
 
@@ -623,9 +603,7 @@ def _build_cuboids(tables: _SceneTables, ledger: Ledger) -> tuple[CuboidAnnotati
             problem = "missing; expected the tables of boxes, be they empty"
             ledger.fault("table-missing", DataError(location.tables, f"{name}.json", problem))
             return ()
-    rows = [
-        row for row in iter_rows(location.tables, "sample_annotation") if row.sample_token in tables.samples
-    ]
+    rows = [row for row in iter_rows(location.tables, "sample_annotation") if row.sample_token in tables.samples]
     instances = _rows_by_token(location, "instance", (row.instance_token for row in rows))
     names = {name: _rows_by_token(location, name) for name in ("category", "attribute", "visibility")}
     tracks: dict[str, list[AnnotationRow]] = {}
@@ -698,9 +676,7 @@ def _attributes(
 ) -> tuple[AttributePath, ...]:
     """What is stated at each sample; of the visibility nothing, where nothing is stated at any."""
     stated: dict[str, tuple[Any, ...]] = {
-        "attributes": tuple(
-            tuple(names["attribute"][token].name for token in row.attribute_tokens) for row in rows
-        ),
+        "attributes": tuple(tuple(names["attribute"][token].name for token in row.attribute_tokens) for row in rows),
         "num_lidar_pts": tuple(row.num_lidar_pts for row in rows),
         "num_radar_pts": tuple(row.num_radar_pts for row in rows),
     }
@@ -760,9 +736,7 @@ def _labels(
     cloud = _file_of(tables.location, "sample_data", row.sample_data_token, data.rows[k].filename)
     points = _points_in(cloud)
     if len(labels) != points:
-        raise DataError(
-            file, "", f"{len(labels)} labels; expected {points}, one for each point of {cloud.name}"
-        )
+        raise DataError(file, "", f"{len(labels)} labels; expected {points}, one for each point of {cloud.name}")
     unknown = sorted(set(np.unique(labels).tolist()) - set(categories))
     if unknown:
         raise DataError(file, "", f"class {unknown[0]}; expected an `index` of category.json")
@@ -838,9 +812,7 @@ def _note_left_out(tables: _SceneTables, ledger: Ledger) -> None:
             ledger.note(WarningKind.SKIPPED, f"{code}-left-out", str(file), message)
     if tables.others:
         location = str(tables.location.tables / "scene.json")
-        ledger.note(
-            WarningKind.SKIPPED, "other-scenes", location, "further scenes are left out", count=tables.others
-        )
+        ledger.note(WarningKind.SKIPPED, "other-scenes", location, "further scenes are left out", count=tables.others)
 
 
 def _scene_metadata(tables: _SceneTables) -> MappingProxyType[str, Any]:

@@ -60,10 +60,7 @@ SUPPORTS: Supports = MappingProxyType(
         **{f"{kind}.points_frame": _OWN_FRAME for kind in _SWEPT},
         **{f"{kind}.frames.timestamp_ns": _MICROSECONDS for kind in _SWEPT},
         **{f"{kind}.frames.extras": _NEW for kind in _SWEPT},
-        **{
-            f"{kind}.frames.points.positions": converted("in the sensor's own frame, float32")
-            for kind in _SWEPT
-        },
+        **{f"{kind}.frames.points.positions": converted("in the sensor's own frame, float32") for kind in _SWEPT},
         "sensors.lidar.frames.points.intensities": KEPT,
         "sensors.lidar.frames.points.rings": KEPT,
         "sensors.radar.frames.points.directions": converted("with the lengths, as vx and vy"),
@@ -72,9 +69,7 @@ SUPPORTS: Supports = MappingProxyType(
         "sensors.camera.camera": KEPT,
         "sensors.camera.video": converted("decoded, a file for each image"),
         "sensors.camera.images.timestamp_ns": _MICROSECONDS,
-        "sensors.camera.images.camera": converted(
-            "a row of camera model and mounting for each that an image has"
-        ),
+        "sensors.camera.images.camera": converted("a row of camera model and mounting for each that an image has"),
         "sensors.camera.images.mount": converted("quaternion and translation"),
         "sensors.camera.images.rgb": KEPT,
         "sensors.camera.images.encoded": KEPT,
@@ -85,9 +80,7 @@ SUPPORTS: Supports = MappingProxyType(
         "annotations.cuboid.path.timestamps_ns": converted("boxes are reported at the samples"),
         "annotations.cuboid.path.values": converted("boxes at the samples, rotated by quaternions"),
         "annotations.cuboid.path.extras": _NEW,
-        "annotations.cuboid.attributes": converted(
-            "names, visibility and numbers of points, reported at the samples"
-        ),
+        "annotations.cuboid.attributes": converted("names, visibility and numbers of points, reported at the samples"),
         "annotations.labeled_points": converted("a file of classes for each key frame"),
         "annotations.labeled_points.id": converted("`lidarseg:` and the name of the class"),
         "annotations.labeled_points.label": converted("a category"),

@@ -319,9 +319,7 @@ class Samples:
         timestamps = timestamps_of(sensor)
         after = np.minimum(np.searchsorted(self.timestamps_ns, timestamps), len(self.timestamps_ns) - 1)
         before = np.maximum(after - 1, 0)
-        nearer = np.abs(timestamps - self.timestamps_ns[before]) < np.abs(
-            timestamps - self.timestamps_ns[after]
-        )
+        nearer = np.abs(timestamps - self.timestamps_ns[before]) < np.abs(timestamps - self.timestamps_ns[after])
         return np.where(is_key & nearer, before, after).astype(np.int64)
 
 

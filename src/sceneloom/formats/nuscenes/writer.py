@@ -187,9 +187,7 @@ def _write_boxes(
             finite = finite_rows(np.hstack([poses.centers_world, poses.sizes_lwh, poses.quaternions_xyzw]))
             nowhere = int((poses.there & ~finite).sum())
             if nowhere:
-                losses.add(
-                    "annotations.cuboid.path", "boxes that are no finite numbers are left out", nowhere
-                )
+                losses.add("annotations.cuboid.path", "boxes that are no finite numbers are left out", nowhere)
             there = np.flatnonzero(poses.there & finite).tolist()
             token = _instance_token(cuboid, name)
             _report_losses(cuboid, samples, there, losses)
@@ -214,16 +212,12 @@ def _write_boxes(
 def _instance_token(cuboid: CuboidAnnotation, name: str) -> str:
     """The id of a cuboid, where it is a text; else a token that is made of it."""
     identifier = cuboid.id
-    return (
-        identifier if isinstance(identifier, str) and identifier else token_of("instance", name, identifier)
-    )
+    return identifier if isinstance(identifier, str) and identifier else token_of("instance", name, identifier)
 
 
 def _stated(cuboid: CuboidAnnotation, times_ns: Int64Array) -> list[dict[str, Any]]:
     """What is stated about a cuboid at times (M,) [ns]."""
-    columns = {
-        path.name: attribute_at(path, times_ns) for path in cuboid.attributes if path.sensor_id is None
-    }
+    columns = {path.name: attribute_at(path, times_ns) for path in cuboid.attributes if path.sensor_id is None}
     return [{name: values[k] for name, values in columns.items()} for k in range(len(times_ns))]
 
 
@@ -269,13 +263,9 @@ def _listed(names: Any) -> list[str]:
     return [str(name) for name in names] if isinstance(names, list | tuple) else []
 
 
-def _report_losses(
-    cuboid: CuboidAnnotation, samples: Samples, there: Sequence[int], losses: _FrameLosses
-) -> None:
+def _report_losses(cuboid: CuboidAnnotation, samples: Samples, there: Sequence[int], losses: _FrameLosses) -> None:
     location = "annotations.cuboid"
-    losses.add(
-        f"{location}.activations", "when each sensor sees a cuboid is left out", len(cuboid.activations)
-    )
+    losses.add(f"{location}.activations", "when each sensor sees a cuboid is left out", len(cuboid.activations))
     if not there:
         losses.add(location, "cuboids that are at no sample are left out", 1)
         return
@@ -321,9 +311,7 @@ class _PointClasses:
         """Gather the labelled points that are classes; those of single objects are left out."""
         found = [a for a in scene.annotations if isinstance(a, LabeledPointsAnnotation)]
         classes = [a for a in found if a.label is not None and a.is_instance is not True]
-        losses.add(
-            _LOCATION, "points of single objects, or without a class, are left out", len(found) - len(classes)
-        )
+        losses.add(_LOCATION, "points of single objects, or without a class, are left out", len(found) - len(classes))
         numbers = _numbers(classes)
         left = {a.label for a in classes} - set(numbers)
         losses.add(_LOCATION, f"a byte has {_MOST} classes; further ones are left out", len(left))
@@ -509,9 +497,7 @@ class _Writer:
         with _TableWriter(self.tables, "sample_data") as rows, _TableWriter(self.tables, "ego_pose") as poses:
             for channel in plan.channels:
                 self._write_channel(channel, rows, poses, boxes, classes)
-        self.losses.add(
-            "annotations.labeled_points", "classes of sweeps between samples are left out", classes.left()
-        )
+        self.losses.add("annotations.labeled_points", "classes of sweeps between samples are left out", classes.left())
         categories = _categories_of(plan.scene)
         _write_boxes(self.tables, plan.about[0].name, boxes, plan.samples, categories, self.losses)
         _write_table(self.tables, "category", _category_rows(categories, classes))
@@ -529,9 +515,7 @@ class _Writer:
         timestamps_us, egos = microseconds(timestamps), plan.egos_at(timestamps)
         is_key = plan.samples.key_rows(sensor)
         samples = plan.samples.numbers(sensor, is_key)
-        tokens = [
-            token_of("sample_data", plan.about[0].name, channel.name, k) for k in range(len(timestamps))
-        ]
+        tokens = [token_of("sample_data", plan.about[0].name, channel.name, k) for k in range(len(timestamps))]
         stems = _stems(plan.about[0].name, channel, timestamps_us.tolist())
         for k, token in enumerate(tokens):
             folder = self.root / ("samples" if is_key[k] else "sweeps") / channel.folder
@@ -587,9 +571,7 @@ class _Writer:
         world = (ego @ channel.mount).apply(np.asarray(positions, np.float32))
         return _Frame(path, channel.mount, points_world=world)
 
-    def _write_classes(
-        self, classes: _PointClasses, channel: Channel, k: int, token: str, count: int
-    ) -> None:
+    def _write_classes(self, classes: _PointClasses, channel: Channel, k: int, token: str, count: int) -> None:
         frame = (_sensor_key(channel.sensor), k)
         classes.write(self.root, self.plan.version, token, frame, count, self.losses)
 
@@ -755,9 +737,7 @@ def _fill_velocities(rows: AnyArray, frame: RadarFrame, losses: _FrameLosses) ->
         upright = np.abs(velocities[:, 2])
         what = "the part of the speed along the sensor's z is left out [m/s]"
         error = float(upright.max(initial=0.0))
-        losses.add(
-            f"{location}.directions", what, int((upright > 0).sum()), Support.APPROXIMATED, error=error
-        )
+        losses.add(f"{location}.directions", what, int((upright > 0).sum()), Support.APPROXIMATED, error=error)
     if "vx_comp" not in points.extras:
         rows["vx_comp"], rows["vy_comp"] = rows["vx"], rows["vy"]
 

@@ -223,9 +223,7 @@ class Ours:
         return part if part is not None and isinstance(part.value, dict) else None
 
 
-def restored_from(
-    part: Part, annotation: Annotation, boxes: Mapping[str, SeenBoxes] = NO_FIELDS
-) -> Annotation:
+def restored_from(part: Part, annotation: Annotation, boxes: Mapping[str, SeenBoxes] = NO_FIELDS) -> Annotation:
     """The annotation with the fields put back that a part of our own says.
 
     Args:
@@ -242,9 +240,7 @@ def restored_from(
         raise part.fault(f"the fields of an annotation: {error}") from error
 
 
-def _restored(
-    annotation: Annotation, fields: Mapping[str, Any], boxes: Mapping[str, SeenBoxes]
-) -> Annotation:
+def _restored(annotation: Annotation, fields: Mapping[str, Any], boxes: Mapping[str, SeenBoxes]) -> Annotation:
     made = _made(annotation, fields)
     known = type(made).__dataclass_fields__
     values = {name: fields[name] for name in _REPLACED if name in fields and name in known}
@@ -286,9 +282,7 @@ def _made(annotation: Annotation, fields: Mapping[str, Any]) -> Any:
     if kind == "points":
         paths = tuple(_path(one) for one in fields["paths"])
         labels = None if fields.get("labels") is None else tuple(fields["labels"])
-        seen = tuple(
-            tuple(_point_projection(one) for one in point) for point in fields.get("projections") or ()
-        )
+        seen = tuple(tuple(_point_projection(one) for one in point) for point in fields.get("projections") or ())
         return PointsAnnotation(paths=paths, labels=labels, projections=seen, **common)
     common["label"] = annotation.label
     if kind == "group":
@@ -356,9 +350,7 @@ def _projection(stated: Mapping[str, Any], drawn: Mapping[str, SeenBoxes]) -> Pr
         boxes = np.array([found.get(time_ns, nothing)[0] for time_ns in times], np.float64).reshape(-1, 4)
         if confirmed is not None:
             reported = [found.get(time_ns, nothing)[1] for time_ns in times]
-            confirmed = tuple(
-                old if new is None else new for old, new in zip(confirmed, reported, strict=True)
-            )
+            confirmed = tuple(old if new is None else new for old, new in zip(confirmed, reported, strict=True))
     return Projection(**fields, boxes=boxes, confirmed=confirmed, cuboids=_table(stated.get("cuboids"), 9))
 
 

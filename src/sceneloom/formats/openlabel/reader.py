@@ -193,9 +193,7 @@ class _Rows:
         """Bring (N, 4) rotations into the root."""
         if self.system is None or len(self.systems.chain(self.system)) == 1:
             return quaternions_xyzw
-        return multiply_quaternions(
-            self.systems.root_from(self.system, self.timestamps_ns)[1], quaternions_xyzw
-        )
+        return multiply_quaternions(self.systems.root_from(self.system, self.timestamps_ns)[1], quaternions_xyzw)
 
 
 def _cuboid(rows: _Rows) -> _Geometry:
@@ -262,9 +260,7 @@ def _poly3d(rows: _Rows) -> _Geometry:
             raise DataError(row.part.file, f"{row.part.location}.val", problem)
         vertices.append(np.array(values).reshape(-1, 3))
     kind = ShapeType.POLYGON if _is_closed(rows) else ShapeType.POLYLINE
-    return ShapeAnnotation(
-        type=kind, path=VertexPath(rows.timestamps_ns, rows.in_root(vertices)), **rows.fields
-    )
+    return ShapeAnnotation(type=kind, path=VertexPath(rows.timestamps_ns, rows.in_root(vertices)), **rows.fields)
 
 
 def _is_closed(rows: _Rows) -> bool:
@@ -357,9 +353,7 @@ def _nested_attributes(rows: Iterable[_Stated], *, without: Sequence[str] = ()) 
                 name = part.members().get("name")
                 if name in without:
                     continue
-                found.setdefault((kind, name if isinstance(name, str) else kind), []).append(
-                    _Stated(row.time_ns, part)
-                )
+                found.setdefault((kind, name if isinstance(name, str) else kind), []).append(_Stated(row.time_ns, part))
     return tuple(_attribute(kind, name, parts) for (kind, name), parts in found.items())
 
 
@@ -426,9 +420,7 @@ class _Reader:
         parts = [] if own is None else [self._part(element, label, one, stated) for one in own.items("parts")]
         drawn = {} if own is None else _drawn(own, stated)
         plain = tuple(_attribute(*key, rows) for key, rows in stated.items() if key[0] not in GEOMETRY)
-        shapes = {
-            key: rows for key, rows in stated.items() if key[0] in GEOMETRY and self._is_read(key, rows)
-        }
+        shapes = {key: rows for key, rows in stated.items() if key[0] in GEOMETRY and self._is_read(key, rows)}
         if self.ours.class_of(element.kind, element.uid) == "points":
             shapes = {}
         extras = _further(element)
@@ -515,9 +507,7 @@ class _Reader:
             reported = f"the coordinate system {name!r} is not described; taken for the world"
             location = f"{ordered[0].part.file}: {ordered[0].part.location}"
             self.ledger.note(WarningKind.ASSUMED, "coordinate-system-unknown", location, reported)
-        return _Rows(
-            tuple(ordered), np.array(times, np.int64), name, self.systems, camera, MappingProxyType(fields)
-        )
+        return _Rows(tuple(ordered), np.array(times, np.int64), name, self.systems, camera, MappingProxyType(fields))
 
     def _camera(self, system: str | None, part: Part) -> Identifier:
         """The camera of what is drawn in images: that of the coordinate system, else the only or first one."""
@@ -535,9 +525,7 @@ class _Reader:
     def _of_event(self, element: _Element) -> Annotation:
         """An action, event or context: something that lasts from one frame to another."""
         label = element.head.need("type").text() or None
-        intervals = element.intervals or (
-            [(min(element.frames), max(element.frames))] if element.frames else []
-        )
+        intervals = element.intervals or ([(min(element.frames), max(element.frames))] if element.frames else [])
         start_ns = self.times.at(intervals[0][0]) if intervals else self.times.first_ns
         stop_ns = self.times.at(intervals[-1][1]) if intervals else None
         extras = dict(_further(element))
@@ -622,9 +610,7 @@ def _links(
             objects = [_agent(part, known) for part in relation.items("rdf_objects")]
             if not subjects or not objects:
                 raise relation.fault("at least one each of rdf_subjects and rdf_objects")
-            yield from (
-                ours.restored(link, "relation", uid) for link in _pairs(link_id, relation, subjects, objects)
-            )
+            yield from (ours.restored(link, "relation", uid) for link in _pairs(link_id, relation, subjects, objects))
         except DataError as error:
             ledger.fault("relations", error)
 
@@ -634,9 +620,7 @@ def _pairs(
 ) -> Iterator[LinkAnnotation]:
     label = relation.need("type").text() or None
     taken = {"type", "rdf_subjects", "rdf_objects"}
-    further = {
-        key: value for key, value in relation.members().items() if key not in taken and value != relation_id
-    }
+    further = {key: value for key, value in relation.members().items() if key not in taken and value != relation_id}
     extras = MappingProxyType({KIND: further} if further else {})
     pairs = [(one, other) for one in subjects for other in objects]
     for k, (from_id, to_id) in enumerate(pairs):
@@ -705,15 +689,11 @@ def _check_version(document: Part, ledger: Ledger) -> None:
     metadata = document.get("metadata")
     version = None if metadata is None else metadata.get("schema_version")
     if version is None or version.value != SCHEMA_VERSION:
-        reported = (
-            f"version {None if version is None else version.value!r} of the schema; read as {SCHEMA_VERSION}"
-        )
+        reported = f"version {None if version is None else version.value!r} of the schema; read as {SCHEMA_VERSION}"
         ledger.note(WarningKind.ASSUMED, "schema-version", f"{document.file}: openlabel.metadata", reported)
 
 
-def _ids(
-    elements: list[_Element], annotations: list[Annotation], ours: Ours
-) -> dict[tuple[str, str], Identifier]:
+def _ids(elements: list[_Element], annotations: list[Annotation], ours: Ours) -> dict[tuple[str, str], Identifier]:
     """Ids of annotations by what relations call them."""
     found: dict[tuple[str, str], Identifier] = {}
     known = {annotation.id for annotation in annotations}
@@ -730,9 +710,7 @@ def _metadata(document: Part) -> dict[str, Any]:
     """The members that the model has no field for, and how the angles of boxes are meant."""
     kept = {name: value for name in KEPT if (value := document.members().get(name))}
     if isinstance(kept.get("metadata"), dict):
-        own = {
-            name: value for name, value in kept["metadata"].items() if name not in {OURS, "schema_version"}
-        }
+        own = {name: value for name, value in kept["metadata"].items() if name not in {OURS, "schema_version"}}
         kept.pop("metadata")
         kept.update({"metadata": own} if own else {})
     angles = CuboidAngles()

@@ -23,9 +23,7 @@ def _near_miss(path: Path) -> str | None:
     return "it is of VCD, which OpenLABEL came from; bring it to OpenLABEL 1.0 with the program `vcd`"
 
 
-_ELSEWHERE = dropped(
-    "left out: OpenLABEL refers to what sensors measured by the names of files, and does not hold it"
-)
+_ELSEWHERE = dropped("left out: OpenLABEL refers to what sensors measured by the names of files, and does not hold it")
 _NO_POSITION = dropped("left out: OpenLABEL has no field for it")
 _SENSOR: Supports = {
     "id": KEPT,
@@ -47,9 +45,7 @@ _CAMERA: Supports = {
     "video": _ELSEWHERE,
     "fps": _NO_POSITION,
 }
-_SAMPLED = converted(
-    "transforms of the ego at the times of the frames, which are those of annotations and sweeps"
-)
+_SAMPLED = converted("transforms of the ego at the times of the frames, which are those of annotations and sweeps")
 
 SUPPORTS: Supports = MappingProxyType(
     {

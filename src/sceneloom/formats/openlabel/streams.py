@@ -197,26 +197,18 @@ def _sensor(name: str, stream: Part, systems: Systems, ledger: Ledger) -> Sensor
     kind = "other" if stream.get("type") is None else stream.need("type").text()
     if kind not in SENSOR_TYPES:
         raise stream.need("type").fault(f"one of {', '.join(SENSOR_TYPES)}")
-    properties = stream.get("stream_properties") or Part(
-        stream.file, f"{stream.location}.stream_properties", {}
-    )
+    properties = stream.get("stream_properties") or Part(stream.file, f"{stream.location}.stream_properties", {})
     ours = properties.members().get(OURS)
     ours = ours if isinstance(ours, dict) else {}
     sensor_id: Identifier = ours["id"] if isinstance(ours.get("id"), int | str) else name
     stated = ours.get("type")
-    further = {
-        key: value for key, value in stream.members().items() if key not in {"type", "stream_properties"}
-    }
-    rest = {
-        key: value for key, value in properties.members().items() if key not in {OURS, "intrinsics_pinhole"}
-    }
+    further = {key: value for key, value in stream.members().items() if key not in {"type", "stream_properties"}}
+    rest = {key: value for key, value in properties.members().items() if key not in {OURS, "intrinsics_pinhole"}}
     if kind != "camera" and rest:
         further["stream_properties"] = rest
     placed = _placed(name, systems)
     extras = MappingProxyType(further)
-    build = _BUILDERS.get(
-        stated if isinstance(stated, str) and stated in _BUILDERS else _DEFAULTS.get(kind, kind)
-    )
+    build = _BUILDERS.get(stated if isinstance(stated, str) and stated in _BUILDERS else _DEFAULTS.get(kind, kind))
     camera_model = _read_camera_model(properties) if kind == "camera" else None
     if kind == "camera" and camera_model is not None:
         return CameraSensor(sensor_id, camera_model, _no_frames(), extras=extras, **placed)
@@ -224,9 +216,7 @@ def _sensor(name: str, stream: Part, systems: Systems, ledger: Ledger) -> Sensor
         return build(sensor_id, placed, extras)
     if kind == "camera":
         reported = "its camera model is not stated, or of a model that is not known; kept as it stands"
-        ledger.note(
-            WarningKind.SKIPPED, "camera-model-not-read", f"{stream.file}: {stream.location}", reported
-        )
+        ledger.note(WarningKind.SKIPPED, "camera-model-not-read", f"{stream.file}: {stream.location}", reported)
     return PlainSensor(sensor_id, f"openlabel_{kind}", MappingProxyType(dict(stream.members())))
 
 
@@ -342,9 +332,7 @@ class Streams:
                 name += "_"
             names[sensor.id], sensors[name] = name, sensor
         moving = frozenset(
-            one.id
-            for one in scene.cameras
-            if mounts_of_shots(one) is not None and one.coordinates is Coordinates.WORLD
+            one.id for one in scene.cameras if mounts_of_shots(one) is not None and one.coordinates is Coordinates.WORLD
         )
         return cls(names, sensors, trajectory, moving)
 
@@ -384,9 +372,7 @@ class Streams:
         for name, path in (moving | self._moving_sensors()).items():
             samples = path.interpolate(np.array([time_ns], np.int64))
             if np.isfinite(samples.positions[0]).all():
-                matrix = RigidTransform.from_quaternion(
-                    samples.positions[0], samples.quaternions_xyzw[0]
-                ).matrix
+                matrix = RigidTransform.from_quaternion(samples.positions[0], samples.quaternions_xyzw[0]).matrix
                 found[f"{name}_to_{WORLD}"] = {
                     "src": name,
                     "dst": WORLD,
@@ -434,17 +420,10 @@ class Streams:
             k = int(np.argmin(np.abs(times - time_ns)))
             reach = float(np.median(np.diff(times))) * _WITHIN if len(times) > 1 else 0.0
             if abs(int(times[k]) - time_ns) <= reach:
-                properties: dict[str, Any] = {
-                    "sync": {"frame_stream": k, "timestamp": seconds_text(int(times[k]))}
-                }
-                if (
-                    isinstance(sensor, CameraSensor)
-                    and (camera_model := sensor.images[k].camera) != sensor.camera
-                ):
+                properties: dict[str, Any] = {"sync": {"frame_stream": k, "timestamp": seconds_text(int(times[k]))}}
+                if isinstance(sensor, CameraSensor) and (camera_model := sensor.images[k].camera) != sensor.camera:
                     properties |= {
-                        key: value
-                        for key, value in _camera_model_properties(camera_model).items()
-                        if key != OURS
+                        key: value for key, value in _camera_model_properties(camera_model).items() if key != OURS
                     }
                 found[name] = {"stream_properties": properties}
         return found
@@ -486,9 +465,7 @@ def _times(sensor: Sensor) -> Int64Array:
 def _trajectory_of(scene: Scene) -> Poses | None:
     """The ego trajectory: the first trajectory with orientations, else that of an odometry sensor."""
     trajectories = [
-        trajectory.poses
-        for trajectory in scene.trajectories.values()
-        if trajectory.quaternions_xyzw is not None
+        trajectory.poses for trajectory in scene.trajectories.values() if trajectory.quaternions_xyzw is not None
     ]
     trajectories += [sensor.poses for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
     return next((trajectory for trajectory in trajectories if not trajectory.static), None)

@@ -81,17 +81,14 @@ def frame_times(document: Part, ledger: Ledger, rate_hz: float | None) -> FrameT
     return FrameTimes(known)
 
 
-def _count(
-    missing: list[int], known: dict[int, int], document: Part, ledger: Ledger, rate_hz: float | None
-) -> None:
+def _count(missing: list[int], known: dict[int, int], document: Part, ledger: Ledger, rate_hz: float | None) -> None:
     """Give frames without a time one: by their number, or with the known ones by their distance from these."""
     times = FrameTimes(dict(known))
     rate = rate_hz or _DEFAULT_RATE_HZ
     for number in missing:
         known[number] = times.at(number) if times.by_number else round(number * 1e9 / rate)
     reported = (
-        f"frames have no timestamp; taken at {rate:g} Hz by number, `--input-option rate_hz=HZ` "
-        f"says another rate"
+        f"frames have no timestamp; taken at {rate:g} Hz by number, `--input-option rate_hz=HZ` says another rate"
     )
     ledger.note(
         WarningKind.ASSUMED,
@@ -221,9 +218,7 @@ class Systems:
     @property
     def ego(self) -> str | None:
         """The moving system that is nearest to its root, and no sensor's; None where nothing moves."""
-        moving = [
-            name for name, (_, path) in self.edges.items() if not path.static and name not in self.sensors
-        ]
+        moving = [name for name, (_, path) in self.edges.items() if not path.static and name not in self.sensors]
         return min(moving, key=lambda name: (len(self.chain(name)), name), default=None)
 
     def path_to(self, name: str, goal: str) -> Poses | None:
@@ -281,9 +276,7 @@ def read_systems(document: Part, times: FrameTimes, ledger: Ledger) -> Systems:
 
 
 def _still(transform: RigidTransform) -> Poses:
-    return Poses(
-        np.zeros(1, np.int64), transform.translation[None], transform.quaternion_xyzw[None], static=True
-    )
+    return Poses(np.zeros(1, np.int64), transform.translation[None], transform.quaternion_xyzw[None], static=True)
 
 
 def _moving(document: Part, times: FrameTimes) -> dict[tuple[str, str], Poses]:

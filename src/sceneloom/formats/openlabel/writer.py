@@ -151,9 +151,7 @@ def _keypoint_data(points: PointsAnnotation, system: str) -> Iterator[_Datum]:
         name = points.labels[k] if points.labels is not None and k < len(points.labels) else f"point{k}"
         if path.values.shape[1] % 3:
             continue
-        for time_ns, locations in zip(
-            path.timestamps_ns.tolist(), locations_of(path.values).tolist(), strict=True
-        ):
+        for time_ns, locations in zip(path.timestamps_ns.tolist(), locations_of(path.values).tolist(), strict=True):
             for location in locations:
                 yield (
                     time_ns,
@@ -470,9 +468,7 @@ class _Writer:
         further = dict(further) if isinstance(further, Mapping) else {}
         head = {name: further[name] for name in ("ontology_uid", "resource_uid") if name in further}
         name = further.get("name")
-        label = next(
-            (stated for one in (annotation, *parts) if (stated := getattr(one, "label", None))), None
-        )
+        label = next((stated for one in (annotation, *parts) if (stated := getattr(one, "label", None))), None)
         self.draft.heads[kind][uid] = {
             "name": name if isinstance(name, str) else str(annotation.id),
             "type": label or "",
@@ -497,9 +493,7 @@ class _Writer:
         self.uids.by_id[key_of(part.id)] = uid
         self.parts.add(key_of(part.id))
         further = part.extras.get(KIND)
-        return self._state(
-            kind, uid, part, dict(further) if isinstance(further, Mapping) else {}, label, is_part=True
-        )
+        return self._state(kind, uid, part, dict(further) if isinstance(further, Mapping) else {}, label, is_part=True)
 
     def _state(
         self,
@@ -590,9 +584,7 @@ class _Writer:
         name = reported.pop("name", None)
         data: list[_Datum] = []
         if isinstance(annotation, CuboidAnnotation):
-            data = list(
-                _cuboid_data(annotation, name or "cuboid", self.system, self.angles, self.draft.times)
-            )
+            data = list(_cuboid_data(annotation, name or "cuboid", self.system, self.angles, self.draft.times))
         elif isinstance(annotation, Box2DAnnotation):
             data = list(_box_data(annotation, name or "bbox", self._camera(annotation.sensor_id)))
         elif isinstance(annotation, ShapeAnnotation):
@@ -643,8 +635,7 @@ class _Writer:
     def _collides(self, annotation: Any, name: str) -> bool:
         """Whether an attribute of points would be taken for another."""
         return isinstance(annotation, PointsAnnotation) and any(
-            attribute.name == name and attribute.point_index is not None
-            for attribute in annotation.attributes
+            attribute.name == name and attribute.point_index is not None for attribute in annotation.attributes
         )
 
     def _report_fields(self, annotation: Any) -> None:
@@ -758,11 +749,7 @@ def _frame_times(scene: Scene) -> Int64Array:
             continue
         paths = [getattr(annotation, "path", None), *getattr(annotation, "paths", ())]
         found += [path.timestamps_ns for path in paths if path is not None]
-        found += [
-            one.timestamps_ns
-            for one in getattr(annotation, "attributes", ())
-            if one.timestamps_ns is not None
-        ]
+        found += [one.timestamps_ns for one in getattr(annotation, "attributes", ()) if one.timestamps_ns is not None]
         if isinstance(annotation, CuboidAnnotation):
             found += [one.timestamps_ns for one in annotation.projections if one.boxes is not None]
         if isinstance(annotation, EventAnnotation):

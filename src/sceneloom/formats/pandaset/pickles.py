@@ -118,13 +118,9 @@ def _unpacked(path: Path) -> bytes:
 def _check_operations(content: bytes) -> None:
     for operation, argument, location in pickletools.genops(content):
         if operation.name not in _OPERATIONS:
-            raise _Wrong(
-                f"byte {location}: operation {operation.name}, which no frame of numbers and texts needs"
-            )
+            raise _Wrong(f"byte {location}: operation {operation.name}, which no frame of numbers and texts needs")
         if operation.name in _MEMO_OPERATIONS and int(str(argument)) > _LONGEST_MEMO:
-            raise _Wrong(
-                f"byte {location}: {argument} things to remember; expected fewer than {_LONGEST_MEMO}"
-            )
+            raise _Wrong(f"byte {location}: {argument} things to remember; expected fewer than {_LONGEST_MEMO}")
 
 
 _MEMO_OPERATIONS = {"BINPUT", "LONG_BINPUT", "BINGET", "LONG_BINGET"}
@@ -279,9 +275,7 @@ _NAMED: Mapping[str, Any] = MappingProxyType(
     }
 )
 
-_MARKS = frozenset(
-    ("ndarray", "Index", "Int64Index", "UInt64Index", "Float64Index", "RangeIndex", "StringArray")
-)
+_MARKS = frozenset(("ndarray", "Index", "Int64Index", "UInt64Index", "Float64Index", "RangeIndex", "StringArray"))
 """Names of which it is enough that they are there."""
 
 _LOCATIONS = ("pandas", "numpy", "builtins", "__builtin__", "_codecs")
@@ -297,9 +291,7 @@ class _Reader(pickle.Unpickler):
                 return _Name(name)
             if name in _NAMED:
                 return _NAMED[name]
-        raise _Wrong(
-            f"asks for {module}.{name}, which no frame of numbers and texts needs; it was not loaded"
-        )
+        raise _Wrong(f"asks for {module}.{name}, which no frame of numbers and texts needs; it was not loaded")
 
 
 def _values(thing: Any) -> AnyArray:

@@ -315,9 +315,7 @@ def _build_receiver(drive: Path) -> list[Sensor]:
         for name in ("xvel", "yvel")
         if any(_as_dict(fix)[name] is not None for fix in fixes)
     }
-    return [
-        GnssSensor("gps", timestamps_ns, locations, unknown, unknown, extras=MappingProxyType(velocities))
-    ]
+    return [GnssSensor("gps", timestamps_ns, locations, unknown, unknown, extras=MappingProxyType(velocities))]
 
 
 _LABEL = "label"
@@ -436,9 +434,7 @@ def _attribute(key: str, stated: dict[int, Any]) -> AttributePath:
     times = list(stated)
     values = [_value(name, value) for value in stated.values()]
     changes = [k for k in range(len(values)) if k == 0 or values[k] != values[k - 1]]
-    return AttributePath(
-        name, tuple(values[k] for k in changes), np.array([times[k] for k in changes], np.int64)
-    )
+    return AttributePath(name, tuple(values[k] for k in changes), np.array([times[k] for k in changes], np.int64))
 
 
 def _value(name: str, value: Any) -> Any:

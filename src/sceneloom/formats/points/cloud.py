@@ -77,9 +77,7 @@ def check_end(path: Path, left: bytes, location: int, reported: str) -> None:
         DataError: there is anything else.
     """
     if left.strip(b"\0\t\r\n "):
-        problem = (
-            f"{len(left)} bytes behind the last of {reported}; expected none: is the count of the head wrong?"
-        )
+        problem = f"{len(left)} bytes behind the last of {reported}; expected none: is the count of the head wrong?"
         raise DataError(path, f"byte {location}", problem)
 
 
@@ -106,9 +104,7 @@ class FieldLayout:
     @property
     def dtype(self) -> np.dtype[np.void]:
         """One point, packed, little-endian."""
-        return np.dtype(
-            [(n, np.dtype(t).newbyteorder("<")) for n, t in zip(self.names, self.types, strict=True)]
-        )
+        return np.dtype([(n, np.dtype(t).newbyteorder("<")) for n, t in zip(self.names, self.types, strict=True)])
 
     def __str__(self) -> str:
         return " ".join(f"{n}:{t}" for n, t in zip(self.names, self.types, strict=True))
@@ -128,9 +124,7 @@ def parse_layout(fields: Sequence[str], *, default: str = "float32") -> FieldLay
         match = _FIELD.fullmatch(field)
         kind = (match["type"] or default) if match else ""
         if match is None or kind not in TYPES:
-            raise OptionError(
-                f"{field!r}; expected a name, or name:type with one of the types {', '.join(TYPES)}"
-            )
+            raise OptionError(f"{field!r}; expected a name, or name:type with one of the types {', '.join(TYPES)}")
         names.append(match["name"])
         types.append(kind)
     if not names:
@@ -194,9 +188,7 @@ def find_roles(columns: Mapping[str, AnyArray], named: Mapping[str, str]) -> dic
     """
     single = {name.lower(): name for name in reversed([*columns]) if columns[name].ndim == 1}
     rows = {
-        name.lower(): name
-        for name in reversed([*columns])
-        if columns[name].ndim == 2 and columns[name].shape[1] == 3
+        name.lower(): name for name in reversed([*columns]) if columns[name].ndim == 2 and columns[name].shape[1] == 3
     }
     roles = {}
     tables = ((ALIASES, single), (ROW_ALIASES, rows), ({"packed": _PACKED_COLORS}, single))

@@ -100,9 +100,7 @@ def check_cloud_suffix(path: Path) -> None:
         OptionError: naming those that can be written.
     """
     if path.suffix.lower() not in _WRITERS:
-        raise OptionError(
-            f"{path}: suffix {path.suffix!r}; expected one of {' '.join(WRITTEN_SUFFIXES)} for a cloud"
-        )
+        raise OptionError(f"{path}: suffix {path.suffix!r}; expected one of {' '.join(WRITTEN_SUFFIXES)} for a cloud")
 
 
 @contextmanager
@@ -296,9 +294,7 @@ def _finite(columns: FrameColumns, location: str, notify: LossTaker) -> BoolArra
 
 def write_pcd(path: Path, columns: FrameColumns, location: str, notify: LossTaker, *, encoding: str) -> None:
     """Write a PCD file; colours are packed into one float, as PCL's type PointXYZRGB has them."""
-    further = _columns_fitted(
-        {**_brightness(columns), **columns.further}, _WHOLE | {"i8", "u8"}, location, notify
-    )
+    further = _columns_fitted({**_brightness(columns), **columns.further}, _WHOLE | {"i8", "u8"}, location, notify)
     found = {**axis_columns(columns.positions), **packed_colors(columns.colors), **further}
     records = pack_records(found, len(columns.positions))
     with path.open("xb") as file:
@@ -323,9 +319,7 @@ def write_las(path: Path, columns: FrameColumns, location: str, notify: LossTake
     distance = np.abs(positions - las_offsets(positions)).max(initial=0.0)
     step = next((step for step in _STEPS_M if distance / step < MOST_STEPS), None)
     if step is None:
-        raise OptionError(
-            f"{path.name}: points {distance / 1000:.0f} km apart; LAS holds 2147 km in steps of 1 mm"
-        )
+        raise OptionError(f"{path.name}: points {distance / 1000:.0f} km apart; LAS holds 2147 km in steps of 1 mm")
     intensities = _intensities_16(columns, location, notify)
     further = _columns_fitted(
         _las_names(_single_columns(columns), las_dimensions(columns.colors)),
@@ -337,9 +331,7 @@ def write_las(path: Path, columns: FrameColumns, location: str, notify: LossTake
         dimensions = {**further, **colors_16(columns.colors), **intensities}
         error = file.add(positions, {name: values[finite] for name, values in dimensions.items()})
     reported = f"rounded to steps of {step:g} m"
-    notify(
-        Loss(field=f"{location}.positions", what=reported, support=Support.APPROXIMATED, largest_error=error)
-    )
+    notify(Loss(field=f"{location}.positions", what=reported, support=Support.APPROXIMATED, largest_error=error))
 
 
 def _intensities_16(columns: FrameColumns, location: str, notify: LossTaker) -> dict[str, AnyArray]:

@@ -85,9 +85,7 @@ class LasFile:
         header = laspy.LasHeader(version="1.4", point_format=_COLORED if colored else _PLAIN)
         header.generating_software = "sceneloom"
         header.scales, header.offsets = np.full(3, step), las_offsets(positions)
-        header.add_extra_dims(
-            [laspy.ExtraBytesParams(name, values.dtype) for name, values in further.items()]
-        )
+        header.add_extra_dims([laspy.ExtraBytesParams(name, values.dtype) for name, values in further.items()])
         self._path = path
         self._file = laspy.open(str(path), mode="w", header=header)
 
@@ -278,9 +276,7 @@ class _Header:
         if major != 1 or version >= len(_HEADER_LENGTHS):
             raise DataError(path, "byte 24", f"version {major}.{version}; expected 1.0 to 1.4")
         if len(content) < _HEADER_LENGTHS[version] or length < _HEADER_LENGTHS[version]:
-            problem = (
-                f"{min(length, len(content))} bytes; expected {_HEADER_LENGTHS[version]} or more in version"
-            )
+            problem = f"{min(length, len(content))} bytes; expected {_HEADER_LENGTHS[version]} or more in version"
             raise DataError(path, "header", f"{problem} 1.{version}")
         numbers = struct.unpack_from("<12d", content, 131)
         waveforms, extended_start, extended, count = 0, 0, 0, legacy_count
@@ -305,23 +301,16 @@ class _Header:
         if self.point_format >= len(_POINT_LENGTHS):
             raise DataError(path, "byte 104", f"point format {self.point_format}; expected 0 to 10")
         if self.point_length < _POINT_LENGTHS[self.point_format]:
-            problem = (
-                f"points of {self.point_length} bytes; expected {_POINT_LENGTHS[self.point_format]} or more"
-            )
+            problem = f"points of {self.point_length} bytes; expected {_POINT_LENGTHS[self.point_format]} or more"
             raise DataError(path, "byte 105", f"{problem} in point format {self.point_format}")
         if not self.length <= self.points_start <= size:
-            problem = (
-                f"points begin at byte {self.points_start}; expected {self.length} to {size}, in the file"
-            )
+            problem = f"points begin at byte {self.points_start}; expected {self.length} to {size}, in the file"
             raise DataError(path, "byte 96", problem)
         if self.records * _RECORD_HEAD > self.points_start - self.length:
-            problem = (
-                f"{self.records} records of variable length in the {self.points_start - self.length} bytes"
-            )
+            problem = f"{self.records} records of variable length in the {self.points_start - self.length} bytes"
             raise DataError(path, "byte 100", f"{problem} between header and points")
         if self.extended and (
-            self.extended_start < self.points_start
-            or self.extended * _EXTENDED_HEAD > size - self.extended_start
+            self.extended_start < self.points_start or self.extended * _EXTENDED_HEAD > size - self.extended_start
         ):
             problem = f"{self.extended} extended records from byte {self.extended_start} on"
             raise DataError(path, "byte 243", f"{problem}; the file has {size} bytes")
@@ -345,15 +334,11 @@ class _Header:
             check_unpacked(self.path, "points", size - self.points_start, content)
             return
         behind = [
-            location
-            for location in (self.waveforms_start, self.extended_start * bool(self.extended))
-            if location
+            location for location in (self.waveforms_start, self.extended_start * bool(self.extended)) if location
         ]
         there = min([size, *behind]) - self.points_start
         if content > there:
-            problem = (
-                f"{self.count} points of {self.point_length} bytes; expected {content} bytes, found {there}"
-            )
+            problem = f"{self.count} points of {self.point_length} bytes; expected {content} bytes, found {there}"
             raise DataError(self.path, f"byte {self.points_start}", f"{problem}: is the file cut off?")
 
 
@@ -363,17 +348,13 @@ def _check_records(path: Path, stream: BinaryIO, header: _Header, size: int) -> 
     for number in range(header.records):
         location += _RECORD_HEAD + _number(stream, location + 20, "<H")
         if location > header.points_start:
-            problem = (
-                f"ends at byte {location}; expected {header.points_start} at most, where the points begin"
-            )
+            problem = f"ends at byte {location}; expected {header.points_start} at most, where the points begin"
             raise DataError(path, f"record {number}", problem)
     location = header.extended_start
     for number in range(header.extended):
         location += _EXTENDED_HEAD + _number(stream, location + 20, "<Q") if location + 28 <= size else size
         if location > size:
-            raise DataError(
-                path, f"extended record {number}", f"ends at byte {location}; the file has {size}"
-            )
+            raise DataError(path, f"extended record {number}", f"ends at byte {location}; the file has {size}")
     if header.compressed:
         return
     stop = header.points_start + header.count * header.point_length
@@ -400,9 +381,7 @@ def _bounds(columns: dict[str, AnyArray], header: _Header) -> dict[str, Any]:
     reported = []
     for k, axis in enumerate(_LOCATIONS):
         found = float(columns[axis].max()), float(columns[axis].min())
-        apart = max(
-            abs(there - declared) for there, declared in zip(found, header.bounds[2 * k :], strict=False)
-        )
+        apart = max(abs(there - declared) for there, declared in zip(found, header.bounds[2 * k :], strict=False))
         if not apart <= 2 * abs(header.scales[k]) + 1e-9 * abs(header.offsets[k]):
             reported.append(f"{axis} by {apart:g} m")
     return {"other_bounds": ", ".join(reported)} if reported else {}
@@ -429,9 +408,7 @@ def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
     count = _number(stream, location + 4, "<I")
     most = size // int(header.point_format.size) + 1
     if count > most:
-        raise DataError(
-            path, f"byte {location + 4}", f"{count} chunks; expected {most} or fewer in {size} bytes"
-        )
+        raise DataError(path, f"byte {location + 4}", f"{count} chunks; expected {most} or fewer in {size} bytes")
     stream.seek(int(header.offset_to_point_data))
     vlr = lazrs.LazVlr(header.vlrs.get("LasZipVlr")[0].record_data)
     chunks = lazrs.read_chunk_table(stream, vlr)

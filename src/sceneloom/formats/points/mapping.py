@@ -114,9 +114,7 @@ class ReadPoints:
     clipped: int
 
 
-def points_of(
-    cloud: Cloud, mapping: PointMapping, clock: SweepClock, *, keep_all: bool = False
-) -> ReadPoints:
+def points_of(cloud: Cloud, mapping: PointMapping, clock: SweepClock, *, keep_all: bool = False) -> ReadPoints:
     """Read the columns of a file as points.
 
     Columns that mean nothing here are kept as `extras`, those of the brightness as 0 to 255 only.
@@ -145,9 +143,7 @@ def points_of(
     rings = _rings(columns.get(roles.get("ring", "")))
     times = None if mapping.times is None else _times(cloud, columns, roles, mapping.times, clock)
     used = {roles[r] for r in ("x", "y", "z", "positions", *color_roles) if r in roles}
-    used |= {
-        roles[r] for r, v in (("intensity", intensities), ("ring", rings), ("time", times)) if v is not None
-    }
+    used |= {roles[r] for r, v in (("intensity", intensities), ("ring", rings), ("time", times)) if v is not None}
     points = LidarPoints(
         positions=read_only(positions[chosen]),
         intensities=_sealed(intensities),
@@ -205,9 +201,7 @@ def _rings(values: AnyArray | None) -> UInt16Array | None:
     return rings if np.array_equal(rings, values) else None
 
 
-def _colors(
-    columns: Mapping[str, AnyArray], roles: Mapping[str, str]
-) -> tuple[UInt8Array | None, tuple[str, ...]]:
+def _colors(columns: Mapping[str, AnyArray], roles: Mapping[str, str]) -> tuple[UInt8Array | None, tuple[str, ...]]:
     """Colours of one byte each, and the roles that they came from; others are left as they are."""
     channels = [columns.get(roles.get(name, "")) for name in ("red", "green", "blue")]
     if all(channel is not None and channel.dtype == np.uint8 for channel in channels):
@@ -283,9 +277,7 @@ def _far_time(values: AnyArray, row: int, times: PointTimes, clock: SweepClock) 
         for base in ("timestamp", "clock")
         if _span_fits(values.astype(np.float64) * unit_ns + float(clock.base_ns(base) - clock.timestamp_ns))
     ]
-    off = (
-        float(values[row]) * UNITS_NS[times.unit] + clock.base_ns(times.relative_to) - clock.timestamp_ns
-    ) / 1e9
+    off = (float(values[row]) * UNITS_NS[times.unit] + clock.base_ns(times.relative_to) - clock.timestamp_ns) / 1e9
     hint = f"; these would fit: {' or '.join(near)}" if near else ""
     return (
         f"{values[row]} {times.unit} relative to the {times.relative_to}: {off:.6g} s from the file's timestamp; "

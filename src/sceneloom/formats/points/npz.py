@@ -79,10 +79,7 @@ def _check_new(path: Path, name: str, found: Mapping[str, AnyArray], columns: Ma
 
 
 def _reported(arrays: Mapping[str, AnyArray]) -> str:
-    return (
-        ", ".join(f"{name} {getattr(array, 'shape', '')}".strip() for name, array in arrays.items())
-        or "nothing"
-    )
+    return ", ".join(f"{name} {getattr(array, 'shape', '')}".strip() for name, array in arrays.items()) or "nothing"
 
 
 def _check_lengths(path: Path, lengths: Mapping[str, int], count: int) -> None:
@@ -109,9 +106,7 @@ def _arrays(path: Path) -> dict[str, AnyArray]:
             return {name: loaded[name] for name in loaded.files}
         except _FAULTS as error:
             objects = "allow_pickle" in str(error) or "pickle" in str(error).lower()
-            problem = (
-                "holds Python objects, which are never loaded" if objects else f"cannot be read: {error}"
-            )
+            problem = "holds Python objects, which are never loaded" if objects else f"cannot be read: {error}"
             raise DataError(path, "", f"{problem}; expected arrays of numbers") from error
 
 

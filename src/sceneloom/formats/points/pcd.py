@@ -101,11 +101,7 @@ def _entries(path: Path, content: bytes) -> tuple[dict[str, list[str]], int, int
     while "DATA" not in entries:
         stop = content.find(b"\n", start, _LONGEST_HEADER)
         if stop < 0:
-            problem = (
-                "the head breaks off without a line `DATA`"
-                if entries
-                else "does not begin as a PCD file does"
-            )
+            problem = "the head breaks off without a line `DATA`" if entries else "does not begin as a PCD file does"
             raise DataError(path, f"byte {start}", f"{problem}; expected lines {' '.join(_KEYS)}")
         number += 1
         words = content[start:stop].decode("latin-1").split()
@@ -140,9 +136,7 @@ def _integer(path: Path, key: str, word: str) -> int:
 def _count(path: Path, entries: dict[str, list[str]]) -> int:
     """The number of points: `POINTS`, else width times height; both where they are given must agree."""
     numbers = {
-        key: _integer(path, key, " ".join(entries[key]))
-        for key in ("WIDTH", "HEIGHT", "POINTS")
-        if key in entries
+        key: _integer(path, key, " ".join(entries[key])) for key in ("WIDTH", "HEIGHT", "POINTS") if key in entries
     }
     area = numbers["WIDTH"] * numbers.get("HEIGHT", 1) if "WIDTH" in numbers else None
     count = numbers.get("POINTS", area)
@@ -213,9 +207,7 @@ def _read_compressed(path: Path, content: bytes, header: PcdHeader) -> dict[str,
     unpacked = np.empty(size, np.uint8)
     done = unfold(np.frombuffer(content, np.uint8, packed_size, body), unpacked)
     if done != size:
-        raise DataError(
-            path, location, "the compressed points are damaged: they do not unfold to what the head says"
-        )
+        raise DataError(path, location, "the compressed points are damaged: they do not unfold to what the head says")
     return _cut_columns(unpacked, header)
 
 

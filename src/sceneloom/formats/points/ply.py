@@ -141,12 +141,7 @@ def _parse_header(path: Path, content: bytes) -> PlyHeader:
 def _property(path: Path, location: str, words: list[str]) -> Property:
     if len(words) == 3 and words[1] in _TYPES:
         return Property(words[2], _TYPES[words[1]])
-    if (
-        len(words) == 5
-        and words[1] == "list"
-        and {words[2], words[3]} <= set(_TYPES)
-        and _TYPES[words[2]][0] != "f"
-    ):
+    if len(words) == 5 and words[1] == "list" and {words[2], words[3]} <= set(_TYPES) and _TYPES[words[2]][0] != "f":
         return Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
     problem = f"{' '.join(words)[:60]!r}; expected `property TYPE NAME` or `property list TYPE TYPE NAME`"
     raise DataError(path, location, f"{problem} with types out of {', '.join(_TYPES)}")
@@ -184,9 +179,7 @@ def _check_rest(path: Path, content: bytes, start: int, header: PlyHeader) -> No
     if not any(element.has_lists for element in others):
         stop = start + sum(element.count * element.dtype(header.order).itemsize for element in others)
         reported = f"{header.elements[vertex].count} vertices"
-        check_end(
-            path, content[stop:], stop, reported if not others else f"{reported} and of what follows them"
-        )
+        check_end(path, content[stop:], stop, reported if not others else f"{reported} and of what follows them")
 
 
 def _check_bytes(path: Path, content: bytes, start: int, element: Element, size: int) -> None:
@@ -220,9 +213,7 @@ def _walk(path: Path, content: bytes, start: int, element: Element, order: str) 
                 parts.append(content[start : start + size])
             start += size
         singles.append(b"".join(parts))
-    return start, np.frombuffer(b"".join(singles), dtype) if dtype.itemsize else np.zeros(
-        element.count, dtype
-    )
+    return start, np.frombuffer(b"".join(singles), dtype) if dtype.itemsize else np.zeros(element.count, dtype)
 
 
 def _list_size(
@@ -269,9 +260,7 @@ def _without_lists(path: Path, number: int, line: str, element: Element) -> str:
             raise DataError(path, f"line {number}", f"{len(words)} values; expected {prop.name!r}, too")
         if prop.length_dtype:
             if not (words[k].isascii() and words[k].isdigit()):
-                raise DataError(
-                    path, f"line {number}", f"{words[k][:20]!r} for the length of list {prop.name!r}"
-                )
+                raise DataError(path, f"line {number}", f"{words[k][:20]!r} for the length of list {prop.name!r}")
             k += int(words[k][:10])
         else:
             kept.append(words[k])

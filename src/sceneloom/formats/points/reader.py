@@ -356,12 +356,8 @@ def open_clouds(path: Path, *, kind: CloudKind, options: CloudReading) -> Scene:
     ledger = Ledger(lenient=options.lenient)
     trajectories: dict[str, Trajectory] = {}
     with ledger.telling():
-        sensors = tuple(
-            _lidar(folder, kind, options, ledger, trajectories) for folder in _find_folders(path, kind)
-        )
-    return Scene(
-        sensors, trajectories=trajectories, source=str(path), format=kind.name, warnings=ledger.warnings
-    )
+        sensors = tuple(_lidar(folder, kind, options, ledger, trajectories) for folder in _find_folders(path, kind))
+    return Scene(sensors, trajectories=trajectories, source=str(path), format=kind.name, warnings=ledger.warnings)
 
 
 def _lidar(
@@ -390,13 +386,10 @@ def _lidar(
     )
     if origin is not None:
         reported = (
-            f"points lie {np.linalg.norm(origin):.0f} m from 0: the sensor is put there, the points "
-            f"count from it"
+            f"points lie {np.linalg.norm(origin):.0f} m from 0: the sensor is put there, the points count from it"
         )
         ledger.note(WarningKind.ASSUMED, "cloud-origin", str(folder.files[0]), reported)
-        at_origin = Poses(
-            np.zeros(1, np.int64), read_only(origin[None]), np.array([[0.0, 0.0, 0.0, 1.0]]), static=True
-        )
+        at_origin = Poses(np.zeros(1, np.int64), read_only(origin[None]), np.array([[0.0, 0.0, 0.0, 1.0]]), static=True)
         return replace(sensor, poses=at_origin)
     return _placed(sensor, folder, reading, ledger, trajectories)
 
@@ -412,9 +405,7 @@ def _placed(
     frame = None if reading.points_frame is None else PointsFrame(reading.points_frame)
     if EGO_POSES in folder.beside and frame in {None, PointsFrame.EGO}:
         trajectory = trajectories.setdefault(_EGO_TRAJECTORY, _trajectory(folder.beside[EGO_POSES], ledger))
-        return replace(
-            sensor, poses=trajectory.poses, points_frame=PointsFrame.EGO, mount=RigidTransform.identity()
-        )
+        return replace(sensor, poses=trajectory.poses, points_frame=PointsFrame.EGO, mount=RigidTransform.identity())
     if SENSOR_POSES in folder.beside and frame in {None, PointsFrame.SENSOR}:
         return replace(sensor, poses=_trajectory(folder.beside[SENSOR_POSES], ledger).poses)
     if frame is None:
@@ -463,9 +454,7 @@ def _frames(folder: _CloudFolder, reading: CloudReading, ledger: Ledger) -> _Clo
     return _CloudFrames(tuple(files[k] for k in order.tolist()), read_only(times))
 
 
-def _times(
-    folder: _CloudFolder, reading: CloudReading, ledger: Ledger
-) -> tuple[Int64Array, tuple[Path, ...]]:
+def _times(folder: _CloudFolder, reading: CloudReading, ledger: Ledger) -> tuple[Int64Array, tuple[Path, ...]]:
     stems = [stem_of(path.name) for path in folder.files]
     listed = next((folder.beside[name] for name in TIME_FILES if name in folder.beside), None)
     numbers = numbers_of_names(stems)
@@ -485,24 +474,18 @@ def _times(
                 f"names report no times: number k is taken as {1 / rate_hz:g} k s, "
                 "`--input-option rate_hz=HZ` sets another rate"
             )
-            ledger.note(
-                WarningKind.ASSUMED, "cloud-times-assumed", str(folder.location), reported, count=len(files)
-            )
+            ledger.note(WarningKind.ASSUMED, "cloud-times-assumed", str(folder.location), reported, count=len(files))
         return _counted_times(folder, counted, rate_hz), files
     return np.zeros(1, np.int64), files
 
 
 def _counted_times(folder: _CloudFolder, numbers: list[int], rate_hz: float) -> Int64Array:
     if max(numbers) / rate_hz > 9e9:
-        raise DataError(
-            folder.location, "", f"number {max(numbers)} at {rate_hz:g} Hz is a time beyond the year 2255"
-        )
+        raise DataError(folder.location, "", f"number {max(numbers)} at {rate_hz:g} Hz is a time beyond the year 2255")
     return np.array([round(number * 1e9 / rate_hz) for number in numbers], np.int64)
 
 
-def _listed_times(
-    listed: Path, files: tuple[Path, ...], ledger: Ledger
-) -> tuple[Int64Array, tuple[Path, ...]]:
+def _listed_times(listed: Path, files: tuple[Path, ...], ledger: Ledger) -> tuple[Int64Array, tuple[Path, ...]]:
     from sceneloom.formats.base.text_tables import line_timestamps
 
     times = line_timestamps(listed, None)
@@ -529,8 +512,7 @@ def _with_mapping(
     times = _times_of(first, int(frames.timestamps_ns[0]))
     if times is not None and times.field != "offset_ns":
         reported = (
-            f"column {times.field!r} is taken for times of points: {times.unit} relative to the "
-            f"{times.relative_to}"
+            f"column {times.field!r} is taken for times of points: {times.unit} relative to the {times.relative_to}"
         )
         ledger.note(WarningKind.ASSUMED, "point-times-assumed", str(folder.location), reported)
     settled = replace(frames, mapping=PointMapping(scale=scale, times=times))
@@ -560,8 +542,7 @@ def _note_first(folder: _CloudFolder, frames: _CloudFrames, ledger: Ledger) -> N
     apart = frame.extras.get("head", {}).get("other_bounds")
     if apart:
         reported = (
-            f"the bounds in the header are not those of the points ({apart} off); the points are read "
-            f"as they are"
+            f"the bounds in the header are not those of the points ({apart} off); the points are read as they are"
         )
         ledger.note(WarningKind.ASSUMED, "other-bounds", str(frames.files[0]), reported)
     others = frame.extras.get("head", {}).get("elements_left_out")
@@ -596,9 +577,7 @@ def _find_folders(path: Path, kind: CloudKind) -> list[_CloudFolder]:
 
 def _files(folder: Path, kind: CloudKind) -> _CloudFolder | None:
     found = [entry for entry in entries(folder) if entry.is_file()]
-    files = tuple(
-        folder / entry.name for entry in sorted(found, key=lambda one: one.name) if kind.has_name(entry.name)
-    )
+    files = tuple(folder / entry.name for entry in sorted(found, key=lambda one: one.name) if kind.has_name(entry.name))
     beside = {entry.name: folder / entry.name for entry in found if entry.name in BESIDE}
     if folder.name == "data" and not beside:
         # KITTI's raw data have the times beside the folder of the files

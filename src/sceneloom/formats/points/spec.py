@@ -45,9 +45,7 @@ _LOOKED_AT = 5
 class CloudReading:
     """How clouds are to be read."""
 
-    lenient: bool = option(
-        default=False, help="Leave out files that cannot be read; each is looked into for that."
-    )
+    lenient: bool = option(default=False, help="Leave out files that cannot be read; each is looked into for that.")
     points_frame: str | None = option(
         default=None,
         help="Frame of the points: sensor, ego or world. By default the sensor's, unless poses state the ego's.",
@@ -185,9 +183,7 @@ def _holds_kind(path: Path, kind: CloudKind) -> bool:
         folders = [path / entry.name for entry in entries(path) if entry.is_dir()]
         if not folders:
             return _is_flat(path, kind)
-        return all(_is_flat(folder, kind) for folder in folders) and not any(
-            entry.is_file() for entry in entries(path)
-        )
+        return all(_is_flat(folder, kind) for folder in folders) and not any(entry.is_file() for entry in entries(path))
     except OSError:
         return False
 
@@ -268,8 +264,7 @@ _OF_KIND: Mapping[str, Supports] = {
         for name in ("timestamps_ns", "colors", "rings", "camera_index", "extras")
     },
     "nuscenes-bin": {
-        f"sensors.lidar.frames.points.{name}": _NONE
-        for name in ("timestamps_ns", "colors", "camera_index", "extras")
+        f"sensors.lidar.frames.points.{name}": _NONE for name in ("timestamps_ns", "colors", "camera_index", "extras")
     },
 }
 

@@ -65,9 +65,7 @@ class CloudSaving:
             raise OptionError(f"encoding {self.encoding!r}; expected one of {', '.join(ENCODINGS)}")
 
 
-def write_clouds(
-    scene: Scene, path: Path, *, kind: CloudKind, overwrite: bool = False, **options: str
-) -> LossReport:
+def write_clouds(scene: Scene, path: Path, *, kind: CloudKind, overwrite: bool = False, **options: str) -> LossReport:
     """Write each frame of each lidar to a file; a path with the kind's ending takes a scene of one frame.
 
     Raises:
@@ -94,9 +92,7 @@ def write_clouds(
     ]
     write = partial(_write_frame, kind=kind, saving=saving, notify=losses.append)
     if path.name.lower().endswith(kind.endings[1:]):
-        raise OptionError(
-            f"{path}: written as {kind.endings[0]} only; {path.suffix} has one array and no names"
-        )
+        raise OptionError(f"{path}: written as {kind.endings[0]} only; {path.suffix} has one array and no names")
     if kind.has_name(path.name):
         _write_file(lidars, path, write, overwrite=overwrite, losses=losses)
     else:
@@ -186,14 +182,10 @@ def _write_file(
     timestamp_ns, location = int(lidar.frames.timestamps_ns[0]), f"sensors[{lidar.id}]"
     if timestamp_ns:
         losses.append(
-            Loss(
-                field=f"{location}.frames.timestamp_ns", what="left out: a single file has a name of its own"
-            )
+            Loss(field=f"{location}.frames.timestamp_ns", what="left out: a single file has a name of its own")
         )
     if lidar.poses is not None:
-        losses.append(
-            Loss(field=f"{location}.poses", what="left out: a single file has no file of poses beside it")
-        )
+        losses.append(Loss(field=f"{location}.poses", what="left out: a single file has no file of poses beside it"))
     losses += _of_names([lidar], alone=True)
 
 
@@ -209,9 +201,7 @@ def _write_folder(
 ) -> None:
     written = [lidar for lidar in lidars if len(lidar.frames)]
     losses += [
-        Loss(field=f"sensors[{one.id}]", what="left out: it has no frames")
-        for one in lidars
-        if one not in written
+        Loss(field=f"sensors[{one.id}]", what="left out: it has no frames") for one in lidars if one not in written
     ]
     losses += _of_names(written, alone=len(written) == 1)
     with replacing(path, overwrite=overwrite, folder=_folder_kind(kind)) as draft:
@@ -265,9 +255,7 @@ def _write_frame(
     lidar: LidarSensor, k: int, path: Path, *, kind: CloudKind, saving: CloudSaving, notify: LossTaker
 ) -> None:
     frame = lidar.frames[k]
-    reported = replace(
-        frame, extras={name: value for name, value in frame.extras.items() if name not in _WRITTEN}
-    )
+    reported = replace(frame, extras={name: value for name, value in frame.extras.items() if name not in _WRITTEN})
     left_out(reported, str(lidar.id), notify)
     columns = frame_columns(frame, lidar.extras.get("intensity_max"))
     options = {"encoding": saving.encoding} if kind.name == "pcd" else {}
@@ -278,11 +266,7 @@ def _write_poses(scene: Scene, lidar: LidarSensor, times: Int64Array, folder: Pa
     """Write where the frame of the points was in the world at the times of the frames, where that is known."""
     field = f"sensors[{lidar.id}].poses"
     if lidar.points_frame is PointsFrame.WORLD:
-        return (
-            [Loss(field=field, what="left out: the points are in the world")]
-            if lidar.poses is not None
-            else []
-        )
+        return [Loss(field=field, what="left out: the points are in the world")] if lidar.poses is not None else []
     path = _path(scene, lidar)
     if path is None:
         return []
@@ -290,9 +274,7 @@ def _write_poses(scene: Scene, lidar: LidarSensor, times: Int64Array, folder: Pa
     known = np.isfinite(samples.positions).all(axis=1)
     name = EGO_POSES if lidar.points_frame is PointsFrame.EGO else SENSOR_POSES
     if known.any():
-        _write_tum(
-            folder / name, Poses(times[known], samples.positions[known], samples.quaternions_xyzw[known])
-        )
+        _write_tum(folder / name, Poses(times[known], samples.positions[known], samples.quaternions_xyzw[known]))
     if path.static or not np.array_equal(path.timestamps_ns, times[known]) or not known.all():
         what = f"written in {name} at the times of the frames"
         lost = int((~known).sum())

@@ -252,9 +252,7 @@ def map_points(posed: PosedScene) -> MapPoints:
 
 
 def _joined(chunks: list[MapPoints]) -> MapPoints:
-    return MapPoints(
-        np.concatenate([one.positions for one in chunks]), np.concatenate([one.colors for one in chunks])
-    )
+    return MapPoints(np.concatenate([one.positions for one in chunks]), np.concatenate([one.colors for one in chunks]))
 
 
 def _thinned(points: MapPoints, side: float) -> MapPoints:

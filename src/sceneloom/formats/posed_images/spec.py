@@ -27,9 +27,7 @@ class PosedSettings:
     )
     voxel: float = option(default=0.1, help="Side of the cubes of which one point stays [m].")
     points: int = option(default=500_000, help="The most points.")
-    trajectory: str | None = option(
-        default=None, help="Name of the ego's trajectory, where sensors are mounted on it."
-    )
+    trajectory: str | None = option(default=None, help="Name of the ego's trajectory, where sensors are mounted on it.")
 
     def __post_init__(self) -> None:
         if self.images not in _IMAGES:

@@ -70,9 +70,7 @@ def _check_sizes(matrix: Float64Array, location: str) -> None:
     if largest > _LARGEST_ELEMENT:
         raise CalibrationError(f"{location}: rotation holds {largest:g}; expected numbers from -1 to 1")
     if farthest > _FARTHEST:
-        raise CalibrationError(
-            f"{location}: translation holds {farthest:g}; expected metres within {_FARTHEST:g}"
-        )
+        raise CalibrationError(f"{location}: translation holds {farthest:g}; expected metres within {_FARTHEST:g}")
 
 
 def _square(numbers: _MatrixNumbers, location: str) -> Float64Array:
@@ -80,9 +78,7 @@ def _square(numbers: _MatrixNumbers, location: str) -> Float64Array:
     size = len(rows) or _SIZES.get(len(numbers), 0)
     if size not in _SIZES.values() or (rows and [len(row) for row in rows] != [size] * len(numbers)):
         shape = f"{len(numbers)} rows" if rows else f"{len(numbers)} numbers"
-        raise CalibrationError(
-            f"{location}: {shape}; expected 4 rows of 4 numbers, or 16 numbers column by column"
-        )
+        raise CalibrationError(f"{location}: {shape}; expected 4 rows of 4 numbers, or 16 numbers column by column")
     given = np.array(rows, np.float64) if rows else np.array(numbers, np.float64).reshape(size, size).T
     if not np.isfinite(given).all():
         raise CalibrationError(f"{location}: a number is not finite; expected 4x4 finite numbers")
@@ -213,9 +209,7 @@ def camera_model(parameters: CameraParameters, image_size: tuple[int, int] | Non
     reading, coefficients = _reading(parameters, location)
     width, height = _calibrated_size(parameters, location) or image_size or (0, 0)
     if width == 0:
-        raise CalibrationError(
-            f"{location}: no imageWidth and imageHeight, and no image that would report them"
-        )
+        raise CalibrationError(f"{location}: no imageWidth and imageHeight, and no image that would report them")
     fx, fy = _required(parameters, "focalLengthX", location), _required(parameters, "focalLengthY", location)
     cx, cy = (
         _required(parameters, "principalPointX", location),
@@ -230,14 +224,10 @@ def camera_model(parameters: CameraParameters, image_size: tuple[int, int] | Non
 def _reading(parameters: CameraParameters, location: str) -> tuple[_Reading, _Coefficients]:
     name = parameters.camera_model_model
     if name is None:
-        raise CalibrationError(
-            f"{location}.model: missing; expected one of: {', '.join(CAMERA_MODEL_READINGS)}"
-        )
+        raise CalibrationError(f"{location}.model: missing; expected one of: {', '.join(CAMERA_MODEL_READINGS)}")
     known = _SPELLINGS.get(_plain(name))
     if known is None:
-        raise CalibrationError(
-            f"{location}.model: {name!r}; expected one of: {', '.join(CAMERA_MODEL_READINGS)}"
-        )
+        raise CalibrationError(f"{location}.model: {name!r}; expected one of: {', '.join(CAMERA_MODEL_READINGS)}")
     readings = CAMERA_MODEL_READINGS[known]
     coefficients = tuple(map(float, parameters.distortionCoefficients or ()))
     if len(coefficients) not in readings:
@@ -253,9 +243,7 @@ def _calibrated_size(parameters: CameraParameters, location: str) -> tuple[int, 
         return None
     size = (parameters.imageWidth, parameters.imageHeight)
     if any(number != int(number) or number <= 0 for number in size):
-        raise CalibrationError(
-            f"{location}: imageWidth, imageHeight {size}; expected positive whole numbers of pixels"
-        )
+        raise CalibrationError(f"{location}: imageWidth, imageHeight {size}; expected positive whole numbers of pixels")
     return int(size[0]), int(size[1])
 
 

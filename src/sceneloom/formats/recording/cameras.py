@@ -155,9 +155,7 @@ def _count(folder: Path) -> int:
         raise DataError(folder, "", "holds no images; expected 00000000.png and so on")
     for expected, number in enumerate(numbers):
         if number != expected:
-            raise DataError(
-                folder, image_name(expected), f"is missing; the next image is {image_name(number)}"
-            )
+            raise DataError(folder, image_name(expected), f"is missing; the next image is {image_name(number)}")
     return len(numbers)
 
 
@@ -169,9 +167,7 @@ _STATIC = {".ts", ".avi"}
 """Endings of videos that do not state where they end."""
 
 
-_IMAGES = re.compile(
-    rf"data(?P<video>|[2-9]|[1-9]\d+)\.(?:{'|'.join(_VIDEO_SUFFIXES)})|frames(?P<folder>[1-9]\d*)"
-)
+_IMAGES = re.compile(rf"data(?P<video>|[2-9]|[1-9]\d+)\.(?:{'|'.join(_VIDEO_SUFFIXES)})|frames(?P<folder>[1-9]\d*)")
 
 
 _ImageFiles = VideoReader | PngFolder
@@ -204,9 +200,7 @@ def _find_images(folder: Path, camera_index: int, ledger: Ledger) -> Path | None
     found = [folder / name for name in names if (folder / name).exists()]
     if len(found) > 1:
         listed = ", ".join(path.name for path in found)
-        ledger.fault(
-            "repeated-videos", DataError(folder, "", f"{listed} for camera {camera_index}; expected one")
-        )
+        ledger.fault("repeated-videos", DataError(folder, "", f"{listed} for camera {camera_index}; expected one"))
     return found[0] if found else None
 
 
@@ -550,11 +544,7 @@ class _ImageTable:
 
     def first_fields(self) -> dict[str, Any]:
         """Give what the first image's line says beyond the columns."""
-        return (
-            _further_fields(self.data_file, int(self.offsets[0]), self.camera_index)
-            if len(self.offsets)
-            else {}
-        )
+        return _further_fields(self.data_file, int(self.offsets[0]), self.camera_index) if len(self.offsets) else {}
 
 
 def _further_fields(data_file: FileIdentity, offset: int, camera_index: int) -> dict[str, Any]:
@@ -690,11 +680,7 @@ def _entry_after(calibration: CameraCalibration, camera_shift: str) -> Mapping[s
 def applied_shifts(calibration: Calibration, camera_shift: str) -> dict[str, Any]:
     """Record which cameras' times were shifted, and by how much [s]; nothing where none was."""
     factor = CAMERA_SHIFTS[camera_shift]
-    shifts = {
-        f"camera{index}": factor * camera.shift
-        for index, camera in calibration.cameras.items()
-        if camera.shift
-    }
+    shifts = {f"camera{index}": factor * camera.shift for index, camera in calibration.cameras.items() if camera.shift}
     return {"camera_shifts": shifts} if factor and shifts else {}
 
 
@@ -726,9 +712,7 @@ def _check_kind(files: _ImageFiles, fields: Mapping[str, Any]) -> None:
     """
     if fields.get("colorFormat") == _DEPTH_FORMAT and not _holds_depth(files):
         problem = f"pixels are no 16-bit grey, while lines state colorFormat {_DEPTH_FORMAT!r}"
-        raise DataError(
-            files.name, "", f"{problem}; expected a lossless video of 16 bits, as FFV1 makes them"
-        )
+        raise DataError(files.name, "", f"{problem}; expected a lossless video of 16 bits, as FFV1 makes them")
 
 
 def _aligned_calibration(calibration: Calibration, index: int, ledger: Ledger) -> CameraCalibration | None:
@@ -742,9 +726,7 @@ def _aligned_calibration(calibration: Calibration, index: int, ledger: Ledger) -
     first = min((other for other in calibration.cameras if other != index), default=None)
     if first is None:
         return None
-    message = (
-        f"depth images of camera {index} have no calibration; taken to lie in the pixels of camera {first}"
-    )
+    message = f"depth images of camera {index} have no calibration; taken to lie in the pixels of camera {first}"
     ledger.note(WarningKind.ASSUMED, "depth-aligned", str(calibration.path), message)
     return replace(calibration.cameras[first], entry={})
 
@@ -881,9 +863,7 @@ def _build(sources: CameraSources, index: int) -> list[CameraSensor | DepthCamer
     """Build one camera; none where neither calibration nor images report the image's size, and no line needs it."""
     columns = sources.frames.cameras.get(index, CameraColumns())
     files, indices = _match_images(sources, index, columns)
-    calibration = sources.calibration.cameras.get(index) or _calibration_of_lines(
-        sources, index, columns, files
-    )
+    calibration = sources.calibration.cameras.get(index) or _calibration_of_lines(sources, index, columns, files)
     if files is None and not columns.rows and not calibration.parameters.has_size:
         message = "has no image size, and there are no images of it; the camera was left out"
         sources.ledger.note(WarningKind.SKIPPED, "cameras-without-size", calibration.location, message)
@@ -892,14 +872,10 @@ def _build(sources: CameraSources, index: int) -> list[CameraSensor | DepthCamer
     camera = _fitted_camera_model(sources, calibration, files)
     read_camera_model = _camera_model_reader(sources, calibration, camera)
     reading_mount = partial(read_mount, path=sources.data_path, ledger=sources.ledger)
-    camera_models = read_texts(
-        sources.frames, columns.rows, columns.parameters, read_camera_model, sources.ledger
-    )
+    camera_models = read_texts(sources.frames, columns.rows, columns.parameters, read_camera_model, sources.ledger)
     mounts = read_texts(sources.frames, columns.rows, columns.mounts, reading_mount, sources.ledger)
     shift = _shift_of(calibration, sources.camera_shift, sources.ledger)
-    table = _build_table(
-        index, camera, sources.frames, indices, camera_models, mounts, sources.data_file, shift=shift
-    )
+    table = _build_table(index, camera, sources.frames, indices, camera_models, mounts, sources.data_file, shift=shift)
     sensor = _sensor(sources, table, calibration, files)
     return [_depth_sensor(sensor, table, files, sources.ledger) if _holds_depth(files) else sensor]
 
@@ -910,9 +886,7 @@ def _calibration_of_lines(
     """Take the camera model of a camera's first line for a camera that the calibration does not have."""
     line = sources.frames.lines[columns.rows[0]]
     if columns.parameters[0] < 0:
-        aligned = (
-            _aligned_calibration(sources.calibration, index, sources.ledger) if _holds_depth(files) else None
-        )
+        aligned = _aligned_calibration(sources.calibration, index, sources.ledger) if _holds_depth(files) else None
         if aligned is not None:
             return aligned
         path = sources.calibration.path
@@ -942,9 +916,7 @@ def _with_camera_model_of_lines(
     return replace(calibration, parameters=parameters)
 
 
-def _match_images(
-    sources: CameraSources, index: int, columns: CameraColumns
-) -> tuple[_ImageFiles | None, Int64Array]:
+def _match_images(sources: CameraSources, index: int, columns: CameraColumns) -> tuple[_ImageFiles | None, Int64Array]:
     """Open a camera's images, and find the one that each of its entries means, -1 for none."""
     ledger, rows = sources.ledger, np.asarray(columns.rows, np.int64)
     none = np.full(len(rows), -1, np.int64)
@@ -974,9 +946,7 @@ def _match_images(
         left_out = int((choice.indices[rows] < 0).sum())
         ledger.fault("unmatched-images", DataError(path, "", choice.problem), count=max(left_out, 1))
     if choice.by_line:
-        message = (
-            "frame numbers have gaps, while images and lines are equally many; they were counted line by line"
-        )
+        message = "frame numbers have gaps, while images and lines are equally many; they were counted line by line"
         ledger.note(WarningKind.REPAIRED, "frame-numbers-not-used", str(path), message)
     return files, choice.indices[rows]
 
@@ -991,9 +961,7 @@ def _size(files: _ImageFiles | None) -> tuple[int, int] | None:
     return None if files is None else (files.width, files.height)
 
 
-def _fitted_camera_model(
-    sources: CameraSources, calibration: CameraCalibration, files: _ImageFiles | None
-) -> Camera:
+def _fitted_camera_model(sources: CameraSources, calibration: CameraCalibration, files: _ImageFiles | None) -> Camera:
     """Give the camera model for the images as they are, with a warning where the calibration is for another size."""
     calibrated = camera_model(calibration.parameters, _size(files), calibration.location)
     width, height = _size(files) or (calibrated.width, calibrated.height)
@@ -1013,9 +981,7 @@ def _camera_model_reader(
     def read(text: bytes, line: int) -> Camera:
         parameters = read_parameters(text, line, path=sources.data_path).over(calibration.parameters)
         location = f"{sources.data_path}: line {line}: frames[].cameraParameters"
-        return camera_model(parameters, (camera.width, camera.height), location).resized(
-            camera.width, camera.height
-        )
+        return camera_model(parameters, (camera.width, camera.height), location).resized(camera.width, camera.height)
 
     return read
 
@@ -1053,9 +1019,7 @@ def _camera_model_in_use(table: _ImageTable) -> Camera:
     return table.camera
 
 
-def _own_mount(
-    sources: CameraSources, table: _ImageTable, calibration: CameraCalibration
-) -> RigidTransform | None:
+def _own_mount(sources: CameraSources, table: _ImageTable, calibration: CameraCalibration) -> RigidTransform | None:
     """The mounting of the calibration; that of the first image where each image has its own."""
     if len(table.mount_texts) and (table.mount_texts != table.OWN).all():
         return table.mounts[int(table.mount_texts[0])]
@@ -1069,9 +1033,7 @@ def _own_mount(
         )
         sources.ledger.fault("mounts-missing", DataError(calibration.location, "", problem))
     elif (table.mount_texts == table.OWN).any():
-        message = (
-            "frames without imuToCamera, of a camera whose calibration has none: taken as in its first frame"
-        )
+        message = "frames without imuToCamera, of a camera whose calibration has none: taken as in its first frame"
         sources.ledger.note(WarningKind.ASSUMED, "mounts-of-first-frame", calibration.location, message)
     return first
 

@@ -125,9 +125,7 @@ def _read_parameters_file(path: Path) -> dict[str, str]:
     return values
 
 
-def _entries_of_parameters(
-    values: Mapping[str, str], path: Path, doubts: list[str]
-) -> dict[int, dict[str, Any]]:
+def _entries_of_parameters(values: Mapping[str, str], path: Path, doubts: list[str]) -> dict[int, dict[str, Any]]:
     entries: dict[int, dict[str, Any]] = {}
     for index in range(_MOST_CAMERAS):
         entry = _Reader(values, path, index).entry()
@@ -136,9 +134,7 @@ def _entries_of_parameters(
     if values.get("videoRotation", "NONE") != "NONE":
         for entry in entries.values():
             entry.pop("imuToCamera", None)
-        doubts.append(
-            "videoRotation rotates the mountings in a way that is not known here; they are left out"
-        )
+        doubts.append("videoRotation rotates the mountings in a way that is not known here; they are left out")
     return entries
 
 

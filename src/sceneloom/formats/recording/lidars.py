@@ -52,9 +52,7 @@ def _find_file(folder: Path, name: str, file: object, location: str) -> Path:
     except (OSError, RuntimeError, ValueError) as error:
         raise DataError(file, location, f"lidar.dataFile: {name!r} cannot be read: {error}") from error
     if not inside:
-        raise DataError(
-            file, location, f"lidar.dataFile: {name!r} leads out of the recording's folder by a link"
-        )
+        raise DataError(file, location, f"lidar.dataFile: {name!r} leads out of the recording's folder by a link")
     if not there:
         raise DataError(file, location, f"lidar.dataFile: {name!r}: {why_no_file(path)}")
     return path

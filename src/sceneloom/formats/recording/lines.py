@@ -441,9 +441,7 @@ def by_time(stream: Columns) -> SortedColumns:
     order = time_order(seconds)
     if not is_sorted(seconds):
         seconds, values = seconds[order], values[order]
-    return SortedColumns(
-        read_only(nanoseconds(seconds)), read_only(seconds), read_only(values), read_only(order)
-    )
+    return SortedColumns(read_only(nanoseconds(seconds)), read_only(seconds), read_only(values), read_only(order))
 
 
 def row_keys(stream: Columns, rows: Sequence[int]) -> list[str]:
@@ -570,9 +568,7 @@ def _take_line(
         parsed_lines.streams.append(_take_fix(columns, seconds, fix, origin))
     barometer = _given(getattr(line, "barometer", None))
     if barometer is not None:
-        parsed_lines.streams.append(
-            _append(columns, columns.barometer, seconds, [barometer.pressureHectopascals])
-        )
+        parsed_lines.streams.append(_append(columns, columns.barometer, seconds, [barometer.pressureHectopascals]))
     if sweep is not None:
         parsed_lines.streams.append(_take_sweep(columns, seconds, sweep, number))
     if entries is not None:
@@ -660,9 +656,7 @@ def _take_pose(columns: RecordingColumns, seconds: float, pose: Pose, origin: Or
     if trajectory is None:
         trajectory = columns.poses.setdefault(origin, PoseColumns())
     position, rotation = pose.position, _given(pose.orientation)
-    quaternion = (
-        (nan, nan, nan, nan) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
-    )
+    quaternion = (nan, nan, nan, nan) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
     trajectory.lines.append(line)
     return _append(columns, trajectory.samples, seconds, [position.x, position.y, position.z, *quaternion])
 
@@ -929,9 +923,7 @@ class _LineReader:
             rotation = _NO_ROTATION
         samples, codes = trajectory.samples, self.columns.log.codes
         samples.seconds.append(line.time)
-        samples.values.fromlist(
-            [position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w]
-        )
+        samples.values.fromlist([position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w])
         codes.append(samples.code)
         trajectory.lines.append(len(codes))
 
@@ -1066,9 +1058,7 @@ def _says_more(line: FrequentLine, text: bytes) -> bool:
     text.decode()
     beside = (getattr(line, key, UNSET) for key in RECORD_KEYS if key != "frames")
     entries = () if line.frames is UNSET else line.frames
-    return any(value is not UNSET for value in beside) or any(
-        entry.missingBitmap is not UNSET for entry in entries
-    )
+    return any(value is not UNSET for value in beside) or any(entry.missingBitmap is not UNSET for entry in entries)
 
 
 def _decode_object(text: bytes) -> dict[str, Any]:

@@ -97,9 +97,7 @@ def _take_line(found: dict[str, _Poses], text: bytes, number: int, unit: str | N
         location, rotation = pose.position, pose.orientation
         poses.timestamps_ns.append(timestamp_ns)
         poses.values.extend((location.x, location.y, location.z))
-        poses.values.extend(
-            (nan,) * 4 if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
-        )
+        poses.values.extend((nan,) * 4 if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w))
         poses.unturned += rotation is None
         poses.lines.append(number)
 

@@ -169,9 +169,7 @@ def _trajectory(name: str, columns: PoseColumns, path: Path, ledger: Ledger) -> 
     )
 
 
-def _check_orientations(
-    name: str, samples: SortedColumns, lines: Int64Array, path: Path, ledger: Ledger
-) -> BoolArray:
+def _check_orientations(name: str, samples: SortedColumns, lines: Int64Array, path: Path, ledger: Ledger) -> BoolArray:
     quaternions = samples.values[:, 3:]
     with np.errstate(over="ignore"):
         error = np.abs(np.sqrt((quaternions * quaternions).sum(axis=1)) - 1.0)
@@ -259,12 +257,8 @@ def _further_contents(contents: RecordingContents, ledger: Ledger, *, alone: boo
     texts, anchors = _other_lines(columns, as_texts)
     found = {
         "calibration": dict(contents.calibration.content),
-        "vio_config": None
-        if alone
-        else _text(contents.folder / VIO_CONFIG_FILE, "unreadable-vio-config", ledger),
-        "parameters": None
-        if alone
-        else _text(contents.folder / PARAMETERS_FILE, "unreadable-vio-config", ledger),
+        "vio_config": None if alone else _text(contents.folder / VIO_CONFIG_FILE, "unreadable-vio-config", ledger),
+        "parameters": None if alone else _text(contents.folder / PARAMETERS_FILE, "unreadable-vio-config", ledger),
         "other_lines": texts,
         "other_seconds": anchors,
         "further_keys": _further_keys(contents, streams, ledger),
@@ -292,10 +286,7 @@ def _named_streams(contents: RecordingContents) -> dict[str, Columns]:
             name if name == RECEIVER else f"{RECEIVER}.{name}": stream
             for name, (_, stream) in receivers(columns).items()
         },
-        **{
-            f"trajectories.{t.name}": columns.poses[origin].samples
-            for origin, t in contents.trajectories.items()
-        },
+        **{f"trajectories.{t.name}": columns.poses[origin].samples for origin, t in contents.trajectories.items()},
         **{f"lidars.{index}": lidar.sweeps for index, lidar in columns.lidars.items()},
     }
 
@@ -342,9 +333,7 @@ def _pose_text(origin: tuple[str, str], values: list[float], seconds: float) -> 
     return msgspec.json.encode({**({root: pose} if root else pose), "time": seconds}).decode()
 
 
-def _other_lines(
-    columns: RecordingColumns, as_texts: list[tuple[int, str]]
-) -> tuple[list[str], dict[str, float]]:
+def _other_lines(columns: RecordingColumns, as_texts: list[tuple[int, str]]) -> tuple[list[str], dict[str, float]]:
     """Texts in the order of the file, and for those without a time that of the line before."""
     seconds = line_seconds(columns)
     timed = np.maximum.accumulate(np.where(np.isnan(seconds), -1, np.arange(len(seconds))))
@@ -450,9 +439,7 @@ def _find_location(path: Path) -> RecordingLocation:
         return RecordingLocation(path, str(path), path / DATA_FILE)
     if is_zip(path):
         unpacked = unpack(path, DATA_FILE)
-        return RecordingLocation(
-            unpacked.folder, str(path), unpacked.folder / DATA_FILE, remove=unpacked.remove
-        )
+        return RecordingLocation(unpacked.folder, str(path), unpacked.folder / DATA_FILE, remove=unpacked.remove)
     if path.name == DATA_FILE:
         return RecordingLocation(path.parent, str(path.parent), path)
     if path.is_file():
@@ -488,9 +475,9 @@ def open_recording(
     """
     _check_values(altitude, camera_shift, image_index)
     ledger = Ledger(lenient=lenient)
-    return _read_recording(
-        _find_location(path), altitude, ledger, camera_shift=camera_shift, image_index=image_index
-    )[0]
+    return _read_recording(_find_location(path), altitude, ledger, camera_shift=camera_shift, image_index=image_index)[
+        0
+    ]
 
 
 def _check_values(altitude: str, camera_shift: str, image_index: str = "auto") -> None:
@@ -574,9 +561,7 @@ def _read(
         }
         scene = Scene(
             sensors=(*lidars, *cameras, *ego_sensors),
-            trajectories=MappingProxyType(
-                {trajectory.name: trajectory for trajectory in trajectories.values()}
-            ),
+            trajectories=MappingProxyType({trajectory.name: trajectory for trajectory in trajectories.values()}),
             metadata=MappingProxyType({"recording": metadata}),
             source=location.source,
             format="recording",

@@ -98,9 +98,7 @@ _SUPPORTS = {
     "sensors.lidar.frames.points.colors": _NO_POSITION,
     "sensors.lidar.frames.points.camera_index": _NO_POSITION,
     **{
-        f"sensors.{kind}.coordinates": converted(
-            "locations are reported by the mounting and the ego trajectory"
-        )
+        f"sensors.{kind}.coordinates": converted("locations are reported by the mounting and the ego trajectory")
         for kind in _MOUNTED
     },
     "sensors.camera.video": converted("packets are copied into a file of another kind"),

@@ -152,9 +152,7 @@ def _holdable_camera_model(camera: Camera) -> tuple[Camera, str | None]:
     if camera.model in _CAMERA_MODELS and not _unplaced(camera):
         return camera, None
     if camera.model not in MODELS:
-        raise CalibrationError(
-            f"camera model {camera.model!r}; a recording can hold {', '.join(_CAMERA_MODELS)}"
-        )
+        raise CalibrationError(f"camera model {camera.model!r}; a recording can hold {', '.join(_CAMERA_MODELS)}")
     found = nearest(camera, _STAND_INS)
     if found.rms_px > _FARTHEST_SHARE * camera.width or found.share < _LEAST_SHARE:
         raise CalibrationError(
@@ -206,9 +204,7 @@ def _camera_model_losses(field: str, how_far: str | None) -> list[Loss]:
     return [] if how_far is None else [Loss(field=field, what=how_far, support=Support.APPROXIMATED)]
 
 
-def camera_entry(
-    sensor: ShootingSensor, camera: Camera, mount: RigidTransform
-) -> tuple[dict[str, Any], list[Loss]]:
+def camera_entry(sensor: ShootingSensor, camera: Camera, mount: RigidTransform) -> tuple[dict[str, Any], list[Loss]]:
     """Write a camera.
 
     Args:
@@ -665,9 +661,7 @@ class _PngImages:
         """Do nothing."""
 
 
-def open_sink(
-    sensor: ShootingSensor, folder: Path, index: int, rows: Int64Array, *, images: str
-) -> ImageSink:
+def open_sink(sensor: ShootingSensor, folder: Path, index: int, rows: Int64Array, *, images: str) -> ImageSink:
     """Choose how a camera's images are kept, and start.
 
     Args:
@@ -683,9 +677,7 @@ def open_sink(
     path = folder / f"data{index + 1 if index else ''}.mkv"
     if isinstance(sensor, DepthCameraSensor):
         copied = _copied(sensor, path, rows, codecs=("ffv1",)) and _all_stepped(sensor)
-        return (
-            _CopiedVideo(sensor) if copied else _EncodedVideo(_DepthImages(sensor), path, _frame_rate(sensor))
-        )
+        return _CopiedVideo(sensor) if copied else _EncodedVideo(_DepthImages(sensor), path, _frame_rate(sensor))
     if images == "png":
         return _PngImages(sensor, folder / f"frames{index + 1}")
     if _copied(sensor, path, rows, codecs=None if images in _ENCODED_AS else (images,)):
@@ -880,9 +872,7 @@ def grouping_losses(sensors: Sequence[ShootingSensor], rows: ImageRows) -> list[
     """Report where cameras are not in step, so that lines lack some of their images, unless that was read so."""
     fresh = [row for row in range(len(rows.images)) if row not in rows.lines]
     missing = (rows.images[fresh] < 0).sum(axis=0).tolist()
-    what = (
-        "is not in step with the other cameras: its video repeats an image where a line has none of its own"
-    )
+    what = "is not in step with the other cameras: its video repeats an image where a line has none of its own"
     return [
         Loss(field=field_of(sensor), what=what, count=count, support=Support.CONVERTED)
         for sensor, count in zip(sensors, missing, strict=True)
@@ -991,8 +981,7 @@ class FrameLines:
         self._keep_extras = keep_extras
         self._read_as = [_index_before(sensor, location) for location, sensor in enumerate(sensors)]
         self._parameters = [
-            _ImageParameters(sensor, sink.width, sink.height)
-            for sensor, sink in zip(sensors, sinks, strict=False)
+            _ImageParameters(sensor, sink.width, sink.height) for sensor, sink in zip(sensors, sinks, strict=False)
         ]
         self._not_listed = 0
 
@@ -1000,18 +989,14 @@ class FrameLines:
     def losses(self) -> list[Loss]:
         """What could not be written."""
         what = "`frames` lines that do not list every camera, as they were read: the vendor's software refuses them"
-        short = [Loss(field="replay", what=what, count=self._not_listed, support=Support.KEPT)][
-            : self._not_listed
-        ]
+        short = [Loss(field="replay", what=what, count=self._not_listed, support=Support.KEPT)][: self._not_listed]
         return [*self._losses, *(loss for writer in self._parameters for loss in writer.losses), *short]
 
     def stream(self) -> LineStream:
         """The lines, each made after its images were handed on."""
         images, seconds = self._rows.images, self._rows.seconds
         if seconds is not None:
-            return OneByOne(
-                np.array([round(time * 1e9) for time in seconds], np.int64), self._lines(), FRAMES
-            )
+            return OneByOne(np.array([round(time * 1e9) for time in seconds], np.int64), self._lines(), FRAMES)
         timestamps = np.full(images.shape, np.iinfo(np.int64).max)
         for column, sensor in enumerate(self._sensors):
             there = images[:, column] >= 0
@@ -1030,11 +1015,7 @@ class FrameLines:
                 reported = 0.0 if seconds is None else seconds[location]
                 timestamp = round(reported * 1e9)
             kept = self._rows.lines.get(location)
-            time = (
-                (timestamp, reported)
-                if first is None
-                else (first.timestamp_ns, first.extras.get("file_seconds"))
-            )
+            time = (timestamp, reported) if first is None else (first.timestamp_ns, first.extras.get("file_seconds"))
             entries = [self._entry(c, shot, time, kept) for c, shot in enumerate(shots)]
             fields = {
                 **self._beside(first, kept),

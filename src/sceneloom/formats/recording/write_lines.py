@@ -267,11 +267,7 @@ class SharedLines:
                     self._of_hosts.setdefault(stream, {})[key] = entry.text
             timestamp = _timestamp_of(entry.text)
             images = hosts.get(FRAMES, np.zeros(0, np.int64))
-            if (
-                timestamp is not None
-                and "frames" in _keys_of(entry.text)
-                and rows_of([str(timestamp)], images)
-            ):
+            if timestamp is not None and "frames" in _keys_of(entry.text) and rows_of([str(timestamp)], images):
                 self._hosted[location] = FRAMES
 
     def texts_for(self, stream: str) -> dict[str, str]:

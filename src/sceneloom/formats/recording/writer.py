@@ -159,9 +159,7 @@ def _trajectories(scene: Scene, notes: RecordingNotes) -> list[tuple[Trajectory,
     for sensor in scene.sensors:
         path = sensor.poses if isinstance(sensor, OdometrySensor) else None
         if path is not None and not path.static and not any(same_direction(path, known) for known in found):
-            found.append(
-                Trajectory(str(sensor.id), path.timestamps_ns, path.positions, path.quaternions_xyzw)
-            )
+            found.append(Trajectory(str(sensor.id), path.timestamps_ns, path.positions, path.quaternions_xyzw))
     return [(trajectory, notes.trajectory_origins.get(trajectory.name)) for trajectory in found]
 
 
@@ -176,12 +174,7 @@ def _ride_along(
     """
     for sensor in sensors:
         path = sensor.poses
-        if (
-            path is None
-            or path.static
-            or sensor.coordinates is not Coordinates.WORLD
-            or sensor.mount is not None
-        ):
+        if path is None or path.static or sensor.coordinates is not Coordinates.WORLD or sensor.mount is not None:
             continue
         name = str(sensor.id)
         trajectory = Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)
@@ -192,17 +185,13 @@ def _ride_along(
     return None
 
 
-def _of_unplaced(
-    scene: Scene, trajectories: Sequence[tuple[Trajectory, tuple[str, str] | None]]
-) -> list[Loss]:
+def _of_unplaced(scene: Scene, trajectories: Sequence[tuple[Trajectory, tuple[str, str] | None]]) -> list[Loss]:
     """Report that sensors lose their poses.
 
     The trajectory that reading takes for the ego trajectory has no orientations.
     """
     posed = sum(getattr(sensor, "poses", None) is not None for sensor in scene.sensors)
-    ranked = sorted(
-        trajectories, key=lambda pair: RANKS.get((pair[1] or origin_for(pair[0].name))[0], len(RANKS))
-    )
+    ranked = sorted(trajectories, key=lambda pair: RANKS.get((pair[1] or origin_for(pair[0].name))[0], len(RANKS)))
     if not posed or (ranked and ranked[0][0].quaternions_xyzw is not None):
         return []
     what = "left out: there is no trajectory of the ego with orientations that recordings location sensors by"
@@ -222,9 +211,7 @@ def _ego_path(scene: Scene) -> Poses | None:
     return next(oriented, None) or next(odometry, None)
 
 
-def _mount(
-    sensor: ShootingSensor | LidarSensor, ego_path: Poses | None, losses: list[Loss]
-) -> RigidTransform:
+def _mount(sensor: ShootingSensor | LidarSensor, ego_path: Poses | None, losses: list[Loss]) -> RigidTransform:
     mount, lost = mounting(sensor, ego_path, each=True)
     losses.extend(lost)
     if mount is not None:
@@ -300,9 +287,7 @@ class _SweepWriter:
         rows = rows_of(further_keys, sensor.frames.timestamps_ns)
         self._further = {row: further_keys[key] for key, row in rows.items()}
         self._subfolder = f"lidar{index + 1 if index else ''}"
-        self._world = (
-            _world_poses(sensor, mount, ego_path) if sensor.points_frame is PointsFrame.WORLD else None
-        )
+        self._world = _world_poses(sensor, mount, ego_path) if sensor.points_frame is PointsFrame.WORLD else None
 
     def stream(self) -> LineStream:
         """The lines, each made after its file was written."""
@@ -328,9 +313,7 @@ class _SweepWriter:
         name = frame.extras.get("dataFile")
         own = re.compile(rf"{self._subfolder}/\w[\w.-]*")
         if not isinstance(name, str) or not own.fullmatch(name) or name in self._names:
-            name = next(
-                n for n in (f"{self._subfolder}/{i:06d}.bin" for i in count(k)) if n not in self._names
-            )
+            name = next(n for n in (f"{self._subfolder}/{i:06d}.bin" for i in count(k)) if n not in self._names)
         self._names.add(name)
         return name
 
@@ -584,9 +567,7 @@ class _RecordingWriter:
         for index, lidar in enumerate(plan.lidars):
             mount, name = plan.mounts[len(plan.cameras) + index], _sweep_stream(lidar, index)
             further = {**plan.notes.further_keys.get(name, {}), **shared.texts_for(name)}
-            writers.append(
-                _SweepWriter(lidar, index, mount, plan.ego_path, self._folder, self._times, further)
-            )
+            writers.append(_SweepWriter(lidar, index, mount, plan.ego_path, self._folder, self._times, further))
         return writers
 
     def _number_streams(self, shared: SharedLines) -> list[LineStream]:
@@ -609,9 +590,7 @@ class _RecordingWriter:
         plan = self._plan
         cameras: list[dict[str, Any]] = []
         for index, camera in enumerate(plan.cameras):
-            camera_model = (
-                cropped(camera.camera, sinks[index].width, sinks[index].height) if sinks else camera.camera
-            )
+            camera_model = cropped(camera.camera, sinks[index].width, sinks[index].height) if sinks else camera.camera
             entry, lost = camera_entry(camera, camera_model, plan.mounts[index])
             cameras.append(entry)
             self._losses.extend(lost)
@@ -636,11 +615,7 @@ def _time_losses(times: TimeWriter) -> list[Loss]:
         return []
     what = f"times written exactly, but a 64-bit number of seconds holds them within {times.worst_ns} ns only"
     worst = float(times.worst_ns)
-    return [
-        Loss(
-            field="timestamps", what=what, count=times.inexact, support=Support.CONVERTED, largest_error=worst
-        )
-    ]
+    return [Loss(field="timestamps", what=what, count=times.inexact, support=Support.CONVERTED, largest_error=worst)]
 
 
 def _shooting_sensors(scene: Scene) -> Sequence[ShootingSensor]:
@@ -699,9 +674,7 @@ def _of_missing(cameras: Sequence[ShootingSensor], imu: ImuSensor | None) -> Ite
 def _of_cameras(cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
     if len(cameras) > _MOST_CAMERAS:
         names = ", ".join(str(camera.id) for camera in cameras[_MOST_CAMERAS:])
-        yield _loss(
-            f"the vendor's software uses the first two cameras, not {names}", len(cameras) - _MOST_CAMERAS
-        )
+        yield _loss(f"the vendor's software uses the first two cameras, not {names}", len(cameras) - _MOST_CAMERAS)
     if cameras and isinstance(cameras[0], DepthCameraSensor):
         yield _loss(f"the vendor's software tracks in the first camera, and {cameras[0].id} measures depth")
 
@@ -729,9 +702,7 @@ def _of_settings(vio_config: str | None) -> Iterator[Loss]:
     unknown = unknown_keys(vio_config or "")
     if unknown:
         named = ", ".join(unknown)
-        yield _loss(
-            f"the vendor's software may stop at settings that are not publicly known: {named}", len(unknown)
-        )
+        yield _loss(f"the vendor's software may stop at settings that are not publicly known: {named}", len(unknown))
 
 
 def _loss(what: str, count: int = 1) -> Loss:
@@ -811,9 +782,7 @@ def _of_odometry(scene: Scene, trajectories: Sequence[Trajectory]) -> Iterator[L
 def _unwritten_of_cameras(scene: Scene, cameras: Sequence[ShootingSensor]) -> Iterator[Loss]:
     for camera in _shooting_sensors(scene):
         if camera not in cameras:
-            yield Loss(
-                field=f"sensors[{camera.id}]", what="left out: it has no images, while other cameras have"
-            )
+            yield Loss(field=f"sensors[{camera.id}]", what="left out: it has no images, while other cameras have")
 
 
 def _of_repeated(scene: Scene, imu: ImuSensor | None) -> Iterator[Loss]:

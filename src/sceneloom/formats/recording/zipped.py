@@ -188,9 +188,7 @@ def _check_name(member: ZipInfo, path: Path) -> None:
         problem = "is encrypted"
     else:
         return
-    raise DataError(
-        path, repr(name[:_LONGEST_NAME]), f"{problem}; expected plain files in the recording's folder"
-    )
+    raise DataError(path, repr(name[:_LONGEST_NAME]), f"{problem}; expected plain files in the recording's folder")
 
 
 def _targets(members: Sequence[ZipInfo], root: str, folder: Path) -> Iterator[tuple[ZipInfo, Path]]:

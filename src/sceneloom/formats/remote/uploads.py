@@ -44,15 +44,11 @@ def output_name(url: str) -> str:
     """
     parts = urlsplit(url)
     if parts.scheme.lower().split("::")[-1] in {"http", "https"}:
-        problem = (
-            "is a URL of a web server, which is only read from; name a store, such as s3://, gs://, az://"
-        )
+        problem = "is a URL of a web server, which is only read from; name a store, such as s3://, gs://, az://"
         raise OutputError(f"{redacted(url)} {problem}")
     name = Path(unquote(parts.path)).name
     if not name or name in {".", ".."}:
-        raise OutputError(
-            f"{redacted(url)}: names no file or folder; expected one, as in s3://bucket/drive.sfs"
-        )
+        raise OutputError(f"{redacted(url)}: names no file or folder; expected one, as in s3://bucket/drive.sfs")
     return name
 
 

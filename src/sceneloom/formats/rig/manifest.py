@@ -176,14 +176,10 @@ _TYPE = _Field("type", Kind.CHOICE, "what it measures", required=True, choices=_
 _FRAME = _Field("frame", Kind.TEXT, "name of the sensor's own frame; left out: its id")
 
 
-_EXTRINSIC = _Field(
-    "extrinsic", Kind.RECORD, "where the sensor is, instead of a `[[transforms]]`", record="extrinsic"
-)
+_EXTRINSIC = _Field("extrinsic", Kind.RECORD, "where the sensor is, instead of a `[[transforms]]`", record="extrinsic")
 
 
-_ROOT = _Field(
-    "root", Kind.TEXT, "folder of the files, seen from the manifest; left out: the manifest's `root`"
-)
+_ROOT = _Field("root", Kind.TEXT, "folder of the files, seen from the manifest; left out: the manifest's `root`")
 
 
 _OFFSET = _Field("time_offset_s", Kind.SECONDS, "added to every timestamp of the sensor", unit="s")
@@ -216,9 +212,7 @@ _ROTATIONS = (
     _Field("rotation_matrix", Kind.MATRIX, "rotation, row by row", shapes=((3, 3),)),
     _Field("euler_deg", Kind.VECTOR, "angles about x, y and z, whatever the order", unit="°", shapes=((3,),)),
     _Field("euler_order", Kind.CHOICE, "order of the product: zyx is Rz·Ry·Rx", choices=ORDERS),
-    _Field(
-        "matrix", Kind.MATRIX, "all in one: [R t; 0 0 0 1], row by row", unit="m", shapes=((4, 4), (3, 4))
-    ),
+    _Field("matrix", Kind.MATRIX, "all in one: [R t; 0 0 0 1], row by row", unit="m", shapes=((4, 4), (3, 4))),
 )
 
 
@@ -234,15 +228,11 @@ RECORDS: Mapping[str, tuple[_Field, ...]] = MappingProxyType(
             _Field("name", Kind.TEXT, "what the drive is called, for people"),
             _Field("transforms", Kind.RECORDS, "how the frames stand to each other", record="transform"),
             _Field("sensors", Kind.RECORDS, "the sensors", required=True, record="sensor"),
-            _Field(
-                "trajectories", Kind.RECORDS, "ways through the world, the default first", record="trajectory"
-            ),
+            _Field("trajectories", Kind.RECORDS, "ways through the world, the default first", record="trajectory"),
         ),
         "transform": (
             _Field("from", Kind.TEXT, "frame whose points go in", required=True),
-            _Field(
-                "to", Kind.TEXT, "frame that they come out in: p_to = R·p_from + translation", required=True
-            ),
+            _Field("to", Kind.TEXT, "frame that they come out in: p_to = R·p_from + translation", required=True),
             *_ROTATIONS,
         ),
         "extrinsic": (
@@ -278,9 +268,7 @@ RECORDS: Mapping[str, tuple[_Field, ...]] = MappingProxyType(
             ),
             _Field("points_in", Kind.TEXT, "frame of the points, or `world`; left out: the sensor's own"),
             _Field("point_times", Kind.RECORD, "what the times of single points mean", record="point_times"),
-            _Field(
-                "fields", Kind.TEXTS, "columns of `.bin`, or of rows in `.npz`: `x`, `ring:uint16`, `_:uint8`"
-            ),
+            _Field("fields", Kind.TEXTS, "columns of `.bin`, or of rows in `.npz`: `x`, `ring:uint16`, `_:uint8`"),
             _Field("dtype", Kind.TEXT, "type of the `fields` that name none; left out: float32"),
             _Field(
                 "use",
@@ -327,9 +315,7 @@ RECORDS: Mapping[str, tuple[_Field, ...]] = MappingProxyType(
                 "timestamps in the file names: `{ns}`, `{s}_{ns}`, `*_{us}`, `{index}` with a rate",
             ),
             _Field("csv", Kind.TEXT, "timestamps in a CSV file below `root`"),
-            _Field(
-                "column", Kind.TEXT, "column of the timestamps in the CSV; left out: timestamp, time, t, …"
-            ),
+            _Field("column", Kind.TEXT, "column of the timestamps in the CSV; left out: timestamp, time, t, …"),
             _Field(
                 "file_column",
                 Kind.TEXT,
@@ -362,9 +348,7 @@ RECORDS: Mapping[str, tuple[_Field, ...]] = MappingProxyType(
             ),
         ),
         "camera_model": (
-            _Field(
-                "model", Kind.TEXT, "projection model; left out: pinhole, or brown_conrady with coefficients"
-            ),
+            _Field("model", Kind.TEXT, "projection model; left out: pinhole, or brown_conrady with coefficients"),
             _Field(
                 "width",
                 Kind.INTEGER,
@@ -386,18 +370,14 @@ RECORDS: Mapping[str, tuple[_Field, ...]] = MappingProxyType(
                 shapes=((3, 4),),
             ),
             _Field("coefficients", Kind.NUMBERS, "distortion: a list in OpenCV's order, or by name"),
-            _Field(
-                "undistorted", Kind.FLAG, "true: the images are rectified, so the coefficients are not used"
-            ),
+            _Field("undistorted", Kind.FLAG, "true: the images are rectified, so the coefficients are not used"),
         ),
         "trajectory": (
             _Field("name", Kind.TEXT, "what it is called; left out: pose"),
             _Field("file", Kind.TEXT, "the file below `root`", required=True),
             _Field("form", Kind.CHOICE, "how it is written", required=True, choices=("tum", "kitti", "csv")),
             _Field("frame", Kind.TEXT, "the frame whose trajectory it is; left out: the ego's"),
-            _Field(
-                "world_axes", Kind.CHOICE, "axes of its world; left out: z_up", choices=("z_up", "optical")
-            ),
+            _Field("world_axes", Kind.CHOICE, "axes of its world; left out: z_up", choices=("z_up", "optical")),
             _Field("times", Kind.TEXT, "timestamps of a kitti file: a text file, one line per pose"),
             _COLUMNS,
             _UNIT,
@@ -416,9 +396,7 @@ def _fields_of(record: str) -> Mapping[str, _Field]:
 
 def _inner_records(record: str) -> Mapping[str, str]:
     """The record of each field of a record that holds one, by the field's name."""
-    return MappingProxyType(
-        {field.name: field.record for field in RECORDS[record] if field.record in RECORDS}
-    )
+    return MappingProxyType({field.name: field.record for field in RECORDS[record] if field.record in RECORDS})
 
 
 Record = dict[str, Any]
@@ -704,9 +682,7 @@ class Manifest:
         """A collection of faults that knows what the parts are called."""
         faults = Faults(self.path)
         for name, key in _NAMED:
-            faults.labels.update(
-                {location: record[key] for location, record in self.records(name) if key in record}
-            )
+            faults.labels.update({location: record[key] for location, record in self.records(name) if key in record})
         return faults
 
     def records(self, name: str) -> list[tuple[str, Record]]:
@@ -815,9 +791,7 @@ class Root:
         found: set[Path] = set()
         for pattern in patterns:
             try:
-                matches = [
-                    path for path in self.folder.glob(self._checked(pattern, location)) if not path.is_dir()
-                ]
+                matches = [path for path in self.folder.glob(self._checked(pattern, location)) if not path.is_dir()]
             except (ValueError, NotImplementedError, IndexError, re.error) as error:
                 raise DataError(self.manifest, location, f"{pattern!r} is no pattern: {error}") from error
             if not matches:
@@ -893,9 +867,7 @@ def _spelling_hint(pattern: str) -> str:
 def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
     """Order numbers inside names by their value."""
     parts = _DIGITS.split(path.as_posix())
-    return tuple(
-        (1, int(part), part) if part.isdecimal() and part.isascii() else (0, 0, part) for part in parts
-    )
+    return tuple((1, int(part), part) if part.isdecimal() and part.isascii() else (0, 0, part) for part in parts)
 
 
 def open_root(manifest: Path, names: Sequence[str | None], location: str) -> Root:
@@ -1012,21 +984,13 @@ class TimeSource:
         return self._in_order(chosen, times, names)
 
     def _trajectory(self, possible: Sequence[str]) -> str:
-        stated = [
-            trajectory
-            for trajectory in _TIMES_TRAJECTORIES
-            if self.record.get(trajectory) not in (None, False)
-        ]
+        stated = [trajectory for trajectory in _TIMES_TRAJECTORIES if self.record.get(trajectory) not in (None, False)]
         indexed = stated == ["pattern", "rate_hz"]
         if len(stated) != 1 and not indexed:
             found = ", ".join(stated) or "none of them"
-            raise DataError(
-                self.manifest, self.location, f"{found}; expected exactly one of {', '.join(possible)}"
-            )
+            raise DataError(self.manifest, self.location, f"{found}; expected exactly one of {', '.join(possible)}")
         if stated[0] not in possible:
-            raise DataError(
-                self.manifest, self.location, f"{stated[0]}; expected one of {', '.join(possible)} here"
-            )
+            raise DataError(self.manifest, self.location, f"{stated[0]}; expected one of {', '.join(possible)} here")
         return stated[0]
 
     def _start_ns(self) -> int:
@@ -1037,9 +1001,7 @@ class TimeSource:
         period = Decimal(10**9) / Decimal(str(self.record["rate_hz"]))
         timestamps = [int((index * period).to_integral_value()) + self._start_ns() for index in indices]
         if timestamps and max(map(abs, timestamps)) > FARTHEST_NS:
-            raise DataError(
-                self.manifest, self.location, f"index {max(indices)}: its time is beyond the year 2261"
-            )
+            raise DataError(self.manifest, self.location, f"index {max(indices)}: its time is beyond the year 2261")
         return np.array(timestamps, np.int64)
 
     def by_pattern(self, names: Sequence[str]) -> tuple[Int64Array, Int64Array]:
@@ -1050,9 +1012,7 @@ class TimeSource:
         except TimestampError as error:
             raise DataError(self.manifest, where, str(error)) from None
         if pattern.indexed != ("rate_hz" in self.record):
-            expected = (
-                "`rate_hz` beside {index}" if pattern.indexed else "{index} in the pattern beside `rate_hz`"
-            )
+            expected = "`rate_hz` beside {index}" if pattern.indexed else "{index} in the pattern beside `rate_hz`"
             raise DataError(self.manifest, self.location, f"{self.record['pattern']!r}; expected {expected}")
         chosen, values = [], []
         for k, name in enumerate(names):
@@ -1127,9 +1087,7 @@ class TimeSource:
     def _in_parallel(self, path: Path, timestamps: Int64Array, count: int) -> tuple[Int64Array, Int64Array]:
         if len(timestamps) != count:
             problem = f"{len(timestamps)} times for {count} files or images; expected as many"
-            self.ledger.fault(
-                "counts-disagree", DataError(path, "", problem), count=abs(count - len(timestamps))
-            )
+            self.ledger.fault("counts-disagree", DataError(path, "", problem), count=abs(count - len(timestamps)))
         used = min(len(timestamps), count)
         return np.arange(used), timestamps[:used]
 
@@ -1149,9 +1107,7 @@ class TimeSource:
                 f"{names[chosen[k - 1]]!r} and {names[chosen[k]]!r} have the same time, {timestamps[k] / 1e9:.9f} s; "
                 "expected one file per time"
             )
-            self.ledger.fault(
-                "repeated-times", DataError(self.manifest, self.location, problem), count=len(repeated)
-            )
+            self.ledger.fault("repeated-times", DataError(self.manifest, self.location, problem), count=len(repeated))
             kept = np.ones(len(timestamps), np.bool_)
             kept[repeated] = False
             chosen, timestamps = chosen[kept], timestamps[kept]
@@ -1212,8 +1168,7 @@ class NamePattern:
         if self.indexed:
             return int(match["index"][:18])
         timestamp_ns = sum(
-            parse_timestamp(text, PLACEHOLDERS[unit], hint="`{{{sign}}}`")
-            for unit, text in match.groupdict().items()
+            parse_timestamp(text, PLACEHOLDERS[unit], hint="`{{{sign}}}`") for unit, text in match.groupdict().items()
         )
         if timestamp_ns > FARTHEST_NS:
             raise TimestampError(f"{name!r} gives a time beyond the year 2261 by the pattern {self._text!r}")

@@ -121,16 +121,12 @@ def read_transform(record: Record, location: str, ledger: Ledger) -> RigidTransf
     if len(forms) > 1:
         raise CalibrationError(f"{' and '.join(forms)}; expected one of them")
     if not forms and "translation" not in record:
-        raise CalibrationError(
-            f"says nothing; expected matrix, or translation and one of {', '.join(_ROTATIONS)}"
-        )
+        raise CalibrationError(f"says nothing; expected matrix, or translation and one of {', '.join(_ROTATIONS)}")
     matrix = np.eye(4)
     matrix[:3, 3] = record.get("translation", (0.0, 0.0, 0.0))
     matrix[:3, :3] = _rotation(record, forms[0]) if forms else np.eye(3)
     if forms == ["euler_deg"] and _are_radians(record["euler_deg"]):
-        message = (
-            f"euler_deg {record['euler_deg'].tolist()} look like radians; degrees are expected, as 90 or -180"
-        )
+        message = f"euler_deg {record['euler_deg'].tolist()} look like radians; degrees are expected, as 90 or -180"
         ledger.note(WarningKind.ASSUMED, "angles-in-radians", location, message)
     return _checked(matrix, location, ledger)
 
@@ -153,9 +149,7 @@ def _rotation(record: Record, form: str) -> Float64Array:
     quaternion_xyzw = value if form == "quaternion_xyzw" else value[[1, 2, 3, 0]]
     norm = float(np.linalg.norm(quaternion_xyzw))
     if abs(norm - 1.0) > _NORM_ERROR:
-        raise CalibrationError(
-            f"{form} {value.tolist()} of length {norm:.4f}; expected 1 within {_NORM_ERROR}"
-        )
+        raise CalibrationError(f"{form} {value.tolist()} of length {norm:.4f}; expected 1 within {_NORM_ERROR}")
     return matrix_from_quaternion(quaternion_xyzw)
 
 
@@ -165,9 +159,7 @@ def _checked(matrix: Float64Array, location: str, ledger: Ledger) -> RigidTransf
         raise CalibrationError(problem)
     transform, error = RigidTransform.nearest(matrix)
     if not error <= GREATEST_ERROR:
-        problem = (
-            "mirrored or singular" if error == float("inf") else f"off by {error:.2g} (max abs of R Rᵀ - I)"
-        )
+        problem = "mirrored or singular" if error == float("inf") else f"off by {error:.2g} (max abs of R Rᵀ - I)"
         expected = f"expected an orthonormal right-handed one within {GREATEST_ERROR:g}"
         raise CalibrationError(f"rotation {problem}; {expected}")
     if error > SILENT_ERROR:
@@ -230,9 +222,7 @@ class FrameTree:
         self._edges = tuple(edges)
         for edge in self._edges:
             if edge.source == edge.target:
-                raise CalibrationError(
-                    f"{edge.location}: from {edge.source!r} to itself; expected two frames"
-                )
+                raise CalibrationError(f"{edge.location}: from {edge.source!r} to itself; expected two frames")
         self._ego_from: dict[str, RigidTransform] = {}
         self._towards_ego: dict[str, str] = {}
         self._spread(ego)
@@ -322,9 +312,7 @@ class FrameTree:
             )
 
 
-def _build_trajectory(
-    manifest: Manifest, record: Record, location: str, tree: FrameTree, ledger: Ledger
-) -> Trajectory:
+def _build_trajectory(manifest: Manifest, record: Record, location: str, tree: FrameTree, ledger: Ledger) -> Trajectory:
     """Read a trajectory and bring it to the ego.
 
     Raises:
@@ -377,16 +365,12 @@ def _read_kitti(manifest: Manifest, record: Record, location: str, root: Root, p
     times_path = root.file(record["times"], f"{location}.times")
     timestamps = line_timestamps(times_path, record.get("unit"))
     if len(timestamps) != len(table.rows):
-        raise DataError(
-            times_path, "", f"{len(timestamps)} times for {len(table.rows)} poses; expected as many"
-        )
+        raise DataError(times_path, "", f"{len(timestamps)} times for {len(table.rows)} poses; expected as many")
     matrices = table.numbers(range(12)).reshape(-1, 3, 4)
     quaternions = np.empty((len(matrices), 4))
     for k, matrix in enumerate(matrices):
         if np.abs(matrix[:, :3]).max() > 2:
-            raise DataError(
-                path, f"line {table.lines[k]}", f"{matrix.tolist()}; expected a rotation and a translation"
-            )
+            raise DataError(path, f"line {table.lines[k]}", f"{matrix.tolist()}; expected a rotation and a translation")
         rotation, error = nearest_rotation(matrix[:, :3])
         if not error <= GREATEST_ERROR:
             problem = f"rotation off by {error:.2g}; expected an orthonormal right-handed one within {GREATEST_ERROR:g}"
@@ -398,16 +382,12 @@ def _read_kitti(manifest: Manifest, record: Record, location: str, root: Root, p
 def _read_csv(manifest: Manifest, record: Record, location: str, root: Root, path: Path) -> PoseRows:
     del root
     table = read_table(path)
-    columns = pick_columns(
-        table, POSE_COLUMNS, record.get("columns", {}), f"{location}.columns", manifest.path
-    )
+    columns = pick_columns(table, POSE_COLUMNS, record.get("columns", {}), f"{location}.columns", manifest.path)
     missing = [role for role in ("time", "x", "y", "z") if role not in columns]
     rotating = [role for role in ("qx", "qy", "qz", "qw") if role in columns]
     if missing or len(rotating) not in {0, 4}:
         lacking = missing or [role for role in ("qx", "qy", "qz", "qw") if role not in columns]
-        problem = (
-            f"no column for {', '.join(lacking)} among {', '.join(table.names)}; name them with `columns`"
-        )
+        problem = f"no column for {', '.join(lacking)} among {', '.join(table.names)}; name them with `columns`"
         raise DataError(path, "line 1", problem)
     values = table.numbers([columns[role] for role in ("x", "y", "z", *rotating)])
     timestamps = table.timestamps(columns["time"], record.get("unit"))
@@ -453,9 +433,7 @@ def _rotated(poses: PoseRows, world_from_file: RigidTransform) -> PoseRows:
     return PoseRows(poses.timestamps_ns, world_from_file.apply(poses.positions), quaternions)
 
 
-def _of_ego(
-    path: Path, poses: PoseRows, frame: str, frame_from_ego: RigidTransform, ledger: Ledger
-) -> PoseRows:
+def _of_ego(path: Path, poses: PoseRows, frame: str, frame_from_ego: RigidTransform, ledger: Ledger) -> PoseRows:
     """From `world_from_frame` to `world_from_ego`."""
     if poses.quaternions_xyzw is None:
         distance = float(np.linalg.norm(frame_from_ego.translation))
@@ -499,9 +477,7 @@ class _Drive:
         Raises:
             DataError: there is no such folder.
         """
-        return open_root(
-            self.manifest.path, [record.get("root"), self.manifest.record.get("root")], f"{location}.root"
-        )
+        return open_root(self.manifest.path, [record.get("root"), self.manifest.record.get("root")], f"{location}.root")
 
     def time_source(self, record: Record, location: str) -> TimeSource:
         """What the timestamps of a sensor are read with."""
@@ -582,9 +558,7 @@ def frame_from_camera(record: Record) -> RigidTransform:
 def _pinhole(record: Record) -> tuple[float, float, float, float]:
     forms = [form for form in ("fx", "K", "P") if form in record]
     if len(forms) != 1:
-        raise CalibrationError(
-            f"{' and '.join(forms) or 'no focal length'}; expected one of fx fy cx cy, K, P"
-        )
+        raise CalibrationError(f"{' and '.join(forms) or 'no focal length'}; expected one of fx fy cx cy, K, P")
     if forms == ["fx"]:
         missing = [name for name in ("cx", "cy") if name not in record]
         if missing:
@@ -597,9 +571,7 @@ def _pinhole(record: Record) -> tuple[float, float, float, float]:
     matrix: Float64Array = record[forms[0]][:, :3]
     rest = np.array([matrix[0, 1], matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1.0])
     if np.abs(rest).max() > _SKEW:
-        raise CalibrationError(
-            f"{forms[0]} {matrix.tolist()}; expected [fx 0 cx; 0 fy cy; 0 0 1], row by row"
-        )
+        raise CalibrationError(f"{forms[0]} {matrix.tolist()}; expected [fx 0 cx; 0 fy cy; 0 0 1], row by row")
     return float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])
 
 
@@ -622,9 +594,7 @@ def _coefficients(model: str, given: list[float] | dict[str, float]) -> tuple[fl
     if isinstance(given, dict):
         unknown = [name for name in given if name not in names]
         if unknown:
-            raise CalibrationError(
-                f"coefficients {', '.join(unknown)}; {model} has {' '.join(names) or 'none'}"
-            )
+            raise CalibrationError(f"coefficients {', '.join(unknown)}; {model} has {' '.join(names) or 'none'}")
         return tuple(given.get(name, 0.0) for name in names) if given else ()
     if model != "brown_conrady":
         return tuple(given)
@@ -669,9 +639,7 @@ def _from_files(drive: _Drive, record: Record, location: str) -> CameraSensor:
     if not len(timestamps.chosen):
         raise DataError(drive.manifest.path, f"{location}.files", "none of the files has a time")
     timestamps = drop_unreadable(timestamps, lambda k: images_image_size(files[k]), drive.ledger)
-    camera_model = _fitted_camera_model(
-        drive, record, location, images_image_size(files[timestamps.chosen[0]])
-    )
+    camera_model = _fitted_camera_model(drive, record, location, images_image_size(files[timestamps.chosen[0]]))
     mount = _mount(drive, record)
     used = tuple(files[k] for k in timestamps.chosen)
     reader = ImageReader(used, tuple(map(root.relative, used)), timestamps.timestamps_ns, camera_model)
@@ -738,9 +706,7 @@ def _fitted_camera_model(drive: _Drive, record: Record, location: str, size: tup
     ratio = (size[0] / calibrated.width) / (size[1] / calibrated.height)
     if abs(ratio - 1.0) > _RATIO_ERROR:
         swapped = (calibrated.height, calibrated.width) == size
-        meant = (
-            "are width and height exchanged?" if swapped else "if they were cut, cx and cy move with the cut"
-        )
+        meant = "are width and height exchanged?" if swapped else "if they were cut, cx and cy move with the cut"
         problem = f"for {sizes}, another shape; expected the numbers of the images as they are; {meant}"
         raise DataError(drive.manifest.path, f"{location}.camera model", problem)
     message = f"the numbers are for {sizes}; the camera model was scaled"
@@ -862,9 +828,7 @@ def _named_columns(drive: _Drive, record: Record, location: str) -> Mapping[str,
     named = record.get("use", {})
     for role in named:
         if role not in _ROLES:
-            problem = (
-                f"unknown; expected some of {', '.join(_ROLES)}; times of points go into point_times.field"
-            )
+            problem = f"unknown; expected some of {', '.join(_ROLES)}; times of points go into point_times.field"
             raise DataError(drive.manifest.path, f"{location}.use.{role}", problem)
     return MappingProxyType(named)
 
@@ -885,11 +849,7 @@ def _with_columns(drive: _Drive, record: Record, location: str, reader: SweepRea
         scale = _detected_scale(drive, location, _telling(reader, roles["intensity"]), roles["intensity"])
     times = _point_times(drive, record, where, columns, roles)
     settled = replace(reader, mapping=PointMapping(reader.mapping.named, scale, times))
-    return (
-        settled
-        if times is None or "point_times" in record
-        else _with_tried_times(drive, where, settled, times)
-    )
+    return settled if times is None or "point_times" in record else _with_tried_times(drive, where, settled, times)
 
 
 def _telling(reader: SweepReader, name: str) -> Cloud:
@@ -910,8 +870,7 @@ def _with_tried_times(drive: _Drive, where: str, reader: SweepReader, times: Poi
         if not error.location.startswith(f"{times.field}["):
             raise
         message = (
-            f"column {times.field!r} looks like times of points, but {error.problem}; state "
-            f"`point_times` to use it"
+            f"column {times.field!r} looks like times of points, but {error.problem}; state `point_times` to use it"
         )
         drive.ledger.note(WarningKind.SKIPPED, "point-times-not-used", where, message)
         return replace(reader, mapping=replace(reader.mapping, times=None))
@@ -928,9 +887,7 @@ def _detected_scale(drive: _Drive, location: str, cloud: Cloud, name: str) -> In
     if cloud.columns[name].dtype != np.uint8:
         message = f"`intensity_max` not stated; {name} goes up to {cloud.columns[name].max():g}"
         message += f", so {scale.maximum:g} becomes 255" if len(cloud.columns[name]) else ""
-        drive.ledger.note(
-            WarningKind.ASSUMED, "intensity-scale", f"{drive.manifest.path}: {location}", message
-        )
+        drive.ledger.note(WarningKind.ASSUMED, "intensity-scale", f"{drive.manifest.path}: {location}", message)
     return scale
 
 
@@ -976,9 +933,7 @@ _LEANING = 0.5
 """Cosine of 60 degrees: an ego whose z axis leans more than that is on its side or head."""
 
 
-def _note_odd_points(
-    path: Path, positions: Float32Array, columns: Mapping[str, AnyArray], ledger: Ledger
-) -> None:
+def _note_odd_points(path: Path, positions: Float32Array, columns: Mapping[str, AnyArray], ledger: Ledger) -> None:
     """Note points that come out of columns which are not what they are taken for.
 
     Args:
@@ -1017,9 +972,7 @@ def _note_leaning(path: Path, name: str, trajectory: Trajectory, ledger: Ledger)
         ledger.note(WarningKind.ASSUMED, "ego-leaning", str(path), message)
 
 
-def _note_doubts(
-    path: Path, sensors: Sequence[Sensor], trajectories: Mapping[str, Trajectory], ledger: Ledger
-) -> None:
+def _note_doubts(path: Path, sensors: Sequence[Sensor], trajectories: Mapping[str, Trajectory], ledger: Ledger) -> None:
     """Note what can hardly be meant.
 
     Args:
@@ -1124,9 +1077,7 @@ def _with_clocks(
     if not sweep_ns and meant != "start":
         sweep_ns = _median_interval(drive, location, timestamps)
     if sweep_ns > _LONGEST_SWEEP_NS:
-        problem = (
-            f"{sweep_ns / 1e9:g}; expected how long a sweep takes, at most {_LONGEST_SWEEP_NS // 10**9} s"
-        )
+        problem = f"{sweep_ns / 1e9:g}; expected how long a sweep takes, at most {_LONGEST_SWEEP_NS // 10**9} s"
         raise DataError(drive.manifest.path, f"{location}.sweep_s", problem)
     share = {"start": 0.0, "middle": 0.5, "end": 1.0}[meant]
     starts_ns = timestamps.timestamps_ns - round(sweep_ns * share)
@@ -1145,9 +1096,7 @@ def _median_interval(drive: _Drive, location: str, timestamps: Timestamps) -> in
     return interval_ns
 
 
-def _points_frame(
-    drive: _Drive, record: Record, mount: RigidTransform
-) -> tuple[PointsFrame, RigidTransform | None]:
+def _points_frame(drive: _Drive, record: Record, mount: RigidTransform) -> tuple[PointsFrame, RigidTransform | None]:
     """The frame that the points will be in, and what takes them there if the file has them in another."""
     own = _own_frame(record)
     name: str = record.get("points_in", own)
@@ -1217,9 +1166,7 @@ def _build_imu(drive: _Drive, record: Record, location: str) -> ImuSensor:
         raise DataError(table.path, "line 1", problem)
     distance = float(np.linalg.norm(mount.translation))
     if distance > 0 and "accelerometer" in streams:
-        message = (
-            f"accelerations are converted to the ego's axes, but not carried over the {distance:.3g} m to it"
-        )
+        message = f"accelerations are converted to the ego's axes, but not carried over the {distance:.3g} m to it"
         drive.ledger.note(WarningKind.ASSUMED, "imu-lever-arm", str(table.path), message)
     return ImuSensor(record["id"], MappingProxyType(streams))
 
@@ -1233,9 +1180,7 @@ def _build_gnss(drive: _Drive, record: Record, location: str) -> GnssSensor:
     table, columns = _open(drive, record, location, GNSS_COLUMNS)
     missing = [role for role in ("latitude", "longitude", "altitude") if role not in columns]
     if missing:
-        problem = (
-            f"no column for {', '.join(missing)} among {', '.join(table.names)}; name them with `columns`"
-        )
+        problem = f"no column for {', '.join(missing)} among {', '.join(table.names)}; name them with `columns`"
         raise DataError(table.path, "line 1", problem)
     order, timestamps = _timestamps(drive, record, table, columns)
     positions = table.numbers([columns[role] for role in ("latitude", "longitude", "altitude")])[order]
@@ -1286,9 +1231,7 @@ def _check_locations(table: Table, positions: Float64Array, order: Int64Array) -
     outside = (np.abs(positions[:, 0]) > 90) | (np.abs(positions[:, 1]) > 180)
     if outside.any():
         k = int(np.flatnonzero(outside)[0])
-        problem = (
-            f"latitude {positions[k, 0]}, longitude {positions[k, 1]}; expected degrees within ±90 and ±180"
-        )
+        problem = f"latitude {positions[k, 0]}, longitude {positions[k, 1]}; expected degrees within ±90 and ±180"
         raise DataError(table.path, f"line {table.lines[int(order[k])]}", problem)
 
 
@@ -1386,10 +1329,7 @@ def _frame_tree(manifest: Manifest, faults: Faults, ledger: Ledger) -> FrameTree
         DataError: naming all transforms that are at fault.
     """
     edges = []
-    tables = [
-        (location, record, record["from"], record["to"])
-        for location, record in manifest.records("transforms")
-    ]
+    tables = [(location, record, record["from"], record["to"]) for location, record in manifest.records("transforms")]
     for location, sensor in manifest.records("sensors"):
         if "extrinsic" not in sensor:
             continue
@@ -1410,9 +1350,7 @@ def _frame_tree(manifest: Manifest, faults: Faults, ledger: Ledger) -> FrameTree
         raise DataError(manifest.path, "", str(error)) from None
 
 
-def _trajectories(
-    manifest: Manifest, tree: FrameTree, faults: Faults, ledger: Ledger
-) -> dict[str, Trajectory]:
+def _trajectories(manifest: Manifest, tree: FrameTree, faults: Faults, ledger: Ledger) -> dict[str, Trajectory]:
     trajectories = {}
     for location, record in manifest.records("trajectories"):
         name = record.get("name", "pose")

@@ -50,14 +50,10 @@ def _column_hints(columns: Mapping[str, AnyArray]) -> list[str]:
         listed = ", ".join(f'{axis} = "?"' for axis in locations)
         hints.append(f"# use = {{ {listed} }}   # needed: which of {' '.join(unknown)} are these?")
     elif others and "intensity" not in roles:
-        hints.append(
-            f'# use = {{ intensity = "{others[0]}" }}   # if it is that; not used by name: {" ".join(others)}'
-        )
+        hints.append(f'# use = {{ intensity = "{others[0]}" }}   # if it is that; not used by name: {" ".join(others)}')
     if times:
         unit = _UNITS_BY_ENDING.get(times[0].rpartition("_")[2].lower(), "seconds")
-        hints.append(
-            f'# point_times = {{ field = "{times[0]}", unit = "{unit}" }}   # if it is when each was measured'
-        )
+        hints.append(f'# point_times = {{ field = "{times[0]}", unit = "{unit}" }}   # if it is when each was measured')
     return hints
 
 
@@ -137,11 +133,7 @@ def survey(folder: Path) -> Finding:
         DataError: an image or video that stands first in its folder cannot be read.
     """
     files = sorted(_walk(folder), key=natural_key)
-    texts = [
-        path
-        for path in files
-        if path.suffix.lower() in _TEXT_SUFFIXES and path.stat().st_size < _LARGEST_TEXT
-    ]
+    texts = [path for path in files if path.suffix.lower() in _TEXT_SUFFIXES and path.stat().st_size < _LARGEST_TEXT]
     groups = list(_groups(folder, [path for path in files if _is_frame(path)]))
     sensors = [_lidar(folder, group, texts) for group in groups if cloud_suffix(group.files[0])]
     sensors += [_camera(folder, group, texts) for group in groups if not cloud_suffix(group.files[0])]
@@ -217,9 +209,7 @@ def _with_own_ids(sensors: Sequence[_FoundSensor]) -> tuple[_FoundSensor, ...]:
         number = seen[sensor.id]
         name = sensor.id if number == 1 else f"{sensor.id}_{number}"
         named.append(
-            _FoundSensor(
-                name, sensor.type, sensor.files, sensor.about, sensor.times, sensor.size, sensor.further
-            )
+            _FoundSensor(name, sensor.type, sensor.files, sensor.about, sensor.times, sensor.size, sensor.further)
         )
     return tuple(named)
 
@@ -241,9 +231,7 @@ def _lidar(root: Path, group: _Group, texts: Sequence[Path]) -> _FoundSensor:
         about = f"{_several(group)}; the first cannot be read: {error.problem}"
     further.append('timestamp = "start"   # of the sweep; or "middle", "end" together with sweep_s')
     times = _times(root, group, texts)
-    return _FoundSensor(
-        group.name, "lidar", {"files": group.pattern}, " ".join(about.split()), times, further=further
-    )
+    return _FoundSensor(group.name, "lidar", {"files": group.pattern}, " ".join(about.split()), times, further=further)
 
 
 def _guess_layout(path: Path) -> FieldLayout | None:
@@ -276,9 +264,7 @@ def _video(root: Path, path: Path) -> _FoundSensor:
     with open_video(path) as video:
         size, about = (video.width, video.height), f"{video.count} images, {video.codec}"
     name = path.relative_to(root).as_posix()
-    return _FoundSensor(
-        _plain(path.stem), "camera", {"video": name}, about, {"container": True, "start_s": 0.0}, size
-    )
+    return _FoundSensor(_plain(path.stem), "camera", {"video": name}, about, {"container": True, "start_s": 0.0}, size)
 
 
 def _times(root: Path, group: _Group, texts: Sequence[Path]) -> _Times:
@@ -468,9 +454,7 @@ def template_text(*, folder: Path | None = None, root: str | None = None) -> str
         raise DataError(folder, "", f"{problem}; expected a folder with clouds, images or videos")
     found = survey(folder)
     if not found.sensors:
-        raise DataError(
-            folder, "", "no clouds, images or videos in it; expected pcd ply bin npz, png jpg, mp4 …"
-        )
+        raise DataError(folder, "", "no clouds, images or videos in it; expected pcd ply bin npz, png jpg, mp4 …")
     lidars = [sensor.id for sensor in found.sensors if sensor.type == "lidar"]
     ego = lidars[0] if lidars else "base"
     head = [
@@ -499,9 +483,7 @@ def write_template(path: Path, *, folder: Path | None = None, overwrite: bool = 
         DataError: the folder holds nothing that a rig is made of, or a file in it cannot be read.
     """
     if path.suffix.lower() != ".toml":
-        raise OptionError(
-            f"{path}: there are templates of rig.toml only; expected a name that ends with .toml"
-        )
+        raise OptionError(f"{path}: there are templates of rig.toml only; expected a name that ends with .toml")
     text = template_text(folder=folder, root=None if folder is None else _root(path, folder))
     with replacing(path, overwrite=overwrite) as draft:
         # names may be no Unicode, TOML always is
@@ -515,9 +497,7 @@ def _root(path: Path, folder: Path) -> str | None:
         return None
     if there.is_relative_to(here):
         return there.relative_to(here).as_posix()
-    return (
-        f"../{there.relative_to(here.parent).as_posix()}" if there.is_relative_to(here.parent) else str(there)
-    )
+    return f"../{there.relative_to(here.parent).as_posix()}" if there.is_relative_to(here.parent) else str(there)
 
 
 def quoted(text: str) -> str:
@@ -551,13 +531,9 @@ def _sensor(sensor: _FoundSensor, ego: str) -> str:
         lines.append(f"times = {_template_table(sensor.times)}")
     lines += list(sensor.further)
     if sensor.size is not None:
-        lines += [
-            'axes = "optical"   # of its frame: x right, y down, z forward; "flu": x forward, y left, z up'
-        ]
+        lines += ['axes = "optical"   # of its frame: x right, y down, z forward; "flu": x forward, y left, z up']
         camera_model = "fx = nan, fy = nan, cx = nan, cy = nan, coefficients = []"
-        lines.append(
-            f"camera_model = {{ {camera_model}, width = {sensor.size[0]}, height = {sensor.size[1]} }}"
-        )
+        lines.append(f"camera_model = {{ {camera_model}, width = {sensor.size[0]}, height = {sensor.size[1]} }}")
     if sensor.id != ego and sensor.type != "gnss":
         location = "translation = [nan, nan, nan], quaternion_xyzw = [nan, nan, nan, nan]"
         lines.append(f"extrinsic = {{ to = {quoted(ego)}, {location} }}")

@@ -77,21 +77,15 @@ def _times_of(names: Sequence[str], rate_hz: float | None, location: Path, ledge
     if numbers and rate_hz is None and len(lengths) == 1:
         for low, high, unit_ns, word in _UNITS:
             if low <= min(lengths) < high:
-                ledger.note(
-                    WarningKind.ASSUMED, "names-are-times", str(location), f"names of frames are {word}"
-                )
-                return _ascending(
-                    np.array([int(name) * unit_ns for name in names], np.int64), names, location
-                )
+                ledger.note(WarningKind.ASSUMED, "names-are-times", str(location), f"names of frames are {word}")
+                return _ascending(np.array([int(name) * unit_ns for name in names], np.int64), names, location)
     period_ns = round(_SECOND / (10.0 if rate_hz is None else rate_hz))
     if rate_hz is None:
         message = "the folder has no times; 10 frames a second, from 0"
         ledger.note(WarningKind.ASSUMED, "nominal-times", str(location), message, count=len(names))
     counts = [int(name) - int(names[0]) for name in names] if numbers else range(len(names))
     if numbers and counts and counts[-1] > _LONGEST:
-        raise DataError(
-            location, names[-1], f"frame {names[-1]} after {names[0]}; expected numbers of frames"
-        )
+        raise DataError(location, names[-1], f"frame {names[-1]} after {names[0]}; expected numbers of frames")
     return _ascending(np.array(counts, np.int64) * period_ns, names, location)
 
 
@@ -121,14 +115,10 @@ def _read_pose(path: Path) -> RigidTransform:
         DataError: the file is missing, a value is missing, or the heading is no rotation.
     """
     record = read_json(path, dict[str, Any])
-    heading, position = (
-        _numbers(path, record, name, count) for name, count in (("heading", 4), ("position", 3))
-    )
+    heading, position = (_numbers(path, record, name, count) for name, count in (("heading", 4), ("position", 3)))
     norms, is_off = lengths_of(heading[None])
     if is_off[0]:
-        raise DataError(
-            path, "heading", f"{heading.tolist()} has the length {norms[0]:.4f}; expected w, x, y, z of 1"
-        )
+        raise DataError(path, "heading", f"{heading.tolist()} has the length {norms[0]:.4f}; expected w, x, y, z of 1")
     return RigidTransform.from_quaternion(position, heading[[1, 2, 3, 0]])
 
 
@@ -173,9 +163,7 @@ def _placed(trajectory: Poses | None, mount: RigidTransform, timestamps_ns: Int6
     return poses_along(trajectory, {0: mount}, np.zeros(len(timestamps_ns), np.int64), timestamps_ns)
 
 
-def _build_camera(
-    folder: Path, times: dict[str, int], trajectory: Poses | None, ledger: Ledger
-) -> CameraSensor:
+def _build_camera(folder: Path, times: dict[str, int], trajectory: Poses | None, ledger: Ledger) -> CameraSensor:
     """Build a camera; images of frames without a cloud are left out and reported.
 
     Raises:
@@ -264,16 +252,12 @@ def _radar_rows(path: Path) -> Float64Array:
         except ValueError:
             row = []
         if len(row) != _RADAR_COLUMNS or not np.abs(row).max() <= _LARGEST:
-            raise DataError(
-                path, f"line {number}", f"{line[:60]!r}; expected x, y, z, direction x, y, z, size"
-            )
+            raise DataError(path, f"line {number}", f"{line[:60]!r}; expected x, y, z, direction x, y, z, size")
         rows.append(row)
     return np.array(rows, np.float64).reshape(-1, _RADAR_COLUMNS)
 
 
-def _build_radar(
-    folder: Path, times: dict[str, int], trajectory: Poses | None, ledger: Ledger
-) -> list[Sensor]:
+def _build_radar(folder: Path, times: dict[str, int], trajectory: Poses | None, ledger: Ledger) -> list[Sensor]:
     """Build the radar; [] where there are no points of one."""
     found = _frame_names(folder, (".txt",))
     kept = {name: file for name, file in found.items() if name in times}
@@ -337,9 +321,7 @@ def open_scale_toolkit(path: Path, *, rate_hz: float | str | None = None, lenien
     )
 
 
-def _trajectory(
-    path: Path, clouds: dict[str, Path], timestamps_ns: Int64Array, ledger: Ledger
-) -> Trajectory | None:
+def _trajectory(path: Path, clouds: dict[str, Path], timestamps_ns: Int64Array, ledger: Ledger) -> Trajectory | None:
     """The ego trajectory: a file for each cloud, world from ego."""
     known, rows = [], []
     for row, name in enumerate(clouds):

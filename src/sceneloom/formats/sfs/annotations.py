@@ -214,9 +214,7 @@ def _read_annotation(source: Source, raw: Any, location: Location, faults: Fault
         faults.add(("type",), f"{type_name!r}; expected one of {', '.join(ANNOTATION_RECORDS)}")
         return None
     if type_name == "event" and raw.get("start") is None:
-        source.warning(
-            WarningKind.ASSUMED, "event-is-object", location, "an event without a start; read as an object"
-        )
+        source.warning(WarningKind.ASSUMED, "event-is-object", location, "an event without a start; read as an object")
         type_name = "object"
     known = type_name in ANNOTATION_RECORDS
     values = source.reader(forgiving=not known).read(raw, annotation_record(type_name), faults)
@@ -436,8 +434,7 @@ def _read_numbers(row: Any, faults: Faults, location: Location) -> Float64Array 
 
 def _write_vertices(location: str, vertices: tuple[Float64Array, ...], _: Any) -> list[list[float]]:
     return [
-        _write_rows(f"{location}[{k}], vertices", rows, None).reshape(-1).tolist()
-        for k, rows in enumerate(vertices)
+        _write_rows(f"{location}[{k}], vertices", rows, None).reshape(-1).tolist() for k, rows in enumerate(vertices)
     ]
 
 
@@ -466,8 +463,7 @@ def _read_intrinsics(record: _Record, name: str, raw: Any) -> Camera | None:
 
 def _read_attributes(record: _Record, name: str, raw: Any) -> tuple[AttributePath, ...]:
     built = (
-        record.part(fields, name, index).build(AttributePath, _ATTRIBUTE, values=())
-        for index, fields in enumerate(raw)
+        record.part(fields, name, index).build(AttributePath, _ATTRIBUTE, values=()) for index, fields in enumerate(raw)
     )
     return tuple(attribute for attribute in built if attribute is not None)
 
@@ -722,8 +718,7 @@ def _read_usual_cuboids(annotations: list[Any], clock: FileClock) -> dict[int, C
     paths = cut_cuboid_paths(times_ns, values, counts)
     attributes = _UsualAttributes(stated_ns)
     return {
-        index: _cuboid(cuboid, path, attributes)
-        for (index, cuboid), path in zip(found.items(), paths, strict=True)
+        index: _cuboid(cuboid, path, attributes) for (index, cuboid), path in zip(found.items(), paths, strict=True)
     }
 
 

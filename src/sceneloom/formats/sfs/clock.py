@@ -139,9 +139,7 @@ class FileClock:
         inexact = int(np.count_nonzero(since_offset - quotient * self.tick_ns))
         return timestamps.astype(dtype, copy=False), inexact
 
-    def _timestamps_exactly(
-        self, timestamps_ns: Int64Array, dtype: type[np.integer[Any]]
-    ) -> tuple[AnyArray, int]:
+    def _timestamps_exactly(self, timestamps_ns: Int64Array, dtype: type[np.integer[Any]]) -> tuple[AnyArray, int]:
         times_ns = timestamps_ns.tolist()
         inexact = sum((time_ns - self.offset_ns) % self.tick_ns != 0 for time_ns in times_ns)
         return np.array([self.timestamp(time_ns) for time_ns in times_ns], dtype), inexact
@@ -168,9 +166,7 @@ class FileClock:
         timestamps += np.uint32(first)
         return timestamps, inexact
 
-    def _nearest_timestamps(
-        self, timestamps_ns: Int64Array, dtype: type[np.integer[Any]]
-    ) -> tuple[AnyArray, int]:
+    def _nearest_timestamps(self, timestamps_ns: Int64Array, dtype: type[np.integer[Any]]) -> tuple[AnyArray, int]:
         """Divide in float64, piece by piece: fresh memory for every step would take longer than the steps."""
         timestamps, inexact = np.empty(len(timestamps_ns), dtype), 0
         since, quotients, nearest = np.empty(_PIECE, np.int64), np.empty(_PIECE), np.empty(_PIECE)

@@ -191,9 +191,7 @@ def _array(item: dict[str, Any], content: mmap.mmap, start: int, length: int) ->
     if shape is not None:
         _check_shape(shape, count)
     try:
-        array: AnyArray = np.ndarray(
-            (count,) if shape is None else shape, dtype, content, start if count else 0
-        )
+        array: AnyArray = np.ndarray((count,) if shape is None else shape, dtype, content, start if count else 0)
     except (ValueError, OverflowError):
         raise _ItemError(f"shape {shape} is beyond what an array can have") from None
     return array.view(RawBytes) if name is None and shape is None else array

@@ -182,9 +182,7 @@ def rescue_videos(container: Container, items: Sequence[ItemFault]) -> dict[Loca
     return {keys: _rescued(container.header, keys, *content) for keys, content in damaged.items()}
 
 
-def _rescued(
-    header: dict[str, Any], keys: Location, there: memoryview, length: int, why: str
-) -> DamagedVideo:
+def _rescued(header: dict[str, Any], keys: Location, there: memoryview, length: int, why: str) -> DamagedVideo:
     sensor: Any = header
     for key in keys[:-2]:
         sensor = sensor[key]

@@ -152,13 +152,9 @@ class Source:
         """What our metadata says about a sensor."""
         return self.notes.get((type(sensor_id), sensor_id), {})
 
-    def warning(
-        self, kind: WarningKind, code: str, location: Location, message: str, *, count: int = 1
-    ) -> None:
+    def warning(self, kind: WarningKind, code: str, location: Location, message: str, *, count: int = 1) -> None:
         """Note something, unless the file's own warnings state it already."""
-        warning = DataWarning(
-            kind=kind, code=code, location=format_keys(location), message=message, count=count
-        )
+        warning = DataWarning(kind=kind, code=code, location=format_keys(location), message=message, count=count)
         self.noticed_now[warning] = None
         if warning not in self._noticed:
             self.remember(warning)
@@ -175,9 +171,7 @@ class Source:
     def collect_items(self, items: Sequence[ItemFault]) -> None:
         """Note faults of arrays; nothing stands in their locations."""
         for item in items:
-            fault = PlacedFault(
-                item.path or f"{ITEMS}[{item.number}]", item.problem, "item", item=item.number
-            )
+            fault = PlacedFault(item.path or f"{ITEMS}[{item.number}]", item.problem, "item", item=item.number)
             self.faults.append(fault)
             if self.options.lenient:
                 message = f"left out: {fault.where}: {item.problem}"

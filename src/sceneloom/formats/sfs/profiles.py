@@ -245,9 +245,7 @@ _WORDS = MappingProxyType(
 Location = tuple[str | int, ...]
 
 
-def record_faults(
-    record: Any, needs: Mapping[str, _Need], location: Location = ()
-) -> Iterator[tuple[Location, str]]:
+def record_faults(record: Any, needs: Mapping[str, _Need], location: Location = ()) -> Iterator[tuple[Location, str]]:
     """Compare a record with what the library needs; give the position of each fault and what is wrong there."""
     if not isinstance(record, dict):
         yield location, f"{_reported(record)}; expected an object"
@@ -303,9 +301,7 @@ def time_fault(timestamps: Sequence[int], *, paced: bool) -> str | None:
         if after <= before:
             return f"a timestamp of {after} after {before}; expected increasing times"
     if timestamps[0] > _LATEST_START:
-        return (
-            f"a first timestamp of {timestamps[0]} µs; expected it within 100 s, and the rest in time_offset"
-        )
+        return f"a first timestamp of {timestamps[0]} µs; expected it within 100 s, and the rest in time_offset"
     if paced and len(timestamps) > 1:
         rate = _TICKS_PER_SECOND * (len(timestamps) - 1) / (timestamps[-1] - timestamps[0])
         if rate > _HIGHEST_RATE:
@@ -347,9 +343,7 @@ def _restored(annotation: Annotation, records: Sequence[_Record]) -> Annotation:
     return cast("Annotation", restored)
 
 
-def _restored_attributes(
-    attributes: Sequence[AttributePath], records: Sequence[_Record]
-) -> tuple[AttributePath, ...]:
+def _restored_attributes(attributes: Sequence[AttributePath], records: Sequence[_Record]) -> tuple[AttributePath, ...]:
     restored = list(attributes)
     for record in records:
         index = record["index"]
@@ -526,19 +520,13 @@ def _scale_annotation(record: _Record) -> str | None:
         return "Scale's loader takes durations of whole microseconds only"
     if _has_null_cuboids(record):
         return "Scale's loader takes no null among the cuboids of a sensor"
-    return (
-        None
-        if _attributes_fit(record.get("attributes") or [])
-        else "Scale's loader takes text and integers only"
-    )
+    return None if _attributes_fit(record.get("attributes") or []) else "Scale's loader takes text and integers only"
 
 
 def _whole_duration(record: _Record) -> bool:
     """Whether the duration of an event [ns] is a whole number in a file for Scale's library."""
     duration_ns = record.get("duration") if record["type"] == "event" else None
-    return duration_ns is None or (
-        isinstance(duration_ns, int) and duration_ns % TICKS_NS["microseconds"] == 0
-    )
+    return duration_ns is None or (isinstance(duration_ns, int) and duration_ns % TICKS_NS["microseconds"] == 0)
 
 
 def _has_null_cuboids(record: _Record) -> bool:

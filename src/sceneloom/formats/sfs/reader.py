@@ -236,8 +236,7 @@ def _whole_parts(
     removed, examination = _Removed(videos=bool(cut)), first
     faults = {(fault.path, fault.problem): fault for fault in first.faults}
     losses: dict[Location, _Loss] = {
-        keys: _Loss(keys, _in_words(original, keys), video.problem, video.lost_bytes)
-        for keys, video in cut.items()
+        keys: _Loss(keys, _in_words(original, keys), video.problem, video.lost_bytes) for keys, video in cut.items()
     }
     named = {fault.path for fault in first.faults}
     of_videos = [
@@ -246,9 +245,7 @@ def _whole_parts(
         if (path := format_keys(keys)) not in named
     ]
     for _ in range(_ROUNDS):
-        reported = [
-            fault for fault in examination.faults if not fault.repaired and (vital or not fault.vital)
-        ]
+        reported = [fault for fault in examination.faults if not fault.repaired and (vital or not fault.vital)]
         reported += of_videos
         of_videos = []
         locations = {fault: parse_path(fault.path) for fault in reported}
@@ -376,9 +373,7 @@ def _examination(
     attributes = _attributes(source, header.get("attributes"))
     faults = Faults()
     aside = read_attributes(source, ours.get("attributes"), faults)
-    trajectories = read_trajectories(
-        ours.get("trajectories"), sensors, ("metadata", OURS, "trajectories"), faults
-    )
+    trajectories = read_trajectories(ours.get("trajectories"), sensors, ("metadata", OURS, "trajectories"), faults)
     source.collect(faults, ())
     annotations, attributes = restore_exact_attributes(
         ours.get("exact_attributes") or [], annotations, (*attributes, *aside)
@@ -430,11 +425,7 @@ def _unique(
 def _kept_locations(source: Source, raw: Any, root: Location) -> list[Location]:
     """The locations of all entries of a list but those that were left out."""
     locations = [(*root, k) for k in range(len(raw) if isinstance(raw, list) else 0)]
-    return (
-        [location for location in locations if location not in source.left_out]
-        if source.left_out
-        else locations
-    )
+    return [location for location in locations if location not in source.left_out] if source.left_out else locations
 
 
 def _attributes(source: Source, raw: Any) -> tuple[AttributePath, ...]:
@@ -551,9 +542,7 @@ def _without_faulty(ours: dict[str, Any], faults: Faults) -> dict[str, Any]:
     """A record without the entries of its lists that are at fault."""
     wrong = {fault.location[:2] for fault in faults}
     return {
-        name: [item for k, item in enumerate(value) if (name, k) not in wrong]
-        if isinstance(value, list)
-        else value
+        name: [item for k, item in enumerate(value) if (name, k) not in wrong] if isinstance(value, list) else value
         for name, value in ours.items()
     }
 
@@ -564,9 +553,7 @@ def _note_tangential(source: Source, ours: Mapping[str, Any]) -> None:
     source.tangential = recorded if recorded in TANGENTIALS else None
     if source.tangential is not None and source.options.tangential not in (None, source.tangential):
         message = f"p1 and p2 are recorded to be as in {source.tangential}; they are not exchanged again"
-        source.warning(
-            WarningKind.ASSUMED, "tangential-recorded", ("metadata", "sceneloom", "tangential"), message
-        )
+        source.warning(WarningKind.ASSUMED, "tangential-recorded", ("metadata", "sceneloom", "tangential"), message)
 
 
 def _camera_model_records(source: Source) -> dict[str, str]:
@@ -884,11 +871,7 @@ def _renumber(annotation: dict[str, Any], sensor_id: Any, locations: Mapping[int
 
 def _counts(entry: Any, sensor_id: Any) -> bool:
     """Whether labelled points name a frame of this sensor by its number."""
-    return (
-        isinstance(entry, dict)
-        and entry.get("sensor_id") == sensor_id
-        and type(entry.get("sensor_frame")) is int
-    )
+    return isinstance(entry, dict) and entry.get("sensor_id") == sensor_id and type(entry.get("sensor_frame")) is int
 
 
 def _records(header: Mapping[str, Any], keys: Location) -> list[dict[str, Any]]:

@@ -477,9 +477,7 @@ def _note_useless_rows(timestamps_ns: Int64Array, rows: Float64Array, faults: Fa
         faults.add(("poses", "values", k), problem)
 
 
-def _in_order(
-    timestamps_ns: Int64Array, rows: Float64Array, faults: Faults
-) -> tuple[Int64Array, Float64Array]:
+def _in_order(timestamps_ns: Int64Array, rows: Float64Array, faults: Faults) -> tuple[Int64Array, Float64Array]:
     """Sort poses by time and drop those that are there twice; no two of one time differ."""
     backwards = np.flatnonzero(timestamps_ns[1:] <= timestamps_ns[:-1])
     if not len(backwards):

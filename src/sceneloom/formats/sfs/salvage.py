@@ -38,10 +38,7 @@ _TAKEN_APART = frozenset(
         ("attributes",),
         ("metadata",),
         _OURS,
-        *(
-            (*_OURS, name)
-            for name in ("sensors", "annotations", "attributes", "trajectories", "sensor_notes")
-        ),
+        *((*_OURS, name) for name in ("sensors", "annotations", "attributes", "trajectories", "sensor_notes")),
     }
 )
 """Objects and lists of which a part is worth something; everything below them is whole or lost."""
@@ -82,9 +79,7 @@ class _Recovery:
     def run(self) -> tuple[Any, list[tuple[str, str, int]]]:
         start = self._skip(0)
         if not self._text.startswith("{", start):
-            raise DataError(
-                self._file, "header", "does not begin as the header of a scene; nothing can be reported"
-            )
+            raise DataError(self._file, "header", "does not begin as the header of a scene; nothing can be reported")
         header = self._object(start, ())[0]
         if self._broken >= 0 and ITEMS not in header:
             self._find_items(header)
@@ -273,9 +268,7 @@ def salvage(path: str | Path, output: str | Path, *, overwrite: bool = False) ->
     source, target = Path(path), Path(output)
     check_output(target, overwrite=overwrite)
     if target.exists() and source.exists() and target.samefile(source):
-        raise DataError(
-            source, "", "is the output, too; choose another name: the damaged file stays as it is"
-        )
+        raise DataError(source, "", "is the output, too; choose another name: the damaged file stays as it is")
     rescue = _Rescue(source)
     try:
         scene = rescue.scene()

@@ -267,9 +267,7 @@ def _video_content(
 def _image_content(source: Source, images: list[Mapping[str, Any]], location: Location) -> _ImageContent:
     """Give the images of an `images` list."""
     container = source.container
-    rgb = source.parts.keep(
-        f"{format_keys(location)}: content", partial(_decode_image, container, images, location)
-    )
+    rgb = source.parts.keep(f"{format_keys(location)}: content", partial(_decode_image, container, images, location))
     own = tuple({k: v for k, v in image.items() if k not in {"timestamp", "content"}} for image in images)
 
     def read(index: int, camera: Camera) -> CameraImage:
@@ -298,9 +296,7 @@ def _camera_model_for(content: AnyArray, camera: Camera) -> Camera:
     return camera if (width, height) == (camera.width, camera.height) else camera.resized(width, height)
 
 
-def _decode_image(
-    container: Container, images: list[Mapping[str, Any]], location: Location, index: int
-) -> UInt8Array:
+def _decode_image(container: Container, images: list[Mapping[str, Any]], location: Location, index: int) -> UInt8Array:
     where = format_keys((*location, index, "content"))
     container.check_open(where)
     return _decode_jpeg(container, container.fetch(images[index]["content"]), where)
@@ -461,9 +457,7 @@ def _rest_of(values: _Record) -> _Record:
     return {**further, **({"poses": of_poses} if of_poses else {})}
 
 
-def _read_moving(
-    source: Source, values: _Record, location: Location, faults: Faults, *, frame_count: int
-) -> _Record:
+def _read_moving(source: Source, values: _Record, location: Location, faults: Faults, *, frame_count: int) -> _Record:
     """Read what every sensor with poses has: `poses`, `mount`, `coordinates`, `parent_id`."""
     note = source.note(values["id"])
     coordinates = values.get("coordinates") or Coordinates.WORLD.value
@@ -507,9 +501,7 @@ def _mount(note: Mapping[str, Any], faults: Faults) -> RigidTransform | None:
         return None
 
 
-def _points_frame(
-    source: Source, note: Mapping[str, Any], coordinates: Coordinates, location: Location
-) -> PointsFrame:
+def _points_frame(source: Source, note: Mapping[str, Any], coordinates: Coordinates, location: Location) -> PointsFrame:
     """Report in which frame the points are: as the caller says, else as recorded, else as `coordinates` says."""
     if source.options.points_frame is not None:
         return PointsFrame(source.options.points_frame)
@@ -555,16 +547,12 @@ def _point_times(
     return read_only(absolute(timestamps))
 
 
-def _lidar_frame(
-    timestamp_ns: int, points: _Record, times_ns: Int64Array | None, extras: _Record
-) -> LidarFrame:
+def _lidar_frame(timestamp_ns: int, points: _Record, times_ns: Int64Array | None, extras: _Record) -> LidarFrame:
     arrays, further = _known_arrays(points, _LIDAR_ARRAYS)
     return LidarFrame(timestamp_ns, LidarPoints(**arrays, timestamps_ns=times_ns, extras=further), extras)
 
 
-def _radar_frame(
-    timestamp_ns: int, points: _Record, times_ns: Int64Array | None, extras: _Record
-) -> RadarFrame:
+def _radar_frame(timestamp_ns: int, points: _Record, times_ns: Int64Array | None, extras: _Record) -> RadarFrame:
     arrays, further = _known_arrays(points, _RADAR_ARRAYS)
     return RadarFrame(timestamp_ns, RadarPoints(**arrays, timestamps_ns=times_ns, extras=further), extras)
 
@@ -584,11 +572,7 @@ def _is_ours_or_known(name: str, value: Any, points: _Record) -> bool:
     """Whether an array is what its name says; `ring` and `camera_index` may be a stranger's."""
     if name not in _OURS:
         return True
-    return (
-        isinstance(value, np.ndarray)
-        and value.dtype == _OURS[name]
-        and value.shape == points["positions"].shape[:1]
-    )
+    return isinstance(value, np.ndarray) and value.dtype == _OURS[name] and value.shape == points["positions"].shape[:1]
 
 
 def _aligned(array: AnyArray) -> AnyArray:
@@ -607,9 +591,7 @@ def _check_frames(source: Source, frames: list[_Record], location: Location, fau
         _check_counts(frame["points"], ("frames", index, "points"), faults)
     relative = not faults and _times_are_relative(source, frames)
     if relative:
-        message = (
-            "point times lie before their frame and within one period; read as counted from the frame's start"
-        )
+        message = "point times lie before their frame and within one period; read as counted from the frame's start"
         source.warning(WarningKind.ASSUMED, "relative-point-times", (*location, "frames"), message)
     return relative
 
@@ -634,9 +616,7 @@ def _check_counts(points: _Record, location: Location, faults: Faults) -> None:
             problem = f"{len(array)} values for {count} points; expected as many"
             if name == "timestamps" and len(array) in {2 * count, count / 2}:
                 problem += f": the bytes fit {_OTHER_WIDTH.get(array.dtype.itemsize, 'another width')}, not "
-                problem += (
-                    f"{array.dtype.name}; see `time_unit` of the scene, which decides where no dtype says it"
-                )
+                problem += f"{array.dtype.name}; see `time_unit` of the scene, which decides where no dtype says it"
             faults.add((*location, name), problem)
 
 
@@ -667,9 +647,7 @@ def _restore_lengths(frames: list[_Record], note: Mapping[str, Any], faults: Fau
             frame.setdefault("points", {}).setdefault("lengths", values)
 
 
-def _read_odometry(
-    source: Source, values: _Record, location: Location, faults: Faults
-) -> OdometrySensor | None:
+def _read_odometry(source: Source, values: _Record, location: Location, faults: Faults) -> OdometrySensor | None:
     """Make an odometry sensor of its record."""
     del location
     path = repaired_path_of(values["poses"], faults)
@@ -679,9 +657,7 @@ def _read_odometry(
         faults.add(("poses",), "empty; expected at least one pose")
         return None
     if source.note(values["id"]).get("poses_static"):
-        path = Poses(
-            path.timestamps_ns, path.positions, path.quaternions_xyzw, static=len(path.timestamps_ns) == 1
-        )
+        path = Poses(path.timestamps_ns, path.positions, path.quaternions_xyzw, static=len(path.timestamps_ns) == 1)
     return OdometrySensor(values["id"], path, parent_id=values.get("parent_id"), extras=_rest_of(values))
 
 
@@ -691,9 +667,7 @@ def _read_imu(source: Source, values: _Record, location: Location, faults: Fault
     streams = {}
     for name, samples in values.pop("streams").items():
         try:
-            streams[name] = VectorSamples(
-                samples["timestamps_ns"], samples["values"], samples.get("file_seconds")
-            )
+            streams[name] = VectorSamples(samples["timestamps_ns"], samples["values"], samples.get("file_seconds"))
         except ArrayError as error:
             faults.add(("streams", name), str(error))
     if faults:
@@ -722,9 +696,7 @@ def _read_gnss(source: Source, values: _Record, location: Location, faults: Faul
         return None
 
 
-def _read_plain_sensor(
-    source: Source, values: _Record, location: Location, faults: Faults
-) -> PlainSensor | None:
+def _read_plain_sensor(source: Source, values: _Record, location: Location, faults: Faults) -> PlainSensor | None:
     """Keep a sensor of a type that we do not know."""
     del source, location, faults
     identifier, type_name = values.pop("id"), values.pop("type")
@@ -849,9 +821,7 @@ def _content(source: Source, values: _Record, camera_model: Camera, location: Lo
     return _no_content()
 
 
-def read_camera_model(
-    source: Source, intrinsics: _Record, note: Mapping[str, Any], location: Location
-) -> Camera:
+def read_camera_model(source: Source, intrinsics: _Record, note: Mapping[str, Any], location: Location) -> Camera:
     """Make a camera model of an `intrinsics` record.
 
     Or of our note where the record stands in for the camera model noted there.
@@ -865,9 +835,7 @@ def read_camera_model(
     """
     distortion = intrinsics.get("distortion") or {}
     model = distortion.get("model") or "pinhole"
-    written = _camera_model_of(
-        intrinsics, model, _coefficients(source, model, distortion.get("params"), location)
-    )
+    written = _camera_model_of(intrinsics, model, _coefficients(source, model, distortion.get("params"), location))
     if note.get("camera") is None:
         return _in_opencvs_sense(written, source)
     exact = _camera_of(note["camera"])
@@ -897,9 +865,7 @@ def _coefficients(source: Source, model: str, params: Any, location: Location) -
         return ()
     expected = COEFFICIENT_COUNTS.get(model)
     if expected is None:
-        message = (
-            f"distortion model {model!r} is none of the format's; it is kept, but cannot be computed with"
-        )
+        message = f"distortion model {model!r} is none of the format's; it is kept, but cannot be computed with"
         source.warning(WarningKind.SKIPPED, "unknown-distortion", (*location, "distortion"), message)
     elif len(coefficients) > expected:
         raise FieldError(f"distortion.params: {len(coefficients)} numbers; {model} has {expected}")
@@ -931,18 +897,16 @@ def intrinsics_record(camera: Camera, extras: Any) -> _Record:
     return with_extras(record, extras)
 
 
-_SENSOR_READERS: Mapping[str, Callable[[Source, dict[str, Any], Location, Faults], Sensor | None]] = (
-    MappingProxyType(
-        {
-            "lidar": _read_lidar,
-            "radar": _read_radar,
-            "points": _read_points,
-            "camera": _read_camera,
-            "odometry": _read_odometry,
-            "imu": _read_imu,
-            "gnss": _read_gnss,
-        }
-    )
+_SENSOR_READERS: Mapping[str, Callable[[Source, dict[str, Any], Location, Faults], Sensor | None]] = MappingProxyType(
+    {
+        "lidar": _read_lidar,
+        "radar": _read_radar,
+        "points": _read_points,
+        "camera": _read_camera,
+        "odometry": _read_odometry,
+        "imu": _read_imu,
+        "gnss": _read_gnss,
+    }
 )
 
 
@@ -969,9 +933,7 @@ def _sensor(source: Source, raw: Any, location: Location, faults: Faults) -> Sen
         return None
     known = SENSOR_ALIASES.get(type_name, type_name)
     if known != type_name:
-        source.warning(
-            WarningKind.ASSUMED, "sensor-alias", location, f"type {type_name!r}; read as {known!r}"
-        )
+        source.warning(WarningKind.ASSUMED, "sensor-alias", location, f"type {type_name!r}; read as {known!r}")
     is_known = known in _SENSOR_READERS
     values = source.reader(forgiving=not is_known).read(raw, sensor_record(type_name), faults)
     if not is_known and not isinstance(values.get("id"), str | int):

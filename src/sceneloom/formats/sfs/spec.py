@@ -114,9 +114,7 @@ FORMAT = FormatSpec(
         {
             "": KEPT,
             "sensors.depth_camera": dropped("the format has no cameras that measure depth"),
-            "time_offset_ns": converted(
-                "chosen anew, so that small numbers are written; every time stays the same"
-            ),
+            "time_offset_ns": converted("chosen anew, so that small numbers are written; every time stays the same"),
         }
     ),
     holds_corrections=True,

@@ -377,9 +377,7 @@ class SensorDraft:
         if self.poses is not None:
             return {"coordinates": self.coordinates, "poses": self._poses(self.poses, clock, losses)}
         if self.mount is None:
-            losses.add(
-                f"{self.location}.poses", "not known, left out; the format wants them", support=Support.KEPT
-            )
+            losses.add(f"{self.location}.poses", "not known, left out; the format wants them", support=Support.KEPT)
             return {"coordinates": self.coordinates}
         what = "not known; the mounting is written, in ego coordinates"
         losses.add(f"{self.location}.poses", what, support=Support.KEPT)
@@ -391,9 +389,7 @@ class SensorDraft:
         """Write a path; of poses that fall on one timestamp the first stays."""
         rows = np.hstack([path.positions, path.quaternions_xyzw])
         if path.static:
-            return with_extras(
-                {"timestamps": [self._stationary_ns(clock)], "values": rows}, self.further_poses
-            )
+            return with_extras({"timestamps": [self._stationary_ns(clock)], "values": rows}, self.further_poses)
         timestamps, _ = clock.timestamp_array(path.timestamps_ns)
         kept = np.concatenate([[True], np.diff(timestamps) > 0])
         what = "left out: within one tick of the pose before"
@@ -464,9 +460,7 @@ class ClockKeeper:
     def _move(self, first_ns: int) -> None:
         old_ns, new_ns = self.clock.offset_ns, chosen_offset_ns(first_ns)
         if self.fixed:
-            raise OptionError(
-                f"time_offset_ns {old_ns}; expected at most {first_ns}, the earliest time of the scene"
-            )
+            raise OptionError(f"time_offset_ns {old_ns}; expected at most {first_ns}, the earliest time of the scene")
         later = (old_ns - new_ns) // self.tick_ns
         self.offset_ns = new_ns
         clock = self.clock
@@ -593,9 +587,7 @@ class CloudWriter:
         further = {name: v for name, v in extras.items() if arrays.get(name) is None} if extras else {}
         if arrays["timestamps"] is not None and further.pop(_FLOAT_TIMES, None) is not None:
             what = "left out: the same times in another form"
-            self.losses.add(
-                f"{draft.location}.frames[].points.{_FLOAT_TIMES}", what, support=Support.CONVERTED
-            )
+            self.losses.add(f"{draft.location}.frames[].points.{_FLOAT_TIMES}", what, support=Support.CONVERTED)
         blobs = {
             name: self.spool.add(array) if isinstance(array, np.ndarray) else array
             for name, array in ({**arrays, **further} if further else arrays).items()
@@ -617,9 +609,7 @@ class CloudWriter:
             self.losses.add(f"{draft.location}.frames[].timestamp", what, support=Support.APPROXIMATED)
         if start_ns % tick_ns:
             what, location = "rounded down to a whole microsecond", f"{draft.location}.frames[].timestamp"
-            self.losses.add(
-                location, what, support=Support.CONVERTED, largest_error=(start_ns % tick_ns) / 1e3
-            )
+            self.losses.add(location, what, support=Support.CONVERTED, largest_error=(start_ns % tick_ns) / 1e3)
         self.keeper.clock_for(start_ns)
         return start_ns // tick_ns * tick_ns
 
@@ -698,9 +688,7 @@ class ImageWriter:
     def add_sensor(self, camera: CameraDraft, sensor: CameraSensor) -> None:
         """Write all images that a camera has: its video, else each as a JPEG."""
         count = len(sensor.images)
-        content = (
-            None if sensor.video is None or count == 0 else self._video(camera.draft, sensor, sensor.video)
-        )
+        content = None if sensor.video is None or count == 0 else self._video(camera.draft, sensor, sensor.video)
         if content is None:
             if sensor.fps is not None:
                 camera.draft.note["fps"] = sensor.fps
@@ -743,9 +731,7 @@ class ImageWriter:
             return self._spooled(draft_file)
         return self._remuxed(draft, sensor, video, draft_file)
 
-    def _remuxed(
-        self, draft: SensorDraft, sensor: CameraSensor, video: VideoContent, draft_file: Path
-    ) -> Blob | None:
+    def _remuxed(self, draft: SensorDraft, sensor: CameraSensor, video: VideoContent, draft_file: Path) -> Blob | None:
         from sceneloom.formats.video.remux import remux_to_mp4
 
         times_ns = sensor.images.timestamps_ns
@@ -815,7 +801,5 @@ def _fps(nominal: float | None, starts_ns: list[int]) -> float:
 def note_losses(camera: CameraDraft, losses: Losses) -> dict[str, Any] | None:
     """Make the note about single images, and state what stands only there."""
     own = camera.notes.own_cameras
-    losses.add(
-        f"{camera.draft.location}.images[].camera", "one camera model per camera", count=own, kept=_KEPT
-    )
+    losses.add(f"{camera.draft.location}.images[].camera", "one camera model per camera", count=own, kept=_KEPT)
     return camera.notes.record()

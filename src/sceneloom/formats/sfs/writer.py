@@ -107,9 +107,7 @@ def _written_camera_model(camera: Camera, *, any_model: bool) -> tuple[Camera, s
     return replace(found.camera, coefficients=found.camera.coefficients[:count]), found.message(camera)
 
 
-def _with_written_camera_model(
-    calibration: CameraCalibration, losses: Losses, *, any_model: bool
-) -> CameraCalibration:
+def _with_written_camera_model(calibration: CameraCalibration, losses: Losses, *, any_model: bool) -> CameraCalibration:
     """Give a calibration the camera model that its record can hold, with all numbers of its model.
 
     Args:
@@ -129,9 +127,7 @@ def _with_written_camera_model(
 def _candidates() -> dict[str, tuple[str, ...]]:
     """The models that may stand in for others, each with the coefficients of ours that the format does not have."""
     return {
-        model: MODELS[model].coefficient_names[COEFFICIENT_COUNTS[model] :]
-        for model in _STAND_INS
-        if model in MODELS
+        model: MODELS[model].coefficient_names[COEFFICIENT_COUNTS[model] :] for model in _STAND_INS if model in MODELS
     }
 
 
@@ -152,9 +148,7 @@ def _imu_fields(sensor: ImuSensor) -> dict[str, Any]:
     """Make the fields of an IMU; they stand under our metadata."""
     names = ("timestamps_ns", "values", "file_seconds")
     return {
-        "streams": {
-            name: {part: getattr(samples, part) for part in names} for name, samples in sensor.streams.items()
-        }
+        "streams": {name: {part: getattr(samples, part) for part in names} for name, samples in sensor.streams.items()}
     }
 
 
@@ -164,9 +158,7 @@ def _gnss_fields(sensor: GnssSensor) -> dict[str, Any]:
     return {**{name: getattr(sensor, name) for name in _GNSS_ARRAYS}, **mount}
 
 
-def _trajectory_record(
-    name: str, trajectory: Trajectory, odometry: Iterable[OdometrySensor]
-) -> dict[str, Any]:
+def _trajectory_record(name: str, trajectory: Trajectory, odometry: Iterable[OdometrySensor]) -> dict[str, Any]:
     """Make the record of a trajectory; where an odometry sensor reports the same way, only that sensor is named."""
     teller = next((sensor for sensor in odometry if _reports(sensor, trajectory)), None)
     record: dict[str, Any] = {"name": name}
@@ -239,9 +231,7 @@ def _cloud(sensor: Any, losses: Losses) -> SensorDraft:
         draft.note["model"] = model
     if draft.points_frame != draft.coordinates:
         what = f"points are in the {draft.points_frame} frame, which the format cannot state"
-        losses.add(
-            f"{draft.location}.points_frame", what, kept="metadata.sceneloom.sensor_notes[].points_frame"
-        )
+        losses.add(f"{draft.location}.points_frame", what, kept="metadata.sceneloom.sensor_notes[].points_frame")
     return draft
 
 
@@ -510,9 +500,7 @@ def _write_array(writer: _RecordWriter, value: Any, field: Field, items: _Items)
 
 
 def _write_record(writer: _RecordWriter, value: Any, field: Field, items: _Items) -> Any:
-    return (
-        writer.write(value, field.record, items) if isinstance(value, Mapping) else writer.plain(value, items)
-    )
+    return writer.write(value, field.record, items) if isinstance(value, Mapping) else writer.plain(value, items)
 
 
 def _write_records(writer: _RecordWriter, value: Any, field: Field, items: _Items) -> Any:
@@ -700,12 +688,9 @@ class _Pass:
         self.items.extend(((*location, *keys), blob) for keys, blob in inner)
         return written
 
-    def _list(
-        self, records: list[dict[str, Any]], location: Location, record_of: Any
-    ) -> list[dict[str, Any]]:
+    def _list(self, records: list[dict[str, Any]], location: Location, record_of: Any) -> list[dict[str, Any]]:
         return [
-            self._written(record, record_of(record["type"]), (*location, index))
-            for index, record in enumerate(records)
+            self._written(record, record_of(record["type"]), (*location, index)) for index, record in enumerate(records)
         ]
 
     def _sensors(self) -> tuple[list[Any], list[dict[str, Any]], list[dict[str, Any]]]:
@@ -1054,9 +1039,7 @@ class SceneWriter:
                 self.add_sensor(sensor)
 
     def _lose_depth(self, sensor: DepthCameraSensor) -> None:
-        what = (
-            f"left out, with {len(sensor.frames)} depth images: the format has no cameras that measure depth"
-        )
+        what = f"left out, with {len(sensor.frames)} depth images: the format has no cameras that measure depth"
         self._losses.add(f"sensors[{sensor.id}]", what)
 
     def _add_read(self, annotation: Annotation, scene: Scene) -> None:
@@ -1070,9 +1053,7 @@ class SceneWriter:
 
     def _add_trajectories(self, scene: Scene) -> None:
         odometry = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
-        records = [
-            _trajectory_record(name, trajectory, odometry) for name, trajectory in scene.trajectories.items()
-        ]
+        records = [_trajectory_record(name, trajectory, odometry) for name, trajectory in scene.trajectories.items()]
         alone = sum("sensor_id" not in record for record in records)
         what, kept = "the format knows odometry sensors only", "metadata.sceneloom.trajectories"
         self._losses.add("trajectories[]", what, count=alone, kept=kept)
@@ -1134,9 +1115,7 @@ def write_scene(
     times_ns = list(_known_times(scene))
     unit = time_unit or _own_unit(scene, profile)
     from_sfs = scene.format == "sfs"
-    own_spelling = (
-        scene.extras.get("time_unit") if from_sfs and time_unit is None and profile == "sfs" else None
-    )
+    own_spelling = scene.extras.get("time_unit") if from_sfs and time_unit is None and profile == "sfs" else None
     keeps_offset = from_sfs and time_offset_ns is None and _offset_serves(scene, times_ns, unit, profile)
     with SceneWriter(
         path,

@@ -116,9 +116,7 @@ def _computed(scene: Scene, name: str | None, progress: Progress | None) -> Traj
     ego = find_ego_motion(scene, name=name, progress=progress)
     path = ego.path
     if path.static:
-        raise PoseError(
-            f"{scene.source}: the trajectory {ego.name!r} has no times; nothing can be compared with it"
-        )
+        raise PoseError(f"{scene.source}: the trajectory {ego.name!r} has no times; nothing can be compared with it")
     trajectory = Trajectory(
         ego.name, path.timestamps_ns, path.positions, path.quaternions_xyzw, covariances=ego.covariances
     )
@@ -243,9 +241,7 @@ def read_trajectory_file(
     if form is None and chosen is not None and chosen.name == "jsonl" and _is_scene_name(reading.name):
         chosen = None
     if times is not None and (chosen is None or chosen.name != "kitti"):
-        raise OptionError(
-            f"{where}: has its own times; those of {times} would not be used, and are for KITTI's poses"
-        )
+        raise OptionError(f"{where}: has its own times; those of {times} would not be used, and are for KITTI's poses")
     _check_used(where, chosen, reading)
     if chosen is None:
         scene_form, location = format_and_location(where, format=form)
@@ -392,9 +388,7 @@ def find_form(path: str | Path) -> TrajectoryForm | None:
     if claims:
         return None
     known = "; ".join(f"{form.name}, {form.looks_like}" for form in TRAJECTORY_FORMS.values())
-    raise UnknownFormatError(
-        path, "", f"no trajectory is recognised in it; expected a scene, or one of: {known}"
-    )
+    raise UnknownFormatError(path, "", f"no trajectory is recognised in it; expected a scene, or one of: {known}")
 
 
 def form_for_output(path: Path) -> TrajectoryForm:
@@ -406,12 +400,8 @@ def form_for_output(path: Path) -> TrajectoryForm:
     for form in TRAJECTORY_FORMS.values():
         if path.suffix.lower() in form.suffixes:
             return form
-    known = ", ".join(
-        f"{form.name} ({' '.join(form.suffixes) or 'by name'})" for form in TRAJECTORY_FORMS.values()
-    )
-    raise OptionError(
-        f"{path}: suffix {path.suffix!r} belongs to no form of trajectories; expected one of: {known}"
-    )
+    known = ", ".join(f"{form.name} ({' '.join(form.suffixes) or 'by name'})" for form in TRAJECTORY_FORMS.values())
+    raise OptionError(f"{path}: suffix {path.suffix!r} belongs to no form of trajectories; expected one of: {known}")
 
 
 def _form_named(name: str) -> TrajectoryForm | None:
@@ -427,7 +417,5 @@ def _origin(origin_lla: Sequence[float]) -> Float64Array:
     inside = origin.shape == (3,) and bool((np.abs(origin) <= (90, 180, 1e8)).all())
     if not inside:
         reported = list(map(float, origin.ravel()))
-        raise OptionError(
-            f"origin {reported}; expected latitude and longitude in degrees, altitude in metres"
-        )
+        raise OptionError(f"origin {reported}; expected latitude and longitude in degrees, altitude in metres")
     return origin

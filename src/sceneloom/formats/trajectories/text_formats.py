@@ -137,9 +137,7 @@ def _timestamps(path: Path, count: int, reading: Reading, ledger: Ledger) -> Int
         ledger.note(WarningKind.ASSUMED, "times-beside", str(path), f"its times were taken from {found.name}")
     timestamps = line_timestamps(found, reading.unit)
     if len(timestamps) != count:
-        raise DataError(
-            found, "", f"{len(timestamps)} times for the {count} poses of {path.name}; expected as many"
-        )
+        raise DataError(found, "", f"{len(timestamps)} times for the {count} poses of {path.name}; expected as many")
     return timestamps
 
 
@@ -205,9 +203,7 @@ def _euroc_recognises(text: str) -> bool:
     if "p_RS_R_x" in text.split("\n", 1)[0]:
         return True
     values = _first_values(text, ",")
-    return (
-        values is not None and len(values) in _WIDTHS and values[0].is_integer() and values[0] > _EARLIEST_NS
-    )
+    return values is not None and len(values) in _WIDTHS and values[0].is_integer() and values[0] > _EARLIEST_NS
 
 
 def _euroc_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
@@ -215,9 +211,7 @@ def _euroc_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     width = len(table.rows[0])
     if width not in (_POSITIONS_ONLY, *_WIDTHS):
         known = ", ".join(map(str, (_POSITIONS_ONLY, *_WIDTHS)))
-        problem = (
-            f"{width} values; expected {known}: timestamp, position, quaternion w x y z, velocity, biases"
-        )
+        problem = f"{width} values; expected {known}: timestamp, position, quaternion w x y z, velocity, biases"
         raise DataError(path, f"line {table.lines[0]}", problem)
     values = table.numbers(range(1, width))
     timestamps = table.timestamps(0, reading.unit or "nanoseconds")
@@ -341,9 +335,7 @@ def _gnss_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     return replace(of_fixes(fixes, origin_lla=reading.origin_lla), form=GNSS.name)
 
 
-def of_fixes(
-    fixes: GnssSensor, *, origin_lla: Float64Array | None = None, name: str | None = None
-) -> TrajectoryFile:
+def of_fixes(fixes: GnssSensor, *, origin_lla: Float64Array | None = None, name: str | None = None) -> TrajectoryFile:
     """The trajectory of a satellite receiver: metres east, north and up of an origin, else of its first fix."""
     origin = fixes.positions_lla[0] if origin_lla is None else origin_lla
     positions = read_only(enu_from_geodetic(fixes.positions_lla, origin))
@@ -424,9 +416,7 @@ def _numbers_text(values: Iterable[float], separator: str) -> str:
 
 def _first_values(text: str, delimiter: str | None) -> list[float] | None:
     """The numbers of the first line that is no comment; None where it holds anything else."""
-    line = next(
-        (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")), ""
-    )
+    line = next((line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")), "")
     try:
         return [float(cell) for cell in line.split(delimiter)]
     except ValueError:

@@ -160,9 +160,7 @@ def ordered(path: Path, name: str, rows: PoseRows, ledger: Ledger) -> tuple[Traj
     back = np.flatnonzero(times[1:] < times[:-1])
     if len(back):
         location = f"{path}: line {rows.lines[int(usable[back[0] + 1])]}"
-        ledger.note(
-            WarningKind.REPAIRED, "poses-sorted", location, "poses run backwards in time; sorted by time"
-        )
+        ledger.note(WarningKind.REPAIRED, "poses-sorted", location, "poses run backwards in time; sorted by time")
     usable = usable[np.argsort(times, kind="stable")]
     kept = _once(path, rows, usable, ledger)
     quaternions = rows.quaternions_xyzw
@@ -185,9 +183,7 @@ def _sound(path: Path, rows: PoseRows, ledger: Ledger) -> Int64Array:
             norms = np.sqrt((rows.quaternions_xyzw**2).sum(axis=1))
         for k in np.flatnonzero(~(np.abs(norms - 1.0) <= GREATEST_NORM_ERROR)).tolist():
             reported = rows.quaternions_xyzw[k].tolist()
-            wrong[k] = (
-                f"orientation {reported} (x, y, z, w) of length {norms[k]:.4g}; expected length 1 within 0.01"
-            )
+            wrong[k] = f"orientation {reported} (x, y, z, w) of length {norms[k]:.4g}; expected length 1 within 0.01"
     for k in sorted(wrong):
         ledger.fault("unusable-poses", DataError(path, f"line {rows.lines[k]}", wrong[k]))
     return np.delete(np.arange(len(rows.timestamps_ns)), sorted(wrong))
@@ -236,9 +232,7 @@ def further_losses(content: TrajectoryFile, *, kept: Iterable[str] = ()) -> list
         losses.append(Loss(field=field, what="left out", count=len(trajectory.covariances)))
     if content.fixes is not None:
         field, what = f"sensors[{content.fixes.id}]", "written as metres east, north and up of the first fix"
-        reported = Loss(
-            field=field, what=what, count=len(content.fixes.timestamps_ns), support=Support.CONVERTED
-        )
+        reported = Loss(field=field, what=what, count=len(content.fixes.timestamps_ns), support=Support.CONVERTED)
         losses.append(reported)
     return losses
 

@@ -36,8 +36,7 @@ VideoSource = Path | str | bytes | bytearray | memoryview | Callable[[], BinaryI
 """A file, its bytes, or a function that opens them anew each time."""
 
 _DEMUXERS = (
-    "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,flv,ogg,ivf,h264,hevc,obu,mjpeg,mxf,asf,nut,"
-    "yuv4mpegpipe"
+    "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,flv,ogg,ivf,h264,hevc,obu,mjpeg,mxf,asf,nut,yuv4mpegpipe"
 )
 """Containers of one video each. Playlists are not among them: they could name any file or address."""
 
@@ -102,9 +101,7 @@ class OpenVideo:
         """
         if isinstance(source, Path | str):
             if not as_path(source).is_file():
-                raise DataError(
-                    name, "", "not a file" if as_path(source).is_dir() else why_no_file(as_path(source))
-                )
+                raise DataError(name, "", "not a file" if as_path(source).is_dir() else why_no_file(as_path(source)))
             with file_faults(as_path(source)):
                 check_regular(as_path(source))
         self._file: BinaryIO | None = None
@@ -273,9 +270,7 @@ class VideoIndex:
     def part(self, taken: Int64Array) -> "VideoIndex":
         """The list of some of the images, (M,) ascending, as if the others had never been stored."""
         order = np.argsort(np.argsort(self.positions[taken])).astype(np.int64)
-        entries = np.maximum(np.searchsorted(taken, self.entries[taken], side="right") - 1, 0).astype(
-            np.int64
-        )
+        entries = np.maximum(np.searchsorted(taken, self.entries[taken], side="right") - 1, 0).astype(np.int64)
         return VideoIndex(self.time_base, self.pts[taken], order, entries, timed=self.timed, hidden=0)
 
     def find(self, pts: int | None) -> int | None:

@@ -232,11 +232,7 @@ def _convert(frame: VideoFrame, reformatter: VideoReformatter) -> UInt8Array:
 def _is_halved(frame: VideoFrame) -> bool:
     """Whether all colours are halves; of an odd size the converter stretches them, and rows may stand upside down."""
     even = not (frame.width % 2 or frame.height % 2)
-    return (
-        frame.format.name in _HALVED
-        and even
-        and all(plane.line_size >= plane.width for plane in frame.planes)
-    )
+    return frame.format.name in _HALVED and even and all(plane.line_size >= plane.width for plane in frame.planes)
 
 
 _SHARES = ((0.299, 0.114), (0.2126, 0.0722))
@@ -714,6 +710,4 @@ class VideoImages:
 
     def __call__(self, k: int) -> CameraImage:
         """Make image `k` without decoding it."""
-        return CameraImage(
-            int(self.timestamps_ns[k]), self.camera, partial(self.video.rgb, int(self.chosen[k]))
-        )
+        return CameraImage(int(self.timestamps_ns[k]), self.camera, partial(self.video.rgb, int(self.chosen[k])))

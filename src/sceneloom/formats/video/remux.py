@@ -163,9 +163,7 @@ def _iter_image_packets(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoS
             yield packet
 
 
-def _taken(
-    packets: "Iterator[Packet[VideoStream]]", taken: BoolArray | None
-) -> "Iterator[Packet[VideoStream]]":
+def _taken(packets: "Iterator[Packet[VideoStream]]", taken: BoolArray | None) -> "Iterator[Packet[VideoStream]]":
     if taken is None:
         return packets
     # packets beyond those that were there before are handed on, and refused there

@@ -117,9 +117,7 @@ _FFV1_OPTIONS = MappingProxyType({"level": "3", "slices": "4", "slicecrc": "1", 
 _ENCODERS = MappingProxyType(
     {
         # fixed numbers of threads, so that every machine gives the same bytes
-        "h264": _Encoder(
-            "libx264", "yuv420p", {"preset": "fast", "threads": "2", "x264-params": _X264}, halves=True
-        ),
+        "h264": _Encoder("libx264", "yuv420p", {"preset": "fast", "threads": "2", "x264-params": _X264}, halves=True),
         "ffv1": _Encoder("ffv1", "bgr0", _FFV1_OPTIONS),
         "ffv1-gray16": _Encoder("ffv1", "gray16le", _FFV1_OPTIONS, sixteen_bits=True),
     }

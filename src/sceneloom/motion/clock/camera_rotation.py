@@ -305,9 +305,7 @@ def _through_levels(first: Pyramid, second: Pyramid, corners: Float32Array) -> t
         pixels = np.ascontiguousarray(corners / 2**level, np.float32)
         guesses = np.ascontiguousarray(guesses)
         before = guesses.copy()
-        follow_corners(
-            first.levels[level], second.levels[level], pixels, _HALF_WINDOW, _CORNERS_ROUNDS, guesses, found
-        )
+        follow_corners(first.levels[level], second.levels[level], pixels, _HALF_WINDOW, _CORNERS_ROUNDS, guesses, found)
         if level:
             # what is lost in a small image may be found in a larger one
             lost = ~found

@@ -79,9 +79,7 @@ def _steps_of(rotating: Orientations, origin_ns: int, least: float) -> _Steps:
     starting = np.concatenate([*first, np.zeros(0, np.int64)]).astype(np.int64)
     grouped = np.concatenate([*begins, np.zeros(0, np.int64)]).astype(np.int64)
     seconds = np.asarray((rotating.timestamps_ns - origin_ns) * 1e-9, np.float64)
-    rotations = relative_rotation(
-        rotating.quaternions_xyzw[starting], rotating.quaternions_xyzw[starting + stride]
-    )
+    rotations = relative_rotation(rotating.quaternions_xyzw[starting], rotating.quaternions_xyzw[starting + stride])
     chunks = rotating.chunks[starting[grouped]] if len(grouped) else np.zeros(0, np.int64)
     return _Steps(seconds[starting], seconds[starting + stride], rotations, grouped, chunks)
 
@@ -228,9 +226,7 @@ def fit(
     for round_number in range(_ROUNDS if whiten or fixed_colour is not None else 2):
         for _ in range(_STEPS):
             at = model(parameters, amounts)
-            solved = _solve(
-                at, windows, colour, fixed_scales, precision, parameters - start, scales=state.scales
-            )
+            solved = _solve(at, windows, colour, fixed_scales, precision, parameters - start, scales=state.scales)
             if solved is None:
                 return None
             step, amounts, state = solved
@@ -707,9 +703,7 @@ class _Candidate:
     @property
     def sigma(self) -> float:
         """Its standard deviation [s]."""
-        return float(
-            max(np.hypot(np.sqrt(self.fit.covariance[0, 0]) * self.scatter, self.model_sigma), _FINEST)
-        )
+        return float(max(np.hypot(np.sqrt(self.fit.covariance[0, 0]) * self.scatter, self.model_sigma), _FINEST))
 
     @property
     def skew_sigma(self) -> float:
@@ -781,9 +775,7 @@ def _concluded(candidates: Sequence[_Candidate], clocks: _Clocks) -> ClockEstima
         if evidence < _LEAST_EVIDENCE:
             return ClockEstimate.unknown("the streams show no motion in common", **reported)
     rivals = [other for other in ranked[1:] if abs(other.offset - best.offset) > max(6 * best.sigma, 0.01)]
-    if best.margin is None and any(
-        best.fit.evidence_against(other.fit) < _LEAST_EVIDENCE for other in rivals
-    ):
+    if best.margin is None and any(best.fit.evidence_against(other.fit) < _LEAST_EVIDENCE for other in rivals):
         offsets = [clocks.sign * candidate.offset for candidate in (best, *rivals)]
         return ClockEstimate.unknown(_ambiguous(offsets), **reported)
     return _judged(best, clocks)
@@ -793,9 +785,7 @@ def _ambiguous(offsets: Sequence[float]) -> str:
     """State that some offsets [s] fit alike, or a single one no better than chance."""
     if len(offsets) < 2:
         return "no offset makes the motions more alike than chance would"
-    return "several offsets fit alike: " + ", ".join(
-        f"{offset * 1e3:.0f} ms" for offset in sorted(offsets[:2])
-    )
+    return "several offsets fit alike: " + ", ".join(f"{offset * 1e3:.0f} ms" for offset in sorted(offsets[:2]))
 
 
 def _judged(best: _Candidate, clocks: _Clocks) -> ClockEstimate:
@@ -995,9 +985,7 @@ def _tamed(values: Float64Array) -> Float64Array:
     middle = np.median(known, axis=0)
     longest = _LONGEST * max(float(np.quantile(np.linalg.norm(known - middle, axis=1), 0.9)), 1e-12)
     lengths = np.linalg.norm(values - middle, axis=1)
-    tamed: Float64Array = (
-        middle + (values - middle) * np.minimum(1.0, longest / np.maximum(lengths, 1e-12))[:, None]
-    )
+    tamed: Float64Array = middle + (values - middle) * np.minimum(1.0, longest / np.maximum(lengths, 1e-12))[:, None]
     return tamed
 
 
@@ -1221,11 +1209,7 @@ class _Pair:
             return
         count = int(self.common // _PART)
         edges = np.linspace(*self.span, count + 1)
-        found = [
-            (0.5 * (a + b), peak)
-            for a, b in pairwise(edges.tolist())
-            for peak in self._peaks(a, b, reach)[:1]
-        ]
+        found = [(0.5 * (a + b), peak) for a, b in pairwise(edges.tolist()) for peak in self._peaks(a, b, reach)[:1]]
         if len(found) >= 2:
             times = np.array([time for time, _ in found]) - 0.5 * self.common
             lags = np.array([peak.lag * self.grid for _, peak in found])
@@ -1295,9 +1279,7 @@ class _RotatingModel:
         slope = after - before + 0.5 * np.cross(reported, before + after)
         reported, slope, drift = (self.steps.mean(x) for x in (reported, slope, slope * self.times[:, None]))
         known = finite_rows(np.hstack([reported, slope]))
-        moved, slope, drift = (
-            np.where(known[:, None], x, 0.0) @ rotation.T for x in (reported, slope, drift)
-        )
+        moved, slope, drift = (np.where(known[:, None], x, 0.0) @ rotation.T for x in (reported, slope, drift))
         jacobian = np.concatenate([slope[:, :, None], drift[:, :, None], -_crossing(moved)], axis=2)
         return Linearised(self.vectors - moved, jacobian, self.nuisances, known)
 
@@ -1351,9 +1333,7 @@ def _crossing(vectors: Float64Array) -> Float64Array:
     """(N, 3, 3) matrices of the cross products with (N, 3) vectors."""
     zero = np.zeros(len(vectors))
     x, y, z = vectors.T
-    return np.stack(
-        [np.stack([zero, -z, y], 1), np.stack([z, zero, -x], 1), np.stack([-y, x, zero], 1)], axis=1
-    )
+    return np.stack([np.stack([zero, -z, y], 1), np.stack([z, zero, -x], 1), np.stack([-y, x, zero], 1)], axis=1)
 
 
 _LEAST_FIXES = 12
@@ -1454,9 +1434,7 @@ def compare_trajectories(
     ]
     reported = sorted((one for one in refined if one is not None), key=lambda one: one[1].level)
     if reported and _share_reported(*reported[0]) < _LEAST_SHARE:
-        return ClockEstimate.unknown(
-            "the motion is too even: another offset is like another location and heading"
-        )
+        return ClockEstimate.unknown("the motion is too even: another offset is like another location and heading")
     return _concluded([_candidate(*one, common) for one in reported], clocks)
 
 

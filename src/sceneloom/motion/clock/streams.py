@@ -69,9 +69,7 @@ class TrajectoryCurve:
             locations[inside] = on_ground(curve(seconds[inside]))
             velocities[inside] = on_ground(curve(seconds[inside], 1))
         no_drifts = np.zeros((len(seconds), 0), np.complex128)
-        return TrajectorySamples(
-            locations, velocities, self._axes(seconds), no_drifts, no_drifts, np.zeros(0)
-        )
+        return TrajectorySamples(locations, velocities, self._axes(seconds), no_drifts, no_drifts, np.zeros(0))
 
     def finer(self, amounts: Float64Array) -> None:
         """Give none: it is the same for all windows."""
@@ -265,9 +263,7 @@ class DeadReckonedTrajectory:
         after_force, after_rate = (np.maximum(seconds[:, None] - at, 0.0) for at in (force, rate))
         moved, tilted = force_size * after_force, rate_size * 0.5 * _GRAVITY * after_rate**2
         inside = np.clip(rate, seconds[0], seconds[-1])
-        since_kick = (
-            trajectory(seconds)[:, :1] - trajectory(inside)[:, 0] - velocity(inside)[:, 0] * after_rate
-        )
+        since_kick = trajectory(seconds)[:, :1] - trajectory(inside)[:, 0] - velocity(inside)[:, 0] * after_rate
         rotated = rate_size * 1j * since_kick * (after_rate > 0)
         return np.hstack([moved, 1j * moved, tilted, 1j * tilted, rotated])
 
@@ -563,15 +559,11 @@ def compare_streams(
         if by_rotation.verdict is not ClockVerdict.NOT_OBSERVABLE:
             return Method.ROTATION, by_rotation
     by_trajectory = _by_trajectory(first, second, reach_ns=reach_ns, lever_sigma=lever_sigma)
-    if by_trajectory is not None and (
-        by_rotation is None or by_trajectory.verdict is not ClockVerdict.NOT_OBSERVABLE
-    ):
+    if by_trajectory is not None and (by_rotation is None or by_trajectory.verdict is not ClockVerdict.NOT_OBSERVABLE):
         return Method.TRAJECTORY, by_trajectory
     if by_rotation is not None:
         return Method.ROTATION, by_rotation
-    return Method.NONE, ClockEstimate.unknown(
-        "the one reports only where it was, the other only how it rotated"
-    )
+    return Method.NONE, ClockEstimate.unknown("the one reports only where it was, the other only how it rotated")
 
 
 def _between(reference: _ReportedMotion, stream: _ReportedMotion) -> Float64Array:
@@ -600,9 +592,7 @@ def _by_trajectory(
                 fixes_are_reference=fixes_are_reference,
                 reach_ns=reach_ns,
                 lever=reported.location,
-                lever_sigma=lever_sigma
-                if reported.location is None
-                else min(lever_sigma, _KNOWN_LEVER_SIGMA),
+                lever_sigma=lever_sigma if reported.location is None else min(lever_sigma, _KNOWN_LEVER_SIGMA),
             )
     return None
 

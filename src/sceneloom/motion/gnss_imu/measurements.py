@@ -113,9 +113,7 @@ class GnssFixes:
         times = np.concatenate([r.timestamps_ns[k] for r, k in zip(receivers, rows, strict=True)])
         locations = np.vstack([r.positions_lla[k] for r, k in zip(receivers, rows, strict=True)])
         sigmas = np.vstack([_sigmas(r, k, settings) for r, k in zip(receivers, rows, strict=True)])
-        reported = np.concatenate(
-            [_is_reported(r.accuracies[k]) for r, k in zip(receivers, rows, strict=True)]
-        )
+        reported = np.concatenate([_is_reported(r.accuracies[k]) for r, k in zip(receivers, rows, strict=True)])
         levers = np.vstack([np.tile(_lever(r), (len(k), 1)) for r, k in zip(receivers, rows, strict=True)])
         number = np.repeat(np.arange(len(receivers)), [len(k) for k in rows])
         flat = np.where(np.isfinite(locations[:, 2]), locations[:, 2], 0.0)
@@ -200,8 +198,7 @@ class GnssFixes:
             )  # fmt: skip
             levers[rows] = np.einsum("nij,nj->ni", rotations, self.levers[rows]) + trajectories
             slopes[rows] = (
-                by_biases[:, DELTA_POSITION]
-                + rotations @ crossed_with(self.levers[rows]) @ by_biases[:, BY_ROTATION]
+                by_biases[:, DELTA_POSITION] + rotations @ crossed_with(self.levers[rows]) @ by_biases[:, BY_ROTATION]
             )
             taken[rows] = biases[locations[rows]]
         return Fixes(
@@ -224,9 +221,7 @@ def _left_out(scene: Scene, receiver: GnssSensor, kept: int) -> list[DataWarning
     lost = len(receiver.timestamps_ns) - kept
     if lost == 0:
         return []
-    message = (
-        "fixes that are no location, of a time that was there before, or the same as before were left out"
-    )
+    message = "fixes that are no location, of a time that was there before, or the same as before were left out"
     return [_skipped("gnss-fixes-left-out", f"{scene.source}: sensors[{receiver.id}]", message, lost)]
 
 
@@ -293,11 +288,7 @@ class InertialSamples:
     def of_scene(cls, scene: Scene) -> "InertialSamples | None":
         """Those of the first IMU of a scene that has both streams; None where there is none."""
         for sensor in scene.sensors:
-            if (
-                isinstance(sensor, ImuSensor)
-                and GYROSCOPE in sensor.streams
-                and ACCELEROMETER in sensor.streams
-            ):
+            if isinstance(sensor, ImuSensor) and GYROSCOPE in sensor.streams and ACCELEROMETER in sensor.streams:
                 samples = cls.of(sensor.streams[GYROSCOPE], sensor.streams[ACCELEROMETER])
                 if samples is not None:
                     return samples
@@ -332,17 +323,11 @@ class InertialSamples:
         squares = np.stack([(apart[:, :3] ** 2).mean(axis=1), (apart[:, 3:] ** 2).mean(axis=1)], axis=1) / 1.5
         width = max(_NOISE_SAMPLES, round(_NOISE_SECONDS / self.period)) | 1
         smooth = _moving_mean(squares, min(width, len(squares))) * self.period
-        found = np.stack(
-            [np.interp(times_ns, self.timestamps_ns[1:-1], smooth[:, k]) for k in range(2)], axis=1
-        )
-        floored: Float64Array = np.maximum(
-            found, [settings.gyroscope_noise**2, settings.accelerometer_noise**2]
-        )
+        found = np.stack([np.interp(times_ns, self.timestamps_ns[1:-1], smooth[:, k]) for k in range(2)], axis=1)
+        floored: Float64Array = np.maximum(found, [settings.gyroscope_noise**2, settings.accelerometer_noise**2])
         return floored
 
-    def preintegrated(
-        self, knots_ns: Int64Array, *, biases: Float64Array, densities: Float64Array
-    ) -> "Preintegrated":
+    def preintegrated(self, knots_ns: Int64Array, *, biases: Float64Array, densities: Float64Array) -> "Preintegrated":
         """Sum up what an IMU measured from each knot to the next.
 
         Between samples rate and force change evenly; the rotation is exact to the fourth order in the time between
@@ -487,9 +472,7 @@ def knot_times(
     return knots if len(knots) > 1 else np.array([knots[0], knots[0] + CLOSEST_NS])
 
 
-def _apart_ns(
-    times_ns: Int64Array, samples: InertialSamples | None, settings: SmootherSettings
-) -> Int64Array:
+def _apart_ns(times_ns: Int64Array, samples: InertialSamples | None, settings: SmootherSettings) -> Int64Array:
     """How far a fix at each time may be from the state before it, (F,) [ns]: the IMU's noise has to stay small.
 
     Source: position by white noise of the acceleration, n² t³ / 3, and by that of the angular velocity under gravity,
@@ -499,9 +482,7 @@ def _apart_ns(
         return np.full(len(times_ns), CLOSEST_NS)
     rate, force = samples.noise_densities(times_ns, settings).T
     allowed = _CARRIED * settings.least_fix_noise / np.sqrt(2.0)
-    seconds = np.minimum(
-        (3.0 * allowed**2 / force) ** (1.0 / 3.0), (20.0 * allowed**2 / (_WEIGHT**2 * rate)) ** 0.2
-    )
+    seconds = np.minimum((3.0 * allowed**2 / force) ** (1.0 / 3.0), (20.0 * allowed**2 / (_WEIGHT**2 * rate)) ** 0.2)
     apart = np.rint(np.minimum(seconds, _LONGEST_CARRIED) * 1e9).astype(np.int64)
     return np.where(_felt(times_ns, samples), np.maximum(apart, CLOSEST_NS), CLOSEST_NS)
 

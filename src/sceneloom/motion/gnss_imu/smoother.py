@@ -270,9 +270,7 @@ def _add_priors(chain: Chain, states: States, blocks: Float64Array, right: Float
     return cost
 
 
-def _add_motion(
-    chain: Chain, states: States, normal: tuple[Float64Array, Float64Array, Float64Array]
-) -> float:
+def _add_motion(chain: Chain, states: States, normal: tuple[Float64Array, Float64Array, Float64Array]) -> float:
     settings, seconds, inertial = chain.settings, chain.seconds, chain.inertial
     walks = np.repeat([settings.gyroscope_walk, settings.accelerometer_walk], 3)
     walk = 1.0 / (seconds[:, None] * walks**2)
@@ -368,9 +366,7 @@ def inertial_residuals(chain: Chain, states: States) -> tuple[Float64Array, Floa
     apart = np.swapaxes(expected, 1, 2) @ relative
     down = np.array([0.0, 0.0, -chain.gravity])
     gain = np.diff(states.velocities, axis=0) - seconds * down
-    trajectory = (
-        np.diff(states.positions, axis=0) - seconds * states.velocities[:-1] - 0.5 * seconds**2 * down
-    )
+    trajectory = np.diff(states.positions, axis=0) - seconds * states.velocities[:-1] - 0.5 * seconds**2 * down
     felt, gone = (np.einsum("nji,nj->ni", before, vector) for vector in (gain, trajectory))
     rotation = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
     residuals = np.hstack([rotation, felt - inertial.gains, gone - inertial.trajectories])
@@ -466,12 +462,7 @@ def _fit_sternly(fit: _Fit, *, scaled: bool) -> _Fit:
             states = _settled(fit.chain, states, weights, _FEW_STEPS).states
         ratios = _gate_ratios(_Fit(fit.chain, states, weights, 0.0), scaled=scaled)
         allowed = changes < _MOST_CHANGES
-        dropped = (
-            (ratios > 1.0)
-            & (weights > 0)
-            & _is_worst_around(np.where(weights > 0, ratios, -np.inf))
-            & allowed
-        )
+        dropped = (ratios > 1.0) & (weights > 0) & _is_worst_around(np.where(weights > 0, ratios, -np.inf)) & allowed
         taken = (ratios < _READMITTED) & (weights == 0) & allowed
         full = np.where(dropped, 0.0, np.where(taken | (weights > 0), 1.0, 0.0))
         if number and (full == weights).all():
@@ -751,9 +742,7 @@ def _about_up(angle: float) -> Float64Array:
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _extended(
-    chain: Chain, coasting: States, known: States, first: int, last: int, earlier: int, later: int
-) -> States:
+def _extended(chain: Chain, coasting: States, known: States, first: int, last: int, earlier: int, later: int) -> States:
     """Carry orientations on by the gyroscope, beyond both ends of what is known; the rest comes from the fixes."""
     rotations = np.empty((later - earlier, 3, 3))
     rotations[first - earlier : last - earlier] = known.rotations
@@ -774,9 +763,7 @@ def _rotation(chain: Chain, k: int, bias: Float64Array) -> Float64Array:
         return np.eye(3)
     inertial = chain.inertial
     vector = inertial.slopes[k, :3] @ (bias - inertial.biases[k])
-    rotated: Float64Array = inertial.rotations[k] @ matrix_from_quaternion(
-        quaternion_from_rotation_vector(vector)
-    )
+    rotated: Float64Array = inertial.rotations[k] @ matrix_from_quaternion(quaternion_from_rotation_vector(vector))
     return rotated
 
 
@@ -890,9 +877,7 @@ _LARGEST_MISFIT = 2.0
 """Mean square of sideways speeds in units of what they may be."""
 
 
-def _vehicle_speeds(
-    fit: _Fit, own: Float64Array, samples: InertialSamples, *, asked: bool | None
-) -> BodySpeeds | None:
+def _vehicle_speeds(fit: _Fit, own: Float64Array, samples: InertialSamples, *, asked: bool | None) -> BodySpeeds | None:
     """Give the knowledge as measurements, if the states show that it holds, or if it is asked for.
 
     It has to be seen in rotations, or at speed along the x axis: on a straight trajectory every body moves along one of
@@ -958,9 +943,7 @@ def _speeds(rows: Int64Array, axis: Float64Array, inside: Float64Array, rates: F
         + (_LEVER * np.linalg.norm(rates[rows], axis=1)) ** 2
     )
     locations = np.repeat(rows, 2)
-    return BodySpeeds(
-        locations, np.tile(across, (len(rows), 1)), np.zeros(len(locations)), np.repeat(sigma, 2)
-    )
+    return BodySpeeds(locations, np.tile(across, (len(rows), 1)), np.zeros(len(locations)), np.repeat(sigma, 2))
 
 
 def _shows(speeds: BodySpeeds, states: States, own: Float64Array, inside: Float64Array) -> bool:
@@ -979,9 +962,7 @@ def _shows(speeds: BodySpeeds, states: States, own: Float64Array, inside: Float6
     slopes[:, VELOCITY] = np.einsum("nij,nj->ni", states.rotations[locations], axes)
     variance = np.einsum("ni,nij,nj->n", slopes, own[locations], slopes)
     sideways = (axes * u).sum(axis=1)
-    known = np.sqrt((sideways**2 + variance)[moving].mean()) < _LARGEST_SHARE * np.sqrt(
-        (speed[moving] ** 2).mean()
-    )
+    known = np.sqrt((sideways**2 + variance)[moving].mean()) < _LARGEST_SHARE * np.sqrt((speed[moving] ** 2).mean())
     agrees = (sideways**2 / (variance + speeds.sigmas**2))[moving].mean() < _LARGEST_MISFIT
     return bool(known and agrees)
 
@@ -1015,14 +996,10 @@ def _lidar_steps(lidar: Trajectory, knots_ns: Int64Array) -> RelativePoses:
     covariances[:, :3, :3] = np.swapaxes(after, 1, 2) @ added[:, :3, :3] @ after
     covariances[:, 3:, 3:] = np.swapaxes(before, 1, 2) @ added[:, 3:, 3:] @ before
     covariances += np.diag(np.repeat([_LIDAR_STEPS_LEAST_ROTATION**2, _LEAST_TRAJECTORY**2], 3))
-    return RelativePoses(
-        locations, delta_rotations, trajectories, np.asarray(np.linalg.inv(covariances), np.float64)
-    )
+    return RelativePoses(locations, delta_rotations, trajectories, np.asarray(np.linalg.inv(covariances), np.float64))
 
 
-def _added(
-    lidar: Trajectory, knots_ns: Int64Array, locations: Int64Array, steps: Float64Array
-) -> Float64Array:
+def _added(lidar: Trajectory, knots_ns: Int64Array, locations: Int64Array, steps: Float64Array) -> Float64Array:
     """What the odometry's covariance grows by in each step beyond what the error before it makes of it, (F, 6, 6)."""
     if lidar.covariances is None:
         return np.zeros((len(locations), 6, 6))
@@ -1117,9 +1094,7 @@ def _smoothed(drive: _Measurements, settings: SmootherSettings) -> _Smoothed:
 def _begun(drive: _Measurements, chain: Chain) -> tuple[_Fit, Chain]:
     """States by the fixes that have one alone, without an IMU, and the noise that these fixes show in the chain's."""
     unmeasured = np.zeros_like(chain.measured)
-    fixes = drive.fixes.carried(
-        chain.knots_ns, unmeasured, None, biases=chain.inertial.biases, gravity=drive.gravity
-    )
+    fixes = drive.fixes.carried(chain.knots_ns, unmeasured, None, biases=chain.inertial.biases, gravity=drive.gravity)
     near = np.abs(fixes.seconds) <= CLOSEST_NS * 1e-9
     alone = replace(chain, measured=unmeasured, relative=(), fixes=fixes.chosen(near))
     coasting = _coasted(alone, _stationary_states(alone, drive.gyroscope_bias))
@@ -1160,9 +1135,7 @@ def _refined(
             fit = _fit_sternly(fit, scaled=True)
     believed = tuple(one for one in fit.chain.speeds if _misfit(one, fit.states) <= _CONTRADICTED)
     if len(believed) < len(fit.chain.speeds):
-        fit = _fit_sternly(
-            replace(fit, chain=replace(fit.chain, speeds=believed, relative=lidar)), scaled=True
-        )
+        fit = _fit_sternly(replace(fit, chain=replace(fit.chain, speeds=believed, relative=lidar)), scaled=True)
     return fit, densities
 
 
@@ -1264,9 +1237,7 @@ class _Wander:
         weights[:, ~inside] = np.stack(
             [0.0 * one, np.exp(-np.abs(times_ns - self.times_ns[-1]) * 1e-9 / self.seconds)]
         )[:, ~inside]
-        found: Float64Array = (
-            weights[0][:, None] * self.values[before] + weights[1][:, None] * self.values[after]
-        )
+        found: Float64Array = weights[0][:, None] * self.values[before] + weights[1][:, None] * self.values[after]
         return found
 
 
@@ -1346,9 +1317,7 @@ def _trajectory_between(
     all_knots = np.arange(len(chain.measured))
     end_rotations, end_gains, end_trajectories = _felt(chain, states, samples, chain.knots_ns[1:], all_knots)
     elapsed = np.asarray((times_ns - chain.knots_ns[knots]) * 1e-9, np.float64)
-    rotations, positions, velocities = _led(
-        chain, states, knots, elapsed, delta_rotations, gains, trajectories
-    )
+    rotations, positions, velocities = _led(chain, states, knots, elapsed, delta_rotations, gains, trajectories)
     ends = _led(chain, states, all_knots, chain.seconds, end_rotations, end_gains, end_trajectories)
     missing_rotation = rotation_vector_from_quaternion(
         quaternion_from_matrix(np.swapaxes(ends[0], 1, 2) @ states.rotations[1:])
@@ -1398,9 +1367,7 @@ def _led(
     return start @ delta_rotations, positions, velocities
 
 
-def _pose_covariances(
-    chain: Chain, states: States, own: Float64Array, trajectory: _SmoothedTrajectory
-) -> Float64Array:
+def _pose_covariances(chain: Chain, states: States, own: Float64Array, trajectory: _SmoothedTrajectory) -> Float64Array:
     """Give the covariances of a small rotation [rad] and shift [m] about the world's axes, (N, 6, 6).
 
     They are those of the states; between two, which are at most a second apart, in proportion to the time.
@@ -1408,9 +1375,7 @@ def _pose_covariances(
     axes = np.zeros((len(own), 6, 6))
     axes[:, :3, :3], axes[:, 3:, 3:] = states.rotations, np.eye(3)
     at_knots = axes @ own[:, :6, :6] @ np.swapaxes(axes, 1, 2)
-    knots = np.clip(
-        np.searchsorted(chain.knots_ns, trajectory.timestamps_ns, side="right") - 1, 0, len(own) - 2
-    )
+    knots = np.clip(np.searchsorted(chain.knots_ns, trajectory.timestamps_ns, side="right") - 1, 0, len(own) - 2)
     share = ((trajectory.timestamps_ns - chain.knots_ns[knots]) * 1e-9 / chain.seconds[knots])[:, None, None]
     covariances: Float64Array = (1.0 - share) * at_knots[knots] + share * at_knots[knots + 1]
     return covariances

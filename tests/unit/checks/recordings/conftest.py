@@ -30,8 +30,7 @@ class SoundLines:
             "gps": [self.fix(t, 8.0 * t) for t in self.times(5.0)],
             "groundTruth": [self.pose(t, 8.0 * t) for t in self.times(20.0)],
             "frames": [
-                {"frames": [{"cameraInd": 0}], "number": k, "time": t}
-                for k, t in enumerate(self.times(10.0, 0.0037))
+                {"frames": [{"cameraInd": 0}], "number": k, "time": t} for k, t in enumerate(self.times(10.0, 0.0037))
             ],
         }
 

@@ -415,9 +415,7 @@ def test_small_images_are_looked_at_as_they_are(found_of_images):
 def test_cameras_in_one_location_report_no_side(found_of_images):
     images = textures()
     assert (
-        found_of_images(
-            images, np.roll(images, -SHIFT, axis=2), cameras=(camera_of_images(0.0), camera_of_images(0.0))
-        )
+        found_of_images(images, np.roll(images, -SHIFT, axis=2), cameras=(camera_of_images(0.0), camera_of_images(0.0)))
         == []
     )
 

@@ -165,9 +165,7 @@ def test_ids_of_the_rules_are_the_codes():
 
 
 COUNT = 40
-LINES = [
-    {"groundTruth": {"position": {"x": 0.1 * k, "y": 0.0, "z": 0.0}}, "time": 0.1 * k} for k in range(COUNT)
-]
+LINES = [{"groundTruth": {"position": {"x": 0.1 * k, "y": 0.0, "z": 0.0}}, "time": 0.1 * k} for k in range(COUNT)]
 TEXTS = [json.dumps(line) for line in LINES]
 LOG = "".join(text + "\n" for text in TEXTS).encode()
 
@@ -208,9 +206,7 @@ def in_unit(factor):
     return "".join(json.dumps(line) + "\n" for line in lines).encode()
 
 
-@pytest.mark.parametrize(
-    ("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")]
-)
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])
 def test_times_in_another_unit_are_one_finding_that_names_it(tmp_path, factor, unit):
     [(rule, location, message, count)] = reported_of_lines(tmp_path, in_unit(factor))
     assert (rule, count) == ("unfit-lines", COUNT)
@@ -241,6 +237,4 @@ def test_a_log_with_more_lines_than_locations_are_kept_is_one_finding(tmp_path):
 def test_lines_that_are_torn_here_and_there_are_listed_singly(tmp_path):
     texts = [text[:-1] if k % 9 == 4 else text for k, text in enumerate(TEXTS)]
     found = reported_of_lines(tmp_path, ("\n".join(texts) + "\n").encode())
-    assert [location for _, location, _, _ in found] == [
-        f"data.jsonl: line {k + 1}" for k in range(4, COUNT, 9)
-    ]
+    assert [location for _, location, _, _ in found] == [f"data.jsonl: line {k + 1}" for k in range(4, COUNT, 9)]

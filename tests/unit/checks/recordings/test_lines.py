@@ -25,9 +25,7 @@ RULES = ("config-keys-known", "config-keys-unique", "config-lines-settings")
 
 def findings(folder, config):
     folder.mkdir()
-    lines = [
-        {"sensor": {"type": "gyroscope", "values": [0.0, 0.1, 0.01 * k]}, "time": 0.01 * k} for k in range(5)
-    ]
+    lines = [{"sensor": {"type": "gyroscope", "values": [0.0, 0.1, 0.01 * k]}, "time": 0.01 * k} for k in range(5)]
     (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     if config is not None:
         (folder / "vio_config.yaml").write_text(config)
@@ -36,9 +34,7 @@ def findings(folder, config):
     return [(f.rule, str(f.severity), f.path, f.message) for f in report.findings]
 
 
-@pytest.mark.parametrize(
-    "config", [None, "", "useSlam: True\n# parameterSets: [x]\nparameterSets:\n  - live\n"]
-)
+@pytest.mark.parametrize("config", [None, "", "useSlam: True\n# parameterSets: [x]\nparameterSets:\n  - live\n"])
 def test_sound_settings_are_not_reported(tmp_path, config):
     assert findings(tmp_path / "drive", config) == []
 

@@ -116,9 +116,7 @@ def refusals(folder, out):
 def check_agreement(folder, out):
     """Whether a recording is refused, by all or by none."""
     report = sceneloom.validate(folder)
-    errors = {
-        f.rule: f.message for f in report.findings if f.severity == "error" and f.rule not in OVER_VALUES
-    }
+    errors = {f.rule: f.message for f in report.findings if f.severity == "error" and f.rule not in OVER_VALUES}
     refused = refusals(folder, out)
     assert bool(errors) == bool(refused), (errors, refused)
     return bool(refused)
@@ -162,9 +160,7 @@ REFUSED = {
     "no imuToCamera": lambda d: camera(d, lambda c: c.pop("imuToCamera")),
     "no imuToCamera of the second": lambda d: camera(d, lambda c: c.pop("imuToCamera"), 1),
     "two matrices": lambda d: camera(d, lambda c: c.update(imuToCameraMatrix=SHIFTED.tolist())),
-    "two matrices of a lidar": lambda d: change(
-        d, lambda c: c["lidars"][0].update(imuToLidarMatrix=SHIFTED.tolist())
-    ),
+    "two matrices of a lidar": lambda d: change(d, lambda c: c["lidars"][0].update(imuToLidarMatrix=SHIFTED.tolist())),
     "no focal length": lambda d: camera(d, lambda c: c.pop("focalLengthX")),
     "no principal point": lambda d: camera(d, lambda c: c.pop("principalPointY")),
     "no model": lambda d: camera(d, lambda c: c.pop("model")),
@@ -204,9 +200,7 @@ REFUSED = {
     "no number": lambda d: change_lines(d, lambda x: first_with(x, "frames", lambda c: c.pop("number"))),
     "a camera model of its own that is none": lambda d: change_lines(
         d,
-        lambda x: first_with(
-            x, "frames", lambda c: c["frames"][0].update(cameraParameters={"model": "plate"})
-        ),
+        lambda x: first_with(x, "frames", lambda c: c["frames"][0].update(cameraParameters={"model": "plate"})),
     ),
 }
 PASSED = {
@@ -276,9 +270,7 @@ def _mutated(value, generator):
     """Leave out a part of an object or list, or exchange a value for one of another kind."""
     others = partial(generator.choice, [0, 3, 9])
     if isinstance(value, dict | list) and value and others():
-        key = (
-            generator.choice(list(value)) if isinstance(value, dict) else int(generator.integers(len(value)))
-        )
+        key = generator.choice(list(value)) if isinstance(value, dict) else int(generator.integers(len(value)))
         changed = value.copy()
         if others():
             changed[key] = _mutated(changed[key], generator)
@@ -348,9 +340,7 @@ def found(lines, tmp_path):
         folder.mkdir()
         (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in changed))
         (folder / "calibration.json").write_text(json.dumps({"cameras": [CAMERA]}))
-        return {
-            finding.rule: finding.message for finding in validate(folder, rules=RULES_OF_CONVENTIONS).findings
-        }
+        return {finding.rule: finding.message for finding in validate(folder, rules=RULES_OF_CONVENTIONS).findings}
 
     return run
 
@@ -537,9 +527,7 @@ def rotated_device(line):
 
 SOUND = {
     "another mounting": rotated_device,
-    "a world rotated about z": poses(
-        lambda p, r: (WORLD.apply(p) + np.array([90, -4, 7]), (WORLD * r).as_quat())
-    ),
+    "a world rotated about z": poses(lambda p, r: (WORLD.apply(p) + np.array([90, -4, 7]), (WORLD * r).as_quat())),
     "a gyroscope full of noise": samples("gyroscope", lambda v: v + NOISE.standard_normal(3)),
     "orientations full of noise": poses(
         lambda p, r: (p, (r * Rotation.from_rotvec(0.03 * NOISE.standard_normal(3))).as_quat())

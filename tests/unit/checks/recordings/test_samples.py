@@ -247,9 +247,7 @@ def winding(drive, *, exchanged=False, down=False):
     return drive
 
 
-@pytest.mark.parametrize(
-    ("wrong", "is_reported"), [({}, False), ({"exchanged": True}, True), ({"down": True}, True)]
-)
+@pytest.mark.parametrize(("wrong", "is_reported"), [({}, False), ({"exchanged": True}, True), ({"down": True}, True)])
 def test_a_trajectory_that_rotations_to_the_other_side_is_reported(reported, drive, wrong, is_reported):
     found = reported(winding(drive, **wrong), "fixes-mirrored")
     assert [location for location, _ in found] == (["data.jsonl: gps"] if is_reported else [])

@@ -154,9 +154,7 @@ def test_images_beyond_the_imu_are_reported(reported, drive):
         drive.streams[name] = drive.streams[name][300:]
     [(_, message)] = reported(drive, "frames-far-from-imu")
     assert message.startswith("camera0 at 1.003700 s is 2.996 s from the nearest sample of the gyroscope")
-    assert message.endswith(
-        "found up to 2.996 s in 29 of 120 images"
-    )  # of the first 3 s, but for the last 0.1 s
+    assert message.endswith("found up to 2.996 s in 29 of 120 images")  # of the first 3 s, but for the last 0.1 s
 
 
 def test_images_timestamped_by_the_imu_are_a_hint(reported, drive):

@@ -30,18 +30,14 @@ def test_our_own_interface_passes_all_checks(sound):
     assert all(finding.seen for finding in sound.findings)
 
 
-@pytest.mark.parametrize(
-    ("make", "ids"), [server[1:] for server in SERVERS], ids=[name for name, *_ in SERVERS]
-)
+@pytest.mark.parametrize(("make", "ids"), [server[1:] for server in SERVERS], ids=[name for name, *_ in SERVERS])
 def test_a_broken_server_fails_the_checks_of_its_defect_if_only_these_are_made(make, ids):
     examination = examine(make(HereTransport()), only=ids)
     assert sorted(examination.failed_ids) == sorted(ids)
 
 
 @pytest.mark.few(5)
-@pytest.mark.parametrize(
-    ("make", "ids"), [server[1:] for server in SERVERS], ids=[name for name, *_ in SERVERS]
-)
+@pytest.mark.parametrize(("make", "ids"), [server[1:] for server in SERVERS], ids=[name for name, *_ in SERVERS])
 def test_a_broken_server_fails_exactly_the_checks_of_its_defect(make, ids):
     examination = examine(make(HereTransport()))
     assert sorted(examination.failed_ids) == sorted(ids)
@@ -77,9 +73,7 @@ def test_every_row_of_every_table_has_its_check_and_every_number_is_there_once()
     ids = [check.id for check in CHECKS]
     assert len(set(ids)) == len(ids)
     expected = {f"T1-{k + 1}" for k in range(9)} | {f"T2-{k + 1}" for k in range(7)}
-    expected |= {
-        f"T{n}-{row.number}" for n, table in TABLES.items() for row in table.rows if not row.is_extension
-    }
+    expected |= {f"T{n}-{row.number}" for n, table in TABLES.items() for row in table.rows if not row.is_extension}
     assert expected <= set(ids)
 
 

@@ -74,9 +74,7 @@ def count_slowly(truth, found, label, neighbour, difficulty, least, threshold, *
         if not need_not and not small[best]:
             tp += 1
             right.append(found.scores[best])
-    regions = [
-        (truth.frames[k], truth.corners_xyxy[k]) for k, own in enumerate(truth.labels) if own == "DontCare"
-    ]
+    regions = [(truth.frames[k], truth.corners_xyxy[k]) for k, own in enumerate(truth.labels) if own == "DontCare"]
     fp = 0
     for k in set(usable) - used:
         inside = any(
@@ -133,9 +131,7 @@ def test_counts_of_every_score_are_those_of_the_rules_written_out(seed, difficul
     curve = score_curve(at_difficulty(pairs, DIFFICULTIES[difficulty]))
     assert len(curve.thresholds) == len(set(found.scores.tolist()))
     for k, threshold in enumerate(curve.thresholds):
-        counted = count_slowly(
-            truth, found, "Car", "Van", DIFFICULTIES[difficulty], 0.5, threshold, by_score=False
-        )
+        counted = count_slowly(truth, found, "Car", "Van", DIFFICULTIES[difficulty], 0.5, threshold, by_score=False)
         assert (curve.tp[k], curve.fp[k], curve.fn[k]) == counted[:3]
 
 
@@ -230,16 +226,12 @@ def test_scores_that_are_true_probabilities_have_a_small_error_of_calibration():
     are_true = rng.random(40_000) < probabilities
     reported = judge_calibration(probabilities, are_true)
     assert reported.error < 0.01  # 15 bins of 2700 draws, each off by 0.004 on the average
-    assert reported.brier == pytest.approx(
-        1 / 6, abs=0.005
-    )  # the integral of p (1 - p); 3 deviations are 0.0028
+    assert reported.brier == pytest.approx(1 / 6, abs=0.005)  # the integral of p (1 - p); 3 deviations are 0.0028
     assert sum(part.count for part in reported.bins) == reported.count == 40_000
 
 
 def test_scores_that_state_too_much_have_their_excess_as_error():
-    reported = judge_calibration(
-        np.array([0.9] * 10 + [0.3] * 10), np.array([1] * 6 + [0] * 4 + [1] * 3 + [0] * 7) > 0
-    )
+    reported = judge_calibration(np.array([0.9] * 10 + [0.3] * 10), np.array([1] * 6 + [0] * 4 + [1] * 3 + [0] * 7) > 0)
     assert reported.error == pytest.approx(0.15)  # half of them by 0.3, the others by nothing
     assert reported.largest_error == pytest.approx(0.3)
     filled = [part for part in reported.bins if part.count]

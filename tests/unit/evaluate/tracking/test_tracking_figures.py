@@ -16,9 +16,7 @@ def table(rows, **columns) -> ObjectTable:
     left = np.array(lefts, float)
     corners = np.column_stack([left, np.zeros(len(left)), left + 100, np.full(len(left), 80.0)])
     reported = {name: np.asarray(column, float) for name, column in columns.items()}
-    return ObjectTable(
-        np.array(frames), np.array(ids), labels, reported.pop("corners_xyxy", corners), **reported
-    )
+    return ObjectTable(np.array(frames), np.array(ids), labels, reported.pop("corners_xyxy", corners), **reported)
 
 
 def track(label: str, number: int, left: float, frames=range(10)) -> list:
@@ -178,9 +176,7 @@ def test_nothing_on_a_side_has_defined_figures(empty):
 
 def test_several_sequences_are_weighted_by_their_boxes():
     good, bad = table(track("Car", 0, 0)), table(track("Car", 0, 500, range(2)))
-    reported = evaluate_tracking({"a": good, "b": bad}, {"a": good, "b": good}, classes=("car",))[
-        "car"
-    ].combined
+    reported = evaluate_tracking({"a": good, "b": bad}, {"a": good, "b": good}, classes=("car",))["car"].combined
     assert (reported.clear.tp, reported.clear.fn, reported.clear.fp) == (10, 10, 2)
     assert reported.hota.deta == pytest.approx(10 / 22)
     assert reported.hota.assa == 1.0

@@ -340,9 +340,7 @@ def test_a_lenient_reading_does_without_calibration(log, gone, how):
         assert all((lidar.mount is None) is (MOUNTINGS in gone) for lidar in scene.lidars)
         assert len(scene.cameras) == int(CAMERA_MODELS not in gone)
         codes = {warning.code for warning in scene.warnings}
-        assert codes >= {
-            "mountings-missing" if name == MOUNTINGS else "camera-models-missing" for name in gone
-        }
+        assert codes >= {"mountings-missing" if name == MOUNTINGS else "camera-models-missing" for name in gone}
 
 
 @pytest.mark.parametrize("compression", ["lz4", "zstd"])

@@ -55,17 +55,11 @@ def write_drive(tmp_path):
     (mav / "cam0" / "data").mkdir()
     lines = ["#timestamp [ns],filename"]
     for k in range(3):
-        Image.fromarray(np.full((6, 8), 10 * k, np.uint8)).save(
-            mav / "cam0" / "data" / f"{T0 + k * STEP}.png"
-        )
+        Image.fromarray(np.full((6, 8), 10 * k, np.uint8)).save(mav / "cam0" / "data" / f"{T0 + k * STEP}.png")
         lines.append(f"{T0 + k * STEP},{T0 + k * STEP}.png")
     (mav / "cam0" / "data.csv").write_text("\r\n".join(lines) + "\r\n")
     (mav / "cam0" / "sensor.yaml").write_text(CAMERA)
-    names = [
-        f"{name}_RS_S_{axis} [{unit}]"
-        for name, unit in (("w", "rad s^-1"), ("a", "m s^-2"))
-        for axis in "xyz"
-    ]
+    names = [f"{name}_RS_S_{axis} [{unit}]" for name, unit in (("w", "rad s^-1"), ("a", "m s^-2")) for axis in "xyz"]
     head = ",".join(["#timestamp [ns]", *names])
     rows = [f"{T0 + k * 5_000_000},1.0,2.0,3.0,9.8,{k}.5,-0.25" for k in range(4)]
     (mav / "imu0" / "data.csv").write_text("\n".join([head, *rows, ""]))
@@ -110,9 +104,7 @@ def test_images_have_their_times_camera_model_and_location(drive):
     assert (camera.camera.fx, camera.camera.cy, camera.fps) == (458.654, 248.375, 20.0)
     # T_BS takes the sensor's x axis to the body's y axis
     np.testing.assert_allclose(camera.mount.apply(np.array([1.0, 0.0, 0.0])), [-0.02, 0.94, 0.01])
-    np.testing.assert_allclose(
-        camera.poses.positions, [[-0.02, 1.94, 0.51], [0.98, 1.94, 0.51], [1.98, 1.94, 0.51]]
-    )
+    np.testing.assert_allclose(camera.poses.positions, [[-0.02, 1.94, 0.51], [0.98, 1.94, 0.51], [1.98, 1.94, 0.51]])
 
 
 def test_rates_and_accelerations_are_reported_in_the_axes_of_the_body(drive):
@@ -128,9 +120,7 @@ def test_a_trajectory_that_was_measured_elsewhere_on_the_body_is_brought_to_the_
     folder.mkdir()
     # a quarter rotation to the left; the marker is 1 m ahead of the body
     half = np.sqrt(0.5)
-    (folder / "data.csv").write_text(
-        TRAJECTORY[: TRAJECTORY.index(", v_RS")] + f"\n{T0},5,5,1,{half},0,0,{half}\n"
-    )
+    (folder / "data.csv").write_text(TRAJECTORY[: TRAJECTORY.index(", v_RS")] + f"\n{T0},5,5,1,{half},0,0,{half}\n")
     (folder / "sensor.yaml").write_text("T_BS:\n  data: [1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n")
     trajectory = open_scene(drive).trajectories["vicon0"]
     np.testing.assert_allclose(trajectory.positions, [[5.0, 4.0, 1.0]], atol=1e-12)

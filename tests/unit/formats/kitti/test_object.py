@@ -81,9 +81,7 @@ def test_boxes_stand_where_the_kits_formula_puts_their_corners(frames):
     )
     rectified = (about_y @ np.array([x, y, z])).T + np.array([1.0, 1.7, 12.0])
     camera = rectified @ rotation()
-    lidar = (camera - np.array(CALIBRATIONS[7]["T"].split(), float)) @ np.array(
-        [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
-    )
+    lidar = (camera - np.array(CALIBRATIONS[7]["T"].split(), float)) @ np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(lidar, axis=0), atol=1e-9)
     distances = np.linalg.norm(found[:, None] - lidar[None], axis=2).min(axis=1)
     np.testing.assert_allclose(distances, 0, atol=1e-9)

@@ -358,9 +358,7 @@ def test_a_changed_camera_model_makes_new_calibration_files(raw_folder, tmp_path
 
 
 def test_boxes_of_the_last_sweep_lie_on_the_way(tmp_path):
-    drive = simulate_street(
-        4, frames=18, lidar=LidarSpec(beams=8, steps=450), cameras=()
-    )  # moments jitter by 0.2 ms
+    drive = simulate_street(4, frames=18, lidar=LidarSpec(beams=8, steps=450), cameras=())  # moments jitter by 0.2 ms
     write_scene(drive.scene, tmp_path / "out", format="kitti-raw")
     after = open_scene(tmp_path / "out")
     assert not [warning for warning in after.warnings if warning.code == "boxes-beyond-trajectory"]

@@ -46,9 +46,7 @@ def test_tracks_are_boxes_over_time_with_their_numbers_as_ids(folder):
     assert four.projections[0].sensor_id == "camera2"
     assert {a.name for a in four.attributes} == {"truncated", "occluded", "alpha"}
     # the middle of the box is 12 m before the camera and 0.95 m below it: the ego is 0.27 + 0.8 m behind, 0.3 m aside
-    np.testing.assert_allclose(
-        four.path.values[0, 3:6], [12 + 0.27 + 0.8, -0.3, 0.8 - 0.08 - 0.95], atol=1e-9
-    )
+    np.testing.assert_allclose(four.path.values[0, 3:6], [12 + 0.27 + 0.8, -0.3, 0.8 - 0.08 - 0.95], atol=1e-9)
 
 
 def test_files_are_of_the_frames_that_their_numbers_state(folder):
@@ -60,9 +58,7 @@ def test_files_are_of_the_frames_that_their_numbers_state(folder):
 def test_several_sequences_are_listed_and_one_can_be_chosen(folder):
     (folder / "oxts/0005.txt").write_text(OXTS)
     (folder / "calib/0005.txt").write_text(CALIBRATION)
-    with pytest.raises(
-        OptionError, match=r"has several sequences: 0002, 0005; choose one with `--sequence NAME`"
-    ):
+    with pytest.raises(OptionError, match=r"has several sequences: 0002, 0005; choose one with `--sequence NAME`"):
         open_scene(folder)
     assert drives_of(folder) == ("0002", "0005")
     assert open_scene(folder, sequence="5").source.endswith("/0005")
@@ -221,9 +217,7 @@ def test_detections_without_a_calibration_are_a_tracking_folder_that_lacks_it(tr
 
 def test_a_class_that_one_detector_has_no_folder_for_is_reported(tracking_folder):
     found = sequence(tracking_folder(det2d_a__Pedestrian__0007=None))
-    assert [(warning.code, warning.location) for warning in found.warnings] == [
-        ("one-detector", "0007: Pedestrian")
-    ]
+    assert [(warning.code, warning.location) for warning in found.warnings] == [("one-detector", "0007: Pedestrian")]
 
 
 def test_frames_beyond_the_trajectory_are_reported(tracking_folder):
@@ -235,9 +229,7 @@ def test_frames_beyond_the_trajectory_are_reported(tracking_folder):
 
 def test_several_detectors_are_a_question_to_the_user(tracking_folder):
     folder = tracking_folder(det2d_other__Car__0007="0,1,1,2,2,0.5\n")
-    with pytest.raises(
-        OptionError, match=r"several detectors: det2d_a, det2d_other; choose one with `--det2d NAME`"
-    ):
+    with pytest.raises(OptionError, match=r"several detectors: det2d_a, det2d_other; choose one with `--det2d NAME`"):
         open_tracking_folder(folder)
     chosen = open_tracking_folder(folder, detector_2d="other").sequence("0007")
     assert chosen.boxes_2d(0).corners_xyxy.tolist() == [[1.5, 1.5, 2.5, 2.5]]
@@ -285,9 +277,7 @@ GOOD_3D = "2,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2"
         ("calib__0007", "P0: 1 0 0 0 0 1 0 0 0 0 1 0\n", "no Tr_velo_cam or Tr_velo_to_cam; it has P0"),
     ],
 )
-def test_a_faulty_line_is_reported_with_its_location_and_what_was_expected(
-    tracking_folder, file, text, reported
-):
+def test_a_faulty_line_is_reported_with_its_location_and_what_was_expected(tracking_folder, file, text, reported):
     folder = tracking_folder(**{file: text})
     with pytest.raises(DataError, match=reported) as caught:
         sequence(folder)
@@ -355,9 +345,7 @@ def test_images_report_their_size_else_the_focal_length_else_the_camera_model(tr
     assert [warning.code for warning in sequence(other).warnings] == ["image-size"]
     (other / "image_02" / "0007").mkdir(parents=True)
     head = b"\x89PNG\r\n\x1a\n" + (13).to_bytes(4, "big") + b"IHDR"
-    (other / "image_02/0007/000000.png").write_bytes(
-        head + (640).to_bytes(4, "big") + (480).to_bytes(4, "big")
-    )
+    (other / "image_02/0007/000000.png").write_bytes(head + (640).to_bytes(4, "big") + (480).to_bytes(4, "big"))
     assert size(other) == (640, 480)
 
 

@@ -34,8 +34,7 @@ POINTS = np.array([[12.0, 1.5, -0.6], [20.0, -3.0, 0.4]])
 def street(*camera_models):
     """A drive whose sweeps and images are made once."""
     cameras = [
-        CameraSpec(camera_model, camera_mount(pitch_deg=1.0 + k))
-        for k, camera_model in enumerate(camera_models)
+        CameraSpec(camera_model, camera_mount(pitch_deg=1.0 + k)) for k, camera_model in enumerate(camera_models)
     ]
     scene = simulate_street(
         3, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=cameras, imu=ImuSpec(rate_hz=50.0), gnss=GnssSpec()
@@ -46,9 +45,7 @@ def street(*camera_models):
     for camera in scene.cameras:
         images = [image.loaded() for image in camera.images]
         made[camera.id] = {"images": LazyFrames.of(images, camera.images.timestamps_ns)}
-    return replace(
-        scene, sensors=tuple(replace(sensor, **made.get(sensor.id, {})) for sensor in scene.sensors)
-    )
+    return replace(scene, sensors=tuple(replace(sensor, **made.get(sensor.id, {})) for sensor in scene.sensors))
 
 
 @pytest.fixture(scope="module")
@@ -137,9 +134,7 @@ def test_a_distorted_camera_model_stays_in_an_extract_and_is_resampled_for_a_syn
     losses = write_scene(scene, tmp_path / "flat", format="kitti-raw", kind="sync")
     flat = open_scene(tmp_path / "flat")
     assert flat.cameras[0].camera.model == "pinhole"
-    assert "sensors.camera.images.rgb" in {
-        loss.field for loss in losses if loss.support == Support.APPROXIMATED
-    }
+    assert "sensors.camera.images.rgb" in {loss.field for loss in losses if loss.support == Support.APPROXIMATED}
     assert (tmp_path / "flat/1970_01_01/1970_01_01_drive_0001_sync").is_dir()
 
 
@@ -176,9 +171,7 @@ def test_labelled_points_get_semantic_kittis_numbers(drive, tmp_path):
         drive.sensors,
         annotations=(
             LabeledPointsAnnotation("a", parts, label="Road", is_instance=False),
-            LabeledPointsAnnotation(
-                "b", (LabeledPoints("lidar", ids[3:], 1),), label="car", is_instance=True
-            ),
+            LabeledPointsAnnotation("b", (LabeledPoints("lidar", ids[3:], 1),), label="car", is_instance=True),
             LabeledPointsAnnotation("c", (LabeledPoints("lidar", ids[:2], 0),), label="spaceship"),
         ),
         trajectories=drive.trajectories,
@@ -202,18 +195,14 @@ def test_a_scene_without_a_trajectory_or_lidar_is_written_as_far_as_it_goes(driv
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_scene_with_nothing_in_it_is_refused(name, tmp_path):
-    with pytest.raises(
-        DataError, match=r"holds (nothing that a folder of KITTI's could hold|neither sweeps nor)"
-    ):
+    with pytest.raises(DataError, match=r"holds (nothing that a folder of KITTI's could hold|neither sweeps nor)"):
         write_scene(Scene(()), tmp_path / "out", format=name)
     assert not (tmp_path / "out").exists()
 
 
 def test_times_before_1970_come_back(drive, tmp_path):
     times = [-1_500_000_001, -1, 7]
-    shots = [
-        replace(shot, timestamp_ns=time) for shot, time in zip(drive.cameras[0].images, times, strict=True)
-    ]
+    shots = [replace(shot, timestamp_ns=time) for shot, time in zip(drive.cameras[0].images, times, strict=True)]
     early = replace(drive.cameras[0], images=LazyFrames.of(shots, times), poses=None)
     write_scene(Scene((early,)), tmp_path / "out", format="kitti-raw", kind="extract")
     assert open_scene(tmp_path / "out").cameras[0].images.timestamps_ns.tolist() == times
@@ -267,9 +256,7 @@ def test_points_without_a_location_are_left_out_of_files_of_bare_numbers(drive, 
     losses = write_scene(scene, tmp_path / "out", format=name)
     assert any("not finite" in loss.what and loss.count == len(locations[::4]) for loss in losses)
     with open_scene(tmp_path / "out") as back:
-        np.testing.assert_array_equal(
-            back.lidars[0].frames[0].points.positions, locations[~np.isnan(locations[:, 0])]
-        )
+        np.testing.assert_array_equal(back.lidars[0].frames[0].points.positions, locations[~np.isnan(locations[:, 0])])
         if name == "kitti-odometry":
             (reported,) = (labeled for found in back.annotations for labeled in found.labeled_points)
             np.testing.assert_array_equal(np.asarray(reported.point_ids), np.arange(6))

@@ -37,9 +37,7 @@ def written(compression):
     channels = [writer.add_channel(f"/{name}", "protobuf", schema, {"reported": name}) for name in "ab"]
     for topic, time_ns, content in MESSAGES:
         half = len(content) // 2
-        writer.add_message(
-            channels[topic], time_ns, [content[:half], memoryview(content)[half:]], time_ns + 1
-        )
+        writer.add_message(channels[topic], time_ns, [content[:half], memoryview(content)[half:]], time_ns + 1)
     writer.add_metadata("notes", {"é": "ü"})
     writer.finish()
     return stream.getvalue()
@@ -86,9 +84,7 @@ EXPECTED = {
 def test_the_reference_library_reads_what_we_write(compression):
     reader = make_reader(io.BytesIO(written(compression)), validate_crcs=True)
     assert (reader.get_header().profile, reader.get_header().library) == ("test", "ours")
-    found = [
-        (channel.topic, m.log_time, m.data) for _, channel, m in reader.iter_messages(log_time_order=True)
-    ]
+    found = [(channel.topic, m.log_time, m.data) for _, channel, m in reader.iter_messages(log_time_order=True)]
     assert found == [(f"/{'ab'[topic]}", time_ns, content) for topic, time_ns, content in MESSAGES]
     statistics = reader.get_summary().statistics
     assert (statistics.message_count, statistics.schema_count, statistics.channel_count) == (12, 1, 2)
@@ -101,9 +97,7 @@ def test_the_reference_library_reads_what_we_write(compression):
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_large_messages_stand_apart_where_chunks_are_compressed_and_each_chunk_says_its_channels(
-    compression, tmp_path
-):
+def test_large_messages_stand_apart_where_chunks_are_compressed_and_each_chunk_says_its_channels(compression, tmp_path):
     stream = io.BytesIO()
     writer = McapWriter(stream, library="ours", compression=compression, chunk_bytes=50_000, large_apart=True)
     schema = writer.add_schema("a.Type", "protobuf", b"schema")
@@ -228,9 +222,7 @@ for target, extra in (("a.mcap", "mcap"), ("a.bag", "ros"), ("a.ros2", "ros")):
 
 
 def test_without_the_extras_a_person_is_reported_which_to_install(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 

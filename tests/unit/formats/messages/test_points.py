@@ -66,13 +66,9 @@ def test_a_sweep_whose_time_was_moved_is_packed_anew(log):
 
 
 def test_a_sweep_without_points_is_written_with_all_its_fields(tmp_path):
-    empty = LidarPoints(
-        np.zeros((0, 3), np.float32), intensities=np.zeros(0, np.uint8), rings=np.zeros(0, np.uint16)
-    )
+    empty = LidarPoints(np.zeros((0, 3), np.float32), intensities=np.zeros(0, np.uint8), rings=np.zeros(0, np.uint16))
     frames = [LidarFrame(int(TIMESTAMPS[0]), empty), LidarFrame(int(TIMESTAMPS[1]), points(1))]
-    write_scene(
-        Scene((LidarSensor("top", LazyFrames.of(frames, TIMESTAMPS.tolist())),)), tmp_path / "log.mcap"
-    )
+    write_scene(Scene((LidarSensor("top", LazyFrames.of(frames, TIMESTAMPS.tolist())),)), tmp_path / "log.mcap")
     with open_scene(tmp_path / "log.mcap") as scene:
         first, second = (frame.points for frame in scene.lidars[0].frames)
         assert (len(first), first.rings.shape, first.intensities.shape) == (0, (0,), (0,))
@@ -85,11 +81,7 @@ def test_logs_that_state_times_in_their_older_column_are_read(tmp_path, monkeypa
 
     monkeypatch.setattr(messages_points, "_offsets", old)
     scene = Scene(
-        (
-            LidarSensor(
-                "top", LazyFrames.of([LidarFrame(int(TIMESTAMPS[0]), points(0))], [int(TIMESTAMPS[0])])
-            ),
-        )
+        (LidarSensor("top", LazyFrames.of([LidarFrame(int(TIMESTAMPS[0]), points(0))], [int(TIMESTAMPS[0])])),)
     )
     write_scene(scene, tmp_path / "old.mcap")
     monkeypatch.undo()

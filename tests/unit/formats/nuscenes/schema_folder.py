@@ -163,9 +163,7 @@ def _scene(tables: Tables, name: str, first_us: int, samples: int) -> None:
     _car(tables, name, tokens)
 
 
-def _frames(
-    tables: Tables, name: str, channel: str, modality: str, first_us: int, samples: list[str]
-) -> None:
+def _frames(tables: Tables, name: str, channel: str, modality: str, first_us: int, samples: list[str]) -> None:
     count = 2 * len(samples) - 1
     tokens = [f"{name}-{channel}-{k}" for k in range(count)]
     lag = {"lidar": 0, "radar": -20_003, "camera": 12_341}[modality]
@@ -198,11 +196,7 @@ def content_of(modality: str, k: int) -> bytes:
         return lidar_rows(40 + k, k).tobytes()
     if modality == "radar":
         rows = radar_rows(5 + k, k)
-        return (
-            RADAR_HEAD.format(fields=" ".join(rows.dtype.names), count=len(rows)).encode()
-            + rows.tobytes()
-            + b"\n"
-        )
+        return RADAR_HEAD.format(fields=" ".join(rows.dtype.names), count=len(rows)).encode() + rows.tobytes() + b"\n"
     from io import BytesIO
 
     file = BytesIO()
@@ -270,9 +264,7 @@ def from_infos(infos: Path, root: Path) -> Tables:
     )
     tables.add("sample", frame["token"], timestamp=timestamp_us, scene_token="scene", prev="", next="")
     lidar = frame["lidar_points"]["lidar_path"]
-    _real_file(
-        tables, infos / lidar, "LIDAR_TOP", "lidar", timestamp_us, world_from_ego, ego_from_lidar, [], frame
-    )
+    _real_file(tables, infos / lidar, "LIDAR_TOP", "lidar", timestamp_us, world_from_ego, ego_from_lidar, [], frame)
     for channel, image in frame["images"].items():
         ego_from_camera = np.array(image["cam2ego"])
         camera_from_lidar = np.array(image["lidar2cam"])
@@ -288,9 +280,7 @@ def from_infos(infos: Path, root: Path) -> Tables:
     for k, box in enumerate(frame["instances"]):
         x, y, z, length, width, height, yaw = box["bbox_3d"]
         heading = Rotation.from_matrix(world_from_lidar[:3, :3]) * Rotation.from_euler("z", yaw)
-        tables.add(
-            "instance", f"i{k}", category_token=names.get(box["bbox_label_3d"], "other"), nbr_annotations=1
-        )
+        tables.add("instance", f"i{k}", category_token=names.get(box["bbox_label_3d"], "other"), nbr_annotations=1)
         tables.add(
             "sample_annotation",
             f"a{k}",
@@ -305,9 +295,7 @@ def from_infos(infos: Path, root: Path) -> Tables:
     return tables
 
 
-def _real_file(
-    tables, path, channel, modality, timestamp_us, world_from_ego, ego_from_sensor, matrix, frame
-) -> None:
+def _real_file(tables, path, channel, modality, timestamp_us, world_from_ego, ego_from_sensor, matrix, frame) -> None:
     tables.add("sensor", f"s-{channel}", channel=channel, modality=modality)
     tables.add(
         "calibrated_sensor",

@@ -131,9 +131,7 @@ def test_frames_go_to_other_processes(scene):
 
 def test_one_of_several_scenes_has_to_be_chosen(tmp_path):
     root = street(tmp_path, scenes=("scene-0001", "scene-0002")).write()
-    with pytest.raises(
-        OptionError, match="2 scenes; choose one with `--sequence NAME`: scene-0001, scene-0002"
-    ):
+    with pytest.raises(OptionError, match="2 scenes; choose one with `--sequence NAME`: scene-0001, scene-0002"):
         sceneloom.open(root)
     assert drives_of(root) == ("scene-0001", "scene-0002")
     with pytest.raises(OptionError, match="no scene 'scene-0003'; it has scene-0001, scene-0002"):
@@ -274,9 +272,7 @@ def test_labels_of_another_number_than_the_points_are_reported(tmp_path):
     tables = street(tmp_path)
     name = tables.file("lidarseg/short.bin", bytes(12))
     tables.add("lidarseg", "l", sample_data_token="scene-0001-LIDAR_TOP-0", filename=name)
-    with pytest.raises(
-        DataError, match="12 labels; expected 40, one for each point of scene-0001-LIDAR_TOP-0"
-    ):
+    with pytest.raises(DataError, match="12 labels; expected 40, one for each point of scene-0001-LIDAR_TOP-0"):
         sceneloom.open(tables.write())
 
 

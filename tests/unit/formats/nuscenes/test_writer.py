@@ -122,9 +122,7 @@ def test_writing_is_the_same_again(tmp_path):
     for name in ("b", "c"):
         (tmp_path / name).mkdir()
         sceneloom.write(scene, tmp_path / name / "drive", format="nuscenes")
-    files = [
-        sorted(p.relative_to(tmp_path / n) for p in (tmp_path / n).rglob("*") if p.is_file()) for n in "bc"
-    ]
+    files = [sorted(p.relative_to(tmp_path / n) for p in (tmp_path / n).rglob("*") if p.is_file()) for n in "bc"]
     assert files[0] == files[1]
     assert all((tmp_path / "b" / f).read_bytes() == (tmp_path / "c" / f).read_bytes() for f in files[0])
 

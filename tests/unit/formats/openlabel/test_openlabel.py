@@ -129,9 +129,7 @@ def annotations_of_every_kind():
         "road", (LabeledPoints("top", ids, 1), LabeledPoints("top", ids[:1])), "Road", is_instance=False
     )
     yield ObjectAnnotation("thing", "Thing", parent_id="all", extras={"note": {"a": [1, None]}})
-    yield ObjectAnnotation(
-        "stated", type="attributes", attributes=(AttributePath("odd", (1, "x", None), TIMES),)
-    )
+    yield ObjectAnnotation("stated", type="attributes", attributes=(AttributePath("odd", (1, "x", None), TIMES),))
     yield GroupAnnotation("all", "Group")
     yield LinkAnnotation("tie", "brakes", 3, "causes", is_bidirectional=False)
 
@@ -234,9 +232,7 @@ def test_what_concerns_one_thing_is_one_object_with_data_of_several_types(thing)
     assert [one["name"] for one in written["objects"].values()] == ["thing", "trailer"]
     uid = next(iter(written["objects"]))
     data = written["frames"]["0"]["objects"][uid]["object_data"]
-    systems = {
-        (kind, one["coordinate_system"]) for kind in ("cuboid", "bbox", "poly2d") for one in data[kind]
-    }
+    systems = {(kind, one["coordinate_system"]) for kind in ("cuboid", "bbox", "poly2d") for one in data[kind]}
     assert systems == {("cuboid", "world"), ("bbox", "front"), ("bbox", "7"), ("poly2d", "front")}
     names = [one["name"] for elements in data.values() for one in elements]
     assert len(set(names)) == len(names)
@@ -402,14 +398,10 @@ def test_boxes_in_a_sensor_are_brought_to_the_root_of_its_coordinate_systems(tmp
         "transform_src_to_dst": {"euler_angles": [0, 0, 0], "translation": [100, 0, 0]},
     }
     frames = {
-        "0": frame(
-            "10.5", cuboid(5, 0, 0, 0, 0, 0, 1, 4, 2, 1, coordinate_system="lidar"), transforms={"t": step}
-        )
+        "0": frame("10.5", cuboid(5, 0, 0, 0, 0, 0, 1, 4, 2, 1, coordinate_system="lidar"), transforms={"t": step})
     }
     found = read(tmp_path, document(coordinate_systems=systems, objects=OBJECT, frames=frames))
-    np.testing.assert_allclose(
-        found.annotations[0].path.values, [[4, 2, 1, 101, 5, 2, 0, 0, 90]], rtol=0, atol=1e-12
-    )
+    np.testing.assert_allclose(found.annotations[0].path.values, [[4, 2, 1, 101, 5, 2, 0, 0, 90]], rtol=0, atol=1e-12)
     assert found.annotations[0].path.timestamps_ns.tolist() == [10_500_000_000]
     backwards = {
         "src": "map",
@@ -434,9 +426,7 @@ def test_boxes_in_a_sensor_are_brought_to_the_root_of_its_coordinate_systems(tmp
     ],
 )
 def test_times_are_read_in_the_unit_that_makes_them_times(tmp_path, timestamp, time_ns):
-    found = read(
-        tmp_path, document(objects=OBJECT, frames={"3": frame(timestamp, cuboid(0, 0, 0, *QUARTER, 1, 1, 1))})
-    )
+    found = read(tmp_path, document(objects=OBJECT, frames={"3": frame(timestamp, cuboid(0, 0, 0, *QUARTER, 1, 1, 1))}))
     assert found.annotations[0].path.timestamps_ns.tolist() == [time_ns]
     assert ("frame-times-assumed" in {warning.code for warning in found.warnings}) is (timestamp is None)
 
@@ -449,9 +439,7 @@ def test_rotated_boxes_are_polygons_and_go_back_as_rotated_boxes(tmp_path):
     np.testing.assert_allclose(np.ptp(corners, axis=0), [20, 40])
     np.testing.assert_allclose(corners.mean(axis=0), [100, 50])
     write_scene(found, tmp_path / "again.json")
-    data = json.loads((tmp_path / "again.json").read_text())["openlabel"]["frames"]["0"]["objects"]["1"][
-        "object_data"
-    ]
+    data = json.loads((tmp_path / "again.json").read_text())["openlabel"]["frames"]["0"]["objects"]["1"]["object_data"]
     assert data["rbbox"][0]["val"] == [100, 50, 40, 20, np.pi / 2]
 
 
@@ -467,9 +455,7 @@ def test_relative_polygons_are_summed_up_and_chain_codes_left_out(tmp_path):
 def test_matrices_and_whole_objects_are_attributes_and_come_back(tmp_path):
     matrix = {"name": "m", "val": [1, 2], "width": 2, "height": 1, "channels": 1, "data_type": "float"}
     static = {"text": [{"name": "plate", "val": "HB"}], "mat": [matrix]}
-    objects = {
-        "1": {"name": "one", "type": "Car", "object_data": {**static, **cuboid(1, 2, 3, 0, 0, 0, 1, 1, 1, 1)}}
-    }
+    objects = {"1": {"name": "one", "type": "Car", "object_data": {**static, **cuboid(1, 2, 3, 0, 0, 0, 1, 1, 1, 1)}}}
     kept = {"ontologies": {"0": "https://example.org"}, "tags": {"0": {"type": "x", "ontology_uid": "0"}}}
     found = read(tmp_path, document(objects=objects, **kept))
     (box,) = found.annotations

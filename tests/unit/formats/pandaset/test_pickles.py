@@ -56,9 +56,7 @@ def written(path, thing, **options):
 def test_what_a_pickle_asks_to_be_called_is_not_called(tmp_path, protocol):
     mark = tmp_path / "called"
     path = written(tmp_path / "a.pkl", [Calls(Path.touch, mark)], protocol=protocol)
-    with pytest.raises(
-        DataError, match=r"asks for .*, which no frame of numbers and texts needs; it was not"
-    ):
+    with pytest.raises(DataError, match=r"asks for .*, which no frame of numbers and texts needs; it was not"):
         read_pickled_frame(path)
     assert not mark.exists()
 
@@ -74,9 +72,7 @@ def test_what_a_pickle_asks_to_be_called_is_not_called(tmp_path, protocol):
     ],
 )
 def test_names_beside_those_of_frames_are_refused(tmp_path, module, name):
-    program = b"\x80\x04" + b"".join(
-        b"\x8c" + bytes([len(word)]) + word for word in (module.encode(), name.encode())
-    )
+    program = b"\x80\x04" + b"".join(b"\x8c" + bytes([len(word)]) + word for word in (module.encode(), name.encode()))
     with pytest.raises(DataError, match=f"asks for {module}.{name}"):
         read_pickled_frame(written(tmp_path / "a.pkl", program + b"\x93."))
 

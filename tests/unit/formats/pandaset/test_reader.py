@@ -104,10 +104,7 @@ def test_the_main_lidar_is_where_its_poses_state_and_the_ego_looks_along_its_y(s
         assert (Rotation.from_quat(lidar.poses.quaternions_xyzw[k]).inv() * rotation).magnitude() < NEAR
         ego = Rotation.from_quat(trajectory.quaternions_xyzw[k])
         assert np.allclose(ego.apply([1, 0, 0]), rotation.apply([0, 1, 0]))
-        mounted = (
-            RigidTransform.from_quaternion(trajectory.positions[k], trajectory.quaternions_xyzw[k])
-            @ lidar.mount
-        )
+        mounted = RigidTransform.from_quaternion(trajectory.positions[k], trajectory.quaternions_xyzw[k]) @ lidar.mount
         own = RigidTransform.from_quaternion(lidar.poses.positions[k], lidar.poses.quaternions_xyzw[k])
         assert np.allclose(mounted.matrix, own.matrix, atol=NEAR)
 
@@ -139,9 +136,7 @@ def test_boxes_keep_their_corners_and_what_is_stated_about_them(tmp_path, versio
         ours = rotation.apply(half) + row[3:6]
         assert np.allclose(sorted(ours.tolist()), sorted(expected.tolist()), atol=1e-9)
         # the front is where the length points
-        assert np.allclose(
-            rotation.apply([1, 0, 0]), Rotation.from_euler("z", yaw).apply([0, 1, 0]), atol=1e-9
-        )
+        assert np.allclose(rotation.apply([1, 0, 0]), Rotation.from_euler("z", yaw).apply([0, 1, 0]), atol=1e-9)
     stated = {path.name: path.values for path in first.attributes}
     assert stated == {"object_motion": ("Moving",), "sibling_id": ("car-1",), "sensor_id": ("main_pandar64",)}
     assert {path.name: path.values for path in second.attributes}["camera_used"] == (0, 2)
@@ -186,9 +181,7 @@ def test_frames_go_to_other_processes(scene):
 def test_a_drive_survives_a_scene_file(scene, tmp_path):
     sceneloom.write(scene, tmp_path / "a.sfs", time_unit="nanoseconds")
     with sceneloom.open(tmp_path / "a.sfs") as again:
-        assert np.array_equal(
-            again.lidars[1].frames[0].points.positions, scene.lidars[1].frames[0].points.positions
-        )
+        assert np.array_equal(again.lidars[1].frames[0].points.positions, scene.lidars[1].frames[0].points.positions)
         assert np.allclose(again.annotations[0].path.values, scene.annotations[0].path.values)
         assert again.annotations[-1].labeled_points[1].point_ids.tolist() == [0, 3]
 
@@ -256,9 +249,7 @@ FAULTS = {
         "no column 'dimensions.x'; it has x, y, z, i, t, d",
     ),
     "boxes cut off": (
-        lambda d: (d / "annotations/cuboids/00.pkl.gz").write_bytes(
-            (FRAMES / "cuboids_0.pkl.gz").read_bytes()[:200]
-        ),
+        lambda d: (d / "annotations/cuboids/00.pkl.gz").write_bytes((FRAMES / "cuboids_0.pkl.gz").read_bytes()[:200]),
         "cuboids/00.pkl.gz: is no whole gzip file",
     ),
     "no classes": (

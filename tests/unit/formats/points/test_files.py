@@ -95,9 +95,7 @@ def test_other_endings_are_refused_with_the_known_ones(tmp_path):
 
 
 def test_a_column_that_is_too_short_is_refused_and_not_left_out(tmp_path):
-    np.savez(
-        tmp_path / "a.npz", points=np.ones((5, 3), "f4"), intensity=np.ones(4, "f4"), time=np.array([1.0])
-    )
+    np.savez(tmp_path / "a.npz", points=np.ones((5, 3), "f4"), intensity=np.ones(4, "f4"), time=np.array([1.0]))
     with pytest.raises(DataError, match=r"a\.npz: intensity: 4 numbers for 5 points; expected one per point"):
         read_cloud(tmp_path / "a.npz")
 

@@ -80,9 +80,7 @@ def test_brightness_beyond_all_scales_is_not_guessed():
 
 
 def test_absolute_times_lose_no_nanosecond():
-    timestamps = np.array(
-        [CLOCK.timestamp_ns, CLOCK.timestamp_ns + 1, CLOCK.timestamp_ns + 99_999_999], np.uint64
-    )
+    timestamps = np.array([CLOCK.timestamp_ns, CLOCK.timestamp_ns + 1, CLOCK.timestamp_ns + 99_999_999], np.uint64)
     times = PointTimes("nanoseconds", "clock", "t")
     points = read({**XYZ, "t": timestamps}, PointMapping(times=times)).points
     assert points.timestamps_ns.tolist() == [int(timestamp) + 7 for timestamp in timestamps]
@@ -96,9 +94,7 @@ def test_absolute_times_lose_no_nanosecond():
         ("milliseconds", np.array([0.0, 0.25, 100.0], np.float32), [0, 250_000, 100_000_000]),
     ],
 )
-@pytest.mark.parametrize(
-    ("relative_to", "base_ns"), [("timestamp", CLOCK.timestamp_ns), ("start", CLOCK.start_ns)]
-)
+@pytest.mark.parametrize(("relative_to", "base_ns"), [("timestamp", CLOCK.timestamp_ns), ("start", CLOCK.start_ns)])
 def test_relative_times_count_from_what_they_are_relative_to(unit, values, offsets_ns, relative_to, base_ns):
     mapping = PointMapping(times=PointTimes(unit, relative_to, "t"))
     points = read({**XYZ, "t": values}, mapping).points
@@ -107,9 +103,7 @@ def test_relative_times_count_from_what_they_are_relative_to(unit, values, offse
 
 def test_times_of_the_wrong_unit_are_refused_and_the_right_one_is_named():
     mapping = PointMapping(times=PointTimes("seconds", "timestamp", "t"))
-    with pytest.raises(
-        DataError, match=r't\[1\]: 50000000 seconds .*unit = "nanoseconds", relative_to = "timestamp"'
-    ):
+    with pytest.raises(DataError, match=r't\[1\]: 50000000 seconds .*unit = "nanoseconds", relative_to = "timestamp"'):
         read({**XYZ, "t": np.array([0, 50_000_000, 100_000_000], np.uint32)}, mapping)
 
 

@@ -39,9 +39,7 @@ class RecordingFolder:
             stream.width, stream.height, stream.pix_fmt = width, height, "bgr0"
             for k in range(count):
                 pixels = np.full((height, width, 3), 10 * k, np.uint8)
-                container.mux(
-                    stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24").reformat(format="bgr0"))
-                )
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24").reformat(format="bgr0")))
             container.mux(stream.encode())
         return self
 
@@ -70,9 +68,7 @@ class RecordingFolder:
             Image.fromarray(image).save(self.path / name / f"{k:08d}.png")
         return self
 
-    def points(
-        self, name: str, points: Iterable[tuple[float, ...]], *, extra: bytes = b""
-    ) -> "RecordingFolder":
+    def points(self, name: str, points: Iterable[tuple[float, ...]], *, extra: bytes = b"") -> "RecordingFolder":
         """Write a lidar file of (x, y, z, intensity, ring, timestamp) records."""
         file = self.path / name
         file.parent.mkdir(exist_ok=True)

@@ -56,12 +56,8 @@ def test_the_example_of_the_formats_owner_is_read(recording):
             np.testing.assert_allclose(camera.mount.inverse().matrix, stated["imuToCamera"], atol=5e-4)
 
 
-@pytest.mark.parametrize(
-    ("model", "count"), [(name, n) for name, row in CAMERA_MODEL_READINGS.items() for n in row]
-)
-def test_a_camera_model_of_any_model_is_the_same_from_a_line_as_from_the_calibration(
-    recording, pinhole, model, count
-):
+@pytest.mark.parametrize(("model", "count"), [(name, n) for name, row in CAMERA_MODEL_READINGS.items() for n in row])
+def test_a_camera_model_of_any_model_is_the_same_from_a_line_as_from_the_calibration(recording, pinhole, model, count):
     coefficients = [1e-3 * (k + 1) for k in range(count)]
     numbers = {key: value for key, value in pinhole.items() if key.startswith(("focal", "principal"))}
     own = {
@@ -69,9 +65,7 @@ def test_a_camera_model_of_any_model_is_the_same_from_a_line_as_from_the_calibra
         "distortionModel": model.upper().replace("-", "_"),
         "distortionCoefficients": coefficients,
     }
-    lines = [
-        {"frames": [{"cameraInd": 0, "cameraParameters": own}, {"cameraInd": 1}], "number": 0, "time": 0.0}
-    ]
+    lines = [{"frames": [{"cameraInd": 0, "cameraParameters": own}, {"cameraInd": 1}], "number": 0, "time": 0.0}]
     calibrated = {**pinhole, "model": model, "distortionCoefficients": coefficients}
     recording.lines(lines).calibration([pinhole, calibrated]).video("data.mkv", 1).video("data2.mkv", 1)
     with FORMAT.open(recording.path) as scene:

@@ -6,12 +6,8 @@ import pytest
 from sceneloom.errors import DataError
 from sceneloom.formats.recording.spec import FORMAT
 
-CAMERA_FROM_IMU = np.array(
-    [[0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, 0.2], [1.0, 0.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]]
-)
-SECOND_FROM_IMU = np.array(
-    [[0.0, -1.0, 0.0, -0.1], [0.0, 0.0, -1.0, 0.2], [1.0, 0.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]]
-)
+CAMERA_FROM_IMU = np.array([[0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, 0.2], [1.0, 0.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
+SECOND_FROM_IMU = np.array([[0.0, -1.0, 0.0, -0.1], [0.0, 0.0, -1.0, 0.2], [1.0, 0.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
 FISHEYE = [-0.005, 0.04, -0.037, 0.006]
 
 
@@ -108,9 +104,7 @@ def test_parameters_count_before_lines_and_a_calibration_before_both(recording, 
 
 def test_a_camera_of_no_model_is_taken_for_a_pinhole(recording):
     recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 0.0}]).video("data.mkv", 1)
-    text = parameters(
-        "focalLength 20; principalPointX 15; principalPointY 7; imuToCameraMatrix 1,0,0,0,-1,0,0,0,-1"
-    )
+    text = parameters("focalLength 20; principalPointX 15; principalPointY 7; imuToCameraMatrix 1,0,0,0,-1,0,0,0,-1")
     (recording.path / "parameters.txt").write_text(text)
     with FORMAT.open(recording.path) as scene:
         camera = scene.cameras[0]

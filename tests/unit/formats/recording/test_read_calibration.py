@@ -74,9 +74,7 @@ def test_perspective_camera_models_project_as_opencv_does(recording, model, coef
 def test_fisheye_camera_models_project_as_opencv_does(recording, model, coefficients):
     camera = open_with(recording, entry(model, list(coefficients))).cameras[0].camera
     theirs = np.array(coefficients or (0.0,) * 4)
-    expected, _ = cv2.fisheye.projectPoints(
-        POINTS_CAMERA[:, None], np.zeros(3), np.zeros(3), CAMERA_MATRIX, theirs
-    )
+    expected, _ = cv2.fisheye.projectPoints(POINTS_CAMERA[:, None], np.zeros(3), np.zeros(3), CAMERA_MATRIX, theirs)
     pixels, visible = project(camera, POINTS_CAMERA)
     assert visible.sum() > 40
     # both compute in float64, so only rounding is between them
@@ -149,9 +147,7 @@ def test_rotations_that_are_slightly_off_are_normalised(recording, scale, notice
     assert mount is not None
     np.testing.assert_allclose(mount.rotation, ROTATED[:3, :3].T, atol=1e-6)
     assert [warning.code for warning in scene.warnings] == (["rotation-normalised"] if noticed else [])
-    assert all(
-        warning.location.endswith("calibration.json: cameras[0].imuToCamera") for warning in scene.warnings
-    )
+    assert all(warning.location.endswith("calibration.json: cameras[0].imuToCamera") for warning in scene.warnings)
 
 
 @pytest.mark.parametrize(
@@ -199,9 +195,7 @@ def test_unusable_cameras_are_named_with_file_and_path(recording, change, words)
 def test_a_lenient_reading_leaves_unusable_cameras_out(recording):
     scene = open_with(recording, entry("omnidir9", []), entry("pinhole", []), lenient=True)
     assert [camera.id for camera in scene.cameras] == ["camera1"]
-    assert [(warning.code, warning.kind) for warning in scene.warnings] == [
-        ("unusable-cameras", WarningKind.SKIPPED)
-    ]
+    assert [(warning.code, warning.kind) for warning in scene.warnings] == [("unusable-cameras", WarningKind.SKIPPED)]
 
 
 def test_a_calibration_for_another_image_size_is_scaled_with_a_warning(recording, pinhole):
@@ -360,8 +354,7 @@ def test_rotations_without_translation_are_read_by_rows_or_nine_numbers_by_colum
     rows = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     flat = np.array(rows).T.ravel().tolist()
     mounts = [
-        open_with(recording, entry("pinhole", [], imuToCamera=numbers)).cameras[0].mount
-        for numbers in (rows, flat)
+        open_with(recording, entry("pinhole", [], imuToCamera=numbers)).cameras[0].mount for numbers in (rows, flat)
     ]
     for mount in mounts:
         np.testing.assert_allclose(mount.matrix[:3, :3], np.array(rows).T, atol=1e-15)

@@ -96,9 +96,7 @@ def test_images_of_16_bits_are_depths_too(recording, pinhole, images):
 
 
 def test_every_line_may_have_a_scale_of_its_own(recording, pinhole, images):
-    two_cameras(recording, pinhole, lambda k: {"depthScale": 0.001 * (k + 1)}).depth_video(
-        "data2.mkv", images
-    )
+    two_cameras(recording, pinhole, lambda k: {"depthScale": 0.001 * (k + 1)}).depth_video("data2.mkv", images)
     with FORMAT.open(recording.path) as scene:
         for k, frame in enumerate(scene.sensor("camera1").frames):
             np.testing.assert_allclose(frame.depth, images[k] * (0.001 * (k + 1)), rtol=1e-6)  # float32
@@ -221,9 +219,7 @@ def test_differences_of_depths_are_reported(depth_recording, pinhole, images, tm
     paths = {path.partition(".frames")[2] for path in reported if "camera1" in path}
     # 512 steps of 2 mm in one of 512 pixels
     assert paths == {"[].depth"}
-    assert reported["sensors['camera1'].frames[].depth"] == pytest.approx(
-        512 * 0.002 / 512, rel=1e-5
-    )  # float32
+    assert reported["sensors['camera1'].frames[].depth"] == pytest.approx(512 * 0.002 / 512, rel=1e-5)  # float32
 
 
 def test_scene_files_leave_depth_cameras_out_and_report_it(scene, tmp_path):

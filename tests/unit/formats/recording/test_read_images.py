@@ -137,9 +137,7 @@ def test_numbers_with_gaps_are_not_used_where_images_and_lines_are_equally_many(
     recording.video("data.mkv", 3).lines([frames(10, 0.0), frames(12, 0.2), frames(13, 0.3)])
     with FORMAT.open(recording.calibration([pinhole]).path) as scene:
         assert shown(scene.cameras[0]) == [0, 1, 2]
-        assert [(n.code, n.kind) for n in scene.warnings] == [
-            ("frame-numbers-not-used", WarningKind.REPAIRED)
-        ]
+        assert [(n.code, n.kind) for n in scene.warnings] == [("frame-numbers-not-used", WarningKind.REPAIRED)]
 
 
 @pytest.mark.parametrize(("images", "kept", "left_out"), [(3, [0, 1, 2], 2), (7, [0, 1, 2, 3, 4], 1)])
@@ -163,9 +161,7 @@ def test_the_time_of_an_entry_goes_before_that_of_its_line(recording, pinhole):
 
 
 def test_unsorted_lines_show_their_own_images_in_the_order_of_time(recording, pinhole):
-    recording.video("data.mkv", 3).lines([frames(2, 0.2), frames(0, 0.0), frames(1, 0.1)]).calibration(
-        [pinhole]
-    )
+    recording.video("data.mkv", 3).lines([frames(2, 0.2), frames(0, 0.0), frames(1, 0.1)]).calibration([pinhole])
     with FORMAT.open(recording.path) as scene:
         assert shown(scene.cameras[0]) == [0, 1, 2]
         assert scene.cameras[0].images.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000]
@@ -275,9 +271,7 @@ def test_unusable_parameters_of_a_line_are_named_with_it(recording, pinhole, ent
 
 def test_what_a_line_says_further_is_read_with_the_image(recording, pinhole):
     entry = {"cameraInd": 0, "exposureTimeSeconds": 0.01, "features": [{"id": 1, "x": 2.5}]}
-    recording.video("data.mkv", 2).lines([frames(0, 0.0), frames(1, 0.1, entry, note="é")]).calibration(
-        [pinhole]
-    )
+    recording.video("data.mkv", 2).lines([frames(0, 0.0), frames(1, 0.1, entry, note="é")]).calibration([pinhole])
     with FORMAT.open(recording.path) as scene:
         first, second = scene.cameras[0].images
         assert set(first.extras) == {"file_seconds", "number"}
@@ -303,9 +297,7 @@ def test_frames_without_a_calibration_are_an_error_that_says_what_to_do(recordin
 def test_frames_without_images_are_an_error_that_names_the_files_to_be_there(recording, pinhole):
     lines = [frames(0, 0.0, {"cameraInd": 0}, {"cameraInd": 1})]
     recording.video("data.mkv", 1).lines(lines).calibration([pinhole, pinhole])
-    with pytest.raises(
-        DataError, match=r"no images of camera 1, .*data2\.\{mkv,mp4,mov,avi,ts\} or frames2/"
-    ):
+    with pytest.raises(DataError, match=r"no images of camera 1, .*data2\.\{mkv,mp4,mov,avi,ts\} or frames2/"):
         FORMAT.open(recording.path)
     with FORMAT.open(recording.path, lenient=True) as scene:
         assert [(camera.id, len(camera.images)) for camera in scene.cameras] == [
@@ -395,14 +387,10 @@ def test_lines_that_mean_no_image_by_the_way_that_is_asked_for_are_a_fault(recor
     recording.video("data.mkv", 4).calibration([pinhole]).lines(
         {"frames": [{"cameraInd": 0}], "number": number, "time": 0.1 * number} for number in (2, 3, 4)
     )
-    with pytest.raises(
-        DataError, match=r"1 of 3 frames lines mean images that are not there.*image 4, while"
-    ):
+    with pytest.raises(DataError, match=r"1 of 3 frames lines mean images that are not there.*image 4, while"):
         FORMAT.open(recording.path, image_index="number")
     with FORMAT.open(recording.path, image_index="number", lenient=True) as scene:
         assert len(scene.cameras[0].images) == 2
         assert scene.warnings[0].count == 1
-    with pytest.raises(
-        OptionError, match="image_index 'nearest'; expected one of: auto, number, first, line"
-    ):
+    with pytest.raises(OptionError, match="image_index 'nearest'; expected one of: auto, number, first, line"):
         FORMAT.open(recording.path, image_index="nearest")

@@ -103,9 +103,7 @@ WRONG_TIMES = [*map(float, ["nan", "-nan", "inf", "-inf"]), 9.3e9, -9.3e9, 1e300
 def test_a_point_time_that_is_no_time_is_a_fault_of_its_record(recording, time):
     recording.points("0.bin", [POINTS[0], (*POINTS[1][:5], time)]).lines([sweep("0.bin", 0.5)])
     frames = FORMAT.open(recording.path).lidars[0].frames
-    with pytest.raises(
-        DataError, match=r"0\.bin: record 1 \(byte 23\): timestamp .*expected seconds"
-    ) as caught:
+    with pytest.raises(DataError, match=r"0\.bin: record 1 \(byte 23\): timestamp .*expected seconds") as caught:
         _ = frames[0]
     assert f"{time}" in caught.value.problem
 
@@ -142,9 +140,7 @@ def test_a_missing_file_is_a_fault_of_its_line_when_it_is_read(recording, file):
 )
 def test_names_that_lead_out_of_the_folder_are_refused(recording, file):
     recording.points("../outside.bin", POINTS).lines([sweep(file, 0.0)])
-    with pytest.raises(
-        DataError, match=r"line 1: lidar\.dataFile: .*expected a path inside the recording's folder"
-    ):
+    with pytest.raises(DataError, match=r"line 1: lidar\.dataFile: .*expected a path inside the recording's folder"):
         FORMAT.open(recording.path)
 
 
@@ -226,9 +222,7 @@ def test_an_index_that_two_lidars_have_is_a_fault(recording, index):
 def test_a_lidar_mounting_that_is_not_rigid_is_refused(recording):
     recording.points("a.bin", POINTS).lines([sweep("a.bin", 0.0)])
     recording.calibration(lidars=[{"imuToLidar": np.diag([2.0, 1.0, 1.0, 1.0]).tolist()}])
-    with pytest.raises(
-        CalibrationError, match=r"calibration\.json: lidars\[0\]\.imuToLidar: rotation off by 3"
-    ):
+    with pytest.raises(CalibrationError, match=r"calibration\.json: lidars\[0\]\.imuToLidar: rotation off by 3"):
         FORMAT.open(recording.path)
 
 

@@ -17,9 +17,7 @@ def imu_line(time: float, value: float = 0.0, sensor: str = "gyroscope") -> dict
     return {"sensor": {"type": sensor, "values": [value, 0.5, -0.25]}, "time": time}
 
 
-def pose_line(
-    key: str, time: float, x: float = 0.0, *, rotation: dict[str, float] | None = ROTATION
-) -> dict[str, Any]:
+def pose_line(key: str, time: float, x: float = 0.0, *, rotation: dict[str, float] | None = ROTATION) -> dict[str, Any]:
     pose: dict[str, Any] = {"position": {"x": x, "y": 2.0, "z": 3.0}}
     return {key: pose | ({"orientation": rotation} if rotation else {}), "time": time}
 
@@ -152,9 +150,7 @@ def test_poses_keep_position_and_orientation(recording):
 
 
 def test_positions_alone_make_a_trajectory_without_orientations_and_sensors_without_poses(recording):
-    recording.lines(
-        [pose_line("groundTruth", 0.0, rotation=None), pose_line("groundTruth", 1.0, rotation=None)]
-    )
+    recording.lines([pose_line("groundTruth", 0.0, rotation=None), pose_line("groundTruth", 1.0, rotation=None)])
     scene = FORMAT.open(recording.path)
     assert scene.trajectories["groundTruth"].quaternions_xyzw is None
     assert [warning.code for warning in scene.warnings] == ["orientations-missing"]
@@ -202,9 +198,7 @@ def test_the_example_of_the_formats_description_is_read(recording):
         ]
     )
     scene = FORMAT.open(recording.path)
-    assert gnss_of(scene).positions_lla.tolist() == [
-        [60.173783793064594, 24.906486344581662, 14.18831106834269]
-    ]
+    assert gnss_of(scene).positions_lla.tolist() == [[60.173783793064594, 24.906486344581662, 14.18831106834269]]
     assert [warning.code for warning in scene.warnings] == ["lines-sorted"]
 
 
@@ -344,9 +338,7 @@ def test_a_sound_line_is_taken_whole(recording, line):
 
 
 def test_of_a_line_with_a_wrong_part_nothing_is_taken(recording):
-    half = (
-        '{"sensor":{"type":"gyroscope","values":[1,2,3]},"lidar":{"model":"other","dataFile":"a"},"time":1}'
-    )
+    half = '{"sensor":{"type":"gyroscope","values":[1,2,3]},"lidar":{"model":"other","dataFile":"a"},"time":1}'
     recording.lines([imu_line(0.0), half])
     scene = FORMAT.open(recording.path, lenient=True)
     assert len(imu_of(scene).streams["gyroscope"]) == 1
@@ -382,9 +374,7 @@ def test_orientations_that_are_none_are_faults_of_their_line(recording):
     assert lenient.trajectories["pose"].timestamps_ns.tolist() == [0]
 
 
-def test_poses_without_the_orientation_that_others_have_are_left_out_counted_and_written_again(
-    recording, tmp_path
-):
+def test_poses_without_the_orientation_that_others_have_are_left_out_counted_and_written_again(recording, tmp_path):
     lines = [pose_line("groundTruth", 0.1 * k, rotation=None if k in (3, 7) else ROTATION) for k in range(10)]
     recording.lines(lines)
     with FORMAT.open(recording.path) as scene:
@@ -422,9 +412,7 @@ def test_blank_lines_before_others_are_faults_however_many(recording, blank):
     with pytest.raises(DataError, match="line 2: blank"):
         FORMAT.open(recording.path)
     with FORMAT.open(recording.path, lenient=True) as scene:
-        found = {
-            warning.code: (warning.count, warning.location.split(": ")[-1]) for warning in scene.warnings
-        }
+        found = {warning.code: (warning.count, warning.location.split(": ")[-1]) for warning in scene.warnings}
         assert found == {
             "unfit-lines": (blank, "line 2"),
             "blank-lines-at-end": (2, f"line {blank + 3}"),

@@ -41,9 +41,7 @@ def test_a_file_of_output_is_a_scene_with_a_trajectory(output):
         np.testing.assert_allclose(
             trajectory.positions, [[-0.01, -0.14, 0.046], [0.49, -0.14, 0.046], [0.99, -0.14, 0.046]]
         )
-        np.testing.assert_array_equal(
-            trajectory.quaternions_xyzw[0], [0.453153, -0.603051, 0.532354, -0.384162]
-        )
+        np.testing.assert_array_equal(trajectory.quaternions_xyzw[0], [0.453153, -0.603051, 0.532354, -0.384162])
         assert trajectory.timestamps_ns[0] == 7323558535105
         # what a trajectory has no field for is kept word by word
         kept = scene.metadata["recording"]["further_keys"]["trajectories.output"]

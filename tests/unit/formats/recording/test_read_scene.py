@@ -16,9 +16,7 @@ POINT = (1.0, 2.0, 3.0, 4, 5, 0.0)
 IMU_TO_SENSOR = np.array([[0.0, -1, 0, 0.5], [0, 0, -1, 1.5], [1, 0, 0, -0.25], [0, 0, 0, 1]])
 
 
-def pose_line(
-    time: float, rotation: Rotation, position: np.ndarray, key: str = "groundTruth"
-) -> dict[str, Any]:
+def pose_line(time: float, rotation: Rotation, position: np.ndarray, key: str = "groundTruth") -> dict[str, Any]:
     delta_rotation = dict(zip("xyzw", rotation.as_quat().tolist(), strict=True))
     return {
         key: {"position": dict(zip("xyz", position.tolist(), strict=True)), "orientation": delta_rotation},
@@ -85,9 +83,7 @@ def test_settings_that_are_no_text_are_a_fault(recording):
     recording.lines([IMU_LINE])
     with pytest.raises(DataError, match=r"vio_config\.yaml: cannot be read as text"):
         FORMAT.open(recording.path)
-    assert [warning.code for warning in FORMAT.open(recording.path, lenient=True).warnings] == [
-        "unreadable-vio-config"
-    ]
+    assert [warning.code for warning in FORMAT.open(recording.path, lenient=True).warnings] == ["unreadable-vio-config"]
 
 
 def test_sensor_poses_are_the_trajectory_after_the_mounting_at_the_sensors_own_times(recording, pinhole):
@@ -97,9 +93,7 @@ def test_sensor_poses_are_the_trajectory_after_the_mounting_at_the_sensors_own_t
     positions = rng.normal(size=(3, 3))
     lines = [pose_line(t, rotations[k], positions[k]) for k, t in enumerate(times)]
     lines += [sweep(0.05), {"frames": [{"cameraInd": 0, "time": 0.125}], "number": 0, "time": 0.1}]
-    recording.points("0.bin", [POINT]).video("data.mkv", 1).lines(
-        sorted(lines, key=lambda line: line["time"])
-    )
+    recording.points("0.bin", [POINT]).video("data.mkv", 1).lines(sorted(lines, key=lambda line: line["time"]))
     matrix = IMU_TO_SENSOR.tolist()
     recording.calibration([pinhole | {"imuToCamera": matrix}], lidars=[{"imuToLidar": matrix}])
     with FORMAT.open(recording.path) as scene:
@@ -128,10 +122,7 @@ def test_frames_beyond_the_trajectory_get_no_pose(recording):
         sweep(0.4),
     ]
     scene = FORMAT.open(
-        recording.points("0.bin", [POINT])
-        .lines(lines)
-        .calibration(lidars=[{"imuToLidar": np.eye(4).tolist()}])
-        .path
+        recording.points("0.bin", [POINT]).lines(lines).calibration(lidars=[{"imuToLidar": np.eye(4).tolist()}]).path
     )
     lidar = scene.lidars[0]
     assert len(lidar.frames) == 3
@@ -144,10 +135,7 @@ def test_frames_beyond_the_trajectory_get_no_pose(recording):
 def test_without_a_reaching_trajectory_there_are_no_poses(recording, key):
     lines = [sweep(0.0), *([pose_line(5.0, Rotation.identity(), np.zeros(3), key)] if key else [])]
     scene = FORMAT.open(
-        recording.points("0.bin", [POINT])
-        .lines(lines)
-        .calibration(lidars=[{"imuToLidar": np.eye(4).tolist()}])
-        .path
+        recording.points("0.bin", [POINT]).lines(lines).calibration(lidars=[{"imuToLidar": np.eye(4).tolist()}]).path
     )
     assert scene.lidars[0].poses is None
 
@@ -156,8 +144,7 @@ def test_a_lines_own_mounting_counts_for_its_pose(recording, pinhole):
     lines = [pose_line(t, Rotation.identity(), np.zeros(3)) for t in (0.0, 1.0)]
     own = {"cameraInd": 0, "imuToCamera": IMU_TO_SENSOR.tolist()}
     lines += [
-        {"frames": [entry], "number": k, "time": 0.25 + 0.25 * k}
-        for k, entry in enumerate([{"cameraInd": 0}, own])
+        {"frames": [entry], "number": k, "time": 0.25 + 0.25 * k} for k, entry in enumerate([{"cameraInd": 0}, own])
     ]
     recording.video("data.mkv", 2).lines(sorted(lines, key=lambda line: line["time"])).calibration([pinhole])
     with FORMAT.open(recording.path) as scene:

@@ -199,8 +199,7 @@ def depth_pair():
     rng = np.random.default_rng(5)
     timestamps = np.arange(3, dtype=np.int64) * 100 * MS
     shots = [
-        CameraImage.of(int(t), camera_model, rng.integers(0, 256, (16, 32, 3)).astype(np.uint8))
-        for t in timestamps
+        CameraImage.of(int(t), camera_model, rng.integers(0, 256, (16, 32, 3)).astype(np.uint8)) for t in timestamps
     ]
     steps = rng.integers(0, 65536, (3, 16, 32))
     images = [
@@ -224,9 +223,7 @@ def poses_alone():
     rotations = np.tile([0.0, 0.0, 0.6, 0.8], (3, 1))
     sensors = []
     for k, name in enumerate(("left", "right")):
-        shots = [
-            CameraImage.of(int(t), camera_model, np.full((16, 32, 3), 9 * k, np.uint8)) for t in timestamps
-        ]
+        shots = [CameraImage.of(int(t), camera_model, np.full((16, 32, 3), 9 * k, np.uint8)) for t in timestamps]
         poses = Poses(timestamps, positions + np.array([0, k, 0]), rotations)
         sensors.append(CameraSensor(name, camera_model, LazyFrames.of(shots, timestamps), poses=poses))
     return Scene(tuple(sensors))
@@ -263,9 +260,7 @@ def test_a_recording_that_is_written_again_is_the_same_line_by_line(tmp_path, na
     with sceneloom.open(tmp_path / "first") as scene:
         report = write_recording(scene, tmp_path / "second")
     assert [loss for loss in report if loss.field != "replay"] == []
-    files = [
-        path.relative_to(tmp_path / "first") for path in (tmp_path / "first").rglob("*") if path.is_file()
-    ]
+    files = [path.relative_to(tmp_path / "first") for path in (tmp_path / "first").rglob("*") if path.is_file()]
     assert len(files) >= 1
     for file in files:
         assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes(), file

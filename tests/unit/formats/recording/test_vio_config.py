@@ -73,9 +73,7 @@ def test_settings_that_stand_there_twice_are_reported():
     assert repeated_keys(TEXT) == []
 
 
-@pytest.mark.parametrize(
-    "text", ["\x00: 1", "{", "[1, 2", "- a\n- b", "a: b: c", "\ufeffuseSlam: 1", "'a: 1", "#"]
-)
+@pytest.mark.parametrize("text", ["\x00: 1", "{", "[1, 2", "- a\n- b", "a: b: c", "\ufeffuseSlam: 1", "'a: 1", "#"])
 def test_any_text_is_looked_through(text):
     config = read_vio_config(text)
     assert len(config.settings) + len(config.strange) <= len(text.splitlines())

@@ -117,9 +117,7 @@ def test_a_camera_model_that_nothing_of_the_format_comes_near_is_refused():
         match=r"cylindrical camera model reported as .* a recording can hold pinhole, fisheye",
     ):
         camera_model_entry(Camera("cylindrical", 640, 480, 110.0, 200.0, 320.0, 240.0))
-    with pytest.raises(
-        CalibrationError, match="camera model 'periscope'; a recording can hold pinhole, fisheye"
-    ):
+    with pytest.raises(CalibrationError, match="camera model 'periscope'; a recording can hold pinhole, fisheye"):
         camera_model_entry(camera("periscope"))
 
 
@@ -197,9 +195,7 @@ def test_poses_that_contradict_a_mounting_or_go_beyond_the_ego_s_trajectory_are_
     mount, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=raised), ego_path())
     assert mount is raised
     assert "up to 0.3 m and 0 degrees" in losses[0].what
-    rotated = RigidTransform(
-        MOUNT.rotation @ Rotation.from_rotvec([0.01, 0, 0]).as_matrix(), MOUNT.translation
-    )
+    rotated = RigidTransform(MOUNT.rotation @ Rotation.from_rotvec([0.01, 0, 0]).as_matrix(), MOUNT.translation)
     _, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=rotated), ego_path())
     assert "0.573 degrees" in losses[0].what
     assert mounting(posed_camera(poses=sensor_path(MOUNT), mount=MOUNT), ego_path()) == (MOUNT, [])
@@ -234,9 +230,7 @@ def test_a_matrix_is_four_rows():
 def test_the_position_of_an_antenna_is_written_and_comes_back(tmp_path):
     mount = RigidTransform.from_quaternion(np.array([0.4, -0.1, 1.2]), np.array([0.0, 0.0, 0.6, 0.8]))
     times, ones = np.arange(3, dtype=np.int64) * 10**9, np.ones(3)
-    receivers = [
-        GnssSensor(name, times, np.ones((3, 3)), ones, ones, mount=mount) for name in ("gnss", "rtkgps")
-    ]
+    receivers = [GnssSensor(name, times, np.ones((3, 3)), ones, ones, mount=mount) for name in ("gnss", "rtkgps")]
     losses = FORMAT.write(Scene(tuple(receivers)), tmp_path / "drive")
     assert [loss.field for loss in losses] == ["sensors[rtkgps].mount"]
     with FORMAT.open(tmp_path / "drive") as scene:

@@ -57,9 +57,7 @@ def test_what_packets_cannot_give_alone_is_encoded_anew_and_reported(drive, tmp_
     reported, timestamps_ns, greys = written(change(drive), tmp_path / "part")
     assert timestamps_ns == TIMESTAMPS_NS[rows].tolist()
     np.testing.assert_allclose(greys, GREYS[rows], atol=TWICE_ENCODED)
-    assert reported["sensors[camera0].video"].startswith(
-        "encoded anew as H.264: the video could not be copied"
-    )
+    assert reported["sensors[camera0].video"].startswith("encoded anew as H.264: the video could not be copied")
     assert reported["sensors[camera0].images[].rgb"] == "encoded as H.264, which changes colours a little"
 
 
@@ -96,9 +94,7 @@ def test_gaps_in_numbers_cost_no_image_anything_and_stay(recording, pinhole, tmp
         stream.width, stream.height, stream.pix_fmt = 32, 16, pixels
         for _ in range(9):
             rgb = generator.integers(0, 255, (16, 32, 3)).astype(np.uint8)
-            container.mux(
-                stream.encode(av.VideoFrame.from_ndarray(rgb, format="rgb24").reformat(format=pixels))
-            )
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(rgb, format="rgb24").reformat(format=pixels)))
         container.mux(stream.encode())
     numbers = [3, 4, 6, 7, 11]
     recording.calibration([pinhole]).lines(
@@ -115,9 +111,7 @@ def test_gaps_in_numbers_cost_no_image_anything_and_stay(recording, pinhole, tmp
     assert list(reported) == (["sensors[camera0].video"] if encoded else [])
     assert not encoded or "FFV1, which loses nothing" in reported["sensors[camera0].video"]
     if not encoded:
-        assert packets(tmp_path / "again" / "data.mkv") == [
-            packets(recording.path / name)[k - 3] for k in numbers
-        ]
+        assert packets(tmp_path / "again" / "data.mkv") == [packets(recording.path / name)[k - 3] for k in numbers]
 
 
 def packets(path):

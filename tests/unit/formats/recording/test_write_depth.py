@@ -68,9 +68,7 @@ def lost(report):
     ],
 )
 def test_the_smallest_step_that_holds_the_largest_depth_is_taken(tmp_path, largest, scale):
-    report = write_recording(
-        Scene((depth_camera([constant(0.5), constant(largest)], [None, None]),)), tmp_path / "d"
-    )
+    report = write_recording(Scene((depth_camera([constant(0.5), constant(largest)], [None, None]),)), tmp_path / "d")
     entries = entries_of(tmp_path / "d")
     assert [entry["depthScale"] for (entry,) in entries] == [scale, scale]
     assert [entry["colorFormat"] for (entry,) in entries] == ["gray16", "gray16"]
@@ -91,9 +89,7 @@ def test_the_steps_of_the_source_lose_nothing(tmp_path):
 
 
 def test_what_steps_cannot_hold_is_counted():
-    depth = np.array(
-        [[0.0, 0.001, 0.0014, 0.0002, 65.535, 65.6, -1.0, np.nan, np.inf, 0.0020001]], np.float32
-    )
+    depth = np.array([[0.0, 0.001, 0.0014, 0.0002, 65.535, 65.6, -1.0, np.nan, np.inf, 0.0020001]], np.float32)
     found = to_steps(depth, 0.001)
     # what is nearer than the first step is something, not nothing
     assert found.steps.tolist() == [[0, 1, 1, 1, 65535, 0, 0, 0, 0, 2]]
@@ -132,9 +128,7 @@ def test_a_depth_video_whose_steps_are_known_is_copied(tmp_path):
 
     timestamps = np.arange(2, dtype=np.int64) * 100 * MS
     frames = [DepthFrame(int(t), CAMERA_MODEL, undecoded, 0.001) for t in timestamps]
-    copied = DepthCameraSensor(
-        "camera0", CAMERA_MODEL, LazyFrames.of(frames, timestamps), mount=HERE, video=video
-    )
+    copied = DepthCameraSensor("camera0", CAMERA_MODEL, LazyFrames.of(frames, timestamps), mount=HERE, video=video)
     report = write_recording(Scene((copied,)), tmp_path / "second")
     assert (tmp_path / "second" / "data.mkv").read_bytes() == content
     assert lost(report) == {}

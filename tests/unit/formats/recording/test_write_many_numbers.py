@@ -64,9 +64,7 @@ def test_times_that_numbers_cannot_hold_are_counted_in_blocks_as_one_by_one():
 
 
 def test_numbers_are_read_as_they_were():
-    numbers = np.concatenate(
-        [np.random.default_rng(0).normal(size=200) * 10.0 ** np.arange(-100, 100), [0.0, -0.0]]
-    )
+    numbers = np.concatenate([np.random.default_rng(0).normal(size=200) * 10.0 ** np.arange(-100, 100), [0.0, -0.0]])
     assert [float(text) for text in number_texts(numbers)] == numbers.tolist()
     rows = numbers[:201].reshape(-1, 3)
     assert [msgspec.json.decode(f"[{text}]") for text in row_texts(rows)] == rows.tolist()

@@ -77,14 +77,8 @@ def some_points(seed, start_ns, count=5):
 
 
 def a_lidar(name="lidar", *, frames=None, **fields):
-    frames = (
-        [LidarFrame(int(t), some_points(k, int(t))) for k, t in enumerate(times(3))]
-        if frames is None
-        else frames
-    )
-    return LidarSensor(
-        name, LazyFrames.of(frames, [f.timestamp_ns for f in frames]), **({"mount": MOUNT} | fields)
-    )
+    frames = [LidarFrame(int(t), some_points(k, int(t))) for k, t in enumerate(times(3))] if frames is None else frames
+    return LidarSensor(name, LazyFrames.of(frames, [f.timestamp_ns for f in frames]), **({"mount": MOUNT} | fields))
 
 
 def an_imu(**streams):
@@ -121,9 +115,7 @@ def a_scene(*sensors, trajectories=(), **fields):
 
 
 def whole_scene():
-    return a_scene(
-        a_lidar(), a_camera(), a_camera("camera1"), an_imu(), a_gnss(), trajectories=[a_trajectory()]
-    )
+    return a_scene(a_lidar(), a_camera(), a_camera("camera1"), an_imu(), a_gnss(), trajectories=[a_trajectory()])
 
 
 def lines_of(folder):
@@ -193,9 +185,7 @@ def test_samples_fixes_and_poses_are_written_in_the_format_s_words(tmp_path):
     pose = [line for line in lines if "groundTruth" in line][3]["groundTruth"]
     assert pose["position"] == {"x": 3.0, "y": 0.0, "z": 0.0}
     # a rotation by 0.6 rad about z
-    assert pose["orientation"] == pytest.approx(
-        {"x": 0, "y": 0, "z": np.sin(0.3), "w": np.cos(0.3)}, abs=1e-15
-    )
+    assert pose["orientation"] == pytest.approx({"x": 0, "y": 0, "z": np.sin(0.3), "w": np.cos(0.3)}, abs=1e-15)
 
 
 def test_a_sweep_is_a_file_of_packed_records(tmp_path):
@@ -443,9 +433,7 @@ def positions_in(path):
     return np.array([record[:3] for record in records_of(path)])
 
 
-@pytest.mark.parametrize(
-    "known", ["the trajectory and the mounting", "the lidar's own poses", "an odometry sensor"]
-)
+@pytest.mark.parametrize("known", ["the trajectory and the mounting", "the lidar's own poses", "an odometry sensor"])
 def test_points_in_the_world_are_brought_back_to_where_each_was_measured(tmp_path, known):
     tolerance = 2e-5  # float32 at 20 m
     if known == "the lidar's own poses":
@@ -456,13 +444,9 @@ def test_points_in_the_world_are_brought_back_to_where_each_was_measured(tmp_pat
     else:
         lidar, positions = world_lidar()
         odometry = OdometrySensor("ego", ego_path())
-        scene = (
-            a_scene(lidar, odometry) if "odometry" in known else a_scene(lidar, trajectories=[a_trajectory()])
-        )
+        scene = a_scene(lidar, odometry) if "odometry" in known else a_scene(lidar, trajectories=[a_trajectory()])
     write_recording(scene, tmp_path / "drive")
-    np.testing.assert_allclose(
-        positions_in(tmp_path / "drive" / "lidar" / "000000.bin"), positions, atol=tolerance
-    )
+    np.testing.assert_allclose(positions_in(tmp_path / "drive" / "lidar" / "000000.bin"), positions, atol=tolerance)
 
 
 @pytest.mark.parametrize("aside", [0.0, 1.0])
@@ -478,12 +462,8 @@ def test_a_lidars_own_poses_count_unless_the_trajectory_says_the_same_and_more(t
 def test_points_on_the_ego_are_brought_back_by_the_mounting(tmp_path):
     positions = np.random.default_rng(7).normal(size=(5, 3)) * 20
     points = LidarPoints(MOUNT.apply(positions).astype(np.float32))
-    write_recording(
-        a_scene(a_lidar(frames=[LidarFrame(0, points)], points_frame=PointsFrame.EGO)), tmp_path / "drive"
-    )
-    np.testing.assert_allclose(
-        positions_in(tmp_path / "drive" / "lidar" / "000000.bin"), positions, atol=2e-5
-    )
+    write_recording(a_scene(a_lidar(frames=[LidarFrame(0, points)], points_frame=PointsFrame.EGO)), tmp_path / "drive")
+    np.testing.assert_allclose(positions_in(tmp_path / "drive" / "lidar" / "000000.bin"), positions, atol=2e-5)
 
 
 def test_points_in_the_world_without_any_poses_are_refused(tmp_path):
@@ -494,9 +474,7 @@ def test_points_in_the_world_without_any_poses_are_refused(tmp_path):
 
 
 def test_points_beyond_the_poses_are_refused(tmp_path):
-    lidar, _ = world_lidar(
-        poses=Poses(times(2, start_ms=5000), np.zeros((2, 3)), np.array([[0.0, 0, 0, 1]] * 2))
-    )
+    lidar, _ = world_lidar(poses=Poses(times(2, start_ms=5000), np.zeros((2, 3)), np.array([[0.0, 0, 0, 1]] * 2)))
     with pytest.raises(PoseError, match="sweep at 120000000 ns: no pose for 5 of its points"):
         write_recording(a_scene(lidar), tmp_path / "drive")
 
@@ -550,9 +528,7 @@ def test_samples_that_json_or_the_format_cannot_hold_are_left_out_and_counted(tm
     values = np.ones((4, 3))
     values[2, 1] = np.nan
     lla = np.array([[60.0, 24.0, np.nan], [60.0, 24.0, 3.0]])
-    imu = an_imu(
-        accelerometer=VectorSamples(times(4), values), gyroscope=VectorSamples(times(4), np.ones((4, 2)))
-    )
+    imu = an_imu(accelerometer=VectorSamples(times(4), values), gyroscope=VectorSamples(times(4), np.ones((4, 2))))
     gnss = GnssSensor("gnss", times(2), lla, np.ones(2), np.ones(2))
     report = write_recording(a_scene(imu, gnss), tmp_path / "drive")
     assert {loss.field: loss.count for loss in report} == {
@@ -573,9 +549,7 @@ def test_samples_that_json_or_the_format_cannot_hold_are_left_out_and_counted(tm
         ("time", "pose", "time"),
     ],
 )
-def test_trajectories_go_under_their_name_but_where_the_format_means_something_else(
-    tmp_path, name, root, inner
-):
+def test_trajectories_go_under_their_name_but_where_the_format_means_something_else(tmp_path, name, root, inner):
     write_recording(a_scene(trajectories=[a_trajectory(name)]), tmp_path / "drive")
     line = lines_of(tmp_path / "drive")[0]
     assert set(line) == {root, "time"}
@@ -583,9 +557,7 @@ def test_trajectories_go_under_their_name_but_where_the_format_means_something_e
 
 
 def test_an_odometry_sensor_becomes_a_trajectory_unless_it_is_one(tmp_path):
-    write_recording(
-        a_scene(OdometrySensor("ego", ego_path()), trajectories=[a_trajectory()]), tmp_path / "one"
-    )
+    write_recording(a_scene(OdometrySensor("ego", ego_path()), trajectories=[a_trajectory()]), tmp_path / "one")
     write_recording(a_scene(OdometrySensor("ego", ego_path())), tmp_path / "other")
     assert {key for line in lines_of(tmp_path / "one") for key in line} == {"groundTruth", "time"}
     assert {key for line in lines_of(tmp_path / "other") for key in line} == {"ego", "time"}
@@ -705,8 +677,7 @@ def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, images):
     before = (tmp_path / "drive" / "data.jsonl").read_bytes()
     camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
     shots = [
-        CameraImage(k * 100 * MS, camera_model, lambda k=k: image_rgb(k, 32, 16 if k < 2 else 14))
-        for k in range(4)
+        CameraImage(k * 100 * MS, camera_model, lambda k=k: image_rgb(k, 32, 16 if k < 2 else 14)) for k in range(4)
     ]
     camera = CameraSensor("camera0", camera_model, LazyFrames.of(shots, times(4)), mount=MOUNT)
     with pytest.raises(ArrayError, match=r"image.*\(14, 32, 3\)"):
@@ -742,9 +713,7 @@ def test_a_readme_survives_the_recording_that_it_was_written_for(tmp_path):
 def test_the_same_scene_gives_the_same_files(tmp_path):
     for name in ("first", "second"):
         write_recording(whole_scene(), tmp_path / name)
-    files = sorted(
-        path.relative_to(tmp_path / "first") for path in (tmp_path / "first").rglob("*") if path.is_file()
-    )
+    files = sorted(path.relative_to(tmp_path / "first") for path in (tmp_path / "first").rglob("*") if path.is_file())
     assert len(files) == 7
     for file in files:
         assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
@@ -800,9 +769,7 @@ def test_frames_and_images_are_asked_for_one_by_one_in_the_order_of_time(tmp_pat
         LazyFrames(shots, lambda k: CameraImage(int(shots[k]), camera_model, lambda: decode(k))),
         mount=MOUNT,
     )
-    write_recording(
-        a_scene(LidarSensor("lidar", LazyFrames(sweeps, sweep), mount=MOUNT), camera), tmp_path / "drive"
-    )
+    write_recording(a_scene(LidarSensor("lidar", LazyFrames(sweeps, sweep), mount=MOUNT), camera), tmp_path / "drive")
     assert [kind for kind, _ in asked].count("image") == 4
     assert [kind for kind, _ in asked].count("lidar") == 4
     # a merge looks one line ahead in every stream, and no farther

@@ -39,9 +39,7 @@ def a_camera(name="camera0", timestamps=None):
 
 
 def a_depth_camera(name="camera1"):
-    frames = [
-        DepthFrame(int(t), CAMERA_MODEL, lambda: np.ones((16, 32), np.float32), 0.001) for t in times(3)
-    ]
+    frames = [DepthFrame(int(t), CAMERA_MODEL, lambda: np.ones((16, 32), np.float32), 0.001) for t in times(3)]
     return DepthCameraSensor(name, CAMERA_MODEL, LazyFrames.of(frames, times(3)), mount=HERE)
 
 
@@ -51,9 +49,7 @@ def an_imu(*names, start_ms=1):
 
 
 def a_lidar(name):
-    return LidarSensor(
-        name, LazyFrames.of([LidarFrame(0, LidarPoints(np.zeros((1, 3), np.float32)))], [0]), mount=HERE
-    )
+    return LidarSensor(name, LazyFrames.of([LidarFrame(0, LidarPoints(np.zeros((1, 3), np.float32)))], [0]), mount=HERE)
 
 
 BOTH = ("accelerometer", "gyroscope")

@@ -71,9 +71,7 @@ def test_frames_go_to_other_processes_while_the_scene_is_open(drive, scratch, tm
             "import pickle, sys; scene = pickle.load(sys.stdin.buffer);"
             "print(scene.cameras[0].images[1].rgb.mean()); scene.close()"
         )
-        done = subprocess.run(
-            [sys.executable, "-c", other], input=pickle.dumps(scene), capture_output=True, check=True
-        )
+        done = subprocess.run([sys.executable, "-c", other], input=pickle.dumps(scene), capture_output=True, check=True)
         assert float(done.stdout) == 10.0  # image k is grey 10 k
         # the other process closed its scene and ended; the files are this one's
         assert scene.cameras[0].images[1].rgb.mean() == 10.0
@@ -103,9 +101,7 @@ def test_faults_of_a_zipped_drive_are_reported_as_those_of_a_folder(drive, scrat
         FORMAT.open(path)
     assert list(scratch.iterdir()) == []
     findings = validate(path, locations=None).findings
-    assert [(f.rule, f.path) for f in findings if f.severity == "error"] == [
-        ("broken-lines", "data.jsonl: line 5")
-    ]
+    assert [(f.rule, f.path) for f in findings if f.severity == "error"] == [("broken-lines", "data.jsonl: line 5")]
     assert list(scratch.iterdir()) == []
 
 
@@ -199,9 +195,7 @@ def test_other_archives_are_no_recordings(tmp_path, scratch):
     path = Path(tmp_path / "two.zip")
     path.write_bytes(buffer.getvalue())
     assert not FORMAT.sniff(path)
-    with pytest.raises(
-        DataError, match=r"holds no data\.jsonl, neither at its root nor in a single top folder"
-    ):
+    with pytest.raises(DataError, match=r"holds no data\.jsonl, neither at its root nor in a single top folder"):
         FORMAT.open(path)
 
 

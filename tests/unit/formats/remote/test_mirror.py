@@ -112,9 +112,7 @@ def test_a_file_that_changed_since_the_folder_was_opened_is_an_error(clouds, cha
             content = file.read_bytes()
             file.write_bytes(content + bytes(16) if change == "longer" else content)
             os.utime(file, (1, 1))
-        expected = (
-            "cannot be found" if change == "removed" else "was changed after it was opened|the server gave"
-        )
+        expected = "cannot be found" if change == "removed" else "was changed after it was opened|the server gave"
         with pytest.raises(DataError, match=expected) as reported:
             scene.lidars[0].frames[7].points.positions  # noqa: B018
         assert file.name in str(reported.value)
@@ -301,8 +299,7 @@ def test_a_connection_that_is_busy_while_a_drive_is_closed_ends_with_its_answer(
 
 
 CLOUD = (
-    "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
-    "WIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n{} 0 0\n"
+    "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n{} 0 0\n"
 )
 
 
@@ -321,9 +318,7 @@ def memory():
 
 def location_of(scene):
     return Path(
-        next(warning for warning in scene.warnings if warning.code == "fetched")
-        .message.split(" to ")[1]
-        .split(";")[0]
+        next(warning for warning in scene.warnings if warning.code == "fetched").message.split(" to ")[1].split(";")[0]
     )
 
 
@@ -380,9 +375,7 @@ def test_names_that_lead_out_of_the_folder_are_refused(memory, monkeypatch):
 
 
 def test_patterns_find_drives_in_stores_for_batches(memory):
-    found = find_inputs(
-        ["memory://bucket/clouds/[13].pcd", "memory://bucket/*/0.pcd", "https://host/a*b.sfs?x=*"]
-    )
+    found = find_inputs(["memory://bucket/clouds/[13].pcd", "memory://bucket/*/0.pcd", "https://host/a*b.sfs?x=*"])
     assert [drive.location for drive in found] == [
         "memory://bucket/clouds/1.pcd",
         "memory://bucket/clouds/3.pcd",

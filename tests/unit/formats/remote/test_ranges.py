@@ -87,11 +87,7 @@ def test_no_message_shows_secrets(served, fault, encode_sfs):
     for url in (served.url("drive.sfs"), user, served.url("absent.sfs"), "http://127.0.0.1:9/drive.sfs"):
         with pytest.raises(DataError) as reported:
             sceneloom.open(url + SIGNED)
-        shown = (
-            "".join(traceback.format_exception(reported.value))
-            + repr(reported.value)
-            + str(reported.value.args)
-        )
+        shown = "".join(traceback.format_exception(reported.value)) + repr(reported.value) + str(reported.value.args)
         assert "hidden" not in shown.replace("hidden)", "")
         done = CliRunner().invoke(program, ["info", url + SIGNED])
         assert done.exit_code == 1

@@ -91,10 +91,7 @@ if __name__ == "__main__":
 
 @pytest.mark.slow
 def test_errors_of_worker_processes_show_none_in_tracebacks_and_logs(served, encode_sfs, tmp_path):
-    frames = [
-        {"timestamp": 100_000 * k, "points": {"positions": np.ones((30_000, 3), np.float32)}}
-        for k in range(2)
-    ]
+    frames = [{"timestamp": 100_000 * k, "points": {"positions": np.ones((30_000, 3), np.float32)}} for k in range(2)]
     served.files["drive.sfs"] = encode_sfs(
         {"version": "1.0", "sensors": [{"id": "top", "type": "lidar", "frames": frames}]}
     )

@@ -29,9 +29,7 @@ def memory():
 def drive(tmp_path, encode_sfs):
     frames = [{"timestamp": k, "points": {"positions": np.full((2, 3), k, np.float32)}} for k in range(3)]
     path = tmp_path / "drive.sfs"
-    path.write_bytes(
-        encode_sfs({"version": "1.0", "sensors": [{"id": "top", "type": "lidar", "frames": frames}]})
-    )
+    path.write_bytes(encode_sfs({"version": "1.0", "sensors": [{"id": "top", "type": "lidar", "frames": frames}]}))
     return path
 
 
@@ -110,9 +108,7 @@ def folder(tmp_path, names):
 
 def test_the_marker_of_a_folder_comes_last(memory, tmp_path, monkeypatch):
     put, order = stores.Store.put, []
-    monkeypatch.setattr(
-        stores.Store, "put", lambda self, source: (order.append(self.path), put(self, source))
-    )
+    monkeypatch.setattr(stores.Store, "put", lambda self, source: (order.append(self.path), put(self, source)))
     upload(folder(tmp_path, ["data.jsonl", "frames/0.png", "frames/1.png"]), "memory://bucket/drive")
     assert order[-1] == f"/bucket/drive/{MARKER}"
     assert sorted(memory.find("/bucket/drive")) == [
@@ -154,9 +150,7 @@ def test_web_servers_and_locations_without_a_name_are_refused():
 
 def test_the_extra_that_is_missing_for_a_scheme_is_named(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "gcsfs", None)
-    with pytest.raises(
-        MissingExtraError, match=r"gs://b/drive\.sfs: .*gcsfs.*pip install 'sceneloom\[cloud\]'"
-    ):
+    with pytest.raises(MissingExtraError, match=r"gs://b/drive\.sfs: .*gcsfs.*pip install 'sceneloom\[cloud\]'"):
         check_remote_output("gs://b/drive.sfs", overwrite=False)
 
 

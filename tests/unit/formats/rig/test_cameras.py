@@ -23,9 +23,7 @@ BY_RATE = "times = { rate_hz = 10, start_s = 1532402927.65 }"
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
 def test_lists_of_coefficients_have_opencvs_order(count):
-    given = [-0.2, 0.05, 0.001, -0.002, 0.01, 0.02, 0.003, 0.001, 0.001, 0.0005, -0.001, 0.0003, 0.01, -0.02][
-        :count
-    ]
+    given = [-0.2, 0.05, 0.001, -0.002, 0.01, 0.02, 0.003, 0.001, 0.001, 0.0005, -0.001, 0.0003, 0.01, -0.02][:count]
     camera_model = read_camera_model({"K": K, "coefficients": given, "model": "plumb_bob"}, SIZE)
     expected = cv2.projectPoints(POINTS, np.zeros(3), np.zeros(3), K, np.array(given))[0][:, 0]
     pixels, visible = project(camera_model, POINTS)
@@ -37,20 +35,14 @@ def test_lists_of_coefficients_have_opencvs_order(count):
 def test_fisheye_coefficients_are_opencvs():
     given = [0.01, -0.02, 0.003, -0.0004]
     camera_model = read_camera_model({"K": K, "coefficients": given, "model": "equidistant"}, SIZE)
-    expected = cv2.fisheye.projectPoints(POINTS[:, None], np.zeros(3), np.zeros(3), K, np.array(given))[0][
-        :, 0
-    ]
+    expected = cv2.fisheye.projectPoints(POINTS[:, None], np.zeros(3), np.zeros(3), K, np.array(given))[0][:, 0]
     pixels, visible = project(camera_model, POINTS)
     np.testing.assert_allclose(pixels[visible], expected[visible], atol=1e-8)
 
 
 def test_coefficients_may_have_names():
-    named = read_camera_model(
-        {"fx": 5.0, "cx": 1.0, "cy": 1.0, "coefficients": {"k3": 0.1, "k1": -0.2}}, SIZE
-    )
-    listed = read_camera_model(
-        {"fx": 5.0, "fy": 5.0, "cx": 1.0, "cy": 1.0, "coefficients": [-0.2, 0, 0, 0, 0.1]}, SIZE
-    )
+    named = read_camera_model({"fx": 5.0, "cx": 1.0, "cy": 1.0, "coefficients": {"k3": 0.1, "k1": -0.2}}, SIZE)
+    listed = read_camera_model({"fx": 5.0, "fy": 5.0, "cx": 1.0, "cy": 1.0, "coefficients": [-0.2, 0, 0, 0, 0.1]}, SIZE)
     probe = np.array([[0.1, 0.2, 1.0]])
     np.testing.assert_array_equal(project(named, probe)[0], project(listed, probe)[0])
 
@@ -59,9 +51,7 @@ def test_coefficients_may_have_names():
 def test_every_model_of_the_table_is_read_with_its_own_coefficients(model):
     names = MODELS[model].coefficient_names
     values = {name: 1e-3 * (k + 1) for k, name in enumerate(names)}
-    camera_model = read_camera_model(
-        {"K": K, "model": model.replace("_", "-").upper(), "coefficients": values}, SIZE
-    )
+    camera_model = read_camera_model({"K": K, "model": model.replace("_", "-").upper(), "coefficients": values}, SIZE)
     assert camera_model.model == model
     assert dict(zip(names, camera_model.coefficients, strict=True)) == values
     if model != "brown_conrady":  # whose lists are OpenCV's, without lx and ly

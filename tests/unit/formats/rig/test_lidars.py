@@ -169,9 +169,7 @@ def test_points_that_are_dropped_are_counted(opened, folder):
 
 
 def test_columns_may_be_named(opened):
-    scene = opened(
-        (FIELDS, 'fields = ["a", "b", "c", "d"]\nuse = { x = "a", y = "b", z = "c", intensity = "d" }')
-    )
+    scene = opened((FIELDS, 'fields = ["a", "b", "c", "d"]\nuse = { x = "a", y = "b", z = "c", intensity = "d" }'))
     assert scene.lidars[0].frames[0].points.intensities.tolist() == [3, 7, 11, 15]
 
 

@@ -29,15 +29,11 @@ def test_values_are_converted_to_the_axes_of_the_ego(opened, with_motion):
     imu = scene.sensor("imu")
     assert imu.streams["accelerometer"].timestamps_ns.tolist() == [1_000_000_000, 1_010_000_000]
     np.testing.assert_allclose(imu.streams["accelerometer"].values, [[0, 1, 9.8], [-2, 0, 9.8]], atol=1e-12)
-    np.testing.assert_allclose(
-        imu.streams["gyroscope"].values, [[0, np.pi / 2, 0], [-np.pi / 2, 0, 0]], atol=1e-12
-    )
+    np.testing.assert_allclose(imu.streams["gyroscope"].values, [[0, np.pi / 2, 0], [-np.pi / 2, 0, 0]], atol=1e-12)
 
 
 def test_an_imu_that_is_not_at_the_ego_is_remarked(opened, with_motion):
-    scene = opened(
-        (CAMERA, IMU.replace("rotation_matrix", "translation = [1, 0, 0], rotation_matrix") + CAMERA)
-    )
+    scene = opened((CAMERA, IMU.replace("rotation_matrix", "translation = [1, 0, 0], rotation_matrix") + CAMERA))
     assert "imu-lever-arm" in [warning.code for warning in scene.warnings]
 
 
@@ -79,13 +75,9 @@ def imu_times(opened, folder, text):
     return opened((CAMERA, IMU + CAMERA)).sensor("imu").streams["gyroscope"].timestamps_ns.tolist()
 
 
-@pytest.mark.parametrize(
-    "names", ["sec,nanosec", "secs,nsecs", "stamp_sec,stamp_nanosec", "Seconds,Nanoseconds"]
-)
+@pytest.mark.parametrize("names", ["sec,nanosec", "secs,nsecs", "stamp_sec,stamp_nanosec", "Seconds,Nanoseconds"])
 def test_seconds_and_nanoseconds_in_two_columns_are_added_up(opened, with_motion, names):
-    times = imu_times(
-        opened, with_motion, f"{names},gx,gy,gz\n1532402927,5,0,0,0\n1532402927,5000005,0,0,0\n"
-    )
+    times = imu_times(opened, with_motion, f"{names},gx,gy,gz\n1532402927,5,0,0,0\n1532402927,5000005,0,0,0\n")
     assert times == [1_532_402_927_000_000_005, 1_532_402_927_005_000_005]
 
 

@@ -26,9 +26,7 @@ def test_what_there_is_instead_of_a_missing_file_is_reported(opened):
         opened((LIDAR, 'files = "top/*.pcd"'))
 
 
-def test_links_that_lead_out_are_refused_and_a_root_is_named_in_their_location(
-    opened, folder, tmp_path_factory
-):
+def test_links_that_lead_out_are_refused_and_a_root_is_named_in_their_location(opened, folder, tmp_path_factory):
     elsewhere = tmp_path_factory.mktemp("disk")
     (folder / "top").rename(elsewhere / "top")
     (folder / "top").symlink_to(elsewhere / "top")

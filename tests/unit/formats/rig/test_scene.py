@@ -134,9 +134,7 @@ def test_clocks_that_never_meet_are_remarked(opened):
 
 def test_mountings_in_millimetres_are_remarked(opened):
     scene = opened(("[1.0, 0.0, 2.0]", "[1000.0, 0.0, 2000.0]"))
-    assert [(n.code, "are these millimetres?" in n.message) for n in scene.warnings] == [
-        ("far-mount", True)
-    ] * 2
+    assert [(n.code, "are these millimetres?" in n.message) for n in scene.warnings] == [("far-mount", True)] * 2
 
 
 def test_fusing_a_rig_writes_a_scene(folder, tmp_path):
@@ -151,9 +149,5 @@ def test_each_part_that_a_lenient_reading_leaves_out_is_known_by_its_location_an
     scene = opened(("top/*.bin", "tip/*.bin"), lenient=True)
     reported = [f"{warning.location}: {warning.message}" for warning in scene.warnings]
     assert len(reported) == 2
-    assert reported[0].startswith(
-        f"{folder / 'rig.toml'}: trajectories[0]: left out: {folder / 'poses.txt'}: line 2: "
-    )
-    assert reported[1].startswith(
-        f"{folder / 'rig.toml'}: sensors[0].files: left out: 'tip/*.bin': no such files"
-    )
+    assert reported[0].startswith(f"{folder / 'rig.toml'}: trajectories[0]: left out: {folder / 'poses.txt'}: line 2: ")
+    assert reported[1].startswith(f"{folder / 'rig.toml'}: sensors[0].files: left out: 'tip/*.bin': no such files")

@@ -17,9 +17,7 @@ CLOUD = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("i", "u1"), ("ring"
 @pytest.fixture(scope="module")
 def drive():
     """Three sweeps of a coarse lidar and a small camera with distortion."""
-    return simulate_street(
-        4, frames=3, lidar=LidarSpec(beams=16, steps=300), cameras=(CameraSpec(CAMERA_MODEL),)
-    ).scene
+    return simulate_street(4, frames=3, lidar=LidarSpec(beams=16, steps=300), cameras=(CameraSpec(CAMERA_MODEL),)).scene
 
 
 def table(points) -> np.ndarray:

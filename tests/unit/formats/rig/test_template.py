@@ -50,25 +50,18 @@ def test_the_template_that_is_not_filled_in_says_what_is_left(clouds_and_images)
     with pytest.raises(DataError) as caught:
         sceneloom.open(clouds_and_images)
     reported = str(caught.value)
-    assert (
-        "sensors[0] (lidar_top): still to be filled in: extrinsic.translation, extrinsic.quaternion_xyzw"
-        in reported
-    )
+    assert "sensors[0] (lidar_top): still to be filled in: extrinsic.translation, extrinsic.quaternion_xyzw" in reported
     assert "sensors[1] (cam_front): still to be filled in: camera_model.fx" in reported
 
 
 def test_lines_that_are_commented_out_are_right_as_well(clouds_and_images):
     lines = [re.sub(r"^# (?=[a-z_]+ = (?!R)|\[\[)", "", line) for line in TEMPLATE.splitlines()]
     choices = [
-        line
-        for line in lines
-        if not re.match(r"times = \{ (csv|lines|rate_hz)|root = |point_times|fields", line)
+        line for line in lines if not re.match(r"times = \{ (csv|lines|rate_hz)|root = |point_times|fields", line)
     ]
     text = filled("\n".join(choices)).replace('timestamp = "start"', 'timestamp = "end"')
     (clouds_and_images / "poses.txt").write_text("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")
-    (clouds_and_images / "rig.toml").write_text(
-        text.replace("width = 1920", "width = 64").replace("1080", "48")
-    )
+    (clouds_and_images / "rig.toml").write_text(text.replace("width = 1920", "width = 64").replace("1080", "48"))
     assert [*sceneloom.open(clouds_and_images).trajectories] == ["pose"]
 
 
@@ -163,9 +156,7 @@ def test_numbered_names_ask_for_a_rate(tmp_path, names):
 
 
 def test_lists_of_times_beside_the_files_are_found(clouds_and_images):
-    (clouds_and_images / "lidar_top" / "timestamps.txt").write_text(
-        "2011-09-26 13:02:25.5\n2011-09-26 13:02:25.6\n"
-    )
+    (clouds_and_images / "lidar_top" / "timestamps.txt").write_text("2011-09-26 13:02:25.5\n2011-09-26 13:02:25.6\n")
     rows = "".join(f"{path.name},{k}\n" for k, path in enumerate((clouds_and_images / "cam_front").iterdir()))
     (clouds_and_images / "front.csv").write_text("image,time\n" + rows)
     lidar, camera = survey(clouds_and_images).sensors
@@ -272,6 +263,4 @@ def test_columns_that_are_not_known_by_name_are_offered_as_comments_that_work(tm
 
 def test_columns_of_locations_that_are_not_known_by_name_are_asked_for(tmp_path):
     np.savez(tmp_path / "0.npz", East=np.ones(3), North=np.ones(3), Up=np.ones(3))
-    assert '# use = { x = "?", y = "?", z = "?" }   # needed: which of East North Up' in template_text(
-        folder=tmp_path
-    )
+    assert '# use = { x = "?", y = "?", z = "?" }   # needed: which of East North Up' in template_text(folder=tmp_path)

@@ -15,9 +15,7 @@ LOCATIONS = np.array([[0.0, 0, 0], [3, 1, 0.1], [5, 4, 0.2]])
 WORLD_FROM_FRAME = np.tile(np.eye(4), (3, 1, 1))
 WORLD_FROM_FRAME[:, :3, :3], WORLD_FROM_FRAME[:, :3, 3] = ROTATIONS.as_matrix(), LOCATIONS
 BASE_FROM_IMU = np.array([[0, -1, 0, 0.5], [1, 0, 0, -0.25], [0, 0, 1, 1.0], [0, 0, 0, 1]])
-IMU = (
-    f'[[transforms]]\nfrom = "imu"\nto = "base"\nmatrix = {BASE_FROM_IMU.tolist()}\n\n[[sensors]]\nid = "top"'
-)
+IMU = f'[[transforms]]\nfrom = "imu"\nto = "base"\nmatrix = {BASE_FROM_IMU.tolist()}\n\n[[sensors]]\nid = "top"'
 
 
 def write_tum(folder):
@@ -138,9 +136,7 @@ def test_as_many_times_as_poses_are_needed(opened, folder):
 
 def test_a_matrix_that_is_no_rotation_is_reported_with_its_line(opened, folder):
     stated = write_kitti(folder)
-    np.savetxt(
-        folder / "trajectory.txt", (WORLD_FROM_FRAME[:, :3] * [[[1.0]], [[1.1]], [[1.0]]]).reshape(3, 12)
-    )
+    np.savetxt(folder / "trajectory.txt", (WORLD_FROM_FRAME[:, :3] * [[[1.0]], [[1.1]], [[1.0]]]).reshape(3, 12))
     with pytest.raises(DataError, match=r"line 2: rotation off by 0.21"):
         opened((TUM, stated))
 

@@ -16,9 +16,7 @@ MATRIX = np.vstack([np.column_stack([ROTATION.as_matrix(), SHIFT]), [0, 0, 0, 1]
 
 def read(**record):
     ledger = Ledger(lenient=False)
-    return read_transform(
-        {k: np.asarray(v) if k != "euler_order" else v for k, v in record.items()}, "x", ledger
-    )
+    return read_transform({k: np.asarray(v) if k != "euler_order" else v for k, v in record.items()}, "x", ledger)
 
 
 @pytest.mark.parametrize(
@@ -65,9 +63,7 @@ def test_a_rotation_that_is_a_little_off_is_repaired_with_a_warning():
     off = ROTATION.as_matrix() * 1.002
     found = read_transform({"rotation_matrix": off}, "here", ledger)
     np.testing.assert_allclose(found.rotation, ROTATION.as_matrix(), atol=1e-12)
-    assert [(warning.code, warning.location) for warning in ledger.warnings] == [
-        ("rotation-normalised", "here")
-    ]
+    assert [(warning.code, warning.location) for warning in ledger.warnings] == [("rotation-normalised", "here")]
 
 
 def edge(source, target, seed):
@@ -90,9 +86,7 @@ def test_a_loop_that_agrees_is_taken_and_one_that_contradicts_is_refused():
     one, two = edge("a", "base", 1), edge("b", "a", 2)
     closing = one.target_from_source @ two.target_from_source
     loop = Edge("b", "base", closing, "b to base")
-    np.testing.assert_allclose(
-        FrameTree("base", [one, two, loop]).ego_from("b").matrix, closing.matrix, atol=1e-12
-    )
+    np.testing.assert_allclose(FrameTree("base", [one, two, loop]).ego_from("b").matrix, closing.matrix, atol=1e-12)
     wrong = Edge("base", "b", closing, "transforms[2]")
     with pytest.raises(
         CalibrationError,
@@ -107,9 +101,7 @@ def test_a_frame_without_connection_is_reported_with_what_it_is_connected_to():
         CalibrationError, match="'cam' to the ego's frame 'base'; it is connected with 'rig', the ego's"
     ):
         tree.ego_from("cam")
-    with pytest.raises(
-        CalibrationError, match=r"\(known frames: 'base', 'a', 'cam', 'rig'\); give it an `extrinsic`"
-    ):
+    with pytest.raises(CalibrationError, match=r"\(known frames: 'base', 'a', 'cam', 'rig'\); give it an `extrinsic`"):
         tree.ego_from("radar")
     assert tree.loose == ("cam", "rig")
 
@@ -134,9 +126,7 @@ def test_axes_state_what_points_right_down_and_forward(axes, right, down, forwar
     assert rotated.tolist() == [list(right), list(down), list(forward)]
 
 
-@pytest.mark.parametrize(
-    "axes", [("body",), ("-y", "+z", "+x"), ("x", "x", "y"), ("x", "y"), ("x", "y", "w"), ("",)]
-)
+@pytest.mark.parametrize("axes", [("body",), ("-y", "+z", "+x"), ("x", "x", "y"), ("x", "y"), ("x", "y", "w"), ("",)])
 def test_axes_that_are_none_or_a_mirror_are_refused(axes):
     with pytest.raises(CalibrationError):
         frame_from_optical(axes)
@@ -144,9 +134,7 @@ def test_axes_that_are_none_or_a_mirror_are_refused(axes):
 
 def test_both_directions_of_an_extrinsic_mean_the_same(opened):
     as_it_is = opened().cameras[0].mount.matrix
-    inverse = opened(
-        ('to = "top", translation = [0.5, 0.0, -0.5]', 'from = "top", translation = [-0.5, 0.0, 0.5]')
-    )
+    inverse = opened(('to = "top", translation = [0.5, 0.0, -0.5]', 'from = "top", translation = [-0.5, 0.0, 0.5]'))
     np.testing.assert_allclose(inverse.cameras[0].mount.matrix, as_it_is, atol=1e-12)
     with pytest.raises(DataError, match="neither to nor from; expected `to`"):
         opened(('{ to = "top", ', "{ "))

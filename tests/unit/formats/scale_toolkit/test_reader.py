@@ -47,9 +47,7 @@ def write_folder(folder, names=("1", "2", "10")):
         (folder / "pointcloud" / f"{name}.ply").write_bytes(head.encode() + rows.tobytes())
         put(folder / "poses" / f"{name}.json", *trajectory(k))
         Image.new("RGB", (64, 48), (60 * k, 0, 0)).save(front / f"{name}.jpg")
-        (folder / "radar_points" / f"{name}.txt").write_text(
-            f"1, 2, 3, 0, 3, 4, {k + 2}\n4, 5, 6, 0, 0, 0, 1\n\n"
-        )
+        (folder / "radar_points" / f"{name}.txt").write_text(f"1, 2, 3, 0, 3, 4, {k + 2}\n4, 5, 6, 0, 0, 0, 1\n\n")
     return folder
 
 
@@ -91,9 +89,7 @@ def test_points_are_in_the_frame_of_the_ego_and_poses_lead_into_the_world(folder
     for k in range(3):
         location, rotation = trajectory(k)
         assert np.allclose(scene.trajectories["pose"].positions[k], location)
-        assert np.allclose(
-            camera.poses.positions[k], np.array(location) + rotation.apply(CAMERA[0]), atol=NEAR
-        )
+        assert np.allclose(camera.poses.positions[k], np.array(location) + rotation.apply(CAMERA[0]), atol=NEAR)
         found = Rotation.from_quat(camera.poses.quaternions_xyzw[k])
         assert (found.inv() * rotation * CAMERA[1]).magnitude() < NEAR
 

@@ -60,9 +60,7 @@ def path_of(*values, **fields):
 
 
 def test_boxes_in_images(read_one):
-    box = read_one(
-        "box_2d", sensor_id=7, path=path_of([1, 2, 3, 4.5], smooth=1), stationary=True, label="car"
-    )
+    box = read_one("box_2d", sensor_id=7, path=path_of([1, 2, 3, 4.5], smooth=1), stationary=True, label="car")
     assert isinstance(box, Box2DAnnotation)
     assert (box.sensor_id, box.label, box.stationary) == (7, "car", True)
     assert box.path.timestamps_ns.tolist() == [2000]
@@ -116,9 +114,7 @@ def test_keypoints_have_paths_labels_and_projections_each(read_one):
         "score": 1,
     }
     attributes = [{**ATTRIBUTE, "point_index": 1}]
-    points = read_one(
-        "points", paths=paths, labels=["a", "b"], projections=[[projection], []], attributes=attributes
-    )
+    points = read_one("points", paths=paths, labels=["a", "b"], projections=[[projection], []], attributes=attributes)
     assert isinstance(points, PointsAnnotation)
     assert [path.id for path in points.paths] == ["nose", None]
     assert points.paths[0].extras == {"why": "seen"}
@@ -271,9 +267,7 @@ def test_attributes_hold_text_numbers_and_lists_of_text(open_header, make):
 
 @pytest.mark.parametrize("unknown", [{}, {"unit": "m/s"}])
 @pytest.mark.parametrize("values", [[], [1.5], [1.5, "fast", "faster"]])
-def test_an_attribute_with_more_or_fewer_values_than_timestamps_is_kept_as_found(
-    read, target, values, unknown
-):
+def test_an_attribute_with_more_or_fewer_values_than_timestamps_is_kept_as_found(read, target, values, unknown):
     record = {**CUBOID, "id": 1, "attributes": [{**ATTRIBUTE, **unknown, "values": values}]}
     scene = read(record)
     write_scene(scene, target)
@@ -444,9 +438,7 @@ def test_lenient_reading_leaves_out_only_the_annotation_at_fault(read):
             "path.values[0]",
         ),
         (
-            ShapeAnnotation(
-                "a", ShapeType.POINT, VertexPath(np.zeros(1, np.int64), (np.full((1, 3), np.nan),))
-            ),
+            ShapeAnnotation("a", ShapeType.POINT, VertexPath(np.zeros(1, np.int64), (np.full((1, 3), np.nan),))),
             "path.values[0], vertices[0]",
         ),
         (

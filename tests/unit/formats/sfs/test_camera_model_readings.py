@@ -69,9 +69,7 @@ FTHETA = [0.0, 100.0, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("model", ["ftheta", "fisheye_radial_custom"])
-def test_a_camera_model_whose_formula_nothing_confirms_opens_but_is_not_computed_with(
-    open_header, make, model
-):
+def test_a_camera_model_whose_formula_nothing_confirms_opens_but_is_not_computed_with(open_header, make, model):
     scene = open_header(make.scene(camera(model, FTHETA)))
     assert scene.cameras[0].camera.model == model
     assert assumed_models(scene) == ()

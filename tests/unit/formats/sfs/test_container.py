@@ -158,9 +158,7 @@ def test_two_items_for_one_location_are_refused(opened):
 def test_all_faulty_items_are_collected_and_leave_nothing_in_their_locations(tmp_path, encode_sfs):
     path = tmp_path / "scene.sfs"
     content = encode_sfs({"a": [{"b": ARRAY}], "c": ARRAY, "d": ARRAY, "e": ARRAY})
-    content = content.replace(b'"offset": 60', b'"offset": 40').replace(
-        b'"shape": [2, 3]}]', b'"shape": [7]}]   '
-    )
+    content = content.replace(b'"offset": 60', b'"offset": 40').replace(b'"shape": [2, 3]}]', b'"shape": [7]}]   ')
     path.write_bytes(content)
     faults = []
     header = Container(path, faults=faults).header
@@ -173,9 +171,7 @@ def test_all_faulty_items_are_collected_and_leave_nothing_in_their_locations(tmp
 
 
 def test_arrays_behind_four_gigabytes_are_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "sceneloom.formats.base.files.LARGEST_HOLES", 1e9
-    )  # a file without holes would take minutes
+    monkeypatch.setattr("sceneloom.formats.base.files.LARGEST_HOLES", 1e9)  # a file without holes would take minutes
     """A file of holes takes no room on disk."""
     far = 5 * 2**30 + 3
     item = {"keys": ["a"], "offset": far, "length": 24, "dtype": "float32", "shape": [2, 3]}

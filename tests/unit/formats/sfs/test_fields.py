@@ -13,9 +13,7 @@ OF_RECORDS = {Kind.RECORD, Kind.RECORDS, Kind.RECORD_OR_RECORDS, Kind.RECORD_LIS
 FIELDS = [(record, field) for record, fields in RECORDS.items() for field in fields.values()]
 
 
-@pytest.mark.parametrize(
-    ("record", "field"), FIELDS, ids=[f"{record}.{field.name}" for record, field in FIELDS]
-)
+@pytest.mark.parametrize(("record", "field"), FIELDS, ids=[f"{record}.{field.name}" for record, field in FIELDS])
 def test_a_field_names_what_its_kind_needs(record, field):
     assert (field.kind in OF_RECORDS) == (field.record != "")
     assert not field.record or field.record in RECORDS

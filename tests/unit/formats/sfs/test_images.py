@@ -41,9 +41,7 @@ def mp4():
 
 def camera(camera_images, **fields):
     lazy = LazyFrames.of(camera_images, [camera_image.timestamp_ns for camera_image in camera_images])
-    return CameraSensor(
-        **{"id": "front", "camera": CAMERA_MODEL, "images": lazy, "poses": Poses.identity(), **fields}
-    )
+    return CameraSensor(**{"id": "front", "camera": CAMERA_MODEL, "images": lazy, "poses": Poses.identity(), **fields})
 
 
 def camera_header(**content):
@@ -100,9 +98,7 @@ def test_a_broken_video_opens_and_fails_with_its_location(open_header):
         front.images[0].rgb  # noqa: B018
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"\0" * 8, b"\0\0\0\1moov", b"\xff" * 64, b"\0\0\0\x10moovxxxxstsd"]
-)
+@pytest.mark.parametrize("content", [b"", b"\0" * 8, b"\0\0\0\1moov", b"\xff" * 64, b"\0\0\0\x10moovxxxxstsd"])
 def test_any_bytes_have_a_codec_or_none(content):
     assert video_codec(memoryview(content)) == "unknown"
 
@@ -136,10 +132,7 @@ def test_images_are_written_as_jpeg_and_stated_to_be(target):
 
 
 def test_jpeg_files_are_copied_byte_for_byte(target, decode_sfs):
-    encoded = [
-        CameraImage(k * MS, CAMERA_MODEL, lambda: image_array(0), encoded=lambda k=k: jpeg(k))
-        for k in range(2)
-    ]
+    encoded = [CameraImage(k * MS, CAMERA_MODEL, lambda: image_array(0), encoded=lambda k=k: jpeg(k)) for k in range(2)]
     report = write_scene(Scene((camera(encoded),)), target)
     images = decode_sfs(target.read_bytes())["sensors"][0]["images"]
     assert [image["content"].tobytes() for image in images] == [jpeg(0), jpeg(1)]
@@ -241,9 +234,7 @@ def test_camera_models_mountings_and_fields_of_single_images_come_back(target, m
         (Camera("fisheye", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1,)), "fisheye", None),
         (Camera("kannala-brandt18", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1,) * 18), None, "unknown number"),
         (
-            Camera(
-                "brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1,) + (0.0,) * 9 + (0.01, 0, 0, 0, 0, 0)
-            ),
+            Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1,) + (0.0,) * 9 + (0.01, 0, 0, 0, 0, 0)),
             "brown_conrady",
             "px",
         ),
@@ -267,14 +258,10 @@ def test_camera_models_that_the_format_lacks_are_kept_and_their_error_is_stated(
 
 
 def stated_distance_px(report):
-    return float(
-        next(loss.what for loss in report if "distortion" in loss.field).split("up to ")[1].split()[0]
-    )
+    return float(next(loss.what for loss in report if "distortion" in loss.field).split("up to ")[1].split()[0])
 
 
-def test_a_camera_model_that_the_format_lacks_is_fitted_and_the_error_that_is_left_is_stated(
-    target, decode_sfs
-):
+def test_a_camera_model_that_the_format_lacks_is_fitted_and_the_error_that_is_left_is_stated(target, decode_sfs):
     # at the corner (16, 8) px from the centre x' = x + s1 r²: about 40 · 0.01 · (0.4² + 0.2²) = 0.08 px
     camera_model = Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.0,) * 10 + (0.01, 0, 0, 0, 0, 0))
     report = write_scene(Scene((camera([], camera=camera_model),)), target)
@@ -290,9 +277,7 @@ def test_a_camera_model_that_the_format_lacks_is_fitted_and_the_error_that_is_le
     assert FORMAT.open(target).cameras[0].camera == camera_model
 
 
-def test_a_written_camera_model_that_was_changed_since_counts_and_not_the_note(
-    target, encode_sfs, decode_sfs
-):
+def test_a_written_camera_model_that_was_changed_since_counts_and_not_the_note(target, encode_sfs, decode_sfs):
     camera_model = Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.0,) * 10 + (0.01, 0, 0, 0, 0, 0))
     write_scene(Scene((camera([], camera=camera_model),)), target)
     header = decode_sfs(target.read_bytes())

@@ -70,16 +70,12 @@ def test_point_times_counted_from_the_frame_are_recognised(open_header, make):
 def test_point_times_beyond_64_bits_are_refused_when_read(open_header, make):
     points = {"positions": TWO, "timestamps": np.array([3, 2**63], np.uint64)}
     scene = open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points}])))
-    with pytest.raises(
-        DataError, match=r"sensors\[0\].frames\[0\].points.timestamps: .* does not fit 64 bits"
-    ):
+    with pytest.raises(DataError, match=r"sensors\[0\].frames\[0\].points.timestamps: .* does not fit 64 bits"):
         scene.sensors[0].frames[0]
 
 
 def test_times_that_are_whole_floats_or_fractions_are_exact(open_header, make):
-    lidar = make.lidar(
-        frames=[{"timestamp": timestamp, "points": {"positions": TWO}} for timestamp in (2.0, 2.5)]
-    )
+    lidar = make.lidar(frames=[{"timestamp": timestamp, "points": {"positions": TWO}} for timestamp in (2.0, 2.5)])
     assert open_header(make.scene(lidar)).sensors[0].frames.timestamps_ns.tolist() == [2000, 2500]
 
 
@@ -92,9 +88,7 @@ def test_arrays_of_points_have_the_types_of_the_model(open_header, make):
         "camera_index": np.array([0, 255], np.uint8),
         "confidence": np.array([0.5, 1.0]),
     }
-    frame = open_header(
-        make.scene(make.lidar(frames=[{"timestamp": 0, "points": points, "weather": "rain"}]))
-    )
+    frame = open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points, "weather": "rain"}])))
     frame = frame.sensors[0].frames[0]
     np.testing.assert_array_equal(frame.points.positions, TWO)
     np.testing.assert_array_equal(frame.points.colors, points["colors"])
@@ -109,10 +103,7 @@ def test_arrays_of_points_have_the_types_of_the_model(open_header, make):
 def test_a_strangers_ring_of_another_type_is_carried_along(open_header, make):
     points = {"positions": TWO, "ring": np.array([1, 2], np.uint8)}
     points = (
-        open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points}])))
-        .sensors[0]
-        .frames[0]
-        .points
+        open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points}]))).sensors[0].frames[0].points
     )
     assert points.rings is None
     assert points.extras["ring"].tolist() == [1, 2]
@@ -120,9 +111,7 @@ def test_a_strangers_ring_of_another_type_is_carried_along(open_header, make):
 
 def test_flat_arrays_are_cut_into_rows_and_lists_become_arrays(open_header, make):
     points = {"positions": TWO.reshape(-1), "intensities": [7, 8], "colors": [[1, 2, 3], [4, 5, 6]]}
-    frame = (
-        open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points}]))).sensors[0].frames[0]
-    )
+    frame = open_header(make.scene(make.lidar(frames=[{"timestamp": 0, "points": points}]))).sensors[0].frames[0]
     np.testing.assert_array_equal(frame.points.positions, TWO)
     assert frame.points.intensities.dtype == np.uint8
     assert frame.points.colors.tolist() == [[1, 2, 3], [4, 5, 6]]
@@ -196,9 +185,7 @@ def test_a_single_pose_holds_for_ever_on_the_ego_and_for_sensors_with_several_fr
     assert open_header(make.scene(make.lidar(coordinates="ego"))).sensors[0].poses.static
     assert not open_header(make.scene(make.lidar())).sensors[0].poses.static
     frame = {"points": {"positions": TWO}}
-    stationary = open_header(
-        make.scene(make.lidar(frames=[{"timestamp": 0, **frame}, {"timestamp": 9, **frame}]))
-    )
+    stationary = open_header(make.scene(make.lidar(frames=[{"timestamp": 0, **frame}, {"timestamp": 9, **frame}])))
     assert stationary.sensors[0].poses.static
     assert "single-pose" in codes(stationary)
 
@@ -297,9 +284,7 @@ def test_an_event_without_a_start_is_an_object(open_header, make):
 
 
 def test_unknown_root_fields_and_metadata_are_kept(open_header, make):
-    scene = open_header(
-        make.scene(metadata={"town": "Ulm", "map": TWO}, licence="open", time_unit="microsecond")
-    )
+    scene = open_header(make.scene(metadata={"town": "Ulm", "map": TWO}, licence="open", time_unit="microsecond"))
     assert scene.metadata["town"] == "Ulm"
     np.testing.assert_array_equal(scene.metadata["map"], TWO)
     assert scene.extras == {"licence": "open", "time_unit": "microsecond"}
@@ -375,9 +360,7 @@ def test_short_lists_of_coefficients_are_noticed_and_long_ones_refused(open_head
     short = {**INTRINSICS, "distortion": {"model": "brown_conrady", "params": [0.1]}}
     assert "short-distortion" in codes(open_header(make.scene(camera_header(intrinsics=short))))
     long = {**INTRINSICS, "distortion": {"model": "fisheye", "params": [0.1] * 5}}
-    assert (
-        "5 numbers; fisheye has 4" in refused(open_header, make.scene(camera_header(intrinsics=long))).problem
-    )
+    assert "5 numbers; fisheye has 4" in refused(open_header, make.scene(camera_header(intrinsics=long))).problem
 
 
 def faulty(**fields):
@@ -511,9 +494,7 @@ def test_an_error_counts_the_faults_beyond_the_first_ones(open_header, make):
 
 
 def test_lenient_reading_leaves_faulty_parts_out_with_a_warning(open_header, make):
-    header = make.scene(
-        make.lidar(id=None), make.lidar(), annotations=[{"id": 1}, {"id": 2, "type": "group"}]
-    )
+    header = make.scene(make.lidar(id=None), make.lidar(), annotations=[{"id": 1}, {"id": 2, "type": "group"}])
     scene = open_header(header, lenient=True)
     assert [sensor.id for sensor in scene.sensors] == ["top"]
     assert [annotation.id for annotation in scene.annotations] == [2]

@@ -247,9 +247,7 @@ def test_arrays_of_strangers_are_fetched_on_opening(served, encode_sfs):
     """Big-endian arrays, unknown sensors and the like."""
     frames = [{"timestamp": 1, "points": {"positions": np.ones((2, 3), ">f4")}}]
     lidar = {"id": "l", "type": "lidar", "frames": frames}
-    content = encode_sfs(
-        {"version": "1.0", "sensors": [lidar, {"id": "x", "type": "sonar", "d": np.arange(3)}]}
-    )
+    content = encode_sfs({"version": "1.0", "sensors": [lidar, {"id": "x", "type": "sonar", "d": np.arange(3)}]})
     served.files["drive.sfs"] = content.replace(b'"dtype": "float32"', b'"dtype": ">f4"    ')
     with sceneloom.open(served.url("drive.sfs")) as scene:
         assert scene.lidars[0].frames[0].points.positions.tolist() == [[1, 1, 1]] * 2

@@ -60,9 +60,7 @@ def header():
             "type": "radar",
             **moving,
             "coordinates": "ego",
-            "frames": [
-                frame(5, directions=TWO, lengths=np.array([1.5, 2], np.float32), rcs=np.array([3.0, 4.0]))
-            ],
+            "frames": [frame(5, directions=TWO, lengths=np.array([1.5, 2], np.float32), rcs=np.array([3.0, 4.0]))],
         },
         {
             "id": "7",
@@ -101,9 +99,7 @@ def header():
             "type": "cuboid",
             **flat,
             "path": {"timestamps": [5, 6], "values": [ROW, ROW], "smooth": 1},
-            "activations": [
-                {"sensor_id": "top", "timestamps": [5], "durations": [2.5], "cuboids": [ROW], "q": 1}
-            ],
+            "activations": [{"sensor_id": "top", "timestamps": [5], "durations": [2.5], "cuboids": [ROW], "q": 1}],
             "projections": [
                 {
                     "sensor_id": "front",
@@ -142,9 +138,7 @@ def header():
             "type": "labeled_points",
             "label": "road",
             "is_instance": False,
-            "labeled_points": [
-                {"sensor_id": "top", "sensor_frame": 0, "point_ids": np.array([0, 1], np.uint32)}
-            ],
+            "labeled_points": [{"sensor_id": "top", "sensor_frame": 0, "point_ids": np.array([0, 1], np.uint32)}],
         },
         {"id": 4, "type": "localization_adjustment", "poses": POSES},
         {

@@ -35,9 +35,7 @@ def cloud(k, *, points=10):
 def drive(*, frames=5):
     """A lidar, a camera with JPEG images, and annotations of which one counts frames."""
     jpeg = np.frombuffer(simplejpeg.encode_jpeg(np.zeros((64, 96, 3), np.uint8), 50), np.uint8)
-    labels = [
-        {"sensor_id": "top", "sensor_frame": k, "point_ids": np.array([k], np.uint32)} for k in range(frames)
-    ]
+    labels = [{"sensor_id": "top", "sensor_frame": k, "point_ids": np.array([k], np.uint32)} for k in range(frames)]
     path = {"timestamps": [0], "values": [[1.0] * 9]}
     return {
         "version": "1.0",
@@ -123,9 +121,7 @@ def test_labelled_points_follow_the_frames_that_stay(salvaged, encode_sfs):
     content = encode_sfs(drive())
     damaged = content.replace(b'"length": 120', b'"length": 12x')
     items, _ = items_of(content)
-    number = next(
-        k for k, i in enumerate(items) if i["keys"] == ["sensors", 0, "frames", 1, "points", "positions"]
-    )
+    number = next(k for k, i in enumerate(items) if i["keys"] == ["sensors", 0, "frames", 1, "points", "positions"])
     items[number]["offset"] = 10**9
     stop = content.index(b"\0")
     header = json.loads(content[:stop])
@@ -187,9 +183,7 @@ def test_arrays_are_found_behind_a_damaged_part_of_the_header(salvaged, encode_s
 def test_a_changed_number_costs_one_frame(salvaged, encode_sfs):
     content = encode_sfs({**drive(), "annotations": []})
     location = content.index(b'"timestamp": 200000')
-    damaged = (
-        content[:location] + b'"timestamp": 2x0000'.replace(b"2x0000", b'"0000"') + content[location + 19 :]
-    )
+    damaged = content[:location] + b'"timestamp": 2x0000'.replace(b"2x0000", b'"0000"') + content[location + 19 :]
     report, scene = salvaged(damaged)
     assert [part.location for part in report.lost] == ["sensors[0].frames[2]"]
     assert len(scene.lidars[0].frames) == 4
@@ -288,9 +282,7 @@ def test_images_before_the_cut_of_a_video_are_read_leniently(encode_sfs, tmp_pat
 
 
 @pytest.mark.parametrize("flags", ["", "frag_keyframe+empty_moov"])
-def test_a_video_whose_tables_are_lost_is_left_out_and_its_camera_stays(
-    salvaged, encode_sfs, tmp_path, flags
-):
+def test_a_video_whose_tables_are_lost_is_left_out_and_its_camera_stays(salvaged, encode_sfs, tmp_path, flags):
     content = video_scene(encode_sfs, encoded(tmp_path / "video.mp4", images=30, flags=flags), 30)
     report, scene = salvaged(content[: len(content) * 2 // 3])
     assert len(scene.cameras[0].images) == 0

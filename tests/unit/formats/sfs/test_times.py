@@ -61,6 +61,4 @@ def test_the_earliest_times_of_64_bits_have_timestamps(tick_ns, dtype):
     assert timestamps.dtype == dtype
     assert timestamps.tolist() == [clock.timestamp(time) for time in times_ns.tolist()]
     assert inexact == (0 if tick_ns == 1 else 5)
-    np.testing.assert_allclose(
-        clock.absolute_array(timestamps) - INT64_MIN, times_ns - INT64_MIN, atol=tick_ns // 2
-    )
+    np.testing.assert_allclose(clock.absolute_array(timestamps) - INT64_MIN, times_ns - INT64_MIN, atol=tick_ns // 2)

@@ -174,9 +174,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("location", "value", "words"), CASES)
-def test_a_value_at_fault_costs_the_least_part_that_cannot_be_without_it(
-    tmp_path, encode_sfs, location, value, words
-):
+def test_a_value_at_fault_costs_the_least_part_that_cannot_be_without_it(tmp_path, encode_sfs, location, value, words):
     file = tmp_path / "scene.sfs"
     file.write_bytes(encode_sfs(header()))
     with FORMAT.open(file) as scene:
@@ -233,9 +231,7 @@ def test_fixing_keeps_what_is_whole_and_lists_every_loss(tmp_path, encode_sfs):
     damaged["sensors"][0]["frames"][2]["points"]["positions"][0] = np.nan
     file.write_bytes(encode_sfs(damaged))
     report = sceneloom.validate(file, fix=target)
-    assert {
-        (loss.path.partition(" ")[0], loss.message.partition("left out: ")[2]) for loss in report.left_out
-    } == {
+    assert {(loss.path.partition(" ")[0], loss.message.partition("left out: ")[2]) for loss in report.left_out} == {
         ("sensors[0].frames[0].points.positions", "frame 0 of lidar 'top'"),
         ("sensors[1].frames[2].points.lengths", "lengths of frame 2 of radar 'front'"),
     }

@@ -32,9 +32,7 @@ SECOND = 1_000_000_000
 
 
 def lidar(**fields):
-    return LidarSensor(
-        **{"id": "top", "frames": LazyFrames.of([], []), "points_frame": PointsFrame.WORLD, **fields}
-    )
+    return LidarSensor(**{"id": "top", "frames": LazyFrames.of([], []), "points_frame": PointsFrame.WORLD, **fields})
 
 
 def sweep(timestamp_ns, times_ns=None, **arrays):
@@ -99,9 +97,7 @@ def test_the_words_of_the_file_are_those_of_the_format(written):
     }
     assert points["timestamps"].tolist() == [0, 5]
     np.testing.assert_array_equal(points["positions"], TWO)
-    assert [
-        type(value) for value in (sensor["frames"][0]["timestamp"], sensor["poses"]["timestamps"][0])
-    ] == [int, int]
+    assert [type(value) for value in (sensor["frames"][0]["timestamp"], sensor["poses"]["timestamps"][0])] == [int, int]
 
 
 def test_every_array_starts_on_a_cache_line_and_is_followed_by_nuls(written, target):
@@ -327,9 +323,7 @@ def test_fields_that_no_file_can_hold_are_refused_with_their_location(target):
 
 
 def test_numbers_that_json_cannot_state_become_null_and_are_counted(target, decode_sfs):
-    with SceneWriter(
-        target, metadata={"a": float("nan"), "b": [1.0, float("inf")], "c": np.float32(0.5)}
-    ) as writer:
+    with SceneWriter(target, metadata={"a": float("nan"), "b": [1.0, float("inf")], "c": np.float32(0.5)}) as writer:
         pass
     assert decode_sfs(target.read_bytes())["metadata"] == {"a": None, "b": [1.0, None], "c": 0.5}
     assert [(loss.count, loss.what[:7]) for loss in writer.losses] == [(2, "numbers")]
@@ -363,8 +357,7 @@ def test_a_sensor_of_which_only_the_mounting_is_known_is_placed_on_the_ego(targe
     assert (read.poses, read.coordinates, read.points_frame) == (None, Coordinates.WORLD, PointsFrame.SENSOR)
     np.testing.assert_array_equal(read.mount.matrix, mount.matrix)
     assert (
-        "not known; the mounting is written"
-        in {loss.field: loss.what for loss in writer.losses}["sensors[top].poses"]
+        "not known; the mounting is written" in {loss.field: loss.what for loss in writer.losses}["sensors[top].poses"]
     )
 
 

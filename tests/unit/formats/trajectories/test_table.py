@@ -222,9 +222,7 @@ def test_an_unknown_name_is_answered_with_the_known_ones(tmp_path: Path) -> None
 def pose(time: object, x: object = 1, w: object = 1) -> str:
     """A line of JSON."""
     rotation = f'{{"x":0,"y":0,"z":0,"w":{w}}}'
-    return (
-        f'{{"groundTruth":{{"position":{{"x":{x},"y":2,"z":3}},"orientation":{rotation}}},"time":{time}}}\n'
-    )
+    return f'{{"groundTruth":{{"position":{{"x":{x},"y":2,"z":3}},"orientation":{rotation}}},"time":{time}}}\n'
 
 
 BAD = [
@@ -317,9 +315,7 @@ def test_a_suffix_that_no_form_has_is_refused(tmp_path: Path) -> None:
 def test_a_trajectory_is_taken_out_of_a_scene_by_name(tmp_path: Path) -> None:
     folder = tmp_path / "drive"
     folder.mkdir()
-    put(
-        folder, "data.jsonl", JSONL + '{"gps":{"latitude":49,"longitude":8,"altitude":1},"time":1403636581}\n'
-    )
+    put(folder, "data.jsonl", JSONL + '{"gps":{"latitude":49,"longitude":8,"altitude":1},"time":1403636581}\n')
     assert read_trajectory(folder).name == "groundTruth"
     assert read_trajectory(f"{folder}:vio").positions[0, 0] == 9.0
     assert read_trajectory(f"{folder}:fixes").quaternions_xyzw is None

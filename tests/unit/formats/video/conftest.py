@@ -73,9 +73,7 @@ def make_video(recipe: Recipe) -> bytes:
 @pytest.fixture(scope="session")
 def videos() -> SimpleNamespace:
     """The makers of this module, since tests cannot import one another."""
-    return SimpleNamespace(
-        Recipe=Recipe, make=make_video, image=numbered_image, number=read_number, decode=decode_all
-    )
+    return SimpleNamespace(Recipe=Recipe, make=make_video, image=numbered_image, number=read_number, decode=decode_all)
 
 
 @pytest.fixture(scope="session")

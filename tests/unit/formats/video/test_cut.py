@@ -43,9 +43,7 @@ def independent(tmp_path_factory):
     return make_video(tmp_path_factory.mktemp("cut") / "independent.mkv", "ffv1", "bgr0", {"g": "1"})
 
 
-@pytest.mark.parametrize(
-    "taken", [range(20), range(10), range(5, 20), range(10, 15), [*range(5), *range(10, 20)]]
-)
+@pytest.mark.parametrize("taken", [range(20), range(10), range(5, 20), range(10, 15), [*range(5), *range(10, 20)]])
 def test_whole_groups_are_copied_as_they_are(leaning, tmp_path, taken):
     target = tmp_path / "cut.mkv"
     result = copy_to_matroska(leaning, target, frame_indices=list(taken))
@@ -56,9 +54,7 @@ def test_whole_groups_are_copied_as_they_are(leaning, tmp_path, taken):
     assert all(np.array_equal(after[k], before[index]) for k, index in enumerate(taken))
 
 
-@pytest.mark.parametrize(
-    "taken", [range(1, 20), [0, 2, *range(3, 20)], [*range(5), *range(6, 20)], [], [3, 3], [20]]
-)
+@pytest.mark.parametrize("taken", [range(1, 20), [0, 2, *range(3, 20)], [*range(5), *range(6, 20)], [], [3, 3], [20]])
 def test_images_that_need_others_are_not_copied(leaning, tmp_path, taken):
     target = tmp_path / "cut.mkv"
     assert copy_to_matroska(leaning, target, frame_indices=list(taken)) is None

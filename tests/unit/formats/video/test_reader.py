@@ -114,9 +114,7 @@ def test_times_are_those_of_the_container_in_the_order_of_showing(videos):
     content = videos.make(videos.Recipe(container="mp4", count=10, ticks=ticks))
     with open_video(content) as reader:
         # mp4 counts time from its first image where no edit list says otherwise; this one says so
-        assert reader.timestamps - reader.timestamps[0] == pytest.approx(
-            (np.array(ticks) - 30) / 30, abs=1e-4
-        )
+        assert reader.timestamps - reader.timestamps[0] == pytest.approx((np.array(ticks) - 30) / 30, abs=1e-4)
         assert [videos.number(reader.rgb(index)) for index in (9, 0, 5)] == [9, 0, 5]
 
 

@@ -146,9 +146,7 @@ def test_times_that_do_not_increase_are_refused(mkv_bytes):
 
 
 def test_odd_images_are_cropped_only_on_request(videos):
-    content = videos.make(
-        videos.Recipe(codec="ffv1", pixel_format="bgr0", options={}, count=4, size=(97, 65))
-    )
+    content = videos.make(videos.Recipe(codec="ffv1", pixel_format="bgr0", options={}, count=4, size=(97, 65)))
     with pytest.raises(OptionError, match="97x65, it needs even sizes; cut them to 96x64"):
         remux_to_mp4(content, io.BytesIO())
     target = io.BytesIO()
@@ -182,9 +180,7 @@ def test_encoding_nothing_or_with_a_wrong_number_of_times_is_refused(videos):
         encode_to_mp4([], io.BytesIO())
     for count in (2, 4):
         with pytest.raises(ArrayError, match=f"{count} times for 3 images"):
-            encode_to_mp4(
-                (videos.image(k) for k in range(3)), io.BytesIO(), timestamps_seconds=np.arange(count) / 10
-            )
+            encode_to_mp4((videos.image(k) for k in range(3)), io.BytesIO(), timestamps_seconds=np.arange(count) / 10)
 
 
 class CountingFile(io.BytesIO):

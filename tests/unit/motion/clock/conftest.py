@@ -18,9 +18,7 @@ class Sway:
     phases: np.ndarray
 
     @classmethod
-    def of(
-        cls, seed: int, *, size: float = 0.2, axes: tuple[float, float, float] = (0.3, 0.3, 1.0)
-    ) -> "Sway":
+    def of(cls, seed: int, *, size: float = 0.2, axes: tuple[float, float, float] = (0.3, 0.3, 1.0)) -> "Sway":
         """Draw one; `size` is that of the rates [rad/s]."""
         draw = np.random.default_rng(seed)
         shape = (6, 3)

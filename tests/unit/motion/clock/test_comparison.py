@@ -61,9 +61,7 @@ def oracle(problem):
     """Whatever is known of the kicks is a covariance of the rows; levels are parameters like others."""
     windows, slopes, columns, expected, values = problem
     same = windows[:, None] == windows
-    covariance = (2 * SIGMA) ** 2 * np.eye(ROWS) + same * (columns[:, 1:] @ columns[:, 1:].T) * expected[
-        1
-    ] ** 2
+    covariance = (2 * SIGMA) ** 2 * np.eye(ROWS) + same * (columns[:, 1:] @ columns[:, 1:].T) * expected[1] ** 2
     design = np.hstack([slopes, (windows[:, None] == np.arange(WINDOWS)) * 1.0])
     weights = np.linalg.inv(covariance)
     information = design.T @ weights @ design
@@ -94,9 +92,7 @@ NOISE = 0.002
 """Of a consumer's gyroscope, a sample [rad/s]."""
 
 
-def pair(
-    sway, timestamps, *, seed=0, offset=0.0, skew=0.0, seconds=40.0, poses_hz=50.0, rates_hz=200.0, **more
-):
+def pair(sway, timestamps, *, seed=0, offset=0.0, skew=0.0, seconds=40.0, poses_hz=50.0, rates_hz=200.0, **more):
     """A gyroscope, and a trajectory whose timestamps are off."""
     body = sway(seed, **more)
     draw = np.random.default_rng(seed)
@@ -134,9 +130,7 @@ def test_clocks_in_step_raise_no_alarm(sway, timestamps, seed):
 def test_errors_are_as_large_as_is_reported(sway, timestamps):
     errors = []
     for seed in range(16):
-        at, rates, posed, rotations = pair(
-            sway, timestamps, seed=seed, offset=0.05, seconds=12.0, poses_hz=20.0
-        )
+        at, rates, posed, rotations = pair(sway, timestamps, seed=seed, offset=0.05, seconds=12.0, poses_hz=20.0)
         found = compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations))
         errors.append((found.offset_ns - 5e7) / found.offset_sigma_ns)
     # the mean square of 16 normal numbers lies in 0.3 to 2.2 but once in 500 times
@@ -242,9 +236,7 @@ def test_too_few_samples_are_named(timestamps, count):
 
 def test_streams_that_never_meet_are_named(sway, timestamps):
     at, rates, posed, rotations = pair(sway, timestamps)
-    found = compare_rotations(
-        Orientations.of_rates(at, rates), Orientations.of_poses(posed + 10**12, rotations)
-    )
+    found = compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed + 10**12, rotations))
     assert "in common" in found.reason
 
 

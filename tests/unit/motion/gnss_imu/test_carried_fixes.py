@@ -15,9 +15,7 @@ from sceneloom.motion.gnss_imu.measurements import (
 from sceneloom.simulate.drive import GRAVITY, ImuSpec, imu_truth
 from sceneloom.simulate.trajectory import PathSpec, plan_path
 
-PATH = plan_path(
-    np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0))
-)
+PATH = plan_path(np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0)))
 KNOTS = np.array([500, 1400, 2300, 3200]) * 1_000_000
 TIMES = np.array([490, 500, 800, 1399, 1500, 2000, 2309, 3200, 3210]) * 1_000_000
 LEVER = np.array([0.4, -0.3, 1.2])
@@ -82,8 +80,7 @@ def test_variances_are_those_of_drawn_states():
     roots = 1e-3 * rng.standard_normal((len(KNOTS), SIZE, SIZE))
     own = roots @ roots.swapaxes(1, 2)
     drawn = [
-        expected(found, np.einsum("kij,kj->ki", roots, rng.standard_normal((len(KNOTS), SIZE))))
-        for _ in range(4000)
+        expected(found, np.einsum("kij,kj->ki", roots, rng.standard_normal((len(KNOTS), SIZE)))) for _ in range(4000)
     ]
     # a variance of 4000 draws has a deviation of √(2 / 4000) = 2.2 %
     variances = found.variances(PATH.at(KNOTS).rotations, own)

@@ -70,14 +70,10 @@ def made_up_chain(rng: np.random.Generator, parts: str) -> Chain:
     axes = rng.standard_normal((2, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     speeds = BodySpeeds(np.array([1, 4]), axes, np.array([0.0, 0.7]), np.array([0.3, 0.4]))
-    chain = Chain(
-        knots, np.array([True, "i" in parts, False, True]), inertial, fixes, 9.8, SmootherSettings()
-    )
+    chain = Chain(knots, np.array([True, "i" in parts, False, True]), inertial, fixes, 9.8, SmootherSettings())
     if "i" not in parts:
         chain = replace(chain, measured=np.zeros(4, np.bool_))
-    return replace(
-        chain, relative=(relative,) if "r" in parts else (), speeds=(speeds,) if "s" in parts else ()
-    )
+    return replace(chain, relative=(relative,) if "r" in parts else (), speeds=(speeds,) if "s" in parts else ())
 
 
 def made_up_states(rng: np.random.Generator) -> States:
@@ -116,9 +112,7 @@ def test_whitened_slopes_of_the_imu_make_up_its_normal_equations():
     residuals, first, second = inertial_residuals(chain, states)
     for k in np.flatnonzero(chain.measured):
         coupling = first[k].T @ chain.information[k] @ second[k]
-        assert np.allclose(
-            coupling[:9, :9], here.couplings[k][:9, :9], rtol=1e-2, atol=1e-2 * np.abs(coupling).max()
-        )
+        assert np.allclose(coupling[:9, :9], here.couplings[k][:9, :9], rtol=1e-2, atol=1e-2 * np.abs(coupling).max())
         assert residuals[k] @ chain.information[k] @ residuals[k] <= here.cost
 
 
@@ -176,21 +170,15 @@ def drive(
     samples = np.arange(int(seconds * imu.rate_hz)) * round(SECOND / imu.rate_hz) + 1_300_000
     fixes = np.arange(int(seconds * rate)) * round(SECOND / rate)
     truth = imu_truth(imu, trajectory, samples, seed=seed)
-    return Drive(
-        trajectory, truth, imu_sensor(imu, truth, seed=seed), gnss_sensor(gnss, trajectory, fixes, seed=seed)
-    )
+    return Drive(trajectory, truth, imu_sensor(imu, truth, seed=seed), gnss_sensor(gnss, trajectory, fixes, seed=seed))
 
 
 def errors(run: GnssImuRun, path: EgoPath) -> np.ndarray:
     """(N, 6) rotate [rad] and shift [m] about the world's axes, away from the truth."""
     states = path.at(run.trajectory.timestamps_ns)
-    rotations = multiply_quaternions(
-        run.trajectory.quaternions_xyzw, conjugate_quaternion(states.quaternions_xyzw)
-    )
+    rotations = multiply_quaternions(run.trajectory.quaternions_xyzw, conjugate_quaternion(states.quaternions_xyzw))
     shift = enu_from_geodetic(run.origin_lla, ORIGIN)
-    return np.hstack(
-        [rotation_vector_from_quaternion(rotations), run.trajectory.positions + shift - states.positions]
-    )
+    return np.hstack([rotation_vector_from_quaternion(rotations), run.trajectory.positions + shift - states.positions])
 
 
 def rms(values: np.ndarray) -> float:
@@ -201,9 +189,7 @@ def in_deviations(run: GnssImuRun, path: EgoPath, part: slice = slice(0, 6)) -> 
     """Squared error in units of the covariance, per degree of freedom."""
     away = errors(run, path)[:, part]
     covariances = run.trajectory.covariances[:, part, part]
-    return float(
-        (away * np.linalg.solve(covariances, away[:, :, None])[:, :, 0]).sum(axis=1).mean() / away.shape[1]
-    )
+    return float((away * np.linalg.solve(covariances, away[:, :, None])[:, :, 0]).sum(axis=1).mean() / away.shape[1])
 
 
 def enu(gnss: GnssSensor) -> np.ndarray:
@@ -276,12 +262,8 @@ def test_between_samples_of_low_rate_the_trajectory_is_as_good():
 def test_the_antenna_may_sit_elsewhere(town):
     lever = np.array([0.8, -0.4, 1.2])
     states = town.path.at(town.gnss.timestamps_ns)
-    fixes = moved(
-        town.gnss, enu(town.gnss) + states.rotations @ lever, mount=RigidTransform(np.eye(3), lever)
-    )
-    assert (
-        rms(errors(town.run(gnss=fixes), town.path)[:, 3:]) < rms(errors(town.run(), town.path)[:, 3:]) + 0.05
-    )
+    fixes = moved(town.gnss, enu(town.gnss) + states.rotations @ lever, mount=RigidTransform(np.eye(3), lever))
+    assert rms(errors(town.run(gnss=fixes), town.path)[:, 3:]) < rms(errors(town.run(), town.path)[:, 3:]) + 0.05
 
 
 def test_fixes_that_jump_are_left_out_alone_and_in_a_row(town):
@@ -338,9 +320,7 @@ def test_an_accuracy_worse_than_the_noise_stands_for_what_all_fixes_have_in_comm
 @pytest.mark.parametrize("mounting", [(0.0, 0.0, 3.0), (0.0, 1.2, 0.5)])
 def test_an_imu_that_looks_elsewhere_is_found_to(mounting, town):
     rotation = matrix_from_quaternion(quaternion_from_rotation_vector(np.array(mounting)))
-    streams = {
-        name: VectorSamples(s.timestamps_ns, s.values @ rotation.T) for name, s in town.imu.streams.items()
-    }
+    streams = {name: VectorSamples(s.timestamps_ns, s.values @ rotation.T) for name, s in town.imu.streams.items()}
     run = town.run(imu=ImuSensor("imu", streams))
     back = quaternion_from_matrix(matrix_from_quaternion(run.trajectory.quaternions_xyzw) @ rotation)
     looked = replace(run, trajectory=replace(run.trajectory, quaternions_xyzw=back))
@@ -367,9 +347,7 @@ def test_an_ego_that_stands_all_the_time_has_no_heading_and_that_is_stated():
     }
     fixes = np.arange(20) * SECOND
     unknown = np.full(20, np.nan)
-    gnss = GnssSensor(
-        "gnss", fixes, geodetic_from_enu(rng.standard_normal((20, 3)), ORIGIN), unknown, unknown
-    )
+    gnss = GnssSensor("gnss", fixes, geodetic_from_enu(rng.standard_normal((20, 3)), ORIGIN), unknown, unknown)
     run = gnss_imu_motion(Scene((ImuSensor("imu", streams), gnss)))
     assert "heading-unknown" in [warning.code for warning in run.warnings]
     spread = np.linalg.norm(run.trajectory.positions - run.trajectory.positions.mean(axis=0), axis=1)
@@ -491,9 +469,7 @@ def test_slow_errors_of_heights_leave_the_covariances_across_as_they_are(town):
     before, after = (np.median(run.trajectory.covariances[:, 3, 3]) for run in (plain, wavy))
     # by as much as the receiver's heights report the IMU less: far from the factor (1 + ρ) / (1 - ρ), here above 2
     assert after < 1.5 * before
-    assert np.median(wavy.trajectory.covariances[:, 5, 5]) > 4.0 * np.median(
-        plain.trajectory.covariances[:, 5, 5]
-    )
+    assert np.median(wavy.trajectory.covariances[:, 5, 5]) > 4.0 * np.median(plain.trajectory.covariances[:, 5, 5])
 
 
 @pytest.mark.parametrize(("stream", "torn"), [("accelerometer", 1e200), ("gyroscope", -1e12)])

@@ -104,9 +104,7 @@ def test_every_state_is_reported_within_the_tolerances(a_track, tolerance_m, tol
 
 def test_a_straight_drive_needs_two_keyframes_and_a_long_gap_no_more(a_track):
     times = np.concatenate([np.arange(10), np.arange(40, 50)]) * 100_000_000
-    track = a_track(
-        count=20, timestamps_ns=times, centers=np.column_stack([times * 8e-9, np.zeros(20), np.zeros(20)])
-    )
+    track = a_track(count=20, timestamps_ns=times, centers=np.column_stack([times * 8e-9, np.zeros(20), np.zeros(20)]))
     path = label_path(track, LabelSettings())
     assert path.keyframes(LabelSettings()).tolist() == [0, 19]
 
@@ -253,9 +251,7 @@ def test_objects_that_are_there_at_different_times_do_not_overlap(a_track):
 
 @pytest.fixture
 def beside(a_track):
-    return lambda number, label, left: a_track(
-        number, label, centers=a_track().centers + np.array([0.1, left, 0.0])
-    )
+    return lambda number, label, left: a_track(number, label, centers=a_track().centers + np.array([0.1, left, 0.0]))
 
 
 def pairs(*tracks):
@@ -263,9 +259,7 @@ def pairs(*tracks):
 
 
 def test_a_person_is_linked_with_the_nearest_thing_that_it_stays_with(beside):
-    assert pairs(beside(1, "Pedestrian", 0.0), beside(2, "bicycle", 0.5), beside(3, "bicycle", 0.1)) == [
-        (1, 3)
-    ]
+    assert pairs(beside(1, "Pedestrian", 0.0), beside(2, "bicycle", 0.5), beside(3, "bicycle", 0.1)) == [(1, 3)]
 
 
 def test_each_rides_one_thing_and_is_ridden_by_one(beside):
@@ -336,14 +330,9 @@ def test_true_tracks_become_cuboids_that_stay_within_the_tolerances(labelled, tr
 def test_what_stands_in_the_street_is_found(labelled, tracks):
     stationary = {each.id for each in cuboids_of(labelled.scene).values() if each.stationary}
     trajectories = {track.id: np.linalg.norm(np.ptp(track.centers, axis=0)) for track in tracks}
-    assert {
-        f"cuboid-{number}" for number, trajectory in trajectories.items() if trajectory < 1e-9
-    } <= stationary
+    assert {f"cuboid-{number}" for number, trajectory in trajectories.items() if trajectory < 1e-9} <= stationary
     # in nine tenths of a second, by the speed that counts as stationary
-    assert (
-        not {f"cuboid-{number}" for number, trajectory in trajectories.items() if trajectory > 0.25}
-        & stationary
-    )
+    assert not {f"cuboid-{number}" for number, trajectory in trajectories.items() if trajectory > 0.25} & stationary
     assert labelled.stationary == len(stationary) > 5
 
 
@@ -485,14 +474,10 @@ def test_a_scene_without_a_trajectory_keeps_the_labels_and_says_what_is_missing(
 
 def test_annotations_stay_and_ids_that_are_taken_are_refused(labelled, tracks):
     with pytest.raises(OptionError, match="used twice"):
-        label_tracks(
-            labelled.scene, tracks, settings=LabelSettings(projections=False, points=False, radar=False)
-        )
+        label_tracks(labelled.scene, tracks, settings=LabelSettings(projections=False, points=False, radar=False))
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"tolerance_m": -0.1}, {"least_score": 1.5}, {"tolerance_deg": float("nan")}]
-)
+@pytest.mark.parametrize("wrong", [{"tolerance_m": -0.1}, {"least_score": 1.5}, {"tolerance_deg": float("nan")}])
 def test_numbers_out_of_bounds_are_refused(wrong):
     with pytest.raises(OptionError, match=next(iter(wrong))):
         LabelSettings(**wrong)

@@ -58,12 +58,7 @@ def test_every_package_with_public_names_that_is_listed_has_a_page(hook):
         ("[a](sfs.md)", "docs/formats/rig.md", "formats/rig.md", "[a](sfs.md)"),
         ("[a](../CONTRIBUTING.md)", "docs/ARCHITECTURE.md", "ARCHITECTURE.md", "[a](CONTRIBUTING.md)"),
         ("[a](../../README.md)", "docs/formats/rig.md", "formats/rig.md", "[a](../index.md)"),
-        (
-            "[a](../examples/02_fuse_a_drive.py)",
-            "docs/fusion.md",
-            "fusion.md",
-            "[a](examples/02_fuse_a_drive.md)",
-        ),
+        ("[a](../examples/02_fuse_a_drive.py)", "docs/fusion.md", "fusion.md", "[a](examples/02_fuse_a_drive.md)"),
         ("![a](docs/images/depth.jpg)", "README.md", "index.md", "![a](images/depth.jpg)"),
         ("[a](../LICENSE)", "docs/motion.md", "motion.md", "[a](files/LICENSE)"),
         ("[a](https://x.org/y.md) [b](#c)", "README.md", "index.md", "[a](https://x.org/y.md) [b](#c)"),

@@ -34,13 +34,7 @@ def run(command, folder, **options):
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     words = ["bash", "-c", command]
     return subprocess.run(
-        words,
-        cwd=folder,
-        env={**os.environ, "PATH": path},
-        capture_output=True,
-        text=True,
-        check=False,
-        **options,
+        words, cwd=folder, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False, **options
     )
 
 

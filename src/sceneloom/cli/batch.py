@@ -148,9 +148,7 @@ _options = options.stacked(
         default=2,
     ),
     option(
-        "--metrics=FILE",
-        "Progress of the run as text for Prometheus, rewritten every few seconds.",
-        options.target,
+        "--metrics=FILE", "Progress of the run as text for Prometheus, rewritten every few seconds.", options.target
     ),
     option("--suffix=TEXT", "Suffix of the outputs. [default: that of the verb]"),
     option("--json as_json", "Print the result as JSON."),
@@ -520,15 +518,7 @@ def status(
         click.echo("  " + ", ".join(f"{name} {seconds:.1f} s" for name, seconds in stages))
     shown = rows if verbose else [row for row in rows if row.state is State.FAILED]
     print_table(
-        [
-            (
-                row.state,
-                row.name,
-                "" if row.seconds is None else f"{row.seconds:.1f} s",
-                _why(row),
-            )
-            for row in shown
-        ]
+        [(row.state, row.name, "" if row.seconds is None else f"{row.seconds:.1f} s", _why(row)) for row in shown]
     )
     if html is not None:
         click.echo(f"page: {html}")

@@ -103,11 +103,7 @@ def calibrate(
 
 
 def _asked_repair(given: dict[str, Any]) -> str | None:
-    """Which repair is asked for; None for none.
-
-    Raises:
-        click.UsageError: several are, or an option of repairs without any.
-    """
+    """Which repair is asked for; None for none."""
     asked = [name for name in _REPAIRS if given[name]]
     if len(asked) > 1:
         raise click.UsageError(f"{' and '.join('--' + name.replace('_', '-') for name in asked)}: state one of them")
@@ -199,12 +195,7 @@ def _print_health(health: "CalibrationHealth", printer: Printer) -> None:
 
 def _item_row(item: "Item") -> tuple[str, ...]:
     numbers = ", ".join(f"{v:+.2f} ± {s:.2f}" for v, s in zip(item.values, item.sigmas, strict=True))
-    return (
-        item.name.replace("_", " "),
-        str(item.verdict),
-        f"{numbers} {item.unit}" if numbers else "-",
-        item.reason,
-    )
+    return (item.name.replace("_", " "), str(item.verdict), f"{numbers} {item.unit}" if numbers else "-", item.reason)
 
 
 # --refine, --hand-eye, --lidar-to-lidar, --target
@@ -269,11 +260,7 @@ def _change_row(name: str, value: float, sigma: float) -> tuple[str, str, str]:
 
 
 def _check_conventions(
-    path: Path | str,
-    drive: Path | str | None,
-    given: dict[str, Any],
-    printer: Printer,
-    reading: dict[str, Any],
+    path: Path | str, drive: Path | str | None, given: dict[str, Any], printer: Printer, reading: dict[str, Any]
 ) -> int:
     """Judge a file, by a drive where one is given, or a drive; print the result, and give the exit code."""
     from sceneloom.calibrate.conventions import check_drive, check_file

@@ -23,9 +23,7 @@ def catalog() -> None:
 
 _building = options.stacked(
     option(
-        "--checks=none|quick|full",
-        "Which rules fill the table of findings; `full` reads every frame.",
-        default="quick",
+        "--checks=none|quick|full", "Which rules fill the table of findings; `full` reads every frame.", default="quick"
     ),
     option(
         "--workers=N",

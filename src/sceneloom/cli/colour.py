@@ -28,11 +28,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @option("--only-coloured", "Remove points that no image shows.")
 @option("--provenance", "Add camera, image, pixel and weight of each point.")
 @option("--labels=DIR", "Label images to transfer to points.", options.source())
-@option(
-    "--project-labels=DIR",
-    "Folder for label images projected from the drive's labelled points.",
-    options.target,
-)
+@option("--project-labels=DIR", "Folder for label images projected from the drive's labelled points.", options.target)
 @option(
     "--label-radius=PX label_radius_px",
     "Pixels that a point fills beside its own in projected label images. [default: 0]",
@@ -46,12 +42,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @options.overwrite
 @reading_verb
 def colour(
-    path: Path | str,
-    output: Path | None,
-    no_exposure: bool,
-    printer: Printer,
-    reading: dict[str, Any],
-    **given: Any,
+    path: Path | str, output: Path | None, no_exposure: bool, printer: Printer, reading: dict[str, Any], **given: Any
 ) -> None:
     """Colour the points of a drive from all its cameras: one map, or sweep by sweep; transfer labels."""
     from sceneloom.formats.base.registry import open_scene
@@ -64,12 +55,7 @@ def colour(
     outputs = options.take(ColourOutputs, given, map=output)
     with open_scene(path, **reading) as scene, printer.progress("colouring") as progress:
         report = colour_scene(
-            scene,
-            settings=settings,
-            outputs=outputs,
-            lenient="lenient" in reading,
-            progress=progress,
-            **given,
+            scene, settings=settings, outputs=outputs, lenient="lenient" in reading, progress=progress, **given
         )
     printer.show(report, _print_report, outputs)
 
@@ -85,10 +71,7 @@ def _print_report(report: "ColourReport", outputs: "ColourOutputs", printer: Pri
         for camera in report.cameras
     )
     _print_exposure(report)
-    removed = {
-        "in moving boxes": report.removed_in_boxes,
-        "by rays through their locations": report.removed_by_rays,
-    }
+    removed = {"in moving boxes": report.removed_in_boxes, "by rays through their locations": report.removed_by_rays}
     for how, count in removed.items():
         if count:
             click.echo(f"{several(count, 'point')} removed {how}")

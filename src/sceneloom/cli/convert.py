@@ -31,10 +31,7 @@ if TYPE_CHECKING:
     "[default: the drive's first one, else `gnss`, else `lidar`, else `identity`]",
 )
 @option("--to=NAME", "Format of TARGET, where its suffix is ambiguous: a name from `sceneloom formats`.")
-@option(
-    "--strict",
-    "Refuse to lose anything; values in another representation, such as times in other units, pass.",
-)
+@option("--strict", "Refuse to lose anything; values in another representation, such as times in other units, pass.")
 @option("--loss=FILE", "Write what becomes of every field to FILE: .json, .md or .txt.", options.target)
 @option(
     "--output-option=NAME=VALUE… output_options",

@@ -22,10 +22,7 @@ if TYPE_CHECKING:
     "`sparse`: measured points only; `fast`: gaps between scan lines filled; `quality`: surfaces, with "
     "discontinuities at edges of the image. [default: quality]",
 )
-@option(
-    "--form=png|npz",
-    "16-bit PNG (metres times 256) or NPZ (float32 metres and confidence). [default: png]",
-)
+@option("--form=png|npz", "16-bit PNG (metres times 256) or NPZ (float32 metres and confidence). [default: png]")
 @option("--camera=ID… cameras", "The only cameras. [default: all]")
 @option("--confidence", "Write the confidence beside PNG images: 8 bit, 255 for 1.")
 @options.visualize()

@@ -23,8 +23,7 @@ _BOXES = (
 _SENSORS = (
     option("--lidar=ID", "Lidar that --boxes3d refers to; required if there are several."),
     option(
-        "--camera=ID… cameras",
-        "Camera that --boxes2d refers to, one for each file; required if there are several.",
+        "--camera=ID… cameras", "Camera that --boxes2d refers to, one for each file; required if there are several."
     ),
 )
 _KITTI = (
@@ -67,8 +66,5 @@ def detection_input(given: dict[str, Any]) -> "DetectionInput":
 
     files = options.take(DetectionFiles, given, boxes_3d=given.pop("boxes3d"), boxes_2d=given.pop("boxes2d"))
     return DetectionInput(
-        files=files,
-        detector_2d=given.pop("det2d"),
-        detector_3d=given.pop("det3d"),
-        sequences=given.pop("sequences"),
+        files=files, detector_2d=given.pop("det2d"), detector_3d=given.pop("det3d"), sequences=given.pop("sequences")
     )

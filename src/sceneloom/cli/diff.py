@@ -33,10 +33,7 @@ def diff(first: Path | str, second: Path | str, printer: Printer, reading: dict[
     from sceneloom.editing.diff import diff_scenes
     from sceneloom.formats.base.registry import open_scenes
 
-    with (
-        open_scenes((first, second), reading) as (a, b),
-        printer.progress("comparing") as progress,
-    ):
+    with open_scenes((first, second), reading) as (a, b), printer.progress("comparing") as progress:
         found = diff_scenes(a, b, progress=progress, **given)
     if printer.as_json:
         print_json({"equal": found.equal, "differences": found.differences, "not_compared": found.not_compared})

@@ -31,16 +31,7 @@ def edit() -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Edit:
-    """A verb that makes one scene of another.
-
-    Attributes:
-        function: `"module:function"` that is called with the scene and the stated options by name; it gives the new
-            scene, or that and details to report.
-        help: what the verb does.
-        options: its own.
-        counts_points: whether the function reports the points of frames that it reads, as `on_points`.
-        joins: whether it takes several scenes.
-    """
+    """A verb that makes one scene of another."""
 
     function: str
     help: str
@@ -77,8 +68,7 @@ _KEEP = {"valid": 0.0, "all": 1.0}
 _TRAJECTORY = options.trajectory()
 _CAMERAS = option("--camera=ID… cameras", "The only cameras to change. [default: all]")
 _ANNOTATIONS_IN = option(
-    "--annotations-in=world|ego",
-    "The frame of the annotations in a scene that does not state it. [default: world]",
+    "--annotations-in=world|ego", "The frame of the annotations in a scene that does not state it. [default: world]"
 )
 
 _EDITS: Mapping[str, _Edit] = {
@@ -172,8 +162,7 @@ _EDITS: Mapping[str, _Edit] = {
                 default=1.0,
             ),
             option(
-                "--see-through=LABEL…",
-                "Labels that fill little of their cuboids, such as trees, and occlude nothing.",
+                "--see-through=LABEL…", "Labels that fill little of their cuboids, such as trees, and occlude nothing."
             ),
             option("--lidar=ID", "Also use the points of this lidar for occlusion."),
             option("--activations", "Also report when each camera sees each cuboid."),
@@ -190,10 +179,7 @@ _EDITS: Mapping[str, _Edit] = {
                 default=0.01,
             ),
             option(
-                "--tolerance-deg=DEG",
-                "Error of interpolated rotations at most.",
-                options.not_negative,
-                default=0.1,
+                "--tolerance-deg=DEG", "Error of interpolated rotations at most.", options.not_negative, default=0.1
             ),
             option("--only…", "The only paths to simplify. [default: all]", _PATHS),
         ),
@@ -211,14 +197,10 @@ _EDITS: Mapping[str, _Edit] = {
         "Remove where a drive was, by whom, and on request when.",
         (
             option(
-                "--fixes=drop|shift",
-                "Satellite fixes: left out, or moved to latitude 0, longitude 0.",
-                default="drop",
+                "--fixes=drop|shift", "Satellite fixes: left out, or moved to latitude 0, longitude 0.", default="drop"
             ),
             option(
-                "--dates=keep|shift",
-                "Time of day: kept, or counted from the drive's first timestamp.",
-                default="keep",
+                "--dates=keep|shift", "Time of day: kept, or counted from the drive's first timestamp.", default="keep"
             ),
         ),
     ),
@@ -340,22 +322,12 @@ def _counted(
 ) -> "tuple[Scene, dict[str, Any]]":
     import numpy as np
 
-    from sceneloom.colouring.cuboid_points import (
-        count_points,
-        with_activations,
-        with_counts,
-        with_labeled_points,
-    )
+    from sceneloom.colouring.cuboid_points import count_points, with_activations, with_counts, with_labeled_points
 
     scene = scene.corrected()
     trajectory = _chosen_trajectory(scene, **_trajectory_of(given))
     counts = count_points(
-        scene,
-        moment=at,
-        trajectory=trajectory,
-        listed=labeled_points,
-        activations=not activations,
-        **given,
+        scene, moment=at, trajectory=trajectory, listed=labeled_points, activations=not activations, **given
     )
     totals = np.sum([lidar.counts.sum(axis=0) for lidar in counts.lidars], axis=0)
     points = dict(zip(map(str, counts.annotation_ids), map(int, totals), strict=True)) if counts.lidars else {}
@@ -391,10 +363,7 @@ def _simplified(
     from sceneloom.editing.simplify import simplify_scene
 
     found = simplify_scene(
-        scene,
-        tolerance_m=tolerance_m,
-        tolerance_deg=tolerance_deg,
-        **{name: name in only for name in _PATHS},
+        scene, tolerance_m=tolerance_m, tolerance_deg=tolerance_deg, **{name: name in only for name in _PATHS}
     )
     new = found.warnings[len(scene.warnings) :]
     return found, {"timestamps_left_out": sum(warning.count for warning in new)}
@@ -496,10 +465,7 @@ def _print_deskewing(report: "DeskewReport", printer: Printer) -> None:
     default="blur",
 )
 @option(
-    "--margin=S",
-    "Share of its width and height by which a box grows on each side.",
-    options.not_negative,
-    default=0.1,
+    "--margin=S", "Share of its width and height by which a box grows on each side.", options.not_negative, default=0.1
 )
 @option(
     "--hold=S",

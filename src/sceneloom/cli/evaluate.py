@@ -13,19 +13,9 @@ from sceneloom.cli.running import reading_verb, verb
 from sceneloom.errors import SceneloomError
 
 if TYPE_CHECKING:
-    from sceneloom.evaluate.detection import (
-        ClassDetection,
-        CovarianceScores,
-        DetectionReport,
-        DetectionScores,
-    )
+    from sceneloom.evaluate.detection import ClassDetection, CovarianceScores, DetectionReport, DetectionScores
     from sceneloom.evaluate.tracking import ClassTracking, TrackingReport, TrackingScores
-    from sceneloom.evaluate.trajectory import (
-        ErrorStatistics,
-        KittiErrors,
-        RelativeErrors,
-        TrajectoryReport,
-    )
+    from sceneloom.evaluate.trajectory import ErrorStatistics, KittiErrors, RelativeErrors, TrajectoryReport
 
 
 @click.group("eval")
@@ -44,8 +34,7 @@ _objects = options.stacked(
     click.argument("results", type=options.location, metavar="RESULTS"),
     click.argument("truth", type=options.location, metavar="TRUTH"),
     option(
-        "--class=NAME… classes",
-        "A class to evaluate; may be repeated. [default: KITTI's of the truth; of scenes all]",
+        "--class=NAME… classes", "A class to evaluate; may be repeated. [default: KITTI's of the truth; of scenes all]"
     ),
     option(
         "--sequence=NAME… sequences",
@@ -183,12 +172,7 @@ def _covariance_row(name: str, part: "CovarianceScores") -> tuple[str, ...]:
 )
 @verb
 def tracking(
-    results: Path | str,
-    truth: Path | str,
-    plot: Path | None,
-    overwrite: bool,
-    printer: Printer,
-    **given: Any,
+    results: Path | str, truth: Path | str, plot: Path | None, overwrite: bool, printer: Printer, **given: Any
 ) -> None:
     """Evaluate the tracks RESULTS against TRUTH: HOTA, CLEAR MOT, IDF1, by KITTI's rules.
 
@@ -302,11 +286,7 @@ def trajectory(
     shared.check()
     try:
         report = evaluate_trajectory(
-            sides["est"],
-            sides["ref"],
-            offset_ns=_offset_ns(offset),
-            rpe_deltas=rpe_deltas or RPE_DELTAS,
-            **given,
+            sides["est"], sides["ref"], offset_ns=_offset_ns(offset), rpe_deltas=rpe_deltas or RPE_DELTAS, **given
         )
     except SceneloomError as error:
         for path in (estimate, reference):
@@ -351,12 +331,7 @@ def _print_trajectory(report: "TrajectoryReport", printer: Printer) -> None:
         ("rotation [°]", absolute.rotation_deg),
     ]
     click.echo("absolute errors (ATE)")
-    print_table(
-        [
-            ("", *_ERRORS),
-            *((name, *_error_cells(reported)) for name, reported in rows if reported is not None),
-        ]
-    )
+    print_table([("", *_ERRORS), *((name, *_error_cells(reported)) for name, reported in rows if reported is not None)])
     if report.relative:
         click.echo("errors of motions (RPE)")
         print_table([("over", "", *_ERRORS, "per metre", "per second"), *_relative_rows(report.relative)])

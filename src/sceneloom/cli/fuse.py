@@ -70,10 +70,7 @@ def fuse(
     _fuse_sensor_data(path, output, printer, reading | options.stated(sequence=sequence), given)
 
 
-_OF_SENSOR_DATA = (
-    *("depth", "depth_format", "images", "images_every", "threads"),
-    *("profile", "time_unit"),
-)
+_OF_SENSOR_DATA = (*("depth", "depth_format", "images", "images_every", "threads"), *("profile", "time_unit"))
 """Options that only the fusion of sensor data has."""
 
 
@@ -92,8 +89,7 @@ def _fuse_sensor_data(
     from sceneloom.stages import timed
 
     configuration = FusionConfiguration(
-        visibility=options.take(VisibilitySettings, given),
-        **options.stated(fusion_algorithm=given.pop("algorithm")),
+        visibility=options.take(VisibilitySettings, given), **options.stated(fusion_algorithm=given.pop("algorithm"))
     )
     outputs = options.take(FusionOutputs, given, scene=output)
     with timed() as stages, open_scene(path, **reading) as scene, printer.progress("fusing") as progress:
@@ -214,12 +210,7 @@ def _print_detections(report: "DetectionFusionReport", printer: Printer) -> None
 
 
 @click.command()
-@option(
-    "--keep=DIR",
-    "Folder for the drive, the scene and the images.",
-    options.target,
-    default=Path("sceneloom-demo"),
-)
+@option("--keep=DIR", "Folder for the drive, the scene and the images.", options.target, default=Path("sceneloom-demo"))
 @option("--seed", "Random seed of the street.", int, default=0)
 @option("--frames", "Lidar sweeps at 10 Hz.", click.IntRange(min=2), default=30)
 @option("--video=h264|png", "Format of the drive's images.", default="h264")

@@ -39,12 +39,7 @@ _STANDARD = EgoAxes(np.eye(3), known=True)
 @options.overwrite
 @reading_verb
 def info(
-    path: Path | str,
-    images: Path | None,
-    at: float | None,
-    overwrite: bool,
-    printer: Printer,
-    reading: dict[str, Any],
+    path: Path | str, images: Path | None, at: float | None, overwrite: bool, printer: Printer, reading: dict[str, Any]
 ) -> None:
     """Report what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
     if at is not None and images is None:

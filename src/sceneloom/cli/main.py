@@ -33,45 +33,27 @@ VERBS = MappingProxyType(
             "sceneloom.cli.validate:validate",
             "Check a drive or a scene by rules, and repair what can be repaired safely.",
         ),
-        "salvage": (
-            "sceneloom.cli.validate:salvage",
-            "Extract what is whole from a damaged scene file.",
-        ),
+        "salvage": ("sceneloom.cli.validate:salvage", "Extract what is whole from a damaged scene file."),
         "report": ("sceneloom.cli.report:report", "Write a page about a drive that can be sent."),
-        "batch": (
-            "sceneloom.cli.batch:batch",
-            "Run one verb over many drives: in parallel, with a record, resumable.",
-        ),
+        "batch": ("sceneloom.cli.batch:batch", "Run one verb over many drives: in parallel, with a record, resumable."),
         "catalog": (
             "sceneloom.cli.catalog:catalog",
             "Put many drives into tables, and find drives and moments in them.",
         ),
         "diff": ("sceneloom.cli.diff:diff", "Report what differs between two drives."),
         "edit": ("sceneloom.cli.edit:edit", "Change one thing of a drive: crop, merge, deskew, …"),
-        "eval": (
-            "sceneloom.cli.evaluate:evaluate",
-            "Evaluate a trajectory, tracks or detections against a reference.",
-        ),
+        "eval": ("sceneloom.cli.evaluate:evaluate", "Evaluate a trajectory, tracks or detections against a reference."),
         "sync": (
             "sceneloom.cli.sync:sync",
             "Check whether the clocks of a drive's streams are synchronised, and correct them.",
         ),
-        "calibrate": (
-            "sceneloom.cli.calibrate:calibrate",
-            "Check the camera-lidar calibration, and refine it.",
-        ),
+        "calibrate": ("sceneloom.cli.calibrate:calibrate", "Check the camera-lidar calibration, and refine it."),
         "serve": ("sceneloom.cli.service:serve", "Serve the fusion interface of DB34/T 4101-2022 over gRPC."),
         "send": ("sceneloom.cli.service:send", "Send a drive, or a session log, to a fusion service."),
         "get": ("sceneloom.cli.service:get", "Fetch results from a fusion service."),
-        "conformance": (
-            "sceneloom.cli.service:conformance",
-            "Check a fusion service against DB34/T 4101-2022.",
-        ),
+        "conformance": ("sceneloom.cli.service:conformance", "Check a fusion service against DB34/T 4101-2022."),
         "formats": ("sceneloom.cli.formats:formats", "List the formats that can be read and written."),
-        "doctor": (
-            "sceneloom.cli.installation:doctor",
-            "Report what this installation can do and what it lacks.",
-        ),
+        "doctor": ("sceneloom.cli.installation:doctor", "Report what this installation can do and what it lacks."),
         "completion": (
             "sceneloom.cli.installation:completion",
             "Print what a shell needs to complete verbs and options.",

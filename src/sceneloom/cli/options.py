@@ -188,8 +188,7 @@ reading = stacked(
         "Unit of the boxes' angles in a scene file that does not state it. [default: degrees]",
     ),
     option(
-        "--euler-order=ORDER",
-        "Order of the boxes' rotations in a scene file that does not state it. [default: xyz]",
+        "--euler-order=ORDER", "Order of the boxes' rotations in a scene file that does not state it. [default: xyz]"
     ),
     option(
         "--tangential=opencv|brown",
@@ -235,10 +234,7 @@ overwrite = option("--overwrite", "Replace outputs that exist.")
 
 writing_scenes = stacked(
     overwrite,
-    option(
-        "--profile=sfs|scale",
-        "`scale`: a scene file that Scale's own library loads and validates. [default: sfs]",
-    ),
+    option("--profile=sfs|scale", "`scale`: a scene file that Scale's own library loads and validates. [default: sfs]"),
     option("--time-unit=microseconds|nanoseconds", "Unit of all times in a scene file. [default: microseconds]"),
 )
 """On every verb that writes `.sfs`."""
@@ -265,9 +261,7 @@ def trajectory(more: str = "") -> Callable[[Command], Command]:
             f"{more and '; '}{more}. [default: the drive's first, else `gnss`, else `lidar`]",
         ),
         option(
-            "--orientation-from heading",
-            "Derive orientations where the trajectory has positions only.",
-            ("motion",),
+            "--orientation-from heading", "Derive orientations where the trajectory has positions only.", ("motion",)
         ),
     )
 

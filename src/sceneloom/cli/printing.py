@@ -30,11 +30,7 @@ class Printer:
     verbose: bool = False
 
     def show(
-        self,
-        result: Any,
-        to_people: Callable[..., None],
-        *arguments: Any,
-        stages: Mapping[str, float] | None = None,
+        self, result: Any, to_people: Callable[..., None], *arguments: Any, stages: Mapping[str, float] | None = None
     ) -> None:
         """Print a result as JSON, or by a function that takes it, `arguments` and this printer."""
         if self.as_json:

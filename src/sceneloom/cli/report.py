@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 @option("--title=TEXT", "Title of the page. [default: the drive's name]")
 @options.trajectory()
 @option(
-    "--truth=FILE",
-    "Reference to compare the drive with: a trajectory, a scene, or KITTI's text.",
-    options.source(),
+    "--truth=FILE", "Reference to compare the drive with: a trajectory, a scene, or KITTI's text.", options.source()
 )
 @option(
     "--compare=lidar|gnss…",

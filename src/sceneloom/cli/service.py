@@ -156,8 +156,7 @@ _access = options.stacked(
 """On every verb that reaches a service."""
 
 _calling = options.stacked(
-    _access,
-    option("--session=NAME", "The session. [default: the service's default one]", default=""),
+    _access, option("--session=NAME", "The session. [default: the service's default one]", default="")
 )
 _CALLING = ("session", "token_file", "ca", "client_cert", "client_key")
 """The parameters that `_connected` takes."""
@@ -218,14 +217,7 @@ def _connected(
 @options.part
 @_calling
 @reading_verb
-def send(
-    path: Path | str,
-    address: str,
-    rate: float,
-    printer: Printer,
-    reading: dict[str, Any],
-    **given: Any,
-) -> None:
+def send(path: Path | str, address: str, rate: float, printer: Printer, reading: dict[str, Any], **given: Any) -> None:
     """Send a drive to a fusion service as its sensors would have sent it, or replay a session log of `serve --log`."""
     from sceneloom.service.session_log import is_log
 
@@ -355,11 +347,7 @@ def _results(
 
 @click.command()
 @click.argument("address", type=_host_and_port, metavar="HOST:PORT", required=False)
-@option(
-    "--report=FILE",
-    "Write all that was sent, expected and found to a .json, .md or .html file.",
-    options.target,
-)
+@option("--report=FILE", "Write all that was sent, expected and found to a .json, .md or .html file.", options.target)
 @options.overwrite
 @option("--only=ID…", "Run this check (5.4-3), or those of a clause or table (5.4, T9); may be repeated.")
 @option("--checks list_checks", "List the checks and stop.")

@@ -195,11 +195,7 @@ def check_sequences(tracking: KittiTracking, sequences: Sequence[str] = ()) -> l
             rotation = _rotation_of_boxes(drive, camera_id)
             found.append(
                 health_of_boxes(
-                    rotation,
-                    source=name,
-                    camera_id=camera_id,
-                    lidar_id=drive.lidar_id,
-                    frames=len(camera.boxes),
+                    rotation, source=name, camera_id=camera_id, lidar_id=drive.lidar_id, frames=len(camera.boxes)
                 )
             )
     return found
@@ -235,9 +231,6 @@ def _save_images(
 
     `points_<number>.png` and `edges_<number>.png`, by number of the image, and with `_best` before the suffix the same
     where images and sweeps agree best; gives the paths.
-
-    Raises:
-        OutputError: the folder has something in it and `overwrite` is not stated, or it cannot be written.
     """
     rows = np.unique(np.linspace(0, len(frames) - 1, min(_MOST_DRAWN, len(frames))).astype(int)).tolist()
     changes = {"": Change()}
@@ -261,8 +254,6 @@ def _draw_points(frame: CalibrationFrame, points_lidar: Float64Array, change: Ch
 
     Args:
         points_lidar: (N, 3) [m], lidar frame at the image's time.
-        change: what the candidate changes of the stated calibration.
-        caption: stands below the image.
     """
     matrix = change.camera_from_points(frame)
     points_camera = points_lidar @ matrix[:3, :3].T + matrix[:3, 3]
@@ -435,11 +426,7 @@ def _change_camera(entry: dict[str, Any], repair: Repair) -> None:
 
 
 def _calibration_of(scene: Scene) -> dict[str, Any]:
-    """The calibration.json of the drive.
-
-    Raises:
-        DataError: there is none.
-    """
+    """The calibration.json of the drive."""
     file = Path(scene.source) / _CALIBRATION_FILE
     try:
         content = json.loads(read_bytes(file))
@@ -457,11 +444,7 @@ def _calibration_of(scene: Scene) -> dict[str, Any]:
 def _entry(
     content: Mapping[str, Any], part: str, number_key: str, sensors: tuple[Any, ...], wanted: Identifier
 ) -> dict[str, Any]:
-    """The entry of a sensor: by its number where entries have one, else by its location.
-
-    Raises:
-        DataError: there is none.
-    """
+    """The entry of a sensor: by its number where entries have one, else by its location."""
     location = [sensor.id for sensor in sensors].index(wanted)
     number = int("".join(sign for sign in str(wanted) if sign.isdigit()) or location)
     entries = [entry for entry in content.get(part) or () if isinstance(entry, dict)]

@@ -17,13 +17,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt8Array, UInt16Array
-from sceneloom.colouring.blending import (
-    BlendSettings,
-    PointSources,
-    blend_colours,
-    estimate_normals,
-    view_weights,
-)
+from sceneloom.colouring.blending import BlendSettings, PointSources, blend_colours, estimate_normals, view_weights
 from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
 from sceneloom.colouring.labels import LabelCanvas, paint_labels
 from sceneloom.colouring.moving_points import MovingBoxes, MovingPoints, lags_for
@@ -44,15 +38,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.alignment import Aligned, align
 from sceneloom.pipeline.fusing import CameraReport, FusionStatistics
 from sceneloom.pipeline.outputs import SceneSink, lidar_folders, names_of, spread
-from sceneloom.pipeline.play import (
-    Skips,
-    build_system,
-    check_any_placed,
-    check_has_lidar,
-    play,
-    reported_once,
-    telling,
-)
+from sceneloom.pipeline.play import Skips, build_system, check_any_placed, check_has_lidar, play, reported_once, telling
 from sceneloom.scene.annotations import LabeledPoints, LabeledPointsAnnotation
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor, PointsSensor, grey_where_unseen
@@ -160,10 +146,6 @@ class _ExposureReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         seam_before, seam_after: median difference [levels] of the colours of points that two cameras show at once;
             None where no two cameras do.
-        seam_points: how many points that is of.
-        alone: cameras that nothing links to another; they keep their mean brightness.
-        unlinked: cameras whose images share nothing that can be compared; they keep their colours.
-        factors: of each other camera, the least and the greatest factor of its images.
     """
 
     seam_before: float | None
@@ -184,25 +166,14 @@ class _ExposureReport(msgspec.Struct, frozen=True, kw_only=True):
             alone=tuple(cameras[camera] for camera in gains.alone if camera in found),
             unlinked=tuple(cameras[camera] for camera in gains.alone if camera not in found),
             factors={
-                str(cameras[camera]): (
-                    float(2.718281828459045 ** logs.min()),
-                    float(2.718281828459045 ** logs.max()),
-                )
+                str(cameras[camera]): (float(2.718281828459045 ** logs.min()), float(2.718281828459045 ** logs.max()))
                 for camera, logs in found.items()
             },
         )
 
 
 class _LabelReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of labels.
-
-    Attributes:
-        images: label images that were painted onto points.
-        missing: images that no label image is of.
-        points: points that got a label.
-        drawn: label images that were made of labelled points.
-        classes: how many different labels the points got, or the drawn images have.
-    """
+    """What became of labels."""
 
     images: int = 0
     missing: int = 0
@@ -271,7 +242,6 @@ class _ColouredSweep:
     """A fused sweep without its images, and its points as rows of a map.
 
     Attributes:
-        frame: the sweep with its new colours; `views` are left out, which hold whole images.
         points: (N,) of dtype `POINT`.
     """
 
@@ -281,14 +251,7 @@ class _ColouredSweep:
 
 @dataclass(slots=True)
 class _SweepColouring:
-    """Colours sweeps.
-
-    Attributes:
-        scene: what the images are of, as read: their numbers are those in its cameras.
-        blend: "nearest", "best" or "weighted".
-        gains: what compensates the exposures; None: they stay.
-        labels: label images; None for none.
-    """
+    """Colours sweeps."""
 
     scene: Scene
     blend: str
@@ -313,11 +276,7 @@ class _SweepColouring:
         return self._numbers[view.camera_id].get(view.timestamp_ns, _NO_IMAGE)
 
     def colour(self, frame: FusedFrame) -> _ColouredSweep:
-        """Give a fused sweep its colours and labels.
-
-        Raises:
-            DataError: a label image cannot be read, or has another size than its image.
-        """
+        """Give a fused sweep its colours and labels."""
         points_world = _points_of(frame)
         times = frame.points.timestamps_ns
         colors, sources = self._colours(frame, points_world, times)
@@ -404,11 +363,7 @@ _CANVASES = 2
 
 
 def _numbered_labels(scene: Scene) -> dict[str, int]:
-    """The number of each label of labelled points: the label itself where all are numbers, else 1, 2, … by name.
-
-    Raises:
-        DataError: there are no labelled points, or too many different labels.
-    """
+    """The number of each label of labelled points: the label itself where all are numbers, else 1, 2, … by name."""
     names = sorted({_name(each) for each in _labelled(scene)})
     if not names:
         raise DataError(scene.source, "annotations", "no labelled points in it; expected labels of lidar frames")
@@ -429,16 +384,7 @@ def _name(annotation: LabeledPointsAnnotation) -> str:
 
 @dataclass(slots=True)
 class _LabelProjection:
-    """Draws labels: `<camera>/<image number>.png`, 0 where no labelled point is, and what the numbers mean.
-
-    Attributes:
-        scene: with labelled points, whose frames are counted as the results of the fusion are.
-        folder: an empty folder.
-        names: folder of each camera.
-        colouring: knows the numbers of images.
-        radius_px: of the square that a point fills beside its pixel.
-        written: images so far.
-    """
+    """Draws labels: `<camera>/<image number>.png`, 0 where no labelled point is, and what the numbers mean."""
 
     scene: Scene
     folder: Path
@@ -460,11 +406,7 @@ class _LabelProjection:
                     self._entries.setdefault(key, []).append(reported)  # type: ignore[arg-type]
 
     def add(self, frame: FusedFrame) -> None:
-        """Draw the labels of one sweep into its images.
-
-        Raises:
-            DataError: a label names a point that the sweep does not have.
-        """
+        """Draw the labels of one sweep into its images."""
         labels = self._labels(frame)
         for view in frame.views:
             canvases = self._open.setdefault(view.camera_id, {})
@@ -507,8 +449,6 @@ class _Columns:
     """The columns of written clouds.
 
     Attributes:
-        labels: whether they have labels.
-        provenance: whether they name camera, image, pixel and weight.
         origin_world: (3,) float64 [m], what is added to positions.
     """
 
@@ -543,15 +483,7 @@ class _ColourSink(Protocol):
 
 @dataclass(slots=True)
 class _MapSink:
-    """Writes the drive as one cloud, each point, or one for each cube of space.
-
-    Attributes:
-        writer: the open file.
-        columns: of the file.
-        cubes: gathers the points; None: all of them are written at once.
-        complete: what completes the file, where nobody else does.
-        written: points in the file.
-    """
+    """Writes the drive as one cloud, each point, or one for each cube of space."""
 
     writer: CloudWriter
     columns: _Columns
@@ -599,13 +531,7 @@ class _SweepFiles:
 
 @dataclass(slots=True)
 class _SweepScene:
-    """Writes the sweeps into a scene file whose other sensors stand in it already, with their labels.
-
-    Attributes:
-        sink: the open file.
-        names: what labels are called, as far as it is stated.
-        taken: ids of annotations that are in the file.
-    """
+    """Writes the sweeps into a scene file whose other sensors stand in it already, with their labels."""
 
     sink: SceneSink
     names: Mapping[int, str]
@@ -679,13 +605,7 @@ _KINDS = {"positions": ("f4", 3), "colors": ("u1", 3), "labels": ("u2", 1)}
 
 @dataclass(slots=True)
 class _MapScene:
-    """Writes points chunk by chunk to files, and at the end all of them as one sensor of a scene.
-
-    Attributes:
-        writer: the open scene file.
-        folder: an empty folder for the files in between.
-        names: what labels are called, as far as it is stated.
-    """
+    """Writes points chunk by chunk to files, and at the end all of them as one sensor of a scene."""
 
     writer: SceneWriter
     folder: Path
@@ -764,12 +684,7 @@ class _Sinks:
         colouring: _SweepColouring,
         stack: ExitStack,
     ) -> "_Sinks":
-        """Open every wanted output; an error later removes all of them again.
-
-        Raises:
-            OutputError: an output exists, or cannot be made.
-            DataError: labels are to be projected, and there are none.
-        """
+        """Open every wanted output; an error later removes all of them again."""
         sinks, scene, overwrite = cls(), aligned.scene, wanted.overwrite
         names = {} if colouring.labels is None else colouring.labels.names
         columns = _Columns(settings.labels is not None, settings.provenance, aligned.origin_world)

@@ -10,14 +10,7 @@ from typing import Any
 
 import msgspec
 
-from sceneloom.errors import (
-    LossError,
-    OptionError,
-    UnknownFormatError,
-    check_option_names,
-    redacted,
-    without_folders,
-)
+from sceneloom.errors import LossError, OptionError, UnknownFormatError, check_option_names, redacted, without_folders
 from sceneloom.formats.base.files import is_url
 from sceneloom.formats.base.losses import SEVERITY, Holding, Loss, LossReport, Support, Supports, holding_of
 from sceneloom.formats.base.output import check_output, on_trial, replacing
@@ -46,29 +39,13 @@ from sceneloom.formats.trajectories.table import (
 from sceneloom.formats.trajectories.trajectory_file import TrajectoryFile
 from sceneloom.scene.cameras import CameraSensor, DepthFrame
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
-from sceneloom.scene.contents import (
-    IMU_STREAMS,
-    KINDS,
-    MODEL_FIELDS,
-    AnyFrame,
-    Counting,
-    contents_of,
-    watched,
-)
+from sceneloom.scene.contents import IMU_STREAMS, KINDS, MODEL_FIELDS, AnyFrame, Counting, contents_of, watched
 from sceneloom.scene.scene import Scene, frame_times
 from sceneloom.scene.types import Identifier, Progress
 from sceneloom.stages import stage
 from sceneloom.warnings import DataWarning
 
-_TIMESTAMPS = (
-    "timestamp_ns",
-    "timestamps_ns",
-    "start_ns",
-    "duration_ns",
-    "durations_ns",
-    "poses",
-    "attributes",
-)
+_TIMESTAMPS = ("timestamp_ns", "timestamps_ns", "start_ns", "duration_ns", "durations_ns", "poses", "attributes")
 
 _TOGETHER: Mapping[str, tuple[str, ...]] = {
     "timestamps": _TIMESTAMPS,
@@ -164,11 +141,6 @@ class _FieldSupport(msgspec.Struct, frozen=True, kw_only=True):
     """One field of the source, and what became of it.
 
     Attributes:
-        field: its name out of `MODEL_FIELDS`; the location that a format reported where it is none of them.
-        is_: what it is, for a person.
-        count: how many objects or frames of the source hold it.
-        support: the worst that happened to one of them.
-        how: how they were converted or approximated, or why they were dropped; empty where all are kept.
         largest_error: how far the worst value is off, in the unit that `how` names; None where that means nothing.
     """
 
@@ -288,13 +260,7 @@ class ConversionReport(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Fields of which the same became.
-
-    Attributes:
-        title: what.
-        fields: which.
-        explained: whether there is more to say of them.
-    """
+    """Fields of which the same became."""
 
     title: str
     fields: tuple[_FieldSupport, ...]
@@ -330,22 +296,13 @@ _REPORT_SUFFIXES = (".json", ".md", ".txt")
 
 
 def _check_report_name(path: Path) -> None:
-    """Refuse a name for a report that does not state how to write it.
-
-    Raises:
-        OptionError: its suffix is none of those of reports.
-    """
+    """Refuse a name for a report that does not state how to write it."""
     if path.suffix.lower() not in _REPORT_SUFFIXES:
         raise OptionError(f"{path}: suffix {path.suffix!r}; a loss report is written as {', '.join(_REPORT_SUFFIXES)}")
 
 
 def _write_report(report: ConversionReport, path: Path, *, overwrite: bool = False) -> None:
-    """Write what became of every field: as JSON, as Markdown or as text, as the suffix says.
-
-    Raises:
-        OptionError: the suffix is none of those of reports.
-        OutputError: the file exists, or cannot be written.
-    """
+    """Write what became of every field: as JSON, as Markdown or as text, as the suffix says."""
     _check_report_name(path)
     both = f"{report.source} + {report.target}"
     with replacing(path, overwrite=overwrite) as draft:
@@ -414,18 +371,7 @@ class _Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Conversion:
-    """One conversion that is ready to be written.
-
-    Attributes:
-        source, source_format, target_format: for the report.
-        target: where to.
-        warnings: what was assumed, repaired or left out on reading.
-        contents: how many objects or frames hold each field, as far as they were read.
-        supports: what the format does with each field.
-        kinds: of the source's sensors and annotations, as `kinds_by_id` gives them.
-        write: writes to a path.
-        losses: what is lost whatever the writing reports.
-    """
+    """One conversion that is ready to be written."""
 
     source: str
     source_format: str
@@ -455,12 +401,7 @@ class _Conversion:
         )
 
     def run(self) -> ConversionReport:
-        """Write the target; if nothing may be lost, beside it first.
-
-        Raises:
-            LossError: something would be lost, and nothing may be; nothing is left behind.
-            OutputError: the target exists, or cannot be written.
-        """
+        """Write the target; if nothing may be lost, beside it first."""
         target = self.target
         write = partial(self.write, overwrite=target.overwrite, **target.writing)
         with stage("writing"):
@@ -575,12 +516,7 @@ def _convert_trajectory(
     reading: dict[str, Any],
     progress: Progress | None,
 ) -> ConversionReport:
-    """Write one trajectory of a source to a file of its own; what else the source holds is lost.
-
-    Raises:
-        OptionError: an option of writing is one of scenes, or there is no trajectory of that name.
-        DataError: the source is wrong.
-    """
+    """Write one trajectory of a source to a file of its own; what else the source holds is lost."""
     _refuse_part(target.location, reading)
     if "format" in reading:
         reading.setdefault("form", reading.pop("format"))

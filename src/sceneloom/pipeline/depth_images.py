@@ -174,12 +174,7 @@ def write_depth_images(
     scene = scene.corrected()
     skips = Skips() if lenient else None
     aligned = align(
-        _with_cameras(scene, cameras),
-        trajectory=trajectory,
-        heading=heading,
-        start=start,
-        stop=stop,
-        lenient=lenient,
+        _with_cameras(scene, cameras), trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient
     )
     system = build_system(aligned.scene, aligned.ego, configuration or FusionConfiguration(), skips)
     total, unfused = aligned.sweeps, Counter[str]()
@@ -216,10 +211,7 @@ def _depths_of(view: FusedView, method: str) -> DenseDepth:
 
 def _check_choices(method: str, form: str, folder: Path, images: Path | None, *, overwrite: bool) -> None:
     """Refuse what cannot be followed before anything is read."""
-    choices: Sequence[tuple[str, str, tuple[str, ...]]] = (
-        ("method", method, _METHODS),
-        ("form", form, _FORMS),
-    )
+    choices: Sequence[tuple[str, str, tuple[str, ...]]] = (("method", method, _METHODS), ("form", form, _FORMS))
     for name, value, known in choices:
         if value not in known:
             raise OptionError(f"{name} {value!r}; expected one of {', '.join(known)}")

@@ -121,11 +121,8 @@ class _DeskewPlan:
     """A scene, which of its lidars are deskewed, and by what.
 
     Attributes:
-        scene: as read, or a part of it.
-        lidars: those to deskew.
         ego: the trajectory they are deskewed by; None where they go by poses of their own.
         gaps_ns: (G, 2) int64 [ns], between which times the trajectory is not known.
-        at: the moment of each sweep that its points are brought to.
     """
 
     scene: Scene
@@ -198,11 +195,6 @@ def _plan_deskew(
     """Choose lidars, part and trajectory; the arguments are those of `deskew`.
 
     `skips` collects sweeps that cannot be read.
-
-    Raises:
-        OptionError: a value cannot be followed, or the scene was deskewed before.
-        PoseError: the motion is not known.
-        DataError: there is no lidar, or a sweep cannot be read and there are no `skips`.
     """
     if at not in MOMENTS:
         raise OptionError(f"at {at!r}; expected one of {', '.join(MOMENTS)}")

@@ -356,12 +356,7 @@ def kitti_labels(found: Iterable[KittiObjects], rectified_from_lidar: RigidTrans
         found: by frame.
         rectified_from_lidar: into the frame of KITTI's boxes in space.
     """
-    frames, ids, rows, types = (
-        [np.zeros(0, np.int64)],
-        [np.zeros(0, np.int64)],
-        [np.zeros((0, 12))],
-        list[str](),
-    )
+    frames, ids, rows, types = ([np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros((0, 12))], list[str]())
     for one in found:
         size = np.tile([float(one.camera.width), float(one.camera.height)], 2)
         corners = np.clip(one.corners_xyxy, 0.0, size)

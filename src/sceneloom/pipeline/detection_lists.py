@@ -98,10 +98,6 @@ class _ListForm:
     """One form of lists.
 
     Attributes:
-        name: of the form.
-        looks_like: what a person knows it by.
-        recognises: whether the beginning of a file, its blanks taken off, is of this form.
-        read_3d: reads boxes in space.
         read_2d: reads boxes in images; None where the form has none.
     """
 
@@ -160,11 +156,7 @@ def _half_step(context: ListContext) -> int:
 
 
 def _records(path: Path, context: ListContext, ledger: Ledger, wanted: tuple[type[Any], type[Any]]) -> Iterator[Any]:
-    """The lists of boxes of a file; bare boxes of one frame are put together, wherever they stand.
-
-    Raises:
-        DataError: a line is no record of boxes, or of other ones.
-    """
+    """The lists of boxes of a file; bare boxes of one frame are put together, wherever they stand."""
     single = wanted[1]
     lone: list[Any] = []
     others = 0
@@ -203,11 +195,7 @@ def _record(line: str, wanted: tuple[type[Any], type[Any]]) -> Any:
 
 
 def _any_record(line: str) -> Any:
-    """The record of a line: under the name of its kind, or bare.
-
-    Raises:
-        DataError: it is none.
-    """
+    """The record of a line: under the name of its kind, or bare."""
     try:
         content = msgspec.json.decode(line)
     except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
@@ -241,7 +229,6 @@ class _KittiRows(NamedTuple):
 
     Attributes:
         frames: (N,) int64, the number of each box's frame.
-        labels, scores, score_form: classes, and how sure they are.
         corners_xyxy: (N, 4) float64 [px], pixels counted from the centre of the first one; of boxes in images.
         placed: sizes (N, 3), bottoms (N, 3) and rotations (N,), as KITTI has them; of boxes in space.
     """
@@ -337,11 +324,7 @@ def _kitti_boxes_2d(rows: _KittiRows, path: Path, context: ListContext) -> Seque
 
 
 def _rows_by_frame(frames: Int64Array, context: ListContext, path: Path) -> list[tuple[int, Int64Array]]:
-    """For each frame of the sensor its time and the rows of its boxes, in the order of the file.
-
-    Raises:
-        DataError: a box is of a frame that the sensor does not have.
-    """
+    """For each frame of the sensor its time and the rows of its boxes, in the order of the file."""
     if len(frames):
         context.time_of(int(frames.min()), path, "")
         context.time_of(int(frames.max()), path, "")
@@ -868,9 +851,7 @@ def _joined_3d(parts: Sequence[Boxes3D]) -> Boxes3D:
     parts = [boxes for boxes in parts if len(boxes)] or parts[:1]
     if len({boxes.score_form for boxes in parts}) > 1:
         raise DataError(
-            "boxes",
-            "",
-            f"scores of several forms at {parts[0].timestamp_ns} ns; expected logits or probabilities",
+            "boxes", "", f"scores of several forms at {parts[0].timestamp_ns} ns; expected logits or probabilities"
         )
     velocities = [boxes.velocities for boxes in parts if boxes.velocities is not None]
     first = parts[0]

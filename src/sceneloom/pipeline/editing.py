@@ -10,13 +10,7 @@ import msgspec
 
 from sceneloom.editing.move_points import OnPoints
 from sceneloom.formats.base.losses import LossReport
-from sceneloom.formats.base.registry import (
-    check_scene_output,
-    format_for_output,
-    open_scenes,
-    scene_for,
-    write_scene,
-)
+from sceneloom.formats.base.registry import check_scene_output, format_for_output, open_scenes, scene_for, write_scene
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.contents import AnyFrame, watched

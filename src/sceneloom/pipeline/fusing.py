@@ -20,15 +20,7 @@ from sceneloom.motion.deskew import PointTimesStatistics
 from sceneloom.motion.ego_trajectory import placeable_lidars
 from sceneloom.pipeline.alignment import Aligned, align
 from sceneloom.pipeline.outputs import DepthFolder, SceneSink, lidar_folders, spread
-from sceneloom.pipeline.play import (
-    Skips,
-    build_system,
-    check_any_placed,
-    check_has_lidar,
-    play,
-    reported_once,
-    telling,
-)
+from sceneloom.pipeline.play import Skips, build_system, check_any_placed, check_has_lidar, play, reported_once, telling
 from sceneloom.scene.point_times import PointTimes
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
@@ -262,12 +254,7 @@ class FusionOutputs:
 
 
 def _checked_outputs(outputs: FusionOutputs, output: str | Path | None) -> FusionOutputs:
-    """Join the two ways to name the scene file, and refuse outputs that cannot be.
-
-    Raises:
-        OptionError: a value is not one that can be followed.
-        OutputError: an output exists, or its folder is missing.
-    """
+    """Join the two ways to name the scene file, and refuse outputs that cannot be."""
     wanted = outputs if output is None else replace(outputs, scene=Path(output))
     if wanted.depth_format not in {"png", "npz"}:
         raise OptionError(f"depth_format {wanted.depth_format!r}; expected 'png' or 'npz'")
@@ -419,12 +406,7 @@ class _Sinks:
 
     @classmethod
     def open(cls, aligned: Aligned, wanted: FusionOutputs, stack: ExitStack, skips: Skips | None) -> "_Sinks":
-        """Open every wanted output; an error later removes all of them again.
-
-        Raises:
-            OutputError: an output exists, or cannot be made.
-            DataError: something that goes into the scene file at once cannot be read.
-        """
+        """Open every wanted output; an error later removes all of them again."""
         sinks = cls()
         if wanted.depth is not None:
             folder = stack.enter_context(filling(wanted.depth, overwrite=wanted.overwrite))
@@ -478,12 +460,7 @@ class _ImageSink:
     """Draws some of the sweeps for people to look at, and the drive as one cloud.
 
     Attributes:
-        folder: of the images of the drive.
-        folders: of the images of each lidar.
-        chosen: numbers of the sweeps to draw.
-        cloud: gathers the drive.
         ego_poses: the ego trajectory, drawn into the clouds; None where it is not known.
-        written: files so far.
     """
 
     folder: Path

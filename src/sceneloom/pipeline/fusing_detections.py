@@ -61,12 +61,7 @@ _Classes = frozenset[str] | None
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CoveringFusion:
-    """Fusion by projection for detectors that look for different classes.
-
-    Attributes:
-        classes_2d, classes_3d: that the detectors of images and of sweeps look for.
-        settings: what is taken for granted about detectors otherwise.
-    """
+    """Fusion by projection for detectors that look for different classes."""
 
     classes_2d: _Classes
     classes_3d: _Classes
@@ -190,13 +185,7 @@ def _streams(drive: DetectedDrive) -> list[list[_Sent]]:
     """What each sensor's detector sends: time, order among sensors, number, sensor, boxes; images before sweeps."""
     streams: list[list[_Sent]] = [
         [
-            (
-                boxes.timestamp_ns,
-                order,
-                k,
-                camera_id,
-                SeenBoxes(boxes, camera.camera_model, extras={"seq": k}),
-            )
+            (boxes.timestamp_ns, order, k, camera_id, SeenBoxes(boxes, camera.camera_model, extras={"seq": k}))
             for k, boxes in enumerate(camera.boxes)
         ]
         for order, (camera_id, camera) in enumerate(drive.cameras.items())
@@ -210,15 +199,7 @@ def _streams(drive: DetectedDrive) -> list[list[_Sent]]:
 def _detections_record(
     frame: FusedDetectionFrame, camera_model: Camera, *, camera_number: int, lidar_number: int = 0
 ) -> FusedDetections:
-    """Give the record of table 10 of the objects of a sweep and an image, axes as the scene has them.
-
-    Args:
-        camera_model: of the image, to whose size boxes are cut.
-        camera_number, lidar_number: of the sensors in records.
-
-    Raises:
-        DataError: a time cannot stand in the record.
-    """
+    """Give the record of table 10 of the objects of a sweep and an image, axes as the scene has them."""
     fused = frame.fused
     columns, _ = declared_columns(fused, _AS_IN_THE_SCENE, camera_model)
     return FusedDetections(
@@ -270,18 +251,7 @@ def _rows(ids: tuple[int | None, ...]) -> Int64Array:
 
 
 class _FusedDriveReport(msgspec.Struct, frozen=True, kw_only=True):
-    """One drive or sequence.
-
-    Attributes:
-        name: of it.
-        file: where its objects are.
-        pairs: sweeps that were fused with an image.
-        unpaired: sweeps to which no image belongs, and which have no result.
-        objects: in all pairs.
-        both, sweeps_only, images_only: of these, seen by both detectors, or by one of them.
-        by_class: how many objects of each class.
-        warnings: what was assumed or is missing.
-    """
+    """One drive or sequence."""
 
     name: str
     file: str
@@ -315,14 +285,7 @@ class DetectionFusionReport(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(slots=True)
 class _DetectionStatistics:
-    """Counts objects.
-
-    Attributes:
-        pairs: sweeps that were fused with an image.
-        fused_sweeps: of which there is any result.
-        both, sweeps_only, images_only: objects, by who saw them.
-        by_class: objects of each class.
-    """
+    """Counts objects."""
 
     pairs: int = 0
     fused_sweeps: int = 0
@@ -461,12 +424,7 @@ def _side_file(path: Path) -> Path:
 
 
 def _fuse_into(
-    drive: DetectedDrive,
-    draft: Path,
-    side: Path,
-    output: Path,
-    fuse: _Fuse,
-    progress: Progress | None = None,
+    drive: DetectedDrive, draft: Path, side: Path, output: Path, fuse: _Fuse, progress: Progress | None = None
 ) -> _FusedDriveReport:
     statistics = _DetectionStatistics()
     numbers = {camera_id: k for k, camera_id in enumerate(drive.cameras, start=1)}

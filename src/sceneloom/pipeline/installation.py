@@ -88,8 +88,6 @@ class _Package:
     """One package that is asked for.
 
     Attributes:
-        name: as pip calls it.
-        least: the lowest version that will do, or None.
         extra: of which extra it is; None where nothing goes without it.
         installed: its version, None where it is not there.
         problem: why it cannot be used; None where it can, as far as that was looked at.
@@ -216,11 +214,7 @@ def _report_packages() -> Iterator[Finding]:
     except PackageNotFoundError:
         stated = "is imported from a folder and not installed, so what it needs is not known"
         yield Finding(
-            group="packages",
-            name="sceneloom",
-            status=Status.MISSING,
-            stated=stated,
-            remedy="pip install sceneloom",
+            group="packages", name="sceneloom", status=Status.MISSING, stated=stated, remedy="pip install sceneloom"
         )
         return
     for package in packages:

@@ -75,11 +75,7 @@ class DepthFolder:
         return cls(folder, lidar_folders(folder, scene), names_of(scene.cameras), form)
 
     def write(
-        self,
-        frame: FusedFrame,
-        view: FusedView,
-        depths: Float32Array,
-        confidence: Float32Array | None = None,
+        self, frame: FusedFrame, view: FusedView, depths: Float32Array, confidence: Float32Array | None = None
     ) -> Path:
         """Write the depths of a view, and a line into the index; give the file."""
         target = self.folders[frame.lidar_id] / self.names[view.camera_id] / f"{frame.index:06d}.{self.form}"

@@ -35,13 +35,7 @@ _PixelsByImage = Mapping[int, Int64Array]
 
 
 def _with_hidden_files(scene: Scene, hidden: Scene, pixels: Mapping[Key, _PixelsByImage]) -> Scene:
-    """Give a scene with hidden locations the files of its images again.
-
-    Args:
-        scene: before anything was hidden.
-        hidden: afterwards.
-        pixels: what was hidden, by camera.
-    """
+    """Give a scene with hidden locations the files of its images again."""
     before = {key_of(camera.id): camera for camera in scene.cameras}
     sensors: list[Any] = [
         replace(
@@ -98,14 +92,6 @@ class _CameraBlur(msgspec.Struct, frozen=True, kw_only=True):
     """What was hidden in the images of one camera.
 
     Attributes:
-        camera: its id.
-        boxes: how many were given for it; of annotations, how many keyframes.
-        hidden: how many locations were hidden, with those between given boxes.
-        images: in how many images.
-        of_images: how many it has.
-        without_image: boxes that name an image which is not there.
-        outside: boxes that lie outside of their image or have no size.
-        cut: boxes that reach beyond an edge of their image; what is inside was hidden.
         encoded: images of its video, all of which are encoded again; None where it has no video.
     """
 
@@ -193,14 +179,7 @@ def blur_files(
             return changed
 
         report = edit_files(
-            "blur",
-            [source],
-            output,
-            change,
-            reading=reading,
-            progress=progress,
-            overwrite=overwrite,
-            **writing,
+            "blur", [source], output, change, reading=reading, progress=progress, overwrite=overwrite, **writing
         )
     report = msgspec.structs.replace(report, losses=LossReport.of([*report.losses, *losses]))
     return BlurReport(edit=report, fill=fill, margin=margin, cameras=tuple(reported))
@@ -233,21 +212,7 @@ class _Settings:
 
 
 def _with_videos(scene: Scene, hidden: Scene, folder: Path, losses: list[Loss]) -> tuple[Scene, frozenset[Key]]:
-    """Encode the images of videos again; of odd sizes, which H.264 cannot hold, they stay single images.
-
-    Args:
-        scene: before anything was hidden, with its videos.
-        hidden: afterwards, without them.
-        folder: where the videos have to stay until the scene is written.
-        losses: what the videos lose is added to it.
-
-    Returns:
-        the scene with its videos, and the cameras that have one.
-
-    Raises:
-        DataError: a video is damaged.
-        OutputError: the folder cannot be written.
-    """
+    """Encode the images of videos again; of odd sizes, which H.264 cannot hold, they stay single images."""
     codecs = {key_of(camera.id): camera.video.codec for camera in scene.cameras if camera.video is not None}
     sensors: list[Sensor] = []
     encoded = set[Key]()
@@ -397,11 +362,7 @@ class _Row:
     values: Mapping[str, Any]
 
     def box(self) -> ImageBox:
-        """The box.
-
-        Raises:
-            DataError: a value cannot be followed.
-        """
+        """The box."""
         values = self.values
         corners = values.get("box")
         if isinstance(corners, Sequence) and len(corners) == 4 and not isinstance(corners, str):

@@ -202,11 +202,7 @@ def _chosen(
 
 
 def _compared(
-    chosen: list[Stream],
-    found: Mapping[str, Stream],
-    reach_ns: int,
-    lever_sigma: float,
-    progress: Progress | None,
+    chosen: list[Stream], found: Mapping[str, Stream], reach_ns: int, lever_sigma: float, progress: Progress | None
 ) -> tuple[ClockComparison, ...]:
     """Each stream with the reference; and with the first trajectory what states nothing against that."""
     if not chosen:
@@ -265,10 +261,7 @@ def _is_better(other: ClockComparison, link: ClockComparison | None, direct: Clo
 def _correction(comparison: ClockComparison) -> AppliedCorrection:
     estimate = comparison.estimate
     return AppliedCorrection(
-        stream=comparison.stream,
-        offset_ns=estimate.offset_ns or 0.0,
-        skew_ppm=_skew(estimate),
-        at_ns=estimate.at_ns,
+        stream=comparison.stream, offset_ns=estimate.offset_ns or 0.0, skew_ppm=_skew(estimate), at_ns=estimate.at_ns
     )
 
 

@@ -117,17 +117,7 @@ class TrackOutputs:
 
 
 class _TrackedReport(msgspec.Struct, frozen=True, kw_only=True):
-    """One drive or sequence.
-
-    Attributes:
-        name: of it.
-        file: where its objects are.
-        frames: sweeps.
-        tracks: objects, by class.
-        states: how often one was reported.
-        seconds: of the processor, for fusing and tracking.
-        warnings: what was assumed or is missing.
-    """
+    """One drive or sequence."""
 
     name: str
     file: str
@@ -177,13 +167,7 @@ _COLUMNS = tuple(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TrackedDrive:
-    """The objects of a drive.
-
-    Attributes:
-        drive: what they were found in.
-        moments: the objects at each sweep.
-        seconds: of the processor, for fusing and tracking.
-    """
+    """The objects of a drive."""
 
     drive: DetectedDrive
     moments: tuple[TrackedObjects, ...]
@@ -199,7 +183,6 @@ def _moments_of(tracks: Iterable[Track], timestamps_ns: Int64Array) -> tuple[Tra
     """Give the objects at each time; states of tracks at other times are left out.
 
     Args:
-        tracks: of a drive.
         timestamps_ns: (N,) int64 [ns], rising.
     """
     tracks = tuple(tracks)
@@ -342,14 +325,7 @@ def _track_observations(
     settings: TrackingSettings | None = None,
     progress: Progress | None = None,
 ) -> _TrackedDrive:
-    """Follow the objects of a drive whose detections were fused before.
-
-    Args:
-        drive: where the sensors were; of each observation's time.
-        observations: in the order of time.
-        settings: how.
-        progress: reported after each sweep.
-    """
+    """Follow the objects of a drive whose detections were fused before."""
     steps = _Steps(progress, 0, 1, len(observations))
     found, seconds = _track_all(drive, observations, settings or TrackingSettings(), steps)
     return _TrackedDrive(drive, found, seconds)
@@ -452,8 +428,6 @@ class _TrackableDrive:
     """A drive with all that its files of results need.
 
     Attributes:
-        drive: what detectors found.
-        scene: what labels are put into.
         rectified_from_lidar: into the frame of KITTI's boxes; None for that of the camera.
         observations: what was fused before, of each sweep; None where it has to be fused.
     """
@@ -465,11 +439,7 @@ class _TrackableDrive:
 
     @classmethod
     def of_fused(cls, path: Path) -> "_TrackableDrive":
-        """A file that `fuse_detections` wrote; its scene has no sensors.
-
-        Raises:
-            DataError: a file is missing or faulty.
-        """
+        """A file that `fuse_detections` wrote; its scene has no sensors."""
         drive, observations = read_fused(path)
         return cls(drive, Scene((), source=str(path), format="detections"), observations=observations)
 

@@ -254,8 +254,7 @@ _CLASS_COLUMNS = (
     _spread("Points inside", "points", 0),
     Column("Without a point", lambda numbers: percent(numbers.empty_share, 0)),
     Column(
-        "Hidden in images",
-        lambda numbers: NOTHING if numbers.hidden is None else percent(numbers.hidden.median, 0),
+        "Hidden in images", lambda numbers: NOTHING if numbers.hidden is None else percent(numbers.hidden.median, 0)
     ),
     Column("In an image", lambda numbers: percent(numbers.in_images_share, 0)),
 )

@@ -28,11 +28,7 @@ class _Photo:
     """One image of a report.
 
     Attributes:
-        section: where on the page it stands.
-        title: what it is, in a few words.
-        text: what it shows, for those who cannot see it.
         width, height: [px].
-        jpeg: its file.
     """
 
     section: str

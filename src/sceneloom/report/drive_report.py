@@ -58,14 +58,7 @@ class _Provenance(msgspec.Struct, frozen=True, kw_only=True):
     """Where a report comes from.
 
     Attributes:
-        made: when, in UTC, to the second.
-        sceneloom, python, system: versions.
-        packages: versions of what computes.
-        settings: those of the report that were stated.
         sha256: of what was read; None where it is in memory, or behind a URL.
-        hashed: what the hash is of: "file", "folder", or "ends" for names, sizes, and first and last bytes.
-        size_bytes: of what was read.
-        reported: what the drive reports how it came about, by name, as short texts.
     """
 
     made: str
@@ -172,14 +165,7 @@ def _described(value: Any) -> Any:
 
 
 class _Conversion(msgspec.Struct, frozen=True, kw_only=True):
-    """One format.
-
-    Attributes:
-        format: its name.
-        supports: how many of the fields that the drive holds are kept, converted, approximated, dropped.
-        dropped: names of those that it has no field for.
-        approximated: names of those that are replaced by something near.
-    """
+    """One format."""
 
     format: str
     supports: dict[str, int]

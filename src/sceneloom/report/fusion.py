@@ -15,17 +15,7 @@ from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.pipeline.alignment import Aligned, align
 from sceneloom.pipeline.fusing import CameraReport, FusionStatistics
 from sceneloom.pipeline.play import Skips, build_system, play
-from sceneloom.report.content import (
-    NOTHING,
-    Block,
-    Column,
-    Figures,
-    Section,
-    Table,
-    count,
-    several,
-    text_column,
-)
+from sceneloom.report.content import NOTHING, Block, Column, Figures, Section, Table, count, several, text_column
 from sceneloom.report.coverage import spread_rows
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
@@ -196,10 +186,7 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
         aligned = align(scene)
         few = _with_some_sweeps(aligned.scene, sweeps)
         skips = Skips() if lenient else None
-        gathered = _Gathered(
-            FusionStatistics.of(aligned),
-            DriveCloud(frozenset(range(sweeps))),
-        )
+        gathered = _Gathered(FusionStatistics.of(aligned), DriveCloud(frozenset(range(sweeps))))
         most = max((len(lidar.frames) for lidar in few.lidars), default=0)
         for frame in _played(aligned, few, skips):
             gathered.add(frame, middle=min(sweeps, most) // 2)

@@ -13,14 +13,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from sceneloom.checks.validation import ValidationReport, open_subject, validate
-from sceneloom.errors import (
-    DataError,
-    MissingExtraError,
-    OptionError,
-    SceneloomError,
-    how_to_install,
-    without_folders,
-)
+from sceneloom.errors import DataError, MissingExtraError, OptionError, SceneloomError, how_to_install, without_folders
 from sceneloom.formats.base.files import path_or_url, read_bytes, size_on_disk
 from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.base.output import check_output, replacing
@@ -289,10 +282,7 @@ class _Collector:
         if is_part and self.settings.truth is not None:
             self.sampling.append("objects are compared with a truth in whole drives only; this is a part of one")
         return Metrics.of(
-            self.scene,
-            source=None if is_part else self.where,
-            truth=self.settings.truth,
-            compare=self.settings.compare,
+            self.scene, source=None if is_part else self.where, truth=self.settings.truth, compare=self.settings.compare
         )
 
 
@@ -319,11 +309,7 @@ _MARKS = {"sound": "✔", "look": "▲", "faulty": "✖"}
 
 
 def _check_extra() -> Any:
-    """Give the package that fills the template; matplotlib, which draws, is looked for, too.
-
-    Raises:
-        MissingExtraError: one of them is not installed.
-    """
+    """Give the package that fills the template; matplotlib, which draws, is looked for, too."""
     try:
         import jinja2
     except ImportError:

@@ -179,13 +179,7 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
         spans = "; ".join(f"{s.name} from {s.start:.2f} to {s.stop:.2f} s" for s in shown)
         caption = "Bars: from the first timestamp to the last. Red: gaps. Green behind: when all give something."
         return [
-            Drawing(
-                "Streams over time",
-                f"{several(gaps, 'gap')}. {spans}",
-                self._draw(shown),
-                caption,
-                kind="wide",
-            )
+            Drawing("Streams over time", f"{several(gaps, 'gap')}. {spans}", self._draw(shown), caption, kind="wide")
         ]
 
     def _draw(self, shown: Sequence[StreamTiming]) -> bytes:
@@ -229,8 +223,7 @@ _STREAM_COLUMNS = (
     Column("Longest [ms]", lambda stream: fixed(stream.longest_ms, 1)),
     Column("Gaps", lambda stream: count(stream.gap_count)),
     Column(
-        "Missing",
-        lambda stream: f"{stream.missing:,} ({percent(stream.missing_share)})" if stream.missing else "0",
+        "Missing", lambda stream: f"{stream.missing:,} ({percent(stream.missing_share)})" if stream.missing else "0"
     ),
     Column("Repeated or backwards", lambda stream: f"{stream.repeated:,} / {stream.backwards:,}"),
     Column(
@@ -335,10 +328,7 @@ def _phase(reference: Identifier, times_ns: Int64Array, reference_ns: Int64Array
     nearest = away[np.argmin(np.abs(away), axis=0), np.arange(len(times_ns))] / 1e6
     low, median, high = np.percentile(nearest, (2.5, 50.0, 97.5)).tolist()
     return Phase(
-        reference=reference,
-        median_ms=median,
-        spread_ms=(high - low) / 2,
-        farthest_ms=float(np.abs(nearest).max()),
+        reference=reference, median_ms=median, spread_ms=(high - low) / 2, farthest_ms=float(np.abs(nearest).max())
     )
 
 

@@ -508,12 +508,7 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def of(
-        cls,
-        scene: Scene,
-        *,
-        source: Path | str | None,
-        truth: Path | str | None,
-        compare: tuple[str, ...] = (),
+        cls, scene: Scene, *, source: Path | str | None, truth: Path | str | None, compare: tuple[str, ...] = ()
     ) -> "Metrics":
         """Compare the trajectories of a scene with its true one, and with a truth that lies elsewhere.
 
@@ -538,9 +533,7 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
         if truth is not None:
             collected.against(scene, source, truth)
         return cls(
-            trajectories=tuple(collected.trajectories),
-            tracks=collected.tracks,
-            skipped=tuple(collected.skipped),
+            trajectories=tuple(collected.trajectories), tracks=collected.tracks, skipped=tuple(collected.skipped)
         )
 
     def section(self, missing: str | None) -> Section | None:

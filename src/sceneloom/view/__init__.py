@@ -22,13 +22,4 @@ else:
         },
     )
 
-__all__ = [
-    "ColourBy",
-    "DrivePart",
-    "DriveShown",
-    "ViewReport",
-    "ViewSettings",
-    "Viewer",
-    "save_view",
-    "show_view",
-]
+__all__ = ["ColourBy", "DrivePart", "DriveShown", "ViewReport", "ViewSettings", "Viewer", "save_view", "show_view"]

@@ -64,15 +64,7 @@ _SHOWN = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Group:
-    """What is logged to one entity.
-
-    Attributes:
-        stream: where to.
-        path: of the entity.
-        annotations: all that are drawn there.
-        colour: 0xRRGGBBAA.
-        links: texts on the links of annotations, by id.
-    """
+    """What is logged to one entity."""
 
     stream: Stream
     path: str
@@ -84,7 +76,6 @@ class _Group:
         """What is stated for each object that is there, as columns; one row for each in each moment.
 
         Args:
-            there: (A, M) bool, which annotation is there when.
             times_ns: (M,) int64 [ns].
         """
         if not there.any():
@@ -129,9 +120,7 @@ class _Drawn:
     """What a layer logs for some moments.
 
     Attributes:
-        columns: of an archetype, its objects moment after moment.
         counts: (M,) int64, how many objects each moment has.
-        there: (A, M) bool, which annotation is there when, for details; None: none are logged.
     """
 
     columns: Any
@@ -151,10 +140,7 @@ class _Layer:
     """Annotations of one class and kind.
 
     Attributes:
-        group: the annotations and their entity.
         draw: draws them at times (M,) int64 [ns], ascending.
-        kind: under which moments are counted, and what is left out.
-        counted: whether moments are counted.
     """
 
     group: _Group
@@ -307,7 +293,6 @@ def _trail(timestamps_ns: Int64Array, locations: Float64Array, time_ns: int) -> 
     Args:
         timestamps_ns: (N,) int64 [ns], ascending.
         locations: (N, 3) [m].
-        time_ns: the end.
     """
     start, stop = np.searchsorted(timestamps_ns, [time_ns - _HISTORY_NS, time_ns + 1])
     count = min(_POINTS_OF_TRAIL, int(stop - start))
@@ -391,10 +376,7 @@ def _draw_links(
     """Links as arrows between what they join, at times at which both ends, found by id in `ends`, are there."""
     starts, stops = (
         np.array([_middles(ends.get(key_of(identifier)), times_ns, angles) for identifier in identifiers])
-        for identifiers in (
-            [one.from_id for one in group.annotations],
-            [one.to_id for one in group.annotations],
-        )
+        for identifiers in ([one.from_id for one in group.annotations], [one.to_id for one in group.annotations])
     )
     known = ~(np.isnan(starts) | np.isnan(stops)).any(axis=2)
     there = fits(starts - origin) & fits(stops - origin) & fits(stops - starts)
@@ -467,12 +449,7 @@ def _drawn_boxes(group: _Group, kind: str, boxes: Sequence[Float64Array]) -> _Dr
 
 
 def _draw_point_projections(
-    group: _Group,
-    times_ns: Int64Array,
-    kind: str,
-    *,
-    projections: Sequence[PointProjection],
-    names: Sequence[str],
+    group: _Group, times_ns: Int64Array, kind: str, *, projections: Sequence[PointProjection], names: Sequence[str]
 ) -> _Drawn:
     """Where a camera sees named points: one entry of the group for each point."""
     values = np.array([_rows_at(one.timestamps_ns, one.points, times_ns) for one in projections])
@@ -563,7 +540,6 @@ class _LabelledPoints:
     """The labelled points of a scene, by the frames that they are of.
 
     Attributes:
-        stream: where to.
         entries: for each sensor and number of a frame (None: the sensor as a whole), labels and rows of points.
     """
 
@@ -590,19 +566,11 @@ class _LabelledPoints:
         return cls(stream, entries)
 
     def log(
-        self,
-        sensor_id: Identifier,
-        frame: int | None,
-        path: str,
-        time_ns: int | None,
-        positions: Float32Array,
+        self, sensor_id: Identifier, frame: int | None, path: str, time_ns: int | None, positions: Float32Array
     ) -> None:
         """Log those of a frame over its cloud.
 
         Args:
-            sensor_id: whose frame it is.
-            frame: its number; None for a sensor without frames.
-            path: of the cloud's entity, in whose frame the positions are.
             time_ns: when it is shown [ns]; None for always.
             positions: (N, 3) [m], of all points of the frame.
         """
@@ -649,11 +617,7 @@ def _show_graph(stream: Stream, annotations: Sequence[Annotation], notify: Repor
     if not nodes:
         return False
     if len(nodes) > _MOST_NODES:
-        notify(
-            "graph-cut",
-            "annotations",
-            f"the graph of relations shows {_MOST_NODES} of {len(nodes)} annotations",
-        )
+        notify("graph-cut", "annotations", f"the graph of relations shows {_MOST_NODES} of {len(nodes)} annotations")
         nodes = dict(list(nodes.items())[:_MOST_NODES])
     rr = sdk()
     drawn = rr.GraphNodes(
@@ -790,11 +754,7 @@ def _show_calibration(stream: Stream, annotation: CameraCalibration, notify: Rep
         try:
             stream.static(f"{entity}/camera model", pinhole(straight_camera_model(annotation.intrinsics)))
         except CalibrationError as error:
-            notify(
-                "camera-model-left",
-                f"annotations[{annotation.id!r}]",
-                f"its camera model is not drawn: {error}",
-            )
+            notify("camera-model-left", f"annotations[{annotation.id!r}]", f"its camera model is not drawn: {error}")
     stream.static(entity, sdk().TransformAxes3D(0.5))
     stream.count("camera calibrations", 1)
 

@@ -113,13 +113,7 @@ class _Facts:
     """What a layout depends on.
 
     Attributes:
-        root: the drive's entity.
-        title: its name.
-        cameras: those with images.
         eye, target: (3,) [m], where the eye is, and what it looks at: in the ego's frame if it follows the ego.
-        follows: whether the eye moves with the ego.
-        curves: of each inertial unit, its id and the names of its streams.
-        depths, gnss, plan, earth, events, attributes, relations, listed: whether there is anything of it.
     """
 
     root: str
@@ -187,11 +181,7 @@ def _eye(locations: Locations) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 @cache
 def _blueprint_sdk() -> Any:
-    """Import `rerun.blueprint`, of which layouts are made.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """Import `rerun.blueprint`, of which layouts are made."""
     sdk()
     import rerun.blueprint
 
@@ -424,12 +414,7 @@ class _Run:
     def _sweeps(self, lidar: LidarSensor, *, first: bool) -> Feed:
         settings = self.view.settings
         shown = LidarView(
-            self.stream,
-            self.view.locations,
-            lidar,
-            settings.colour_by,
-            settings.as_measured,
-            self.view.reported,
+            self.stream, self.view.locations, lidar, settings.colour_by, settings.as_measured, self.view.reported
         )
         self.lidars.append(shown)
 
@@ -517,12 +502,7 @@ class _Run:
             colours={sensor_id: used.value for sensor_id, used in colours.items() if used is not None},
             logged=dict(sorted(stream.counts.items())),
             findings=dict(Counter(str(finding.severity) for finding in findings)),
-            warnings=(
-                *view.scene.warnings,
-                *view.locations.warnings,
-                *view.reported.warnings,
-                *stream.warnings,
-            ),
+            warnings=(*view.scene.warnings, *view.locations.warnings, *view.reported.warnings, *stream.warnings),
         )
 
 

@@ -116,11 +116,7 @@ def image_path(stream: Stream, sensor_id: Identifier) -> str:
 
 
 def _jpeg_of(camera_image: CameraImage) -> bytes:
-    """The camera's own JPEG file where there is one, else the image encoded.
-
-    Raises:
-        DataError: the image cannot be decoded.
-    """
+    """The camera's own JPEG file where there is one, else the image encoded."""
     own = None if camera_image.encoded is None else camera_image.encoded()
     if own is not None and own.startswith(_JPEG_START):
         return own
@@ -227,11 +223,7 @@ class _Straightener:
     known: Undistortion | None = None
 
     def straight(self, camera: Camera, depths: Float32Array) -> tuple[Camera, Float32Array]:
-        """Give the camera model that is shown, and the depths as it sees them.
-
-        Raises:
-            CalibrationError: no pinhole can stand for the camera model.
-        """
+        """Give the camera model that is shown, and the depths as it sees them."""
         if camera.model == "pinhole":
             return camera, depths
         if self.known is None or self.known.source != camera:
@@ -282,11 +274,7 @@ class _Entry(msgspec.Struct, frozen=True):
 
 
 def _written_depths(folder: Path) -> Iterator[_Entry]:
-    """The images of a folder that `fuse --depth` or `depth` wrote, by its index.
-
-    Raises:
-        DataError: the index is missing or faulty.
-    """
+    """The images of a folder that `fuse --depth` or `depth` wrote, by its index."""
     index = folder / "index.jsonl"
     if not index.is_file():
         raise DataError(index, "", "is missing; expected the folder that `fuse --depth` or `depth` wrote")

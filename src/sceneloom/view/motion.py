@@ -21,13 +21,7 @@ EGO, TRAJECTORIES, IMU, GNSS, MAP, EARTH = "ego", "trajectories", "imu", "gnss",
 
 _AXES = ("x", "y", "z")
 _UNITS: Mapping[str, str] = MappingProxyType(
-    {
-        "accelerometer": "m/s²",
-        "gyroscope": "rad/s",
-        "magnetometer": "µT",
-        "imuTemperature": "K",
-        "barometer": "hPa",
-    }
+    {"accelerometer": "m/s²", "gyroscope": "rad/s", "magnetometer": "µT", "imuTemperature": "K", "barometer": "hPa"}
 )
 _AXIS_COLOURS = ((239, 83, 80), (102, 187, 106), (66, 165, 245))
 _TRAJECTORY, _FIXES = (255, 206, 84), (82, 196, 255)
@@ -135,9 +129,7 @@ def _show_fixes(stream: Stream, sensor: GnssSensor) -> None:
     times_ns, lla = sensor.timestamps_ns[usable], sensor.positions_lla[usable]
     colour = one_packed(_FIXES)
     points = rr.GeoPoints.columns(
-        positions=lla[:, :2],
-        radii=np.full(len(lla), -6.0, np.float32),
-        colors=np.full(len(lla), colour, np.uint32),
+        positions=lla[:, :2], radii=np.full(len(lla), -6.0, np.float32), colors=np.full(len(lla), colour, np.uint32)
     )
     stream.columns(times_ns, stream.path(EARTH, sensor.id, "fix"), points, kind="fixes")
     trajectory = rr.GeoLineStrings(
@@ -213,8 +205,6 @@ def _on_plan(enu: Float64Array) -> Float64Array:
 def _show_trajectory_on_earth(stream: Stream, path: Poses, origin_lla: Float64Array) -> None:
     lla = geodetic_from_enu(_line(path.positions), origin_lla)
     trajectory = sdk().GeoLineStrings(
-        lat_lon=[lla[:, :2]],
-        colors=np.array([one_packed(_TRAJECTORY)], np.uint32),
-        radii=np.array([-1.5], np.float32),
+        lat_lon=[lla[:, :2]], colors=np.array([one_packed(_TRAJECTORY)], np.uint32), radii=np.array([-1.5], np.float32)
     )
     stream.static(stream.path(EARTH, EGO), trajectory)

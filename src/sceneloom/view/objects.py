@@ -55,11 +55,7 @@ def track_feed(stream: Stream, path: Path, scene: Scene, origin: Float64Array) -
 
 
 def _read_detections(path: Path) -> tuple[TrackedObjects, ...]:
-    """Read what `fuse --type detection` wrote: the objects of each sweep and image, in the world.
-
-    Raises:
-        DataError: it is no such file, or faulty.
-    """
+    """Read what `fuse --type detection` wrote: the objects of each sweep and image, in the world."""
     if not path.is_file():
         raise DataError(path, "", "no such file; expected the lines that `fuse --type detection` wrote")
     if not fused_files(path):
@@ -98,15 +94,7 @@ class _Line(msgspec.Struct, frozen=True):
 
 
 def _read_tracks(path: Path, scene: Scene) -> tuple[TrackedObjects, ...]:
-    """Read the lines of JSON that `track` wrote.
-
-    Args:
-        path: the file.
-        scene: whose cameras the boxes in images are of.
-
-    Raises:
-        DataError: a line is none of these.
-    """
+    """Read the lines of JSON that `track` wrote."""
     ids = {str(camera.id): camera.id for camera in scene.cameras}
     moments: list[TrackedObjects] = []
     with file_faults(path), open_file(path) as lines:
@@ -183,12 +171,7 @@ class _ObjectsView:
     """Shows what was found at each moment.
 
     Attributes:
-        stream: where to.
-        names: of the entity below the world: "tracks", or "detections" and the camera that took part.
-        moments: what was found, by time.
         origin: (3,) float64 [m], what is taken off locations.
-        has_history: whether an object keeps its number from moment to moment.
-        degrees_of_freedom: of the errors' distribution.
     """
 
     stream: Stream

@@ -59,12 +59,7 @@ def _scale_table() -> _Packed:
 
 @dataclass(slots=True)
 class _CloudPainter:
-    """Gives the points of one sensor their colours; the ends of its scale are those of the first sweep.
-
-    Attributes:
-        wanted: what gives them, or None for the best that there is.
-        used: what gave them, known after the first sweep.
-    """
+    """Gives the points of one sensor their colours; the ends of its scale are those of the first sweep."""
 
     wanted: ColourBy | None
     used: ColourBy | None = None
@@ -248,10 +243,7 @@ class LidarView:
         return moved.astype(np.float32)
 
     def _heights(
-        self,
-        positions: Float32Array,
-        shown_from_points: RigidTransform,
-        shown_from_sensor: RigidTransform | None,
+        self, positions: Float32Array, shown_from_points: RigidTransform, shown_from_sensor: RigidTransform | None
     ) -> "_Heights":
         base = shown_from_points if shown_from_sensor is None else shown_from_sensor
         return _Heights(positions, shown_from_points, float(base.translation[2]))

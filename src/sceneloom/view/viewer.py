@@ -41,14 +41,7 @@ _MOST_DRIVES = 32
 def _opened_drives(
     sources: Sequence[Source], settings: ViewSettings, *, progress: Progress | None = None
 ) -> Iterator[tuple[DriveView, ...]]:
-    """Open drives, each under a root of its own name.
-
-    Raises:
-        OptionError: an option does not fit, or there is no drive.
-        UnknownFormatError: no format fits a path.
-        DataError: the content of one is wrong.
-        PoseError: the named trajectory cannot be used.
-    """
+    """Open drives, each under a root of its own name."""
     if not sources:
         raise OptionError("no drive to show; expected one or more paths")
     if len(sources) > _MOST_DRIVES:
@@ -100,11 +93,7 @@ def _new_recording(views: Sequence[DriveView]) -> Any:
 def _log_drives(
     views: Sequence[DriveView], recording: Any, *, progress: Progress | None = None
 ) -> tuple[DriveShown, ...]:
-    """Log drives one after another to an open stream.
-
-    Raises:
-        DataError: a frame cannot be read, and the reading is not lenient.
-    """
+    """Log drives one after another to an open stream."""
     spans = [time_span(view.scene) for view in views]
     calendar = all(span is not None and span[0] >= _SINCE_EPOCH_NS for span in spans)
     return tuple(view.log(recording, calendar=calendar, progress=progress) for view in views)
@@ -152,10 +141,7 @@ def save_view(
         finally:
             recording.disconnect()
     return ViewReport(
-        output=str(target),
-        size_bytes=target.stat().st_size,
-        drives=drives,
-        seconds=time.perf_counter() - started,
+        output=str(target), size_bytes=target.stat().st_size, drives=drives, seconds=time.perf_counter() - started
     )
 
 
@@ -396,11 +382,7 @@ def _wait(viewer: Viewer) -> None:
 
 @contextmanager
 def _viewer(*, web: bool, map_tiles: bool) -> Iterator[Viewer]:
-    """Start Rerun's program, and end it in the end.
-
-    Raises:
-        OutputError: it does not start.
-    """
+    """Start Rerun's program, and end it in the end."""
     port, page = _free_ports()
     options = ["--bind", _LOOPBACK, "--port", str(port), "--hide-welcome-screen"]
     if web:
@@ -444,11 +426,7 @@ def _free_ports() -> tuple[int, int]:
 
 
 def _await_port(process: "subprocess.Popen[bytes]", port: int) -> None:
-    """Wait until the program listens.
-
-    Raises:
-        OutputError: it ended, or does not listen in time.
-    """
+    """Wait until the program listens."""
     deadline = time.monotonic() + _PATIENCE
     while process.poll() is None and time.monotonic() < deadline:
         try:

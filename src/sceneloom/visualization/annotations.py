@@ -67,13 +67,7 @@ from sceneloom.visualization.canvas import (
     text_height,
 )
 from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
-from sceneloom.visualization.colour_scales import (
-    COARSE_DIGITS,
-    draw_caption,
-    draw_strip,
-    round_up,
-    strip_height,
-)
+from sceneloom.visualization.colour_scales import COARSE_DIGITS, draw_caption, draw_strip, round_up, strip_height
 from sceneloom.visualization.figures import (
     CORNER_FROM_CENTRE,
     PALETTE,
@@ -307,10 +301,7 @@ def _relations_in_world(scene: Scene, timestamp_ns: int) -> Iterator[Figure]:
             if ends[0] is not None and ends[1] is not None:
                 line = np.stack([ends[0], ends[1]])
                 yield Figure(
-                    name,
-                    colour_of(annotation),
-                    (line, *_arrowheads(line, annotation)),
-                    anchor=line.mean(axis=0),
+                    name, colour_of(annotation), (line, *_arrowheads(line, annotation)), anchor=line.mean(axis=0)
                 )
         elif isinstance(annotation, GroupAnnotation | ObjectAnnotation):
             inside = [locations.get(key_of(a.id)) for a in _members_of(scene, annotation.id)]
@@ -358,11 +349,7 @@ def _positions(scene: Scene, sample: Sample, sensor_id: Identifier, frame: int |
 
 
 def _image(sample: Sample, camera_id: Identifier) -> Canvas:
-    """Begin with a subdued image of a sample; with an empty one of its size where there is none.
-
-    Raises:
-        DataError: the image cannot be decoded.
-    """
+    """Begin with a subdued image of a sample; with an empty one of its size where there is none."""
     image, camera = sample.images[camera_id], sample.cameras[camera_id]
     if image is None:
         return image_canvas(np.full((camera.height, camera.width, 3), BACKGROUND, np.uint8))
@@ -595,11 +582,7 @@ def _draw_ticks(canvas: Canvas, axis: _Axis, bottom: int) -> None:
         column = axis.column(axis.first_ns + round(number * step * 1e9))
         canvas.line([(column, canvas.text_px), (column, bottom)], LINE)
         canvas.text(
-            (column, bottom + 0.8 * canvas.text_px),
-            f"{number * step:g} s",
-            anchor="mm",
-            colour=FAINT_INK,
-            scale=0.86,
+            (column, bottom + 0.8 * canvas.text_px), f"{number * step:g} s", anchor="mm", colour=FAINT_INK, scale=0.86
         )
 
 

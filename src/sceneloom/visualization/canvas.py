@@ -142,13 +142,7 @@ class Canvas:
         self.polygon([(float(u), float(v)) for u, v in corners], colour)
 
     def text(
-        self,
-        location: tuple[float, float],
-        text: str,
-        *,
-        anchor: str = "la",
-        colour: Colour = INK,
-        scale: float = 1.0,
+        self, location: tuple[float, float], text: str, *, anchor: str = "la", colour: Colour = INK, scale: float = 1.0
     ) -> None:
         """Write one line; `anchor` is Pillow's two letters: l m r across, a m s d down."""
         ImageDraw.Draw(self.image).text(location, text, fill=colour, font=self._font(scale), anchor=anchor)
@@ -212,11 +206,7 @@ _STAMPING_FINE = 2
 
 
 def draw_discs(
-    image: UInt8Array,
-    pixels: FloatArray,
-    depths: FloatArray,
-    colours: UInt8Array,
-    radii_px: FloatArray | float,
+    image: UInt8Array, pixels: FloatArray, depths: FloatArray, colours: UInt8Array, radii_px: FloatArray | float
 ) -> UInt8Array:
     """Draw one disc per point over an image.
 

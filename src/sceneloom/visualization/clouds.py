@@ -125,8 +125,6 @@ class _DrawnCloud:
     Attributes:
         points_world: (N, 3) float64 [m].
         colours: (N, 3) uint8.
-        seen: how many of them a camera coloured.
-        left_out: how many more points are not finite.
     """
 
     points_world: Float64Array
@@ -142,9 +140,6 @@ def _drawn_cloud(points_world: FloatArray, colors: UInt8Array | None, camera_ind
         points_world: (N, 3) float [m]; rows that are not finite are left out.
         colors: (N, 3) uint8, or None where no point has a colour.
         camera_index: (N,) uint8, 255 for a point that no camera saw; None where all of `colors` hold.
-
-    Raises:
-        ArrayError: the arrays do not fit together.
     """
     if points_world.ndim != 2 or points_world.shape[1] != 3:
         raise ArrayError(f"points_world: {points_world.shape}; expected (N, 3)")
@@ -190,13 +185,7 @@ def _choose_reach(
     """Give the distance [m] that was asked for, or a round one from the ego that holds most points.
 
     Args:
-        asked: what the caller wants, or None.
-        percent: share of the points that the chosen distance holds.
         farthest: the largest distance that is chosen [m].
-        aspect: how much farther the points may be along x of the world than along y.
-
-    Raises:
-        OptionError: the distance asked for is not positive and finite.
     """
     if asked is not None:
         if not 0.0 < asked < float("inf"):
@@ -210,11 +199,7 @@ def _choose_reach(
 
 
 def _check_size(size_px: tuple[int, int]) -> None:
-    """Refuse an image too small for its labels.
-
-    Raises:
-        OptionError: it is smaller than 320x240.
-    """
+    """Refuse an image too small for its labels."""
     if size_px[0] < _LEAST_SIZE_PX[0] or size_px[1] < _LEAST_SIZE_PX[1]:
         least = "x".join(str(length) for length in _LEAST_SIZE_PX)
         raise OptionError(f"image of {size_px[0]}x{size_px[1]} px; expected at least {least}")
@@ -343,12 +328,7 @@ def draw_cloud_above(
     text_px = text_height(*size_px)
     _, _, width, height = _rectangle(size_px, text_px)
     chosen = _choose_reach(
-        reach,
-        cloud.points_world,
-        location,
-        percent=_REACH_PERCENT,
-        farthest=_FARTHEST_REACH,
-        aspect=width / height,
+        reach, cloud.points_world, location, percent=_REACH_PERCENT, farthest=_FARTHEST_REACH, aspect=width / height
     )
     layout = layout_map((float(location.position_world[0]), float(location.position_world[1])), chosen, size_px)
     spacing = round_up(_SPACING_LETTERS * text_px / layout.px_per_m, COARSE_DIGITS)
@@ -552,22 +532,11 @@ def draw_cloud_perspective(
     width, height = size_px[0], size_px[1] - strip_height(text_px)
     cloud = _drawn_cloud(points_world, colors, camera_index)
     location = ego or middle_of(cloud.points_world)
-    chosen = _choose_reach(
-        reach,
-        cloud.points_world,
-        location,
-        percent=_VIEW_PERCENT,
-        farthest=_FARTHEST_VIEW,
-    )
+    chosen = _choose_reach(reach, cloud.points_world, location, percent=_VIEW_PERCENT, farthest=_FARTHEST_VIEW)
     ground = _ground_height(cloud.points_world, location, chosen)
     viewpoint = viewpoint_behind(location, chosen, width, height)
     layers = [
-        _Layer(
-            _grid_points(location, chosen, ground),
-            np.array([_FAR_GRID], np.uint8),
-            0.5 * _POINT_RADIUS,
-            1.01,
-        ),
+        _Layer(_grid_points(location, chosen, ground), np.array([_FAR_GRID], np.uint8), 0.5 * _POINT_RADIUS, 1.01),
         _Layer(cloud.points_world, cloud.colours, _POINT_RADIUS),
     ]
     if ego_path is not None:

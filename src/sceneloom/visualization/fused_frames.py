@@ -29,13 +29,7 @@ from sceneloom.visualization.canvas import (
     text_height,
 )
 from sceneloom.visualization.clouds import UNSEEN, draw_cloud_above, draw_cloud_perspective, find_ego
-from sceneloom.visualization.colour_scales import (
-    DepthScale,
-    draw_caption,
-    draw_depth_bar,
-    draw_strip,
-    strip_height,
-)
+from sceneloom.visualization.colour_scales import DepthScale, draw_caption, draw_depth_bar, draw_strip, strip_height
 
 _LEAST_WIDTH_PX = 520
 """Narrower images get a canvas of this width, so that caption and scale fit below them."""
@@ -340,13 +334,7 @@ class DriveCloud:
         reach = None if trajectory is None or len(trajectory) < 2 else _reach(trajectory)
         return {
             "above": draw_cloud_above(
-                positions,
-                colors,
-                camera_index=camera_index,
-                ego=ego,
-                ego_path=trajectory,
-                caption=caption,
-                reach=reach,
+                positions, colors, camera_index=camera_index, ego=ego, ego_path=trajectory, caption=caption, reach=reach
             ),
             "perspective": draw_cloud_perspective(
                 positions, colors, camera_index=camera_index, ego=ego, ego_path=trajectory, caption=caption

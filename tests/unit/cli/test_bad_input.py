@@ -68,29 +68,20 @@ FAULTS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         lambda f: (f / "lidar" / "000001.bin").write_bytes(b"x" * 50),
         ("000001.bin", "records of 23 bytes", "remainder of 4"),
     ),
-    "a broken line": (
-        edit_lines(lambda lines: [*lines[:3], lines[3][:-5], *lines[4:]]),
-        ("data.jsonl", "line 4"),
-    ),
+    "a broken line": (edit_lines(lambda lines: [*lines[:3], lines[3][:-5], *lines[4:]]), ("data.jsonl", "line 4")),
     "a number that is not one": (edit_lines(with_nan_position), ("data.jsonl", "line")),
     "an unknown camera model": (
         edit_calibration(lambda c: c["cameras"][0].update(model="fisheye-of-mine")),
         ("fisheye-of-mine", "kannala-brandt4"),
     ),
     "a mounting that is not rigid": (edit_calibration(shear), ("cameras[0].imuToCamera", "rotation")),
-    "calibration that is no JSON": (
-        lambda f: (f / "calibration.json").write_text("{"),
-        ("calibration.json",),
-    ),
+    "calibration that is no JSON": (lambda f: (f / "calibration.json").write_text("{"), ("calibration.json",)),
     "calibration cut in the middle of its lines": (
         lambda f: (f / "calibration.json").write_text('{\n  "cameras": [\n    {\n'),
         ("calibration.json", "truncated"),
     ),
     "no lines": (lambda f: (f / "data.jsonl").write_text(""), ("data.jsonl",)),
-    "binary lines": (
-        lambda f: (f / "data.jsonl").write_bytes(bytes(range(256)) * 20),
-        ("data.jsonl", "line 1"),
-    ),
+    "binary lines": (lambda f: (f / "data.jsonl").write_bytes(bytes(range(256)) * 20), ("data.jsonl", "line 1")),
 }
 
 

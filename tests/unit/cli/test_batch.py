@@ -129,10 +129,7 @@ def test_the_verb_finds_its_record_by_the_address(call, recording, tmp_path, mon
     assert done.code == 0, done.err
     assert f"outputs: {store}" in done.out
     assert f"record: {tmp_path}/state/sceneloom/runs/run1-" in done.out
-    assert {path.name for path in (tmp_path / "run1").iterdir()} == {
-        ".sceneloom-run",
-        f"{recording.name}.json",
-    }
+    assert {path.name for path in (tmp_path / "run1").iterdir()} == {".sceneloom-run", f"{recording.name}.json"}
     reported = call("batch", "status", store, "--json")
     assert [row["state"] for row in json.loads(reported.out)["drives"]] == ["done"]
     refused = call("batch", "validate", recording, "-o", "https://host/run", "--quick")

@@ -161,10 +161,7 @@ def test_a_file_of_a_real_drive_is_known_by_it(call, file, data_dir):
 
 @pytest.mark.parametrize(
     ("words", "reported"),
-    [
-        (["--check", "--conventions"], "state one of them"),
-        (["--drive", "."], "does nothing without --conventions"),
-    ],
+    [(["--check", "--conventions"], "state one of them"), (["--drive", "."], "does nothing without --conventions")],
 )
 def test_options_that_state_nothing_together_are_refused(call, file, words, reported):
     result = call("calibrate", file, *words)

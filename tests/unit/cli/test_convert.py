@@ -77,10 +77,7 @@ def test_what_the_verb_itself_takes_is_no_option_of_a_format(call, recording, tm
         assert (reported.code, f"--output-option {name} does not count here" in reported.err) == (2, True)
     for name in ("start", "path", "format"):
         reported = call("info", recording, "--input-option", f"{name}=1")
-        assert (reported.code, f"--input-option {name}: no format has this option" in reported.err) == (
-            2,
-            True,
-        )
+        assert (reported.code, f"--input-option {name}: no format has this option" in reported.err) == (2, True)
 
 
 def _tree(folder):
@@ -281,11 +278,7 @@ def test_one_drive_is_stated_once(call, nuscenes):
 
 
 def test_of_two_drives_those_take_a_sequence_that_have_several(call, nuscenes, tmp_path):
-    copy, trajectory, chosen = (
-        tmp_path / "copy.sfs",
-        tmp_path / "trajectory.tum",
-        ("--sequence", "scene-0002"),
-    )
+    copy, trajectory, chosen = (tmp_path / "copy.sfs", tmp_path / "trajectory.tum", ("--sequence", "scene-0002"))
     assert call("convert", nuscenes, copy, *chosen).code == 0
     assert call("convert", copy, trajectory).code == 0
     reported = call("diff", nuscenes, copy, *chosen)

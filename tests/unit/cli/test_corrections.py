@@ -20,14 +20,7 @@ from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
 from sceneloom.formats.trajectories.table import read_trajectory
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.calibrating import check_drive
-from sceneloom.scene import (
-    AttributePath,
-    CameraCalibration,
-    CuboidAnnotation,
-    LocalizationAdjustment,
-    Poses,
-    Scene,
-)
+from sceneloom.scene import AttributePath, CameraCalibration, CuboidAnnotation, LocalizationAdjustment, Poses, Scene
 from sceneloom.service.sending import sent_rig
 from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
 from sceneloom.view.drive import DriveView

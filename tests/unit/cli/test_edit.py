@@ -143,9 +143,7 @@ def test_world_and_ego_and_back_give_the_same_scene(call, scene_file, tmp_path):
                 b.lidars[0].frames[k].points.positions, a.lidars[0].frames[k].points.positions, atol=2e-5
             )
             np.testing.assert_allclose(
-                back.lidars[0].frames[k].points.positions,
-                measured.lidars[0].frames[k].points.positions,
-                atol=5e-5,
+                back.lidars[0].frames[k].points.positions, measured.lidars[0].frames[k].points.positions, atol=5e-5
             )
         assert [annotation.id for annotation in b.annotations] == [annotation.id for annotation in a.annotations]
         for before, after in zip(a.annotations, b.annotations, strict=True):
@@ -247,11 +245,7 @@ def test_edit_simplify_leaves_out_what_the_rest_reports(call, street, tmp_path):
 
 
 def test_wrong_values_are_wrong_usage(call, street, tmp_path):
-    for words in (
-        ("simplify", "--tolerance-m", "-1"),
-        ("project", "--camera", "none"),
-        ("count", "--lidar", "none"),
-    ):
+    for words in (("simplify", "--tolerance-m", "-1"), ("project", "--camera", "none"), ("count", "--lidar", "none")):
         outcome = call("edit", words[0], street, "-o", tmp_path / "out.sfs", *words[1:])
         assert (outcome.code, (tmp_path / "out.sfs").exists()) == (2, False), outcome.err
 
@@ -307,14 +301,7 @@ def test_boxes_are_hidden_in_the_written_drive_and_the_rest_is_not(call, drives,
 
 def test_a_video_is_encoded_again_and_the_loss_report_says_so(call, drives, tmp_path):
     outcome = call(
-        "edit",
-        "blur",
-        drives / "recording",
-        "-o",
-        tmp_path / "o.sfs",
-        "--boxes",
-        drives / "boxes.csv",
-        "--json",
+        "edit", "blur", drives / "recording", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv", "--json"
     )
     reported = json.loads(outcome.out)
     assert reported["cameras"][0]["encoded"] == 3
@@ -395,16 +382,7 @@ def distorted(tmp_path_factory):
 def test_edit_undistort_writes_pinholes_of_the_size_asked_for(call, distorted, tmp_path):
     size = ("--size", "48x32", "--keep", "all", "--camera", "camera0")
     outcome = call(
-        "edit",
-        "undistort",
-        distorted,
-        "-o",
-        tmp_path / "d.sfs",
-        *size,
-        "--keep",
-        "all",
-        "--camera",
-        "camera0",
+        "edit", "undistort", distorted, "-o", tmp_path / "d.sfs", *size, "--keep", "all", "--camera", "camera0"
     )
     assert outcome.code == 0
     assert f"written: {tmp_path / 'd.sfs'}" in outcome.out

@@ -39,19 +39,7 @@ def test_the_figures_are_printed_as_tables(call, trajectories):
 
 def test_the_figures_are_given_to_machines(call, trajectories):
     found, true = trajectories
-    arguments = (
-        "--align",
-        "yaw",
-        "--offset",
-        "-2",
-        "--start",
-        "5",
-        "--stop",
-        "10",
-        "--rpe-delta",
-        "2s",
-        "--json",
-    )
+    arguments = ("--align", "yaw", "--offset", "-2", "--start", "5", "--stop", "10", "--rpe-delta", "2s", "--json")
     reported = json.loads(call("eval", "trajectory", found, true, *arguments).out)
     assert reported["pairs"] == 50
     assert reported["start_ns"] == 1_400_000_005_123_456_789
@@ -131,13 +119,7 @@ def test_without_matplotlib_the_extra_is_named(call, trajectories, tmp_path, mon
 def test_a_drive_is_compared_with_a_file_by_name(call, recording, tmp_path):
     assert call("convert", recording, tmp_path / "trajectory.tum").code == 0
     outcome = call(
-        "eval",
-        "trajectory",
-        f"{recording}:groundTruth",
-        tmp_path / "trajectory.tum",
-        "--align",
-        "none",
-        "--json",
+        "eval", "trajectory", f"{recording}:groundTruth", tmp_path / "trajectory.tum", "--align", "none", "--json"
     )
     reported = json.loads(outcome.out)
     assert reported["absolute"]["translation"]["max"] == 0.0
@@ -201,17 +183,7 @@ def test_a_trajectory_is_written_as_fixes_around_an_origin(call, trajectories, t
 def test_the_trajectory_of_gnss_and_imu_is_compared_with_the_fixes_from_one_origin(call, recording):
     drive = recording
     outcome = call(
-        "eval",
-        "trajectory",
-        drive,
-        drive,
-        "--est-name",
-        "gnss",
-        "--ref-name",
-        "fixes",
-        "--json",
-        "--align",
-        "none",
+        "eval", "trajectory", drive, drive, "--est-name", "gnss", "--ref-name", "fixes", "--json", "--align", "none"
     )
     assert outcome.code == 0, outcome.err
     reported = json.loads(outcome.out)
@@ -345,18 +317,12 @@ def test_curves_are_drawn_and_not_replaced_unasked(call, sides, tmp_path, verb):
 @pytest.mark.parametrize(
     ("change", "stated"),
     [
-        (
-            lambda results, truth: (results / "0001.txt").unlink(),
-            "results: no sequence 0001, which the other side has",
-        ),
+        (lambda results, truth: (results / "0001.txt").unlink(), "results: no sequence 0001, which the other side has"),
         (
             lambda results, truth: (truth / "label_02" / "0001.txt").unlink(),
             "truth: no sequence 0001, which the other side has",
         ),
-        (
-            lambda results, truth: (results / "0001.txt").write_text("0 3 Pedestrian 0 0\n"),
-            "0001.txt: line 1",
-        ),
+        (lambda results, truth: (results / "0001.txt").write_text("0 3 Pedestrian 0 0\n"), "0001.txt: line 1"),
         (
             lambda results, truth: (results / "0001.txt").write_text(line(0, 3, "Pedestrian", float("nan"))),
             "0001.txt: line 1",

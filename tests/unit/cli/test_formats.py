@@ -27,10 +27,7 @@ def test_a_template_is_written_once(call, tmp_path):
 
 def test_whoever_has_a_folder_that_nothing_reads_is_reported_the_template(call, tmp_path):
     outcome = call("info", tmp_path)
-    assert (outcome.code, "sceneloom formats --template FOLDER/rig.toml --from FOLDER" in outcome.err) == (
-        1,
-        True,
-    )
+    assert (outcome.code, "sceneloom formats --template FOLDER/rig.toml --from FOLDER" in outcome.err) == (1, True)
 
 
 def test_a_template_is_printed(call):

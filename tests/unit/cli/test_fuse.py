@@ -383,16 +383,7 @@ def test_fused_objects_are_kittis_text_on_request(call, tmp_path, tracking_texts
 
 def test_kittis_text_is_not_written_of_other_drives(call, detected, tmp_path):
     folder, _, _ = detected
-    command = (
-        "fuse",
-        folder / "recording",
-        "--type",
-        "detection",
-        "--format",
-        "kitti",
-        "-o",
-        tmp_path / "out",
-    )
+    command = ("fuse", folder / "recording", "--type", "detection", "--format", "kitti", "-o", tmp_path / "out")
     outcome = call(*command)
     assert (outcome.code, "for folders laid out like KITTI's only" in outcome.err) == (2, True), outcome.err
 
@@ -423,11 +414,7 @@ def tracking_texts():
             "--det2d x does not count here: the boxes come from the lists of --boxes3d and --boxes2d",
         ),
         (("--det3d", "x"), 2, "--det3d x does not count here: it is no folder of KITTI's sequences"),
-        (
-            ("--boxes3d", "{boxes3d}", "--sequence", "1", "--sequence", "2"),
-            2,
-            "one drive is opened at a time",
-        ),
+        (("--boxes3d", "{boxes3d}", "--sequence", "1", "--sequence", "2"), 2, "one drive is opened at a time"),
         (("--boxes3d", "{boxes3d}", "--depth", "x"), 2, "--depth does not count here"),
     ],
 )
@@ -444,10 +431,7 @@ def test_sensors_of_kittis_sequences_are_not_chosen(call, tmp_path, tracking_tex
         (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "kitti" / name).write_text(text)
     outcome = call("track", tmp_path / "kitti", "-o", tmp_path / "out", "--camera", "front")
-    assert (outcome.code, "--camera does not count here: it is a folder of KITTI's" in outcome.err) == (
-        2,
-        True,
-    )
+    assert (outcome.code, "--camera does not count here: it is a folder of KITTI's" in outcome.err) == (2, True)
 
 
 @pytest.mark.usefixtures("inline")

@@ -199,10 +199,7 @@ ODD["only_annotations"] = lambda h: h.pop("sensors")
 ODD["only_an_odometry"] = lambda h: h.update(sensors=[sensor(h, "ego")])
 ODD["only_a_lidar"] = lambda h: h.update(sensors=[sensor(h, "lidar")])
 ODD["only_a_camera"] = lambda h: h.update(sensors=[sensor(h, "camera")])
-ODD["sensors_without_frames"] = lambda h: (
-    sensor(h, "lidar").update(frames=[]),
-    sensor(h, "camera").update(images=[]),
-)
+ODD["sensors_without_frames"] = lambda h: (sensor(h, "lidar").update(frames=[]), sensor(h, "camera").update(images=[]))
 ODD["a_camera_without_images"] = lambda h: sensor(h, "camera").update(images=[])
 ODD["a_lidar_without_frames"] = lambda h: sensor(h, "lidar").update(frames=[])
 
@@ -328,10 +325,7 @@ def keypoints_that_no_camera_sees(header):
                 {"id": "nose", "timestamps": [0], "values": [[8.0, 0.0, 0.0]]},
                 {"id": "ear", "timestamps": [0], "values": [[1e300, 0.0, 0.0]]},
             ],
-            "projections": [
-                [{"sensor_id": "camera", "timestamps": [50_000], "points": [[20.0, 10.0]]}],
-                [],
-            ],
+            "projections": [[{"sensor_id": "camera", "timestamps": [50_000], "points": [[20.0, 10.0]]}], []],
         }
     )
 
@@ -353,12 +347,7 @@ def activations(header):
         {"sensor_id": "nobody", "timestamps": [0]},
     ]
     cuboid(header)["projections"] = [
-        {
-            "sensor_id": "camera",
-            "timestamps": [50_000],
-            "boxes": [[1e300, -1e300, 1e300, 1e300]],
-            "confirmed": [True],
-        }
+        {"sensor_id": "camera", "timestamps": [50_000], "boxes": [[1e300, -1e300, 1e300, 1e300]], "confirmed": [True]}
     ]
 
 
@@ -410,11 +399,7 @@ def labelled_points_beyond_the_cloud(header):
             "label": "road",
             "is_instance": False,
             "labeled_points": [
-                {
-                    "sensor_id": "lidar",
-                    "sensor_frame": 1,
-                    "point_ids": np.array([0, 59, 4_000_000_000], np.uint32),
-                }
+                {"sensor_id": "lidar", "sensor_frame": 1, "point_ids": np.array([0, 59, 4_000_000_000], np.uint32)}
             ],
         }
     )
@@ -507,11 +492,7 @@ def many_sensors_of_a_kind(header):
 @odd
 def a_radar_and_a_map_at_the_ends_of_float32(header):
     ends = np.array([[LARGEST] * 3, [-LARGEST] * 3, [1.0, 2.0, 3.0]], np.float32)
-    radar = {
-        "positions": ends,
-        "directions": ends,
-        "lengths": np.array([LARGEST, -LARGEST, 0], np.float32),
-    }
+    radar = {"positions": ends, "directions": ends, "lengths": np.array([LARGEST, -LARGEST, 0], np.float32)}
     poses = sensor(header, "lidar")["poses"]
     header["sensors"] += [
         {
@@ -528,14 +509,7 @@ def a_radar_and_a_map_at_the_ends_of_float32(header):
 @odd
 def links_to_nobody(header):
     header["annotations"] += [
-        {
-            "id": "link",
-            "type": "link",
-            "label": "l",
-            "from_id": "nobody",
-            "to_id": "link",
-            "is_bidirectional": True,
-        },
+        {"id": "link", "type": "link", "label": "l", "from_id": "nobody", "to_id": "link", "is_bidirectional": True},
         {"id": "event", "type": "event", "label": "e", "start": -(2**53), "duration": 2**53},
         {"id": "group", "type": "group", "label": "g", "parent_id": "group"},
     ]
@@ -580,17 +554,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "salvage": ("DRIVE", *SCENE),
     "report": ("DRIVE", "-o", "OUT.html", "--numbers", "OUT.json"),
     "diff": ("DRIVE", "SOUND"),
-    "view --colour-by ring": (
-        "DRIVE",
-        "--save",
-        "OUT.rrd",
-        "--every",
-        "2",
-        "--sensor",
-        "lidar",
-        "--colour-by",
-        "ring",
-    ),
+    "view --colour-by ring": ("DRIVE", "--save", "OUT.rrd", "--every", "2", "--sensor", "lidar", "--colour-by", "ring"),
     "info --visualize --at": ("DRIVE", "--visualize", "OUT", "--at", "0.01", "--no-corrections"),
     "diff of the same": ("DRIVE", "DRIVE"),
     "batch fuse": ("DRIVE", "-o", "OUT", "--workers", "1"),
@@ -823,10 +787,7 @@ def test_what_an_image_or_a_view_cannot_show_is_counted(call, encode_sfs, lists,
     outcome = call(*words_on(case, name, tmp_path, encode_sfs, lists), "--json")
     assert outcome.code == 0, outcome
     reported = json.loads(outcome.out)
-    warnings = [
-        *reported.get("warnings", ()),
-        *(one for d in reported.get("drives", ()) for one in d["warnings"]),
-    ]
+    warnings = [*reported.get("warnings", ()), *(one for d in reported.get("drives", ()) for one in d["warnings"])]
     found = [one for one in warnings if one["code"] in {"not-drawn", "beyond-the-viewer"}]
     counted = {
         one["message"].split(" whose")[0] if one["location"] == "images" else one["location"]: one["count"]

@@ -78,12 +78,7 @@ def takes(option):
         return CHOICE
     if isinstance(kind, click.IntRange | click.types.IntParamType):
         return WHOLE
-    if isinstance(kind, click.types.FloatParamType) or kind.name in {
-        "positive",
-        "not_negative",
-        "share",
-        "finite",
-    }:
+    if isinstance(kind, click.types.FloatParamType) or kind.name in {"positive", "not_negative", "share", "finite"}:
         return NUMBER
     return LOCATION if isinstance(kind, click.Path) or kind.name == "target" else TEXT
 

@@ -149,8 +149,7 @@ def test_an_option_that_the_format_does_not_take_is_named_as_it_was_stated(
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "needed"),
-    [("--depth-format", "npz", "--depth"), ("--visualize-every", "2", "--visualize")],
+    ("option", "value", "needed"), [("--depth-format", "npz", "--depth"), ("--visualize-every", "2", "--visualize")]
 )
 def test_an_option_that_would_do_nothing_is_bad_usage(call, recording, tmp_path, option, value, needed):
     outcome = call("fuse", recording, "-o", tmp_path / "d.sfs", option, value)

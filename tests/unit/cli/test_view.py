@@ -23,16 +23,7 @@ def test_a_view_is_saved_and_summed_up(call, recording, tmp_path):
 
 
 def test_the_summary_is_json_for_machines(call, recording, tmp_path):
-    words = (
-        "--save",
-        tmp_path / "d.rrd",
-        "--json",
-        "--colour-by",
-        "height",
-        "--sensors",
-        "lidar",
-        "--no-findings",
-    )
+    words = ("--save", tmp_path / "d.rrd", "--json", "--colour-by", "height", "--sensors", "lidar", "--no-findings")
     report = json.loads(call("view", recording, *words).out)
     assert report["drives"][0]["colours"] == {"lidar": "height"}
     assert report["drives"][0]["logged"]["sweeps"] == 3

@@ -176,11 +176,7 @@ HOLDS = {
     "sensors.lidar.frames.points": converted("as 32 bits"),
     "sensors.lidar.frames.points.colors": approximated("three bits each"),
 }
-KINDS = {
-    "sensors[top]": "sensors.lidar",
-    "sensors[a.b]": "sensors.camera",
-    "annotations[7]": "annotations.cuboid",
-}
+KINDS = {"sensors[top]": "sensors.lidar", "sensors[a.b]": "sensors.camera", "annotations[7]": "annotations.cuboid"}
 
 
 @pytest.mark.parametrize(
@@ -202,10 +198,7 @@ def test_a_table_that_says_nothing_of_a_field_gives_none():
 
 
 def test_slips_of_the_pen_are_found():
-    assert unknown_names({**HOLDS, "sensors.lidar.frame": KEPT, "meta": KEPT}) == [
-        "sensors.lidar.frame",
-        "meta",
-    ]
+    assert unknown_names({**HOLDS, "sensors.lidar.frame": KEPT, "meta": KEPT}) == ["sensors.lidar.frame", "meta"]
 
 
 @pytest.mark.parametrize(
@@ -240,17 +233,9 @@ def test_a_line_about_a_sensor_is_about_all_of_its_fields():
 def test_the_worst_that_happened_counts_and_the_largest_error():
     contents = {"sensors.lidar.frames.points.timestamps_ns": 9, "sensors.lidar.id": 1, "metadata": 1}
     reported = [
+        Loss(field="sensors[top].frames[].points.timestamps", what="µs", support=Support.CONVERTED, largest_error=0.4),
         Loss(
-            field="sensors[top].frames[].points.timestamps",
-            what="µs",
-            support=Support.CONVERTED,
-            largest_error=0.4,
-        ),
-        Loss(
-            field="sensors[top].frames[].points.timestamps",
-            what="ms",
-            support=Support.APPROXIMATED,
-            largest_error=0.2,
+            field="sensors[top].frames[].points.timestamps", what="ms", support=Support.APPROXIMATED, largest_error=0.2
         ),
         Loss(field="sensors[top].id", what="read back as 'lidar'", kept="the header"),
         Loss(field="replay", what="a note", count=3, support=Support.KEPT),
@@ -336,12 +321,9 @@ def test_each_annotation_is_read_back_or_listed_with_its_count(source, target, t
     only_written = target in ("colmap", "nerfstudio")
     if only_written and not scene.cameras:
         pytest.skip("writes images, of which there are none")
-    written = tmp_path / {
-        "sfs": "out.sfs",
-        "mcap": "out.mcap",
-        "ros1": "out.bag",
-        "openlabel": "out.json",
-    }.get(target, "out")
+    written = tmp_path / {"sfs": "out.sfs", "mcap": "out.mcap", "ros1": "out.bag", "openlabel": "out.json"}.get(
+        target, "out"
+    )
     report = sceneloom.convert(path, written, to=target)
     found = ()
     if not only_written:
@@ -391,11 +373,7 @@ def test_every_sweep_and_every_single_image_is_reported_once(tmp_path):
     drive = simulate_street(frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(camera_model),))
     write_scene(drive.scene, tmp_path / "drive.sfs")
     reported = []
-    convert(
-        tmp_path / "drive.sfs",
-        tmp_path / "copy.sfs",
-        progress=lambda done, total: reported.append((done, total)),
-    )
+    convert(tmp_path / "drive.sfs", tmp_path / "copy.sfs", progress=lambda done, total: reported.append((done, total)))
     assert reported[-1] == (6, 6)
     assert [done for done, _ in reported] == sorted(done for done, _ in reported)
     with open_scene(tmp_path / "copy.sfs") as copy:

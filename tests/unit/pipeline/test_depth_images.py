@@ -11,15 +11,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.depth_completion import METHODS
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.pipeline.depth_images import write_depth_images
-from sceneloom.simulate import (
-    CameraSpec,
-    Faults,
-    LidarSpec,
-    SensorFaults,
-    camera_mount,
-    inject,
-    simulate_street,
-)
+from sceneloom.simulate import CameraSpec, Faults, LidarSpec, SensorFaults, camera_mount, inject, simulate_street
 
 CAMERA = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
 
@@ -84,12 +76,7 @@ def test_a_part_of_the_drive_keeps_the_numbers_that_the_index_reports(drive, tmp
 
 
 def test_values_that_cannot_be_followed_are_refused_before_anything_is_read(drive, tmp_path):
-    for options in (
-        {"method": "best"},
-        {"form": "tiff"},
-        {"cameras": ["roof"]},
-        {"images": tmp_path / "out"},
-    ):
+    for options in ({"method": "best"}, {"form": "tiff"}, {"cameras": ["roof"]}, {"images": tmp_path / "out"}):
         with pytest.raises(OptionError):
             write_depth_images(drive.scene, tmp_path / "out", **options)
     with pytest.raises(DataError, match="no lidar"):

@@ -132,12 +132,7 @@ def test_a_deskewed_scene_fuses_to_the_same_world_as_the_measured_one(drive: Sim
 def test_the_step_writes_scene_files_and_recordings(drive: SimulatedDrive, tmp_path: Path, name: str) -> None:
     calls: list[tuple[int, int]] = []
     report = deskew(drive.scene, tmp_path / name, progress=lambda done, total: calls.append((done, total)))
-    assert (report.sweeps, report.deskewed, report.left, report.trajectory) == (
-        SWEEPS,
-        SWEEPS,
-        {},
-        "groundTruth",
-    )
+    assert (report.sweeps, report.deskewed, report.left, report.trajectory) == (SWEEPS, SWEEPS, {}, "groundTruth")
     assert calls == [(k, SWEEPS) for k in range(1, SWEEPS + 1)]
     shifts = np.concatenate(
         [

@@ -85,12 +85,7 @@ def test_bare_records_of_table_7_are_put_together_by_frame(tmp_path, context):
 
 def test_lists_of_frames_are_read_as_they_were_written(tmp_path, context):
     boxes = Boxes3D(
-        100_000_000,
-        np.ones((2, 3)),
-        np.full((2, 3), 2.0),
-        np.zeros(2),
-        np.array([0.25, 0.75]),
-        ("Car", "Bus"),
+        100_000_000, np.ones((2, 3)), np.full((2, 3), 2.0), np.zeros(2), np.array([0.25, 0.75]), ("Car", "Bus")
     )
     seen = Boxes2D(200_000_000, np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([0.5]), ("Car",))
     in_space = file(tmp_path, format_json(boxes_3d_record(boxes, sensor_id=0, seq=1)), "a.jsonl")

@@ -180,10 +180,7 @@ def test_sweeps_beyond_the_trajectory_are_kept_unfused_and_counted(drive: Scene,
     stop = drive.lidars[0].frames.timestamps_ns[1] + 60_000_000
     part = trajectory.timestamps_ns <= stop
     short = Trajectory(
-        "groundTruth",
-        trajectory.timestamps_ns[part],
-        trajectory.positions[part],
-        trajectory.quaternions_xyzw[part],
+        "groundTruth", trajectory.timestamps_ns[part], trajectory.positions[part], trajectory.quaternions_xyzw[part]
     )
     report = fuse(replace(drive, trajectories={"groundTruth": short}), tmp_path / "drive.sfs")
     # the second sweep ends 40 ms beyond the last pose, the third 140 ms: beyond the reach of one sweep period
@@ -200,10 +197,7 @@ def test_sweeps_that_needed_poses_beyond_the_trajectory_are_marked_in_the_file(d
     trajectory, frames = drive.trajectories["groundTruth"], drive.lidars[0].frames
     part = trajectory.timestamps_ns <= frames.timestamps_ns[-1] + 60_000_000
     short = Trajectory(
-        "groundTruth",
-        trajectory.timestamps_ns[part],
-        trajectory.positions[part],
-        trajectory.quaternions_xyzw[part],
+        "groundTruth", trajectory.timestamps_ns[part], trajectory.positions[part], trajectory.quaternions_xyzw[part]
     )
     report = fuse(replace(drive, trajectories={"groundTruth": short}), tmp_path / "drive.sfs")
     assert report.extrapolated == 1
@@ -312,15 +306,7 @@ def test_files_of_lidars_and_cameras_of_like_names_stand_apart(drive: Scene, tmp
     report = fuse(replace(drive, sensors=tuple(sensors)), outputs=outputs)
     assert report.files == {"depth images": 16, "images": 14}
     folders = {str(path.parent.relative_to(tmp_path)) for path in tmp_path.rglob("*.png")}
-    assert folders == {
-        "depth/1/A",
-        "depth/1/a~2",
-        "depth/1~2/A",
-        "depth/1~2/a~2",
-        "look",
-        "look/1",
-        "look/1~2",
-    }
+    assert folders == {"depth/1/A", "depth/1/a~2", "depth/1~2/A", "depth/1~2/a~2", "look", "look/1", "look/1~2"}
     assert {path.name for path in (tmp_path / "look").glob("*.png")} == {
         "cloud_drive_above.png",
         "cloud_drive_perspective.png",
@@ -389,9 +375,7 @@ def test_an_output_that_exists_is_reported_before_the_trajectory_is_found(drive:
     reported: list[int] = []
     with pytest.raises(OutputError, match="exists already"):
         fuse(
-            replace(drive, trajectories={}),
-            tmp_path / "drive.sfs",
-            progress=lambda done, _total: reported.append(done),
+            replace(drive, trajectories={}), tmp_path / "drive.sfs", progress=lambda done, _total: reported.append(done)
         )
     assert reported == []
 

@@ -140,9 +140,7 @@ def test_mountings_may_change_from_frame_to_frame() -> None:
     times = np.linspace(start, stop, 50).astype(np.int64)
     swing = Rotation.from_euler("z", np.linspace(0, 20, 50)[:, None], degrees=True)
     mast = Poses(
-        times,
-        np.tile(lidar.mount.translation, (50, 1)),
-        (swing * Rotation.from_matrix(lidar.mount.rotation)).as_quat(),
+        times, np.tile(lidar.mount.translation, (50, 1)), (swing * Rotation.from_matrix(lidar.mount.rotation)).as_quat()
     )
     scene = replace(
         drive.scene,

@@ -29,11 +29,7 @@ def cuboid(name, size, location, *, label="car", times=(0, 10**9), stationary=No
     rows = np.tile([*size, *location, 0.0, 0.0, 0.0], (len(times), 1)).astype(np.float64)
     speed = (AttributePath("speed", (1.0,), np.array([0])),) if name == "far" else ()
     return CuboidAnnotation(
-        name,
-        CuboidPath(np.array(times, np.int64), rows),
-        label=label,
-        stationary=stationary,
-        attributes=speed,
+        name, CuboidPath(np.array(times, np.int64), rows), label=label, stationary=stationary, attributes=speed
     )
 
 
@@ -54,10 +50,7 @@ def scene():
     )
     event = EventAnnotation("event", 0, 5)
     return Scene(
-        (
-            LidarSensor("lidar", frames, poses=STILL),
-            CameraSensor("camera", camera_model, images, poses=looks),
-        ),
+        (LidarSensor("lidar", frames, poses=STILL), CameraSensor("camera", camera_model, images, poses=looks)),
         annotations=(*boxes, event),
         metadata=OURS,
     )

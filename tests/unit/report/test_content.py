@@ -20,10 +20,7 @@ def test_names_stand_in_plots_as_text():
     reported = texts(bars(NAMES, range(len(NAMES)), labels=["1"] * len(NAMES)))
     assert all(name in reported for name in NAMES[:4])
     assert "n" * 300 not in reported
-    for svg in (
-        columns(NAMES, range(len(NAMES)), x_name="$", y_name="y"),
-        bars(("a",), (0.0,), labels=("0",)),
-    ):
+    for svg in (columns(NAMES, range(len(NAMES)), x_name="$", y_name="y"), bars(("a",), (0.0,), labels=("0",))):
         ET.fromstring(svg)
 
 

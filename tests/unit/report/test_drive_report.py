@@ -87,8 +87,7 @@ def test_an_even_stream_is_not_reported():
 
 
 @pytest.mark.parametrize(
-    ("verdict", "state"),
-    [("wrong", "faulty"), ("drifting", "look"), ("good", "sound"), ("cannot determine", "sound")],
+    ("verdict", "state"), [("wrong", "faulty"), ("drifting", "look"), ("good", "sound"), ("cannot determine", "sound")]
 )
 def test_a_calibration_is_reported_where_it_is_off(verdict, state):
     assert verdict in {each.value for each in Health}
@@ -102,12 +101,7 @@ def fusion(**camera):
         "hidden_percent": 1.0, "coloured": 100,
     }  # fmt: skip
     return Fusion(
-        trajectory=None,
-        sweeps=9,
-        of=9,
-        points=900,
-        coloured_percent=20.0,
-        cameras=(CameraReport(**known | camera),),
+        trajectory=None, sweeps=9, of=9, points=900, coloured_percent=20.0, cameras=(CameraReport(**known | camera),)
     )
 
 
@@ -119,14 +113,7 @@ def test_a_camera_without_points_or_without_sweeps_is_reported():
 
 def test_silent_rings_and_empty_sweeps_are_reported():
     cloud = CloudCoverage(
-        sensor="lidar",
-        type="lidar",
-        sweeps=3,
-        of=3,
-        points_mean=5.0,
-        points_least=0,
-        points_most=9,
-        rings=(4.0, 0.0),
+        sensor="lidar", type="lidar", sweeps=3, of=3, points_mean=5.0, points_least=0, points_most=9, rings=(4.0, 0.0)
     )
     assert titles(coverage=Coverage(clouds=(cloud,))) == [
         "lidar has sweeps without points",

@@ -8,16 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from tests.properties.injected import (
-    CAMERA_MODEL,
-    POINTS,
-    RANDOM_POINTS,
-    SHOTS,
-    TIMES,
-    TRAJECTORY_TIMES,
-    ego_at,
-    jpeg,
-)
+from tests.properties.injected import CAMERA_MODEL, POINTS, RANDOM_POINTS, SHOTS, TIMES, TRAJECTORY_TIMES, ego_at, jpeg
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError, OutputError

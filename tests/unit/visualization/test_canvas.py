@@ -7,14 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sceneloom.visualization.canvas import (
-    Canvas,
-    count_text,
-    draw_crosses,
-    draw_discs,
-    seconds_text,
-    text_height,
-)
+from sceneloom.visualization.canvas import Canvas, count_text, draw_crosses, draw_discs, seconds_text, text_height
 
 
 @given(st.integers(-(2**63), 2**63 - 1))

@@ -7,14 +7,7 @@ import pytest
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.visualization import EgoPosition, draw_cloud_above, draw_cloud_perspective
-from sceneloom.visualization.clouds import (
-    Viewpoint,
-    background,
-    find_ego,
-    layout_map,
-    middle_of,
-    viewpoint_behind,
-)
+from sceneloom.visualization.clouds import Viewpoint, background, find_ego, layout_map, middle_of, viewpoint_behind
 
 SIZE = (900, 640)
 EGO = EgoPosition(np.array([100.0, 50.0, 0.0]), np.array([1.0, 0.0, 0.0]))
@@ -84,10 +77,7 @@ def test_the_zero_of_the_grid_has_no_sign():
 
 
 def test_the_higher_point_is_drawn_over_the_lower():
-    for points, colors in (
-        ([[105, 55, 3], [105, 55, 0]], [RED, GREEN]),
-        ([[105, 55, 0], [105, 55, 3]], [GREEN, RED]),
-    ):
+    for points, colors in (([[105, 55, 3], [105, 55, 0]], [RED, GREEN]), ([[105, 55, 0], [105, 55, 3]], [GREEN, RED])):
         drawn = _draw(points, colors)
         layout = layout_map((100.0, 50.0), 20.0, SIZE)
         column, row = np.rint(layout.pixels(np.array([[105.0, 55.0]]))[0]).astype(int)
@@ -210,12 +200,7 @@ def test_the_eye_stands_behind_and_above_the_ego_and_sees_it():
     assert offset @ DRIVER.forward_world < 0
     assert offset[2] > 0
     pixels, depths = viewpoint.project(
-        np.array(
-            [
-                DRIVER.position_world,
-                DRIVER.position_world + 1e6 * DRIVER.forward_world,
-            ]
-        )
+        np.array([DRIVER.position_world, DRIVER.position_world + 1e6 * DRIVER.forward_world])
     )
     assert (depths > 0).all()
     # The ego in the middle of the lower half, the horizon in the upper half.
@@ -252,17 +237,12 @@ def test_points_behind_the_eye_are_not_drawn():
     behind = eye - 5.0 * DRIVER.forward_world
     top = slice(0, SIZE[1] - 100)
     assert np.array_equal(
-        _perspective([[100, 60, 0]], [RED])[top],
-        _perspective([[100, 60, 0], behind], [RED, GREEN])[top],
+        _perspective([[100, 60, 0]], [RED])[top], _perspective([[100, 60, 0], behind], [RED, GREEN])[top]
     )
 
 
 def test_points_that_no_camera_saw_are_grey():
-    drawn = _perspective(
-        [[95, 60, 0], [105, 60, 0]],
-        [RED, GREEN],
-        camera_index=np.array([0, 255], np.uint8),
-    )
+    drawn = _perspective([[95, 60, 0], [105, 60, 0]], [RED, GREEN], camera_index=np.array([0, 255], np.uint8))
     assert len(_area(drawn, 0)[0]) > 0
     assert len(_area(drawn, 1)[0]) == 0
 
@@ -299,10 +279,7 @@ def test_the_background_is_lightest_at_the_horizon():
 
 def test_drawing_twice_gives_the_same_image():
     points = np.random.default_rng(1).normal(0, 10, (3000, 3)) + np.array([100, 60, 0])
-    assert np.array_equal(
-        _perspective(points, [RED] * 3000),
-        _perspective(points, [RED] * 3000),
-    )
+    assert np.array_equal(_perspective(points, [RED] * 3000), _perspective(points, [RED] * 3000))
 
 
 def test_perspectives_that_cannot_be_drawn_are_refused():

@@ -1,6 +1,6 @@
 """Names for the arrays that cross module borders, and the check that each is what its name says."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import index
 from typing import Any
 
@@ -22,12 +22,7 @@ FloatArray = NDArray[np.floating[Any]]
 
 
 def check_array(
-    name: str,
-    array: AnyArray | None,
-    shape: Sequence[int | None],
-    dtype: DTypeLike,
-    *,
-    optional: bool = False,
+    name: str, array: AnyArray | None, shape: Sequence[int | None], dtype: DTypeLike, *, optional: bool = False
 ) -> int:
     """Check that an array has the shape and dtype that its field promises.
 
@@ -67,40 +62,53 @@ _MOST_ROUNDED = 5e-4
 8,192 m a position keeps half a millimetre."""
 
 
-def hold_array(
-    owner: object, name: str, shape: Sequence[int | None], dtype: DTypeLike, *, optional: bool = False
-) -> int:
-    """Check an array field of a frozen object that is being made; lists and other dtypes are converted losslessly.
+def hold_arrays(owner: object, path: str, fields: Mapping[str, tuple[Any, ...]], *, frozen: bool = False) -> int:
+    """Check the array fields of a frozen object that is being made; lists and other dtypes are converted losslessly.
 
     Integers must fit, and are not made of floats. Floats may be rounded to float32 where no number changes by more
     than 0.0005.
 
     Args:
-        owner: the object; its field is the last word of `name`.
-        name: the field's path, for the message.
-        shape: as in `check_array`.
-        dtype: the dtype that the field has then.
-        optional: accept None.
+        owner: the object.
+        path: of the object, for messages; empty where the names say enough.
+        fields: dtype and lengths of the axes of each field: a number, "N" for the length that all such axes share, None
+            for any length. A name that ends in "?" may be absent; a dtype `int` alone is a time [ns].
+        frozen: keep contiguous views that refuse writing.
 
     Returns:
-        The length of the first axis, 0 for an absent array.
+        The length of the axes "N".
 
     Raises:
-        ArrayError: the array is absent, has another shape, or cannot be converted without loss.
+        ArrayError: an array is absent, has another shape, or cannot be converted without loss.
     """
-    field = name.rpartition(".")[2]
-    value = getattr(owner, field)
-    if value is not None and not (isinstance(value, np.ndarray) and value.dtype == dtype):
-        value = as_array(name, value, shape, dtype)
-        object.__setattr__(owner, field, value)
-    return check_array(name, value, shape, dtype, optional=optional)
+    count: int | None = None
+    for key, (dtype, *axes) in fields.items():
+        name = key.removesuffix("?")
+        value = getattr(owner, name)
+        if value is None and name != key:
+            continue
+        where = f"{path}.{name}" if path else name
+        held: Any
+        if dtype is int:
+            held = as_timestamp(where, value)
+        else:
+            shape = [count if length == "N" else length for length in axes]
+            held = as_array(where, value, shape, dtype)
+            check_array(where, held, shape, dtype)
+            if count is None and axes[0] == "N":
+                count = len(held)
+            if frozen:
+                held = read_only(held)
+        if held is not value:
+            object.__setattr__(owner, name, held)
+    return count or 0
 
 
 def as_array(name: str, value: Any, shape: Sequence[int | None], dtype: DTypeLike) -> AnyArray:
     """Give a list, or an array of another dtype, as an array of `dtype`, if nothing is lost.
 
     Raises:
-        ArrayError: it holds no numbers, they differ in their lengths, or do not fit; see `hold_array`.
+        ArrayError: it holds no numbers, they differ in their lengths, or do not fit; see `hold_arrays`.
     """
     if isinstance(value, np.ndarray) and value.dtype == dtype:
         return value
@@ -152,7 +160,7 @@ def as_timestamp(name: str, value: Any) -> int:
 
 
 def hold_timestamp(owner: object, name: str) -> None:
-    """Check a time field of a frozen object that is being made; it is an int then. `name` is as in `hold_array`.
+    """Check a time field of a frozen object that is being made; it is an int then. `name` ends in the field.
 
     Raises:
         ArrayError: it is no integer, or none of 64 bits.

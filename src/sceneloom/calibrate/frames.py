@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array, hold_arrays
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
@@ -202,11 +202,17 @@ class CalibrationFrame:
     world_from_lidar: RigidTransform | None = None
 
     def __post_init__(self) -> None:
-        count = check_array("frame.points_lidar", self.points_lidar, (None, 3), np.float64)
-        check_array("frame.intensities", self.intensities, (count,), np.uint8, optional=True)
-        check_array("frame.seconds", self.seconds, (count,), np.float32, optional=True)
-        check_array("frame.grey", self.grey, (self.camera.height, self.camera.width), np.float32)
-        check_array("frame.twist_lidar", self.twist_lidar, (6,), np.float64, optional=True)
+        hold_arrays(
+            self,
+            "frame",
+            {
+                "points_lidar": (np.float64, "N", 3),
+                "intensities?": (np.uint8, "N"),
+                "seconds?": (np.float32, "N"),
+                "grey": (np.float32, self.camera.height, self.camera.width),
+                "twist_lidar?": (np.float64, 6),
+            },
+        )
 
     def camera_from_points(self, camera_from_lidar: Float64Array, *, later: float = 0.0) -> Float64Array:
         """Give what takes `points_lidar` into the camera under a candidate calibration.
@@ -245,10 +251,7 @@ def moved_by(screw: Float64Array) -> Float64Array:
 
 
 def calibration_frames(
-    scene: Scene,
-    camera_id: Identifier | None = None,
-    lidar_id: Identifier | None = None,
-    most: int = MOST,
+    scene: Scene, camera_id: Identifier | None = None, lidar_id: Identifier | None = None, most: int = MOST
 ) -> tuple[CalibrationFrame, ...]:
     """Gather frames spread over a drive: images of a camera, each with the sweep nearest in time.
 
@@ -302,12 +305,7 @@ def chosen_lidar(scene: Scene, lidar_id: Identifier | None) -> LidarSensor:
 
 
 def _chosen(
-    scene: Scene,
-    kind: str,
-    wanted: Identifier | None,
-    there: tuple[_Kind, ...],
-    filled: Iterator[_Kind],
-    holds: str,
+    scene: Scene, kind: str, wanted: Identifier | None, there: tuple[_Kind, ...], filled: Iterator[_Kind], holds: str
 ) -> _Kind:
     """The sensor of that id, or the first that holds anything."""
     if wanted is not None:
@@ -376,12 +374,7 @@ def _frames(
 
 
 def _frame(
-    scene: Scene,
-    lidar: LidarSensor,
-    sample: Sample,
-    image: CameraImage,
-    sweep: LidarFrame,
-    locations: _Locations,
+    scene: Scene, lidar: LidarSensor, sample: Sample, image: CameraImage, sweep: LidarFrame, locations: _Locations
 ) -> CalibrationFrame:
     camera_id = sample.reference_id
     rgb = image.rgb

@@ -20,6 +20,7 @@ from sceneloom.arrays import (
     Int64Array,
     UInt8Array,
     check_array,
+    hold_arrays,
 )
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import OptionError
@@ -73,15 +74,7 @@ def colour_points(
         if not 0 <= index < NO_CAMERA:
             raise OptionError(f"camera {view.camera_id!r}: index {index}; expected 0 to {NO_CAMERA - 1}")
         rgb = np.ascontiguousarray(view.rgb)
-        _paint(
-            view,
-            rgb,
-            index,
-            eccentricities,
-            colors,
-            camera_index,
-            ThreadPool.of(threads, len(view.point_ids)),
-        )
+        _paint(view, rgb, index, eccentricities, colors, camera_index, ThreadPool.of(threads, len(view.point_ids)))
     return colors, camera_index
 
 
@@ -137,10 +130,16 @@ class PointSources:
     weights: Float32Array
 
     def __post_init__(self) -> None:
-        count = check_array("sources.camera_index", self.camera_index, (None,), np.uint8)
-        check_array("sources.images_ns", self.images_ns, (count,), np.int64)
-        check_array("sources.pixels", self.pixels, (count, 2), np.float32)
-        check_array("sources.weights", self.weights, (count,), np.float32)
+        hold_arrays(
+            self,
+            "sources",
+            {
+                "camera_index": (np.uint8, "N"),
+                "images_ns": (np.int64, "N"),
+                "pixels": (np.float32, "N", 2),
+                "weights": (np.float32, "N"),
+            },
+        )
 
     @classmethod
     def none(cls, count: int) -> "PointSources":

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array, check_array, read_only
+from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array, check_array, hold_arrays, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, project_unbounded, unproject
 from sceneloom.colouring.cuboid_points import activation_of, points_in_world, points_position, with_attributes
@@ -237,11 +237,7 @@ def _rolled_limits(edges: _Edges, leaving: Int64Array, camera: Camera, trajector
 
 
 def _extend_to_corners(
-    extents: Float64Array,
-    corners: Float64Array,
-    drifts: Float64Array,
-    camera: Camera,
-    trajectory: ShutterDirection,
+    extents: Float64Array, corners: Float64Array, drifts: Float64Array, camera: Camera, trajectory: ShutterDirection
 ) -> None:
     """Let bounds hold those corners of the image that look at a box: two at the first line, two at the last."""
     locations, rays = _image_corner_rays(camera)
@@ -324,10 +320,7 @@ def sample_edges(
                 directions[row + k, 0] = cosine * ax + sine * tx
                 directions[row + k, 1] = cosine * ay + sine * ty
                 directions[row + k, 2] = cosine * az + sine * tz
-                cosine, sine = (
-                    cosine * step_cosine - sine * step_sine,
-                    sine * step_cosine + cosine * step_sine,
-                )
+                cosine, sine = (cosine * step_cosine - sine * step_sine, sine * step_cosine + cosine * step_sine)
     return directions, starts
 
 
@@ -403,14 +396,8 @@ def bound_edges(
                     # how far curved edges reach between their samples
                     rotation_u = _bulge(pixels[k - 1, 0], u, pixels[k + 1, 0])
                     rotation_v = _bulge(pixels[k - 1, 1], v, pixels[k + 1, 1])
-                    extents[b, 0], extents[b, 2] = (
-                        min(extents[b, 0], rotation_u),
-                        max(extents[b, 2], rotation_u),
-                    )
-                    extents[b, 1], extents[b, 3] = (
-                        min(extents[b, 1], rotation_v),
-                        max(extents[b, 3], rotation_v),
-                    )
+                    extents[b, 0], extents[b, 2] = (min(extents[b, 0], rotation_u), max(extents[b, 2], rotation_u))
+                    extents[b, 1], extents[b, 3] = (min(extents[b, 1], rotation_v), max(extents[b, 3], rotation_v))
                 if k == first:
                     continue
                 here, before = np.isfinite(u), np.isfinite(pixels[k - 1, 0])
@@ -428,12 +415,7 @@ def bound_edges(
 
 @kernel("void(float64[:,::1], int64[:,::1], float64[:,::1], float64[:,::1], float64, float64)")
 def extend_bounds(
-    extents: Float64Array,
-    leaving: Int64Array,
-    begin: Float64Array,
-    end: Float64Array,
-    width: float,
-    height: float,
+    extents: Float64Array, leaving: Int64Array, begin: Float64Array, end: Float64Array, width: float, height: float
 ) -> None:
     """Let bounds hold the last parts of edges that leave the camera model.
 
@@ -588,11 +570,17 @@ class Observations:
     evidences: Int64Array
 
     def __post_init__(self) -> None:
-        count = check_array("rows", self.rows, (None,), np.int64)
-        check_array("boxes_xyxy", self.boxes_xyxy, (count, 4), np.float64)
-        check_array("truncations", self.truncations, (count,), np.float64)
-        check_array("occlusions", self.occlusions, (count,), np.float64)
-        check_array("evidences", self.evidences, (count, 2), np.int64)
+        hold_arrays(
+            self,
+            "",
+            {
+                "rows": (np.int64, "N"),
+                "boxes_xyxy": (np.float64, "N", 4),
+                "truncations": (np.float64, "N"),
+                "occlusions": (np.float64, "N"),
+                "evidences": (np.int64, "N", 2),
+            },
+        )
 
 
 @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
@@ -718,17 +706,7 @@ def _occlusions(
         rays = np.einsum("nij,nj->ni", rotations, rays)
     rivals, rival_starts = _rivals(near, extents, solid)
     met, hidden = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    count_observations(
-        rays,
-        starts,
-        *near.arrays,
-        lines,
-        near.drifts,
-        rival_starts,
-        rivals,
-        met,
-        hidden,
-    )
+    count_observations(rays, starts, *near.arrays, lines, near.drifts, rival_starts, rivals, met, hidden)
     shares: Float64Array = hidden / np.maximum(met, 1)
     return shares
 
@@ -1084,12 +1062,7 @@ class _Writer:
         return replace(written, activations=(*active, *(each for each in made if each is not None)))
 
     def _projection(
-        self,
-        annotation: CuboidAnnotation,
-        row: int,
-        view: _View,
-        cuboids: Float64Array,
-        there: BoolArray,
+        self, annotation: CuboidAnnotation, row: int, view: _View, cuboids: Float64Array, there: BoolArray
     ) -> Projection:
         boxes = np.full((len(there), 4), np.nan)
         for found in view.observations[row]:
@@ -1136,11 +1109,7 @@ def _lost(camera: CameraSensor) -> DataWarning:
 def _beyond(view: _View) -> DataWarning:
     message = f"images of camera {view.camera_id!r} see nothing: they lie beyond the ends of its trajectory"
     return DataWarning(
-        kind=WarningKind.SKIPPED,
-        code="images-unplaced",
-        location="sensors",
-        message=message,
-        count=view.unplaced,
+        kind=WarningKind.SKIPPED, code="images-unplaced", location="sensors", message=message, count=view.unplaced
     )
 
 

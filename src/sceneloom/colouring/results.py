@@ -10,15 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import (
-    BoolArray,
-    Float32Array,
-    Float64Array,
-    Int32Array,
-    Int64Array,
-    UInt8Array,
-    check_array,
-)
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array, hold_arrays
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded
 from sceneloom.geometry.rigid import RigidTransform
@@ -41,8 +33,7 @@ class LidarTrajectory:
     fractions: Float32Array
 
     def __post_init__(self) -> None:
-        check_array("trajectory.ends_world", self.ends_world, (2, 3), np.float64)
-        check_array("trajectory.fractions", self.fractions, (None,), np.float32)
+        hold_arrays(self, "trajectory", {"ends_world": (np.float64, 2, 3), "fractions": (np.float32, None)})
 
     @classmethod
     def of(cls, frame: LidarFrame, location: PoseSource) -> "LidarTrajectory | None":
@@ -114,14 +105,20 @@ class FusedView:
     unsettled: int = 0
 
     def __post_init__(self) -> None:
-        count = check_array("view.point_ids", self.point_ids, (None,), np.int64)
-        check_array("view.pixels", self.pixels, (count, 2), np.float32)
-        check_array("view.pixel_numbers", self.pixel_numbers, (count,), np.int32)
-        check_array("view.depths", self.depths, (count,), np.float32)
-        check_array("view.visible", self.visible, (count,), np.bool_)
-        check_array("view.rgb", self.rgb, (self.camera.height, self.camera.width, 3), np.uint8)
-        check_array("view.depth_image", self.depth_image, (self.camera.height, self.camera.width), np.float32)
-        check_array("view.points_world", self.points_world, (None, 3), np.float64)
+        hold_arrays(
+            self,
+            "view",
+            {
+                "point_ids": (np.int64, "N"),
+                "pixels": (np.float32, "N", 2),
+                "pixel_numbers": (np.int32, "N"),
+                "depths": (np.float32, "N"),
+                "visible": (np.bool_, "N"),
+                "rgb": (np.uint8, self.camera.height, self.camera.width, 3),
+                "depth_image": (np.float32, self.camera.height, self.camera.width),
+                "points_world": (np.float64, None, 3),
+            },
+        )
 
     @property
     def observations(self) -> UInt8Array:

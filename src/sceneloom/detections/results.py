@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, check_array, read_only
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, check_array, hold_arrays, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError
 from sceneloom.geometry.rigid import RigidTransform
@@ -97,16 +97,22 @@ class FusedBoxes:
     by_points: BoolArray | None = None
 
     def __post_init__(self) -> None:
-        count = check_array("fused.centers", self.centers, (None, 3), np.float64)
-        check_array("fused.center_covariances", self.center_covariances, (count, 3, 3), np.float64)
-        check_array("fused.sizes_lwh", self.sizes_lwh, (count, 3), np.float64)
-        check_array("fused.size_covariances", self.size_covariances, (count, 3, 3), np.float64)
-        check_array("fused.yaws", self.yaws, (count,), np.float64)
-        check_array("fused.velocities", self.velocities, (count, 3), np.float64, optional=True)
-        check_array("fused.scores", self.scores, (count,), np.float64)
-        check_array("fused.yaw_variances", self.yaw_variances, (count,), np.float64, optional=True)
-        check_array("fused.corners_xyxy", self.corners_xyxy, (count, 4), np.float64)
-        check_array("fused.by_points", self.by_points, (count,), np.bool_, optional=True)
+        count = hold_arrays(
+            self,
+            "fused",
+            {
+                "centers": (np.float64, "N", 3),
+                "center_covariances": (np.float64, "N", 3, 3),
+                "sizes_lwh": (np.float64, "N", 3),
+                "size_covariances": (np.float64, "N", 3, 3),
+                "yaws": (np.float64, "N"),
+                "velocities?": (np.float64, "N", 3),
+                "scores": (np.float64, "N"),
+                "yaw_variances?": (np.float64, "N"),
+                "corners_xyxy": (np.float64, "N", 4),
+                "by_points?": (np.bool_, "N"),
+            },
+        )
         for name in ("ids", "rows_3d", "rows_2d"):
             check_array(f"fused.{name}", getattr(self, name), (count,), np.int64)
         if len(self.labels) != count:

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, check_array, read_only
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, check_array, hold_arrays, read_only
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.kernels import overlaps
 
@@ -106,8 +106,7 @@ class ObjectTable:
     covariances: Float64Array | None = None
 
     def __post_init__(self) -> None:
-        count = check_array("objects.frames", self.frames, (None,), np.int64)
-        check_array("objects.ids", self.ids, (count,), np.int64)
+        count = hold_arrays(self, "objects", {"frames": (np.int64, "N"), "ids": (np.int64, "N")})
         if len(self.labels) != count:
             raise ArrayError(f"objects.labels: {len(self.labels)}; expected {count}")
         for name, shape in _FLOATS.items():
@@ -146,15 +145,7 @@ class ObjectTable:
         """
         heights, widths, lengths = labels.sizes_hwl.T
         right, down, forward = labels.bottoms.T
-        boxes = (
-            forward,
-            -right,
-            heights / 2 - down,
-            lengths,
-            widths,
-            heights,
-            -labels.rotations_y - np.pi / 2,
-        )
+        boxes = (forward, -right, heights / 2 - down, lengths, widths, heights, -labels.rotations_y - np.pi / 2)
         return cls(
             frames=labels.frames,
             ids=labels.track_ids,
@@ -288,10 +279,7 @@ def similarities(truth: ObjectTable, found: ObjectTable, pairs: FramePairs, simi
         OptionError: one of both lacks the boxes that this needs.
     """
     column, compare = _COMPARED[similarity]
-    sides = (
-        _column(truth, column, similarity, "the truth"),
-        _column(found, column, similarity, "the results"),
-    )
+    sides = (_column(truth, column, similarity, "the truth"), _column(found, column, similarity, "the results"))
     return compare(*sides, pairs)
 
 

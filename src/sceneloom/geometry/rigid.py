@@ -6,7 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, FloatArray, hold_array, read_only
+from sceneloom.arrays import Float64Array, FloatArray, hold_arrays
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rotations import matrix_from_quaternion, nearest_rotation, quaternion_from_matrix
 
@@ -29,16 +29,13 @@ class RigidTransform:
     translation: Float64Array
 
     def __post_init__(self) -> None:
-        hold_array(self, "rotation", (3, 3), np.float64)
-        hold_array(self, "translation", (3,), np.float64)
+        hold_arrays(self, "", {"rotation": (np.float64, 3, 3), "translation": (np.float64, 3)}, frozen=True)
         error, determinant = _measure(self.rotation)
         if not (error < 1e-6 and determinant > 0 and all(map(isfinite, self.translation.tolist()))):
             raise CalibrationError(
                 f"rotation off by {error:.2g}, translation {self.translation.tolist()}; "
                 "expected an orthonormal right-handed matrix and finite numbers"
             )
-        object.__setattr__(self, "rotation", read_only(self.rotation))
-        object.__setattr__(self, "translation", read_only(self.translation))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return RigidTransform, (self.rotation, self.translation)

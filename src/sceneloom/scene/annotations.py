@@ -19,7 +19,7 @@ from sceneloom.arrays import (
     as_array,
     check_array,
     check_count,
-    hold_array,
+    hold_arrays,
     hold_timestamp,
 )
 from sceneloom.cameras.camera import Camera
@@ -54,7 +54,7 @@ class AttributePath:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        hold_array(self, "attribute.timestamps_ns", (None,), np.int64, optional=True)
+        hold_arrays(self, "attribute", {"timestamps_ns?": (np.int64, "N")})
 
     @property
     def is_timed(self) -> bool:
@@ -81,8 +81,7 @@ class CuboidPath:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "cuboid.path.timestamps_ns", (None,), np.int64)
-        hold_array(self, "cuboid.path.values", (count, 9), np.float64)
+        hold_arrays(self, "cuboid.path", {"timestamps_ns": (np.int64, "N"), "values": (np.float64, "N", 9)})
 
 
 def cut_cuboid_paths(timestamps_ns: Int64Array, values: Float64Array, counts: Sequence[int]) -> list[CuboidPath]:
@@ -133,8 +132,7 @@ class Activation:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "timestamps_ns", (None,), np.int64)
-        hold_array(self, "cuboids", (count, 9), np.float64, optional=True)
+        count = hold_arrays(self, "", {"timestamps_ns": (np.int64, "N"), "cuboids?": (np.float64, "N", 9)})
         check_count("durations_ns", self.durations_ns, count)
 
 
@@ -160,9 +158,11 @@ class Projection:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "timestamps_ns", (None,), np.int64)
-        hold_array(self, "boxes", (count, 4), np.float64, optional=True)
-        hold_array(self, "cuboids", (count, 9), np.float64, optional=True)
+        count = hold_arrays(
+            self,
+            "",
+            {"timestamps_ns": (np.int64, "N"), "boxes?": (np.float64, "N", 4), "cuboids?": (np.float64, "N", 9)},
+        )
         check_count("confirmed", self.confirmed, count)
 
 
@@ -216,8 +216,7 @@ class BoxPath:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "path.timestamps_ns", (None,), np.int64)
-        hold_array(self, "path.values", (count, 4), np.float64)
+        hold_arrays(self, "path", {"timestamps_ns": (np.int64, "N"), "values": (np.float64, "N", 4)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,7 +280,7 @@ class VertexPath:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "path.timestamps_ns", (None,), np.int64)
+        count = hold_arrays(self, "path", {"timestamps_ns": (np.int64, "N")})
         check_count("path.vertices", self.vertices, count)
         if not all(isinstance(vertices, np.ndarray) for vertices in self.vertices):
             held = tuple(as_array("path.vertices", v, (None, None), np.float64) for v in self.vertices)
@@ -342,8 +341,7 @@ class PointPath:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "timestamps_ns", (None,), np.int64)
-        hold_array(self, "values", (count, None), np.float64)
+        hold_arrays(self, "", {"timestamps_ns": (np.int64, "N"), "values": (np.float64, "N", None)})
 
 
 def locations_of(values: Float64Array) -> Float64Array:
@@ -373,9 +371,11 @@ class PointProjection:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "timestamps_ns", (None,), np.int64)
-        hold_array(self, "points", (count, 2), np.float64, optional=True)
-        hold_array(self, "positions", (count, 3), np.float64, optional=True)
+        count = hold_arrays(
+            self,
+            "",
+            {"timestamps_ns": (np.int64, "N"), "points?": (np.float64, "N", 2), "positions?": (np.float64, "N", 3)},
+        )
         check_count("confirmed", self.confirmed, count)
 
 
@@ -423,7 +423,7 @@ class LabeledPoints:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        hold_array(self, "point_ids", (None,), np.uint32)
+        hold_arrays(self, "", {"point_ids": (np.uint32, "N")})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array, hold_array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, hold_arrays
 from sceneloom.errors import DataError, OptionError
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
@@ -473,11 +473,14 @@ class Boxes:
     numbers: Int64Array | None = None
 
     def __post_init__(self) -> None:
-        count = len(self.ids)
-        hold_array(self, "boxes.numbers", (count,), np.int64, optional=True)
-        hold_array(self, "boxes.centers_world", (count, 3), np.float64)
-        hold_array(self, "boxes.sizes_lwh", (count, 3), np.float64)
-        hold_array(self, "boxes.quaternions_xyzw", (count, 4), np.float64)
+        n = len(self.ids)
+        fields = {
+            "numbers?": (np.int64, n),
+            "centers_world": (np.float64, n, 3),
+            "sizes_lwh": (np.float64, n, 3),
+            "quaternions_xyzw": (np.float64, n, 4),
+        }
+        hold_arrays(self, "boxes", fields)
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, cast
 
 import numpy as np
 
-from sceneloom.arrays import (
-    AnyArray,
-    Float32Array,
-    Int64Array,
-    UInt8Array,
-    UInt16Array,
-    hold_array,
-    hold_timestamp,
-)
+from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array, UInt16Array, hold_arrays, hold_timestamp
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import Poses
@@ -167,12 +159,18 @@ class LidarPoints(_UnpackedWhenAsked):
     extras: Mapping[str, AnyArray] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "points.positions", (None, 3), np.float32)
-        hold_array(self, "points.intensities", (count,), np.uint8, optional=True)
-        hold_array(self, "points.colors", (count, 3), np.uint8, optional=True)
-        hold_array(self, "points.timestamps_ns", (count,), np.int64, optional=True)
-        hold_array(self, "points.rings", (count,), np.uint16, optional=True)
-        hold_array(self, "points.camera_index", (count,), np.uint8, optional=True)
+        hold_arrays(
+            self,
+            "points",
+            {
+                "positions": (np.float32, "N", 3),
+                "intensities?": (np.uint8, "N"),
+                "colors?": (np.uint8, "N", 3),
+                "timestamps_ns?": (np.int64, "N"),
+                "rings?": (np.uint16, "N"),
+                "camera_index?": (np.uint8, "N"),
+            },
+        )
 
     def __len__(self) -> int:
         packed_count = self.packed_count()
@@ -261,10 +259,16 @@ class RadarPoints:
     extras: Mapping[str, AnyArray] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "points.positions", (None, 3), np.float32)
-        hold_array(self, "points.directions", (count, 3), np.float32, optional=True)
-        hold_array(self, "points.lengths", (count,), np.float32, optional=True)
-        hold_array(self, "points.timestamps_ns", (count,), np.int64, optional=True)
+        hold_arrays(
+            self,
+            "points",
+            {
+                "positions": (np.float32, "N", 3),
+                "directions?": (np.float32, "N", 3),
+                "lengths?": (np.float32, "N"),
+                "timestamps_ns?": (np.int64, "N"),
+            },
+        )
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -320,8 +324,7 @@ class PointsSensor:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "points.positions", (None, 3), np.float32)
-        hold_array(self, "points.colors", (count, 3), np.uint8, optional=True)
+        hold_arrays(self, "points", {"positions": (np.float32, "N", 3), "colors?": (np.uint8, "N", 3)})
 
     def __reduce__(self) -> tuple[Any, ...]:
         arrays = _packed(self.positions), _packed(self.colors)
@@ -334,10 +337,6 @@ class PointsSensor:
 
 
 def _restored_map(
-    sensor_id: Identifier,
-    positions: _Parcel,
-    colors: _Parcel,
-    parent_id: Identifier | None,
-    extras: Mapping[str, Any],
+    sensor_id: Identifier, positions: _Parcel, colors: _Parcel, parent_id: Identifier | None, extras: Mapping[str, Any]
 ) -> PointsSensor:
     return PointsSensor(sensor_id, cast("Float32Array", _unpacked(positions)), _unpacked(colors), parent_id, extras)

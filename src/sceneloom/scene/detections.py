@@ -9,16 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sceneloom.arrays import (
-    AnyArray,
-    Float64Array,
-    Int64Array,
-    UInt8Array,
-    check_array,
-    hold_array,
-    hold_timestamp,
-    read_only,
-)
+from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, check_array, hold_arrays, read_only
 from sceneloom.errors import ArrayError
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rigid import RigidTransform
@@ -74,27 +65,29 @@ class Boxes3D:
     sensor_id: Identifier | None = None
 
     def __post_init__(self) -> None:
-        hold_timestamp(self, "boxes.timestamp_ns")
-        count = hold_array(self, "boxes.centers", (None, 3), np.float64)
-        hold_array(self, "boxes.sizes_lwh", (count, 3), np.float64)
-        hold_array(self, "boxes.yaws", (count,), np.float64)
-        hold_array(self, "boxes.scores", (count,), np.float64)
-        hold_array(self, "boxes.velocities", (count, 3), np.float64, optional=True)
-        hold_array(self, "boxes.covariances", (count, 7, 7), np.float64, optional=True)
-        hold_array(self, "boxes.ids", (count,), np.int64, optional=True)
+        count = hold_arrays(
+            self,
+            "boxes",
+            {
+                "timestamp_ns": (int,),
+                "centers": (np.float64, "N", 3),
+                "sizes_lwh": (np.float64, "N", 3),
+                "yaws": (np.float64, "N"),
+                "scores": (np.float64, "N"),
+                "velocities?": (np.float64, "N", 3),
+                "covariances?": (np.float64, "N", 7, 7),
+                "ids?": (np.int64, "N"),
+            },
+            frozen=True,
+        )
         _hold_labels(self, count)
-        _freeze(self, _ARRAYS_3D)
 
     def __len__(self) -> int:
         return len(self.centers)
 
     @classmethod
     def empty(
-        cls,
-        timestamp_ns: int,
-        *,
-        frame: PointsFrame = PointsFrame.SENSOR,
-        sensor_id: Identifier | None = None,
+        cls, timestamp_ns: int, *, frame: PointsFrame = PointsFrame.SENSOR, sensor_id: Identifier | None = None
     ) -> "Boxes3D":
         """A sweep in which nothing was found."""
         none = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0)
@@ -177,12 +170,18 @@ class Boxes2D:
     sensor_id: Identifier | None = None
 
     def __post_init__(self) -> None:
-        hold_timestamp(self, "boxes.timestamp_ns")
-        count = hold_array(self, "boxes.corners_xyxy", (None, 4), np.float64)
-        hold_array(self, "boxes.scores", (count,), np.float64)
-        hold_array(self, "boxes.ids", (count,), np.int64, optional=True)
+        count = hold_arrays(
+            self,
+            "boxes",
+            {
+                "timestamp_ns": (int,),
+                "corners_xyxy": (np.float64, "N", 4),
+                "scores": (np.float64, "N"),
+                "ids?": (np.int64, "N"),
+            },
+            frozen=True,
+        )
         _hold_labels(self, count)
-        _freeze(self, _ARRAYS_2D)
 
     def __len__(self) -> int:
         return len(self.corners_xyxy)
@@ -203,8 +202,6 @@ class Boxes2D:
         return _selected(self, rows)
 
 
-_ARRAYS_3D = ("centers", "sizes_lwh", "yaws", "scores", "velocities", "covariances", "ids")
-_ARRAYS_2D = ("corners_xyxy", "scores", "ids")
 Boxes = TypeVar("Boxes", Boxes3D, Boxes2D)
 
 
@@ -215,13 +212,6 @@ def _hold_labels(boxes: "Boxes3D | Boxes2D", count: int) -> None:
         object.__setattr__(boxes, "labels", labels)
     if not isinstance(labels, tuple) or len(labels) != count:
         raise ArrayError(f"boxes.labels: {type(labels).__name__} of {len(labels)}; expected a tuple of {count}")
-
-
-def _freeze(boxes: Boxes3D | Boxes2D, names: tuple[str, ...]) -> None:
-    for name in names:
-        value = getattr(boxes, name)
-        if value is not None:
-            object.__setattr__(boxes, name, read_only(value))
 
 
 def _selected(boxes: Boxes, rows: ArrayLike) -> Boxes:
@@ -251,31 +241,26 @@ class Support(IntEnum):
 
 
 _STATE = {
-    "centers": (3,),
-    "sizes_lwh": (3,),
-    "yaws": (),
-    "velocities": (3,),
-    "yaw_rates": (),
-    "covariances": (10, 10),
-    "scores": (),
+    "centers": (np.float64, "N", 3),
+    "sizes_lwh": (np.float64, "N", 3),
+    "yaws": (np.float64, "N"),
+    "velocities": (np.float64, "N", 3),
+    "yaw_rates": (np.float64, "N"),
+    "covariances": (np.float64, "N", 10, 10),
+    "scores": (np.float64, "N"),
+    "supports": (np.uint8, "N"),
 }
-"""The float64 columns of states, and the shape of a row."""
+"""The arrays of states: dtype and shape."""
 
 
-def _check_states(states: "Track | TrackedObjects", count: int, location: str) -> None:
-    for name, shape in _STATE.items():
-        hold_array(states, f"{location}.{name}", (count, *shape), np.float64)
-    hold_array(states, f"{location}.supports", (count,), np.uint8)
+def _hold_states(states: "Track | TrackedObjects", path: str, first: dict[str, tuple[Any, ...]]) -> int:
+    count = hold_arrays(states, path, first | _STATE, frozen=True)
+    corners_xyxy = {}
     for camera_id, corners in states.corners_xyxy.items():
-        check_array(f"{location}.corners_xyxy[{camera_id!r}]", corners, (count, 4), np.float64)
-
-
-def _tracks_freeze(states: "Track | TrackedObjects", names: tuple[str, ...]) -> None:
-    for name in (*_STATE, "supports", *names):
-        value: AnyArray = getattr(states, name)
-        object.__setattr__(states, name, read_only(value))
-    corners = {camera_id: read_only(corners) for camera_id, corners in states.corners_xyxy.items()}
-    object.__setattr__(states, "corners_xyxy", MappingProxyType(corners))
+        check_array(f"{path}.corners_xyxy[{camera_id!r}]", corners, (count, 4), np.float64)
+        corners_xyxy[camera_id] = read_only(corners)
+    object.__setattr__(states, "corners_xyxy", MappingProxyType(corners_xyxy))
+    return count
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -315,11 +300,9 @@ class Track:
     corners_xyxy: Mapping[Identifier, Float64Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "track.timestamps_ns", (None,), np.int64)
-        _check_states(self, count, "track")
+        _hold_states(self, "track", {"timestamps_ns": (np.int64, "N")})
         if (np.diff(self.timestamps_ns) <= 0).any():
             raise ArrayError(f"track {self.id}: timestamps_ns do not rise")
-        _tracks_freeze(self, ("timestamps_ns",))
 
     def __len__(self) -> int:
         return len(self.timestamps_ns)
@@ -354,12 +337,9 @@ class TrackedObjects:
     corners_xyxy: Mapping[Identifier, Float64Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        hold_timestamp(self, "objects.timestamp_ns")
-        count = hold_array(self, "objects.ids", (None,), np.int64)
-        _check_states(self, count, "objects")
+        count = _hold_states(self, "objects", {"timestamp_ns": (int,), "ids": (np.int64, "N")})
         if len(self.labels) != count:
             raise ArrayError(f"objects.labels: {len(self.labels)}; expected {count}")
-        _tracks_freeze(self, ("ids",))
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, hold_array
+from sceneloom.arrays import Float64Array, Int64Array, hold_arrays
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import NO_FIELDS, Identifier, SensorType
@@ -42,9 +42,11 @@ class VectorSamples:
     file_seconds: Float64Array | None = None
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "samples.timestamps_ns", (None,), np.int64)
-        hold_array(self, "samples.values", (count, None), np.float64)
-        hold_array(self, "samples.file_seconds", (count,), np.float64, optional=True)
+        hold_arrays(
+            self,
+            "samples",
+            {"timestamps_ns": (np.int64, "N"), "values": (np.float64, "N", None), "file_seconds?": (np.float64, "N")},
+        )
 
     def __len__(self) -> int:
         return len(self.timestamps_ns)
@@ -101,11 +103,17 @@ class GnssSensor:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "gnss.timestamps_ns", (None,), np.int64)
-        hold_array(self, "gnss.positions_lla", (count, 3), np.float64)
-        hold_array(self, "gnss.accuracies", (count,), np.float64)
-        hold_array(self, "gnss.vertical_accuracies", (count,), np.float64)
-        hold_array(self, "gnss.file_seconds", (count,), np.float64, optional=True)
+        hold_arrays(
+            self,
+            "gnss",
+            {
+                "timestamps_ns": (np.int64, "N"),
+                "positions_lla": (np.float64, "N", 3),
+                "accuracies": (np.float64, "N"),
+                "vertical_accuracies": (np.float64, "N"),
+                "file_seconds?": (np.float64, "N"),
+            },
+        )
 
     @property
     def type(self) -> SensorType:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, hold_array, read_only
+from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, hold_arrays
 from sceneloom.errors import ArrayError, PoseError
 from sceneloom.geometry.interpolation import interpolate_poses
 from sceneloom.geometry.rigid import RigidTransform
@@ -50,9 +50,16 @@ class Poses:
     static: bool = False
 
     def __post_init__(self) -> None:
-        count = hold_array(self, "poses.timestamps_ns", (None,), np.int64)
-        hold_array(self, "poses.positions", (count, 3), np.float64)
-        hold_array(self, "poses.quaternions_xyzw", (count, 4), np.float64)
+        count = hold_arrays(
+            self,
+            "poses",
+            {
+                "timestamps_ns": (np.int64, "N"),
+                "positions": (np.float64, "N", 3),
+                "quaternions_xyzw": (np.float64, "N", 4),
+            },
+            frozen=True,
+        )
         if count == 0:
             raise ArrayError("poses: empty; expected at least one pose")
         if self.static and count != 1:
@@ -70,8 +77,6 @@ class Poses:
             k = int(off[0])
             norm = float(norms[k])
             raise ArrayError(f"poses.quaternions_xyzw[{k}]: norm {norm:.4f}; expected 1 within 0.01")
-        for name in ("timestamps_ns", "positions", "quaternions_xyzw"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Poses, (self.timestamps_ns, self.positions, self.quaternions_xyzw, self.static)
@@ -145,22 +150,16 @@ class Trajectory:
     covariances: Float64Array | None = None
 
     def __post_init__(self) -> None:
-        count = hold_array(self, f"trajectories[{self.name}].timestamps_ns", (None,), np.int64)
-        hold_array(self, f"trajectories[{self.name}].positions", (count, 3), np.float64)
-        hold_array(
+        hold_arrays(
             self,
-            f"trajectories[{self.name}].quaternions_xyzw",
-            (count, 4),
-            np.float64,
-            optional=True,
-        )
-        hold_array(self, f"trajectories[{self.name}].file_seconds", (count,), np.float64, optional=True)
-        hold_array(
-            self,
-            f"trajectories[{self.name}].covariances",
-            (count, 6, 6),
-            np.float64,
-            optional=True,
+            f"trajectories[{self.name}]",
+            {
+                "timestamps_ns": (np.int64, "N"),
+                "positions": (np.float64, "N", 3),
+                "quaternions_xyzw?": (np.float64, "N", 4),
+                "file_seconds?": (np.float64, "N"),
+                "covariances?": (np.float64, "N", 6, 6),
+            },
         )
 
     @property
@@ -235,10 +234,7 @@ def placed_along(
 
 
 def poses_along(
-    path: Poses | None,
-    mounts: Mapping[int, RigidTransform],
-    chosen: Int64Array,
-    timestamps_ns: Int64Array,
+    path: Poses | None, mounts: Mapping[int, RigidTransform], chosen: Int64Array, timestamps_ns: Int64Array
 ) -> Poses | None:
     """Give `world_from_sensor` at those of the times that the path covers; None where there are none.
 

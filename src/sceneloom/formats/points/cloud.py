@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, UInt16Array, hold_arrays
 from sceneloom.errors import DataError, OptionError
 
 MOST_POINTS = 1 << 28
@@ -162,10 +162,7 @@ ALIASES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """The roles that a single column can have, and the names by which each is known, the likeliest first."""
 
 ROW_ALIASES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "positions": ("points", "positions", "xyz", "pos", "pts"),
-        "colors": ("colors", "colours", "rgb", "color"),
-    }
+    {"positions": ("points", "positions", "xyz", "pos", "pts"), "colors": ("colors", "colours", "rgb", "color")}
 )
 """The roles that rows of three numbers can have."""
 
@@ -270,11 +267,17 @@ class WrittenPoints:
     extras: Mapping[str, AnyArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        count = check_array("positions_world", self.positions_world, (None, 3), np.float64)
-        check_array("colors", self.colors, (count, 3), np.uint8, optional=True)
-        check_array("intensities", self.intensities, (count,), np.uint8, optional=True)
-        check_array("timestamps_ns", self.timestamps_ns, (count,), np.int64, optional=True)
-        check_array("labels", self.labels, (count,), np.uint16, optional=True)
+        hold_arrays(
+            self,
+            "",
+            {
+                "positions_world": (np.float64, "N", 3),
+                "colors?": (np.uint8, "N", 3),
+                "intensities?": (np.uint8, "N"),
+                "timestamps_ns?": (np.int64, "N"),
+                "labels?": (np.uint16, "N"),
+            },
+        )
 
     def __len__(self) -> int:
         return len(self.positions_world)

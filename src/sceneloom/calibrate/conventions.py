@@ -1,4 +1,4 @@
-"""What an extrinsic of unknown convention means: every way to read it is tried, and a drive ranks them."""
+"""Conventions of extrinsics: every reading of the numbers is tried, and the points and images of a drive rank them."""
 
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,7 +16,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.calibrate.measures import Agreement, Change, measured_image
 from sceneloom.cameras.projection import project
-from sceneloom.checks.point_frames import distances, lie_nearer, meet_more, overlaps, plan_sweeps, sweep_of
+from sceneloom.checks.point_frames import possible_points_frames
 from sceneloom.checks.rule import Subject
 from sceneloom.errors import DataError, PoseError
 from sceneloom.formats.base.files import read_settings
@@ -27,11 +27,11 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor
 from sceneloom.scene.scene import Scene, Sensor
-from sceneloom.scene.types import Identifier, PointsFrame, Progress
+from sceneloom.scene.types import Identifier, Progress
 from sceneloom.warnings import DataWarning
 
-MOST_FRAMES = 8
-"""Images by which each extrinsic is judged."""
+_MOST_FRAMES = 8
+"""Images that each extrinsic is judged by."""
 
 CAMERA_AXES: Mapping[str, Float64Array] = MappingProxyType(
     {
@@ -41,7 +41,7 @@ CAMERA_AXES: Mapping[str, Float64Array] = MappingProxyType(
         "x forward, y right, z down": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
     }
 )
-"""Axes of the camera's frame, and the rotation from them into x right, y down, z forward."""
+"""Axes of the camera frame, and the rotation from them into x right, y down, z forward."""
 
 LIDAR_AXES: Mapping[str, Float64Array] = MappingProxyType(
     {
@@ -51,7 +51,7 @@ LIDAR_AXES: Mapping[str, Float64Array] = MappingProxyType(
         "x, y along the points' -x, -y": rotation_from_cuboid_angles((0, 0, 180)),
     }
 )
-"""Axes of the lidar's frame, and the rotation into them from those that its points have."""
+"""Axes of the lidar frame, and the rotation into them from those that its points have."""
 
 UNITS_NS: Mapping[str, int] = MappingProxyType(
     {"seconds": 1_000_000_000, "milliseconds": 1_000_000, "microseconds": 1_000, "nanoseconds": 1}
@@ -73,6 +73,9 @@ _COUNTS = frozenset({6, 7, *_SHAPES})
 _TOLERANCE = 1e-2
 """How far rounded numbers of a rotation or a quaternion may be from one."""
 
+_SAME_ROTATION, _SAME_TRANSLATION = np.radians(0.2), 0.02
+"""Transforms within this [rad], [m] cannot be told apart."""
+
 _RATES_HZ = {
     "lidar": (1.0, 100.0),
     "camera": (0.5, 500.0),
@@ -81,7 +84,7 @@ _RATES_HZ = {
     "gnss": (0.1, 100.0),
 }
 _YEARS_S = (315_532_800.0, 4_102_444_800.0)
-"""From 1980, when the time of satellites begins, to 2100, in seconds after 1970."""
+"""From 1980, when GPS time begins, to 2100, in seconds after 1970."""
 _LEAST_EPOCH_S = 1e8
 """Larger numbers of seconds than this count from an epoch: no drive lasts three years."""
 
@@ -94,6 +97,7 @@ _AXIS_ROTATIONS, _NEAREST_DEG, _FARTHEST_DEG, _SEED = 24, 2.5, 7.0, 7
 _TRANSLATIONS = ("translation", "position", "t", "T", "trans", "xyz")
 _ROTATIONS = ("rotation", "heading", "quaternion", "orientation", "R", "r", "q", "rpy", "rot")
 _MOST_FOUND = 1_000
+_BLANKS = str.maketrans(",[]", "   ")
 
 Score = Callable[[Float64Array], float]
 """How clearly points fit the images under a (4, 4) `camera_from_points`, in standard deviations."""
@@ -104,10 +108,10 @@ class Extrinsic:
     """Numbers that can be an extrinsic.
 
     Attributes:
-        location: location in the file, by its keys.
+        location: in the file, by its keys.
         numbers: 6, 7, 9, 12 or 16.
-        known: choices that names in the file leave no doubt of.
-        apart: the numbers are nine of a rotation, and three of a translation that stands beside it.
+        known: choices that names in the file settle.
+        apart: nine numbers of a rotation matrix, then three of a translation that stood beside it.
     """
 
     location: str
@@ -118,26 +122,21 @@ class Extrinsic:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """One way to read an extrinsic.
-
-    Attributes:
-        choices: what each choice that its form leaves open is taken to be.
-        camera_from_points: (4, 4) float64, from the frame of the points into x right, y down, z forward.
-    """
+    """One reading of an extrinsic: its value of each open choice, and (4, 4) from the points into the camera."""
 
     choices: Mapping[str, str]
     camera_from_points: Float64Array
 
 
 class ExtrinsicFound(msgspec.Struct, frozen=True, kw_only=True):
-    """What one extrinsic means.
+    """The convention of one extrinsic.
 
     Attributes:
-        location: location in its file, or which sensors it relates.
-        camera, lidar: the sensors of the drive that it was judged by; None where there was no drive.
-        possible: of direction, layout, order, unit and axes, whichever the extrinsic leaves open, all possible values.
+        location: in its file, or which sensors it relates.
+        camera, lidar: sensors of the drive that it was judged by; None without a drive.
+        possible: possible values of each choice that the extrinsic leaves open: direction, layout, order, unit, axes.
         decided: whether the transform is known.
-        as_read: whether it is what the drive was read with; None where that is not known, or it was no drive's own.
+        as_read: whether it is what the drive was read with; None where that is not known, or it is not the drive's own.
         camera_from_lidar: (4, 4) by rows, from the points' frame into x right, y down, z forward; None: not decided.
         reason: why it was decided so, or why not.
     """
@@ -153,7 +152,7 @@ class ExtrinsicFound(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PointsFound(msgspec.Struct, frozen=True, kw_only=True):
-    """The frames in which the points of a lidar can be; none possible where nothing shows it."""
+    """The frames that the points of a lidar can be in; none where nothing shows it."""
 
     lidar: str | int
     stated: str
@@ -161,7 +160,7 @@ class PointsFound(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TimesFound(msgspec.Struct, frozen=True, kw_only=True):
-    """The units in which the timestamps of a sensor, read as seconds, give a rate that there is."""
+    """The units in which the timestamps of a sensor, read as seconds, give a plausible rate."""
 
     sensor: str | int
     kind: str
@@ -173,10 +172,10 @@ class ConventionsReport(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         source: the file or drive.
-        extrinsics: what each one means.
+        extrinsics: the convention of each.
         points: the frames of the points, of a drive.
         times: the units of the timestamps, of a drive.
-        corrections: what was made of the drive's corrections before.
+        corrections: warnings about the corrections that the drive contains.
     """
 
     source: str
@@ -203,11 +202,11 @@ def check_file(
     lidar_id: Identifier | None = None,
     progress: Progress | None = None,
 ) -> ConventionsReport:
-    """Find what the extrinsics of a file mean.
+    """Find the conventions of the extrinsics in a file.
 
     Args:
         path: any JSON, TOML or text file with extrinsics of a camera and a lidar.
-        scene: a drive of these sensors; without one, only what no vehicle has is ruled out.
+        scene: a drive with these sensors; without one, only implausible readings are ruled out.
         camera_id, lidar_id: the sensors that the file relates; None for the scene's first ones.
         progress: called after each extrinsic.
 
@@ -218,8 +217,8 @@ def check_file(
     """
     extrinsics = read_extrinsics(path)
     scene = None if scene is None else scene.corrected()
-    frames = () if scene is None else calibration_frames(scene, camera_id, lidar_id, MOST_FRAMES)
-    score = edges_meeting(frames) if frames else None
+    frames = () if scene is None else calibration_frames(scene, camera_id, lidar_id, _MOST_FRAMES)
+    score = score_by_rotation(frames) if frames else None
     found = []
     for number, extrinsic in enumerate(extrinsics, start=1):
         found.append(decide(extrinsic, frames, score))
@@ -240,22 +239,19 @@ def check_drive(scene: Scene, *, progress: Progress | None = None) -> Convention
     pairs = [(camera, lidar) for lidar in lidars[:1] for camera in scene.cameras if len(camera.images)]
     found = []
     for number, (camera, lidar) in enumerate(pairs, start=1):
-        found.append(_own(scene, camera, lidar))
+        found.append(_judged_pair(scene, camera, lidar))
         if progress is not None:
             progress(number, len(pairs))
-    points = [
-        PointsFound(lidar=lidar.id, stated=lidar.points_frame.value, possible=_frames(scene, lidar)) for lidar in lidars
-    ]
-    times = [
-        TimesFound(
-            sensor=sensor.id,
-            kind=str(sensor.type),
-            possible=time_units((timestamps * 1e-9).tolist(), str(sensor.type)),
-        )
-        for sensor in scene.sensors
-        for timestamps in [_timestamps(sensor)]
-        if len(timestamps) > 1
-    ]
+    points = []
+    for lidar in lidars:
+        possible = tuple(frame.value for frame in possible_points_frames(Subject(scene), lidar))
+        points.append(PointsFound(lidar=lidar.id, stated=lidar.points_frame.value, possible=possible))
+    times = []
+    for sensor in scene.sensors:
+        timestamps = _timestamps(sensor)
+        if len(timestamps) > 1:
+            units = time_units((timestamps * 1e-9).tolist(), str(sensor.type))
+            times.append(TimesFound(sensor=sensor.id, kind=str(sensor.type), possible=units))
     return ConventionsReport(
         source=scene.source,
         extrinsics=tuple(found),
@@ -265,43 +261,115 @@ def check_drive(scene: Scene, *, progress: Progress | None = None) -> Convention
     )
 
 
-def read_extrinsics(path: Path) -> tuple[Extrinsic, ...]:
-    """Find all numbers of a file that can be an extrinsic.
+def _judged_pair(scene: Scene, camera: CameraSensor, lidar: LidarSensor) -> ExtrinsicFound:
+    """Judge the extrinsic by which the drive relates a camera and a lidar."""
+    location = f"camera {camera.id}, lidar {lidar.id}"
+    try:
+        frames = calibration_frames(scene, camera.id, lidar.id, _MOST_FRAMES)
+    except PoseError as error:
+        return ExtrinsicFound(location=location, camera=camera.id, lidar=lidar.id, reason=str(error))
+    numbers = tuple(frames[0].camera_from_lidar.matrix.reshape(-1).tolist())
+    found = decide(Extrinsic(location, numbers), frames, score_by_rotation(frames))
+    if not found.possible:
+        return found
+    right = all(_AS_READ[name] in values for name, values in found.possible.items())
+    return msgspec.structs.replace(found, as_read=(found.decided or None) if right else False)
 
-    Raises:
-        DataError: the file cannot be read, or holds none.
+
+def _timestamps(sensor: Sensor) -> Int64Array:
+    """When a sensor measured, (N,) int64 [ns]; of an IMU its stream of the most samples."""
+    none = np.zeros(0, np.int64)
+    match sensor:
+        case CameraSensor():
+            return sensor.images.timestamps_ns
+        case LidarSensor() | RadarSensor():
+            return sensor.frames.timestamps_ns
+        case GnssSensor():
+            return sensor.timestamps_ns
+        case ImuSensor():
+            return max((stream.timestamps_ns for stream in sensor.streams.values()), key=len, default=none)
+    return none
+
+
+def time_units(timestamps: Sequence[float], kind: str) -> tuple[str, ...]:
+    """List the units in which timestamps of a sensor give a plausible rate and date.
+
+    Args:
+        timestamps: of successive measurements, in any order, in an unknown unit.
+        kind: lidar, camera, radar, imu or gnss.
+
+    Returns:
+        Names out of `UNITS_NS`; none where no unit fits, or fewer than two timestamps differ.
     """
-    try:
-        text = read_settings(path).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise DataError(str(path), "", f"{error}; expected a text with an extrinsic in it") from error
-    found: list[Extrinsic] = []
-    try:
-        for extrinsic in _walk(_parsed(text), ""):
-            if hypotheses(extrinsic.numbers, extrinsic.known, apart=extrinsic.apart):
-                found.append(extrinsic)
-            if len(found) == _MOST_FOUND:
-                break
-    except OverflowError as error:  # whole numbers may have any length
-        raise DataError(str(path), "", f"{error}; expected the numbers of an extrinsic") from error
-    if not found:
-        raise DataError(
-            str(path), "", "no extrinsic in it; expected 16, 12 or 9 numbers of a matrix, 7 of a translation and a "
-            "quaternion, or 6 of a translation and angles",
-        )  # fmt: skip
-    return tuple(found)
+    times = np.unique(np.asarray(timestamps, np.float64))
+    times = times[np.isfinite(times)]
+    if len(times) < 2:
+        return ()
+    step, first = float(np.median(np.diff(times))), float(times[0])
+    slowest, fastest = _RATES_HZ[kind]
+    fitting = []
+    for unit, unit_ns in UNITS_NS.items():
+        seconds = first * unit_ns * 1e-9
+        is_date = abs(seconds) < _LEAST_EPOCH_S or _YEARS_S[0] <= seconds <= _YEARS_S[1]
+        if is_date and slowest <= 1e9 / (step * unit_ns) <= fastest:
+            fitting.append(unit)
+    return tuple(fitting)
+
+
+def decide(extrinsic: Extrinsic, frames: Sequence[CalibrationFrame] = (), score: Score | None = None) -> ExtrinsicFound:
+    """Find the convention of an extrinsic.
+
+    Implausible readings are ruled out first: a camera far from the lidar, or not upright, or one that sees nothing of
+    what the lidar sees. Of the rest those remain whose score is not clearly below the best.
+
+    Args:
+        extrinsic: the numbers.
+        frames: of the drive whose camera and lidar it relates; none without a drive.
+        score: of these frames; None to judge by plausibility alone.
+    """
+    up = _find_up(frames) if frames else np.array([0.0, 0.0, 1.0])
+    left = [
+        group
+        for group in groups(hypotheses(extrinsic.numbers, extrinsic.known, apart=extrinsic.apart))
+        if _is_plausible(group[0].camera_from_points, up, frames)
+    ]
+    count = len(left)
+    if not left:
+        reason = "no reading puts an upright camera where it sees what the lidar sees"
+    elif count == 1:
+        reason = "all other readings put the camera on its side, upside down, too far away, or where it sees nothing"
+    elif score is None:
+        reason = "several readings put an upright camera near the lidar, and there is no drive to distinguish them"
+    else:
+        scores = [score(group[0].camera_from_points) for group in left]
+        best = max(scores)
+        if best < _CLEAR:
+            reason = f"none of {count} possible readings matches points and images clearly"
+        else:
+            left = [group for group, own in zip(left, scores, strict=True) if own > best - _LEAD]
+            reason = f"{len(left)} of {count} possible readings match points and images about equally"
+            if len(left) == 1:
+                reason = f"of {count} possible readings it alone matches points and images ({best:.1f} sigma)"
+    possible: dict[str, tuple[str, ...]] = {}
+    for name in _CHOICES:
+        values = dict.fromkeys(one.choices[name] for group in left for one in group if name in one.choices)
+        if values:
+            possible[name] = tuple(values)
+    return ExtrinsicFound(
+        location=extrinsic.location,
+        camera=frames[0].camera_id if frames else None,
+        lidar=frames[0].lidar_id if frames else None,
+        possible=possible,
+        decided=len(left) == 1,
+        camera_from_lidar=left[0][0].camera_from_points.tolist() if len(left) == 1 else None,
+        reason=reason,
+    )
 
 
 def hypotheses(
     numbers: Sequence[float] | Float64Array, known: Mapping[str, str] | None = None, *, apart: bool = False
 ) -> tuple[Hypothesis, ...]:
-    """List all ways to read some numbers.
-
-    Args:
-        numbers: of the extrinsic, 6, 7, 9, 12 or 16.
-        known: choices that are certain.
-        apart: twelve numbers are the nine of a rotation, then a translation that stood beside it.
-    """
+    """List all readings of the 6, 7, 9, 12 or 16 numbers of an extrinsic; `known` and `apart` as of `Extrinsic`."""
     given = np.asarray(numbers, np.float64)
     found = []
     for written, matrix, translation in _readings(given, apart=apart) if np.isfinite(given).all() else ():
@@ -320,87 +388,97 @@ def hypotheses(
     return tuple(found)
 
 
-def groups(found: Sequence[Hypothesis], *, rotation_deg: float = 0.2, shift: float = 0.02) -> list[list[Hypothesis]]:
-    """Group hypotheses of the same transform.
+def _readings(numbers: Float64Array, *, apart: bool) -> Iterator[tuple[dict[str, str], Float64Array, Float64Array]]:
+    """Read numbers as matrices, quaternions or angles: the choices, (3, 3) of about a rotation, and (3,)."""
+    if numbers.size in _SHAPES:
+        rows, columns = (3, 3) if apart else _SHAPES[numbers.size]
+        table = numbers[: rows * columns]
+        for layout, matrix in (("rows", table.reshape(rows, columns)), ("columns", table.reshape(columns, rows).T)):
+            beside = numbers[9:] if apart else matrix[:3, 3] if columns == 4 else np.zeros(3)
+            if rows == 3 or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() <= 1e-6:
+                yield {"layout": layout}, matrix[:3, :3], beside
+        return
+    if numbers.size not in _COUNTS:
+        return
+    for parts, translation, rotation in (
+        ("translation first", numbers[:3], numbers[3:]),
+        ("rotation first", numbers[-3:], numbers[:-3]),
+    ):
+        own = {"order of parts": parts}
+        norm = float(np.linalg.norm(rotation))
+        if len(rotation) == 4 and abs(norm - 1.0) <= _TOLERANCE:
+            for order, xyzw in (("x y z w", rotation), ("w x y z", np.roll(rotation, -1))):
+                yield {**own, "quaternion": order}, matrix_from_quaternion(xyzw / norm), translation
+        if len(rotation) == 3:
+            for unit, (name, order) in product(AngleUnit, (("Rz Ry Rx", "zyx"), ("Rx Ry Rz", "xyz"))):
+                if np.abs(rotation).max() <= (360.0 if unit is AngleUnit.DEGREES else 2 * np.pi + 1e-6):
+                    matrix = rotation_from_cuboid_angles(rotation, unit=unit, order=order)
+                    yield {**own, "angles": unit.value, "order of angles": name}, matrix, translation
 
-    Within an angle [deg] and a distance [m] that cannot be told apart.
-    """
 
-    def alike(a: Float64Array, b: Float64Array) -> bool:
-        between = a[:3, :3].T @ b[:3, :3]
-        # of a small angle the sine is exact, where the cosine has lost it
-        sine = np.linalg.norm(between - between.T) / np.sqrt(8.0)
-        near = sine <= np.sin(np.radians(rotation_deg)) and np.trace(between) > 1.0
-        return bool(near and np.linalg.norm(a[:3, 3] - b[:3, 3]) <= shift)
-
+def groups(found: Sequence[Hypothesis]) -> list[list[Hypothesis]]:
+    """Group hypotheses of the same transform."""
     result: list[list[Hypothesis]] = []
     for one in found:
-        same = (group for group in result if alike(one.camera_from_points, group[0].camera_from_points))
-        group = next(same, None)
-        if group is None:
-            result.append([one])
+        for group in result:
+            if _are_same(one.camera_from_points, group[0].camera_from_points):
+                group.append(one)
+                break
         else:
-            group.append(one)
+            result.append([one])
     return result
 
 
-def decide(extrinsic: Extrinsic, frames: Sequence[CalibrationFrame] = (), score: Score | None = None) -> ExtrinsicFound:
-    """Find what an extrinsic means.
+def _are_same(a: Float64Array, b: Float64Array) -> bool:
+    between = a[:3, :3].T @ b[:3, :3]
+    # for small angles the sine is exact, while the cosine has lost its digits
+    sine = np.linalg.norm(between - between.T) / np.sqrt(8.0)
+    near = sine <= np.sin(_SAME_ROTATION) and np.trace(between) > 1.0
+    return bool(near and np.linalg.norm(a[:3, 3] - b[:3, 3]) <= _SAME_TRANSLATION)
 
-    Ways to read it that no vehicle has are left out first: a camera far from the lidar, or not upright, or one that
-    sees nothing of what the lidar sees. Of the rest those stay that `score` does not report from the best.
 
-    Args:
-        extrinsic: the numbers.
-        frames: of the drive whose camera and lidar it relates; none where there is no drive.
-        score: of these frames; None to go by what is left out alone.
+def _is_plausible(
+    camera_from_points: Float64Array, up: Float64Array | None, frames: Sequence[CalibrationFrame]
+) -> bool:
+    """Whether the camera is near the lidar and upright, and sees enough of what the lidar sees."""
+    if np.linalg.norm(camera_from_points[:3, 3]) >= _MOST_APART:
+        return False
+    if up is not None and -(camera_from_points[1, :3] @ up) <= np.cos(np.radians(_UPRIGHT_DEG)):
+        return False
+    shares = []
+    for frame in frames:
+        some = frame.points_lidar[:: len(frame.points_lidar) // _MOST_POINTS + 1]
+        placed = some @ camera_from_points[:3, :3].T + camera_from_points[:3, 3]
+        shares.append(float(project(frame.camera, placed)[1].mean()) if len(some) else 0.0)
+    return not shares or float(np.mean(shares)) >= _LEAST_SHARE
+
+
+def _find_up(frames: Sequence[CalibrationFrame]) -> Float64Array | None:
+    """Which axis of the points' frame is up, (3,); None where it is not clear.
+
+    A sweep spreads along the ground, so it is thinnest along the vertical, and its heights trail off upwards.
     """
-    up = _find_up(frames) if frames else np.array([0.0, 0.0, 1.0])
-    left = [
-        group
-        for group in groups(hypotheses(extrinsic.numbers, extrinsic.known, apart=extrinsic.apart))
-        if _is_possible(group[0].camera_from_points, up, frames)
-    ]
-    count = len(left)
-    if not left:
-        reason = "no way to read it puts an upright camera where it sees what the lidar sees"
-    elif count == 1:
-        reason = "all other ways put the camera on its side, upside down, too far away, or where it sees nothing"
-    elif score is None:
-        reason = "several ways put an upright camera near the lidar, and nothing reports them apart"
-    else:
-        scores = [score(group[0].camera_from_points) for group in left]
-        best = max(scores)
-        if best < _CLEAR:
-            reason = f"none of {count} possible ways matches points and images clearly"
-        else:
-            left = [group for group, own in zip(left, scores, strict=True) if own > best - _LEAD]
-            reason = f"{len(left)} of {count} possible ways match points and images about equally"
-            if len(left) == 1:
-                reason = f"of {count} possible ways it alone matches points and images ({best:.1f} sigma)"
-    trajectories = [trajectory.choices for group in left for trajectory in group]
-    possible = {
-        name: tuple(dict.fromkeys(trajectory[name] for trajectory in trajectories if name in trajectory))
-        for name in _CHOICES
-    }
-    decided = len(left) == 1
-    return ExtrinsicFound(
-        location=extrinsic.location,
-        camera=frames[0].camera_id if frames else None,
-        lidar=frames[0].lidar_id if frames else None,
-        possible={name: values for name, values in possible.items() if values},
-        decided=decided,
-        camera_from_lidar=left[0][0].camera_from_points.tolist() if decided else None,
-        reason=reason,
-    )
+    votes = np.zeros(6)
+    for frame in frames:
+        near = frame.points_lidar[np.linalg.norm(frame.points_lidar, axis=1) < _NEAR]
+        if len(near) < _LEAST_POINTS:
+            continue
+        some = near[:: len(near) // _MOST_POINTS + 1]
+        low, middle, high = np.quantile(some, [0.02, 0.5, 0.98], axis=0)
+        axis = int(np.argmin(high - low))
+        votes[2 * axis + (high[axis] - middle[axis] < middle[axis] - low[axis])] += 1
+    if votes.sum() == 0 or votes.max() < 0.75 * votes.sum():
+        return None
+    axis, downward = divmod(int(np.argmax(votes)), 2)
+    return np.asarray(np.eye(3)[axis] * (-1.0 if downward else 1.0))
 
 
-def edges_meeting(frames: Sequence[CalibrationFrame]) -> Score:
+def score_by_rotation(frames: Sequence[CalibrationFrame]) -> Score:
     """Give the function that scores candidates for `camera_from_points`.
 
     The score is by how many standard deviations all frames together agree better with the candidate than with the
-    same one rotated by 2.5 to 7 degrees, in the mean over the measures; about 0 for a candidate that is wrong. What an
-    edge score is worth differs from scene to scene, so that a candidate is compared with itself.
+    same one rotated by 2.5 to 7 degrees, in the mean over the measures; about 0 for a wrong candidate. The worth of an
+    edge score differs from scene to scene, so a candidate is compared with itself.
     """
     generator = np.random.default_rng(_SEED)
     axes = generator.normal(size=(_AXIS_ROTATIONS, 3))
@@ -426,147 +504,35 @@ def edges_meeting(frames: Sequence[CalibrationFrame]) -> Score:
     return score
 
 
-def time_units(timestamps: Sequence[float], kind: str) -> tuple[str, ...]:
-    """List the units in which timestamps of a sensor give a rate that there is and a date; several where they can.
+def read_extrinsics(path: Path) -> tuple[Extrinsic, ...]:
+    """Find all numbers of a file that can be an extrinsic.
 
-    Args:
-        timestamps: of successive measurements, in any order, in an unknown unit.
-        kind: lidar, camera, radar, imu or gnss.
-
-    Returns:
-        Names out of `UNITS_NS`; none where no unit fits, or fewer than two timestamps differ.
+    Raises:
+        DataError: the file cannot be read, or contains none.
     """
-    times = np.unique(np.asarray(timestamps, np.float64))
-    times = times[np.isfinite(times)]
-    if len(times) < 2:
-        return ()
-    step, first = float(np.median(np.diff(times))), float(times[0])
-    slowest, fastest = _RATES_HZ[kind]
-
-    def fits(unit_ns: int) -> bool:
-        seconds = first * unit_ns * 1e-9
-        is_date = abs(seconds) < _LEAST_EPOCH_S or _YEARS_S[0] <= seconds <= _YEARS_S[1]
-        return is_date and slowest <= 1e9 / (step * unit_ns) <= fastest
-
-    return tuple(unit for unit, unit_ns in UNITS_NS.items() if fits(unit_ns))
-
-
-def _own(scene: Scene, camera: CameraSensor, lidar: LidarSensor) -> ExtrinsicFound:
-    """Judge what the drive itself says of a camera and a lidar."""
-    location = f"camera {camera.id}, lidar {lidar.id}"
     try:
-        frames = calibration_frames(scene, camera.id, lidar.id, MOST_FRAMES)
-    except PoseError as error:
-        return ExtrinsicFound(location=location, camera=camera.id, lidar=lidar.id, reason=str(error))
-    numbers = tuple(frames[0].camera_from_lidar.matrix.reshape(-1).tolist())
-    found = decide(Extrinsic(location, numbers), frames, edges_meeting(frames))
-    as_read: bool | None = None
-    if found.possible:
-        right = all(_AS_READ[name] in values for name, values in found.possible.items())
-        as_read = (True if found.decided else None) if right else False
-    return msgspec.structs.replace(found, as_read=as_read)
-
-
-def _frames(scene: Scene, lidar: LidarSensor) -> tuple[str, ...]:
-    """List the frames that no other one beats clearly: points lie around their sensor and meet from sweep to sweep."""
-    subject = Subject(scene)
-    sweeps = plan_sweeps(subject, "", lidar)
-    for number in sorted(sweeps.wanted):
-        sweeps.seen[number] = sweep_of(lidar.frames[number])
-    away, meeting = distances(subject, sweeps), overlaps(subject, sweeps)
-    nearest, most = min(away.values(), default=0.0), max(meeting.values(), default=0.0)
-    return tuple(
-        reading.value
-        for reading in PointsFrame
-        if reading in away
-        and not lie_nearer(nearest, away[reading])
-        and not meet_more(most, meeting.get(reading, most))
-    )
-
-
-def _timestamps(sensor: Sensor) -> Int64Array:
-    """When a sensor measured, (N,) int64 [ns]; of an IMU its stream of the most samples."""
-    none = np.zeros(0, np.int64)
-    match sensor:
-        case CameraSensor():
-            return sensor.images.timestamps_ns
-        case LidarSensor() | RadarSensor():
-            return sensor.frames.timestamps_ns
-        case GnssSensor():
-            return sensor.timestamps_ns
-        case ImuSensor():
-            return max((stream.timestamps_ns for stream in sensor.streams.values()), key=len, default=none)
-    return none
-
-
-def _readings(numbers: Float64Array, *, apart: bool) -> Iterator[tuple[dict[str, str], Float64Array, Float64Array]]:
-    """Read numbers as matrices, quaternions or angles: the choices, (3, 3) of about a rotation, and (3,)."""
-    if numbers.size in _SHAPES:
-        rows, columns = (3, 3) if apart else _SHAPES[numbers.size]
-        table = numbers[: rows * columns]
-        for layout, matrix in (
-            ("rows", table.reshape(rows, columns)),
-            ("columns", table.reshape(columns, rows).T),
-        ):
-            beside = numbers[9:] if apart else matrix[:3, 3] if columns == 4 else np.zeros(3)
-            if rows == 3 or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() <= 1e-6:
-                yield {"layout": layout}, matrix[:3, :3], beside
-        return
-    if numbers.size not in _COUNTS:
-        return
-    for parts, translation, rotation in (
-        ("translation first", numbers[:3], numbers[3:]),
-        ("rotation first", numbers[-3:], numbers[:-3]),
-    ):
-        own = {"order of parts": parts}
-        norm = float(np.linalg.norm(rotation))
-        if len(rotation) == 4 and abs(norm - 1.0) <= _TOLERANCE:
-            for order, xyzw in (("x y z w", rotation), ("w x y z", np.roll(rotation, -1))):
-                yield {**own, "quaternion": order}, matrix_from_quaternion(xyzw / norm), translation
-        if len(rotation) == 3:
-            for unit, (name, order) in product(AngleUnit, (("Rz Ry Rx", "zyx"), ("Rx Ry Rz", "xyz"))):
-                if np.abs(rotation).max() <= (360.0 if unit is AngleUnit.DEGREES else 2 * np.pi + 1e-6):
-                    matrix = rotation_from_cuboid_angles(rotation, unit=unit, order=order)
-                    yield {**own, "angles": unit.value, "order of angles": name}, matrix, translation
-
-
-def _is_possible(camera_from_points: Float64Array, up: Float64Array | None, frames: Sequence[CalibrationFrame]) -> bool:
-    """Whether the camera is near the lidar and upright, and sees enough of what the lidar sees."""
-    if np.linalg.norm(camera_from_points[:3, 3]) >= _MOST_APART:
-        return False
-    if up is not None and -(camera_from_points[1, :3] @ up) <= np.cos(np.radians(_UPRIGHT_DEG)):
-        return False
-    shares = []
-    for frame in frames:
-        some = frame.points_lidar[:: len(frame.points_lidar) // _MOST_POINTS + 1]
-        placed = some @ camera_from_points[:3, :3].T + camera_from_points[:3, 3]
-        shares.append(float(project(frame.camera, placed)[1].mean()) if len(some) else 0.0)
-    return not shares or float(np.mean(shares)) >= _LEAST_SHARE
-
-
-def _find_up(frames: Sequence[CalibrationFrame]) -> Float64Array | None:
-    """Find which axis of the points' frame is up, (3,); None where it is not clear.
-
-    A sweep spreads along the ground, so it is thinnest along the vertical; and things stand on the ground but do not
-    hang below it, so that its heights trail off upwards.
-    """
-    votes = np.zeros(6)
-    for frame in frames:
-        near = frame.points_lidar[np.linalg.norm(frame.points_lidar, axis=1) < _NEAR]
-        if len(near) < _LEAST_POINTS:
-            continue
-        some = near[:: len(near) // _MOST_POINTS + 1]
-        low, middle, high = np.quantile(some, [0.02, 0.5, 0.98], axis=0)
-        axis = int(np.argmin(high - low))
-        votes[2 * axis + (high[axis] - middle[axis] < middle[axis] - low[axis])] += 1
-    if votes.sum() == 0 or votes.max() < 0.75 * votes.sum():
-        return None
-    axis, downward = divmod(int(np.argmax(votes)), 2)
-    return np.asarray(np.eye(3)[axis] * (-1.0 if downward else 1.0))
+        text = read_settings(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DataError(str(path), "", f"{error}; expected a text with an extrinsic in it") from error
+    found: list[Extrinsic] = []
+    try:
+        for extrinsic in _walk(_parsed(text), ""):
+            if hypotheses(extrinsic.numbers, extrinsic.known, apart=extrinsic.apart):
+                found.append(extrinsic)
+            if len(found) == _MOST_FOUND:
+                break
+    except OverflowError as error:  # whole numbers may have any length
+        raise DataError(str(path), "", f"{error}; expected the numbers of an extrinsic") from error
+    if not found:
+        raise DataError(
+            str(path), "", "no extrinsic in it; expected 16, 12 or 9 numbers of a matrix, 7 of a translation and a "
+            "quaternion, or 6 of a translation and angles",
+        )  # fmt: skip
+    return tuple(found)
 
 
 def _parsed(text: str) -> Any:
-    """Parse JSON, TOML, or lines of names and numbers; lines without a name go on with the one before."""
+    """Parse JSON, TOML, or lines of names and numbers; lines without a name continue the one before."""
     with suppress(msgspec.DecodeError, RecursionError):
         return msgspec.json.decode(text.encode())
     with suppress(ValueError, RecursionError):
@@ -578,21 +544,14 @@ def _parsed(text: str) -> Any:
         words = (tail if separator else line).translate(_BLANKS).split()
         if separator:
             name = head.strip()
-        elif words and not _is_number(words[0]):
-            name, *words = words
+        elif words:
+            try:
+                float(words[0])
+            except ValueError:
+                name, *words = words
         with suppress(ValueError):
             named.setdefault(name, []).extend([float(word) for word in words])
     return named
-
-
-_BLANKS = str.maketrans(",[]", "   ")
-
-
-def _is_number(word: str) -> bool:
-    with suppress(ValueError):
-        float(word)
-        return True
-    return False
 
 
 def _walk(value: Any, location: str) -> Iterator[Extrinsic]:
@@ -621,7 +580,7 @@ def _numbers(value: Any) -> tuple[float, ...] | None:
 
 
 def _parts(value: dict[str, Any], location: str) -> Extrinsic | None:
-    """Put a translation and a rotation together that stand side by side; None where there are none."""
+    """Join a translation and a rotation that stand side by side; None where there are none."""
     first = {"order of parts": "translation first"}
     for letter in ("", "p", "t"):
         flat = _vector(value, (*(f"{letter}{axis}" for axis in "xyz"), "qx", "qy", "qz", "qw"))
@@ -643,6 +602,6 @@ def _parts(value: dict[str, Any], location: str) -> Extrinsic | None:
 
 
 def _vector(value: Any, names: tuple[str, ...]) -> tuple[float, ...] | None:
-    """Give numbers by their names, or in the order of a list of as many."""
+    """Numbers by their names, or in the order of a list of as many."""
     numbers = _numbers([value.get(name) for name in names] if isinstance(value, dict) else value)
     return numbers if numbers is not None and len(numbers) == len(names) else None

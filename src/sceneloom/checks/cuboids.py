@@ -2,14 +2,25 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, read_only
-from sceneloom.checks.annotation_table import PartTable, annotation_parts, cuboid_rows, cuboids_at
-from sceneloom.checks.point_frames import frames_spread, points_in_world
-from sceneloom.checks.rule import ERROR, HINT, WARNING, FrameInHand, Hit, Rule, Subject, repaired_annotations
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
+from sceneloom.checks.annotation_table import annotation_parts, cuboid_rows, cuboids_at
+from sceneloom.checks.point_frames import points_in_world
+from sceneloom.checks.rule import (
+    ERROR,
+    HINT,
+    WARNING,
+    Find,
+    FrameInHand,
+    Hit,
+    Rule,
+    Subject,
+    frames_spread,
+    repaired_annotations,
+)
 from sceneloom.geometry.euler import ORDERS, AngleUnit, rotation_from_cuboid_angles
 from sceneloom.scene.annotations import Annotation, CuboidAnnotation
 from sceneloom.scene.annotations_at import CuboidAngles
@@ -32,40 +43,41 @@ _OFF_DEG, _ALONG_DEG = 20.0, 10.0
 """A reading whose headings are so far off the motion is wrong if under another one they are along it, in the median."""
 
 _LOOKED_AT, _KEPT_POINTS, _MOST_BOXES, _NEAR_M = 4, 60_000, 150, 60.0
-_LEAST_POINTS, _MORE_POINTS = 50, 1.15
-_OFF_GROUND_M = 0.2
+_LEAST_POINTS, _MORE_POINTS, _OFF_GROUND_M = 50, 1.15, 0.2
 
 _SAME_DEG, _SAME_SHARE = 1.0, 0.98
 """Of readings that are so nearly alike, the one that differs least from what is stated is named."""
 
+_SMALLEST_M, _LARGEST_M = 0.01, 100.0
+"""Beyond it even trams and ferries end; a building that long deserves a look."""
 
-class _Reading(NamedTuple):
-    """How angles are read: their unit and the order of the product."""
+_SIZE_FACTOR, _SIZE_CHANGE_M = 2.0, 0.5
+"""Labels grow while more of an object is seen; doubling by more than this is another object."""
 
-    unit: str
-    order: str
+_SLACK_M, _ACCELERATION = 2.0, 20.0
+"""Twice what tyres hold on a road [m/s²]; with the slack it bounds how far a keyframe lies off the trajectory."""
 
-    def __str__(self) -> str:
-        return f"{self.unit} in the order {self.order}"
+_FASTEST = 100.0
+"""No vehicle on a road is faster [m/s]."""
 
-    @classmethod
-    def of(cls, subject: Subject) -> "_Reading":
-        """The reading that the scene states, or is taken to state."""
-        angles = CuboidAngles.of(subject.scene)
-        return cls(angles.unit, angles.order)
+_STATIONARY_M = 1.0
+_ROTATION_DEG, _ROTATION_WITHIN_NS = 100.0, 600_000_000
+"""Nothing on wheels rotates that far within this time."""
 
-    def others(self) -> "list[_Reading]":
-        """This reading, then all others, the likeliest mistakes first."""
-        readings = [_Reading(unit.value, order) for unit in AngleUnit for order in ORDERS]
-        return sorted(readings, key=lambda one: (one != self) + (one.order != self.order))
 
-    def rotations(self, rows: Float64Array) -> Float64Array:
-        """(N, 3, 3) `world_from_cuboid` of rows (N, 9)."""
-        return rotation_from_cuboid_angles(rows[:, 6:9], unit=self.unit, order=self.order)
+def _readings(stated: CuboidAngles) -> list[CuboidAngles]:
+    """The stated reading of the angles, then all others, the likeliest mistakes first."""
+    readings = [CuboidAngles(unit.value, order) for unit in AngleUnit for order in ORDERS]
+    return sorted(readings, key=lambda one: (one != stated) + (one.order != stated.order))
 
-    def headings(self, rows: Float64Array) -> Float64Array:
-        """The direction in which cuboids point, (N, 3) float64: their x axis."""
-        return np.ascontiguousarray(self.rotations(rows)[:, :, 0])
+
+def _rotations(reading: CuboidAngles, rows: Float64Array) -> Float64Array:
+    """(N, 3, 3) `world_from_cuboid` of rows (N, 9); their first columns are the headings."""
+    return rotation_from_cuboid_angles(rows[:, 6:9], unit=reading.unit, order=reading.order)
+
+
+def _worded(reading: CuboidAngles) -> str:
+    return f"{reading.unit} in the order {reading.order}"
 
 
 @dataclass(slots=True, eq=False)
@@ -73,6 +85,7 @@ class _Evidence:
     """What the data show about the reading of angles.
 
     Attributes:
+        stated: the reading that the scene states, or is taken to state.
         off_deg: median angle between heading (or back) and motion by reading [deg]; empty where too little moves.
         steps: of how many steps.
         points: points in boxes by reading.
@@ -80,9 +93,10 @@ class _Evidence:
         counted: the frames that were counted.
     """
 
-    off_deg: dict[_Reading, float]
+    stated: CuboidAngles
+    off_deg: dict[CuboidAngles, float]
     steps: int
-    points: dict[_Reading, int] = field(default_factory=dict)
+    points: dict[CuboidAngles, int] = field(default_factory=dict)
     boxes: int = 0
     counted: set[str] = field(default_factory=set)
 
@@ -92,14 +106,12 @@ def _evidence(subject: Subject) -> _Evidence:
 
 
 def _motion_evidence(subject: Subject) -> _Evidence:
+    stated, off_deg = CuboidAngles.of(subject.scene), {}
     rows, directions = _moving(subject)
-    if len(rows) < _LEAST_STEPS:
-        return _Evidence({}, len(rows))
-    off_deg = {}
-    for reading in _Reading.of(subject).others():
-        cosines = np.abs(np.sum(reading.headings(rows) * directions, axis=1)).clip(0, 1)
+    for reading in _readings(stated) if len(rows) >= _LEAST_STEPS else ():
+        cosines = np.abs(np.sum(_rotations(reading, rows)[:, :, 0] * directions, axis=1)).clip(0, 1)
         off_deg[reading] = float(np.degrees(np.median(np.arccos(cosines))))
-    return _Evidence(off_deg, len(rows))
+    return _Evidence(stated, off_deg, len(rows))
 
 
 def _moving(subject: Subject) -> tuple[Float64Array, Float64Array]:
@@ -144,12 +156,12 @@ def _count_in_boxes(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
         points_world = points_in_world(subject, lidar, sweep, _KEPT_POINTS)
         if points_world is not None and len(points_world):
             evidence.counted.add(frame.path)
-            _count_points(subject, evidence, points_world, cuboids_at(subject, sweep))
+            _count_points(evidence, points_world, cuboids_at(subject, sweep))
     return iter(())
 
 
-def _count_points(subject: Subject, evidence: _Evidence, points_world: Float64Array, rows: Float64Array) -> None:
-    """Count the points in some boxes near the middle of a sweep, but for those just above their floors."""
+def _count_points(evidence: _Evidence, points_world: Float64Array, rows: Float64Array) -> None:
+    """Count the points in some boxes near the middle of a sweep, except for those just above their floors."""
     from scipy.spatial import cKDTree
 
     near = np.linalg.norm(rows[:, 3:6] - np.median(points_world, axis=0), axis=1) < _NEAR_M
@@ -160,16 +172,15 @@ def _count_points(subject: Subject, evidence: _Evidence, points_world: Float64Ar
     boxes: Int64Array = np.repeat(np.arange(len(rows)), np.array([len(found) for found in lists], np.int64))
     ids = np.concatenate([np.zeros(0, np.int64), *(np.asarray(found, np.int64) for found in lists)])
     away, halves = points_world[ids] - rows[boxes, 3:6], rows[boxes, :3] / 2
-    for reading in _Reading.of(subject).others():
-        points_box = np.einsum("nji,nj->ni", reading.rotations(rows)[boxes], away)
-        inside: AnyArray = (np.abs(points_box) <= halves).all(axis=1)
-        count = int(np.count_nonzero(inside & (points_box[:, 2] > _OFF_GROUND_M - halves[:, 2])))
-        evidence.points[reading] = evidence.points.get(reading, 0) + count
+    for reading in _readings(evidence.stated):
+        points_box = np.einsum("nji,nj->ni", _rotations(reading, rows)[boxes], away)
+        inside = (np.abs(points_box) <= halves).all(axis=1) & (points_box[:, 2] > _OFF_GROUND_M - halves[:, 2])
+        evidence.points[reading] = evidence.points.get(reading, 0) + int(np.count_nonzero(inside))
 
 
 def _against_motion(subject: Subject) -> Iterator[Hit]:
-    found, stated = _evidence(subject), _Reading.of(subject)
-    angles = found.off_deg
+    found = _evidence(subject)
+    stated, angles = found.stated, found.off_deg
     if not angles or angles[stated] < _OFF_DEG:
         return
     least = min(angles.values())
@@ -177,14 +188,14 @@ def _against_motion(subject: Subject) -> Iterator[Hit]:
     if angles[best] < _ALONG_DEG:
         yield Hit(
             "annotations",
-            f"read as {stated} headings are {angles[stated]:.0f}° off the motion, read as {best} {angles[best]:.0f}° "
-            f"(median of {found.steps} steps)",
+            f"read as {_worded(stated)} headings are {angles[stated]:.0f}° off the motion, read as {_worded(best)} "
+            f"{angles[best]:.0f}° (median of {found.steps} steps)",
         )
 
 
 def _against_points(subject: Subject) -> Iterator[Hit]:
-    found, stated = _evidence(subject), _Reading.of(subject)
-    angles, points = found.off_deg, found.points
+    found = _evidence(subject)
+    stated, angles, points = found.stated, found.off_deg, found.points
     if not points:
         return
     most = max(points.values())
@@ -193,7 +204,10 @@ def _against_points(subject: Subject) -> Iterator[Hit]:
         return
     if angles and angles[best] > max(angles[stated], _ALONG_DEG):
         return
-    problem = f"read as {stated} {found.boxes} boxes hold {points[stated]} points, read as {best} {points[best]}"
+    problem = (
+        f"read as {_worded(stated)} {found.boxes} boxes hold {points[stated]} points, read as {_worded(best)} "
+        f"{points[best]}"
+    )
     if angles:
         problem += (
             f"; headings are {angles[stated]:.0f}° and {angles[best]:.0f}° off the motion, in the median of "
@@ -207,8 +221,9 @@ def _unsaid(subject: Subject) -> Iterator[Hit]:
     assumed = {warning.code for warning in subject.notes if warning.kind is WarningKind.ASSUMED}
     if not assumed & {"euler-unit", "euler-order"}:
         return
-    found, stated = _evidence(subject), _Reading.of(subject)
-    other = _Reading(next(unit.value for unit in AngleUnit if unit.value != stated.unit), stated.order)
+    found = _evidence(subject)
+    stated = found.stated
+    other = CuboidAngles(next(unit.value for unit in AngleUnit if unit.value != stated.unit), stated.order)
     evidence = []
     if found.off_deg:
         evidence.append(
@@ -218,53 +233,27 @@ def _unsaid(subject: Subject) -> Iterator[Hit]:
     if found.points:
         held, in_other = found.points[stated], found.points[other]
         evidence.append(f"{found.boxes} boxes hold {held} points, in {other.unit} {in_other}")
-    reported = "; ".join(evidence) or "neither motion nor points in the boxes report"
-    yield Hit("annotations", f"not stated; taken to be {stated}: {reported}")
+    shown = "; ".join(evidence) or "neither motion nor points in the boxes show it"
+    yield Hit("annotations", f"not stated; taken to be {_worded(stated)}: {shown}")
 
 
-_REMEDY = "Open the file with `--euler-unit` and `--euler-order` as the message says, and write it again."
+def _hits(subject: Subject, bad: Any, state: Callable[[int], str]) -> Iterator[Hit]:
+    return annotation_parts(subject, "cuboids").hits(subject, bad, state, within=".values")
 
-# fmt: off
-CUBOID_ANGLE_RULES: tuple[Rule, ...] = (
-    Rule("cuboid-heading-off-motion", WARNING,
-         "Cuboids move along their headings under the unit and order of their angles that is stated.", _REMEDY,
-         find=_against_motion),
-    Rule("cuboid-angles-off-points", WARNING,
-         "No other unit or order of their angles puts clearly more points into the cuboids.", _REMEDY,
-         look=_count_in_boxes, conclude=_against_points),
-    Rule("cuboid-angles-unsaid", HINT, "The scene says in which unit and order the angles of its cuboids are.",
-         "Open the file with `--euler-unit` and `--euler-order`, and write it again, which records them.",
-         look=_count_in_boxes, conclude=_unsaid),
-)
-# fmt: on
 
-_LARGEST_M = 100.0
-"""Beyond it even trams and ferries end; a building that long deserves a look."""
+def _numbers(values: Float64Array) -> str:
+    return "[" + ", ".join(f"{value:g}" for value in values.tolist()) + "]"
 
-_SMALLEST_M = 0.01
-_SIZE_FACTOR = 2.0
 
-_SIZE_CHANGE_M = 0.5
-"""Labels grow while more of an object is seen; doubling by more than this is another object."""
-
-_SLACK_M = 2.0
-
-_ACCELERATION = 20.0
-"""Twice what tyres hold on a road [m/s²]; with the slack it bounds how far a keyframe lies off the trajectory."""
-
-_FASTEST = 100.0
-"""No vehicle on a road is faster [m/s]."""
-
-_STATIONARY_M = 1.0
-_ROTATION_DEG = 100.0
-
-_ROTATION_WITHIN_NS = 600_000_000
-"""Nothing on wheels rotates that far within this time."""
+def _from_second(subject: Subject, bad_steps: Any) -> BoolArray:
+    """Mark the later row of each step that is bad and inside one path."""
+    table = annotation_parts(subject, "cuboids")
+    return np.concatenate([np.zeros(min(len(table.timestamps_ns), 1), np.bool_), bad_steps & table.inner])
 
 
 def _not_finite(subject: Subject) -> Iterator[Hit]:
     rows = cuboid_rows(subject)
-    bad = _in_any(~np.isfinite(rows))
+    bad = (~np.isfinite(rows)).any(axis=1)
     yield from _hits(subject, bad, lambda row: f"{_numbers(rows[row])}; expected finite numbers")
     for path, annotation in subject.annotations():
         for k, activation in enumerate(getattr(annotation, "activations", ())):
@@ -278,68 +267,41 @@ def _not_finite(subject: Subject) -> Iterator[Hit]:
                 yield Hit(where, f"{_numbers(seen[row])}; expected finite numbers")
 
 
-def _hits(subject: Subject, bad: BoolArray, state: Callable[[int], str]) -> Iterator[Hit]:
-    return annotation_parts(subject, "cuboids").hits(subject, bad, state, within=".values")
+def _size(is_bad: Callable[[Float64Array], BoolArray], expected: str) -> Find:
+    """Find cuboids any length of which, (N, 3) [m], is bad."""
+
+    def find(subject: Subject) -> Iterator[Hit]:
+        sizes = cuboid_rows(subject)[:, :3]
+        return _hits(
+            subject, is_bad(sizes).any(axis=1), lambda row: f"size {_numbers(sizes[row])} m; expected {expected}"
+        )
+
+    return find
 
 
-def _in_any(bad: BoolArray) -> BoolArray:
-    """(N,) bool: whether a row has a column at fault."""
-    return np.asarray(bad.any(axis=1))
-
-
-def _numbers(values: Float64Array) -> str:
-    return "[" + ", ".join(f"{value:g}" for value in values.tolist()) + "]"
-
-
-def _negative_size(subject: Subject) -> Iterator[Hit]:
-    sizes = cuboid_rows(subject)[:, :3]
-    bad = _in_any(sizes < 0)
-    return _hits(subject, bad, lambda row: f"size {_numbers(sizes[row])} m; expected positive lengths")
+def _is_absurd(sizes: Float64Array) -> BoolArray:
+    lengths = np.abs(sizes)
+    return ((lengths > 0) & (lengths < _SMALLEST_M)) | ((lengths > _LARGEST_M) & np.isfinite(lengths))
 
 
 def _positive_sizes(scene: Scene) -> Scene:
-    """Rotate negative lengths positive: a box is the same seen from its other side."""
-    return repaired_annotations(scene, _with_positive_size)
+    """Make negative lengths positive: a box is the same seen from its other side."""
 
+    def positive(cuboid: Annotation) -> Annotation:
+        if not isinstance(cuboid, CuboidAnnotation) or not (cuboid.path.values[:, :3] < 0).any():
+            return cuboid
+        values = np.concatenate([np.abs(cuboid.path.values[:, :3]), cuboid.path.values[:, 3:]], axis=1)
+        return replace(cuboid, path=replace(cuboid.path, values=read_only(values)))
 
-def _with_positive_size(cuboid: Annotation) -> Annotation:
-    if not isinstance(cuboid, CuboidAnnotation):
-        return cuboid
-    values = cuboid.path.values
-    if not (values[:, :3] < 0).any():
-        return cuboid
-    positive = values.copy()
-    positive[:, :3] = np.abs(positive[:, :3])
-    return replace(cuboid, path=replace(cuboid.path, values=read_only(positive)))
-
-
-def _no_size(subject: Subject) -> Iterator[Hit]:
-    sizes = cuboid_rows(subject)[:, :3]
-    bad = _in_any(sizes == 0)
-    return _hits(subject, bad, lambda row: f"size {_numbers(sizes[row])} m; expected positive lengths")
-
-
-def _absurd_size(subject: Subject) -> Iterator[Hit]:
-    sizes = np.abs(cuboid_rows(subject)[:, :3])
-    bad = _in_any(((sizes > 0) & (sizes < _SMALLEST_M)) | ((sizes > _LARGEST_M) & np.isfinite(sizes)))
-    expected = f"expected {_SMALLEST_M:g} to {_LARGEST_M:g} m"
-    return _hits(subject, bad, lambda row: f"size {_numbers(sizes[row])} m; {expected}")
+    return repaired_annotations(scene, positive)
 
 
 def _size_changes(subject: Subject) -> Iterator[Hit]:
-    table, sizes = annotation_parts(subject, "cuboids"), np.abs(cuboid_rows(subject)[:, :3])
-    before, after = sizes[:-1], sizes[1:]
-    smaller, larger = np.minimum(before, after), np.maximum(before, after)
+    sizes = np.abs(cuboid_rows(subject)[:, :3])
+    smaller, larger = np.minimum(sizes[:-1], sizes[1:]), np.maximum(sizes[:-1], sizes[1:])
     jumps = (larger > _SIZE_FACTOR * smaller) & (larger - smaller > _SIZE_CHANGE_M) & np.isfinite(larger)
-    bad = _from_second(table, _in_any(jumps))
+    bad = _from_second(subject, jumps.any(axis=1))
     return _hits(subject, bad, lambda row: f"size {_numbers(sizes[row])} m after {_numbers(sizes[row - 1])} m")
-
-
-def _from_second(table: PartTable, bad_steps: BoolArray) -> BoolArray:
-    """Mark the later row of each step that is bad and inside one path."""
-    bad = np.zeros(len(table.timestamps_ns), bool)
-    bad[1:] = bad_steps & table.inner
-    return bad
 
 
 def _jumps(subject: Subject) -> Iterator[Hit]:
@@ -347,17 +309,16 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
     table, positions = annotation_parts(subject, "cuboids"), cuboid_rows(subject)[:, 3:6]
     seconds = np.diff(table.timestamps_ns) / 1e9
     forward = table.inner & (seconds > 0)
-    trajectory = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    out_of_reach = _from_second(table, forward & (trajectory > _SLACK_M + _FASTEST * seconds))
+    lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    out_of_reach = _from_second(subject, forward & (lengths > _SLACK_M + _FASTEST * seconds))
     off = _off_the_trajectory(positions, seconds, forward)
 
     def state(row: int) -> str:
         if off[row]:
             return f"{off[row]:.1f} m off the trajectory between the keyframes before and after"
-        return f"{trajectory[row - 1]:.1f} m from the keyframe before, in {seconds[row - 1]:.3f} s"
+        return f"{lengths[row - 1]:.1f} m from the keyframe before, in {seconds[row - 1]:.3f} s"
 
-    bad = out_of_reach | (off > 0)
-    return _hits(subject, bad, state)
+    return _hits(subject, out_of_reach | (off > 0), state)
 
 
 def _off_the_trajectory(positions: Float64Array, seconds: Float64Array, forward: BoolArray) -> Float64Array:
@@ -380,54 +341,61 @@ def _off_the_trajectory(positions: Float64Array, seconds: Float64Array, forward:
 
 def _stationary_moves(subject: Subject) -> Iterator[Hit]:
     for path, annotation in subject.annotations_of(CuboidAnnotation):
-        if annotation.stationary:
-            positions = annotation.path.values[:, 3:6]
-            spread = float(np.linalg.norm(np.ptp(positions, axis=0))) if len(positions) > 1 else 0.0
+        positions = annotation.path.values[:, 3:6]
+        if annotation.stationary and len(positions) > 1:
+            spread = float(np.linalg.norm(np.ptp(positions, axis=0)))
             if spread > _STATIONARY_M:
                 yield Hit(f"{path}.stationary", f"true, yet the keyframes lie {spread:.1f} m apart")
 
 
-def _cuboids_rotations(subject: Subject) -> Iterator[Hit]:
-    table, rows = annotation_parts(subject, "cuboids"), cuboid_rows(subject)
+def _fast_rotations(subject: Subject) -> Iterator[Hit]:
+    table, rows, reading = annotation_parts(subject, "cuboids"), cuboid_rows(subject), CuboidAngles.of(subject.scene)
     steps = np.diff(table.timestamps_ns)
-    reading = _Reading.of(subject)
     half_rotation = 180.0 if reading.unit == AngleUnit.DEGREES else np.pi
     reach = np.abs(np.diff(rows[:, 6:9], axis=0)).sum(axis=1) / half_rotation * 180.0
     # no cuboid rotates by more than its three angles do together
-    may = table.inner & (steps > 0) & (steps <= _ROTATION_WITHIN_NS) & (reach > _ROTATION_DEG)
-    steps_chosen = np.flatnonzero(may)
-    before = reading.headings(rows[steps_chosen])
-    after = reading.headings(rows[steps_chosen + 1])
-    angles = np.degrees(np.arccos(np.sum(before * after, axis=1).clip(-1, 1)))
-    bad = np.zeros(len(rows), bool)
-    bad[steps_chosen[angles > _ROTATION_DEG] + 1] = True
-    angle_of = dict(zip((steps_chosen + 1).tolist(), angles.tolist(), strict=True))
-    return _hits(subject, bad, lambda row: f"rotated by {angle_of[row]:.0f}° in {steps[row - 1] / 1e9:.3f} s")
+    chosen = np.flatnonzero(table.inner & (steps > 0) & (steps <= _ROTATION_WITHIN_NS) & (reach > _ROTATION_DEG))
+    before, after = (_rotations(reading, rows[chosen + k])[:, :, 0] for k in (0, 1))
+    angles = np.zeros(len(rows))
+    angles[chosen + 1] = np.degrees(np.arccos(np.sum(before * after, axis=1).clip(-1, 1)))
+    return _hits(
+        subject, angles > _ROTATION_DEG, lambda row: f"rotated by {angles[row]:.0f}° in {steps[row - 1] / 1e9:.3f} s"
+    )
 
+
+_REMEDY = "Open the file with `--euler-unit` and `--euler-order` as the message says, and write it again."
 
 # fmt: off
 CUBOID_RULES: tuple[Rule, ...] = (
-    Rule("cuboid-not-finite", ERROR, "All numbers of a cuboid are finite.", "Take the keyframe out.",
-         find=_not_finite),
+    Rule("cuboid-not-finite", ERROR, "All numbers of a cuboid are finite.", "Remove the keyframe.", find=_not_finite),
     Rule("cuboid-negative-size", ERROR, "No length of a cuboid is negative.",
-         "Take the length without its sign: the box is the same.", find=_negative_size, fix=_positive_sizes),
+         "Take the length without its sign: the box is the same.",
+         find=_size(lambda sizes: sizes < 0, "positive lengths"), fix=_positive_sizes),
     Rule("cuboid-no-size", ERROR, "No length of a cuboid is zero.", "Draw the cuboid as large as the object.",
-         find=_no_size),
-    Rule("cuboid-size-absurd", WARNING,
-         f"Cuboids are {_SMALLEST_M:g} m to {_LARGEST_M:g} m long, wide and high.",
-         "Look whether the lengths are in metres, and in the order length, width, height, position, angles.",
-         find=_absurd_size),
+         find=_size(lambda sizes: sizes == 0, "positive lengths")),
+    Rule("cuboid-size-absurd", WARNING, f"Cuboids are {_SMALLEST_M:g} m to {_LARGEST_M:g} m long, wide and high.",
+         "Check that the lengths are in metres, and in the order length, width, height, position, angles.",
+         find=_size(_is_absurd, f"{_SMALLEST_M:g} to {_LARGEST_M:g} m")),
     Rule("cuboid-size-changes", WARNING,
          f"From keyframe to keyframe no length changes by more than {_SIZE_FACTOR:g} times and {_SIZE_CHANGE_M:g} m.",
-         "Look whether one path joins two objects.", find=_size_changes),
+         "Check whether one path joins two objects.", find=_size_changes),
     Rule("cuboid-jump", WARNING,
          "Cuboids move as objects can: no keyframe lies off the trajectory between its neighbours or out of reach.",
-         "Look whether one path joins two objects, or a keyframe is misplaced.", find=_jumps),
+         "Check whether one path joins two objects, or a keyframe is misplaced.", find=_jumps),
     Rule("cuboid-rotation", WARNING,
          f"No cuboid rotates by more than {_ROTATION_DEG:g}° within {_ROTATION_WITHIN_NS / 1e9:g} s.",
-         "Look whether front and back were mixed up in a keyframe.", find=_cuboids_rotations),
+         "Check whether front and back were mixed up in a keyframe.", find=_fast_rotations),
     Rule("cuboid-stationary-moves", WARNING,
          f"The keyframes of a stationary cuboid lie within {_STATIONARY_M:g} m.",
-         "Take `stationary` out, or leave one keyframe.", find=_stationary_moves),
+         "Remove `stationary`, or leave one keyframe.", find=_stationary_moves),
+    Rule("cuboid-heading-off-motion", WARNING,
+         "Cuboids move along their headings under the unit and order of their angles that is stated.", _REMEDY,
+         find=_against_motion),
+    Rule("cuboid-angles-off-points", WARNING,
+         "No other unit or order of their angles puts clearly more points into the cuboids.", _REMEDY,
+         look=_count_in_boxes, conclude=_against_points),
+    Rule("cuboid-angles-unsaid", HINT, "The scene says in which unit and order the angles of its cuboids are.",
+         "Open the file with `--euler-unit` and `--euler-order`, and write it again, which records them.",
+         look=_count_in_boxes, conclude=_unsaid),
 )
 # fmt: on

@@ -248,6 +248,11 @@ def period_ns(timestamps_ns: Int64Array) -> float:
     return median_ns if median_ns > 0 else float(NOMINAL_PERIOD_NS)
 
 
+def frames_spread(count: int, wanted: int) -> frozenset[int]:
+    """Numbers of frames, evenly spread over all of a sensor's."""
+    return frozenset(np.linspace(0, count - 1, wanted).astype(int).tolist())
+
+
 def frames_path(sensor_path: str, sensor: Sensor) -> str:
     """`sensors[3].frames`, or `sensors[3].images`."""
     return f"{sensor_path}.{'images' if isinstance(sensor, CameraSensor) else 'frames'}"

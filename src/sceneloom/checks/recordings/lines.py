@@ -12,10 +12,9 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.checks.faults import as_read, warnings_of_code
-from sceneloom.checks.point_frames import frames_spread
 from sceneloom.checks.recordings.calibration import stereo_pairs
 from sceneloom.checks.recordings.times import Kind, streams_of, streams_of_kind
-from sceneloom.checks.rule import HINT, WARNING, Find, FrameInHand, Hit, Rule, Subject
+from sceneloom.checks.rule import HINT, WARNING, Find, FrameInHand, Hit, Rule, Subject, frames_spread
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
 from sceneloom.formats.recording.lines import FrameColumns, time_order, view
 from sceneloom.formats.recording.reader import VIO_CONFIG_FILE

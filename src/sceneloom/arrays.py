@@ -84,20 +84,24 @@ def hold_arrays(owner: object, path: str, fields: Mapping[str, tuple[Any, ...]],
     count: int | None = None
     for key, (dtype, *axes) in fields.items():
         name = key.removesuffix("?")
-        value = getattr(owner, name)
+        value: Any = getattr(owner, name)
         if value is None and name != key:
             continue
-        where = f"{path}.{name}" if path else name
-        held: Any
+        held = value
         if dtype is int:
-            held = as_timestamp(where, value)
+            held = as_timestamp(f"{path}.{name}" if path else name, value)
         else:
-            shape = [count if length == "N" else length for length in axes]
-            held = as_array(where, value, shape, dtype)
-            check_array(where, held, shape, dtype)
-            if count is None and axes[0] == "N":
+            for k, length in enumerate(axes):
+                if length == "N":
+                    axes[k] = count
+            # a short way for what is right already, since scenes make hundreds of thousands of small arrays
+            if type(value) is not np.ndarray or value.dtype.type is not dtype or value.shape != tuple(axes):
+                where = f"{path}.{name}" if path else name
+                held = as_array(where, value, axes, dtype)
+                check_array(where, held, axes, dtype)
+            if count is None and fields[key][1] == "N":
                 count = len(held)
-            if frozen:
+            if frozen and (held.flags.writeable or not held.flags.c_contiguous):
                 held = read_only(held)
         if held is not value:
             object.__setattr__(owner, name, held)

@@ -5,10 +5,13 @@ Each moment counts for the innermost stage only, in the thread that asks. Where 
 
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from types import TracebackType
+from typing import Any, TypeVar
+
+_Result = TypeVar("_Result")
 
 
 class _Clock:
@@ -52,6 +55,12 @@ class stage:  # noqa: N801 - reads as the statement that it is: `with stage("fus
         if clock is not None and clock.open:
             clock.lap()
             clock.open.pop()
+
+
+def in_stage(name: str, work: Callable[..., _Result], *arguments: Any) -> _Result:
+    """Call a function as this stage."""
+    with stage(name):
+        return work(*arguments)
 
 
 @contextmanager

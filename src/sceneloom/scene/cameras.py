@@ -21,7 +21,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.frames import Kept, LazyFrames
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, SensorType
-from sceneloom.stages import stage
+from sceneloom.stages import in_stage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,8 +58,7 @@ class CameraImage:
     @property
     def rgb(self) -> UInt8Array:
         """The image, (height, width, 3) uint8, decoded now; keep it if you need it twice."""
-        with stage("reading"):
-            return self.decode()
+        return in_stage("reading", self.decode)
 
     def loaded(self) -> "CameraImage":
         """The same image, decoded now and kept in memory.

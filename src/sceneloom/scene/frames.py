@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array, as_array, check_array, read_only
 from sceneloom.errors import ArrayError
-from sceneloom.stages import stage
+from sceneloom.stages import in_stage
 
 Item_co = TypeVar("Item_co", covariant=True)
 Array_co = TypeVar("Array_co", bound=AnyArray, covariant=True)
@@ -75,8 +75,7 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
     def __getitem__(self, index: int | slice) -> "Item_co | LazyFrames[Item_co]":
         if isinstance(index, slice):
             return LazyFrames(self.timestamps_ns[index], _Chosen(self._read, range(len(self))[index]))
-        with stage("reading"):
-            return self._read(range(len(self))[index])
+        return in_stage("reading", self._read, range(len(self))[index])
 
     def __iter__(self) -> Iterator[Item_co]:
         return (self[k] for k in range(len(self)))

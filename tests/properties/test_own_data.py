@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from sceneloom.formats.base.text_tables import parse_timestamp
 from sceneloom.formats.points.cloud import TYPES, parse_layout
 from sceneloom.formats.points.files import read_cloud
-from sceneloom.formats.rig.manifest import NamePattern
-from sceneloom.formats.rig.reader import Edge, FrameTree
+from sceneloom.formats.rig.reader import Edge, FrameTree, NamePattern
 from sceneloom.geometry.rigid import RigidTransform
 
 PCD_TYPES = {"f": "F", "i": "I", "u": "U"}

@@ -1,7 +1,8 @@
 """From the columns of a file to the points of a lidar: positions, intensities, rings, times and colours."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -10,14 +11,19 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Int64Array, UInt8Array, UInt16Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.text_tables import UNITS_NS
-from sceneloom.formats.points.cloud import Cloud, find_roles
-from sceneloom.scene.clouds import LidarPoints
+from sceneloom.formats.points.cloud import Cloud, FieldLayout, find_roles
+from sceneloom.formats.points.files import read_cloud
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.scene.clouds import LidarFrame, LidarPoints
 
 _FARTHEST_POINT_TIME_NS = 10_000_000_000
 """A point that is farther than this from its file's timestamp has another unit or another clock."""
 
 _INTENSITY_SCALES = (1.0, 255.0, 65535.0)
 """The brightest value of the usual scales."""
+
+FARTHEST_WORLD = 100_000.0
+"""float32 resolves 8 mm there: points in the world beyond it need a nearer origin [m]."""
 
 _LARGEST_NS = 9.2e18
 _LARGEST_BYTE = 255
@@ -288,3 +294,55 @@ def _far_time(values: AnyArray, row: int, times: PointTimes, clock: SweepClock) 
 def _span_fits(offsets_ns: AnyArray) -> bool:
     """Whether offsets look like those of one sweep: within two seconds, over more than a millisecond."""
     return bool(np.abs(offsets_ns).max() < 2e9 and np.ptp(offsets_ns) > 1e6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SweepReader:
+    """Reads the sweeps of one lidar, each on demand.
+
+    Attributes:
+        files: of each sweep.
+        names: of the files, relative to their root.
+        clocks_ns: (N, 2) int64 [ns]: the file's timestamp and the sweep's start.
+        timestamps_ns: (N,) int64 [ns], of the frames.
+        zero_ns: offset of the sensor's own clock [ns].
+        layout: columns of files that do not state them.
+        mapping: meaning of the columns.
+        rotation: takes points of the files into the frame that they are given in, None where they are in it.
+        deskewed: whether the points are placed as at the timestamp, which then is the time of all of them.
+    """
+
+    files: tuple[Path, ...]
+    names: tuple[str, ...]
+    clocks_ns: Int64Array
+    timestamps_ns: Int64Array
+    zero_ns: int
+    layout: FieldLayout | None
+    mapping: PointMapping
+    rotation: RigidTransform | None = None
+    deskewed: bool = False
+
+    def __call__(self, k: int) -> LidarFrame:
+        """Read sweep `k`.
+
+        Raises:
+            DataError: its file is missing or wrong.
+        """
+        read = self.read(k)
+        points = read.points
+        if self.rotation is not None:
+            points = replace(points, positions=read_only(self.rotation.apply(points.positions), np.float32))
+        if self.deskewed:
+            points = replace(points, timestamps_ns=read_only(np.full(len(points), self.timestamps_ns[k], np.int64)))
+        counts = {"dropped_points": read.dropped, "clipped_intensities": read.clipped}
+        extras = {"file": self.names[k], **{name: count for name, count in counts.items() if count}}
+        return LidarFrame(int(self.timestamps_ns[k]), points, MappingProxyType(extras))
+
+    def read(self, k: int) -> ReadPoints:
+        """Read the points of sweep `k` in the frame of the file."""
+        timestamp_ns, start_ns = self.clocks_ns[k].tolist()
+        return points_of(self.cloud(k), self.mapping, SweepClock(timestamp_ns, start_ns, self.zero_ns))
+
+    def cloud(self, k: int) -> Cloud:
+        """Read the columns of sweep `k`."""
+        return read_cloud(self.files[k], layout=self.layout)

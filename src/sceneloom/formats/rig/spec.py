@@ -1,5 +1,6 @@
-"""Own data: a folder of clouds, images and tables that a manifest `rig.toml` describes. Read only."""
+"""Own data: a folder of clouds, images and tables that a manifest `rig.toml` describes. Only read."""
 
+import re
 from pathlib import Path
 
 from sceneloom.formats.base.spec import FormatSpec
@@ -8,14 +9,18 @@ MANIFEST = "rig.toml"
 """Name of the manifest in a folder."""
 
 
-def manifest_path(path: Path) -> Path:
-    """The manifest of a folder, or the file itself."""
-    return path / MANIFEST if path.is_dir() else path
+_DIGITS = re.compile(r"(\d+)")
+
+
+def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
+    """Order numbers inside names by their value: 2 before 10."""
+    parts = _DIGITS.split(path.as_posix())
+    return tuple((1, int(part), part) if part.isdecimal() and part.isascii() else (0, 0, part) for part in parts)
 
 
 def _looks_like_manifest(path: Path) -> bool:
     """Whether a path is a folder with a `rig.toml`, that file, or another TOML file with sensors in it."""
-    manifest = manifest_path(path)
+    manifest = path / MANIFEST if path.is_dir() else path
     if not manifest.is_file() or manifest.suffix.lower() != ".toml":
         return False
     if manifest.name == MANIFEST:
@@ -33,6 +38,6 @@ FORMAT = FormatSpec(
     sniff=_looks_like_manifest,
     reader="sceneloom.formats.rig.reader:open_rig",
     read_options=("lenient", "assume_model"),
-    instead="a rig is only read; write a scene file (drive.sfs) or a recording (a folder) in its location, or begin a "
+    instead="a rig is only read; write a scene file (drive.sfs) or a recording (a folder) instead, or begin a "
     "manifest with `sceneloom formats --template rig.toml`",
 )

@@ -24,7 +24,7 @@ from sceneloom.formats.base.text_tables import (
 )
 from sceneloom.formats.points.cloud import KITTI, NUSCENES, FieldLayout, find_roles
 from sceneloom.formats.points.files import cloud_suffix, read_cloud
-from sceneloom.formats.rig.manifest import natural_key
+from sceneloom.formats.rig.spec import natural_key
 
 _LIKE_TIMES = re.compile(r"time|timestamp|offset|(^|_)dt($|_)|delta", re.IGNORECASE)
 

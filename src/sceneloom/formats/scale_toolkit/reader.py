@@ -19,8 +19,7 @@ from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import as_positive
 from sceneloom.formats.points.cloud import find_roles
 from sceneloom.formats.points.files import read_cloud
-from sceneloom.formats.points.mapping import PointMapping, detect_scale
-from sceneloom.formats.rig.reader import SweepReader
+from sceneloom.formats.points.mapping import PointMapping, SweepReader, detect_scale
 from sceneloom.formats.scale_toolkit.spec import CLOUDS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraSensor

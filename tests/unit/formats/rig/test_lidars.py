@@ -67,13 +67,13 @@ def test_the_length_of_a_sweep_is_distinguished_from_the_intervals_with_a_warnin
 
 
 def test_the_length_of_a_sweep_is_in_seconds(opened):
-    with pytest.raises(DataError, match=r"sweep_s: 100; expected how long a sweep takes, at most 60 s"):
+    with pytest.raises(DataError, match=r"sweep_s: 100; expected the duration of a sweep, at most 60 s"):
         opened((SCALE, f"{SCALE}\nsweep_s = 100"))
 
 
 def test_the_length_of_a_single_sweep_has_to_be_stated(opened):
     single = ("top/*.bin", f"top/{START_NS}.bin")
-    with pytest.raises(DataError, match="a single sweep has no interval; expected how long a sweep takes"):
+    with pytest.raises(DataError, match="a single sweep has no interval; expected the duration of a sweep"):
         opened(single, (SCALE, f'{SCALE}\ntimestamp = "end"'))
 
 
@@ -177,7 +177,7 @@ def test_columns_may_be_named(opened):
     ("new", "problem"),
     [
         ('fields = ["x:int99"]', "'x:int99'; expected a name, or name:type"),
-        ('dtype = "float64"', "says nothing without `fields`"),
+        ('dtype = "float64"', "has no effect without `fields`"),
         ('use = { brightness = "a" }', r"use\.brightness: unknown; expected some of x, y, z"),
         (
             f'{FIELDS}\nuse = {{ ring = "line" }}',
@@ -226,7 +226,7 @@ def test_a_lenient_reading_begins_with_the_first_file_that_can_be_read(opened, f
     ("stated", "reported"),
     [
         ('["x", "y", "z", "intensity"]', None),
-        ('["x", "y", "intensity", "z"]', "brightness below zero"),
+        ('["x", "y", "intensity", "z"]', "intensity below zero"),
         ('["x:float64", "y:float64", "z:float64", "intensity:float64"]', "points farther than 10000 m"),
     ],
 )

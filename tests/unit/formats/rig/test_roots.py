@@ -72,8 +72,8 @@ def test_files_of_several_patterns_are_each_taken_once(opened):
 @pytest.mark.parametrize(
     ("pattern", "reported"),
     [
-        ("'top\\*.bin'", "and the folders front, top; folders are parted by /"),
-        ('"top[1]/*.bin"', r"and the folders front, top; \[ \] stand for a choice of signs: write \[\[\]"),
+        ("'top\\*.bin'", "and the folders front, top; folders are separated by /"),
+        ('"top[1]/*.bin"', r"and the folders front, top; \[ \] stand for a choice of characters: write \[\[\]"),
         ('"*.bin"', r"has \*\.toml, \*\.txt and the folders front, top$"),
     ],
 )

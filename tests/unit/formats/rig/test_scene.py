@@ -116,7 +116,7 @@ def test_two_sensors_of_one_id_are_refused(opened):
 
 
 def test_names_that_stand_for_computed_trajectories_are_refused(opened):
-    with pytest.raises(DataError, match="'lidar' stands for a trajectory that is computed"):
+    with pytest.raises(DataError, match="'lidar' stands for a computed trajectory"):
         opened(('form = "tum"', 'form = "tum"\nname = "lidar"'))
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
-from sceneloom.formats.rig.manifest import NamePattern
+from sceneloom.formats.rig.reader import NamePattern
 
 
 @pytest.mark.parametrize(

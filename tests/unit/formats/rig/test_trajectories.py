@@ -145,4 +145,4 @@ def test_quaternions_of_another_order_are_remarked(opened, folder):
     (folder / "poses.txt").write_text("1532402927.5 0 0 0 1 0 0 0\n1532402928.5 9 0 0 0.98 0.02 0 0.198\n")
     (warning,) = opened().warnings
     assert warning.code == "ego-leaning"
-    assert "on its side or head in 2 of 2 poses; are the quaternions x y z w" in warning.message
+    assert "on its side or upside down in 2 of 2 poses; are the quaternions x y z w" in warning.message

@@ -40,7 +40,7 @@ def test_all_ways_to_write_a_rotation_mean_the_same(rotation):
 @pytest.mark.parametrize(
     ("record", "problem"),
     [
-        ({}, "says nothing; expected matrix, or translation and one of"),
+        ({}, "no transform; expected matrix, or translation and one of"),
         ({"matrix": MATRIX, "translation": SHIFT}, "matrix beside translation"),
         (
             {"quaternion_xyzw": [0, 0, 0, 1], "euler_deg": [0, 0, 0]},
@@ -90,7 +90,7 @@ def test_a_loop_that_agrees_is_taken_and_one_that_contradicts_is_refused():
     wrong = Edge("base", "b", closing, "transforms[2]")
     with pytest.raises(
         CalibrationError,
-        match=r"contradicts the trajectory 'b' - 'base' - 'a' by .* m and .*°; is one of these",
+        match=r"contradicts the chain 'b' - 'base' - 'a' by .* m and .*°; is one of these",
     ):
         FrameTree("base", [one, two, wrong])
 

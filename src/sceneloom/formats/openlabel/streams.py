@@ -1,6 +1,6 @@
 """Sensors as OpenLABEL streams, read and written: intrinsics, coordinate systems and transforms."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NoReturn
@@ -13,7 +13,7 @@ from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.formats.base.text_tables import seconds_text
-from sceneloom.formats.openlabel.document import EGO, OURS, SENSOR_TYPES, WORLD, Part
+from sceneloom.formats.openlabel.document import EGO, OURS, WORLD, Part
 from sceneloom.formats.openlabel.systems import Systems
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between
@@ -27,48 +27,145 @@ from sceneloom.scene.scene import Scene, Sensor, frame_times
 from sceneloom.scene.types import Coordinates, Identifier
 from sceneloom.warnings import WarningKind
 
-_OPENCV_COUNTS = (0, 4, 5, 8, 12, 14)
+_STREAM_TYPES: Mapping[type[Any], str] = {
+    CameraSensor: "camera",
+    LidarSensor: "lidar",
+    RadarSensor: "radar",
+    ImuSensor: "gps_imu",
+    GnssSensor: "gps_imu",
+}
+_KNOWN_TYPES = ("camera", "lidar", "radar", "gps_imu", "other")
 
 _OPENCV_ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
 """Source: `cv::projectPoints`."""
 
-_NAMES = ("model", "width", "height", "fx", "fy", "cx", "cy", "coefficients")
+_OPENCV_COUNTS = (0, 4, 5, 8, 12, 14)
+
+_OURS_CAMERA = ("model", "width", "height", "fx", "fy", "cx", "cy")
+_FISHEYE = {"center_x": "cx", "center_y": "cy", "focal_length_x": "fx", "focal_length_y": "fy"}
+_FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
+
+_EXACT_M, _EXACT_DEG = 1e-6, 1e-4
+"""Poses this near to the exact ones count as exact."""
+
+_WITHIN = 0.5
+"""A frame of a sensor belongs to the file's nearest frame within this share of the sensor's median interval."""
 
 
-def _read_camera_model(properties: Part) -> Camera | None:
-    """Read the camera model of a stream; None where none is stated, or one of a model that is not known.
+# reading
+
+
+def read_streams(document: Part, systems: Systems, ledger: Ledger) -> dict[str, Sensor]:
+    """Read all streams by their names, placed by the coordinate systems of these names.
 
     Raises:
-        DataError: it is wrong.
+        DataError: one is wrong.
     """
+    found = {name: _sensor(name, stream, systems, ledger) for name, stream in document.each("streams")}
+    if found:
+        message = "OpenLABEL names sensors and holds what is stated for their frames, but not the frames"
+        document.need("streams").note(ledger, WarningKind.SKIPPED, "frames-elsewhere", message, count=len(found))
+    return found
+
+
+def _sensor(name: str, stream: Part, systems: Systems, ledger: Ledger) -> Sensor:
+    kind = "other" if stream.get("type") is None else stream.need("type").text()
+    if kind not in _KNOWN_TYPES:
+        raise stream.need("type").fault(f"one of {', '.join(_KNOWN_TYPES)}")
+    properties = stream.below("stream_properties")
+    ours = properties.members().get(OURS)
+    ours = ours if isinstance(ours, dict) else {}
+    sensor_id: Identifier = ours["id"] if isinstance(ours.get("id"), int | str) else name
+    extras = {key: value for key, value in stream.members().items() if key not in {"type", "stream_properties"}}
+    rest = {key: value for key, value in properties.members().items() if key not in {OURS, "intrinsics_pinhole"}}
+    if kind != "camera" and rest:
+        extras["stream_properties"] = rest
+    further, placed = MappingProxyType(extras), _placed(name, systems)
+    frames = LazyFrames[Any](np.zeros(0, np.int64), _no_frame)
+    stated = ours.get("type")
+    if kind == "camera":
+        camera = _read_camera(properties)
+        if camera is not None:
+            return CameraSensor(sensor_id, camera, frames, extras=further, **placed)
+        message = "its camera model is missing or unknown; the stream is kept as it is"
+        stream.note(ledger, WarningKind.SKIPPED, "camera-model-not-read", message)
+    else:
+        match stated if stated in ("lidar", "radar", "imu", "gnss") else kind:
+            case "lidar":
+                return LidarSensor(sensor_id, frames, extras=further, **placed)
+            case "radar":
+                return RadarSensor(sensor_id, frames, extras=further, **placed)
+            case "imu":
+                return ImuSensor(sensor_id, {}, extras=further)
+            case "gnss" | "gps_imu":
+                no_times, none, mount = np.zeros(0, np.int64), np.zeros(0), placed.get("mount")
+                return GnssSensor(sensor_id, no_times, np.zeros((0, 3)), none, none, mount=mount, extras=further)
+    return PlainSensor(sensor_id, f"openlabel_{kind}", MappingProxyType(dict(stream.members())))
+
+
+def _no_frame(number: int) -> NoReturn:
+    raise OptionError(f"frame {number}: an OpenLABEL file holds no frames of sensors")
+
+
+def _placed(name: str, systems: Systems) -> dict[str, Any]:
+    """The poses of a sensor in the root, and its mounting on the ego where there is one."""
+    if name not in systems.names:
+        return {}
+    chain, ego = systems.chain(name), systems.ego
+    if ego is None and len(chain) > 1:
+        # nothing moves: the root may be the vehicle as well as the world
+        ego = chain[-1]
+    found: dict[str, Any] = {} if len(chain) == 1 else {"poses": systems.path_to(name, chain[-1])}
+    mount = None if ego is None or ego == name else systems.path_to(name, ego)
+    if mount is not None and mount.static:
+        found["mount"] = RigidTransform.from_quaternion(mount.positions[0], mount.quaternions_xyzw[0])
+    return found
+
+
+def _read_camera(properties: Part) -> Camera | None:
+    """The camera model of a stream: ours, else that of the format; None where it is missing or unknown."""
     ours = properties.get(OURS)
-    camera_model = None if ours is None else ours.get("camera_model")
-    if camera_model is not None:
-        return _ours(camera_model)
+    camera = None if ours is None else ours.get("camera_model")
+    if camera is not None:
+        model = camera.need("model").text()
+        if model not in MODELS:
+            raise camera.need("model").fault(f"one of {', '.join(MODELS)}")
+        size = [_pixels(camera, name) for name in ("width", "height")]
+        numbers = [camera.need(name).number() for name in _OURS_CAMERA[3:]]
+        return _built(camera, model, *size, *numbers, tuple(camera.need("coefficients").numbers()))
     pinhole, fisheye = properties.get("intrinsics_pinhole"), properties.get("intrinsics_fisheye")
     if pinhole is not None:
         return _pinhole(pinhole)
     return None if fisheye is None else _fisheye(fisheye)
 
 
-def _built(part: Part, *values: Any) -> Camera:
-    try:
-        return Camera(*values)
-    except (SceneloomError, TypeError) as error:
-        raise DataError(part.file, part.location, str(error)) from error
+def _pinhole(part: Part) -> Camera:
+    matrix = part.get("camera_matrix_3x4") or part.get("camera_matrix")
+    if matrix is None:
+        raise DataError(part.file, f"{part.location}.camera_matrix_3x4", "missing")
+    (fx, skew, cx, *_), (_, fy, cy, *_), _ = np.reshape(matrix.numbers(12, 9), (3, -1)).tolist()
+    if abs(skew) > 1e-9 * abs(fx):
+        raise matrix.fault("a camera matrix without skew")
+    listed = part.get("distortion_coeffs_1xN") or part.get("distortion_coeffs")
+    coefficients = [] if listed is None else listed.numbers(*_OPENCV_COUNTS)
+    values = (_pixels(part, "width_px"), _pixels(part, "height_px"), fx, fy, cx, cy)
+    if not any(coefficients):
+        return _built(part, "pinhole", *values)
+    named = dict(zip(_OPENCV_ORDER, coefficients, strict=False))
+    ordered = np.array([named.get(name, 0.0) for name in MODELS["brown_conrady"].coefficient_names])
+    count = max([5, *(np.flatnonzero(ordered) + 1).tolist()])
+    return _built(part, "brown_conrady", *values, tuple(ordered[:count].tolist()))
 
 
-def _ours(part: Part) -> Camera:
-    model = part.need("model").text()
-    if model not in MODELS:
-        raise part.need("model").fault(f"one of {', '.join(MODELS)}")
-    numbers = [_number(part.need(name)) for name in _NAMES[3:7]]
-    coefficients = tuple(part.need("coefficients").numbers())
-    return _built(part, model, _pixels(part, "width"), _pixels(part, "height"), *numbers, coefficients)
-
-
-def _number(part: Part) -> float:
-    return Part(part.file, part.location, [part.value]).numbers((1,))[0]
+def _fisheye(part: Part) -> Camera | None:
+    numbers = {field: found for name, field in _FISHEYE.items() if (found := part.get(name)) is not None}
+    listed = part.get("camera_model_coeffs_1xN") or part.get("camera_model_coeffs_1x4")
+    model = part.get("model")
+    if listed is None or len(numbers) < len(_FISHEYE) or (model is not None and model.text() != "opencv_fisheye"):
+        return None
+    size = [_pixels(part, "width_px"), _pixels(part, "height_px")]
+    values = [numbers[name].number() for name in _OURS_CAMERA[3:]]
+    return _built(part, "fisheye", *size, *values, tuple(listed.numbers(4)))
 
 
 def _pixels(part: Part, name: str) -> int:
@@ -78,222 +175,43 @@ def _pixels(part: Part, name: str) -> int:
     return found.value
 
 
-def _either(part: Part, *names: str) -> Part | None:
-    return next((found for name in names if (found := part.get(name)) is not None), None)
+def _built(part: Part, *values: Any) -> Camera:
+    try:
+        return Camera(*values)
+    except (SceneloomError, TypeError) as error:
+        raise DataError(part.file, part.location, str(error)) from error
 
 
-def _pinhole(part: Part) -> Camera:
-    matrix = _either(part, "camera_matrix_3x4", "camera_matrix")
-    if matrix is None:
-        raise DataError(part.file, f"{part.location}.camera_matrix_3x4", "missing")
-    values = matrix.numbers((12, 9))
-    row = len(values) // 3
-    fx, skew, cx, fy, cy = values[0], values[1], values[2], values[row + 1], values[row + 2]
-    if abs(skew) > 1e-9 * abs(fx):
-        raise matrix.fault("a camera matrix without skew")
-    listed = _either(part, "distortion_coeffs_1xN", "distortion_coeffs")
-    coefficients = [] if listed is None else listed.numbers(_OPENCV_COUNTS)
-    size = (_pixels(part, "width_px"), _pixels(part, "height_px"))
-    if not any(coefficients):
-        return _built(part, "pinhole", *size, fx, fy, cx, cy)
-    named = dict(zip(_OPENCV_ORDER, coefficients, strict=False))
-    names = MODELS["brown_conrady"].coefficient_names
-    ordered = tuple(named.get(name, 0.0) for name in names)
-    return _built(part, "brown_conrady", *size, fx, fy, cx, cy, _without_zeros(ordered))
+# writing
 
 
-def _without_zeros(values: tuple[float, ...]) -> tuple[float, ...]:
-    count = next((k for k in range(len(values), 0, -1) if values[k - 1]), 0)
-    return values[: max(count, 5)]
-
-
-def _fisheye(part: Part) -> Camera | None:
-    locations = [part.get(name) for name in ("focal_length_x", "focal_length_y", "center_x", "center_y")]
-    listed = _either(part, "camera_model_coeffs_1xN", "camera_model_coeffs_1x4")
-    model = part.get("model")
-    if listed is None or any(location is None for location in locations):
-        return None
-    if model is not None and model.text() != "opencv_fisheye":
-        return None
-    numbers = [_number(location) for location in locations if location is not None]
-    size = (_pixels(part, "width_px"), _pixels(part, "height_px"))
-    return _built(part, "fisheye", *size, *numbers, tuple(listed.numbers((4,))))
-
-
-def _camera_model_properties(camera: Camera) -> dict[str, Any]:
-    """Report a camera model in the words of the format where it has some, and in ours, which state it exactly."""
-    ours = {name: getattr(camera, name) for name in _NAMES[:7]}
-    found: dict[str, Any] = {OURS: {"camera_model": {**ours, "coefficients": list(camera.coefficients)}}}
+def _camera_properties(camera: Camera) -> dict[str, Any]:
+    """A camera model in the words of the format where it has some, and in ours, which state it exactly."""
+    ours = {name: getattr(camera, name) for name in _OURS_CAMERA}
     named = dict(zip(MODELS[camera.model].coefficient_names, camera.coefficients, strict=False))
     size = {"width_px": camera.width, "height_px": camera.height}
+    # OpenCV has no model with distortion whose centre of distortion is shifted
+    unshifted = not (named.get("lx") or named.get("ly"))
     if camera.model == "fisheye":
-        found["intrinsics_fisheye"] = {
-            **size,
-            "center_x": camera.cx,
-            "center_y": camera.cy,
-            "focal_length_x": camera.fx,
-            "focal_length_y": camera.fy,
-            "camera_model_coeffs_1xN": [named.get(name, 0.0) for name in ("k1", "k2", "k3", "k4")],
-            "model": "opencv_fisheye",
-        }
-    elif _is_pinhole(camera):
-        coefficients = [named.get(name, 0.0) for name in _OPENCV_ORDER]
-        count = next(count for count in _OPENCV_COUNTS[1:] if not any(coefficients[count:]))
-        matrix = [camera.fx, 0.0, camera.cx, 0.0, 0.0, camera.fy, camera.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
-        found["intrinsics_pinhole"] = {
-            **size,
-            "camera_matrix_3x4": matrix,
-            "distortion_coeffs_1xN": coefficients[: max(count, 5)],
-        }
-    else:
-        found["intrinsics_custom"] = {**size, "model": camera.model, **ours, **named}
-    return found
-
-
-def _is_pinhole(camera: Camera) -> bool:
-    """Whether OpenCV's pinhole with distortion says the camera model.
-
-    One that does not shift the centre of distortion.
-    """
-    if camera.model == "pinhole":
-        return True
-    named = dict(zip(MODELS[camera.model].coefficient_names, camera.coefficients, strict=False))
-    return camera.model == "brown_conrady" and not (named.get("lx") or named.get("ly"))
-
-
-def _nothing_to_read(number: int) -> NoReturn:
-    """Refuse to read a frame: there are none.
-
-    Raises:
-        OptionError: always.
-    """
-    raise OptionError(f"frame {number}: an OpenLABEL file holds no frames of sensors")
-
-
-def _no_frames() -> LazyFrames[Any]:
-    return LazyFrames(np.zeros(0, np.int64), _nothing_to_read)
-
-
-def read_streams(document: Part, systems: Systems, ledger: Ledger) -> tuple[Sensor, ...]:
-    """Read all streams, placed by the coordinate systems of their names.
-
-    Raises:
-        DataError: one is wrong.
-    """
-    found = tuple(_sensor(name, stream, systems, ledger) for name, stream in document.each("streams"))
-    if found:
-        reported = "OpenLABEL names sensors and holds what is stated for their frames, but not the frames"
-        ledger.note(
-            WarningKind.SKIPPED,
-            "frames-elsewhere",
-            f"{document.file}: openlabel.streams",
-            reported,
-            count=len(found),
+        kind, found = (
+            "fisheye",
+            {
+                **{name: getattr(camera, field) for name, field in _FISHEYE.items()},
+                "camera_model_coeffs_1xN": [named.get(name, 0.0) for name in _FISHEYE_COEFFICIENTS],
+                "model": "opencv_fisheye",
+            },
         )
-    return found
-
-
-def _sensor(name: str, stream: Part, systems: Systems, ledger: Ledger) -> Sensor:
-    kind = "other" if stream.get("type") is None else stream.need("type").text()
-    if kind not in SENSOR_TYPES:
-        raise stream.need("type").fault(f"one of {', '.join(SENSOR_TYPES)}")
-    properties = stream.get("stream_properties") or Part(stream.file, f"{stream.location}.stream_properties", {})
-    ours = properties.members().get(OURS)
-    ours = ours if isinstance(ours, dict) else {}
-    sensor_id: Identifier = ours["id"] if isinstance(ours.get("id"), int | str) else name
-    stated = ours.get("type")
-    further = {key: value for key, value in stream.members().items() if key not in {"type", "stream_properties"}}
-    rest = {key: value for key, value in properties.members().items() if key not in {OURS, "intrinsics_pinhole"}}
-    if kind != "camera" and rest:
-        further["stream_properties"] = rest
-    placed = _placed(name, systems)
-    extras = MappingProxyType(further)
-    build = _BUILDERS.get(stated if isinstance(stated, str) and stated in _BUILDERS else _DEFAULTS.get(kind, kind))
-    camera_model = _read_camera_model(properties) if kind == "camera" else None
-    if kind == "camera" and camera_model is not None:
-        return CameraSensor(sensor_id, camera_model, _no_frames(), extras=extras, **placed)
-    if build is not None and kind != "camera":
-        return build(sensor_id, placed, extras)
-    if kind == "camera":
-        reported = "its camera model is not stated, or of a model that is not known; kept as it stands"
-        ledger.note(WarningKind.SKIPPED, "camera-model-not-read", f"{stream.file}: {stream.location}", reported)
-    return PlainSensor(sensor_id, f"openlabel_{kind}", MappingProxyType(dict(stream.members())))
-
-
-def _placed(name: str, systems: Systems) -> dict[str, Any]:
-    """The poses of a sensor in the root, and its mounting on the ego where there is one."""
-    if name not in systems.names:
-        return {}
-    chain, ego = systems.chain(name), systems.ego
-    found: dict[str, Any] = {"poses": systems.path_to(name, chain[-1])}
-    if ego is None and len(chain) > 1:
-        # nothing moves: the root may be the vehicle as well as the world
-        ego = chain[-1]
-    mount = None if ego is None or ego == name else systems.path_to(name, ego)
-    if mount is not None and mount.static:
-        found["mount"] = RigidTransform.from_quaternion(mount.positions[0], mount.quaternions_xyzw[0])
-    if len(chain) == 1:
-        del found["poses"]
-    return found
-
-
-def _lidar(sensor_id: Identifier, placed: dict[str, Any], extras: Mapping[str, Any]) -> Sensor:
-    return LidarSensor(sensor_id, _no_frames(), extras=extras, **placed)
-
-
-def _radar(sensor_id: Identifier, placed: dict[str, Any], extras: Mapping[str, Any]) -> Sensor:
-    return RadarSensor(sensor_id, _no_frames(), extras=extras, **placed)
-
-
-def _imu(sensor_id: Identifier, placed: dict[str, Any], extras: Mapping[str, Any]) -> Sensor:
-    del placed
-    return ImuSensor(sensor_id, {}, extras=extras)
-
-
-def _gnss(sensor_id: Identifier, placed: dict[str, Any], extras: Mapping[str, Any]) -> Sensor:
-    none = np.zeros(0)
-    return GnssSensor(
-        sensor_id,
-        np.zeros(0, np.int64),
-        np.zeros((0, 3)),
-        none,
-        none,
-        mount=placed.get("mount"),
-        extras=extras,
-    )
-
-
-_BUILDERS: Mapping[str, Callable[[Identifier, dict[str, Any], Mapping[str, Any]], Sensor]] = MappingProxyType(
-    {"lidar": _lidar, "radar": _radar, "imu": _imu, "gnss": _gnss}
-)
-"""By the types of our model."""
-
-_DEFAULTS = {"gps_imu": "gnss"}
-"""Types of our model by those of streams, where they differ."""
-
-
-def ego_path(systems: Systems) -> tuple[str, Poses] | None:
-    """The name and the ego trajectory in its root; None where nothing moves."""
-    ego = systems.ego
-    if ego is None:
-        return None
-    path = systems.path_to(ego, systems.chain(ego)[-1])
-    return None if path is None else (ego, path)
-
-
-_STREAM_TYPES: Mapping[type[Any], str] = {
-    CameraSensor: "camera",
-    LidarSensor: "lidar",
-    RadarSensor: "radar",
-    ImuSensor: "gps_imu",
-    GnssSensor: "gps_imu",
-}
-
-_EXACT_M, _EXACT_DEG = 1e-6, 1e-4
-"""Poses this near to where they were count as exact."""
-
-_WITHIN = 0.5
-"""A frame belongs to the one of the file that is nearer than this part of its sensor's median interval."""
+    elif camera.model == "pinhole" or (camera.model == "brown_conrady" and unshifted):
+        coefficients = [named.get(name, 0.0) for name in _OPENCV_ORDER]
+        count = next(count for count in _OPENCV_COUNTS[2:] if not any(coefficients[count:]))
+        matrix = [camera.fx, 0.0, camera.cx, 0.0, 0.0, camera.fy, camera.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+        kind, found = "pinhole", {"camera_matrix_3x4": matrix, "distortion_coeffs_1xN": coefficients[:count]}
+    else:
+        kind, found = "custom", {**ours, **named}
+    return {
+        OURS: {"camera_model": {**ours, "coefficients": list(camera.coefficients)}},
+        f"intrinsics_{kind}": {**size, **found},
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -304,13 +222,13 @@ class Streams:
         names: of the streams, by the ids of sensors.
         sensors: by the names.
         trajectory: `world_from_ego`, or None.
-        moving: ids of the cameras whose images have mountings of their own: only their poses report where they were.
+        placed: by the names, the coordinate system that each is placed in, and its pose there, None where it moves.
     """
 
     names: Mapping[Identifier, str]
     sensors: Mapping[str, Sensor]
     trajectory: Poses | None
-    moving: frozenset[Identifier] = frozenset()
+    placed: Mapping[str, tuple[str, RigidTransform | None]]
 
     @classmethod
     def of(cls, scene: Scene) -> "Streams":
@@ -323,6 +241,7 @@ class Streams:
         check_one_ego(scene, trajectory)
         names: dict[Identifier, str] = {}
         sensors: dict[str, Sensor] = {}
+        placed = {}
         for sensor in scene.sensors:
             plain = isinstance(sensor, PlainSensor) and sensor.type.startswith("openlabel_")
             if type(sensor) not in _STREAM_TYPES and not plain:
@@ -331,16 +250,9 @@ class Streams:
             while name in sensors or name in {WORLD, EGO}:
                 name += "_"
             names[sensor.id], sensors[name] = name, sensor
-        moving = frozenset(
-            one.id for one in scene.cameras if mounts_of_shots(one) is not None and one.coordinates is Coordinates.WORLD
-        )
-        return cls(names, sensors, trajectory, moving)
-
-    def _parent_and_pose(self, sensor: Any) -> tuple[str, RigidTransform | None] | None:
-        """The system that a sensor is placed in, its pose there, None where it moves; None where nothing is known."""
-        if type(sensor) is CameraSensor and sensor.id in self.moving:
-            return None if sensor.poses is None else (WORLD, None)
-        return _parent_and_pose(sensor)
+            if (where := _system_and_pose(sensor)) is not None:
+                placed[name] = where
+        return cls(names, sensors, trajectory, placed)
 
     def members(self) -> dict[str, Any]:
         """The member `streams`."""
@@ -348,83 +260,65 @@ class Streams:
 
     def systems(self, *, world: bool) -> dict[str, Any]:
         """The member `coordinate_systems`; the ego is the root where nothing is placed in the world."""
-        found: dict[str, Any] = {}
-        for name, sensor in self.sensors.items():
-            placed = self._parent_and_pose(sensor)
-            if placed is not None:
-                parent, pose = placed
-                found[name] = {"type": "sensor_cs", "parent": parent, **({} if pose is None else _pose(pose))}
-        parents = {system["parent"] for system in found.values()}
-        roots: dict[str, Any] = {}
+        parents = {parent for parent, _ in self.placed.values()}
+        systems: dict[str, Any] = {}
         if world or self.trajectory is not None or WORLD in parents:
-            roots[WORLD] = {"type": "scene_cs", "parent": ""}
-        if EGO in parents or self.trajectory is not None or not roots:
-            roots[EGO] = {"type": "local_cs", "parent": WORLD if self.trajectory is not None else ""}
-        systems = {**roots, **found}
+            systems[WORLD] = {"type": "scene_cs", "parent": ""}
+        if EGO in parents or self.trajectory is not None or not systems:
+            systems[EGO] = {"type": "local_cs", "parent": WORLD if self.trajectory is not None else ""}
+        for name, (parent, pose) in self.placed.items():
+            stated = {} if pose is None else {"pose_wrt_parent": _matrix(pose)}
+            systems[name] = {"type": "sensor_cs", "parent": parent, **stated}
         for name, system in systems.items():
             system["children"] = [other for other, one in systems.items() if one["parent"] == name]
         return systems
 
     def transforms(self, time_ns: int) -> dict[str, Any]:
         """The transforms of the frame of a time: of the ego, and of sensors with poses of their own."""
-        moving = {} if self.trajectory is None else {EGO: self.trajectory}
+        ego = {} if self.trajectory is None else {EGO: self.trajectory}
         found = {}
-        for name, path in (moving | self._moving_sensors()).items():
-            samples = path.interpolate(np.array([time_ns], np.int64))
-            if np.isfinite(samples.positions[0]).all():
-                matrix = RigidTransform.from_quaternion(samples.positions[0], samples.quaternions_xyzw[0]).matrix
-                found[f"{name}_to_{WORLD}"] = {
-                    "src": name,
-                    "dst": WORLD,
-                    "transform_src_to_dst": {"matrix4x4": matrix.reshape(-1).tolist()},
-                }
+        for name, path in (ego | self._moving_sensors()).items():
+            at = path.interpolate(np.array([time_ns], np.int64))
+            if np.isfinite(at.positions[0]).all():
+                pose = _matrix(RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0]))
+                found[f"{name}_to_{WORLD}"] = {"src": name, "dst": WORLD, "transform_src_to_dst": pose}
         return found
 
     def _moving_sensors(self) -> dict[str, Poses]:
         """`world_from_sensor` of the sensors that have transforms of their own, by the names of their streams."""
-        found: dict[str, Poses] = {}
-        for name, sensor in self.sensors.items():
-            placed, poses = self._parent_and_pose(sensor), getattr(sensor, "poses", None)
-            if placed is not None and placed[1] is None and poses is not None:
-                found[name] = poses
-        return found
+        moving = [name for name, (_, pose) in self.placed.items() if pose is None]
+        return {name: poses for name in moving if (poses := getattr(self.sensors[name], "poses", None)) is not None}
 
     def losses(self, times_ns: Int64Array) -> Iterator[Loss]:
-        """How far the poses that transforms at the times of the file's frames report are off.
+        """How far the poses that transforms at the times of the file's frames give are off, and which are left out.
 
-        Of a sensor at the times of its own frames, of the ego at those of its trajectory's poses; and how many of these
-        lie beyond the file's frames.
+        Of a sensor at the times of its own frames, of the ego at those of its trajectory's poses.
         """
-        if self.trajectory is not None:
-            yield from _sampled(
-                self.trajectory,
-                self.trajectory.timestamps_ns,
-                times_ns,
-                "trajectories.positions",
-                "its poses",
-            )
+        ego = self.trajectory
+        if ego is not None:
+            yield from _sampled(ego, ego.timestamps_ns, times_ns, "trajectories.positions", "its poses")
         for name, path in self._moving_sensors().items():
             sensor = self.sensors[name]
-            own = _times(sensor)
-            own_times = own if len(own) else path.timestamps_ns
-            reported = "its frames" if len(own) else "its poses"
-            yield from _sampled(path, own_times, times_ns, f"sensors[{sensor.id}].poses", reported)
+            field, times = f"sensors[{sensor.id}].poses", _times(sensor)
+            if len(times):
+                yield from _sampled(path, times, times_ns, field, "its frames")
+            else:
+                yield from _sampled(path, path.timestamps_ns, times_ns, field, "its poses")
 
     def syncs(self, time_ns: int) -> dict[str, Any]:
-        """Which frame of each sensor is the nearest to a time, and when it is of."""
+        """Which frame of each sensor is the nearest to a time, and its own time."""
         found = {}
         for name, sensor in self.sensors.items():
             times = _times(sensor)
             if not len(times):
                 continue
             k = int(np.argmin(np.abs(times - time_ns)))
-            reach = float(np.median(np.diff(times))) * _WITHIN if len(times) > 1 else 0.0
-            if abs(int(times[k]) - time_ns) <= reach:
+            limit = float(np.median(np.diff(times))) * _WITHIN if len(times) > 1 else 0.0
+            if abs(int(times[k]) - time_ns) <= limit:
                 properties: dict[str, Any] = {"sync": {"frame_stream": k, "timestamp": seconds_text(int(times[k]))}}
-                if isinstance(sensor, CameraSensor) and (camera_model := sensor.images[k].camera) != sensor.camera:
-                    properties |= {
-                        key: value for key, value in _camera_model_properties(camera_model).items() if key != OURS
-                    }
+                if isinstance(sensor, CameraSensor) and (camera := sensor.images[k].camera) != sensor.camera:
+                    properties |= _camera_properties(camera)
+                    del properties[OURS]
                 found[name] = {"stream_properties": properties}
         return found
 
@@ -452,28 +346,27 @@ def _sampled(path: Poses, own_ns: Int64Array, times_ns: Int64Array, field: str, 
             yield Loss(field=field, what=what, count=count, support=Support.APPROXIMATED, largest_error=off)
     beyond = int((wanted & ~reached).sum())
     if beyond:
-        what = f"left out at times of {own} that lie beyond the file's frames"
-        yield Loss(field=field, what=what, count=beyond)
+        yield Loss(field=field, what=f"left out at times of {own} that lie beyond the file's frames", count=beyond)
 
 
 def _times(sensor: Sensor) -> Int64Array:
-    if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor):
-        return frame_times(sensor)
-    return np.zeros(0, np.int64)
+    has_frames = isinstance(sensor, LidarSensor | RadarSensor | CameraSensor)
+    return frame_times(sensor) if has_frames else np.zeros(0, np.int64)
 
 
 def _trajectory_of(scene: Scene) -> Poses | None:
-    """The ego trajectory: the first trajectory with orientations, else that of an odometry sensor."""
-    trajectories = [
-        trajectory.poses for trajectory in scene.trajectories.values() if trajectory.quaternions_xyzw is not None
-    ]
+    """The ego trajectory: the first one with orientations, else that of an odometry sensor."""
+    trajectories = [one.poses for one in scene.trajectories.values() if one.quaternions_xyzw is not None]
     trajectories += [sensor.poses for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
     return next((trajectory for trajectory in trajectories if not trajectory.static), None)
 
 
-def _parent_and_pose(sensor: Any) -> tuple[str, RigidTransform | None] | None:
+def _system_and_pose(sensor: Any) -> tuple[str, RigidTransform | None] | None:
     """The system that a sensor is placed in, and its pose there, None where it moves; None where nothing is known."""
     mount, poses = getattr(sensor, "mount", None), getattr(sensor, "poses", None)
+    if isinstance(sensor, CameraSensor) and sensor.coordinates is Coordinates.WORLD and mounts_of_shots(sensor):
+        # its images have mountings of their own: only its poses state where they were taken
+        return None if poses is None else (WORLD, None)
     if mount is not None:
         return EGO, mount
     if poses is None:
@@ -484,25 +377,19 @@ def _parent_and_pose(sensor: Any) -> tuple[str, RigidTransform | None] | None:
     return None if sensor.coordinates is Coordinates.EGO else (WORLD, None)
 
 
-def _pose(pose: RigidTransform) -> dict[str, Any]:
-    return {"pose_wrt_parent": {"matrix4x4": pose.matrix.reshape(-1).tolist()}}
+def _matrix(pose: RigidTransform) -> dict[str, Any]:
+    return {"matrix4x4": pose.matrix.reshape(-1).tolist()}
 
 
 def _stream(sensor: Any) -> dict[str, Any]:
     if isinstance(sensor, PlainSensor):
         return dict(sensor.fields)
-    own = {"id": sensor.id, "type": str(sensor.type)}
-    properties = _camera_model_properties(sensor.camera) if isinstance(sensor, CameraSensor) else {}
+    camera = _camera_properties(sensor.camera) if isinstance(sensor, CameraSensor) else {}
     kept = sensor.extras.get("stream_properties")
+    own = {"id": sensor.id, "type": str(sensor.type), **camera.get(OURS, {})}
     stream = {
         "type": _STREAM_TYPES[type(sensor)],
-        "stream_properties": {
-            **(kept if isinstance(kept, dict) else {}),
-            **properties,
-            OURS: {**own, **properties.get(OURS, {})},
-        },
+        "stream_properties": {**(kept if isinstance(kept, dict) else {}), **camera, OURS: own},
     }
-    for name in ("uri", "description"):
-        if isinstance(sensor.extras.get(name), str):
-            stream[name] = sensor.extras[name]
-    return stream
+    texts = {name: sensor.extras.get(name) for name in ("uri", "description")}
+    return stream | {name: text for name, text in texts.items() if isinstance(text, str)}

@@ -1,6 +1,6 @@
-"""The frames of an OpenLABEL file: when each frame is, the tree of coordinate systems, and transforms."""
+"""The frames of an OpenLABEL file: the time of each frame, the tree of coordinate systems, and transforms."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import lengths_of
-from sceneloom.formats.base.text_tables import UNITS_NS, TimestampError, parse_timestamp
+from sceneloom.formats.base.text_tables import FARTHEST_NS, UNITS_NS, TimestampError, parse_timestamp
 from sceneloom.formats.openlabel.document import Part
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import (
@@ -23,7 +23,8 @@ from sceneloom.scene.poses import Poses
 from sceneloom.warnings import WarningKind
 
 _DEFAULT_RATE_HZ = 10.0
-_FARTHEST_NS = 9_200_000_000_000_000_000
+_GREATEST_MATRIX_ERROR = 0.01
+_DEFAULT_SEQUENCE = "ZYX"
 
 _EPOCHS = (("nanoseconds", 1e17), ("microseconds", 1e14), ("milliseconds", 1e11))
 """Numbers from here on are times of our day in that unit; smaller ones are seconds."""
@@ -31,11 +32,7 @@ _EPOCHS = (("nanoseconds", 1e17), ("microseconds", 1e14), ("milliseconds", 1e11)
 
 @dataclass(frozen=True, slots=True)
 class FrameTimes:
-    """The times of the frames.
-
-    Attributes:
-        by_number: time of each frame [ns].
-    """
+    """The times of the frames [ns], by number."""
 
     by_number: dict[int, int]
 
@@ -44,72 +41,48 @@ class FrameTimes:
         """The earliest time; 0 where there are no frames."""
         return min(self.by_number.values(), default=0)
 
-    def at(self, number: int) -> int:
-        """The time of a frame [ns], from its neighbours where it is not in the file."""
+    def at(self, number: int, rate_hz: float = _DEFAULT_RATE_HZ) -> int:
+        """The time of a frame [ns]; of one that is not in the file, from the nearest one that is."""
         if number in self.by_number:
             return self.by_number[number]
         if not self.by_number:
-            return round(number * 1e9 / _DEFAULT_RATE_HZ)
-        numbers = np.array(sorted(self.by_number))
-        nearest = int(numbers[np.argmin(np.abs(numbers - number))])
+            return round(number * 1e9 / rate_hz)
+        nearest = min(self.by_number, key=lambda known: (abs(known - number), known))
         return self.by_number[nearest] + round((number - nearest) * 1e9 / _DEFAULT_RATE_HZ)
 
 
-def frame_times(document: Part, ledger: Ledger, rate_hz: float | None) -> FrameTimes:
-    """Read the times of all frames; those without one are counted.
+def read_frame_times(document: Part, ledger: Ledger, rate_hz: float | None) -> FrameTimes:
+    """Read the times of all frames; those without one are timed by their number, or by their distance from others.
 
     Raises:
-        DataError: a frame's key is no number, or its time is none.
+        DataError: a frame's key is no number, or its timestamp is none.
     """
     known: dict[int, int] = {}
     missing: list[int] = []
     for key, frame in document.each("frames"):
         if not (key.isascii() and key.isdigit() and len(key) < 16):
-            ledger.fault(
-                "frame-numbers",
-                DataError(document.file, frame.location, "expected a whole number as its key"),
-            )
-            continue
-        properties = frame.get("frame_properties")
-        timestamp = None if properties is None else properties.get("timestamp")
-        if timestamp is None:
+            fault = DataError(document.file, frame.location, "expected a whole number as its key")
+            ledger.fault("frame-numbers", fault)
+        elif (timestamp := frame.below("frame_properties").get("timestamp")) is None:
             missing.append(int(key))
-            continue
-        known[int(key)] = _timestamp_ns(timestamp)
+        else:
+            known[int(key)] = _timestamp_ns(timestamp)
     if missing:
-        _count(missing, known, document, ledger, rate_hz)
+        rate = rate_hz or _DEFAULT_RATE_HZ
+        times = FrameTimes(dict(known))
+        known |= {number: times.at(number, rate) for number in missing}
+        message = f"frames have no timestamp; taken at {rate:g} Hz by number, `--input-option rate_hz=HZ` sets the rate"
+        document.below("frames").note(ledger, WarningKind.ASSUMED, "frame-times-assumed", message, count=len(missing))
     return FrameTimes(known)
 
 
-def _count(missing: list[int], known: dict[int, int], document: Part, ledger: Ledger, rate_hz: float | None) -> None:
-    """Give frames without a time one: by their number, or with the known ones by their distance from these."""
-    times = FrameTimes(dict(known))
-    rate = rate_hz or _DEFAULT_RATE_HZ
-    for number in missing:
-        known[number] = times.at(number) if times.by_number else round(number * 1e9 / rate)
-    reported = (
-        f"frames have no timestamp; taken at {rate:g} Hz by number, `--input-option rate_hz=HZ` says another rate"
-    )
-    ledger.note(
-        WarningKind.ASSUMED,
-        "frame-times-assumed",
-        f"{document.file}: openlabel.frames",
-        reported,
-        count=len(missing),
-    )
-
-
 def _timestamp_ns(timestamp: Part) -> int:
-    """Read a time [ns]: a number or its text, in seconds, or another unit that makes it one of our day; or a date.
-
-    Raises:
-        DataError: it is none.
-    """
+    """Read a time [ns]: a number or its text, in seconds or another unit that makes it a time of our day; or a date."""
     value = timestamp.value
     if isinstance(value, int | float) and not isinstance(value, bool):
         unit = next((name for name, least in _EPOCHS if abs(value) >= least), "seconds")
         time_ns = value * UNITS_NS[unit] if isinstance(value, int) else round(value * UNITS_NS[unit])
-        if abs(time_ns) <= _FARTHEST_NS:
+        if abs(time_ns) <= FARTHEST_NS:
             return int(time_ns)
     if isinstance(value, str):
         whole = value.strip().lstrip("-").partition(".")[0]
@@ -122,35 +95,25 @@ def _timestamp_ns(timestamp: Part) -> int:
     raise timestamp.fault("a time in seconds, or a date as 2011-09-26T13:02:25.594Z")
 
 
-_GREATEST_MATRIX_ERROR = 0.01
-_DEFAULT_SEQUENCE = "ZYX"
-
-
 def _read_transform(part: Part) -> RigidTransform:
-    """Read a matrix of 4 times 4 by rows, or a quaternion x y z w or Euler angles with a translation.
-
-    Raises:
-        DataError: it is none of these, or its rotation is none.
-    """
+    """Read a matrix of 4 times 4 by rows, or a translation with a quaternion x y z w or Euler angles."""
     matrix = part.get("matrix4x4")
     if matrix is not None:
-        return _of_matrix(matrix, np.array(matrix.numbers((16,))).reshape(4, 4))
-    translation = np.array(part.need("translation").numbers((3,)))
-    quaternion = part.get("quaternion")
+        return _of_matrix(matrix)
+    translation = np.array(part.need("translation").numbers(3))
+    quaternion, angles, sequence = part.get("quaternion"), part.get("euler_angles"), part.get("sequence")
     if quaternion is not None:
-        return RigidTransform.from_quaternion(
-            translation, unit_quaternions([quaternion], [quaternion.numbers((4,))])[0]
-        )
-    angles = part.get("euler_angles")
-    if angles is None:
+        rotation = unit_quaternions([quaternion], [quaternion.numbers(4)])[0]
+    elif angles is not None:
+        order = _DEFAULT_SEQUENCE if sequence is None else sequence.text()
+        rotation = quaternion_from_euler(part, angles.numbers(3), order)
+    else:
         raise part.fault("matrix4x4, or quaternion or euler_angles with a translation")
-    sequence = part.get("sequence")
-    order = _DEFAULT_SEQUENCE if sequence is None else sequence.text()
-    rotation = rotation_from_euler(part, angles.numbers((3,)), order)
-    return RigidTransform.from_quaternion(translation, quaternion_from_matrix(rotation))
+    return RigidTransform.from_quaternion(translation, rotation)
 
 
-def _of_matrix(part: Part, matrix: Float64Array) -> RigidTransform:
+def _of_matrix(part: Part) -> RigidTransform:
+    matrix = np.array(part.numbers(16)).reshape(4, 4)
     if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-9):
         raise part.fault("a matrix by rows, whose last row is 0 0 0 1")
     try:
@@ -175,8 +138,8 @@ def unit_quaternions(parts: Sequence[Part], values: list[list[float]]) -> Float6
     return normalise_quaternion(quaternions)
 
 
-def rotation_from_euler(part: Part, angles: list[float], sequence: str) -> Float64Array:
-    """The product of three rotates about named axes, (3, 3): of "ZYX" and (a, b, c) it is Rz(a) Ry(b) Rx(c).
+def quaternion_from_euler(part: Part, angles: list[float], sequence: str = _DEFAULT_SEQUENCE) -> Float64Array:
+    """The product of three rotations about named axes, x y z w: of "ZYX" and (a, b, c) it is Rz(a) Ry(b) Rx(c).
 
     Raises:
         DataError: the sequence is none.
@@ -188,10 +151,7 @@ def rotation_from_euler(part: Part, angles: list[float], sequence: str) -> Float
         half = np.zeros(4)
         half["XYZ".index(axis)], half[3] = np.sin(angle / 2), np.cos(angle / 2)
         rotation = rotation @ matrix_from_quaternion(half)
-    return rotation
-
-
-_Edges = dict[str, tuple[str, Poses]]
+    return quaternion_from_matrix(rotation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,7 +164,7 @@ class Systems:
         sensors: those that are sensors'.
     """
 
-    edges: _Edges
+    edges: dict[str, tuple[str, Poses]]
     names: frozenset[str]
     sensors: frozenset[str] = frozenset()
 
@@ -253,66 +213,38 @@ def read_systems(document: Part, times: FrameTimes, ledger: Ledger) -> Systems:
         DataError: one is wrong.
     """
     parents: dict[str, str] = {}
-    edges: _Edges = {}
+    edges: dict[str, tuple[str, Poses]] = {}
     for name, system in document.each("coordinate_systems"):
-        parent = system.get("parent")
+        parent, pose = system.get("parent"), system.get("pose_wrt_parent")
         parents[name] = "" if parent is None else parent.text()
-        pose = system.get("pose_wrt_parent")
         if parents[name] and pose is not None:
-            edges[name] = (parents[name], _still(_read_transform(pose)))
-    moving = _moving(document, times)
-    for (source, goal), path in moving.items():
-        if parents.get(goal) == source:
-            edges[goal] = (source, _inverted(path))
-        else:
-            edges[source] = (goal, path)
-    names = frozenset({*parents, *(goal for goal, _ in edges.values())})
+            edges[name] = (parents[name], _poses({0: _read_transform(pose)}, static=True))
+    moving: dict[tuple[str, str], dict[int, RigidTransform]] = {}
+    for key, frame in document.each("frames"):
+        if key.isdigit():
+            for _, part in frame.below("frame_properties").each("transforms"):
+                pair = (part.need("src").text(), part.need("dst").text())
+                found = _read_transform(part.need("transform_src_to_dst"))
+                moving.setdefault(pair, {})[times.at(int(key))] = found
+    for (source, goal), poses in moving.items():
+        if source != goal and parents.get(goal) == source:
+            edges[goal] = (source, _poses({time_ns: pose.inverse() for time_ns, pose in poses.items()}))
+        elif source != goal:
+            edges[source] = (goal, _poses(poses))
     for name, parent_name in parents.items():
         if parent_name and name not in edges:
-            reported = f"it is not stated where it is in {parent_name!r}; taken for a root of its own"
-            location = f"{document.file}: openlabel.coordinate_systems.{name}"
-            ledger.note(WarningKind.ASSUMED, "coordinate-system-unplaced", location, reported)
+            message = f"its position in {parent_name!r} is not stated; it is taken as a root of its own"
+            part = document.need("coordinate_systems").need(name)
+            part.note(ledger, WarningKind.ASSUMED, "coordinate-system-unplaced", message)
+    names = frozenset({*parents, *(goal for goal, _ in edges.values())})
     return Systems(edges, names, frozenset(name for name, _ in document.each("streams")))
 
 
-def _still(transform: RigidTransform) -> Poses:
-    return Poses(np.zeros(1, np.int64), transform.translation[None], transform.quaternion_xyzw[None], static=True)
-
-
-def _moving(document: Part, times: FrameTimes) -> dict[tuple[str, str], Poses]:
-    """The transforms of the frames, by source and destination."""
-    rows: dict[tuple[str, str], dict[int, RigidTransform]] = {}
-    for number, part in _transforms(document):
-        pair = (part.need("src").text(), part.need("dst").text())
-        found = _read_transform(part.need("transform_src_to_dst"))
-        rows.setdefault(pair, {})[times.at(number)] = found
-    return {pair: _path(poses) for pair, poses in rows.items() if pair[0] != pair[1]}
-
-
-def _transforms(document: Part) -> Iterator[tuple[int, Part]]:
-    for key, frame in document.each("frames"):
-        properties = frame.get("frame_properties")
-        if properties is not None and key.isdigit():
-            for _, transform in properties.each("transforms"):
-                yield int(key), transform
-
-
-def _path(poses: dict[int, RigidTransform]) -> Poses:
-    timestamps = sorted(poses)
+def _poses(by_time: dict[int, RigidTransform], *, static: bool = False) -> Poses:
+    times = sorted(by_time)
     return Poses(
-        np.array(timestamps, np.int64),
-        np.stack([poses[timestamp].translation for timestamp in timestamps]),
-        np.stack([poses[timestamp].quaternion_xyzw for timestamp in timestamps]),
-    )
-
-
-def _inverted(path: Poses) -> Poses:
-    backwards = [
-        RigidTransform.from_quaternion(position, quaternion).inverse()
-        for position, quaternion in zip(path.positions, path.quaternions_xyzw, strict=True)
-    ]
-    return Poses(
-        path.timestamps_ns,
-        np.stack([one.translation for one in backwards]),
-        np.stack([one.quaternion_xyzw for one in backwards]),
+        np.array(times, np.int64),
+        np.stack([by_time[time_ns].translation for time_ns in times]),
+        np.stack([by_time[time_ns].quaternion_xyzw for time_ns in times]),
+        static=static,
     )

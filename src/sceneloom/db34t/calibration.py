@@ -1,12 +1,10 @@
-"""Calibration data of DB34/T 4101-2022: from table 3 and the declared sensor axes to camera models and extrinsics.
-
-And back, for several cameras and lidars.
-"""
+"""Calibrations of DB34/T 4101-2022: from table 3 and the declared axes to camera models and extrinsics, and back."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass
 from enum import StrEnum
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -14,60 +12,11 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, read_only
-from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.db34t.records import CalibrationData
 from sceneloom.db34t.tables import CALIBRATION
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.geometry.rigid import RigidTransform
-
-
-def _read_json(text: str, owner: str) -> Any:
-    """Read the text of a property; None for an empty one.
-
-    Raises:
-        DataError: it is no JSON.
-    """
-    if not text.strip():
-        return None
-    try:
-        return msgspec.json.decode(text)
-    except (msgspec.DecodeError, RecursionError) as error:
-        raise DataError(owner, "", f"no JSON: {error}") from error
-
-
-def read_by_sensor(text: str, owner: str, example: str) -> dict[int, Any]:
-    """Read the text of a property that says something of each sensor: an object whose names are numbers of sensors.
-
-    Args:
-        example: what such an object looks like.
-
-    Raises:
-        DataError: it is none, or a name is no number from 0 to 255.
-    """
-    found = _read_json(text, owner)
-    if found is None:
-        return {}
-    if not isinstance(found, dict):
-        raise DataError(owner, "", f"{text[:40]!r}; expected an object as {example}")
-    return {_sensor_id_of(int(name) if _is_number(name) else name, owner, name): found[name] for name in found}
-
-
-def _sensor_id_of(value: Any, owner: str, location: str) -> int:
-    """Give the number of a sensor.
-
-    Raises:
-        DataError: it is no whole number from 0 to 255.
-    """
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 255:
-        raise DataError(owner, location, f"{value!r}; expected a number of a sensor, 0 to 255")
-    return value
-
-
-def _is_number(name: str) -> bool:
-    return name.isascii() and name.isdigit() and len(name) <= 3
-
-
-_AXIS = re.compile(r"\s*([+-]?)\s*([xyz])\s*", re.IGNORECASE)
 
 
 class SensorKind(StrEnum):
@@ -75,6 +24,9 @@ class SensorKind(StrEnum):
 
     CAMERA = "camera"
     LIDAR = "lidar"
+
+
+_AXIS = re.compile(r"\s*([+-]?)\s*([xyz])\s*", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,33 +44,29 @@ class DeclaredAxes:
 
     def __post_init__(self) -> None:
         axes = np.abs(self.forward_right_up)
-        if not np.array_equal(axes.sum(axis=0), np.ones(3)) or not np.array_equal(axes.sum(axis=1), np.ones(3)):
+        if not (axes.sum(axis=0) == 1).all() or not (axes.sum(axis=1) == 1).all():
             raise CalibrationError("axes for forward, right, up; expected x, y and z, each of them once")
         object.__setattr__(self, "forward_right_up", read_only(self.forward_right_up))
 
     @classmethod
     def of_triple(cls, triple: Sequence[int], *, left_handed: bool) -> "DeclaredAxes":
-        """Read a triple of table 2: axis numbers of forward, right and up, negative for the opposite direction.
+        """Read `camera_coordinate` or `lidar_coordinate`: axis numbers of forward, right and up, negative if opposite.
 
-        There is no -0, so axis 0 carries no sign: it points to where it makes the frame as handed as declared.
-
-        Args:
-            triple: `camera_coordinate` or `lidar_coordinate`.
-            left_handed: `chirality` 1.
+        There is no -0, so axis 0 carries no sign: it points to where it makes the frame as handed as declared
+        (`left_handed` is `chirality` 1).
 
         Raises:
             CalibrationError: the magnitudes are no permutation of 0, 1, 2.
 
         Source: table 2 of DB34/T 4101-2022, rows 2 to 4; READING of axis triples in docs/CONVENTIONS.md.
         """
-        if len(triple) != 3 or sorted(abs(axis) for axis in triple) != [0, 1, 2]:
+        order = [abs(axis) for axis in triple]
+        if sorted(order) != [0, 1, 2]:
             raise CalibrationError(f"axes {tuple(triple)}; expected 0, 1 and 2 in any order, 1 and 2 with a sign")
         columns = np.zeros((3, 3))
-        for location, axis in enumerate(triple):
-            columns[abs(axis), location] = -1.0 if axis < 0 else 1.0
-        wanted = 1.0 if left_handed else -1.0
-        if np.linalg.det(columns) * wanted < 0:
-            columns[:, list(map(abs, triple)).index(0)] *= -1.0
+        columns[order, range(3)] = [-1.0 if axis < 0 else 1.0 for axis in triple]
+        if (np.linalg.det(columns) > 0) != left_handed:
+            columns[:, order.index(0)] *= -1.0
         return cls(columns)
 
     @classmethod
@@ -128,13 +76,12 @@ class DeclaredAxes:
         Raises:
             CalibrationError: it is no list of three different axes.
         """
-        found = [_AXIS.fullmatch(word) for word in words.split(",")]
-        if len(found) != 3 or any(match is None for match in found):
+        found = [match for match in map(_AXIS.fullmatch, words.split(",")) if match is not None]
+        if len(found) != 3 or words.count(",") != 2:
             raise CalibrationError(f"axes {words!r}; expected three of x, y, z with a sign, as in '+z,+x,-y'")
         columns = np.zeros((3, 3))
-        for location, match in enumerate(found):
-            if match is not None:
-                columns["xyz".index(match[2].lower()), location] = -1.0 if match[1] == "-" else 1.0
+        for k, match in enumerate(found):
+            columns["xyz".index(match[2].lower()), k] = -1.0 if match[1] == "-" else 1.0
         return cls(columns)
 
     @property
@@ -150,7 +97,7 @@ class DeclaredAxes:
         return bool(np.linalg.det(self.forward_right_up) > 0)
 
     def standard_from_declared(self, kind: SensorKind) -> Float64Array:
-        """Give the (3, 3) float64 matrix that takes declared coordinates into the frame used inside.
+        """The (3, 3) float64 matrix that takes declared coordinates into the frame used inside.
 
         Its determinant is +1, or -1 where the declared frame is left-handed; its transpose takes them back.
         """
@@ -159,25 +106,16 @@ class DeclaredAxes:
         return read_only(np.array(rows))
 
 
-_TOLERANCE = 1e-6
-_END = np.array([0.0, 0.0, 0.0, 1.0])
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+_MOST_ENTRY = 2.0
+"""Numbers beyond it stand in no rotation: their squares may overflow."""
+
+_MOST_ROTATION_ERROR = 0.02
+"""How far a rotation may be from orthonormal: matrices are printed with three digits or more."""
 
 
-class MatrixLayout(StrEnum):
-    """In which order the numbers of a matrix stand."""
-
-    ROW_MAJOR = "row-major"
-    COLUMN_MAJOR = "column-major"
-
-
-def possible_layouts(numbers: Sequence[float]) -> tuple[MatrixLayout, ...]:
-    """Report in which layouts 16 numbers are a transform; both where its translation is zero.
-
-    A transform ends with the row 0 0 0 1, which stands last in row-major order and is every fourth number in
-    column-major order.
-
-    Raises:
-        CalibrationError: they are not 16 finite numbers, or a transform in neither layout.
+def _possible_matrices(numbers: Sequence[float]) -> list[Float64Array]:
+    """The (4, 4) transforms that 16 numbers can be: by rows, by columns, or both where the translation is zero.
 
     Source: table 3 of DB34/T 4101-2022, whose example has its translation in the last row.
     """
@@ -185,8 +123,7 @@ def possible_layouts(numbers: Sequence[float]) -> tuple[MatrixLayout, ...]:
     if given.shape != (16,) or not np.isfinite(given).all():
         raise CalibrationError(f"extrinsic_matrix of {given.size} numbers; expected 16 finite ones")
     square = given.reshape(4, 4)
-    ends = {MatrixLayout.ROW_MAJOR: square[3], MatrixLayout.COLUMN_MAJOR: square[:, 3]}
-    found = tuple(layout for layout, end in ends.items() if np.abs(end - _END).max() <= _TOLERANCE)
+    found = [matrix for matrix in (square, square.T) if np.abs(matrix[3] - _LAST_ROW).max() <= 1e-6]
     if not found:
         raise CalibrationError(
             f"extrinsic_matrix with the last row {square[3].tolist()} and the last column {square[:, 3].tolist()}; "
@@ -195,42 +132,20 @@ def possible_layouts(numbers: Sequence[float]) -> tuple[MatrixLayout, ...]:
     return found
 
 
-def matrix_of(numbers: Sequence[float], layout: MatrixLayout) -> Float64Array:
-    """Arrange 16 numbers of a layout as a (4, 4) float64 matrix with the translation in its last column."""
-    square = np.asarray(numbers, np.float64).reshape(4, 4)
-    return square.copy() if layout is MatrixLayout.ROW_MAJOR else square.T.copy()
+def _camera_of(data: CalibrationData) -> Camera:
+    """The camera model of a record: a pinhole, or with coefficients (in the order of OpenCV) Brown and Conrady's.
 
-
-def numbers_of(matrix: Float64Array, layout: MatrixLayout = MatrixLayout.COLUMN_MAJOR) -> tuple[float, ...]:
-    """Give the 16 numbers of a (4, 4) transform, in the standard's own layout unless stated otherwise."""
-    ordered = matrix if layout is MatrixLayout.ROW_MAJOR else matrix.T
-    return tuple(ordered.reshape(-1).tolist())
-
-
-_NO_ROTATION = 2.0
-"""Numbers beyond it stand in no rotation."""
-
-SLOPPIEST = 0.02
-"""How far a rotation may be from one: matrices are printed with three digits or more."""
-
-
-def camera_of(data: CalibrationData) -> Camera:
-    """Give the camera model of a record: a pinhole, or with coefficients that of Brown and Conrady.
-
-    Raises:
-        CalibrationError: the matrix is none of a pinhole without skew, or a focal length is not positive.
-
-    Source: DB34/T 4101-2022, table 3; the coefficients are in the order of OpenCV.
+    Source: DB34/T 4101-2022, table 3.
     """
     k = np.array(data.intrinsic_matrix).reshape(3, 3)
     others = np.abs([k[0, 1], k[1, 0], k[2, 0], k[2, 1], k[2, 2] - 1.0])
     if others.max() > 1e-6 * max(1.0, abs(k[0, 0])):
         raise CalibrationError(f"intrinsic_matrix {k.tolist()}; expected fx 0 cx, 0 fy cy, 0 0 1, row after row")
-    width, height = data.image_size
     coefficients = tuple(data.distortion_coeffs)
-    model, all_of_it = ("brown_conrady", (*coefficients, *[0.0] * 11)) if any(coefficients) else ("pinhole", ())
+    model, padded = ("brown_conrady", (*coefficients, *[0.0] * 11)) if any(coefficients) else ("pinhole", ())
+    width, height = data.image_size
     fx, fy, cx, cy = k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
-    return Camera(model, width, height, fx, fy, cx, cy, all_of_it)
+    return Camera(model, width, height, fx, fy, cx, cy, padded)
 
 
 def check_calibration(data: CalibrationData) -> None:
@@ -239,12 +154,12 @@ def check_calibration(data: CalibrationData) -> None:
     Raises:
         CalibrationError: the numbers are no camera model, or no rotation with a translation in any layout.
     """
-    camera_of(data)
-    for layout in possible_layouts(data.extrinsic_matrix):
-        r = matrix_of(data.extrinsic_matrix, layout)[:3, :3]
-        largest = float(np.abs(r).max())  # numbers whose squares overflow are no rotation either
-        error = largest if largest > _NO_ROTATION else float(np.abs(r @ r.T - np.eye(3)).max())
-        if error > SLOPPIEST:
+    _camera_of(data)
+    for matrix in _possible_matrices(data.extrinsic_matrix):
+        r = matrix[:3, :3]
+        largest = float(np.abs(r).max())
+        error = largest if largest > _MOST_ENTRY else float(np.abs(r @ r.T - np.eye(3)).max())
+        if error > _MOST_ROTATION_ERROR:
             raise CalibrationError(
                 f"extrinsic_matrix whose rotation is off by {error:.2g}; expected an orthonormal one"
             )
@@ -253,7 +168,7 @@ def check_calibration(data: CalibrationData) -> None:
 def calibration_data(
     camera: Camera, camera_from_lidar: RigidTransform, camera_axes: DeclaredAxes, lidar_axes: DeclaredAxes
 ) -> CalibrationData:
-    """Write a camera model and a mounting as a record of table 3, in the standard's own layout.
+    """Write a camera model and extrinsics as a record of table 3, in the standard's own layout (by columns).
 
     Raises:
         CalibrationError: table 3 cannot hold the camera model.
@@ -263,53 +178,121 @@ def calibration_data(
     declared = np.eye(4)
     declared[:3, :3] = optical.T @ camera_from_lidar.rotation @ standard
     declared[:3, 3] = optical.T @ camera_from_lidar.translation
+    held = camera.coefficients[:5]
+    if camera.model not in ("pinhole", "brown_conrady") or any(camera.coefficients[5:]):
+        raise CalibrationError(
+            f"a {camera.model} camera model with {len(camera.coefficients)} coefficients; table 3 holds k1 k2 p1 p2 "
+            "k3 of a brown_conrady camera model: fit one to it, or send the camera model by the property "
+            "`camera_models`"
+        )
     return CalibrationData(
         image_size=(camera.width, camera.height),
         intrinsic_matrix=tuple(camera.matrix.reshape(-1).tolist()),
         reference_frame=0,
-        extrinsic_matrix=numbers_of(declared),
-        distortion_coeffs=_five_coefficients(camera),
+        extrinsic_matrix=tuple(declared.T.reshape(-1).tolist()),
+        distortion_coeffs=(*held, *[0.0] * (5 - len(held))),
     )
 
 
-def _five_coefficients(camera: Camera) -> tuple[float, float, float, float, float]:
-    if camera.model == "pinhole":
-        return (0.0, 0.0, 0.0, 0.0, 0.0)
-    held, more = camera.coefficients[:5], camera.coefficients[5:]
-    if camera.model != "brown_conrady" or any(more):
+@dataclass(frozen=True, eq=False)
+class CalibratedPair:
+    """A camera and a lidar in the frames used inside.
+
+    Attributes:
+        camera: the camera model.
+        camera_from_lidar: takes points of the lidar (x forward, y left, z up) into the optical frame.
+        notes: what looks wrong, for people.
+    """
+
+    camera: Camera
+    camera_from_lidar: RigidTransform
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def lidar_from_camera(self) -> RigidTransform:
+        """The inverse; always the same object."""
+        return self.camera_from_lidar.inverse()
+
+
+_SUSPECT_DEG = 45.0
+_CAMERA_FROM_LIDAR_FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+"""Of a camera that looks forward: optical axes from x forward, y left, z up."""
+
+
+def calibrated_pair(
+    data: CalibrationData, camera_axes: DeclaredAxes, lidar_axes: DeclaredAxes, *, camera_model: Camera | None = None
+) -> CalibratedPair:
+    """Bring a record into the frames used inside.
+
+    `extrinsic_matrix` relates the declared frames. Where its layout is open, the one counts that lets the camera look
+    more nearly forward. `camera_model` replaces the record's own.
+
+    Raises:
+        CalibrationError: the matrix mirrors where the axes do not, or they do and it does not.
+
+    Source: DB34/T 4101-2022, table 3; READINGS of extrinsic_matrix and of declared frames in docs/CONVENTIONS.md.
+    """
+    optical = camera_axes.standard_from_declared(SensorKind.CAMERA)
+    standard = lidar_axes.standard_from_declared(SensorKind.LIDAR)
+    found = []
+    for given in _possible_matrices(data.extrinsic_matrix):
+        declared = np.linalg.inv(given) if data.reference_frame == 1 else given
+        inside = np.eye(4)
+        inside[:3, :3] = optical @ declared[:3, :3] @ standard.T
+        inside[:3, 3] = optical @ declared[:3, 3]
+        found.append(inside)
+    nearest = min(found, key=lambda matrix: _off_forward_deg(matrix[:3, :3]))
+    transform, error = RigidTransform.nearest(nearest)
+    if error > _MOST_ROTATION_ERROR:
+        mirrored = np.linalg.det(nearest[:3, :3]) < 0
+        problem = "mirrors" if mirrored else f"has a rotation off by {error:.2g}"
         raise CalibrationError(
-            f"a {camera.model} camera model with {len(camera.coefficients)} coefficients; table 3 holds k1 k2 p1 p2 "
-            f"k3 of a "
-            "brown_conrady camera model: fit one to it, or send the camera model by the property `camera_models`"
+            f"extrinsic_matrix {problem} with axes {camera_axes.words} of the camera and {lidar_axes.words} of the "
+            "lidar; expected a rotation, of determinant +1, between frames that are both right- or both left-handed"
         )
-    k1, k2, p1, p2, k3 = (*held, *[0.0] * (5 - len(held)))
-    return (k1, k2, p1, p2, k3)
+    off_deg = _off_forward_deg(transform.rotation)
+    note = (
+        f"by its calibration the camera looks {off_deg:.0f}° off forward; mirrored or transposed? "
+        "check extrinsic_matrix, reference_frame and the declared axes, unless it is mounted so"
+    )
+    return CalibratedPair(camera_model or _camera_of(data), transform, (note,) if off_deg > _SUSPECT_DEG else ())
 
 
-MOST_PAIRS = 1024
-"""Cameras and lidars that one system may relate: every change of a calibration looks at all of them."""
-
-_OWNER = "calibration"
-_IDS = ("camera_id", "lidar_id")
-_FIELDS = {row.name: row.attribute for row in CALIBRATION.rows}
+def _off_forward_deg(rotation: Float64Array) -> float:
+    """Angle [deg] between a rotation and that of a camera that looks straight forward."""
+    cosine = (np.trace(rotation @ _CAMERA_FROM_LIDAR_FORWARD.T) - 1.0) / 2.0
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationEntry:
-    """A record of table 3 and the sensors that it is of.
-
-    Attributes:
-        camera_id, lidar_id: 0 to 255.
-        data: the record.
-    """
+    """A record of table 3, and the camera and the lidar (0 to 255) that it is of."""
 
     camera_id: int
     lidar_id: int
     data: CalibrationData
 
 
+CalibrationTable = Mapping[tuple[int, int], CalibrationEntry]
+"""Calibrations by camera_id and lidar_id; never edited, so that a frame keeps those in force when it came."""
+
+MOST_PAIRS = 1024
+"""Cameras and lidars that one system may relate: every change of a calibration looks at all of them."""
+
+
+def calibration_table(entries: Iterable[CalibrationEntry], before: CalibrationTable | None = None) -> CalibrationTable:
+    """A table of calibrations, which replace those of the same sensors in the one before."""
+    added = {(entry.camera_id, entry.lidar_id): entry for entry in entries}
+    return MappingProxyType({**(before or {}), **added})
+
+
+_OWNER = "calibration"
+_IDS = ("camera_id", "lidar_id")
+_FIELDS = {row.name: row.attribute for row in CALIBRATION.rows}
+
+
 def parse_calibrations(text: str) -> tuple[CalibrationEntry, ...]:
-    """Read the property; an empty text holds none.
+    """Read the property `calibration`; an empty text holds none.
 
     Raises:
         DataError: it is no JSON list of records of table 3 with `camera_id` and `lidar_id`, or two are of one pair.
@@ -357,37 +340,71 @@ def entry_of(item: Any, location: str) -> CalibrationEntry:
     return CalibrationEntry(camera_id, lidar_id, data)
 
 
-def format_calibrations(entries: tuple[CalibrationEntry, ...]) -> str:
+def format_calibrations(entries: Iterable[CalibrationEntry]) -> str:
     """Write the property's text, which `parse_calibrations` reads back."""
     items = [{"camera_id": e.camera_id, "lidar_id": e.lidar_id, **asdict(e.data)} for e in entries]
     return msgspec.json.encode(items).decode()
 
 
 CAMERA_MODELS = "camera_models"
-"""Name of the property, a string that a session adds where it needs it."""
+"""A property that a session adds where it needs it: camera models that table 3 cannot state."""
 
 
-@dataclass(frozen=True, slots=True)
-class CalibrationTable:
-    """Calibrations by camera and lidar; never edited, so that a frame keeps those in force when it came.
+def parse_camera_models(text: str) -> Mapping[int, Camera]:
+    """Read `{"1": {"model": "fisheye", "image_size": [w, h], "fx": …, "coefficients": […]}}`; an empty text: none.
 
-    Attributes:
-        entries: by (camera_id, lidar_id).
+    Raises:
+        DataError: it is no JSON object of camera models.
+        CalibrationError: a camera model cannot be.
     """
+    found = read_by_sensor(text, CAMERA_MODELS, '{"1": {"model": "fisheye", …}}')
+    return {camera_id: _camera_model(entry, str(camera_id)) for camera_id, entry in found.items()}
 
-    entries: Mapping[tuple[int, int], CalibrationEntry] = field(default_factory=lambda: MappingProxyType({}))
 
-    def having(self, entries: Iterable[CalibrationEntry]) -> "CalibrationTable":
-        """The table with further entries, which replace those of the same sensors."""
-        added = {(entry.camera_id, entry.lidar_id): entry for entry in entries}
-        return replace(self, entries=MappingProxyType({**self.entries, **added}))
+def _camera_model(entry: Any, location: str) -> Camera:
+    try:
+        model, (width, height) = entry["model"], entry["image_size"]
+        fx, fy, cx, cy = (float(entry[name]) for name in ("fx", "fy", "cx", "cy"))
+        coefficients = tuple(float(value) for value in entry.get("coefficients", ()))
+        if model not in MODELS or not all(isinstance(size, int) for size in (width, height)):
+            problem = f"{entry!r}; expected a model out of {', '.join(MODELS)} and whole sizes"
+            raise DataError(CAMERA_MODELS, location, problem)
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+        problem = f"{entry!r}; expected model, image_size, fx, fy, cx, cy, coefficients"
+        raise DataError(CAMERA_MODELS, location, problem) from error
+    wanted = len(MODELS[model].coefficient_names)
+    if len(coefficients) > wanted:
+        raise CalibrationError(f"{CAMERA_MODELS}.{location}: {len(coefficients)} coefficients; {model} has {wanted}")
+    padded = (*coefficients, *[0.0] * (wanted - len(coefficients)))
+    return Camera(model, width, height, fx, fy, cx, cy, padded)
 
-    @property
-    def camera_ids(self) -> tuple[int, ...]:
-        """All cameras, ascending."""
-        return tuple(sorted({camera_id for camera_id, _ in self.entries}))
 
-    @property
-    def lidar_ids(self) -> tuple[int, ...]:
-        """All lidars, ascending."""
-        return tuple(sorted({lidar_id for _, lidar_id in self.entries}))
+def read_by_sensor(text: str, owner: str, example: str) -> dict[int, Any]:
+    """Read a property that describes sensors: a JSON object by sensor number, as `example`; {} for an empty text.
+
+    Raises:
+        DataError: it is none, or a name is no number from 0 to 255.
+    """
+    found = _read_json(text, owner)
+    if found is None:
+        return {}
+    if not isinstance(found, dict):
+        raise DataError(owner, "", f"{text[:40]!r}; expected an object as {example}")
+    numbers = (int(name) if name.isascii() and name.isdigit() and len(name) <= 3 else name for name in found)
+    return {_sensor_id_of(number, owner, name): found[name] for number, name in zip(numbers, found, strict=True)}
+
+
+def _read_json(text: str, owner: str) -> Any:
+    """Read the text of a property; None for an empty one."""
+    if not text.strip():
+        return None
+    try:
+        return msgspec.json.decode(text)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise DataError(owner, "", f"no JSON: {error}") from error
+
+
+def _sensor_id_of(value: Any, owner: str, location: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 255:
+        raise DataError(owner, location, f"{value!r}; expected a number of a sensor, 0 to 255")
+    return value

@@ -16,6 +16,7 @@ from sceneloom.db34t.calibration import (
     MOST_PAIRS,
     CalibrationEntry,
     CalibrationTable,
+    calibration_table,
     check_calibration,
     format_calibrations,
     parse_calibrations,
@@ -160,7 +161,7 @@ class FusionInterface:
         self.properties = PropertyStore(check_algorithm=lambda kind, name: algorithm(FusionType(kind), name))
         self.counters = Counters()
         self._lock = threading.RLock()
-        self._table = CalibrationTable()
+        self._table: CalibrationTable = {}
         self._setting: Setting | None = None
         self._trajectory = RecentTrajectory()
         self._limits = limits or QueueLimits()
@@ -203,7 +204,7 @@ class FusionInterface:
         with self._lock:
             outcome = self.properties.set(name, value)
             if outcome and name == "calibration":
-                self._table = CalibrationTable().having(parse_calibrations(self.properties.get(name).value))
+                self._table = calibration_table(parse_calibrations(self.properties.get(name).value))
         return outcome
 
     def get_property(self, name: str) -> Any:
@@ -235,10 +236,10 @@ class FusionInterface:
         if width * height > self._limits.most_pixels:
             return refused(Cause.TOO_MANY, self._too_many_pixels(width * height))
         with self._lock:
-            table = self._table.having([CalibrationEntry(camera_id, lidar_id, data)])
-            if len(table.entries) > MOST_PAIRS:
-                return refused(Cause.TOO_MANY, f"{len(table.entries)} calibrations; expected at most {MOST_PAIRS}")
-            outcome = self.properties.set("calibration", format_calibrations(tuple(table.entries.values())))
+            table = calibration_table([CalibrationEntry(camera_id, lidar_id, data)], self._table)
+            if len(table) > MOST_PAIRS:
+                return refused(Cause.TOO_MANY, f"{len(table)} calibrations; expected at most {MOST_PAIRS}")
+            outcome = self.properties.set("calibration", format_calibrations(table.values()))
             if outcome:
                 self._table = table
         return outcome

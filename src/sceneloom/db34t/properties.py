@@ -1,7 +1,4 @@
-"""Configuration data of DB34/T 4101-2022: the predefined properties of table 2 and its extensions.
-
-Properties that users add, and the property `sensors` with the extrinsics of lidars.
-"""
+"""Configuration data of DB34/T 4101-2022: predefined properties (table 2 and extensions), added ones, and `sensors`."""
 
 import re
 import threading
@@ -22,50 +19,11 @@ from sceneloom.errors import ArrayError, CalibrationError, DataError, OptionErro
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import GLOBAL, LONGEST_ROLL_S, Shutter
 
-_NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
-_NORM_TOLERANCE = 0.01
+_MOUNTING_PARTS = {"position": 3, "quaternion_xyzw": 4}
+_MOST_M = 1e9
+"""Beyond this a number is none of an extrinsic position [m]."""
 
-_MOST = 1e9
-"""Beyond this a number is none of a mounting [m]."""
-
-_PARTS = {"position": 3, "quaternion_xyzw": 4}
-
-
-def _parse_mounting(found: Any, owner: str, location: str) -> RigidTransform:
-    """Read `{"position": [x, y, z], "quaternion_xyzw": [x, y, z, w]}`: the lidar's position [m] and rotation.
-
-    The rotation is none where it is left out.
-
-    Raises:
-        DataError: it is no such object.
-    """
-    if not isinstance(found, dict) or not {"position"} <= set(found) <= set(_PARTS):
-        raise DataError(owner, location, f"{found!r}; expected an object with position and perhaps quaternion_xyzw")
-    values = {"quaternion_xyzw": _NO_ROTATION, **found}
-    for name, count in _PARTS.items():
-        numbers = values[name]
-        if not isinstance(numbers, list | tuple) or len(numbers) != count or not all(map(_is_number, numbers)):
-            raise DataError(owner, f"{location}.{name}", f"{numbers!r}; expected {count} finite numbers")
-    norm = float(np.linalg.norm(values["quaternion_xyzw"]))
-    if abs(norm - 1.0) > _NORM_TOLERANCE:
-        problem = f"norm {norm:.4f}; expected a unit quaternion"
-        raise DataError(owner, f"{location}.quaternion_xyzw", problem)
-    try:
-        return RigidTransform.from_quaternion(
-            np.array(values["position"], np.float64), np.array(values["quaternion_xyzw"], np.float64)
-        )
-    except (ArrayError, CalibrationError) as error:
-        raise DataError(owner, location, str(error)) from error
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MOST
-
-
-_LOCATION, _MOUNTING = "sensors", "body_from_lidar"
-_ROLL, _ROLLS_OVER_COLUMNS = "shutter_roll_s", "shutter_left_to_right"
-
-_OF_KIND = {SensorKind.LIDAR: (_MOUNTING,), SensorKind.CAMERA: (_ROLL, _ROLLS_OVER_COLUMNS)}
+_OF_KIND = {SensorKind.LIDAR: ("body_from_lidar",), SensorKind.CAMERA: ("shutter_roll_s", "shutter_left_to_right")}
 """What is stated for sensors of one kind alone."""
 
 
@@ -109,51 +67,68 @@ class DeclaredSensor:
 
 
 def parse_sensors(text: str) -> Mapping[int, DeclaredSensor]:
-    """Read the property; an empty text declares nothing.
+    """Read the property `sensors`; an empty text declares nothing.
 
     Raises:
         DataError: it is no JSON object of sensors.
     """
-    found = read_by_sensor(text, _LOCATION, '{"0": {"kind": "lidar"}}')
+    found = read_by_sensor(text, "sensors", '{"0": {"kind": "lidar"}}')
     return {sensor_id: _declared(sensor_id, entry) for sensor_id, entry in found.items()}
 
 
 def _declared(sensor_id: int, entry: Any) -> DeclaredSensor:
-    name = str(sensor_id)
     if not isinstance(entry, dict) or "kind" not in entry:
-        raise DataError(_LOCATION, name, f"{entry!r}; expected an object with kind")
+        raise DataError("sensors", str(sensor_id), f"{entry!r}; expected an object with kind")
+
+    def fault(field: str, problem: str) -> DataError:
+        return DataError("sensors", f"{sensor_id}.{field}", problem)
+
     if entry["kind"] not in list(SensorKind):
-        raise DataError(_LOCATION, f"{name}.kind", f"{entry['kind']!r}; expected {' or '.join(SensorKind)}")
+        raise fault("kind", f"{entry['kind']!r}; expected {' or '.join(SensorKind)}")
     kind = SensorKind(entry["kind"])
-    for word in entry:
-        _check_word(word, kind, f"{name}.{word}")
+    for name in entry:
+        if name in ("kind", "raw", *_OF_KIND[kind]):
+            continue
+        others = {other.value for other, names in _OF_KIND.items() if name in names}
+        if others:
+            raise fault(name, f"of a {kind}; expected of {' and '.join(others)}s")
+        raise fault(name, f"no field of a {kind}; expected kind and perhaps {', '.join(('raw', *_OF_KIND[kind]))}")
     raw = entry.get("raw")
     if raw is not None and raw not in _RAW_FORMS[kind]:
-        raise DataError(_LOCATION, f"{name}.raw", f"{raw!r}; expected one of {', '.join(_RAW_FORMS[kind])}")
-    mounting = _parse_mounting(entry[_MOUNTING], _LOCATION, f"{name}.{_MOUNTING}") if _MOUNTING in entry else None
-    return DeclaredSensor(sensor_id, kind, None if raw is None else RawForm(raw), mounting, _shutter(entry, name))
-
-
-def _check_word(word: str, kind: SensorKind, location: str) -> None:
-    """Refuse what is stated for no sensor of this kind."""
-    if word in ("kind", "raw", *_OF_KIND[kind]):
-        return
-    others = {other.value for other, words in _OF_KIND.items() if word in words}
-    if others:
-        raise DataError(_LOCATION, location, f"of a {kind}; expected of {' and '.join(others)}s")
-    expected = ", ".join(("raw", *_OF_KIND[kind]))
-    raise DataError(_LOCATION, location, f"no word of a {kind}; expected kind and perhaps {expected}")
-
-
-def _shutter(entry: Mapping[str, Any], name: str) -> Shutter:
-    """What a camera's entry says of its shutter; all at once where it says nothing."""
-    seconds, over_columns = entry.get(_ROLL, 0.0), entry.get(_ROLLS_OVER_COLUMNS, False)
+        raise fault("raw", f"{raw!r}; expected one of {', '.join(_RAW_FORMS[kind])}")
+    seconds, over_columns = entry.get("shutter_roll_s", 0.0), entry.get("shutter_left_to_right", False)
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds <= LONGEST_ROLL_S:
-        problem = f"{seconds!r}; expected seconds, 0 to {LONGEST_ROLL_S:g}"
-        raise DataError(_LOCATION, f"{name}.{_ROLL}", problem)
+        raise fault("shutter_roll_s", f"{seconds!r}; expected seconds, 0 to {LONGEST_ROLL_S:g}")
     if not isinstance(over_columns, bool):
-        raise DataError(_LOCATION, f"{name}.{_ROLLS_OVER_COLUMNS}", f"{over_columns!r}; expected true or false")
-    return Shutter(float(seconds), over_columns)
+        raise fault("shutter_left_to_right", f"{over_columns!r}; expected true or false")
+    return DeclaredSensor(
+        sensor_id,
+        kind,
+        None if raw is None else RawForm(raw),
+        _mounting(entry["body_from_lidar"], fault) if "body_from_lidar" in entry else None,
+        Shutter(float(seconds), over_columns),
+    )
+
+
+def _mounting(found: Any, fault: Callable[[str, str], DataError]) -> RigidTransform:
+    """Read `{"position": [x, y, z], "quaternion_xyzw": [x, y, z, w]}` [m]; without a rotation the identity."""
+    owner = "body_from_lidar"
+    if not isinstance(found, dict) or not {"position"} <= set(found) <= set(_MOUNTING_PARTS):
+        raise fault(owner, f"{found!r}; expected an object with position and perhaps quaternion_xyzw")
+    values = {"quaternion_xyzw": (0.0, 0.0, 0.0, 1.0), **found}
+    for name, count in _MOUNTING_PARTS.items():
+        numbers = values[name]
+        listed = isinstance(numbers, list | tuple) and len(numbers) == count
+        if not listed or not all(type(number) in (int, float) and abs(number) <= _MOST_M for number in numbers):
+            raise fault(f"{owner}.{name}", f"{numbers!r}; expected {count} finite numbers")
+    quaternion = np.array(values["quaternion_xyzw"], np.float64)
+    norm = float(np.linalg.norm(quaternion))
+    if abs(norm - 1.0) > 0.01:
+        raise fault(f"{owner}.quaternion_xyzw", f"norm {norm:.4f}; expected a unit quaternion")
+    try:
+        return RigidTransform.from_quaternion(np.array(values["position"], np.float64), quaternion)
+    except (ArrayError, CalibrationError) as error:
+        raise fault(owner, str(error)) from error
 
 
 _Check = Callable[[Any], object]
@@ -165,11 +140,9 @@ class PredefinedProperty:
     """A property that is there from the start.
 
     Attributes:
-        name: of the property.
-        description: what it sets, for people.
+        name, description, unit: of the property; `unit` "" for none.
         type: as in table 1, or a tuple of such.
         default: its value at the start.
-        unit: of the value, or "".
         check: what else the value has to fulfil, or None.
         source: the row of table 2, or "extension".
     """
@@ -183,51 +156,39 @@ class PredefinedProperty:
     source: str = "extension"
 
 
-def _positive(value: int) -> None:
-    if value < 1:
-        raise DataError("", "", f"{value}; expected 1 or more")
+def _expect(holds: Callable[[Any], bool], expected: str) -> _Check:
+    """A check that a value holds; the message states the value and what was expected."""
 
-
-def _not_negative(value: float) -> None:
-    if value < 0:
-        raise DataError("", "", f"{value:g}; expected 0 or more")
-
-
-def _one_of(*names: str) -> _Check:
-    def check(value: str) -> None:
-        if value not in names:
-            raise DataError("", "", f"{value!r}; expected one of {', '.join(names)}")
+    def check(value: Any) -> None:
+        if not holds(value):
+            text = f"{value:g}" if isinstance(value, float) else repr(value)
+            raise DataError("", "", f"{text}; expected {expected}")
 
     return check
 
 
-def _triple(value: tuple[int, ...]) -> None:
-    DeclaredAxes.of_triple(value, left_handed=False)
-
-
-def _words(value: str) -> None:
-    if value:
-        DeclaredAxes.of_words(value)
-
-
-def _filled(value: str) -> None:
-    if not value.strip():
-        raise DataError("", "", "an empty name; expected the name of an algorithm")
+def _one_of(*names: str) -> _Check:
+    return _expect(lambda value: value in names, f"one of {', '.join(names)}")
 
 
 def _detectors(value: str) -> None:
-    _one_of(*detector_names())(value)
+    _one_of(*detector_names())(value)  # looked up late: detectors of other packages take time to import
 
 
 _PROPERTY_CHECKS: Mapping[str, _Check] = {
-    **dict.fromkeys(("camera_coordinate", "lidar_coordinate"), _triple),
-    **dict.fromkeys(("camera_axes", "lidar_axes"), _words),
-    **dict.fromkeys(("camera_frequency", "lidar_frequency", "queue_length", "result_queue_length"), _positive),
-    "fusion_algorithm": _filled,
+    **dict.fromkeys(
+        ("camera_coordinate", "lidar_coordinate"), lambda value: DeclaredAxes.of_triple(value, left_handed=False)
+    ),
+    **dict.fromkeys(("camera_axes", "lidar_axes"), lambda value: value and DeclaredAxes.of_words(value)),
+    **dict.fromkeys(
+        ("camera_frequency", "lidar_frequency", "queue_length", "result_queue_length"),
+        _expect(lambda value: value >= 1, "1 or more"),
+    ),
+    "fusion_algorithm": _expect(lambda value: bool(value.strip()), "the name of an algorithm"),
     "sensors": parse_sensors,
     "calibration": parse_calibrations,
     "depth_kind": _one_of("z", "range"),
-    "pairing_tolerance_ms": _not_negative,
+    "pairing_tolerance_ms": _expect(lambda value: value >= 0, "0 or more"),
     "queue_policy": _one_of("drop-oldest", "refuse"),
     "detectors": _detectors,
 }
@@ -247,8 +208,6 @@ PREDEFINED: Mapping[str, PredefinedProperty] = MappingProxyType({row.name: row f
 Source: DB34/T 4101-2022, table 2; defaults are its examples, but for the algorithm, which names one that is built in.
 """
 
-_FAULTS = (DataError, CalibrationError)
-"""What a check raises."""
 
 _ENUM_PAIR = re.compile(r"(\w+)\s*=\s*(-?\d+)")
 _LONGEST_NAME = 256
@@ -266,11 +225,10 @@ class Property:
     """One property with its value.
 
     Attributes:
-        name: of the property.
-        description: what it sets, for people; of an `enum` also its `name=number` pairs.
+        name, unit: of the property; `unit` "" for none.
+        description: for people; of an `enum` also its `name=number` pairs.
         type: what its values have to be.
         value: as `ValueType.check` gives it; None where it was added and not set yet.
-        unit: of the value, or "".
         predefined: whether it is there from the start.
     """
 
@@ -305,13 +263,6 @@ class Snapshot:
         return self.properties[name].value
 
 
-def _predefined() -> dict[str, Property]:
-    return {
-        row.name: Property(row.name, row.description, ValueType.parse(row.type), row.default, row.unit, predefined=True)
-        for row in PREDEFINED.values()
-    }
-
-
 @dataclass(slots=True)
 class PropertyStore:
     """Holds the properties; each call is whole before the next one is, whoever calls.
@@ -324,7 +275,14 @@ class PropertyStore:
     """
 
     check_algorithm: Callable[[int, str], object] | None = None
-    _properties: dict[str, Property] = field(default_factory=_predefined)
+    _properties: dict[str, Property] = field(
+        default_factory=lambda: {
+            row.name: Property(
+                row.name, row.description, ValueType.parse(row.type), row.default, row.unit, predefined=True
+            )
+            for row in PREDEFINED.values()
+        }
+    )
     _algorithms: list[str] = field(default_factory=lambda: [PREDEFINED["fusion_algorithm"].default] * 2)
     _revision: int = 0
     _size: int = 0
@@ -368,7 +326,7 @@ class PropertyStore:
         with self._lock:
             known = self._properties.get(name)
             if known is None:
-                return refused(Cause.UNKNOWN_NAME, f"property {shown(name)} is not there; {self._known()}")
+                return refused(Cause.UNKNOWN_NAME, self._unknown(name))
             try:
                 checked = _checked(known, value)
             except DataError as error:
@@ -377,7 +335,7 @@ class PropertyStore:
                 self._check_further(name, checked)
             except OptionError as error:
                 return refused(Cause.UNKNOWN_ALGORITHM, error)
-            except _FAULTS as error:
+            except (DataError, CalibrationError) as error:
                 return refused(Cause.OUT_OF_RANGE, f"{name}: {error}")
             size = self._size - _size_of(known.value) + _size_of(checked)
             if size > _LARGEST_VALUES:
@@ -387,7 +345,11 @@ class PropertyStore:
             if name == "fusion_algorithm":
                 self._algorithms[self._properties["fusion_type"].value] = checked
             self._keep(replace(known, value=checked))
-            self._show_algorithm()
+            # fusion_algorithm states the algorithm of the fusion that fusion_type names
+            algorithm = self._properties["fusion_algorithm"]
+            current = self._algorithms[self._properties["fusion_type"].value]
+            if algorithm.value != current:
+                self._properties["fusion_algorithm"] = replace(algorithm, value=current)
         return DONE
 
     def get(self, name: str) -> Property:
@@ -400,7 +362,7 @@ class PropertyStore:
         """
         with self._lock:
             if name not in self._properties:
-                raise OptionError(f"property {shown(name)} is not there; {self._known()}")
+                raise OptionError(self._unknown(name))
             return self._properties[name]
 
     def snapshot(self) -> Snapshot:
@@ -416,13 +378,6 @@ class PropertyStore:
         self._revision += 1
         self._snapshot = None
 
-    def _show_algorithm(self) -> None:
-        """Let `fusion_algorithm` state the algorithm of the fusion that `fusion_type` names."""
-        shown_now = self._properties["fusion_algorithm"]
-        current = self._algorithms[self._properties["fusion_type"].value]
-        if shown_now.value != current:
-            self._properties["fusion_algorithm"] = replace(shown_now, value=current)
-
     def _check_further(self, name: str, value: Any) -> None:
         row = PREDEFINED.get(name)
         if row is not None and row.check is not None:
@@ -430,20 +385,17 @@ class PropertyStore:
         if name == "fusion_algorithm" and self.check_algorithm is not None:
             self.check_algorithm(self._properties["fusion_type"].value, value)
 
-    def _known(self) -> str:
+    def _unknown(self, name: str) -> str:
         names = list(self._properties)
-        return f"there are {', '.join(names[:40])}{'' if len(names) <= 40 else ', …'}"
+        listed = f"{', '.join(names[:40])}{'' if len(names) <= 40 else ', …'}"
+        return f"property {shown(name)} is not there; there are {listed}"
 
 
 def _check_words(name: str, description: str) -> None:
-    """Check name and description of a property that is added.
-
-    Raises:
-        DataError: one of them cannot be.
-    """
-    if not _is_name(name):
-        problem = f"{shown(name)}; expected 1 to {_LONGEST_NAME} visible characters"
-        raise DataError("property", "name", problem)
+    """Check name and description of a property that is added."""
+    usable = isinstance(name, str) and 0 < len(name) <= _LONGEST_NAME and name.isprintable() and " " not in name
+    if not usable:
+        raise DataError("property", "name", f"{shown(name)}; expected 1 to {_LONGEST_NAME} visible characters")
     if not isinstance(description, str):
         raise DataError(f"property {name}", "description", f"{shown(description)}; expected a text")
     if len(description) > _LONGEST_DESCRIPTION:
@@ -457,10 +409,6 @@ def _size_of(value: Any) -> int:
     return len(value) if isinstance(value, str) else 8
 
 
-def _is_name(name: str) -> bool:
-    return isinstance(name, str) and 0 < len(name) <= _LONGEST_NAME and name.isprintable() and " " not in name
-
-
 def _checked(known: Property, value: Any) -> Any:
     checked = known.type.check(value, owner=known.name)
     if BasicType.ENUM not in known.type.elements:
@@ -469,12 +417,8 @@ def _checked(known: Property, value: Any) -> Any:
         return _enumerated(known, checked)
     return tuple(
         _enumerated(known, item) if kind is BasicType.ENUM else item
-        for kind, item in zip(_kinds(known.type, len(checked)), checked, strict=True)
+        for kind, item in zip(known.type.elements_of(len(checked)), checked, strict=True)
     )
-
-
-def _kinds(kind: ValueType, count: int) -> tuple[BasicType, ...]:
-    return kind.elements if kind.form is ValueForm.TUPLE else kind.elements * count
 
 
 def _enumerated(known: Property, value: str | int) -> int:

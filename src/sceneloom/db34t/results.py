@@ -1,23 +1,25 @@
 """Results of the fusion system as records of tables 9 and 10, in the coordinate frames that the session declares."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt32Array
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.blending import NO_CAMERA, colour_points
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.db34t.calibration import SensorKind
 from sceneloom.db34t.records import Boxes2d, Boxes3d, FusedDetections, ImageData, SensorFusionData
-from sceneloom.db34t.scene_objects import COLOR_NAMES, result_fields, sensor_fusion_of
+from sceneloom.db34t.scene_objects import COLOR_NAMES, point_table, result_fields, whole_corners
 from sceneloom.db34t.setting import Setting
 from sceneloom.db34t.types import Timestamp
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType
 from sceneloom.fusion.box_fusion import FusedDetectionFrame
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.projection import draw_depths
 from sceneloom.scene.clouds import LidarFrame, LidarPoints
 
 
@@ -28,8 +30,7 @@ class FoundObjects:
     Attributes:
         frame: the objects, in the lidar's frame of the standard axes.
         world_from_lidar: at the time of the sweep; the identity where the ego trajectory did not count.
-        origin: (3,) float64 [m], where that world's origin is in the world of the vehicle's trajectory: it goes along
-            with it.
+        origin: (3,) float64 [m], where that world's origin is in the world of the vehicle's trajectory.
         setting: the configuration in force when the sweep came.
     """
 
@@ -37,10 +38,6 @@ class FoundObjects:
     world_from_lidar: RigidTransform
     origin: Float64Array
     setting: Setting
-
-
-_UNSEEN_LEVEL = 128
-"""Red, green and blue of points that the image does not show."""
 
 
 def sensor_fusion_record(
@@ -51,13 +48,10 @@ def sensor_fusion_record(
     *,
     sent: LidarFrame,
     image: ImageData,
-    camera_id: int,
-    lidar_id: int,
-    image_seq: int,
-    points_seq: int,
+    numbers: Mapping[str, Any],
     motion_compensated: bool,
 ) -> SensorFusionData:
-    """Give the record of a sweep and one of its images.
+    """The record of a sweep and one of its images.
 
     The points have x, y, z, then what else was sent of them in its order, then r, g, b, whatever the values are.
 
@@ -65,33 +59,49 @@ def sensor_fusion_record(
         world_from_lidar: the lidar at the sweep's reference time; where the ego stood, the identity.
         sent: the sweep as it was sent.
         image: the image as it was sent.
+        numbers: camera_id, lidar_id, image_seq and points_seq.
 
     Source: DB34/T 4101-2022, table 9; READINGS of table 9 in docs/CONVENTIONS.md.
     """
     of_lidar = setting.properties["reference_frame"] == 1
     world_from_frame = world_from_lidar if of_lidar else view.world_from_camera
-    axes, kind = (setting.frames.lidar, SensorKind.LIDAR) if of_lidar else (setting.frames.camera, SensorKind.CAMERA)
+    kind = SensorKind.LIDAR if of_lidar else SensorKind.CAMERA
     points = replace(
         sent.points,
-        positions=_moved(frame.points, world_from_frame, axes.standard_from_declared(kind).T),
+        positions=_moved(frame.points, world_from_frame, setting.axes[kind].standard_from_declared(kind).T),
         colors=_colors_of(frame, view, setting),
         camera_index=None,
         extras={name: values for name, values in sent.points.extras.items() if name not in COLOR_NAMES},
     )
-    return sensor_fusion_of(
-        frame,
-        view,
-        points,
-        fields=result_fields(sent),
-        image=image,
-        camera_id=camera_id,
-        lidar_id=lidar_id,
-        image_seq=image_seq,
-        points_seq=points_seq,
-        depth_kind=setting.properties["depth_kind"],
-        point_frame="lidar" if of_lidar else "camera",
+    fields, depth_kind = result_fields(sent), setting.properties["depth_kind"]
+    data = point_table(points, fields, frame.timestamp_ns)
+    return SensorFusionData(
+        **numbers,
+        timestamp=Timestamp.of(frame.timestamp_ns),
+        height=view.camera.height,
+        width=view.camera.width,
+        encoding=image.encoding,
+        image_channel=image.channel,
+        image_data=image.data,
+        image_depth=view.depth_image if depth_kind == "z" else _range_image(frame, view),
+        point_num=len(data),
+        point_fields=fields,
+        fields_number=len(fields),
+        point_data=data,
+        depth_kind=depth_kind,
+        point_frame=kind.value,
         motion_compensated=motion_compensated,
+        image_timestamp=Timestamp.of(view.timestamp_ns),
     )
+
+
+def _range_image(frame: FusedFrame, view: FusedView) -> Float32Array:
+    """Distances [m] of the nearest visible points from the camera's centre, (H, W) float32, 0 for none."""
+    positions_world = frame.points.positions[view.point_ids].astype(np.float64)
+    ranges = np.linalg.norm(positions_world - view.world_from_camera.translation, axis=1)
+    image = np.zeros((view.camera.height, view.camera.width), np.float32)
+    draw_depths(view.pixel_numbers, ranges.astype(np.float32), view.visible, image)
+    return image
 
 
 def _colors_of(frame: FusedFrame, view: FusedView, setting: Setting) -> UInt8Array:
@@ -106,7 +116,7 @@ def _colors_of(frame: FusedFrame, view: FusedView, setting: Setting) -> UInt8Arr
     unseen = shown_by == NO_CAMERA
     if unseen.any():
         colors = colors.copy()
-        colors[unseen] = _UNSEEN_LEVEL
+        colors[unseen] = 128  # red, green and blue alike: grey
     return colors
 
 
@@ -131,7 +141,7 @@ def fused_detections_record(
     camera_id: int,
     motion_compensated: bool,
 ) -> FusedDetections:
-    """Give the records of the objects of a sweep and an image.
+    """The records of the objects of a sweep and an image.
 
     Args:
         boxes_3d, boxes_2d: what was sent.
@@ -182,32 +192,28 @@ def _tilt(columns: dict[str, Any], fused: FusedBoxes, boxes_3d: Boxes3d, standar
 def tracked_detections_record(
     record: FusedDetections, fused: FusedBoxes, setting: Setting, camera: Camera
 ) -> FusedDetections:
-    """Give the records of tracks instead of those of the objects of a sweep and an image.
+    """The record of a sweep and an image with tracks (in the lidar's standard axes) instead of its objects.
 
-    Args:
-        record: of the sweep and the image.
-        fused: the tracks in the lidar's frame of the standard axes.
-        setting: the configuration of the sweep.
-        camera: the camera model of the image, to whose size boxes are cut.
+    Boxes are cut to the size of the camera's image.
     """
     columns, _ = declared_columns(fused, setting.declared_from_standard, camera)
     none: tuple[None, ...] = (None,) * len(fused)
-    numbers = (fused.ids & _LARGEST_ID).astype(np.int32)
+    numbers = (fused.ids & (2**31 - 1)).astype(np.int32)
     return replace(record, id=numbers, class_names=fused.labels, box_3d_ids=none, box_2d_ids=none, **columns)
 
 
 def declared_columns(
     fused: FusedBoxes, declared_from_standard: Float64Array, camera: Camera
 ) -> tuple[dict[str, Any], bool]:
-    """Give the columns of numbers of objects as records of table 10 have them, and whether all of them make sense.
+    """The columns of numbers of objects as records of table 10 have them, and whether all of them make sense.
 
-    Scores are cut to 0 to 1, covariances made symmetric, and boxes rounded outwards to whole pixels. Objects make sense
-    where all numbers are finite, no size or variance is below 0, no box is inside out, and what a lidar saw has a size.
+    Scores are cut to 0 to 1, covariances made symmetric, and boxes rounded outwards to whole pixels within the camera's
+    image. Objects make sense where all numbers are finite, no size or variance is below 0, no box is inside out, and
+    what a lidar saw has a size.
 
     Args:
         declared_from_standard: (3, 3) float64, a signed permutation: from the standard axes of the lidar to those of
             the record.
-        camera: the camera model of the image, to whose size boxes are cut.
     """
     rotation, none = declared_from_standard, np.zeros(len(fused))
     velocities = np.zeros((len(fused), 3)) if fused.velocities is None else fused.velocities
@@ -224,7 +230,7 @@ def declared_columns(
             "velocity_vectors": velocities @ rotation.T,
         }
         columns: dict[str, Any] = {name: values.astype(np.float32) for name, values in numbers.items()}
-    corners = _whole_pixels(fused.corners_xyxy, camera)
+    corners = whole_corners(fused.corners_xyxy, (camera.width, camera.height))
     sizes, seen = columns["sizes_lwh"], fused.rows_3d != NO_BOX
     variances = np.diagonal([columns["center_covs"], columns["size_covs"]], axis1=2, axis2=3)
     sound = (
@@ -244,18 +250,6 @@ def declared_columns(
 
 def _symmetric(matrices: Float64Array) -> Float64Array:
     return (matrices + matrices.transpose(0, 2, 1)) / 2.0
-
-
-def _whole_pixels(corners_xyxy: Float64Array, camera: Camera) -> UInt32Array:
-    """Round boxes outwards to whole pixels, cut at the image; zeros where an edge is not finite."""
-    finite = np.isfinite(corners_xyxy).all(axis=1, keepdims=True)
-    edges = np.where(finite, corners_xyxy, 0.0)
-    edges[:, :2] = np.floor(edges[:, :2])
-    edges[:, 2:] = np.ceil(edges[:, 2:])
-    return np.clip(edges, 0.0, [camera.width, camera.height] * 2).astype(np.uint32)
-
-
-_LARGEST_ID = 2**31 - 1
 
 
 def _numbers(rows: Int64Array, boxes: Boxes3d | Boxes2d) -> tuple[int | None, ...]:

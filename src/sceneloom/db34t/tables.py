@@ -5,7 +5,7 @@ Records, encodings, documentation and the conformance kit are derived from them.
 
 import math
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
 from types import MappingProxyType
@@ -49,7 +49,7 @@ class Row:
         above: `low` itself makes no sense.
         finite: whether every number has to be finite; points without a position are dropped when they are used.
         required: whether it has to be there.
-        default: what it is where it is not there.
+        default: the value of a field that is not there.
         size: how many values an array has, in words of other fields.
         example: the standard's.
         attribute: of the record in Python; "" for `name`.
@@ -84,18 +84,13 @@ class Row:
         value_type = None if self.type == TIME else ValueType.parse(self.type)
         object.__setattr__(self, "value_type", value_type)
         object.__setattr__(self, "attribute", self.attribute or self.name)
-        object.__setattr__(self, "whole", self._whole(value_type))
+        whole = None
+        if value_type is not None and value_type.form is ValueForm.SCALAR and self.type != _CLASS:
+            whole = INTEGER_RANGES.get(value_type.elements[0])
+        if whole is not None:
+            whole = whole[0] if self.low is None else int(self.low), whole[1] if self.high is None else int(self.high)
+        object.__setattr__(self, "whole", whole)
         object.__setattr__(self, "bounds", (self.low, self.high, self.above))
-
-    def _whole(self, value_type: ValueType | None) -> tuple[int, int] | None:
-        """Smallest and largest value where it is one whole number."""
-        if value_type is None or value_type.form is not ValueForm.SCALAR or self.type == _CLASS:
-            return None
-        bounds = INTEGER_RANGES.get(value_type.elements[0])
-        if bounds is None:
-            return None
-        low, high = self.low, self.high
-        return bounds[0] if low is None else int(low), bounds[1] if high is None else int(high)
 
     @property
     def is_extension(self) -> bool:
@@ -110,7 +105,8 @@ class Row:
             return ""
         if self.above:
             return f"more than {low:g}"
-        return f"{_plain(low)} or more" if high is None else f"{_plain(low)} to {_plain(high)}"
+        first, last = (str(int(each)) if each is not None and each == int(each) else str(each) for each in (low, high))
+        return f"{first} or more" if high is None else f"{first} to {last}"
 
     @property
     def wanted(self) -> str:
@@ -118,11 +114,7 @@ class Row:
         return f"expected {self.range or 'a finite number'}"
 
     def check(self, value: Any, owner: str) -> Any:
-        """Check a value exactly.
-
-        Args:
-            value: what stands in the record; None where nothing does.
-            owner: the record, for the message.
+        """Check a value exactly; None where there is none. `owner` names the record in messages.
 
         Returns:
             The value as a record keeps it: arrays flat and read-only, numbers of Python, vectors as tuples.
@@ -134,12 +126,51 @@ class Row:
             return value
         if value is None:
             if self.required:
-                raise DataError(owner, self.name, f"missing; expected {self._expected()}")
+                words = (self.type, self.range, f"[{self.unit}]" if self.unit else "")
+                raise DataError(owner, self.name, f"missing; expected {', '.join(word for word in words if word)}")
             return self.default
-        check = _CHECKS.get(self.type)
-        return self._plain_value(value, owner) if check is None else check(self, value, owner)
+        if self.type == _CLASS:
+            return self.check_class(value, owner)
+        if self.type == TIME:
+            if not isinstance(value, Timestamp):
+                raise DataError(owner, self.name, f"{shown(value)}; expected a Timestamp")
+            return value
+        if self.type == STREAM:
+            return self._check_bytes(value, owner)
+        return self._check_array(value, owner) if self.type in ARRAY_DTYPES else self._check_values(value, owner)
 
-    def check_class(self, value: Any, owner: str, location: str = "") -> str:
+    def _check_bytes(self, value: Any, owner: str) -> bytes:
+        if isinstance(value, bytes):
+            return value
+        if isinstance(value, np.ndarray) and value.dtype in (np.int8, np.uint8):
+            return value.tobytes()
+        if isinstance(value, bytearray | memoryview):
+            return bytes(value)
+        raise DataError(owner, self.name, f"{shown(value)}; expected bytes")
+
+    def _check_array(self, values: Any, owner: str) -> AnyArray:
+        dtype = ARRAY_DTYPES[self.type]
+        if not isinstance(values, np.ndarray) or values.dtype != dtype:
+            raise DataError(owner, self.name, f"{shown(values)}; expected an array of {dtype.name}")
+        flat = read_only(values.reshape(-1))
+        if self.finite and not self.admits(flat):
+            k = self.first_refused(flat)
+            raise DataError(owner, f"{self.name}[{k}]", f"{flat[k]}; {self.wanted}")
+        return flat
+
+    def _check_values(self, value: Any, owner: str) -> Any:
+        value_type = cast("ValueType", self.value_type)
+        try:
+            checked = value_type.check(value, owner=owner, location=self.name)
+        except DataError as error:
+            if self.range and value_type.form is ValueForm.SCALAR:
+                raise DataError(owner, self.name, f"{shown(value)}; {self.wanted}") from error
+            raise
+        if not all(map(self._is_in_range, checked if isinstance(checked, tuple) else (checked,))):
+            raise DataError(owner, self.name, f"{shown(value)}; {self.wanted}")
+        return checked
+
+    def check_class(self, value: Any, owner: str) -> str:
         """Check the name of a class.
 
         Raises:
@@ -147,20 +178,10 @@ class Row:
         """
         if type(value) is str and value.isascii() and value:
             return value
-        name = _STRING.check(value, owner=owner, location=location or self.name)
+        name = _STRING.check(value, owner=owner, location=self.name)
         if self.required and not name:
-            raise DataError(owner, location or self.name, "''; expected the name of a class")
+            raise DataError(owner, self.name, "''; expected the name of a class")
         return str(name)
-
-    def refuse_any(self, flat: AnyArray, owner: str) -> None:
-        """Refuse an array in which a number is not finite or out of range.
-
-        Raises:
-            DataError: one is; the message names the first.
-        """
-        if not self.admits(flat):
-            k = self.first_refused(flat)
-            raise DataError(owner, f"{self.name}[{k}]", f"{flat[k]}; {self.wanted}")
 
     def admits(self, values: AnyArray) -> bool:
         """Whether all numbers of an array are finite and in the range of this field."""
@@ -182,19 +203,6 @@ class Row:
             good &= values <= self.high
         return int(np.argmin(good))
 
-    def _plain_value(self, value: Any, owner: str) -> Any:
-        value_type = cast("ValueType", self.value_type)
-        try:
-            checked = value_type.check(value, owner=owner, location=self.name)
-        except DataError as error:
-            if self.range and value_type.form is ValueForm.SCALAR:
-                raise DataError(owner, self.name, f"{shown(value)}; {self.wanted}") from error
-            raise
-        numbers = checked if isinstance(checked, tuple) else (checked,)
-        if not all(self._is_in_range(number) for number in numbers):
-            raise DataError(owner, self.name, f"{shown(value)}; {self.wanted}")
-        return checked
-
     def _is_in_range(self, number: Any) -> bool:
         if self.high is not None and number > self.high:
             return False
@@ -202,60 +210,10 @@ class Row:
             return True
         return bool(number > self.low if self.above else number >= self.low)
 
-    def _expected(self) -> str:
-        words = (self.type, self.range, f"[{self.unit}]" if self.unit else "")
-        return ", ".join(word for word in words if word)
-
-
-def _time(row: Row, value: Any, owner: str) -> Timestamp:
-    if not isinstance(value, Timestamp):
-        raise DataError(owner, row.name, f"{shown(value)}; expected a Timestamp")
-    return value
-
-
-def _stream(row: Row, value: Any, owner: str) -> bytes:
-    if isinstance(value, bytes):
-        return value
-    if isinstance(value, np.ndarray) and value.dtype in (np.int8, np.uint8):
-        return value.tobytes()
-    if isinstance(value, bytearray | memoryview):
-        return bytes(value)
-    raise DataError(owner, row.name, f"{shown(value)}; expected bytes")
-
-
-def _array(row: Row, values: Any, owner: str) -> AnyArray:
-    dtype = ARRAY_DTYPES[row.type]
-    if not isinstance(values, np.ndarray) or values.dtype != dtype:
-        raise DataError(owner, row.name, f"{shown(values)}; expected an array of {dtype.name}")
-    flat = read_only(values.reshape(-1))
-    if row.finite:
-        row.refuse_any(flat, owner)
-    return flat
-
-
-def _plain(number: float) -> str:
-    return str(int(number)) if number == int(number) else str(number)
-
-
-_CHECKS: Mapping[str, Callable[[Row, Any, str], Any]] = {
-    TIME: _time,
-    STREAM: _stream,
-    _CLASS: Row.check_class,
-    **dict.fromkeys(ARRAY_DTYPES, _array),
-}
-"""How fields of these types are checked; others hold a value or a few of table 1."""
-
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One of the standard's tables.
-
-    Attributes:
-        number: of the table.
-        clause: in which it stands.
-        title: what it describes.
-        rows: its fields in order, extensions last.
-    """
+    """One of the standard's tables: its number, clause and title, and its fields in order, extensions last."""
 
     number: int
     clause: str
@@ -268,7 +226,7 @@ class Table:
 
     @property
     def owner(self) -> str:
-        """How messages call a record of it."""
+        """The name of a record of it in messages."""
         return f"{self.title} (table {self.number})"
 
     def row(self, name: str) -> Row:
@@ -287,8 +245,7 @@ class Table:
         """
         owner = self.owner
         for row in self.rows:
-            checked = row.check(getattr(record, row.attribute), owner)
-            object.__setattr__(record, row.attribute, checked)
+            object.__setattr__(record, row.attribute, row.check(getattr(record, row.attribute), owner))
 
     def fault(self, name: str, problem: str) -> DataError:
         """What is wrong with a field of a record of it."""
@@ -299,15 +256,15 @@ def _read_tables() -> Iterator[Table]:
     """Read the tables, in the order of the file."""
     content = tomllib.loads(files(__package__).joinpath("tables.toml").read_text("utf-8"))
     for table in content.values():
-        rows = [_read_row(k + 1, row) for k, row in enumerate(table.pop("rows"))]
+        rows = []
+        for k, listed in enumerate(table.pop("rows")):
+            values: dict[str, Any] = {
+                name: tuple(value) if isinstance(value, list) else value for name, value in listed.items()
+            }
+            if values["type"] == TIME and "example" in values:
+                values["example"] = Timestamp.parse(values["example"])
+            rows.append(Row(**{"number": k + 1, **values}))
         yield Table(**table, rows=tuple(rows))
-
-
-def _read_row(number: int, values: dict[str, Any]) -> Row:
-    values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-    if values["type"] == TIME and "example" in values:
-        values["example"] = Timestamp.parse(values["example"])
-    return Row(**{"number": number, **values})
 
 
 _ALL = tuple(_read_tables())

@@ -1,12 +1,9 @@
-"""Types of DB34/T 4101-2022: the basic types of table 1, tuples and arrays of them, timestamps, arrays as bytes.
-
-And the status that every call returns.
-"""
+"""Types of DB34/T 4101-2022: those of table 1, tuples and arrays of them, timestamps, arrays as bytes, and outcomes."""
 
 import math
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
@@ -51,7 +48,7 @@ _LONGEST_SHOWN = 60
 
 
 def shown(value: object) -> str:
-    """A value as it stands in a message, cut where it is long."""
+    """A value in a message, cut where it is long."""
     if isinstance(value, int) and value.bit_length() > 256:
         return f"a whole number of {value.bit_length()} bits"
     if isinstance(value, np.ndarray):
@@ -64,35 +61,22 @@ def shown(value: object) -> str:
     return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}…"
 
 
-def _is_number(value: object) -> bool:
-    """Whether a value is one whole or broken number, and neither a truth value nor a text."""
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-
-
-def _check_basic(kind: BasicType, value: Any, *, owner: str = "value", location: str = "") -> Any:
-    """Check one value exactly: nothing wraps, nothing is cut, nothing is infinite.
-
-    Args:
-        kind: what it has to be.
-        value: what it is; whole numbers of NumPy are whole numbers.
-        owner: what it belongs to, for the message.
-        location: the field, for the message.
-
-    Returns:
-        0 or 1 for a `bool`; an int; a float, for `float` the nearest number of 32 bits; a str; of an `enum` its number
-        or its name.
-
-    Raises:
-        DataError: it is of another type or out of range.
-    """
+def _check_basic(kind: BasicType, value: Any, owner: str, location: str) -> Any:
+    """Check one value exactly: a `bool` gives 0 or 1, a `float` the nearest 32-bit number."""
     if kind in (BasicType.FLOAT, BasicType.DOUBLE):
-        return _broken_number(kind, value, owner, location)
+        bound = FLOAT_BOUND if kind is BasicType.FLOAT else math.inf
+        known = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+        if known and -bound < value < bound and abs(value) <= sys.float_info.max:
+            return float(np.float32(value)) if kind is BasicType.FLOAT else float(value)
+        raise DataError(owner, location, f"{shown(value)}; expected a finite {kind}")
     if kind is BasicType.STRING or (kind is BasicType.ENUM and isinstance(value, str)):
-        return _text(value, owner, location)
-    return _whole_number(kind, value, owner, location)
-
-
-def _whole_number(kind: BasicType, value: Any, owner: str, location: str) -> int:
+        if not isinstance(value, str):
+            raise DataError(owner, location, f"{shown(value)}; expected a string")
+        try:
+            value.encode("utf-8")
+        except UnicodeEncodeError as error:
+            raise DataError(owner, location, f"{shown(value)}; expected text that UTF-8 can hold") from error
+        return value
     low, high = INTEGER_RANGES[kind]
     truth = isinstance(value, bool | np.bool_)
     if (isinstance(value, int | np.integer) or truth) and truth <= (kind is BasicType.BOOL):
@@ -100,23 +84,6 @@ def _whole_number(kind: BasicType, value: Any, owner: str, location: str) -> int
         if low <= number <= high:
             return number
     raise DataError(owner, location, f"{shown(value)}; expected a {kind}, {low} to {high}")
-
-
-def _broken_number(kind: BasicType, value: Any, owner: str, location: str) -> float:
-    bound = FLOAT_BOUND if kind is BasicType.FLOAT else math.inf
-    if _is_number(value) and -bound < value < bound and abs(value) <= sys.float_info.max:
-        return float(np.float32(value)) if kind is BasicType.FLOAT else float(value)
-    raise DataError(owner, location, f"{shown(value)}; expected a finite {kind}")
-
-
-def _text(value: Any, owner: str, location: str) -> str:
-    if not isinstance(value, str):
-        raise DataError(owner, location, f"{shown(value)}; expected a string")
-    try:
-        value.encode("utf-8")
-    except UnicodeEncodeError as error:
-        raise DataError(owner, location, f"{shown(value)}; expected text that UTF-8 can hold") from error
-    return value
 
 
 NANOSECONDS = 1_000_000_000
@@ -130,11 +97,7 @@ _TEXT = re.compile(r"([0-9]{1,10})\.([0-9]{9})")
 
 @dataclass(frozen=True, slots=True, order=True)
 class Timestamp:
-    """A time from 0 to 2^32 seconds.
-
-    Attributes:
-        s: whole seconds, a uint32.
-        ns: nanoseconds beside them, below 1000000000.
+    """A time from 0 to 2^32 seconds: whole seconds `s`, a uint32, and nanoseconds `ns` beside them, below 1000000000.
 
     Raises:
         DataError: one of them is out of range.
@@ -149,7 +112,7 @@ class Timestamp:
         if type(self.s) is int and type(self.ns) is int and 0 <= self.s < 2**32 and 0 <= self.ns < NANOSECONDS:
             return
         for name in ("s", "ns"):
-            value = _check_basic(BasicType.UINT32, getattr(self, name), owner="timestamp", location=name)
+            value = _check_basic(BasicType.UINT32, getattr(self, name), "timestamp", name)
             object.__setattr__(self, name, value)
         if self.ns >= NANOSECONDS:
             raise DataError("timestamp", "ns", f"{self.ns}; expected 0 to {NANOSECONDS - 1}")
@@ -168,10 +131,10 @@ class Timestamp:
 
     @classmethod
     def parse(cls, text: Any) -> "Timestamp":
-        """Read a text of seconds, a point, and all nine digits of the nanoseconds.
+        """Read seconds, a point, and all nine digits of the nanoseconds: fewer digits could mean two times.
 
         Raises:
-            DataError: it is written otherwise: a fraction with fewer digits could mean two times.
+            DataError: it is written otherwise.
         """
         found = _TEXT.fullmatch(text) if isinstance(text, str) else None
         if found is None:
@@ -202,12 +165,9 @@ class ValueForm(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ValueType:
-    """What a value has to be.
+    """What a value has to be: one value, a tuple of values with a type each, or an array of one type.
 
-    Attributes:
-        form: one value, a tuple of values with a type each, or an array of one type.
-        elements: the types; of an array its one type.
-        length: how many values an array has; None for any number.
+    `elements` are the types (of an array its one type), `length` how many values an array has, None for any number.
 
     Source: DB34/T 4101-2022, tables 1 to 3, which write `uint32`, `(int8, int8, int8)`, `uint32[2]` and `float[]`.
     """
@@ -244,35 +204,28 @@ class ValueType:
         return str(self.elements[0])
 
     def check(self, value: Any, *, owner: str = "value", location: str = "") -> Any:
-        """Check a value exactly, as `_check_basic` does for one.
+        """Check a value exactly: one value, or a list, tuple or 1D array, which gives a tuple.
 
-        Args:
-            value: one value, or a list, tuple or array of one dimension.
-            owner: what it belongs to, for the message.
-            location: the field, for the message.
-
-        Returns:
-            The value, of a tuple or an array a tuple.
+        Nothing wraps, nothing is cut, nothing is infinite. `owner` and `location` are for the message.
 
         Raises:
             DataError: it is of another type, out of range, or there are more or fewer values.
         """
         if self.form is ValueForm.SCALAR:
-            return _check_basic(self.elements[0], value, owner=owner, location=location)
-        values = self._listed(value, owner, location)
-        elements = self.elements if self.form is ValueForm.TUPLE else self.elements * len(values)
-        return tuple(
-            _check_basic(element, item, owner=owner, location=f"{location}[{k}]")
-            for k, (element, item) in enumerate(zip(elements, values, strict=True))
-        )
-
-    def _listed(self, value: Any, owner: str, location: str) -> Sequence[Any]:
+            return _check_basic(self.elements[0], value, owner, location)
         if isinstance(value, np.ndarray) and value.ndim == 1:
             value = value.tolist()
         count = len(self.elements) if self.form is ValueForm.TUPLE else self.length
         if not isinstance(value, list | tuple) or count not in (None, len(value)):
             raise DataError(owner, location, f"{shown(value)}; expected {self}")
-        return value
+        return tuple(
+            _check_basic(element, item, owner, f"{location}[{k}]")
+            for k, (element, item) in enumerate(zip(self.elements_of(len(value)), value, strict=True))
+        )
+
+    def elements_of(self, count: int) -> tuple[BasicType, ...]:
+        """The types of so many values of a tuple or an array."""
+        return self.elements if self.form is ValueForm.TUPLE else self.elements * count
 
 
 def _basic(name: str, text: str) -> BasicType:
@@ -287,7 +240,7 @@ def _known() -> str:
 
 
 def bytes_of(array: AnyArray) -> bytes:
-    """Give the bytes of an array in C order: those that it is a view of, where it shows all of them, else a copy."""
+    """The bytes of an array in C order: those that it is a view of, where it shows all of them, else a copy."""
     base = array.base
     while isinstance(base, np.ndarray):
         base = base.base
@@ -298,11 +251,7 @@ def bytes_of(array: AnyArray) -> bytes:
 
 
 def array_of(content: bytes, dtype: np.dtype[Any], owner: str, location: str) -> AnyArray:
-    """Give the flat array that bytes hold, a read-only view of them.
-
-    Args:
-        owner: what they belong to, for the message.
-        location: the field, for the message.
+    """The flat array that bytes hold, a read-only view of them; `owner` and `location` are for the message.
 
     Raises:
         DataError: they are no whole number of values.

@@ -221,10 +221,12 @@ class Rig:
                     sweep.setting,
                     sent=cast("LidarFrame", sweep.measurement),
                     image=cast("ImageData", image.image),
-                    camera_id=_number(view.camera_id),
-                    lidar_id=lidar_id,
-                    image_seq=image.record.seq,
-                    points_seq=sweep.record.seq,
+                    numbers={
+                        "camera_id": _number(view.camera_id),
+                        "lidar_id": lidar_id,
+                        "image_seq": image.record.seq,
+                        "points_seq": sweep.record.seq,
+                    },
                     motion_compensated=compensated,
                 )
             except Exception as error:  # noqa: BLE001 - an algorithm may be anyone's, and give anything

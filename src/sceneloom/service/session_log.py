@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, NamedTuple, Self
 
 from google.protobuf.message import Message
 
-from sceneloom.db34t.calibration import CalibrationEntry, CalibrationTable
+from sceneloom.db34t.calibration import CalibrationEntry, CalibrationTable, calibration_table
 from sceneloom.db34t.events import Accepted, Dropped, Event, Flushed, Moved, Refused, Result
 from sceneloom.db34t.interface import FusionInterface, RecentTrajectory
 from sceneloom.db34t.protobuf import (
@@ -349,14 +349,14 @@ class _Messages:
         if before is None or before.properties is not setting.properties:
             yield self._message("configuration", properties_message(setting.properties), "properties")
             yield self._message("algorithms", value_to_protobuf(setting.properties.algorithms))
-        known = {} if before is None else before.table.entries
-        for pair, entry in setting.table.entries.items():
+        known = {} if before is None else before.table
+        for pair, entry in setting.table.items():
             if known.get(pair) is not entry:
                 request = fusion_pb2.SetCalibrationRequest(camera_id=pair[0], lidar_id=pair[1], session=self._session)
                 fill_message(request.calibration, entry.data)
                 yield self._message("calibration", request)
-        if set(known) - set(setting.table.entries):
-            yield self._message("pairs", value_to_protobuf(list(setting.table.entries)))
+        if set(known) - set(setting.table):
+            yield self._message("pairs", value_to_protobuf(list(setting.table)))
 
     def _result(self, result: Result) -> _Message:
         """Give a result; of its configuration the revision, for it stands in the file already."""
@@ -615,7 +615,7 @@ class _Replayed:
     _results: list[Result] = field(default_factory=list)
     _algorithms: tuple[str, str] | None = None
     _properties: Any = None
-    _table: CalibrationTable = field(default_factory=CalibrationTable)
+    _table: CalibrationTable = field(default_factory=dict)
     _setting: Setting | None = None
     _trajectory: RecentTrajectory = field(default_factory=RecentTrajectory)
 
@@ -638,11 +638,11 @@ class _Replayed:
             case "calibration":
                 data = from_protobuf(message.calibration)
                 added = CalibrationEntry(message.camera_id, message.lidar_id, data)
-                self._table, self._setting = self._table.having([added]), None
+                self._table, self._setting = calibration_table([added], self._table), None
             case "pairs":
                 kept = {tuple(pair) for pair in value_from_protobuf(message)}
-                entries = {pair: known for pair, known in self._table.entries.items() if pair in kept}
-                self._table, self._setting = CalibrationTable(MappingProxyType(entries)), None
+                entries = {pair: known for pair, known in self._table.items() if pair in kept}
+                self._table, self._setting = MappingProxyType(entries), None
             case "record":
                 self._fusion.repeat(accepted_alone(from_protobuf(message), self._current()))
             case "motion":

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from sceneloom.db34t import Boxes2d, Boxes3d, PointCloudData
-from sceneloom.db34t.calibration import MOST_PAIRS, CalibrationEntry, format_calibrations
+from sceneloom.db34t.calibration import MOST_PAIRS, CalibrationEntry, calibration_table, format_calibrations
 from sceneloom.db34t.interface import FusionInterface, QueueLimits
 from sceneloom.db34t.types import Cause
 from sceneloom.errors import OptionError
@@ -817,7 +817,7 @@ def test_cameras_may_have_so_many_pixels_together():
 def test_so_many_calibrations_may_be_there():
     with FusionInterface(inline=True) as fusion:
         for k in range(MOST_PAIRS):
-            fusion._table = fusion._table.having([CalibrationEntry(k % 256, k // 256, calibration())])
+            fusion._table = calibration_table([CalibrationEntry(k % 256, k // 256, calibration())], fusion._table)
         assert fusion.set_calibration(calibration(), camera_id=3, lidar_id=0)
         assert fusion.set_calibration(calibration(), camera_id=3, lidar_id=200).cause is Cause.TOO_MANY
         many = format_calibrations(

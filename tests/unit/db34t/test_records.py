@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from sceneloom.db34t import (
-    Box2d,
-    Box3d,
     Boxes2d,
     Boxes3d,
     CalibrationData,
     FusedDetection,
     FusedDetections,
-    ImageData,
     PointCloudData,
     RawData,
     SensorFusionData,
@@ -21,6 +18,8 @@ from sceneloom.db34t import (
     kind_of,
 )
 from sceneloom.errors import DataError, OptionError
+
+from .sending import box_2d, box_3d, image
 
 TIME = Timestamp(1595682678, 715705367)
 COV = (0.2, 0.01, 0.01, 0.01, 0.2, 0.01, 0.01, 0.01, 0.2)
@@ -36,16 +35,7 @@ CALIBRATION = CalibrationData(
     ),
 )
 RAW = RawData(sensor_id=1, timestamp=TIME, seq=1, length=1, data=b"\x80")
-IMAGE = ImageData(
-    sensor_id=1,
-    timestamp=TIME,
-    seq=1,
-    height=480,
-    width=360,
-    encoding="rgb8",
-    channel=3,
-    data=np.zeros((480, 360, 3), np.uint8),
-)
+IMAGE = image(0, 1, width=360, height=480)
 CLOUD = PointCloudData(
     sensor_id=0,
     timestamp=TIME,
@@ -54,26 +44,11 @@ CLOUD = PointCloudData(
     fields=("x", "y", "z", "reflectivity"),
     fields_number=4,
     data=np.zeros((1000, 4), np.float32),
-    sensor_type=0,
     beam=32,
     ring=0,
 )
-BOX_3D = Box3d(
-    id=1,
-    class_name="Car",
-    points_seq=2,
-    confidence=0.8,
-    timestamp=TIME,
-    X=1.0,
-    Y=1.0,
-    Z=1.0,
-    length=1.0,
-    width=1.0,
-    height=1.0,
-    direction=(2.0, 3.0, 0.0),
-    velocity=1,
-)
-BOX_2D = Box2d(id=1, class_name="Car", image_seq=1, confidence=0.8, timestamp=TIME, x1=103, y1=103, x2=204, y2=204)
+BOX_3D = box_3d(0, 2, direction=(2.0, 3.0, 0.0), velocity=1)
+BOX_2D = box_2d(0, 1, x1=103, y1=103, x2=204, y2=204)
 FUSION = SensorFusionData(
     timestamp=TIME,
     image_seq=1,
@@ -162,13 +137,6 @@ def test_arrays_are_flat_read_only_views_with_shaped_views_beside_them():
     assert FUSION.points.shape == (10000, 3)
     with pytest.raises(ValueError, match="read-only"):
         IMAGE.pixels[0, 0, 0] = 1
-
-
-def test_some_fields_of_a_cloud_can_be_taken():
-    cloud = replace(CLOUD, number=2, data=np.arange(8, dtype=np.float32))
-    assert cloud.columns(("reflectivity", "x")).tolist() == [[3, 0], [7, 4]]
-    with pytest.raises(KeyError, match="ring"):
-        cloud.columns(("ring",))
 
 
 def test_a_file_of_an_image_has_no_pixels_before_it_is_decoded():

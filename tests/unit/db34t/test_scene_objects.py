@@ -8,27 +8,29 @@ from PIL import Image
 
 from sceneloom.cameras import Camera
 from sceneloom.colouring import FusedFrame, view_points
-from sceneloom.db34t import Box2d, Boxes3d, ImageData, PointCloudData, RawData, Timestamp
+from sceneloom.db34t import ImageData, PointCloudData, RawData, Timestamp
+from sceneloom.db34t.properties import PropertyStore
+from sceneloom.db34t.results import sensor_fusion_record
 from sceneloom.db34t.scene_objects import (
     boxes_2d_of,
     boxes_2d_record,
     boxes_3d_of,
     boxes_3d_record,
-    depth_frame_of,
     image_data_of,
     image_of,
-    image_of_result,
     image_record_of_raw,
     lidar_frame_of,
     lidar_frame_of_raw,
     lidar_frame_of_result,
     point_cloud_of,
-    sensor_fusion_of,
 )
+from sceneloom.db34t.setting import Setting
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.recording.lidars import XYZIRT
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Boxes2D, Boxes3D, CameraImage, LidarFrame, LidarPoints, PointsFrame, ScoreForm
+from sceneloom.scene import Boxes2D, Boxes3D, LidarFrame, LidarPoints, PointsFrame, ScoreForm
+
+from .sending import START_NS, box_3d, boxes_2d
 
 TIME = Timestamp(1595682678, 715705367)
 CAMERA = Camera("pinhole", 4, 3, 5.0, 5.0, 1.5, 1.0)
@@ -140,12 +142,7 @@ def test_a_sweep_of_the_model_gives_all_that_its_points_have():
 
 def test_raw_bytes_of_a_lidar_are_the_records_of_the_recording_format():
     rows = np.zeros(2, XYZIRT)
-    rows["x"], rows["intensity"], rows["ring"], rows["timestamp"] = (
-        [1, 2],
-        [7, 255],
-        [0, 300],
-        [10.5, 0.000000001],
-    )
+    rows["x"], rows["intensity"], rows["ring"], rows["timestamp"] = [1, 2], [7, 255], [0, 300], [10.5, 1e-9]
     raw = RawData(sensor_id=3, timestamp=TIME, seq=1, length=46, data=rows.tobytes())
     points = lidar_frame_of_raw(raw).points
     assert points.positions[:, 0].tolist() == [1, 2]
@@ -246,27 +243,16 @@ def test_raw_bytes_of_a_camera_are_what_the_encoding_says():
     np.testing.assert_array_equal(image_of(image_record_of_raw(png, CAMERA, "png"), CAMERA).rgb, RGB)
 
 
+def box_list(direction, velocity, **changes):
+    return box_3d(0, 2, X=1.0, Y=2.0, Z=3.0, id=5, direction=direction, velocity=velocity, **changes).alone(0)
+
+
 def test_the_speed_along_a_direction_of_any_length_becomes_a_velocity():
-    record = Boxes3d(
-        sensor_id=0,
-        seq=2,
-        timestamp=TIME,
-        id=np.array([5], np.int32),
-        class_names=("Car",),
-        confidence=np.array([0.8], np.float32),
-        centers=np.array([[1, 2, 3]], np.float32),
-        sizes_lwh=np.array([[4, 2, 1]], np.float32),
-        directions=np.array([[0, -3, 0]], np.float32),
-        velocities=np.array([-2], np.float32),
-    )
+    record = box_list((0, -3, 0), -2)
     boxes = boxes_3d_of(record, sensor_id="roof")
     np.testing.assert_allclose(boxes.yaws, [-np.pi / 2], atol=1e-12)
     np.testing.assert_allclose(boxes.velocities, [[0, 2, 0]], atol=1e-12)
-    assert (boxes.sensor_id, boxes.timestamp_ns, boxes.frame) == (
-        "roof",
-        TIME.nanoseconds,
-        PointsFrame.SENSOR,
-    )
+    assert (boxes.sensor_id, boxes.timestamp_ns, boxes.frame) == ("roof", START_NS, PointsFrame.SENSOR)
     back = boxes_3d_record(boxes, sensor_id=0, seq=2)
     np.testing.assert_allclose(back.directions, [[0, -1, 0]], atol=1e-7)
     np.testing.assert_allclose(back.velocities, [-2], atol=1e-6)
@@ -276,30 +262,12 @@ def test_the_speed_along_a_direction_of_any_length_becomes_a_velocity():
 
 
 def test_a_velocity_of_its_own_wins_over_the_speed():
-    vectors = np.array([[1, 2, 3]], np.float32)
-    columns = {
-        "id": np.array([5], np.int32),
-        "class_names": ("Car",),
-        "confidence": np.ones(1, np.float32),
-        "centers": np.ones((1, 3), np.float32),
-        "sizes_lwh": np.ones((1, 3), np.float32),
-        "directions": np.array([[1, 0, 0]], np.float32),
-        "velocities": np.ones(1, np.float32),
-    }
-    record = Boxes3d(sensor_id=0, seq=2, timestamp=TIME, **columns, velocity_vectors=vectors)
-    assert boxes_3d_of(record).velocities.tolist() == [[1, 2, 3]]
+    assert boxes_3d_of(box_list((1, 0, 0), 1, velocity_vector=(1, 2, 3))).velocities.tolist() == [[1, 2, 3]]
 
 
 def test_boxes_without_ids_and_velocities_are_numbered_and_are_stationary():
-    boxes = Boxes3D(
-        7,
-        np.zeros((2, 3)),
-        np.ones((2, 3)),
-        np.zeros(2),
-        np.array([0.0, 2.0]),
-        ("Car", "车"),
-        score_form=ScoreForm.LOGIT,
-    )
+    scores, labels = np.array([0.0, 2.0]), ("Car", "车")
+    boxes = Boxes3D(7, np.zeros((2, 3)), np.ones((2, 3)), np.zeros(2), scores, labels, score_form=ScoreForm.LOGIT)
     record = boxes_3d_record(boxes, sensor_id=1, seq=3)
     assert record.id.tolist() == [0, 1]
     assert record.velocities.tolist() == [0, 0]
@@ -324,9 +292,7 @@ def test_boxes_with_broken_edges_get_the_whole_pixels_that_they_touch():
 
 
 def test_boxes_with_whole_edges_come_back_as_they_were():
-    record = Box2d(
-        id=-4, class_name="Car", image_seq=1, confidence=0.8, timestamp=TIME, x1=103, y1=103, x2=204, y2=205
-    ).alone(2)
+    record = boxes_2d(0, 1, sensor_id=2, id=-4, x1=103, y1=103, x2=204, y2=205)
     back = boxes_2d_record(boxes_2d_of(record), sensor_id=2, seq=1, size_wh=(640, 480))
     assert back[0] == record[0]
 
@@ -339,65 +305,37 @@ def fused():
     points_world = world_from_camera.apply(camera_points)
     view = view_points(points_world, CAMERA, world_from_camera, RGB, camera_id="front", timestamp_ns=2_000)
     points = LidarPoints(points_world.astype(np.float32), np.array([1, 2, 3], np.uint8))
-    frame = FusedFrame("roof", 0, 1_000, 1_000, points, views=(view,))
-    return frame, view, camera_points
+    return FusedFrame("roof", 0, 1_000, 1_000, points, views=(view,)), view
 
 
-def record_of(fused, depth_kind):
-    frame, view, camera_points = fused
-    in_lidar = LidarPoints((camera_points + 1).astype(np.float32), frame.points.intensities)
-    return sensor_fusion_of(
+def record_of(fused, depth_kind="z"):
+    frame, view = fused
+    properties = PropertyStore()
+    assert properties.set("depth_kind", depth_kind)
+    return sensor_fusion_record(
         frame,
         view,
-        in_lidar,
-        camera_id=1,
-        lidar_id=2,
-        image_seq=3,
-        points_seq=4,
-        depth_kind=depth_kind,
+        RigidTransform.identity(),
+        Setting.of(properties.snapshot(), {}),
+        sent=LidarFrame(1_000, frame.points, extras={"fields": ("x", "y", "z", "reflectivity")}),
+        image=image(RGB, "rgb8"),
+        numbers={"camera_id": 1, "lidar_id": 2, "image_seq": 3, "points_seq": 4},
         motion_compensated=True,
     )
 
 
-def test_a_result_holds_image_depths_and_points(fused):
-    record = record_of(fused, "z")
+@pytest.mark.parametrize(("depth_kind", "farthest"), [("z", 10.0), ("range", np.sqrt(9 + 4 + 100))])
+def test_a_result_holds_image_depths_and_points(fused, depth_kind, farthest):
+    record = record_of(fused, depth_kind)
     assert (record.timestamp, record.image_timestamp) == (Timestamp(0, 1_000), Timestamp(0, 2_000))
     assert (record.camera_id, record.lidar_id, record.image_seq, record.points_seq) == (1, 2, 3, 4)
     np.testing.assert_array_equal(record.pixels, RGB)
-    assert record.point_fields == ("x", "y", "z", "reflectivity")
-    assert record.points[0].tolist() == [1, 1, 6, 1]
-    assert (record.depth_kind, record.point_frame, record.motion_compensated) == ("z", "lidar", 1)
+    assert record.point_fields == ("x", "y", "z", "reflectivity", "r", "g", "b")
+    assert record.points[0].tolist() == [10, 0, 5, 1, *RGB[1, 2]]
+    assert record.points[1, 4:].tolist() == [128, 128, 128]  # hidden
+    assert (record.depth_kind, record.point_frame, record.motion_compensated) == (depth_kind, "lidar", 1)
     # u = 5 x / z + 1.5, v = 5 y / z + 1
     expected = np.zeros((3, 4), np.float32)
-    expected[1, 2], expected[2, 3] = 5.0, 10.0
+    expected[1, 2], expected[2, 3] = 5.0, farthest
     np.testing.assert_allclose(record.depths, expected, rtol=1e-6)
-
-
-def test_a_result_can_hold_distances_along_the_rays(fused):
-    record = record_of(fused, "range")
-    expected = np.zeros((3, 4), np.float32)
-    expected[1, 2], expected[2, 3] = 5.0, np.sqrt(9 + 4 + 100)
-    np.testing.assert_allclose(record.depths, expected, rtol=1e-6)
-    with pytest.raises(OptionError, match="expected one of z, range"):
-        record_of(fused, "disparity")
-
-
-@pytest.mark.parametrize("depth_kind", ["z", "range"])
-def test_a_result_comes_back_into_the_model(fused, depth_kind):
-    record = record_of(fused, depth_kind)
-    np.testing.assert_array_equal(image_of_result(record, CAMERA).rgb, RGB)
-    frame = lidar_frame_of_result(record)
-    assert frame.points.intensities.tolist() == [1, 2, 3]
-    depth = depth_frame_of(record, CAMERA)
-    ray = [(3 - 1.5) / 5, (2 - 1) / 5, 1]
-    along = 10.0 if depth_kind == "z" else np.sqrt(113) / np.linalg.norm(ray)
-    np.testing.assert_allclose(depth.depth[2, 3], along, rtol=1e-6)
-    assert depth.timestamp_ns == 2_000
-    assert isinstance(image_of_result(record, CAMERA), CameraImage)
-
-
-def test_a_result_of_another_size_than_the_camera_is_refused(fused):
-    other = Camera("pinhole", 8, 3, 5.0, 5.0, 1.5, 1.0)
-    for read in (depth_frame_of, image_of_result):
-        with pytest.raises(DataError, match=r"fused sensor data \(table 9\): width: 4; expected 8"):
-            read(record_of(fused, "z"), other)
+    assert lidar_frame_of_result(record).points.intensities.tolist() == [1, 2, 3]

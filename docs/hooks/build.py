@@ -14,6 +14,7 @@ from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from outside import fetched_from_elsewhere
 from reference import reference_pages
+from rules import rules_page
 
 _FRONT_PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")
 _origins: dict[str, str] = {}
@@ -34,7 +35,7 @@ def on_files(files: Files, config: Any) -> Files:
 def _generated() -> dict[str, str]:
     from sceneloom.cli.main import sceneloom as program
 
-    pages = {**command_pages(program, "sceneloom"), **reference_pages()}
+    pages = {**command_pages(program, "sceneloom"), **reference_pages(), "reference/rules.md": rules_page()}
     for name in _FRONT_PAGES:
         pages[page_of(name)] = (PROJECT / name).read_text("utf-8")
         _origins[page_of(name)] = name

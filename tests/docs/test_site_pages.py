@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
+from sceneloom.checks.validation import catalogue
 from sceneloom.cli.main import sceneloom as command_line
 
 HOOKS = Path(__file__).parents[2] / "docs" / "hooks"
@@ -49,6 +50,14 @@ def test_every_package_with_public_names_that_is_listed_has_a_page(hook):
     pages = hook("reference").reference_pages()
     assert pages["reference/sceneloom.scene.md"] == "# sceneloom.scene\n\n::: sceneloom.scene\n"
     assert "[`sceneloom.colouring`](sceneloom.colouring.md)" in pages["reference/index.md"]
+
+
+def test_every_rule_of_validate_is_on_its_page(hook):
+    page = hook("rules").rules_page()
+    both, scale = page.split("## Only with `--profile scale`")
+    for rule in catalogue():
+        marks = ", ".join([rule.severity, *(["fix"] if rule.fixable else [])])
+        assert f"| `{rule.id}` | {marks} | {rule.summary} | {rule.remedy} |" in (scale if rule.only_in else both)
 
 
 @pytest.mark.parametrize(

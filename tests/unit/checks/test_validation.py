@@ -312,20 +312,6 @@ def test_a_file_with_everything_that_can_be_repaired_is_repaired(sound, tmp_path
 PAGE = Path(__file__).parents[3] / "docs" / "checks.md"
 
 
-def row(rule):
-    """The line of the page that a rule has."""
-    marks = ", ".join([rule.severity, *(["fix"] if rule.fixable else [])])
-    return f"| `{rule.id}` | {marks} | {rule.summary} | {rule.remedy} |"
-
-
-def test_the_page_lists_every_rule_and_no_other():
-    listed = [line for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| `") and "|" in line]
-    rows = [line for line in listed if line.count("|") == 5]
-    both = [row(rule) for rule in catalogue() if not rule.only_in]
-    scale = [row(rule) for rule in catalogue() if rule.only_in]
-    assert rows == both + scale
-
-
 def test_rules_that_the_page_names_for_a_check_of_scales_are_there():
     text = PAGE.read_text("utf-8").split("## What Scale's validator checks")[1].split("\n## ")[0]
     known = {rule.id for rule in catalogue()}

@@ -5,6 +5,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,11 @@ class Aligned:
         """Sweeps of all lidars."""
         return sum(len(lidar.frames) for lidar in self.scene.lidars)
 
+    @property
+    def trajectory(self) -> str | None:
+        """Name of the ego trajectory."""
+        return None if self.ego is None else self.ego.name
+
     def output_scene(self) -> tuple[Scene, Mapping[Identifier, PoseSource]]:
         """Give the scene to be written, its lidars still without frames, and where its sensors were.
 
@@ -84,7 +90,7 @@ class Aligned:
         world_from_file = _earlier_world(self.scene)
         world_from_file[:3, 3] += world_from_file[:3, :3] @ self.origin_world
         fusion = {
-            "trajectory": None if self.ego is None else self.ego.name,
+            "trajectory": self.trajectory,
             "heading": None if self.ego is None else self.ego.heading,
             # the name of a folder may hold bytes that are no Unicode
             "source": Path(self.scene.source).name.encode(errors="replace").decode(),
@@ -140,7 +146,12 @@ def align(
         # chosen from the whole drive: a heading comes from the trajectory before the part, too
         whole_trajectory = find_ego_motion(scene, name=trajectory, heading=heading)
         ego = whole_trajectory.within(chosen_interval(scene, start=start, stop=stop))
-    origin = ego.path.positions[0].copy() if _can_move(scene) else np.zeros(3)
+    # an adjustment acts on the world or leads from the ego to it, which its file does not state; what an unknown type
+    # means is not known
+    fixed = any(isinstance(sensor, PlainSensor) for sensor in scene.sensors) or any(
+        isinstance(annotation, LocalizationAdjustment | PlainAnnotation) for annotation in scene.annotations
+    )
+    origin = np.zeros(3) if fixed else ego.path.positions[0].copy()
     return Aligned(moved_scene(part, origin), ego.moved(origin), origin)
 
 
@@ -157,17 +168,6 @@ def _check_order(scene: Scene) -> None:
             location = f"sensors[{sensor.id}].{kind}[{k}].timestamp"
             problem = f"{times[k]} ns after {times[k - 1]} ns; expected {kind} in the order of their times"
             raise DataError(scene.source, location, problem)
-
-
-def _can_move(scene: Scene) -> bool:
-    """Whether everything that has a location in the world can be seen from another origin.
-
-    An adjustment acts on the world or leads from the ego to it, which its file does not state; what an unknown type
-    means is not known.
-    """
-    return not any(isinstance(sensor, PlainSensor) for sensor in scene.sensors) and not any(
-        isinstance(annotation, LocalizationAdjustment | PlainAnnotation) for annotation in scene.annotations
-    )
 
 
 def moved_scene(scene: Scene, origin_world: Float64Array) -> Scene:
@@ -191,24 +191,17 @@ def _moved_sensor(sensor: Any, origin_world: Float64Array) -> Sensor:
     changes: dict[str, Any] = {}
     if isinstance(sensor, LidarSensor | RadarSensor) and sensor.points_frame is PointsFrame.WORLD:
         frames: LazyFrames[Any] = sensor.frames
-        changes["frames"] = LazyFrames(frames.timestamps_ns, _MovedFrames(frames, origin_world))
+        changes["frames"] = LazyFrames(frames.timestamps_ns, partial(_moved_frame, frames, origin_world))
     if isinstance(sensor, _POSED) and sensor.poses is not None and sensor.coordinates is Coordinates.WORLD:
         changes["poses"] = sensor.poses.moved(origin_world)
     moved: Sensor = replace(sensor, **changes) if changes else sensor
     return moved
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _MovedFrames:
-    """Reads frames whose points are in the world, and moves them."""
-
-    frames: LazyFrames[Any]
-    origin_world: Float64Array
-
-    def __call__(self, index: int) -> Any:
-        frame = self.frames[index]
-        positions = _moved_points(frame.points.positions, self.origin_world)
-        return replace(frame, points=replace(frame.points, positions=positions))
+def _moved_frame(frames: LazyFrames[Any], origin_world: Float64Array, index: int) -> Any:
+    frame = frames[index]
+    positions = _moved_points(frame.points.positions, origin_world)
+    return replace(frame, points=replace(frame.points, positions=positions))
 
 
 def _moved_points(positions: Float32Array, origin_world: Float64Array) -> Float32Array:

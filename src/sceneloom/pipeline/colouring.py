@@ -6,17 +6,18 @@ labels of an image; the files that are written; the job.
 
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt8Array, UInt16Array
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, UInt8Array, UInt16Array, finite_rows
 from sceneloom.colouring.blending import BlendSettings, PointSources, blend_colours, estimate_normals, view_weights
 from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
 from sceneloom.colouring.labels import LabelCanvas, paint_labels
@@ -36,18 +37,26 @@ from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.system import FusionSystem
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.alignment import Aligned, align
-from sceneloom.pipeline.fusing import CameraReport, FusionStatistics
-from sceneloom.pipeline.outputs import SceneSink, lidar_folders, names_of, spread
-from sceneloom.pipeline.play import Skips, build_system, check_any_placed, check_has_lidar, play, reported_once, telling
+from sceneloom.pipeline.fusing import CameraReport, FusionStatistics, percent
+from sceneloom.pipeline.outputs import ImageSink, SceneSink, lidar_folders, names_of
+from sceneloom.pipeline.play import (
+    Skips,
+    build_system,
+    check_any_placed,
+    check_has_lidar,
+    play,
+    report_of,
+    reported_once,
+    telling,
+)
 from sceneloom.scene.annotations import LabeledPoints, LabeledPointsAnnotation
 from sceneloom.scene.cameras import CameraSensor
-from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor, PointsSensor, grey_where_unseen
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, grey_where_unseen
 from sceneloom.scene.ego import lidar_position
-from sceneloom.scene.poses import Poses, PoseSource
+from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.types import Identifier, Key, Progress, key_of
 from sceneloom.visualization.canvas import counting_left_out
-from sceneloom.visualization.fused_frames import MOST_SWEEPS, DriveCloud
 from sceneloom.warnings import DataWarning
 
 _BLENDS = ("nearest", "best", "weighted")
@@ -122,8 +131,7 @@ class ColourOutputs:
             OptionError: there is nothing to write, a suffix is unknown, or two outputs have one name.
             OutputError: an output exists, or its folder is missing.
         """
-        wanted = (self.map, self.per_sweep, self.project_labels, self.images)
-        locations = [location for location in wanted if location is not None]
+        locations = list(filter(None, (self.map, self.per_sweep, self.project_labels, self.images)))
         if not locations:
             raise OptionError(
                 "nothing to write: name a map (`-o map.laz`), a folder for sweeps (`--per-sweep DIR`), "
@@ -239,19 +247,22 @@ _NO_IMAGE = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ColouredSweep:
-    """A fused sweep without its images, and its points as rows of a map.
-
-    Attributes:
-        points: (N,) of dtype `POINT`.
-    """
+    """A fused sweep without its images, and its points as rows of a map, (N,) of dtype `POINT`."""
 
     frame: FusedFrame
     points: AnyArray
 
+    def kept(self, kept: BoolArray) -> "_ColouredSweep":
+        """The sweep with those of its points alone that are kept, (N,)."""
+        if kept.all():
+            return self
+        points = chosen_points(self.frame.points, np.flatnonzero(kept))
+        return _ColouredSweep(replace(self.frame, points=points), self.points[kept])
+
 
 @dataclass(slots=True)
 class _SweepColouring:
-    """Colours sweeps."""
+    """Colours sweeps; the numbers of images are those in the cameras of the scene as read."""
 
     scene: Scene
     blend: str
@@ -267,26 +278,37 @@ class _SweepColouring:
             timestamps = camera.images.timestamps_ns.tolist()
             self._numbers[camera.id] = {time_ns: k for k, time_ns in reversed([*enumerate(timestamps)])}
 
-    def indices(self, views: Sequence[FusedView]) -> list[int]:
-        """The numbers of the cameras of views among the scene's."""
-        return [self._cameras[view.camera_id][0] for view in views]
-
     def number(self, view: FusedView) -> int:
         """The number of a view's image in its camera."""
         return self._numbers[view.camera_id].get(view.timestamp_ns, _NO_IMAGE)
 
     def colour(self, frame: FusedFrame) -> _ColouredSweep:
         """Give a fused sweep its colours and labels."""
-        points_world = _points_of(frame)
+        # before they were rounded to float32, where an image was found
+        points_world = frame.views[0].points_world if frame.views else frame.points.positions.astype(np.float64)
         times = frame.points.timestamps_ns
-        colors, sources = self._colours(frame, points_world, times)
+        indices = [self._cameras[view.camera_id][0] for view in frame.views]
+        gains = {} if self.gains is None else self.gains.for_views(frame.views, indices)
+        if self.blend == "nearest":
+            colors, sources = _nearest(frame, indices, gains, points_world)
+        else:
+            eyes = [view.world_from_camera.translation for view in frame.views]
+            blended = blend_colours(
+                points_world,
+                frame.views,
+                indices,
+                settings=BlendSettings(mode=self.blend),
+                normals_world=estimate_normals(points_world, np.mean(eyes, axis=0)) if eyes else None,
+                timestamps_ns=times,
+                gains=gains,
+            )
+            colors, sources = blended.colors, blended.sources
         points = empty_points(len(points_world))
         points["position"] = points_world
         points["color"], points["weight"] = colors, sources.weights
         points["camera"], points["pixel"] = sources.camera_index, sources.pixels
-        for view in frame.views:
-            of_view = sources.camera_index == self._cameras[view.camera_id][0]
-            points["image"][of_view] = self.number(view)
+        for view, index in zip(frame.views, indices, strict=True):
+            points["image"][sources.camera_index == index] = self.number(view)
         if frame.points.intensities is not None:
             points["intensity"] = frame.points.intensities
         points["time_ns"] = frame.timestamp_ns if times is None else times
@@ -295,29 +317,6 @@ class _SweepColouring:
             points["label"] = paint_labels(points_world, frame.views, images, timestamps_ns=times)
         coloured = replace(frame.points, colors=colors, camera_index=sources.camera_index)
         return _ColouredSweep(replace(frame, points=coloured, views=()), points)
-
-    def _colours(
-        self, frame: FusedFrame, points_world: Float64Array, times: Int64Array | None
-    ) -> tuple[UInt8Array, PointSources]:
-        indices = self.indices(frame.views)
-        gains = {} if self.gains is None else self.gains.for_views(frame.views, indices)
-        if self.blend == "nearest":
-            return _nearest(frame, indices, gains, points_world, times)
-        normals = None
-        if frame.views:
-            eyes = [view.world_from_camera.translation for view in frame.views]
-            normals = estimate_normals(points_world, np.mean(eyes, axis=0))
-        settings = BlendSettings(mode=self.blend)
-        blended = blend_colours(
-            points_world,
-            frame.views,
-            indices,
-            settings=settings,
-            normals_world=normals,
-            timestamps_ns=times,
-            gains=gains,
-        )
-        return blended.colors, blended.sources
 
     def _label_image(self, view: FusedView, labels: LabelFolder) -> UInt16Array | None:
         """The label image of an image, read once where several sweeps are paired with it."""
@@ -330,17 +329,8 @@ class _SweepColouring:
         return kept[1]
 
 
-def _points_of(frame: FusedFrame) -> Float64Array:
-    """Positions in the world, before they were rounded to float32 where an image was found."""
-    return frame.views[0].points_world if frame.views else frame.points.positions.astype(np.float64)
-
-
 def _nearest(
-    frame: FusedFrame,
-    indices: Sequence[int],
-    gains: Mapping[int, Float64Array],
-    points_world: Float64Array,
-    times: Int64Array | None,
+    frame: FusedFrame, indices: Sequence[int], gains: Mapping[int, Float64Array], points_world: Float64Array
 ) -> tuple[UInt8Array, PointSources]:
     """The colours that the fusion gave, with their provenance."""
     sources = PointSources.none(len(frame.points))
@@ -351,8 +341,9 @@ def _nearest(
     for view, index in zip(frame.views, indices, strict=True):
         rows = np.flatnonzero(chosen[view.point_ids] == index)
         ids = view.point_ids[rows]
+        weights = view_weights(points_world, view, BlendSettings(), timestamps_ns=frame.points.timestamps_ns)
         sources.images_ns[ids], sources.pixels[ids] = view.timestamp_ns, view.pixels[rows]
-        sources.weights[ids] = view_weights(points_world, view, BlendSettings(), timestamps_ns=times)[rows]
+        sources.weights[ids] = weights[rows]
         if index in gains:
             colors[ids] = np.rint(np.clip(colors[ids] * gains[index], 0, 255)).astype(np.uint8)
     return colors, sources
@@ -362,20 +353,16 @@ _CANVASES = 2
 """Images of a camera that are drawn at once: sweeps of several lidars may meet them alternately."""
 
 
-def _numbered_labels(scene: Scene) -> dict[str, int]:
+def _numbered_labels(labelled: Sequence[LabeledPointsAnnotation], source: str) -> dict[str, int]:
     """The number of each label of labelled points: the label itself where all are numbers, else 1, 2, … by name."""
-    names = sorted({_name(each) for each in _labelled(scene)})
+    names = sorted(set(map(_name, labelled)))
     if not names:
-        raise DataError(scene.source, "annotations", "no labelled points in it; expected labels of lidar frames")
+        raise DataError(source, "annotations", "no labelled points in it; expected labels of lidar frames")
     if len(names) >= NO_LABEL:
-        raise DataError(scene.source, "annotations", f"{len(names)} labels; expected at most {NO_LABEL - 1}")
+        raise DataError(source, "annotations", f"{len(names)} labels; expected at most {NO_LABEL - 1}")
     if all(name.isascii() and name.isdigit() and 0 < int(name) < NO_LABEL for name in names):
         return {name: int(name) for name in names}
     return {name: k for k, name in enumerate(names, 1)}
-
-
-def _labelled(scene: Scene) -> list[LabeledPointsAnnotation]:
-    return [each for each in scene.annotations if isinstance(each, LabeledPointsAnnotation)]
 
 
 def _name(annotation: LabeledPointsAnnotation) -> str:
@@ -388,17 +375,18 @@ class _LabelProjection:
 
     scene: Scene
     folder: Path
-    names: Mapping[Identifier, str]
     colouring: _SweepColouring
     radius_px: int = 0
     written: int = 0
     numbers: dict[str, int] = field(default_factory=dict)
+    _names: Mapping[Identifier, str] = field(default_factory=dict)
     _entries: dict[tuple[Key, int], list[tuple[int, Sequence[int]]]] = field(default_factory=dict)
     _open: dict[Identifier, dict[int, LabelCanvas]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.numbers = _numbered_labels(self.scene)
-        for annotation in _labelled(self.scene):
+        labelled = [each for each in self.scene.annotations if isinstance(each, LabeledPointsAnnotation)]
+        self.numbers, self._names = _numbered_labels(labelled, self.scene.source), names_of(self.scene.cameras)
+        for annotation in labelled:
             for entry in annotation.labeled_points:
                 if entry.sensor_frame is not None:
                     key = (key_of(entry.sensor_id), entry.sensor_frame)
@@ -407,7 +395,13 @@ class _LabelProjection:
 
     def add(self, frame: FusedFrame) -> None:
         """Draw the labels of one sweep into its images."""
-        labels = self._labels(frame)
+        labels = np.full(len(frame.points), NO_LABEL, np.uint16)
+        for label, ids in self._entries.get((key_of(frame.lidar_id), frame.index), ()):
+            if len(ids) and int(np.max(ids)) >= len(labels):
+                location = f"annotations[].labeled_points[{frame.lidar_id}, frame {frame.index}]"
+                problem = f"point {int(np.max(ids))}; expected numbers below {len(labels)}"
+                raise DataError(self.scene.source, location, problem)
+            labels[np.asarray(ids)] = label
         for view in frame.views:
             canvases = self._open.setdefault(view.camera_id, {})
             number = self.colouring.number(view)
@@ -418,19 +412,9 @@ class _LabelProjection:
                 canvases[number] = LabelCanvas.blank(width, height, radius_px=self.radius_px)
             canvases[number].draw(view, labels)
 
-    def _labels(self, frame: FusedFrame) -> UInt16Array:
-        labels = np.full(len(frame.points), NO_LABEL, np.uint16)
-        for number, ids in self._entries.get((key_of(frame.lidar_id), frame.index), ()):
-            if len(ids) and int(np.max(ids)) >= len(labels):
-                location = f"annotations[].labeled_points[{frame.lidar_id}, frame {frame.index}]"
-                problem = f"point {int(np.max(ids))}; expected numbers below {len(labels)}"
-                raise DataError(self.scene.source, location, problem)
-            labels[np.asarray(ids)] = number
-        return labels
-
     def _write(self, camera_id: Identifier, number: int) -> None:
         canvas = self._open[camera_id].pop(number)
-        folder = self.folder / self.names[camera_id]
+        folder = self.folder / self._names[camera_id]
         folder.mkdir(parents=True, exist_ok=True)
         write_label_png(canvas.labels, folder / f"{number:06d}.png", overwrite=True)
         self.written += 1
@@ -473,17 +457,9 @@ class _Columns:
         )
 
 
-class _ColourSink(Protocol):
-    """Takes coloured sweeps, one after another."""
-
-    def add(self, sweep: _ColouredSweep, kept: BoolArray) -> None:
-        """Take one sweep; `kept` (N,) are the points that stay."""
-        ...
-
-
 @dataclass(slots=True)
 class _MapSink:
-    """Writes the drive as one cloud, each point, or one for each cube of space."""
+    """Writes the drive as one cloud, each point, or one for each cube of space; `complete` ends files of others."""
 
     writer: CloudWriter
     columns: _Columns
@@ -491,13 +467,12 @@ class _MapSink:
     complete: Callable[[], None] | None = None
     written: int = 0
 
-    def add(self, sweep: _ColouredSweep, kept: BoolArray) -> None:
+    def add(self, sweep: _ColouredSweep) -> None:
         """Take one sweep."""
-        points = sweep.points[kept]
         if self.cubes is None:
-            self._write(points[np.isfinite(points["position"]).all(axis=1)])
+            self._write(sweep.points[finite_rows(sweep.points["position"])])
         else:
-            self.cubes.add(points)
+            self.cubes.add(sweep.points)
 
     def finish(self) -> None:
         """Write what was gathered."""
@@ -520,13 +495,16 @@ class _SweepFiles:
     columns: _Columns
     written: int = 0
 
-    def add(self, sweep: _ColouredSweep, kept: BoolArray) -> None:
+    def add(self, sweep: _ColouredSweep) -> None:
         """Write one sweep."""
         folder = self.folders[sweep.frame.lidar_id]
         folder.mkdir(parents=True, exist_ok=True)
         with open_cloud_writer(folder / f"{sweep.frame.index:06d}{self.suffix}") as writer:
-            writer.add(self.columns.written(sweep.points[kept]))
+            writer.add(self.columns.written(sweep.points))
         self.written += 1
+
+    def finish(self) -> None:
+        """Nothing is left to do."""
 
 
 @dataclass(slots=True)
@@ -537,30 +515,23 @@ class _SweepScene:
     names: Mapping[int, str]
     taken: set[Identifier]
     _labelled: dict[int, list[LabeledPoints]] = field(default_factory=dict)
-    _frames: dict[Identifier, int] = field(default_factory=dict)
+    _frames: Counter[Identifier] = field(default_factory=Counter)
 
-    def add(self, sweep: _ColouredSweep, kept: BoolArray) -> None:
+    def add(self, sweep: _ColouredSweep) -> None:
         """Write one sweep."""
-        frame = replace(sweep.frame, points=_kept_points(sweep.frame.points, kept))
-        self.sink.add(frame)
-        number = self._frames.get(frame.lidar_id, 0)
-        self._frames[frame.lidar_id] = number + 1
-        for label, rows in _rows_of_labels(sweep.points["label"][kept]):
-            entry = LabeledPoints(frame.lidar_id, rows, sensor_frame=number)
+        lidar_id = sweep.frame.lidar_id
+        self.sink.add(sweep.frame)
+        for label, rows in _rows_of_labels(sweep.points["label"]):
+            entry = LabeledPoints(lidar_id, rows, sensor_frame=self._frames[lidar_id])
             self._labelled.setdefault(label, []).append(entry)
+        self._frames[lidar_id] += 1
 
     def finish(self) -> None:
         """Add the labels, and complete the file."""
         for label in sorted(self._labelled):
-            self.sink.writer.add_annotation(
-                _label_annotation(label, tuple(self._labelled[label]), self.names, self.taken)
-            )
+            entries = tuple(self._labelled[label])
+            self.sink.writer.add_annotation(_label_annotation(label, entries, self.names, self.taken))
         self.sink.finish()
-
-
-def _kept_points(points: LidarPoints, kept: BoolArray) -> LidarPoints:
-    """Those points of a sweep that are kept, with all their fields."""
-    return points if kept.all() else chosen_points(points, np.flatnonzero(kept))
 
 
 def _rows_of_labels(labels: AnyArray) -> Iterator[tuple[int, AnyArray]]:
@@ -579,24 +550,6 @@ def _label_annotation(
         annotation_id += "-painted"
     taken.add(annotation_id)
     return LabeledPointsAnnotation(annotation_id, entries, label=names.get(label, str(label)), is_instance=False)
-
-
-@dataclass(slots=True)
-class _CloudImages:
-    """Draws the drive as one cloud."""
-
-    folder: Path
-    cloud: DriveCloud
-    ego_poses: Poses | None
-    written: int = 0
-
-    def add(self, sweep: _ColouredSweep, kept: BoolArray) -> None:
-        """Gather one sweep."""
-        self.cloud.add(replace(sweep.frame, points=_kept_points(sweep.frame.points, kept)))
-
-    def finish(self) -> None:
-        """Draw the drive."""
-        self.written += len(self.cloud.save(self.folder, self.ego_poses))
 
 
 _MAP_ID = "map"
@@ -648,67 +601,34 @@ class _MapScene:
         return column
 
 
-@dataclass(slots=True)
-class _Sinks:
-    """The open outputs of a colouring."""
+_Sinks = Mapping[str, Any]
+"""The open outputs of a colouring, by what they hold."""
 
-    map: _MapSink | None = None
-    sweeps: _SweepFiles | None = None
-    scene: _SweepScene | None = None
-    images: _CloudImages | None = None
-    projection: _LabelProjection | None = None
 
-    @property
-    def all(self) -> list[_ColourSink]:
-        """Those that take every coloured sweep."""
-        return [sink for sink in (self.map, self.sweeps, self.scene, self.images) if sink is not None]
-
-    @property
-    def files(self) -> dict[str, int]:
-        """How many files of which kind were written."""
-        kinds = {"sweeps": self.sweeps, "label images": self.projection, "images": self.images}
-        return {kind: sink.written for kind, sink in kinds.items() if sink is not None}
-
-    def finish(self) -> None:
-        """Complete them."""
-        for sink in (self.map, self.scene, self.images, self.projection):
-            if sink is not None:
-                sink.finish()
-
-    @classmethod
-    def open(
-        cls,
-        aligned: Aligned,
-        wanted: ColourOutputs,
-        settings: ColourSettings,
-        colouring: _SweepColouring,
-        stack: ExitStack,
-    ) -> "_Sinks":
-        """Open every wanted output; an error later removes all of them again."""
-        sinks, scene, overwrite = cls(), aligned.scene, wanted.overwrite
-        names = {} if colouring.labels is None else colouring.labels.names
-        columns = _Columns(settings.labels is not None, settings.provenance, aligned.origin_world)
-
-        def folder(location: Path) -> Path:
-            return stack.enter_context(filling(location, overwrite=overwrite))
-
-        if wanted.map is not None:
-            sinks.map = _open_map(aligned, wanted.map, settings, columns, names, stack, overwrite=overwrite)
-        if wanted.per_sweep is not None and wanted.per_sweep.suffix.lower() == _SCENE_SUFFIX:
-            sink = SceneSink.open(aligned, wanted.per_sweep, stack, None, overwrite=overwrite)
-            sinks.scene = _SweepScene(sink, names, {annotation.id for annotation in scene.annotations})
-        elif wanted.per_sweep is not None:
-            suffix = "" if wanted.map is None else wanted.map.suffix.lower()
-            suffix = suffix if suffix in WRITTEN_SUFFIXES else ".ply"
-            sinks.sweeps = _SweepFiles(lidar_folders(folder(wanted.per_sweep), scene), suffix, columns)
-        if wanted.images is not None:
-            cloud = DriveCloud(spread(scene, MOST_SWEEPS))
-            path = None if aligned.ego is None else aligned.ego.path
-            sinks.images = _CloudImages(folder(wanted.images), cloud, path)
-        if wanted.project_labels is not None:
-            location, cameras = folder(wanted.project_labels), names_of(scene.cameras)
-            sinks.projection = _LabelProjection(scene, location, cameras, colouring, settings.label_radius_px)
-        return sinks
+def _open_sinks(
+    aligned: Aligned, wanted: ColourOutputs, settings: ColourSettings, colouring: _SweepColouring, stack: ExitStack
+) -> dict[str, Any]:
+    """Open every wanted output; an error later removes all of them again."""
+    sinks: dict[str, Any] = {}
+    scene, overwrite = aligned.scene, wanted.overwrite
+    names = {} if colouring.labels is None else colouring.labels.names
+    columns = _Columns(settings.labels is not None, settings.provenance, aligned.origin_world)
+    if wanted.map is not None:
+        sinks["map"] = _open_map(aligned, wanted.map, settings, columns, names, stack, overwrite=overwrite)
+    if wanted.per_sweep is not None and wanted.per_sweep.suffix.lower() == _SCENE_SUFFIX:
+        sink = SceneSink.open(aligned, wanted.per_sweep, stack, Skips(lenient=False), overwrite=overwrite)
+        sinks["scene"] = _SweepScene(sink, names, {annotation.id for annotation in scene.annotations})
+    elif wanted.per_sweep is not None:
+        suffix = "" if wanted.map is None else wanted.map.suffix.lower()
+        suffix = suffix if suffix in WRITTEN_SUFFIXES else ".ply"
+        folder = stack.enter_context(filling(wanted.per_sweep, overwrite=overwrite))
+        sinks["sweeps"] = _SweepFiles(lidar_folders(folder, scene), suffix, columns)
+    if wanted.images is not None:
+        sinks["images"] = ImageSink.open(aligned, wanted.images, stack, overwrite=overwrite, sweeps=False)
+    if wanted.project_labels is not None:
+        folder = stack.enter_context(filling(wanted.project_labels, overwrite=overwrite))
+        sinks["label images"] = _LabelProjection(scene, folder, colouring, settings.label_radius_px)
+    return sinks
 
 
 def _open_map(
@@ -738,12 +658,12 @@ def _open_map(
 
 @dataclass(slots=True)
 class _Job:
-    """One colouring under way."""
+    """One colouring under way; counts have the names of the fields of `ColourReport`."""
 
     aligned: Aligned
     source: Scene
     settings: ColourSettings
-    skips: Skips | None
+    skips: Skips
     progress: Progress | None
     statistics: FusionStatistics = field(init=False)
     boxes: MovingBoxes = field(init=False)
@@ -773,7 +693,7 @@ class _Job:
         self._ahead = sum(len(lidar.frames) for lidar in thinned.lidars)
         index = {camera.id: k for k, camera in enumerate(scene.cameras)}
         links = ExposureLinks()
-        for frame in play(thinned, self._system(), skips=self.skips):
+        for frame in play(thinned, self._system(), self.skips):
             if frame.views:
                 points_world = frame.views[0].points_world
                 links.add(points_world, frame.views, [index[view.camera_id] for view in frame.views])
@@ -783,24 +703,30 @@ class _Job:
     def run(self, colouring: _SweepColouring, sinks: _Sinks) -> None:
         """Colour every sweep and give it to the outputs."""
         locations = self._locations() if self.settings.remove_moving else {}
-        finders: dict[Identifier, MovingPoints[_ColouredSweep]] = {}
         lags = {lidar.id: lags_for(len(lidar.frames)) for lidar in self.aligned.scene.lidars}
-        for frame in play(self.aligned.scene, self._system(), skips=self.skips):
+        finders: dict[Identifier, MovingPoints[_ColouredSweep]] = {}
+        for frame in play(self.aligned.scene, self._system(), self.skips):
             self.statistics.add(frame)
             self._step()
             if frame.unfused is not None:
                 continue
-            if sinks.projection is not None:
-                sinks.projection.add(frame)
+            if "label images" in sinks:
+                sinks["label images"].add(frame)
             sweep = colouring.colour(frame)
-            self._count(sweep)
+            self.coloured += int((sweep.points["camera"] != 255).sum())
+            if self.settings.labels is not None:
+                stated = sweep.points["label"][sweep.points["label"] != NO_LABEL]
+                self.labelled += len(stated)
+                self.classes.update(np.unique(stated).tolist())
             if not self.settings.remove_moving:
                 self._give(sweep, np.ones(len(sweep.points), np.bool_), sinks)
                 continue
+            location = locations[frame.lidar_id]
+            measured = LidarFrame(frame.timestamp_ns, sweep.frame.points)
+            trajectory = None if location is None else LidarTrajectory.of(measured, location)
+            self.unjudged += trajectory is None
             finder = finders.setdefault(frame.lidar_id, MovingPoints(lags[frame.lidar_id]))
-            self._give_judged(
-                finder.add(sweep, sweep.frame.points.positions, self._trajectory(sweep, locations)), sinks
-            )
+            self._give_judged(finder.add(sweep, sweep.frame.points.positions, trajectory), sinks)
         for finder in finders.values():
             self._give_judged(finder.flush(), sinks)
         check_any_placed(self.source, self.statistics.unfused, self.statistics.frames)
@@ -816,24 +742,10 @@ class _Job:
     def _give(self, sweep: _ColouredSweep, kept: BoolArray, sinks: _Sinks) -> None:
         if self.settings.only_coloured:
             kept = kept & (sweep.points["weight"] > 0)
-        for sink in sinks.all:
-            sink.add(sweep, kept)
-
-    def _count(self, sweep: _ColouredSweep) -> None:
-        self.coloured += int((sweep.points["camera"] != 255).sum())
-        if self.settings.labels is not None:
-            stated = sweep.points["label"][sweep.points["label"] != 65535]
-            self.labelled += len(stated)
-            self.classes.update(np.unique(stated).tolist())
-
-    def _trajectory(
-        self, sweep: _ColouredSweep, locations: dict[Identifier, PoseSource | None]
-    ) -> LidarTrajectory | None:
-        location = locations[sweep.frame.lidar_id]
-        frame = LidarFrame(sweep.frame.timestamp_ns, sweep.frame.points)
-        trajectory = None if location is None else LidarTrajectory.of(frame, location)
-        self.unjudged += trajectory is None
-        return trajectory
+        rest = sweep.kept(kept)
+        for kind, sink in sinks.items():
+            if kind != "label images":  # which takes sweeps with their images
+                sink.add(rest.frame if kind == "images" else rest)
 
     def _locations(self) -> dict[Identifier, PoseSource | None]:
         """From where the lidars measured; the middle of the cameras stands for an unknown position."""
@@ -919,41 +831,39 @@ def colour(
     check_has_lidar(scene, "colouring needs")
     scene = scene.corrected()
     aligned = align(scene, trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient)
-    job = _Job(aligned, scene, chosen, Skips() if lenient else None, progress)
+    job = _Job(aligned, scene, chosen, Skips(lenient), progress)
     with telling(job.skips), counting_left_out() as left, ExitStack() as stack:
         labels = None if chosen.labels is None else LabelFolder.of(chosen.labels, scene.cameras)
         gains = job.compare_exposures() if chosen.exposure and len(scene.cameras) else None
         colouring = _SweepColouring(scene, chosen.blend, gains, labels)
-        sinks = _Sinks.open(aligned, wanted, chosen, colouring, stack)
+        sinks = _open_sinks(aligned, wanted, chosen, colouring, stack)
         job.run(colouring, sinks)
-        sinks.finish()
-    statistics = job.statistics
-    return ColourReport(
+        for sink in sinks.values():
+            sink.finish()
+    kinds = [kind for kind in ("sweeps", "label images", "images") if kind in sinks]
+    return report_of(
+        ColourReport,
+        job.statistics,
         source=scene.source,
         output=None if wanted.map is None else str(wanted.map),
-        trajectory=None if aligned.ego is None else aligned.ego.name,
+        trajectory=aligned.trajectory,
         blend=chosen.blend,
-        frames=statistics.frames,
-        fused=statistics.fused,
-        unfused=statistics.unfused,
-        skipped=() if job.skips is None else tuple(job.skips.reasons),
-        points=statistics.points,
-        coloured_percent=100.0 * job.coloured / statistics.points if statistics.points else 0.0,
+        skipped=job.skips.reasons,
+        coloured_percent=percent(job.coloured, job.statistics.points),
         removed_in_boxes=job.removed_in_boxes,
         removed_by_rays=job.removed_by_rays,
         unjudged=job.unjudged,
-        written=0 if sinks.map is None else sinks.map.written,
+        written=sinks["map"].written if "map" in sinks else 0,
         exposure=None if gains is None else _ExposureReport.of(gains, [camera.id for camera in scene.cameras]),
-        labels=_label_report(job, colouring, sinks),
-        cameras=statistics.camera_reports,
-        files=sinks.files,
+        labels=_label_report(job, colouring, sinks.get("label images")),
+        files={kind: sinks[kind].written for kind in kinds},
         seconds=time.perf_counter() - begun,
         warnings=(*job.warnings(), *left.warnings),
     )
 
 
-def _label_report(job: _Job, colouring: _SweepColouring, sinks: _Sinks) -> _LabelReport | None:
-    painted, drawn = colouring.labels, sinks.projection
+def _label_report(job: _Job, colouring: _SweepColouring, drawn: _LabelProjection | None) -> _LabelReport | None:
+    painted = colouring.labels
     if painted is None and drawn is None:
         return None
     return _LabelReport(

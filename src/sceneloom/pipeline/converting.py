@@ -89,8 +89,8 @@ def fields_meant(location: str, kinds: Mapping[str, str]) -> tuple[str, ...]:
     for pattern, ours in _WORDS:
         location = pattern.sub(ours, location)
     names = _by_kind(location, kinds)
-    # of all kinds, those that have such a field; the others have no further field of that name
-    found = [field for name in names for field in _at_or_below(name)]
+    # of all kinds, those that have such a field; the others have no extra field of that name
+    found = [field for name in names for field in MODEL_FIELDS if field == name or field.startswith(f"{name}.")]
     return tuple(dict.fromkeys(found or [field for name in names for field in _above(name)]))
 
 
@@ -99,10 +99,10 @@ def _by_kind(location: str, kinds: Mapping[str, str]) -> list[str]:
     owner = max((key for key in kinds if location == key or location.startswith(f"{key}.")), key=len, default=None)
     if owner is not None:
         return [_plain(kinds[owner] + location[len(owner) :])]
-    several = _SEVERAL.match(location)
-    if several is None:
+    all_of = _SEVERAL.match(location)
+    if all_of is None:
         return [_plain(location)]
-    return [_plain(kind + location[several.end() :]) for kind in KINDS.values() if kind.startswith(several.group(1))]
+    return [_plain(kind + location[all_of.end() :]) for kind in KINDS.values() if kind.startswith(all_of[1])]
 
 
 def _plain(location: str) -> str:
@@ -117,19 +117,12 @@ def _plain(location: str) -> str:
     return location
 
 
-def _at_or_below(name: str) -> list[str]:
-    """The field of that name, or those below it."""
-    return [field for field in MODEL_FIELDS if field == name or field.startswith(f"{name}.")]
-
-
 def _above(name: str) -> list[str]:
-    """The field that one of that name is a part of; further fields are `extras`."""
-    above = name.rpartition(".")[0]
-    while above:
-        for field in (above, f"{above}.extras"):
+    """The field that one of that name is a part of; unknown fields are `extras`."""
+    while name := name.rpartition(".")[0]:
+        for field in (name, f"{name}.extras"):
             if field in MODEL_FIELDS:
                 return [field]
-        above = above.rpartition(".")[0]
     return []
 
 
@@ -151,6 +144,12 @@ class _FieldSupport(msgspec.Struct, frozen=True, kw_only=True):
     how: tuple[str, ...] = ()
     largest_error: float | None = None
 
+    @property
+    def explained(self) -> str:
+        """What happened to it, and by how much its worst value is off."""
+        worst = "" if self.largest_error is None else f"largest error {self.largest_error:.3g}"
+        return "; ".join(filter(None, (*self.how, worst)))
+
 
 def field_supports(
     contents: Mapping[str, int], supports: Supports, losses: Iterable[Loss], kinds: Mapping[str, str]
@@ -166,16 +165,17 @@ def field_supports(
     Returns:
         One for each field of `contents`, then one for each loss that is about none of them.
     """
-    reported: dict[str, list[Loss]] = {}
+    reported: dict[str, list[Loss]] = {field: [] for field in contents}
     for loss in losses:
         meant = [field for field in fields_meant(loss.field, kinds) if field in contents]
         for field in meant or [loss.field]:
             reported.setdefault(field, []).append(loss)
-    known = [
-        _support(field, count, holding_of(supports, field), reported.pop(field, []))
-        for field, count in contents.items()
-    ]
-    return (*known, *(_beside(location, lines) for location, lines in reported.items()))
+    return tuple(
+        _support(field, contents[field], holding_of(supports, field), lines)
+        if field in contents
+        else _support(field, sum(line.count for line in lines), None, lines)
+        for field, lines in reported.items()
+    )
 
 
 def lost(supports: Iterable[_FieldSupport]) -> tuple[_FieldSupport, ...]:
@@ -185,7 +185,11 @@ def lost(supports: Iterable[_FieldSupport]) -> tuple[_FieldSupport, ...]:
 
 def _support(field: str, count: int, holding: Holding | None, lines: list[Loss]) -> _FieldSupport:
     supports = [Support.KEPT if line.kept else line.support for line in lines]
-    how = [_stated(line, field) for line in lines]
+    how = []
+    for line in lines:
+        location = "" if line.field == field else f"{line.field}: "
+        times = f" ({line.count} times)" if line.count > 1 else ""
+        how.append(f"{location}{line.what}{times}" + (f"; it is in {line.kept}" if line.kept else ""))
     if holding is not None:
         supports.append(holding.support)
         how += [holding.how] if holding.how and holding.how not in {line.what for line in lines} else []
@@ -197,17 +201,6 @@ def _support(field: str, count: int, holding: Holding | None, lines: list[Loss])
         how=tuple(dict.fromkeys(how)),
         largest_error=max((line.largest_error for line in lines if line.largest_error is not None), default=None),
     )
-
-
-def _beside(location: str, lines: list[Loss]) -> _FieldSupport:
-    return _support(location, sum(line.count for line in lines), None, lines)
-
-
-def _stated(line: Loss, field: str) -> str:
-    """What happened, and where unless that is what the field is called."""
-    location = "" if line.field == field else f"{line.field}: "
-    times = f" ({line.count} times)" if line.count > 1 else ""
-    return f"{location}{line.what}{times}" + (f"; it is in {line.kept}" if line.kept else "")
 
 
 class ConversionReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -269,7 +262,7 @@ class _Group:
     @property
     def rows(self) -> list[tuple[str, str, str]]:
         """One row for each field: its name, how many objects or frames hold it, and what happened to it."""
-        return [(field.field, str(field.count), _explained(field)) for field in self.fields]
+        return [(field.field, str(field.count), field.explained) for field in self.fields]
 
     @property
     def short_rows(self) -> list[tuple[str, str, str]]:
@@ -277,19 +270,15 @@ class _Group:
 
         Rows that name an option as a remedy come first: the others may not be shown.
         """
-        together: dict[tuple[str, str], list[_FieldSupport]] = {}
-        for field in self.fields:
-            kind = ".".join(field.field.split(".")[:2])
-            together.setdefault((kind, _explained(field)), []).append(field)
-        return sorted(
-            (
-                (same[0].field, str(same[0].count), how)
-                if len(same) == 1
-                else (f"{_beginning(same)}.*", f"{len(same)} fields", how)
-                for (_, how), same in together.items()
-            ),
-            key=lambda row: "`--" not in row[2],
-        )
+        together: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
+        for row in self.rows:
+            together.setdefault((*row[0].split(".")[:2], row[2]), []).append(row)
+        rows = []
+        for same in together.values():
+            parts = zip(*(name.split(".") for name, _, _ in same), strict=False)
+            shared = ".".join(part[0] for part in parts if len(set(part)) == 1)
+            rows.append(same[0] if len(same) == 1 else (f"{shared}.*", f"{len(same)} fields", same[0][2]))
+        return sorted(rows, key=lambda row: "`--" not in row[2])
 
 
 _REPORT_SUFFIXES = (".json", ".md", ".txt")
@@ -303,51 +292,23 @@ def _check_report_name(path: Path) -> None:
 
 def _write_report(report: ConversionReport, path: Path, *, overwrite: bool = False) -> None:
     """Write what became of every field: as JSON, as Markdown or as text, as the suffix says."""
-    _check_report_name(path)
-    both = f"{report.source} + {report.target}"
+    if path.suffix.lower() == ".json":
+        lines = [msgspec.json.format(msgspec.json.encode(report), indent=2).decode()]
+    elif path.suffix.lower() == ".md":
+        lines = [f"# {report.headline}"]
+        for group in report.groups:
+            title = f"## {group.title[0].upper()}{group.title[1:]}"
+            lines += ["", title, "| field | held by | how |", "| --- | ---: | --- |"]
+            cells = ((name, count, how.replace("|", "\\|").replace("\n", " ")) for name, count, how in group.rows)
+            lines += [f"| `{name}` | {count} | {how} |" for name, count, how in cells]
+    else:
+        lines = [report.headline]
+        for group in report.groups:
+            lines += ["", f"{group.title} ({len(group.fields)})"]
+            lines += [f"  {name} [{count}]" + (f": {how}" if how else "") for name, count, how in group.rows]
     with replacing(path, overwrite=overwrite) as draft:
-        if path.suffix.lower() == ".json":
-            text = msgspec.json.format(msgspec.json.encode(report), indent=2).decode()
-            draft.write_text(without_folders(text, both) + "\n", encoding="utf-8", newline="\n")
-        else:
-            lines = _markdown(report) if path.suffix.lower() == ".md" else _text(report)
-            text = without_folders("\n".join([*lines, ""]), both)
-            draft.write_text(text, encoding="utf-8", newline="\n")
-
-
-def _beginning(fields: Iterable[_FieldSupport]) -> str:
-    """What the names have in common, up to a dot."""
-    names = [field.field.split(".") for field in fields]
-    shared = [parts[0] for parts in zip(*names, strict=False) if len(set(parts)) == 1]
-    return ".".join(shared)
-
-
-def _explained(field: _FieldSupport) -> str:
-    """What happened to a field, and by how much its worst value is off."""
-    reported = "; ".join(field.how)
-    worst = "" if field.largest_error is None else f"largest error {field.largest_error:.3g}"
-    return "; ".join(filter(None, (reported, worst)))
-
-
-def _text(report: ConversionReport) -> list[str]:
-    lines = [report.headline]
-    for group in report.groups:
-        lines += ["", f"{group.title} ({len(group.fields)})"]
-        lines += [f"  {name} [{count}]" + (f": {how}" if how else "") for name, count, how in group.rows]
-    return lines
-
-
-def _markdown(report: ConversionReport) -> list[str]:
-    lines = [f"# {report.headline}"]
-    for group in report.groups:
-        title = f"## {group.title[0].upper()}{group.title[1:]}"
-        lines += ["", title, "| field | held by | how |", "| --- | ---: | --- |"]
-        lines += [f"| `{name}` | {count} | {_cell(how)} |" for name, count, how in group.rows]
-    return lines
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
+        text = without_folders("\n".join([*lines, ""]), f"{report.source} + {report.target}")
+        draft.write_text(text, encoding="utf-8", newline="\n")
 
 
 _WRITING = ("optical", "origin_lla")
@@ -359,76 +320,126 @@ _NAMED = 6
 """How many fields a message names."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Target:
-    """Where and how the output is written."""
+@dataclass(slots=True, eq=False)
+class _Conversion:
+    """One call of `convert`; a target that may lose nothing is written beside its path first."""
 
-    location: Path
+    source: str | Path
+    target: Path
+    to: str | None
+    trajectory: str | None
     strict: bool
     overwrite: bool
-    writing: Mapping[str, Any]
+    reading: dict[str, Any]
+    writing: dict[str, Any]
+    progress: Progress | None
 
+    def run(
+        self,
+        source_format: str,
+        target_format: str,
+        warnings: tuple[DataWarning, ...],
+        contents: Callable[[], Mapping[str, int]],
+        supports: Supports,
+        kinds: Mapping[str, str],
+        write: Callable[..., LossReport],
+        known: tuple[Loss, ...] = (),
+    ) -> ConversionReport:
+        """Write the target, and report; `known` is lost whatever the writing reports."""
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Conversion:
-    """One conversion that is ready to be written."""
+        def report(losses: LossReport | None) -> ConversionReport:
+            """The report, before (None) or after the writing."""
+            found = LossReport() if losses is None else losses
+            found = LossReport.of([*known, *found]) if known else found
+            return ConversionReport(
+                source=str(self.source),
+                source_format=source_format,
+                target=str(self.target),
+                target_format=target_format,
+                warnings=warnings,
+                losses=LossReport() if losses is None else found,
+                fields=field_supports(contents(), supports, found, kinds),
+                written=losses is not None,
+            )
 
-    source: str
-    source_format: str
-    target_format: str
-    target: _Target
-    warnings: tuple[DataWarning, ...]
-    contents: Callable[[], Mapping[str, int]]
-    supports: Supports
-    kinds: Mapping[str, str]
-    write: Callable[..., LossReport]
-    losses: tuple[Loss, ...] = ()
-
-    def report(self, losses: LossReport | None) -> ConversionReport:
-        """The report, before (None) or after the writing."""
-        known = LossReport(()) if losses is None else losses
-        if self.losses:
-            known = LossReport.of([*self.losses, *known])
-        return ConversionReport(
-            source=self.source,
-            source_format=self.source_format,
-            target=str(self.target.location),
-            target_format=self.target_format,
-            warnings=self.warnings,
-            losses=LossReport() if losses is None else known,
-            fields=field_supports(self.contents(), self.supports, known, self.kinds),
-            written=losses is not None,
-        )
-
-    def run(self) -> ConversionReport:
-        """Write the target; if nothing may be lost, beside it first."""
-        target = self.target
-        write = partial(self.write, overwrite=target.overwrite, **target.writing)
+        write = partial(write, overwrite=self.overwrite, **self.writing)
         with stage("writing"):
-            if target.strict:
-                self._check(self.report(None))
-                with on_trial(target.location, overwrite=target.overwrite) as (draft, accept):
-                    report = self.report(write(draft))
-                    self._check(report)
+            if self.strict:
+                _refuse_losses(report(None))
+                with on_trial(self.target, overwrite=self.overwrite) as (draft, accept):
+                    tried = report(write(draft))
+                    _refuse_losses(tried)
                     if accept():
-                        return report
-            return self.report(write(target.location))
+                        return tried
+            return report(write(self.target))
 
-    def _check(self, report: ConversionReport) -> None:
-        """Refuse a conversion that does not keep every field; the error has the report."""
-        gone = report.lost
-        if not gone:
-            return
-        named = "; ".join(
-            f"{field.field} ({field.support}{': ' + field.how[0] if field.how else ''})" for field in gone[:_NAMED]
-        )
-        further = f"; and {len(gone) - _NAMED} more" if len(gone) > _NAMED else ""
-        problem = (
-            f"is not written, since {self.target_format} would not hold all: {named}{further}; state what to leave out "
-            "first (`sceneloom edit`), choose a format that holds it (`sceneloom formats NAME`), or convert without "
-            "`--strict`"
-        )
-        raise LossError(report.target, problem, report)
+    def write_trajectory(self) -> ConversionReport:
+        """Write one trajectory of a source to a file of its own; what else the source holds is lost."""
+        reading = self.reading
+        _refuse_part(self.target, reading)
+        if "format" in reading:
+            reading.setdefault("form", reading.pop("format"))
+        check_option_names("writing a trajectory", self.writing, _WRITING)
+        content = read_trajectory_file(self.source, name=self.trajectory, progress=self.progress, **reading)
+        form = form_for_output(self.target) if self.to is None else TRAJECTORY_FORMS[self.to]
+        kinds: Mapping[str, str] = {}
+        losses: tuple[Loss, ...] = ()
+        if content.form in TRAJECTORY_FORMS:
+            contents = contents_of(_drive(content, str(self.source), None))
+        else:
+            spec, location = format_and_location(split_name(self.source)[0], format=content.form)
+            options = {key: value for key, value in reading.items() if key not in _OF_FILES}
+            with spec.open(location, **options) as scene:
+                contents, kinds = contents_of(scene), kinds_by_id(scene)
+                what = f"not written: the file holds {content.trajectory.name!r}"
+                others = (other for other in scene.trajectories if other != content.trajectory.name)
+                losses = tuple(Loss(field=f"trajectories[{other}]", what=what) for other in others)
+        supports = form.supports if content.fixes is None else form.fix_supports
+        write = partial(write_trajectory, content, form=form.name)
+        return self.run(content.form, form.name, content.warnings, lambda: contents, supports, kinds, write, losses)
+
+    def write_drive(self) -> ConversionReport:
+        """Write a drive, or a scene that holds nothing but the trajectory of a file."""
+        writer, trajectory = _writer(self.target, self.to), self.trajectory
+        opened: AbstractContextManager[Scene]
+        if self.reading.get("form") in TRAJECTORY_FORMS or _holds_trajectory_only(self.source):
+            _refuse_part(self.source, self.reading)
+            content = read_trajectory_file(self.source, name=trajectory, **self.reading)
+            opened = _drive(content, str(self.source), trajectory)
+        else:
+            if trajectory is not None and not writer.along_trajectory:
+                files = ", ".join(TRAJECTORY_FORMS)
+                raise OptionError(
+                    f"trajectory {trajectory!r}: {self.target} gets all that {self.source} holds; one of its "
+                    f"trajectories is written to files of the forms {files}"
+                )
+            if trajectory is not None:
+                self.writing["trajectory"] = trajectory
+            opened = open_scene(self.source, **self.reading)
+        with opened as read:
+            scene = scene_for(writer, read)
+            counting = Counting(_with_progress(scene, self.progress))
+            writer.check_output(self.target)
+            write = partial(write_in, writer, counting.scene)
+            kinds = kinds_by_id(scene)
+            return self.run(scene.format, writer.name, scene.warnings, counting.counts, writer.supports, kinds, write)
+
+
+def _refuse_losses(report: ConversionReport) -> None:
+    """Refuse a conversion that does not keep every field; the error has the report."""
+    gone = report.lost
+    if not gone:
+        return
+    named = "; ".join(
+        f"{field.field} ({field.support}{': ' + field.how[0] if field.how else ''})" for field in gone[:_NAMED]
+    )
+    more = f"; and {len(gone) - _NAMED} more" if len(gone) > _NAMED else ""
+    problem = (
+        f"is not written, since {report.target_format} would not hold all: {named}{more}; state what to leave out "
+        "first (`sceneloom edit`), choose a format that holds it (`sceneloom formats NAME`), or convert without "
+        "`--strict`"
+    )
+    raise LossError(report.target, problem, report)
 
 
 def convert(
@@ -475,30 +486,22 @@ def convert(
     """
     if is_url(target):
         with uploading(str(target), overwrite=overwrite) as draft:
-            report = convert(
-                source,
-                draft,
-                to=to,
-                trajectory=trajectory,
-                strict=strict,
-                loss=loss,
-                reading=reading,
-                progress=progress,
-                **writing,
-            )
+            own = {"to": to, "trajectory": trajectory, "strict": strict, "loss": loss, "reading": reading}
+            report = convert(source, draft, **own, progress=progress, **writing)  # type: ignore[arg-type]
         return msgspec.structs.replace(report, target=redacted(target))
-    to_target = _Target(Path(target), strict, overwrite, writing)
     listing = None if loss is None else Path(loss)
     if listing is not None:
         # a name that it cannot have is refused before anything is read
         _check_report_name(listing)
         check_output(listing, overwrite=overwrite)
-    options = dict(reading or {})
+    path = Path(target)
+    conversion = _Conversion(source, path, to, trajectory, strict, overwrite, dict(reading or {}), writing, progress)
+    suffixes = {suffix for form in TRAJECTORY_FORMS.values() for suffix in form.suffixes}
     try:
-        if to in TRAJECTORY_FORMS or (to is None and _is_trajectory_file(to_target.location)):
-            report = _convert_trajectory(source, to_target, to, trajectory, options, progress)
+        if to in TRAJECTORY_FORMS or (to is None and path.suffix.lower() in suffixes):
+            report = conversion.write_trajectory()
         else:
-            report = _convert_drive(source, to_target, to, trajectory, options, progress)
+            report = conversion.write_drive()
     except LossError as error:
         if listing is not None:
             _write_report(error.report, listing, overwrite=overwrite)
@@ -506,94 +509,6 @@ def convert(
     if listing is not None:
         _write_report(report, listing, overwrite=overwrite)
     return report
-
-
-def _convert_trajectory(
-    source: str | Path,
-    target: _Target,
-    to: str | None,
-    name: str | None,
-    reading: dict[str, Any],
-    progress: Progress | None,
-) -> ConversionReport:
-    """Write one trajectory of a source to a file of its own; what else the source holds is lost."""
-    _refuse_part(target.location, reading)
-    if "format" in reading:
-        reading.setdefault("form", reading.pop("format"))
-    check_option_names("writing a trajectory", target.writing, _WRITING)
-    content = read_trajectory_file(source, name=name, progress=progress, **reading)
-    form = form_for_output(target.location) if to is None else TRAJECTORY_FORMS[to]
-    kinds: Mapping[str, str] = {}
-    losses: tuple[Loss, ...] = ()
-    if content.form in TRAJECTORY_FORMS:
-        contents = contents_of(_drive(content, str(source), None))
-    else:
-        spec, location = format_and_location(split_name(source)[0], format=content.form)
-        options = {key: value for key, value in reading.items() if key not in _OF_FILES}
-        with spec.open(location, **options) as scene:
-            contents, kinds = contents_of(scene), kinds_by_id(scene)
-            what = f"not written: the file holds {content.trajectory.name!r}"
-            others = (other for other in scene.trajectories if other != content.trajectory.name)
-            losses = tuple(Loss(field=f"trajectories[{other}]", what=what) for other in others)
-    return _Conversion(
-        source=str(source),
-        source_format=content.form,
-        target_format=form.name,
-        target=target,
-        warnings=content.warnings,
-        contents=lambda: contents,
-        supports=form.supports if content.fixes is None else form.fix_supports,
-        kinds=kinds,
-        write=partial(write_trajectory, content, form=form.name),
-        losses=losses,
-    ).run()
-
-
-def _convert_drive(
-    source: str | Path,
-    target: _Target,
-    to: str | None,
-    trajectory: str | None,
-    reading: dict[str, Any],
-    progress: Progress | None,
-) -> ConversionReport:
-    """Write a drive, or a scene that holds nothing but the trajectory of a file."""
-    writer = _writer(target.location, to)
-    opened: AbstractContextManager[Scene]
-    if reading.get("form") in TRAJECTORY_FORMS or _holds_trajectory_only(source):
-        _refuse_part(source, reading)
-        content = read_trajectory_file(source, name=trajectory, **reading)
-        opened = _drive(content, str(source), trajectory)
-    else:
-        if trajectory is not None and not writer.along_trajectory:
-            files = ", ".join(TRAJECTORY_FORMS)
-            raise OptionError(
-                f"trajectory {trajectory!r}: {target.location} gets all that {source} holds; one of its trajectories "
-                f"is written to files of the forms {files}"
-            )
-        if trajectory is not None:
-            target = replace(target, writing={**target.writing, "trajectory": trajectory})
-        opened = open_scene(source, **reading)
-    with opened as read:
-        scene = scene_for(writer, read)
-        counting = Counting(_with_progress(scene, progress))
-        writer.check_output(target.location)
-        return _Conversion(
-            source=str(source),
-            source_format=scene.format,
-            target_format=writer.name,
-            target=target,
-            warnings=scene.warnings,
-            contents=counting.counts,
-            supports=writer.supports,
-            kinds=kinds_by_id(scene),
-            write=partial(write_in, writer, counting.scene),
-        ).run()
-
-
-def _is_trajectory_file(path: Path) -> bool:
-    """Whether a path to be written has the suffix of a form of trajectories."""
-    return any(path.suffix.lower() in form.suffixes for form in TRAJECTORY_FORMS.values())
 
 
 def _holds_trajectory_only(path: str | Path) -> bool:
@@ -626,12 +541,11 @@ def _refuse_part(location: str | Path, reading: Mapping[str, Any]) -> None:
 def _writer(location: Path, to: str | None) -> FormatSpec:
     if to is None:
         return format_for_output(location)
+    known = ", ".join((*written_formats(), *TRAJECTORY_FORMS))
     if to not in format_names():
-        known = ", ".join((*written_formats(), *TRAJECTORY_FORMS))
         raise OptionError(f"no format or form {to!r}; there are {known}")
     form = format_named(to)
     if not form.writes:
-        known = ", ".join((*written_formats(), *TRAJECTORY_FORMS))
         raise OptionError(f"{location}: the format {to} is only read; written are {known}")
     return form
 

@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,8 +17,8 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.images import write_confidence_png
 from sceneloom.formats.base.output import check_output, filling
 from sceneloom.fusion.configuration import FusionConfiguration
-from sceneloom.pipeline.alignment import Aligned, align
-from sceneloom.pipeline.outputs import DepthFolder, lidar_folders
+from sceneloom.pipeline.alignment import align
+from sceneloom.pipeline.outputs import DepthFolder
 from sceneloom.pipeline.play import Skips, build_system, check_any_placed, check_has_lidar, play, telling
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.scene import Scene
@@ -28,10 +28,7 @@ from sceneloom.visualization.fused_frames import draw_dense_depth, save_image
 from sceneloom.warnings import DataWarning
 
 _SPARSE = "sparse"
-_METHODS = (_SPARSE, *METHODS)
-"""How depth images are made: of the measured points alone, or completed."""
-
-_FORMS = ("png", "npz")
+"""The method that keeps the measured points alone."""
 
 
 class DepthCameraReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -79,47 +76,41 @@ class DepthReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(slots=True)
-class _Statistics:
-    images: int = 0
-    filled: float = 0.0
-    confidence: float = 0.0
-
-    def add(self, dense: DenseDepth) -> None:
-        known = dense.depths > 0
-        self.images += 1
-        self.filled += float(known.mean())
-        self.confidence += float(dense.confidence[known].mean()) if known.any() else 0.0
-
-    def report(self, camera: Identifier) -> DepthCameraReport:
-        count = max(self.images, 1)
-        return DepthCameraReport(
-            camera=camera,
-            images=self.images,
-            filled_percent=100.0 * self.filled / count,
-            confidence=self.confidence / count,
-        )
-
-
-@dataclass(slots=True)
 class _Writer:
     """Writes depth images with what belongs to them: confidence beside PNG images, visualisations in another folder."""
 
     depth: DepthFolder
     confidence: bool
     images: Path | None
-    drawn: Mapping[Identifier, Path]
-    statistics: dict[Identifier, _Statistics]
+    sums: dict[Identifier, list[float]]
 
     def add(self, frame: FusedFrame, view: FusedView, dense: DenseDepth) -> None:
-        """Write one image, and what belongs to it."""
-        target = self.depth.write(frame, view, dense.depths, dense.confidence)
-        name = f"{target.stem}.png"
+        """Write one image, and what belongs to it; count it, its share of pixels with a depth, and their confidence."""
+        self.depth.write(frame, view, dense.depths, dense.confidence)
+        place = self.depth.place(frame, view).with_suffix(".png")
         if self.confidence and self.depth.form == "png":
-            write_confidence_png(dense.confidence, _made(target.parent / "confidence") / name)
+            beside = self.depth.folder / place.parent / "confidence"
+            beside.mkdir(parents=True, exist_ok=True)
+            write_confidence_png(dense.confidence, beside / place.name)
         if self.images is not None:
-            location = _made(self.drawn[frame.lidar_id] / self.depth.names[view.camera_id]) / name
-            save_image(draw_dense_depth(view, dense), location)
-        self.statistics[view.camera_id].add(dense)
+            (self.images / place.parent).mkdir(parents=True, exist_ok=True)
+            save_image(draw_dense_depth(view, dense), self.images / place)
+        known = dense.depths > 0
+        confidence = float(dense.confidence[known].mean()) if known.any() else 0.0
+        sums = self.sums[view.camera_id]
+        sums[:] = [sums[0] + 1, sums[1] + float(known.mean()), sums[2] + confidence]
+
+    def reports(self) -> tuple[DepthCameraReport, ...]:
+        """A report for each camera."""
+        return tuple(
+            DepthCameraReport(
+                camera=camera_id,
+                images=int(images),
+                filled_percent=100.0 * filled / max(images, 1),
+                confidence=confidence / max(images, 1),
+            )
+            for camera_id, (images, filled, confidence) in self.sums.items()
+        )
 
 
 def write_depth_images(
@@ -170,22 +161,32 @@ def write_depth_images(
     """
     begun = time.perf_counter()
     location, drawn = Path(folder), None if images is None else Path(images)
-    _check_choices(method, form, location, drawn, overwrite=overwrite)
-    scene = scene.corrected()
-    skips = Skips() if lenient else None
-    aligned = align(
-        _with_cameras(scene, cameras), trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient
-    )
+    for name, value, known in (("method", method, (_SPARSE, *METHODS)), ("form", form, ("png", "npz"))):
+        if value not in known:
+            raise OptionError(f"{name} {value!r}; expected one of {', '.join(known)}")
+    if drawn is not None and drawn.absolute() == location.absolute():
+        raise OptionError(f"{location}: named for depth images and for images; expected two folders")
+    for output in filter(None, (location, drawn)):
+        check_output(output, overwrite=overwrite)
+    scene, skips = scene.corrected(), Skips(lenient)
+    chosen = _with_cameras(scene, cameras)
+    aligned = align(chosen, trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient)
     system = build_system(aligned.scene, aligned.ego, configuration or FusionConfiguration(), skips)
     total, unfused = aligned.sweeps, Counter[str]()
     with telling(skips), counting_left_out() as left, ExitStack() as stack:
-        writer = _open_writer(aligned, location, drawn, stack, form=form, confidence=confidence, overwrite=overwrite)
-        for done, frame in enumerate(play(aligned.scene, system, skips=skips), start=1):
+        depth = DepthFolder(stack.enter_context(filling(location, overwrite=overwrite)), aligned.scene, form)
+        look = None if drawn is None else stack.enter_context(filling(drawn, overwrite=overwrite))
+        writer = _Writer(depth, confidence, look, {camera.id: [0, 0.0, 0.0] for camera in aligned.scene.cameras})
+        for done, frame in enumerate(play(aligned.scene, system, skips), start=1):
             leave_out("points", int((~finite_rows(frame.points.positions)).sum()))
             if frame.unfused is not None:
                 unfused[frame.unfused] += 1
             for view in frame.views:
-                writer.add(frame, view, _depths_of(view, method))
+                if method == _SPARSE:
+                    dense = DenseDepth(view.depth_image, (view.depth_image > 0).astype(np.float32))
+                else:
+                    dense = complete_depth(view, method=method)
+                writer.add(frame, view, dense)
             if progress is not None:
                 progress(done, total)
         check_any_placed(aligned.scene, unfused, total)
@@ -195,30 +196,12 @@ def write_depth_images(
         method=method,
         sweeps=total,
         unfused=dict(unfused),
-        skipped=() if skips is None else tuple(skips.reasons),
-        cameras=tuple(statistics.report(camera_id) for camera_id, statistics in writer.statistics.items()),
-        beyond_range=writer.depth.beyond_range,
+        skipped=skips.reasons,
+        cameras=writer.reports(),
+        beyond_range=depth.beyond_range,
         seconds=time.perf_counter() - begun,
         warnings=(*aligned.scene.warnings, *left.warnings),
     )
-
-
-def _depths_of(view: FusedView, method: str) -> DenseDepth:
-    if method == _SPARSE:
-        return DenseDepth(view.depth_image, (view.depth_image > 0).astype(np.float32))
-    return complete_depth(view, method=method)
-
-
-def _check_choices(method: str, form: str, folder: Path, images: Path | None, *, overwrite: bool) -> None:
-    """Refuse what cannot be followed before anything is read."""
-    choices: Sequence[tuple[str, str, tuple[str, ...]]] = (("method", method, _METHODS), ("form", form, _FORMS))
-    for name, value, known in choices:
-        if value not in known:
-            raise OptionError(f"{name} {value!r}; expected one of {', '.join(known)}")
-    if images is not None and images.absolute() == folder.absolute():
-        raise OptionError(f"{folder}: named for depth images and for images; expected two folders")
-    for location in filter(None, (folder, images)):
-        check_output(location, overwrite=overwrite)
 
 
 def _with_cameras(scene: Scene, cameras: Iterable[Identifier] | None) -> Scene:
@@ -235,29 +218,3 @@ def _with_cameras(scene: Scene, cameras: Iterable[Identifier] | None) -> Scene:
         raise OptionError(f"{scene.source}: no camera {missing[0][-1]!r}; expected some of {there}")
     kept = [s for s in scene.sensors if not isinstance(s, CameraSensor) or key_of(s.id) in wanted]
     return replace(scene, sensors=tuple(kept))
-
-
-def _open_writer(
-    aligned: Aligned,
-    folder: Path,
-    images: Path | None,
-    stack: ExitStack,
-    *,
-    form: str,
-    confidence: bool,
-    overwrite: bool,
-) -> _Writer:
-    filled = stack.enter_context(filling(folder, overwrite=overwrite))
-    drawn = None if images is None else stack.enter_context(filling(images, overwrite=overwrite))
-    return _Writer(
-        DepthFolder.of(filled, aligned.scene, form),
-        confidence,
-        drawn,
-        {} if drawn is None else lidar_folders(drawn, aligned.scene),
-        {camera.id: _Statistics() for camera in aligned.scene.cameras},
-    )
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder

@@ -26,8 +26,8 @@ from sceneloom.motion.deskew import (
 )
 from sceneloom.motion.ego_trajectory import IMU, find_ego_motion, is_computed, with_trajectory_estimated
 from sceneloom.motion.imu import imu_motion
-from sceneloom.pipeline.play import Skips, check_has_lidar, reported_once, telling
-from sceneloom.scene.clouds import LidarFrame, LidarSensor
+from sceneloom.pipeline.play import Skips, check_has_lidar, report_of, reported_once, telling
+from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.ego import EgoMotion, points_source, sensor_path, sensor_source
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns
@@ -77,13 +77,13 @@ class DeskewReport(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(slots=True)
 class _DeskewStatistics:
-    """Counts what became of the sweeps; each counts once, however often it is read."""
+    """Counts what became of the sweeps, under the names of `DeskewReport`; each once, however often it is read."""
 
     deskewed: int = 0
     extrapolated: int = 0
     points: int = 0
     shifted: float = 0.0
-    farthest: float = 0.0
+    max_shift: float = 0.0
     left: dict[str, int] = field(default_factory=dict)
     times: PointTimesStatistics = field(default_factory=PointTimesStatistics)
     seen: set[tuple[type, Identifier, int]] = field(default_factory=set)
@@ -96,24 +96,18 @@ class _DeskewStatistics:
         if key in self.seen:
             return
         self.seen.add(key)
-        self._count(frame)
-        if progress is not None:
-            progress(len(self.seen), total)
-
-    def _count(self, frame: DeskewedFrame) -> None:
         self.times.add(frame.times)
         if frame.left is not None:
             self.left[frame.left] = self.left.get(frame.left, 0) + 1
-            return
-        self.deskewed += 1
-        self.extrapolated += frame.extrapolated
-        shifts = frame.shifts[np.isfinite(frame.shifts)]
-        self.points += len(shifts)
-        self.shifted += float(shifts.sum())
-        self.farthest = max(self.farthest, float(shifts.max(initial=0.0)))
-
-
-_NO_GAPS = np.zeros((0, 2), np.int64)
+        else:
+            shifts = frame.shifts[np.isfinite(frame.shifts)]
+            self.deskewed += 1
+            self.extrapolated += frame.extrapolated
+            self.points += len(shifts)
+            self.shifted += float(shifts.sum())
+            self.max_shift = max(self.max_shift, float(shifts.max(initial=0.0)))
+        if progress is not None:
+            progress(len(self.seen), total)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,13 +117,14 @@ class _DeskewPlan:
     Attributes:
         ego: the trajectory they are deskewed by; None where they go by poses of their own.
         gaps_ns: (G, 2) int64 [ns], between which times the trajectory is not known.
+        at: the moment of each sweep that its points are brought to.
     """
 
     scene: Scene
     lidars: tuple[LidarSensor, ...]
     ego: EgoMotion | None
-    gaps_ns: Int64Array
     at: str
+    gaps_ns: Int64Array = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
     @property
     def trajectory(self) -> str | None:
@@ -137,7 +132,7 @@ class _DeskewPlan:
         return None if self.ego is None else self.ego.name
 
     def deskewed(self, on_frame: Callable[[Identifier, int, DeskewedFrame], None] | None = None) -> Scene:
-        """Give the scene whose sweeps are deskewed when they are read; `on_frame` is reported each."""
+        """Give the scene whose sweeps are deskewed when they are read; `on_frame` gets each."""
         chosen = {key_of(sensor.id) for sensor in self.lidars}
         sensors = tuple(
             self._deskewed_lidar(sensor, on_frame)
@@ -152,7 +147,11 @@ class _DeskewPlan:
             # the name of a folder may hold bytes that are no Unicode
             "source": Path(self.scene.source).name.encode(errors="replace").decode(),
         }
-        scene = self.scene if self.ego is None else _reported(self.scene, self.ego)
+        scene = self.scene
+        if self.ego is not None:
+            scene = replace(scene, warnings=(*scene.warnings, *self.ego.warnings))
+            if is_computed(self.scene, self.ego.name):
+                scene = with_trajectory_estimated(self.scene, self.ego)
         return with_ours(replace(scene, sensors=sensors), deskew=[*_earlier(self.scene), entry])
 
     def _deskewed_lidar(
@@ -173,13 +172,6 @@ class _DeskewPlan:
         return replace(sensor, frames=frames, poses=poses)
 
 
-def _reported(scene: Scene, ego: EgoMotion) -> Scene:
-    """The scene with warnings about the ego trajectory, and with the trajectory itself if it was estimated."""
-    if is_computed(scene, ego.name):
-        return with_trajectory_estimated(scene, ego)
-    return replace(scene, warnings=(*scene.warnings, *ego.warnings))
-
-
 def _plan_deskew(
     scene: Scene,
     trajectory: str | None,
@@ -189,44 +181,51 @@ def _plan_deskew(
     lidar: Identifier | None,
     start: float | None = None,
     stop: float | None = None,
-    skips: Skips | None = None,
+    skips: Skips,
     progress: Progress | None = None,
 ) -> _DeskewPlan:
-    """Choose lidars, part and trajectory; the arguments are those of `deskew`.
-
-    `skips` collects sweeps that cannot be read.
-    """
+    """Choose lidars, part and trajectory; the arguments are those of `deskew`."""
     if at not in MOMENTS:
         raise OptionError(f"at {at!r}; expected one of {', '.join(MOMENTS)}")
     scene = scene.corrected()
     _chosen_lidars(scene, lidar)
     part = cut_scene(scene, start=start, stop=stop)
-    if skips is not None:
-        part = _readable(part, skips)
+    if skips.lenient:
+        sensors = [_readable(sensor, skips) if isinstance(sensor, LidarSensor) else sensor for sensor in part.sensors]
+        part = replace(part, sensors=tuple(sensors))
     lidars = _chosen_lidars(part, lidar)
     if trajectory == IMU and IMU not in scene.trajectories:
         _check_on_ego(scene, lidars)
         motion = imu_motion(scene)
-        return _DeskewPlan(part, lidars, motion.ego, motion.gaps_ns, at)
-    if trajectory is None and _all_placed(lidars):
-        return _DeskewPlan(part, lidars, None, _NO_GAPS, at)
-    if trajectory is not None:
-        _check_on_ego(scene, lidars)
-    # a heading comes from the trajectory before the part, too
-    whole = part if heading is None else scene
-    ego = find_ego_motion(whole, name=trajectory, heading=heading, progress=progress, lenient=skips is not None)
-    return _DeskewPlan(part, lidars, ego, _NO_GAPS, at)
-
-
-def _all_placed(lidars: tuple[LidarSensor, ...]) -> bool:
-    """Whether each has poses in the world and no mounting, so that the ego trajectory says nothing about it."""
-    return all(
+        return _DeskewPlan(part, lidars, motion.ego, at, motion.gaps_ns)
+    # where each has poses in the world and no mounting, the ego trajectory says nothing about it
+    if trajectory is None and all(
         sensor.points_frame is PointsFrame.SENSOR
         and sensor.mount is None
         and sensor.poses is not None
         and sensor.coordinates is Coordinates.WORLD
         for sensor in lidars
-    )
+    ):
+        return _DeskewPlan(part, lidars, None, at)
+    if trajectory is not None:
+        _check_on_ego(scene, lidars)
+    # a heading comes from the trajectory before the part, too
+    whole = part if heading is None else scene
+    ego = find_ego_motion(whole, name=trajectory, heading=heading, progress=progress, lenient=skips.lenient)
+    return _DeskewPlan(part, lidars, ego, at)
+
+
+def _readable(sensor: LidarSensor, skips: Skips) -> LidarSensor:
+    """The lidar without the sweeps that cannot be read, which takes reading them all."""
+    rows = []
+    for k in range(len(sensor.frames)):
+        try:
+            sensor.frames[k]
+        except DataError as error:
+            skips.add(error)
+        else:
+            rows.append(k)
+    return replace(sensor, frames=chosen_frames(sensor.frames, np.array(rows, np.int64)))
 
 
 def _check_on_ego(scene: Scene, lidars: tuple[LidarSensor, ...]) -> None:
@@ -277,27 +276,6 @@ def _in_world(scene: Scene, sensor: LidarSensor) -> str:
     )
 
 
-def _readable(scene: Scene, skips: Skips) -> Scene:
-    """Leave out the sweeps that cannot be read, which takes reading them all."""
-    sensors = (
-        replace(sensor, frames=_readable_frames(sensor, skips)) if isinstance(sensor, LidarSensor) else sensor
-        for sensor in scene.sensors
-    )
-    return replace(scene, sensors=tuple(sensors))
-
-
-def _readable_frames(sensor: LidarSensor, skips: Skips) -> LazyFrames[LidarFrame]:
-    rows = []
-    for k in range(len(sensor.frames)):
-        try:
-            sensor.frames[k]
-        except DataError as error:
-            skips.add(error)
-        else:
-            rows.append(k)
-    return chosen_frames(sensor.frames, np.array(rows, np.int64))
-
-
 def deskew(
     scene: Scene,
     output: str | Path,
@@ -341,36 +319,24 @@ def deskew(
     begun = time.perf_counter()
     # finding the motion may take long: an output that cannot be is reported before
     check_scene_output(Path(output), overwrite=overwrite)
-    skips, statistics = Skips(), _DeskewStatistics()
+    skips, statistics = Skips(lenient), _DeskewStatistics()
     with telling(skips):
-        plan = _plan_deskew(
-            scene,
-            trajectory,
-            heading,
-            at=at,
-            lidar=lidar,
-            start=start,
-            stop=stop,
-            skips=skips if lenient else None,
-            progress=progress,
-        )
+        part: dict[str, Any] = {"start": start, "stop": stop, "skips": skips, "progress": progress}
+        plan = _plan_deskew(scene, trajectory, heading, at=at, lidar=lidar, **part)
         total = sum(len(sensor.frames) for sensor in plan.lidars)
         changed = plan.deskewed(partial(statistics.add, progress=progress, total=total))
         losses = write_scene(changed, output, overwrite=overwrite, **writing)
-    return DeskewReport(
+    return report_of(
+        DeskewReport,
+        statistics,
         source=scene.source,
         output=str(output),
         trajectory=plan.trajectory,
         at=at,
         lidars=tuple(sensor.id for sensor in plan.lidars),
         sweeps=total + len(skips.reasons),
-        deskewed=statistics.deskewed,
-        extrapolated=statistics.extrapolated,
-        left=statistics.left,
-        skipped=tuple(skips.reasons),
-        points=statistics.points,
+        skipped=skips.reasons,
         mean_shift=statistics.shifted / statistics.points if statistics.points else 0.0,
-        max_shift=statistics.farthest,
         seconds=time.perf_counter() - begun,
         losses=losses,
         warnings=reported_once(changed.warnings, statistics.times.warnings()),
@@ -395,4 +361,5 @@ def deskewed_scene(
         PoseError: the motion is not known.
         DataError: there is no lidar.
     """
-    return _plan_deskew(scene, trajectory, heading, at=at, lidar=lidar).deskewed()
+    skips = Skips(lenient=False)
+    return _plan_deskew(scene, trajectory, heading, at=at, lidar=lidar, skips=skips).deskewed()

@@ -5,10 +5,10 @@ In this order: a reader for each form; the table of forms; which files and senso
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -29,7 +29,6 @@ from sceneloom.formats.kitti.labels import (
     COLUMNS_3D,
     DONT_CARE,
     TYPES,
-    DetectionList,
     class_word,
     lidar_boxes,
     read_boxes_2d_list,
@@ -57,13 +56,13 @@ class ListContext:
 
     Attributes:
         sensor_id: the lidar, or the camera.
-        timestamps_ns: of its sweeps or images, (N,) int64 [ns], rising: by them, frames are numbered.
+        timestamps_ns: of its sweeps or images, (N,) int64 [ns], ascending; frames are numbered by them.
         number: `sensor_id` of the records that are its own; None for all.
-        others: those of other sensors that are known, whose records are no matter.
+        others: numbers of other known sensors, whose records are skipped without a warning.
         source: `world_from_sensor`, for boxes in the world; None where it is not known.
         sensor_from_camera: takes the rectified camera's frame into the sensor's, for KITTI's boxes in space; None where
             it is not known.
-        label: class of all boxes of a list that has none; None for that of its folder's name.
+        label: class of all boxes of a list that states none; None for that of its folder's name.
     """
 
     sensor_id: Identifier
@@ -74,127 +73,77 @@ class ListContext:
     sensor_from_camera: RigidTransform | None = None
     label: str | None = None
 
-    def time_of(self, frame: int, path: Path, location: str) -> int:
-        """When a frame was [ns].
 
-        Raises:
-            DataError: the sensor has no frame of that number.
-        """
-        if not 0 <= frame < len(self.timestamps_ns):
-            raise DataError(
-                path,
-                location,
-                f"frame {frame}; expected 0 to {len(self.timestamps_ns) - 1}, as sensor {self.sensor_id!r} has them",
-            )
-        return int(self.timestamps_ns[frame])
+@dataclass(frozen=True, slots=True, eq=False)
+class _List:
+    """A file of boxes that is being read: boxes in space, else in images."""
 
+    path: Path
+    context: ListContext
+    ledger: Ledger
+    in_space: bool
 
-_Read3D = Callable[[Path, ListContext, Ledger], Sequence[Boxes3D]]
-_Read2D = Callable[[Path, ListContext, Ledger], Sequence[Boxes2D]]
+    def empty(self, time_ns: int) -> Any:
+        """The boxes of a frame in which nothing was found."""
+        return (Boxes3D if self.in_space else Boxes2D).empty(time_ns, sensor_id=self.context.sensor_id)
 
-
-@dataclass(frozen=True, slots=True)
-class _ListForm:
-    """One form of lists.
-
-    Attributes:
-        read_2d: reads boxes in images; None where the form has none.
-    """
-
-    name: str
-    looks_like: str
-    recognises: Callable[[str], bool]
-    read_3d: _Read3D
-    read_2d: _Read2D | None = None
+    def fault(self, location: str, problem: str) -> DataError:
+        return DataError(self.path, location, problem)
 
 
-def _sorted_by_time(lists: Sequence[Boxes3D] | Sequence[Boxes2D]) -> list[int]:
-    """The numbers of lists in the order of their times."""
-    times = np.array([boxes.timestamp_ns for boxes in lists], np.int64)
-    order: list[int] = np.argsort(times, kind="stable").tolist()
-    return order
+_JSON_RECORDS: Mapping[bool, tuple[Any, Any, Callable[..., Any]]] = {
+    True: (Boxes3d, Box3d, boxes_3d_of),
+    False: (Boxes2d, Box2d, boxes_2d_of),
+}
+"""Of boxes in space and in images: the record of a frame, that of one box, and what converts the former."""
 
 
-def _is_json_lines(head: str) -> bool:
-    return head.startswith("{") and '"results"' not in head[:20_000].split("[", 1)[0]
-
-
-def _read_json_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
-    lists = [
-        replace(boxes_3d_of(record, sensor_id=context.sensor_id), ids=None)
-        for record in _records(path, context, ledger, (Boxes3d, Box3d))
-    ]
-    return _complete(lists, context, Boxes3D.empty)
-
-
-def _read_json_2d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
-    lists = [
-        replace(boxes_2d_of(record, sensor_id=context.sensor_id), ids=None)
-        for record in _records(path, context, ledger, (Boxes2d, Box2d))
-    ]
-    return _complete(lists, context, Boxes2D.empty)
-
-
-def _complete(lists: list[Any], context: ListContext, empty: Any) -> list[Any]:
-    """In the order of time, with lists of nothing for frames of the sensor between the first and last that have none.
-
-    A detector that writes bare boxes cannot state that it found nothing.
-    """
+def _read_json_lines(file: _List) -> Iterable[Any]:
+    boxes_of = _JSON_RECORDS[file.in_space][2]
+    lists = [replace(boxes_of(record, sensor_id=file.context.sensor_id), ids=None) for record in _records(file)]
+    # a detector that writes bare boxes cannot state that it found nothing in a frame
     if lists:
-        known = {boxes.timestamp_ns for boxes in lists}
-        first, last = min(known), max(known)
-        missing = [t for t in context.timestamps_ns.tolist() if first <= t <= last and t not in known]
-        tick_ns = _half_step(context)
-        near = sorted(known)
-        lists += [empty(t, sensor_id=context.sensor_id) for t in missing if min(abs(t - one) for one in near) > tick_ns]
-    return [lists[k] for k in _sorted_by_time(lists)]
+        known, times = {boxes.timestamp_ns for boxes in lists}, file.context.timestamps_ns
+        missing = [t for t in times.tolist() if min(known) <= t <= max(known) and t not in known]
+        half_step_ns = int(np.diff(times).min()) // 2 if len(times) > 1 else 0
+        lists += [file.empty(t) for t in missing if min(abs(t - one) for one in known) > half_step_ns]
+    return lists
 
 
-def _half_step(context: ListContext) -> int:
-    steps = context.timestamps_ns[1:] - context.timestamps_ns[:-1]
-    return int(steps.min()) // 2 if len(steps) else 0
-
-
-def _records(path: Path, context: ListContext, ledger: Ledger, wanted: tuple[type[Any], type[Any]]) -> Iterator[Any]:
-    """The lists of boxes of a file; bare boxes of one frame are put together, wherever they stand."""
-    single = wanted[1]
+def _records(file: _List) -> Iterator[Any]:
+    """The frames' records of boxes in a file; bare boxes of one frame are put together, wherever they stand."""
+    several, single, _ = _JSON_RECORDS[file.in_space]
     lone: list[Any] = []
     others = 0
-    for number, line in read_lines(path):
+    for number, line in read_lines(file.path):
         try:
-            record = _record(line, wanted)
+            record = _parse_record(line)
+            if not isinstance(record, several | single):
+                problem = f"a {type(record).__name__}; expected {several.__name__} or {single.__name__}"
+                raise DataError("record", "", problem)  # noqa: TRY301 - its location is added below, as to all of them
         except DataError as error:
             location = ": ".join(filter(None, (f"line {number}", error.location)))
-            ledger.fault("faulty-detections", DataError(path, location, error.problem))
+            file.ledger.fault("faulty-detections", file.fault(location, error.problem))
             continue
         if isinstance(record, single):
             lone.append(record)
-        elif context.number is None or record.sensor_id == context.number:
+        elif file.context.number is None or record.sensor_id == file.context.number:
             yield record
-        elif record.sensor_id not in context.others:
+        elif record.sensor_id not in file.context.others:
             others += 1
     if others:
         message = "lists whose sensor_id is that of no sensor here"
-        ledger.note(WarningKind.SKIPPED, "other-sensors", str(path), message, count=others)
-    lone.sort(key=_frame_of)  # stable: within a frame, the order of the file
-    for _, same in groupby(lone, key=_frame_of):
-        yield join_boxes([box.alone(context.number or 0) for box in same])
+        file.ledger.note(WarningKind.SKIPPED, "other-sensors", str(file.path), message, count=others)
+
+    def frame_of(box: Box3d | Box2d) -> tuple[Any, int]:
+        return box.timestamp, box.points_seq if isinstance(box, Box3d) else box.image_seq
+
+    lone.sort(key=frame_of)  # stable: within a frame, the order of the file
+    for _, same in groupby(lone, key=frame_of):
+        yield join_boxes([box.alone(file.context.number or 0) for box in same])
 
 
-def _frame_of(box: Box3d | Box2d) -> tuple[Any, int]:
-    return box.timestamp, box.points_seq if isinstance(box, Box3d) else box.image_seq
-
-
-def _record(line: str, wanted: tuple[type[Any], type[Any]]) -> Any:
-    """The record of a line, of one of two types."""
-    record = _any_record(line)
-    if not isinstance(record, wanted):
-        kinds = " or ".join(kind.__name__ for kind in wanted)
-        raise DataError("record", "", f"a {type(record).__name__}; expected {kinds}")
-    return record
-
-
-def _any_record(line: str) -> Any:
+def _parse_record(line: str) -> Any:
     """The record of a line: under the name of its kind, or bare."""
     try:
         content = msgspec.json.decode(line)
@@ -204,131 +153,87 @@ def _any_record(line: str) -> Any:
         raise DataError("record", "", "no JSON object; expected a record of boxes")
     if len(content) == 1 and (name := next(iter(content))) in RECORD_KINDS:
         return from_json(name, content[name])
-    space = any(name in content for name in ("X", "x", "points_seq"))
     if "boxes" in content:
         inner = content["boxes"]
         space = isinstance(inner, list) and any(
             isinstance(box, Mapping) and ("X" in box or "x" in box) for box in inner
         )
         return from_json("boxes_3d" if space else "boxes_2d", content)
+    space = any(name in content for name in ("X", "x", "points_seq"))
     return from_json("box_3d" if space else "box_2d", content)
 
 
-def _has_commas(head: str) -> bool:
-    words = head.split("\n", 1)[0].split(",")
-    return len(words) in (len(COLUMNS_2D), len(COLUMNS_3D)) and words[0].strip().lstrip("-").isdigit()
-
-
-def _has_blanks(head: str) -> bool:
-    words = head.split("\n", 1)[0].split()
-    return len(words) in (15, 16, 17, 18) and any(word[:1].isalpha() for word in words[:3])
-
-
-class _KittiRows(NamedTuple):
-    """Boxes of KITTI's text, whichever form it has.
-
-    Attributes:
-        frames: (N,) int64, the number of each box's frame.
-        corners_xyxy: (N, 4) float64 [px], pixels counted from the centre of the first one; of boxes in images.
-        placed: sizes (N, 3), bottoms (N, 3) and rotations (N,), as KITTI has them; of boxes in space.
-    """
-
-    frames: Int64Array
-    labels: Sequence[str]
-    scores: Float64Array
-    score_form: ScoreForm
-    corners_xyxy: Float64Array
-    placed: tuple[Float64Array, Float64Array, Float64Array]
-
-
-def _list_rows(found: DetectionList, *, in_space: bool) -> _KittiRows:
+def _read_kitti_lists(file: _List) -> Iterable[Any]:
+    label = file.context.label
+    if not label and (not file.in_space or file.path.parent.name in TYPES.values()):
+        label = class_word(file.path.resolve().parent.name)
+    if not file.in_space:
+        found = read_boxes_2d_list(file.path, label, file.ledger)
+        scores, corners_xyxy = found.values[:, 5], found.values[:, 1:5] + CENTRE_TO_CORNER
+        return _kitti_boxes(file, found.frames, found.labels, scores, ScoreForm.PROBABILITY, corners_xyxy)
+    found = read_boxes_3d_list(file.path, label, file.ledger)
     values = found.values
-    score_form, score = (ScoreForm.LOGIT, 6) if in_space else (ScoreForm.PROBABILITY, 5)
-    placed = values[:, 7:10], values[:, 10:13], values[:, 13:14].reshape(-1)
-    return _KittiRows(found.frames, found.labels, values[:, score], score_form, values[:, 1:5], placed)
+    placed = _from_camera(file, values[:, 7:10], values[:, 10:13], values[:, 13])
+    return _kitti_boxes(file, found.frames, found.labels, values[:, 6], ScoreForm.LOGIT, *placed)
 
 
-def _result_rows(path: Path, *, in_space: bool) -> _KittiRows:
+def _read_kitti_results(file: _List) -> Iterable[Any]:
     """Labels or results; without scores they are certain, and scores beyond 0 to 1 are logits."""
-    results = read_labels(path)
+    results = read_labels(file.path)
     results = results.select(np.array([word != DONT_CARE for word in results.types], np.bool_))
-    if in_space:
+    columns: tuple[Float64Array, ...]
+    if file.in_space:
         results = results.select(results.have_position)
+        columns = _from_camera(file, results.sizes_hwl, results.bottoms, results.rotations_y)
+    else:
+        columns = (results.corners_xyxy + CENTRE_TO_CORNER,)
     scores = np.ones(len(results)) if results.scores is None else results.scores
-    placed = results.sizes_hwl, results.bottoms, results.rotations_y
-    return _KittiRows(results.frames, results.types, scores, _score_form(scores), results.corners_xyxy, placed)
+    return _kitti_boxes(file, results.frames, results.types, scores, _score_form(scores), *columns)
 
 
-def _read_lists_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
-    label = context.label or (_folder_label(path) if path.parent.name in TYPES.values() else None)
-    rows = _list_rows(read_boxes_3d_list(path, label, ledger), in_space=True)
-    return _kitti_boxes_3d(rows, path, context, ledger)
-
-
-def _read_lists_2d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
-    found = read_boxes_2d_list(path, context.label or _folder_label(path), ledger)
-    return _kitti_boxes_2d(_list_rows(found, in_space=False), path, context)
-
-
-def _folder_label(path: Path) -> str:
-    return class_word(path.resolve().parent.name)
-
-
-def _read_results_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
-    return _kitti_boxes_3d(_result_rows(path, in_space=True), path, context, ledger)
-
-
-def _read_results_2d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
-    del ledger
-    return _kitti_boxes_2d(_result_rows(path, in_space=False), path, context)
-
-
-def _kitti_boxes_3d(rows: _KittiRows, path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
-    """Boxes of the camera's frame, brought into the sensor's."""
-    sensor_from_camera = context.sensor_from_camera
+def _from_camera(
+    file: _List, sizes_hwl: Float64Array, bottoms: Float64Array, rotations_y: Float64Array
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Centres, sizes and yaws in the sensor's frame of boxes in the camera's frame."""
+    sensor_from_camera = file.context.sensor_from_camera
     if sensor_from_camera is None:
-        if len(rows.frames):
-            problem = "its boxes are in the camera's frame, and no camera is known; expected one, or `--camera ID`"
-            raise DataError(path, "", problem)
+        if len(bottoms):
+            raise file.fault(
+                "", "its boxes are in the camera's frame, and no camera is known; expected one, or `--camera ID`"
+            )
         sensor_from_camera = RigidTransform.identity()
     message = "its boxes are taken to be in the frame of the camera that was chosen"
-    ledger.note(WarningKind.ASSUMED, "boxes-in-camera-frame", str(path), message)
-    centers, sizes, yaws = lidar_boxes(*rows.placed, sensor_from_camera.inverse())
-    return [
-        Boxes3D(
-            time_ns,
-            centers[kept],
-            sizes[kept],
-            yaws[kept],
-            rows.scores[kept],
-            tuple(rows.labels[k] for k in kept.tolist()),
-            score_form=rows.score_form,
-            sensor_id=context.sensor_id,
+    file.ledger.note(WarningKind.ASSUMED, "boxes-in-camera-frame", str(file.path), message)
+    return lidar_boxes(sizes_hwl, bottoms, rotations_y, sensor_from_camera.inverse())
+
+
+def _kitti_boxes(
+    file: _List,
+    frames: Int64Array,
+    labels: Sequence[str],
+    scores: Float64Array,
+    score_form: ScoreForm,
+    *columns: Float64Array,
+) -> list[Any]:
+    """The boxes of each frame of the sensor in the order of the file; `columns` begin those of the result."""
+    times = file.context.timestamps_ns.tolist()
+    for frame in (int(frames.min()), int(frames.max())) if len(frames) else ():
+        if not 0 <= frame < len(times):
+            known = f"0 to {len(times) - 1}, as sensor {file.context.sensor_id!r} has them"
+            raise file.fault("", f"frame {frame}; expected {known}")
+    found, kind = [], cast("Any", Boxes3D if file.in_space else Boxes2D)
+    for number, time_ns in enumerate(times):
+        rows = np.flatnonzero(frames == number)
+        found.append(
+            kind(
+                time_ns,
+                *(column[rows] for column in (*columns, scores)),
+                tuple(labels[row] for row in rows.tolist()),
+                score_form=score_form,
+                sensor_id=file.context.sensor_id,
+            )
         )
-        for time_ns, kept in _rows_by_frame(rows.frames, context, path)
-    ]
-
-
-def _kitti_boxes_2d(rows: _KittiRows, path: Path, context: ListContext) -> Sequence[Boxes2D]:
-    return [
-        Boxes2D(
-            time_ns,
-            rows.corners_xyxy[kept] + CENTRE_TO_CORNER,
-            rows.scores[kept],
-            tuple(rows.labels[k] for k in kept.tolist()),
-            score_form=rows.score_form,
-            sensor_id=context.sensor_id,
-        )
-        for time_ns, kept in _rows_by_frame(rows.frames, context, path)
-    ]
-
-
-def _rows_by_frame(frames: Int64Array, context: ListContext, path: Path) -> list[tuple[int, Int64Array]]:
-    """For each frame of the sensor its time and the rows of its boxes, in the order of the file."""
-    if len(frames):
-        context.time_of(int(frames.min()), path, "")
-        context.time_of(int(frames.max()), path, "")
-    return [(time_ns, np.flatnonzero(frames == frame)) for frame, time_ns in enumerate(context.timestamps_ns.tolist())]
+    return found
 
 
 def _score_form(scores: Float64Array) -> ScoreForm:
@@ -336,167 +241,155 @@ def _score_form(scores: Float64Array) -> ScoreForm:
     return ScoreForm.PROBABILITY if within else ScoreForm.LOGIT
 
 
-def _is_nuscenes(head: str) -> bool:
-    return head.startswith("{") and '"results"' in head
-
-
-def _nuscenes_read_3d(path: Path, context: ListContext, ledger: Ledger) -> Sequence[Boxes3D]:
+def _read_nuscenes(file: _List) -> Iterable[Boxes3D]:
     """Read boxes in space, and bring them into the sensor's frame.
 
     Source: "Detection: results format" of the nuScenes devkit: translation [m] x, y, z; size [m] width, length, height;
     rotation w, x, y, z; velocity [m/s] x, y; all in the global frame.
     """
-    if context.source is None:
-        raise DataError(path, "", "its boxes are in the world, and it is not known where the lidar was")
-    results = _nuscenes_results(path)
-    timestamps = _sample_times(path, results, context)
-    lists = []
+    source = file.context.source
+    if not file.in_space:
+        raise file.fault("", "is of the form nuscenes, which has no boxes in images")
+    if source is None:
+        raise file.fault("", "its boxes are in the world, and it is not known where the lidar was")
+    try:
+        content = msgspec.json.decode(read_bytes(file.path))
+    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
+        raise file.fault("", f"no JSON: {error}") from error
+    results = content.get("results") if isinstance(content, Mapping) else None
+    if not isinstance(results, Mapping):
+        raise file.fault("results", "expected an object: by token of a sample its boxes")
     for token, boxes in results.items():
-        time_ns = timestamps.get(token)
-        if time_ns is None:
+        if not isinstance(boxes, list):
+            raise file.fault(f"results.{token}", f"{str(boxes)[:40]}; expected a list of boxes")
+    times, lists = _sample_times(file, results), []
+    for token, boxes in results.items():
+        if token not in times:
             message = "samples that are not of this drive"
-            ledger.note(WarningKind.SKIPPED, "other-samples", f"{path}: results.{token}", message)
+            file.ledger.note(WarningKind.SKIPPED, "other-samples", f"{file.path}: results.{token}", message)
             continue
         rows = []
         for k, box in enumerate(boxes):
-            location = f"results.{token}[{k}]"
             try:
-                rows.append(_row(path, location, box))
+                rows.append(_nuscenes_row(file, f"results.{token}[{k}]", box))
             except DataError as error:
-                ledger.fault("faulty-detections", error)
-        lists.append(_boxes(rows, time_ns, context.source, context.sensor_id))
-    return [lists[k] for k in _sorted_by_time(lists)]
+                file.ledger.fault("faulty-detections", error)
+        values = np.array([row for row, _ in rows], np.float64).reshape(len(rows), 11)
+        center, size, yaw, velocity, score = (part.copy() for part in np.split(values, (3, 6, 7, 10), axis=1))
+        placed = Boxes3D(
+            times[token],
+            center,
+            size,
+            yaw[:, 0],
+            score[:, 0],
+            tuple(label for _, label in rows),
+            velocities=velocity,
+            frame=PointsFrame.WORLD,
+            score_form=_score_form(score),
+            sensor_id=file.context.sensor_id,
+        )
+        (world_from_sensor,) = poses_at(source, np.array([times[token]], np.int64))
+        lists.append(placed.moved(world_from_sensor.inverse(), PointsFrame.SENSOR))
+    return lists
 
 
-def _nuscenes_results(path: Path) -> Mapping[str, Sequence[Any]]:
-    try:
-        content = msgspec.json.decode(read_bytes(path))
-    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
-        raise DataError(path, "", f"no JSON: {error}") from error
-    results = content.get("results") if isinstance(content, Mapping) else None
-    if not isinstance(results, Mapping):
-        raise DataError(path, "results", "expected an object: by token of a sample its boxes")
-    for token, boxes in results.items():
-        if not isinstance(boxes, list):
-            raise DataError(path, f"results.{token}", f"{str(boxes)[:40]}; expected a list of boxes")
-    return results
-
-
-def _sample_times(path: Path, results: Mapping[str, Any], context: ListContext) -> dict[str, int]:
-    """The time of each sample [ns]: of the table `sample.json`, or of tokens that are times themselves."""
+def _sample_times(file: _List, results: Mapping[str, Any]) -> dict[str, int]:
+    """The time of each sample of the drive [ns]: of the table `sample.json`, or of tokens that are times themselves."""
     if all(token.isascii() and token.isdigit() for token in results):
-        micros = {token: int(token) * 1000 for token in results}
-        return {token: t for token, t in micros.items() if _in_drive(t, context)}
-    beside = (path.parent / "sample.json", path.parent.parent / "sample.json")
-    table = next((file for file in beside if file.is_file()), None)
-    if table is None:
-        problem = "the times of its samples are not known; put nuScenes' table sample.json (token, timestamp) beside it"
-        raise DataError(path, "", problem)
-    try:
-        rows = msgspec.json.decode(read_bytes(table))
-        times = {row["token"]: int(row["timestamp"]) * 1000 for row in rows}
-    except (msgspec.DecodeError, RecursionError, TypeError, KeyError, ValueError) as error:
-        raise DataError(table, "", f"{error}; expected a list of objects with token and timestamp [µs]") from error
-    return {token: t for token, t in times.items() if token in results and _in_drive(t, context)}
+        times = {token: int(token) * 1000 for token in results}
+    else:
+        beside = (file.path.parent / "sample.json", file.path.parent.parent / "sample.json")
+        table = next((path for path in beside if path.is_file()), None)
+        if table is None:
+            table_needed = "put nuScenes' table sample.json (token, timestamp) beside it"
+            raise file.fault("", f"the times of its samples are not known; {table_needed}")
+        try:
+            rows = msgspec.json.decode(read_bytes(table))
+            times = {row["token"]: int(row["timestamp"]) * 1000 for row in rows}
+        except (msgspec.DecodeError, RecursionError, TypeError, KeyError, ValueError) as error:
+            raise DataError(table, "", f"{error}; expected a list of objects with token and timestamp [µs]") from error
+    own = file.context.timestamps_ns
+    if not len(own):
+        return {}
+    first, last = int(own[0]) - 10**9, int(own[-1]) + 10**9
+    return {token: t for token, t in times.items() if token in results and first <= t <= last}
 
 
-def _in_drive(time_ns: int, context: ListContext) -> bool:
-    times = context.timestamps_ns
-    return bool(len(times)) and int(times[0]) - 10**9 <= time_ns <= int(times[-1]) + 10**9
-
-
-_NUMBERS = {"translation": 3, "size": 3, "rotation": 4}
-
-
-def _row(path: Path, location: str, box: Any) -> tuple[Float64Array, str]:
-    """Middle, length, width, height, yaw, velocity and score of a box, (11,), and its class."""
+def _nuscenes_row(file: _List, location: str, box: Any) -> tuple[list[float], str]:
+    """Centre, length, width, height, yaw, velocity and score of a box, (11,), and its class."""
     if not isinstance(box, Mapping):
-        raise DataError(path, location, f"{str(box)[:40]}; expected an object")
-    numbers = {name: _vector(path, location, box, name, count) for name, count in _NUMBERS.items()}
-    if (numbers["size"] <= 0).any():
-        raise DataError(path, f"{location}.size", f"{numbers['size'].tolist()}; expected sizes above 0")
+        raise file.fault(location, f"{str(box)[:40]}; expected an object")
+    numbers: dict[str, list[float]] = {}
+    for name, count in (("translation", 3), ("size", 3), ("rotation", 4)):
+        value = box.get(name)
+        sound = isinstance(value, list) and len(value) == count
+        if not sound or not all(isinstance(one, int | float) and abs(one) < 1e9 for one in value or ()):
+            raise file.fault(f"{location}.{name}", f"{str(value)[:60]}; expected {count} finite numbers")
+        numbers[name] = list(map(float, value or ()))
+    width, length, height = numbers["size"]
     w, x, y, z = numbers["rotation"]
-    if not 0.99 < float(np.linalg.norm(numbers["rotation"])) < 1.01:
-        raise DataError(path, f"{location}.rotation", f"{[w, x, y, z]}; expected w, x, y, z of length 1")
+    if min(numbers["size"]) <= 0:
+        raise file.fault(f"{location}.size", f"{numbers['size']}; expected sizes above 0")
+    if not 0.99 < float(np.linalg.norm([w, x, y, z])) < 1.01:
+        raise file.fault(f"{location}.rotation", f"{[w, x, y, z]}; expected w, x, y, z of length 1")
     heading = matrix_from_quaternion([x, y, z, w])[:, 0]
-    velocity = np.nan_to_num(_velocity(path, location, box))
+    velocity = box.get("velocity") or [0.0, 0.0]  # NaN or null where it is not known
+    known = [0.0 if one is None else one for one in velocity[:2]] if isinstance(velocity, list) else []
+    if len(known) < 2 or not all(isinstance(one, int | float) for one in known):
+        raise file.fault(f"{location}.velocity", f"{str(velocity)[:60]}; expected two numbers")
+    velocity_xy = np.nan_to_num(np.array(known, np.float64))
     label, score = box.get("detection_name"), box.get("detection_score")
     if not isinstance(label, str) or not label:
-        raise DataError(path, f"{location}.detection_name", f"{label!r}; expected the name of a class")
+        raise file.fault(f"{location}.detection_name", f"{label!r}; expected the name of a class")
     if isinstance(score, bool) or not isinstance(score, int | float) or not np.isfinite(score):
-        raise DataError(path, f"{location}.detection_score", f"{score!r}; expected a finite number")
-    yaw = np.arctan2(heading[1], heading[0])
-    width, length, height = numbers["size"]
-    return np.array([*numbers["translation"], length, width, height, yaw, *velocity, 0.0, score]), label
+        raise file.fault(f"{location}.detection_score", f"{score!r}; expected a finite number")
+    yaw = float(np.arctan2(heading[1], heading[0]))
+    return [*numbers["translation"], length, width, height, yaw, *velocity_xy.tolist(), 0.0, score], label
 
 
-def _vector(path: Path, location: str, box: Mapping[str, Any], name: str, count: int) -> Float64Array:
-    value = box.get(name)
-    sound = isinstance(value, list) and len(value) == count
-    if not sound or not all(isinstance(one, int | float) and abs(one) < 1e9 for one in value or ()):
-        raise DataError(path, f"{location}.{name}", f"{str(value)[:60]}; expected {count} finite numbers")
-    return np.array(value, np.float64)
+def _first_words(head: str, separator: str | None) -> list[str]:
+    return head.split("\n", 1)[0].split(separator)
 
 
-def _velocity(path: Path, location: str, box: Mapping[str, Any]) -> Float64Array:
-    """Of a box [m/s], x and y; a JSON may state NaN or null where it is not known, which stands for 0."""
-    value = box.get("velocity") or [0.0, 0.0]
-    if not isinstance(value, list) or len(value) < 2:
-        raise DataError(path, f"{location}.velocity", f"{str(value)[:60]}; expected two numbers")
-    known = [0.0 if one is None else one for one in value[:2]]
-    if not all(isinstance(one, int | float) for one in known):
-        raise DataError(path, f"{location}.velocity", f"{str(value)[:60]}; expected two numbers")
-    return np.array(known, np.float64)
+@dataclass(frozen=True, slots=True)
+class _ListForm:
+    """One form of lists: what it looks like, whether the first bytes of a file are of it, and what reads it."""
 
-
-def _boxes(
-    rows: Sequence[tuple[Float64Array, str]], time_ns: int, source: PoseSource, sensor_id: Identifier
-) -> Boxes3D:
-    """Boxes of the world at one time, in the sensor's frame; velocities stay over ground."""
-    values = np.array([row for row, _ in rows], np.float64).reshape(len(rows), 11)
-    boxes = Boxes3D(
-        time_ns,
-        values[:, :3].copy(),
-        values[:, 3:6].copy(),
-        values[:, 6].copy(),
-        values[:, 10].copy(),
-        tuple(label for _, label in rows),
-        velocities=values[:, 7:10].copy(),
-        frame=PointsFrame.WORLD,
-        score_form=_score_form(values[:, 10]),
-        sensor_id=sensor_id,
-    )
-    (world_from_sensor,) = poses_at(source, np.array([time_ns], np.int64))
-    return boxes.moved(world_from_sensor.inverse(), PointsFrame.SENSOR)
+    name: str
+    looks_like: str
+    recognises: Callable[[str], bool]
+    read: Callable[[_List], Iterable[Any]]
 
 
 _FORMS: tuple[_ListForm, ...] = (
     _ListForm(
         "json-lines",
         "lines of JSON, each a record of table 7 or 8 of DB34/T 4101, or a frame's list of them",
-        _is_json_lines,
-        _read_json_3d,
-        _read_json_2d,
+        lambda head: head.startswith("{") and '"results"' not in head[:20_000].split("[", 1)[0],
+        _read_json_lines,
     ),
     _ListForm(
         "nuscenes",
         'a JSON object with "results" by sample, as nuScenes has detections',
-        _is_nuscenes,
-        _nuscenes_read_3d,
+        lambda head: head.startswith("{") and '"results"' in head,
+        _read_nuscenes,
     ),
     _ListForm(
         "kitti-lists",
         "lines of 6 or 15 numbers with commas, a frame's number first",
-        _has_commas,
-        _read_lists_3d,
-        _read_lists_2d,
+        lambda head: (
+            len(words := _first_words(head, ",")) in {len(COLUMNS_2D), len(COLUMNS_3D)}
+            and words[0].strip().lstrip("-").isdigit()
+        ),
+        _read_kitti_lists,
     ),
     _ListForm(
         "kitti-results",
         "KITTI's text of labels or results, 15 to 18 words a line",
-        _has_blanks,
-        _read_results_3d,
-        _read_results_2d,
+        lambda head: (
+            len(words := _first_words(head, None)) in {15, 16, 17, 18} and any(word[:1].isalpha() for word in words[:3])
+        ),
+        _read_kitti_results,
     ),
 )
 """All forms; at most one of them recognises a file."""
@@ -526,37 +419,26 @@ def read_boxes_3d(path: Path | str, context: ListContext, ledger: Ledger) -> Seq
     """Read the boxes in space of a lidar's detector, by sweep, in the order of time and in the lidar's frame.
 
     Args:
-        path: a file of any of the forms.
-        context: what it does not state itself.
-        ledger: reported what was assumed, and in a lenient reading of faults.
-
-    Raises:
-        DataError: the file cannot be read, or is faulty.
-        UnknownFormatError: no form recognises it.
-    """
-    path = Path(path)
-    form = form_of(path)
-    if form is None:
-        return [Boxes3D.empty(t, sensor_id=context.sensor_id) for t in context.timestamps_ns.tolist()]
-    return form.read_3d(path, context, ledger)
-
-
-def read_boxes_2d(path: Path | str, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
-    """Read the boxes of a camera's detector, by image, in the order of time.
-
-    Args:
-        path, context, ledger: as of `read_boxes_3d`.
+        context: what the file does not state itself.
+        ledger: collects assumptions, and in a lenient reading faults.
 
     Raises:
         DataError: the file cannot be read, is of no form that has such boxes, or is faulty.
+        UnknownFormatError: no form recognises it.
     """
-    path = Path(path)
-    form = form_of(path)
+    return _read_boxes(_List(Path(path), context, ledger, in_space=True))
+
+
+def read_boxes_2d(path: Path | str, context: ListContext, ledger: Ledger) -> Sequence[Boxes2D]:
+    """Read the boxes of a camera's detector, by image, in the order of time; as `read_boxes_3d`."""
+    return _read_boxes(_List(Path(path), context, ledger, in_space=False))
+
+
+def _read_boxes(file: _List) -> list[Any]:
+    form = form_of(file.path)
     if form is None:
-        return [Boxes2D.empty(t, sensor_id=context.sensor_id) for t in context.timestamps_ns.tolist()]
-    if form.read_2d is None:
-        raise DataError(path, "", f"is of the form {form.name}, which has no boxes in images")
-    return form.read_2d(path, context, ledger)
+        return list(map(file.empty, file.context.timestamps_ns.tolist()))
+    return sorted(form.read(file), key=lambda boxes: boxes.timestamp_ns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -613,24 +495,21 @@ class DetectionInput:
         if self.has_lists or not is_tracking_folder(Path(path)):
             for flag, stated in (("--det2d", self.detector_2d), ("--det3d", self.detector_3d)):
                 if stated:
-                    why = (
-                        "the boxes come from the lists of --boxes3d and --boxes2d"
-                        if self.has_lists
-                        else "it is no folder of KITTI's sequences"
-                    )
+                    lists = "the boxes come from the lists of --boxes3d and --boxes2d"
+                    why = lists if self.has_lists else "it is no folder of KITTI's sequences"
                     raise OptionError(f"{path}: {flag} {stated} does not count here: {why}")
             return None
-        useless = {
-            "--lidar": self.files.lidar is not None,
-            "--camera": self.files.cameras,
-            "--trajectory": self.files.trajectory,
-            "--orientation-from": self.files.heading,
-        }
-        for flag in [flag for flag, stated in useless.items() if stated]:
-            raise OptionError(
-                f"{path}: {flag} does not count here: it is a folder of KITTI's sequences, whose sensors and "
-                "trajectory are known"
-            )
+        files = self.files
+        useless: tuple[tuple[str, object], ...] = (
+            ("--lidar", files.lidar is not None),
+            ("--camera", files.cameras),
+            ("--trajectory", files.trajectory),
+            ("--orientation-from", files.heading),
+        )
+        for flag, is_stated in useless:
+            if is_stated:
+                why = "it is a folder of KITTI's sequences, whose sensors and trajectory are known"
+                raise OptionError(f"{path}: {flag} does not count here: {why}")
         self.refuse_part(path, reading)
         return open_tracking_folder(path, detector_2d=self.detector_2d, detector_3d=self.detector_3d, lenient=lenient)
 
@@ -683,11 +562,9 @@ def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -
     """Read the boxes of a scene's detectors; of a part of a drive those of its time.
 
     Without boxes of sweeps, the sweeps of the lidar are those in which nothing was looked for; without a lidar, the
-    images of the first camera take their location.
+    images of the first camera take their place.
 
     Args:
-        scene: the drive.
-        files: which boxes.
         lenient: leave out what is faulty, and count it.
 
     Raises:
@@ -700,7 +577,7 @@ def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -
     scene = scene.corrected()
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        lidar = _chosen(scene, files.lidar)
+        lidar = _chosen_lidar(scene, files.lidar)
         ego = None
         if needs_ego(scene):
             ego = find_ego_motion(scene, name=files.trajectory, heading=files.heading, lenient=lenient)
@@ -709,19 +586,16 @@ def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -
         sweeps = _reference_times(lidar)
         context = ListContext(
             lidar.id,
-            sweeps if files.whole is None else _reference_times(_chosen(files.whole, lidar.id)),
+            sweeps if files.whole is None else _reference_times(_chosen_lidar(files.whole, lidar.id)),
             source=source,
             sensor_from_camera=_sensor_from_camera(scene, lidar, ego, files),
         )
         lists = [read_boxes_3d(path, context, ledger) for path in files.boxes_3d]
-        boxes = (
-            _together(lists, _joined_3d) if lists else [Boxes3D.empty(t, sensor_id=lidar.id) for t in sweeps.tolist()]
-        )
         drive = DetectedDrive(
             name=Path(scene.source).stem or "drive",
             lidar_id=lidar.id,
             source=source,
-            boxes=tuple(boxes),
+            boxes=tuple(_joined(lists) if lists else (Boxes3D.empty(t, sensor_id=lidar.id) for t in sweeps.tolist())),
             cameras=cameras,
             classes=None if files.boxes_3d else frozenset(),
             period_ns=sweep_period_ns(lidar),
@@ -734,18 +608,16 @@ def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -
     return drive.between((int(sweeps[0]) - margin_ns, int(sweeps[-1]) + margin_ns))
 
 
-def _chosen(scene: Scene, chosen: Identifier | None) -> LidarSensor:
+def _chosen_lidar(scene: Scene, chosen: Identifier | None) -> LidarSensor:
     listed = ", ".join(repr(lidar.id) for lidar in scene.lidars)
     if not listed:
         raise OptionError(f"{scene.source}: it has no lidar, by whose sweeps objects are found")
-    if chosen is None and len(scene.lidars) == 1:
-        return scene.lidars[0]
-    for lidar in scene.lidars:
-        if lidar.id == chosen:
-            return lidar
-    if chosen is not None:
+    found = [lidar for lidar in scene.lidars if chosen is None or lidar.id == chosen]
+    if not found:
         raise OptionError(f"{scene.source}: lidar {chosen!r}; it has {listed}")
-    raise OptionError(f"{scene.source}: it has {listed} as lidars; choose one with `--lidar ID`")
+    if chosen is None and len(found) > 1:
+        raise OptionError(f"{scene.source}: it has {listed} as lidars; choose one with `--lidar ID`")
+    return found[0]
 
 
 def _reference_times(lidar: LidarSensor) -> Int64Array:
@@ -769,18 +641,26 @@ def _cameras(
     scene: Scene, files: DetectionFiles, ego: EgoMotion | None, ledger: Ledger
 ) -> Mapping[Identifier, DetectedCamera]:
     """The cameras that are looked at, with their boxes."""
+    reach_ns = scene_period_ns(scene)
+    detected: dict[Identifier, DetectedCamera] = {}
     if not files.boxes_2d:
-        chosen = [_camera(scene, camera_id) for camera_id in files.cameras] or [*scene.cameras]
-        return {camera.id: _detected(scene, camera, None, ego) for camera in chosen}
+        for camera in [_camera(scene, camera_id) for camera_id in files.cameras] or scene.cameras:
+            source = sensor_source(scene, camera, ego, reach_ns=reach_ns)
+            none = tuple(Boxes2D.empty(t, sensor_id=camera.id) for t in camera.images.timestamps_ns.tolist())
+            detected[camera.id] = DetectedCamera(camera.camera, source, none, frozenset())
+        return detected
     lists: dict[Identifier, list[Sequence[Boxes2D]]] = {}
+    first = len(scene.lidars)
+    numbers = frozenset(range(first, first + len(scene.cameras)))
     for path, camera, number in _assigned(scene, files):
         whole = camera if files.whole is None else _camera(files.whole, camera.id)
-        context = ListContext(camera.id, whole.images.timestamps_ns, number=number, others=_numbers(scene))
+        context = ListContext(camera.id, whole.images.timestamps_ns, number=number, others=numbers)
         lists.setdefault(camera.id, []).append(read_boxes_2d(path, context, ledger))
-    return {
-        camera_id: _detected(scene, _camera(scene, camera_id), _together(found, _joined_2d), ego)
-        for camera_id, found in lists.items()
-    }
+    for camera_id, found in lists.items():
+        camera = _camera(scene, camera_id)
+        source = sensor_source(scene, camera, ego, reach_ns=reach_ns)
+        detected[camera_id] = DetectedCamera(camera.camera, source, tuple(_joined(found)))
+    return detected
 
 
 def _assigned(scene: Scene, files: DetectionFiles) -> list[tuple[Path, CameraSensor, int | None]]:
@@ -804,22 +684,6 @@ def _assigned(scene: Scene, files: DetectionFiles) -> list[tuple[Path, CameraSen
     return [(path, camera, first + k) for path in files.boxes_2d for k, camera in enumerate(scene.cameras)]
 
 
-def _numbers(scene: Scene) -> frozenset[int]:
-    """How records name the cameras of a scene."""
-    first = len(scene.lidars)
-    return frozenset(range(first, first + len(scene.cameras)))
-
-
-def _detected(
-    scene: Scene, camera: CameraSensor, boxes: Sequence[Boxes2D] | None, ego: EgoMotion | None
-) -> DetectedCamera:
-    source = sensor_source(scene, camera, ego, reach_ns=scene_period_ns(scene))
-    if boxes is None:
-        none = tuple(Boxes2D.empty(t, sensor_id=camera.id) for t in camera.images.timestamps_ns.tolist())
-        return DetectedCamera(camera.camera, source, none, frozenset())
-    return DetectedCamera(camera.camera, source, tuple(boxes))
-
-
 def _sensor_from_camera(
     scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, files: DetectionFiles
 ) -> RigidTransform | None:
@@ -834,49 +698,22 @@ def _sensor_from_camera(
     return world_from_lidar.inverse() @ world_from_camera
 
 
-_Boxes = TypeVar("_Boxes", Boxes2D, Boxes3D)
-
-
-def _together(lists: Iterable[Sequence[_Boxes]], join: Callable[[list[_Boxes]], _Boxes]) -> list[_Boxes]:
-    """The boxes of several files by time."""
-    by_time: dict[int, list[_Boxes]] = {}
+def _joined(lists: Iterable[Sequence[Any]]) -> list[Any]:
+    """The boxes of several files by time; of the fields of one time's boxes those that all of them have."""
+    by_time: dict[int, list[Any]] = {}
     for found in lists:
         for boxes in found:
             by_time.setdefault(boxes.timestamp_ns, []).append(boxes)
-    return [same[0] if len(same) == 1 else join(same) for _, same in sorted(by_time.items())]
-
-
-def _joined_3d(parts: Sequence[Boxes3D]) -> Boxes3D:
-    """Boxes of one time put together; what only some of them have is left out."""
-    parts = [boxes for boxes in parts if len(boxes)] or parts[:1]
-    if len({boxes.score_form for boxes in parts}) > 1:
-        raise DataError(
-            "boxes", "", f"scores of several forms at {parts[0].timestamp_ns} ns; expected logits or probabilities"
-        )
-    velocities = [boxes.velocities for boxes in parts if boxes.velocities is not None]
-    first = parts[0]
-    return Boxes3D(
-        first.timestamp_ns,
-        np.concatenate([boxes.centers for boxes in parts]),
-        np.concatenate([boxes.sizes_lwh for boxes in parts]),
-        np.concatenate([boxes.yaws for boxes in parts]),
-        np.concatenate([boxes.scores for boxes in parts]),
-        tuple(label for boxes in parts for label in boxes.labels),
-        velocities=np.concatenate(velocities) if len(velocities) == len(parts) else None,
-        frame=first.frame,
-        score_form=first.score_form,
-        sensor_id=first.sensor_id,
-    )
-
-
-def _joined_2d(parts: Sequence[Boxes2D]) -> Boxes2D:
-    """Boxes of one image put together."""
-    first = parts[0]
-    return Boxes2D(
-        first.timestamp_ns,
-        np.concatenate([boxes.corners_xyxy for boxes in parts]),
-        np.concatenate([boxes.scores for boxes in parts]),
-        tuple(label for boxes in parts for label in boxes.labels),
-        score_form=first.score_form,
-        sensor_id=first.sensor_id,
-    )
+    joined = []
+    for time_ns, same in sorted(by_time.items()):
+        parts = [boxes for boxes in same if len(boxes)] or same[:1]
+        if len({boxes.score_form for boxes in parts}) > 1:
+            raise DataError("boxes", "", f"scores of several forms at {time_ns} ns; expected logits or probabilities")
+        columns: dict[str, Any] = {"labels": tuple(label for boxes in parts for label in boxes.labels)}
+        for one in fields(parts[0]):
+            values = [getattr(boxes, one.name) for boxes in parts]
+            arrays = [value for value in values if isinstance(value, np.ndarray)]
+            if arrays:
+                columns[one.name] = np.concatenate(arrays) if len(arrays) == len(values) else None
+        joined.append(parts[0] if len(parts) == 1 else replace(parts[0], **columns))
+    return joined

@@ -1,14 +1,17 @@
 """The fuse job: one scene in, one fused scene, depth images and visualisations out; its outputs, counts and report."""
 
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
+from sceneloom.arrays import finite_rows
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.editing.references import assumed, skipped
 from sceneloom.errors import OptionError
@@ -19,15 +22,22 @@ from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.motion.deskew import PointTimesStatistics
 from sceneloom.motion.ego_trajectory import placeable_lidars
 from sceneloom.pipeline.alignment import Aligned, align
-from sceneloom.pipeline.outputs import DepthFolder, SceneSink, lidar_folders, spread
-from sceneloom.pipeline.play import Skips, build_system, check_any_placed, check_has_lidar, play, reported_once, telling
+from sceneloom.pipeline.outputs import DepthFolder, ImageSink, SceneSink
+from sceneloom.pipeline.play import (
+    Skips,
+    build_system,
+    check_any_placed,
+    check_has_lidar,
+    play,
+    report_of,
+    reported_once,
+    telling,
+)
 from sceneloom.scene.point_times import PointTimes
-from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Progress
 from sceneloom.stages import stage, timed
 from sceneloom.visualization.canvas import counting_left_out
-from sceneloom.visualization.fused_frames import MOST_SWEEPS, DriveCloud, save_images
 from sceneloom.warnings import DataWarning
 
 
@@ -103,55 +113,20 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(slots=True)
-class _CameraStatistics:
-    """Counts of one camera while frames pass."""
-
-    images: int
-    paired: int = 0
-    unpaired: int = 0
-    unposed: int = 0
-    points: int = 0
-    in_image: int = 0
-    hidden: int = 0
-    coloured: int = 0
-
-    def add(self, in_image: int, hidden: int, points: int) -> None:
-        """Count one view of a sweep: its points in the image, hidden ones among them, and all its points."""
-        self.paired += 1
-        self.points += points
-        self.in_image += in_image
-        self.hidden += hidden
-
-    def report(self, camera_id: Identifier) -> CameraReport:
-        """The counts as shares."""
-        return CameraReport(
-            camera=camera_id,
-            images=self.images,
-            paired=self.paired,
-            unpaired=self.unpaired,
-            unposed=self.unposed,
-            in_image_percent=_percent(self.in_image, self.points),
-            hidden_percent=_percent(self.hidden, self.in_image),
-            coloured=self.coloured,
-        )
-
-
-@dataclass(slots=True)
 class FusionStatistics:
     """Counts while frames pass.
 
     Attributes:
-        cameras: by id, in the scene's order.
+        counts: of each camera by id, in the scene's order, under the names of `CameraReport` and for its shares.
         moving: lidars whose points the ego carries along, so that the time of each counts.
     """
 
-    cameras: dict[Identifier, _CameraStatistics]
+    counts: dict[Identifier, Counter[str]]
     moving: frozenset[Identifier] = frozenset()
     frames: int = 0
     fused: int = 0
     extrapolated: int = 0
     points: int = 0
-    coloured: int = 0
     times: PointTimesStatistics = field(default_factory=PointTimesStatistics)
     timeless: int = 0
     non_finite: int = 0
@@ -162,14 +137,14 @@ class FusionStatistics:
         """Nothing counted yet of a drive."""
         stationary = aligned.ego is not None and aligned.ego.path.static
         moving = [] if stationary else placeable_lidars(aligned.scene)
-        cameras = {camera.id: _CameraStatistics(len(camera.images)) for camera in aligned.scene.cameras}
-        return cls(cameras, frozenset(lidar.id for lidar in moving))
+        counts = {camera.id: Counter(images=len(camera.images)) for camera in aligned.scene.cameras}
+        return cls(counts, frozenset(lidar.id for lidar in moving))
 
     def add(self, frame: FusedFrame) -> None:
         """Count one sweep."""
         self.frames += 1
         self.points += len(frame.points)
-        self.non_finite += int(np.count_nonzero(~np.isfinite(frame.points.positions).all(axis=1)))
+        self.non_finite += int(np.count_nonzero(~finite_rows(frame.points.positions)))
         self.times.add(frame.times)
         self.timeless += frame.times.kind is PointTimes.ABSENT and frame.lidar_id in self.moving
         if frame.unfused is not None:
@@ -178,54 +153,55 @@ class FusionStatistics:
             return
         self.fused += 1
         self.extrapolated += frame.extrapolated
-        self._add_cameras(frame)
-
-    def _add_cameras(self, frame: FusedFrame) -> None:
         for view in frame.views:
             hidden = int(np.count_nonzero(~view.visible))
-            self.cameras[view.camera_id].add(len(view.point_ids), hidden, len(frame.points))
+            seen = {"paired": 1, "points": len(frame.points), "in_image": len(view.point_ids), "hidden": hidden}
+            self.counts[view.camera_id].update(seen)
         for camera_id in frame.unpaired:
-            self.cameras[camera_id].unpaired += 1
+            self.counts[camera_id]["unpaired"] += 1
         for camera_id in frame.unposed:
-            self.cameras[camera_id].unposed += 1
+            self.counts[camera_id]["unposed"] += 1
         if frame.points.camera_index is not None:
             by_index = np.bincount(frame.points.camera_index, minlength=256)[:255].tolist()
-            for statistics, count in zip(self.cameras.values(), by_index, strict=False):
-                statistics.coloured += count
-            self.coloured += sum(by_index)
+            for counts, coloured in zip(self.counts.values(), by_index, strict=False):
+                counts["coloured"] += coloured
 
     def warnings(self) -> tuple[DataWarning, ...]:
         """What had to be assumed about the sweeps."""
-        return (*self.times.warnings(), *(warning for warning in self._found() if warning.count))
-
-    def _found(self) -> tuple[DataWarning, DataWarning]:
         timeless = (
             "points have no times of their own; they were taken as measured at their sweep's time, and what the ego "
             "moved during a sweep stays in them"
         )
         non_finite = "points without finite coordinates were kept as they are; they get no colour and no depth"
         points = "sensors[].frames[].points"
-        return (
+        found = (
             assumed("no-point-times", f"{points}.timestamps", timeless, count=self.timeless),
             skipped("points-not-finite", f"{points}.positions", non_finite, count=self.non_finite),
         )
+        return (*self.times.warnings(), *(warning for warning in found if warning.count))
 
     @property
-    def camera_reports(self) -> tuple[CameraReport, ...]:
+    def cameras(self) -> tuple[CameraReport, ...]:
         """A report for each camera."""
-        return tuple(camera.report(camera_id) for camera_id, camera in self.cameras.items())
+        return tuple(
+            CameraReport(
+                camera=camera_id,
+                in_image_percent=percent(counts["in_image"], counts["points"]),
+                hidden_percent=percent(counts["hidden"], counts["in_image"]),
+                **{name: counts[name] for name in ("images", "paired", "unpaired", "unposed", "coloured")},
+            )
+            for camera_id, counts in self.counts.items()
+        )
 
     @property
     def coloured_percent(self) -> float:
         """Share of all points that got a colour."""
-        return _percent(self.coloured, self.points)
+        return percent(sum(counts["coloured"] for counts in self.counts.values()), self.points)
 
 
-def _percent(part: int, whole: int) -> float:
+def percent(part: int, whole: int) -> float:
+    """A share in percent; 0 of nothing."""
     return 100.0 * part / whole if whole else 0.0
-
-
-_IMAGES_PER_DRIVE = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,24 +228,25 @@ class FusionOutputs:
     time_unit: str = "microseconds"
     overwrite: bool = False
 
+    def check(self) -> None:
+        """Refuse outputs that cannot be, before much is done.
 
-def _checked_outputs(outputs: FusionOutputs, output: str | Path | None) -> FusionOutputs:
-    """Join the two ways to name the scene file, and refuse outputs that cannot be."""
-    wanted = outputs if output is None else replace(outputs, scene=Path(output))
-    if wanted.depth_format not in {"png", "npz"}:
-        raise OptionError(f"depth_format {wanted.depth_format!r}; expected 'png' or 'npz'")
-    if wanted.images_every is not None and wanted.images_every < 1:
-        raise OptionError(f"images_every {wanted.images_every}; expected 1 or more")
-    if wanted.scene is not None and wanted.scene.suffix.lower() != ".sfs":
-        raise OptionError(f"{wanted.scene}: fusing writes scene files; expected a name that ends in .sfs")
-    folders = [folder.absolute() for folder in (wanted.depth, wanted.images) if folder is not None]
-    if wanted.scene is not None and wanted.scene.absolute() in folders:
-        raise OptionError(f"{wanted.scene}: named for a file and for a folder; expected two names")
-    # the ego trajectory may take long to find: an output that cannot be is reported before
-    for location in (wanted.scene, wanted.depth, wanted.images):
-        if location is not None:
-            check_output(location, overwrite=wanted.overwrite)
-    return wanted
+        Raises:
+            OptionError: a value is not one that can be followed.
+            OutputError: an output exists, or its folder is missing.
+        """
+        if self.depth_format not in {"png", "npz"}:
+            raise OptionError(f"depth_format {self.depth_format!r}; expected 'png' or 'npz'")
+        if self.images_every is not None and self.images_every < 1:
+            raise OptionError(f"images_every {self.images_every}; expected 1 or more")
+        if self.scene is not None and self.scene.suffix.lower() != ".sfs":
+            raise OptionError(f"{self.scene}: fusing writes scene files; expected a name that ends in .sfs")
+        folders = [folder.absolute() for folder in (self.depth, self.images) if folder is not None]
+        if self.scene is not None and self.scene.absolute() in folders:
+            raise OptionError(f"{self.scene}: named for a file and for a folder; expected two names")
+        for location in (self.scene, self.depth, self.images):
+            if location is not None:
+                check_output(location, overwrite=self.overwrite)
 
 
 def iter_fused(
@@ -300,7 +277,8 @@ def iter_fused(
     """
     settings = _configured(configuration, algorithm)
     aligned = align(scene, trajectory=trajectory, heading=heading)
-    yield from play(aligned.scene, build_system(aligned.scene, aligned.ego, settings))
+    skips = Skips(lenient=False)
+    yield from play(aligned.scene, build_system(aligned.scene, aligned.ego, settings, skips), skips)
 
 
 def fuse(
@@ -346,46 +324,48 @@ def fuse(
     with timed() as stages:
         settings = _configured(configuration, algorithm)
         check_has_lidar(scene, "fusing needs")
-        wanted = _checked_outputs(outputs or FusionOutputs(), output)
-        steps, skips = _Steps(progress), Skips() if lenient else None
-        aligned = align(
-            scene,
-            trajectory=trajectory,
-            heading=heading,
-            start=start,
-            stop=stop,
-            lenient=lenient,
-            progress=steps.estimating,
-        )
+        wanted = outputs or FusionOutputs()
+        wanted = wanted if output is None else replace(wanted, scene=Path(output))
+        wanted.check()  # estimating the trajectory may take long: an output that cannot be is reported before
+        skips, estimated = Skips(lenient), 0
+
+        def estimating(done: int, total: int) -> None:
+            nonlocal estimated
+            estimated = total
+            if progress is not None:
+                progress(done, 2 * total)
+
+        chosen: dict[str, Any] = {"trajectory": trajectory, "heading": heading, "start": start, "stop": stop}
+        aligned = align(scene, **chosen, lenient=lenient, progress=estimating)
         system = build_system(aligned.scene, aligned.ego, settings, skips)
         statistics = FusionStatistics.of(aligned)
         with telling(skips), stage("writing"), counting_left_out() as left, ExitStack() as stack:
-            sinks = _Sinks.open(aligned, wanted, stack, skips)
+            sinks = _open_sinks(aligned, wanted, stack, skips)
             with stage("fusing"):
-                for frame in play(aligned.scene, system, skips=skips):
+                for frame in play(aligned.scene, system, skips):
                     statistics.add(frame)
                     with stage("writing"):
-                        sinks.add(frame)
-                    steps.fusing(statistics.frames, aligned.sweeps)
+                        for sink in sinks.values():
+                            sink.add(frame)
+                    if progress is not None:
+                        progress(estimated + statistics.frames, estimated + aligned.sweeps)
             check_any_placed(aligned.scene, statistics.unfused, statistics.frames, "fused")
-            losses = sinks.finish()
-    return FusionReport(
+            for sink in sinks.values():
+                sink.finish()
+    written, depth = sinks.pop("scene", None), sinks.get("depth images")
+    return report_of(
+        FusionReport,
+        statistics,
         source=aligned.scene.source,
         output=None if wanted.scene is None else str(wanted.scene),
-        trajectory=None if aligned.ego is None else aligned.ego.name,
-        frames=statistics.frames,
-        fused=statistics.fused - (0 if sinks.scene is None else sinks.scene.left_out),
-        extrapolated=statistics.extrapolated,
-        unfused=statistics.unfused,
-        skipped=() if skips is None else tuple(skips.reasons),
-        points=statistics.points,
-        coloured_percent=statistics.coloured_percent,
-        cameras=statistics.camera_reports,
-        files=sinks.files,
-        depth_beyond_range=0 if sinks.depth is None else sinks.depth.beyond_range,
+        trajectory=aligned.trajectory,
+        fused=statistics.fused if written is None else written.written,
+        skipped=skips.reasons,
+        files={kind: sink.written for kind, sink in sinks.items()},
+        depth_beyond_range=0 if depth is None else depth.beyond_range,
         seconds=time.perf_counter() - begun,
         stages=dict(stages),
-        losses=losses,
+        losses=LossReport() if written is None else written.losses,
         warnings=(*reported_once(aligned.scene.warnings, statistics.warnings()), *left.warnings),
     )
 
@@ -396,104 +376,17 @@ def _configured(configuration: FusionConfiguration | None, algorithm: AlgorithmC
     return replace(settings, fusion_algorithm=chosen_algorithm(FusionType.SENSOR_DATA, chosen))
 
 
-@dataclass(slots=True)
-class _Sinks:
-    """The open outputs of a fusion."""
-
-    scene: SceneSink | None = None
-    depth: DepthFolder | None = None
-    images: "_ImageSink | None" = None
-
-    @classmethod
-    def open(cls, aligned: Aligned, wanted: FusionOutputs, stack: ExitStack, skips: Skips | None) -> "_Sinks":
-        """Open every wanted output; an error later removes all of them again."""
-        sinks = cls()
-        if wanted.depth is not None:
-            folder = stack.enter_context(filling(wanted.depth, overwrite=wanted.overwrite))
-            sinks.depth = DepthFolder.of(folder, aligned.scene, wanted.depth_format)
-        if wanted.images is not None:
-            folder = stack.enter_context(filling(wanted.images, overwrite=wanted.overwrite))
-            sinks.images = _ImageSink(
-                folder,
-                lidar_folders(folder, aligned.scene),
-                spread(aligned.scene, _IMAGES_PER_DRIVE, every=wanted.images_every),
-                DriveCloud(spread(aligned.scene, MOST_SWEEPS)),
-                None if aligned.ego is None else aligned.ego.path,
-            )
-        if wanted.scene is not None:
-            sinks.scene = SceneSink.open(
-                aligned,
-                wanted.scene,
-                stack,
-                skips,
-                profile=wanted.profile,
-                time_unit=wanted.time_unit,
-                overwrite=wanted.overwrite,
-            )
-        return sinks
-
-    def add(self, frame: FusedFrame) -> None:
-        """Take one result."""
-        if self.scene is not None:
-            self.scene.add(frame)
-        if self.depth is not None:
-            for view in frame.views:
-                self.depth.write(frame, view, view.depth_image)
-        if self.images is not None:
-            self.images.add(frame)
-
-    @property
-    def files(self) -> dict[str, int]:
-        """How many files of which kind were written."""
-        kinds = {"depth images": self.depth, "images": self.images}
-        return {kind: sink.written for kind, sink in kinds.items() if sink is not None}
-
-    def finish(self) -> LossReport:
-        """Complete them; give what the scene file could not hold."""
-        if self.images is not None:
-            self.images.finish()
-        return LossReport() if self.scene is None else self.scene.finish()
-
-
-@dataclass(slots=True)
-class _ImageSink:
-    """Draws some of the sweeps for people to look at, and the drive as one cloud.
-
-    Attributes:
-        ego_poses: the ego trajectory, drawn into the clouds; None where it is not known.
-    """
-
-    folder: Path
-    folders: Mapping[Identifier, Path]
-    chosen: frozenset[int]
-    cloud: DriveCloud
-    ego_poses: Poses | None = None
-    written: int = 0
-
-    def add(self, frame: FusedFrame) -> None:
-        """Draw the sweep if it is chosen."""
-        self.cloud.add(frame)
-        if frame.index in self.chosen and frame.unfused is None:
-            folder = self.folders[frame.lidar_id]
-            self.written += len(save_images(frame, folder, frame.index, ego_poses=self.ego_poses))
-
-    def finish(self) -> None:
-        """Draw the drive."""
-        self.written += len(self.cloud.save(self.folder, self.ego_poses))
-
-
-@dataclass(slots=True)
-class _Steps:
-    """Reports two passes over the sweeps as one: estimating the ego trajectory, if it must be, and fusing."""
-
-    reported: Progress | None
-    estimated: int = 0
-
-    def estimating(self, done: int, total: int) -> None:
-        self.estimated = total
-        if self.reported is not None:
-            self.reported(done, 2 * total)
-
-    def fusing(self, done: int, total: int) -> None:
-        if self.reported is not None:
-            self.reported(self.estimated + done, self.estimated + total)
+def _open_sinks(aligned: Aligned, wanted: FusionOutputs, stack: ExitStack, skips: Skips) -> dict[str, Any]:
+    """Open every wanted output, by what it holds; an error later removes all of them again."""
+    sinks: dict[str, Any] = {}
+    if wanted.depth is not None:
+        folder = stack.enter_context(filling(wanted.depth, overwrite=wanted.overwrite))
+        sinks["depth images"] = DepthFolder(folder, aligned.scene, wanted.depth_format)
+    if wanted.images is not None:
+        sinks["images"] = ImageSink.open(
+            aligned, wanted.images, stack, overwrite=wanted.overwrite, every=wanted.images_every
+        )
+    if wanted.scene is not None:
+        own = {"profile": wanted.profile, "time_unit": wanted.time_unit, "overwrite": wanted.overwrite}
+        sinks["scene"] = SceneSink.open(aligned, wanted.scene, stack, skips, **own)  # type: ignore[arg-type]
+    return sinks

@@ -1,4 +1,7 @@
-"""Outputs that several jobs have: scene files whose sweeps follow one by one, folders of depth images, file names."""
+"""Outputs that several jobs have: scene files whose sweeps follow one by one, folders of depth images, visualisations.
+
+They are one family: `add` takes a fused sweep, `finish` completes the output, `written` counts files.
+"""
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -13,7 +16,7 @@ from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import DataError
 from sceneloom.formats.base.images import write_depth_npz, write_depth_png
 from sceneloom.formats.base.losses import LossReport
-from sceneloom.formats.base.output import file_stems
+from sceneloom.formats.base.output import file_stems, filling
 from sceneloom.formats.sfs.clock import TICKS_NS
 from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.pipeline.alignment import Aligned
@@ -22,15 +25,10 @@ from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import sensor_path
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.poses import PoseSource
+from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, time_span
 from sceneloom.scene.types import Identifier
-
-
-def lidar_folders(folder: Path, scene: Scene) -> Mapping[Identifier, Path]:
-    """Where the files of each lidar go: a folder of its own where there are several."""
-    names = names_of(scene.lidars)
-    return {lidar_id: folder / name if len(names) > 1 else folder for lidar_id, name in names.items()}
+from sceneloom.visualization.fused_frames import MOST_SWEEPS, DriveCloud, save_images
 
 
 def names_of(sensors: Sequence[LidarSensor] | Sequence[CameraSensor]) -> Mapping[Identifier, str]:
@@ -39,12 +37,10 @@ def names_of(sensors: Sequence[LidarSensor] | Sequence[CameraSensor]) -> Mapping
     return dict(zip(ids, file_stems(ids), strict=True))
 
 
-def spread(scene: Scene, most: int, *, every: int | None = None) -> frozenset[int]:
-    """Numbers of at most so many sweeps, spread over the drive; or of every Nth one."""
-    count = max((len(lidar.frames) for lidar in scene.lidars), default=0)
-    if every is not None:
-        return frozenset(range(0, count, every))
-    return frozenset(np.linspace(0, count - 1, min(most, count)).astype(int).tolist())
+def lidar_folders(folder: Path, scene: Scene) -> Mapping[Identifier, Path]:
+    """The folder of each lidar's files: `folder`, or one of its own in it where there are several lidars."""
+    names = names_of(scene.lidars)
+    return {lidar_id: folder / name if len(names) > 1 else folder for lidar_id, name in names.items()}
 
 
 @dataclass(slots=True)
@@ -54,38 +50,39 @@ class DepthFolder:
     `index.jsonl` names for each image its sweep, its camera image, and their times.
 
     Attributes:
-        folder: the folder.
-        folders: of the images of each lidar.
-        names: of the folder of each camera therein.
         form: "png" (16 bit, metres times 256) or "npz" (float32 metres).
-        written: files so far.
         beyond_range: pixels that the form cannot hold.
     """
 
     folder: Path
-    folders: Mapping[Identifier, Path]
-    names: Mapping[Identifier, str]
+    scene: Scene
     form: str
     written: int = 0
     beyond_range: int = 0
+    _folders: Mapping[Identifier, Path] = field(init=False)
+    _names: Mapping[Identifier, str] = field(init=False)
 
-    @classmethod
-    def of(cls, folder: Path, scene: Scene, form: str) -> "DepthFolder":
-        """The folder of a scene's depth images."""
-        return cls(folder, lidar_folders(folder, scene), names_of(scene.cameras), form)
+    def __post_init__(self) -> None:
+        self._folders, self._names = lidar_folders(self.folder, self.scene), names_of(self.scene.cameras)
+
+    def place(self, frame: FusedFrame, view: FusedView) -> Path:
+        """The file of a view, relative to the folder, without a suffix."""
+        lidar = self._folders[frame.lidar_id].relative_to(self.folder)
+        return lidar / self._names[view.camera_id] / f"{frame.index:06d}"
 
     def write(
         self, frame: FusedFrame, view: FusedView, depths: Float32Array, confidence: Float32Array | None = None
-    ) -> Path:
-        """Write the depths of a view, and a line into the index; give the file."""
-        target = self.folders[frame.lidar_id] / self.names[view.camera_id] / f"{frame.index:06d}.{self.form}"
+    ) -> None:
+        """Write the depths of a view, and a line into the index."""
+        file = self.place(frame, view).with_suffix(f".{self.form}")
+        target = self.folder / file
         target.parent.mkdir(parents=True, exist_ok=True)
         if self.form == "npz":
             write_depth_npz(depths, target, confidence=confidence)
         else:
             self.beyond_range += write_depth_png(depths, target)
         record = {
-            "file": target.relative_to(self.folder).as_posix(),
+            "file": file.as_posix(),
             "lidar": frame.lidar_id,
             "sweep_ns": frame.timestamp_ns,
             "camera": view.camera_id,
@@ -94,7 +91,69 @@ class DepthFolder:
         with (self.folder / "index.jsonl").open("ab") as lines:
             lines.write(msgspec.json.encode(record) + b"\n")
         self.written += 1
-        return target
+
+    def add(self, frame: FusedFrame) -> None:
+        """Write the depths of a sweep's points in each of its views."""
+        for view in frame.views:
+            self.write(frame, view, view.depth_image)
+
+    def finish(self) -> None:
+        """Nothing is left to do."""
+
+
+_IMAGES_PER_DRIVE = 8
+
+
+@dataclass(slots=True)
+class ImageSink:
+    """Draws the drive as one cloud for people to look at, and some of the sweeps by themselves.
+
+    Attributes:
+        folders: of the images of each lidar.
+        chosen: numbers of the sweeps to draw.
+        ego_poses: the ego trajectory, drawn into the clouds; None where it is not known.
+    """
+
+    folder: Path
+    folders: Mapping[Identifier, Path]
+    chosen: frozenset[int]
+    cloud: DriveCloud
+    ego_poses: Poses | None
+    written: int = 0
+
+    @classmethod
+    def open(
+        cls,
+        aligned: Aligned,
+        target: Path,
+        stack: ExitStack,
+        *,
+        overwrite: bool,
+        sweeps: bool = True,
+        every: int | None = None,
+    ) -> "ImageSink":
+        """Begin a folder of images: of the drive, and with `sweeps` of every Nth sweep, None: some over the drive."""
+        folder = stack.enter_context(filling(target, overwrite=overwrite))
+        count = max((len(lidar.frames) for lidar in aligned.scene.lidars), default=0)
+
+        def spread(most: int) -> frozenset[int]:
+            return frozenset(np.linspace(0, count - 1, min(most, count)).astype(int).tolist())
+
+        chosen = spread(_IMAGES_PER_DRIVE) if every is None else frozenset(range(0, count, every))
+        path = None if aligned.ego is None else aligned.ego.path
+        cloud = DriveCloud(spread(MOST_SWEEPS))
+        return cls(folder, lidar_folders(folder, aligned.scene), chosen if sweeps else frozenset(), cloud, path)
+
+    def add(self, frame: FusedFrame) -> None:
+        """Draw the sweep if it is chosen."""
+        self.cloud.add(frame)
+        if frame.index in self.chosen and frame.unfused is None:
+            folder = self.folders[frame.lidar_id]
+            self.written += len(save_images(frame, folder, frame.index, ego_poses=self.ego_poses))
+
+    def finish(self) -> None:
+        """Draw the drive."""
+        self.written += len(self.cloud.save(self.folder, self.ego_poses))
 
 
 @dataclass(slots=True)
@@ -102,20 +161,20 @@ class SceneSink:
     """Writes fused sweeps into a scene file whose other sensors stand in it already.
 
     Attributes:
-        writer: the open file.
         sources: `world_from_sensor` of the lidars whose location is known.
-        time_unit: the file's unit of time.
         origin: what the sweeps are read from, for messages.
-        skips: collects sweeps that the file cannot hold; None where they are errors.
-        left_out: how many these were.
+        skips: collects sweeps that the file cannot hold.
+        written: sweeps so far, unfused ones apart.
+        losses: what the file could not hold; known when it is complete.
     """
 
     writer: SceneWriter
     sources: Mapping[Identifier, PoseSource]
-    time_unit: str
-    origin: str = ""
-    skips: Skips | None = None
-    left_out: int = 0
+    tick_ns: int
+    origin: str
+    skips: Skips
+    written: int = 0
+    losses: LossReport = field(default_factory=LossReport)
     _starts_ns: dict[Identifier, list[int]] = field(default_factory=dict)
     _stops_ns: dict[Identifier, int] = field(default_factory=dict)
     _extrapolated_ns: dict[Identifier, list[int]] = field(default_factory=dict)
@@ -126,21 +185,13 @@ class SceneSink:
         aligned: Aligned,
         target: Path,
         stack: ExitStack,
-        skips: Skips | None,
+        skips: Skips,
         *,
         profile: str = "sfs",
         time_unit: str = "microseconds",
         overwrite: bool = False,
     ) -> "SceneSink":
-        """Begin a scene file with everything of a drive but its sweeps, which follow.
-
-        Args:
-            aligned: the drive.
-            target: the file.
-            stack: closes the file.
-            skips: collects what cannot be read; None where that is an error.
-            profile, time_unit, overwrite: how the file is written.
-        """
+        """Begin a scene file with everything of a drive but its sweeps, which follow; `stack` closes it."""
         scene, sources = aligned.output_scene()
         spans_ns = [span_ns for span_ns in map(time_span, (aligned.scene, scene)) if span_ns is not None]
         writer = stack.enter_context(
@@ -150,21 +201,21 @@ class SceneSink:
                 profile=profile,
                 time_unit=time_unit,
                 first_ns=min((first_ns for first_ns, _ in spans_ns), default=None),
-                frame_count=sum(len(lidar.frames) for lidar in aligned.scene.lidars),
+                frame_count=aligned.sweeps,
             )
         )
-        if skips is None:
-            writer.add_scene(scene)
-        else:
+        if skips.lenient:
             _add_readable(writer, scene, skips)
+        else:
+            writer.add_scene(scene)
         writer.set_metadata(aligned.provenance())
-        return cls(writer, sources, time_unit, aligned.scene.source, skips)
+        return cls(writer, sources, TICKS_NS[time_unit], aligned.scene.source, skips)
 
     def add(self, frame: FusedFrame) -> None:
         """Write one sweep; an unfused one goes, in its sensor's frame, under the file's metadata.
 
         Raises:
-            DataError: a point of it is too far away.
+            DataError: a point of it is too far away, and nothing may be skipped.
         """
         sweep = LidarFrame(frame.timestamp_ns, frame.points, frame.extras)
         if frame.unfused is not None:
@@ -175,19 +226,21 @@ class SceneSink:
         except DataError as error:
             row = error.location.partition(".points.")[2]
             location = f"sensors[{frame.lidar_id}].frames[{frame.index}].points.{row}"
-            reported = DataError(self.origin, location, error.problem)
-            if self.skips is None:
-                raise reported from error
-            self.skips.add(reported)
-            self.left_out += 1
+            self.skips.add(DataError(self.origin, location, error.problem))
             return
-        start_ns, stop_ns = _bounds_ns(frame, TICKS_NS[self.time_unit])
+        self.written += 1
+        # a frame of a file begins after none of its points: rounded down and up to the file's unit
+        times = frame.points.timestamps_ns
+        if times is None or not len(times):
+            times = np.array([frame.timestamp_ns], np.int64)
+        earliest, latest = int(times.min()), int(times.max())
+        start_ns, stop_ns = earliest // self.tick_ns * self.tick_ns, -(-latest // self.tick_ns) * self.tick_ns
         self._starts_ns.setdefault(frame.lidar_id, []).append(start_ns)
         self._stops_ns[frame.lidar_id] = max(stop_ns, self._stops_ns.get(frame.lidar_id, stop_ns))
         if frame.extrapolated:
             self._extrapolated_ns.setdefault(frame.lidar_id, []).append(start_ns)
 
-    def finish(self) -> LossReport:
+    def finish(self) -> None:
         """Give each lidar its poses, up to the end of its last sweep, mark what was extrapolated, complete the file."""
         if self._extrapolated_ns:
             marks = [{"sensor_id": key, "timestamps_ns": t} for key, t in self._extrapolated_ns.items()]
@@ -199,20 +252,7 @@ class SceneSink:
                 path = sensor_path(self.sources[lidar_id], times_ns)
                 if path is not None:
                     self.writer.set_poses(lidar_id, path)
-        return self.writer.finish()
-
-
-def _bounds_ns(frame: FusedFrame, tick_ns: int) -> tuple[int, int]:
-    """The times of a frame's earliest and latest point, rounded down and up to the file's unit.
-
-    A frame of a file begins after none of its points.
-    """
-    times = frame.points.timestamps_ns
-    if times is None or len(times) == 0:
-        earliest = latest = frame.timestamp_ns
-    else:
-        earliest, latest = int(times.min()), int(times.max())
-    return earliest // tick_ns * tick_ns, -(-latest // tick_ns) * tick_ns
+        self.losses = self.writer.finish()
 
 
 def _add_readable(writer: SceneWriter, scene: Scene, skips: Skips) -> None:

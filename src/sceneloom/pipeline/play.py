@@ -4,6 +4,9 @@ import heapq
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import msgspec
 
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import DataError, PoseError, SceneloomError
@@ -18,11 +21,7 @@ from sceneloom.warnings import DataWarning, WarningKind
 
 
 def check_has_lidar(scene: Scene, needing: str) -> None:
-    """Refuse a scene without a lidar.
-
-    Args:
-        scene: of the job.
-        needing: what needs one, such as "fusing needs".
+    """Refuse a scene without a lidar; `needing` names what needs one, such as "fusing needs".
 
     Raises:
         DataError: it has none.
@@ -33,32 +32,51 @@ def check_has_lidar(scene: Scene, needing: str) -> None:
 
 @dataclass(slots=True)
 class Skips:
-    """Frames that could not be read, with the reason.
+    """Frames that could not be read; unless `lenient`, the first one raises.
 
     Attributes:
         reasons: one line per frame, however often it was asked for.
     """
 
-    reasons: dict[str, None] = field(default_factory=dict)
+    lenient: bool = True
+    _reasons: dict[str, None] = field(default_factory=dict)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """One line per frame, however often it was asked for."""
+        return tuple(self._reasons)
 
     def add(self, error: DataError) -> None:
-        """Note a frame that could not be read."""
-        self.reasons[str(error)] = None
+        """Note a frame that could not be read.
+
+        Raises:
+            DataError: nothing may be skipped.
+        """
+        if not self.lenient:
+            raise error
+        self._reasons[str(error)] = None
 
 
 @contextmanager
-def telling(skips: Skips | None) -> Iterator[None]:
+def telling(skips: Skips) -> Iterator[None]:
     """Attach to an error the warnings about what was skipped before it."""
     try:
         yield
     except SceneloomError as error:
-        if skips is not None:
-            error.remember(tuple(_skipped(reason) for reason in skips.reasons))
+        kind = WarningKind.SKIPPED
+        error.remember(
+            tuple(DataWarning(kind=kind, code="frame-unreadable", location="", message=m) for m in skips.reasons)
+        )
         raise
 
 
-def _skipped(reason: str) -> DataWarning:
-    return DataWarning(kind=WarningKind.SKIPPED, code="frame-unreadable", location="", message=reason)
+Report = TypeVar("Report", bound=msgspec.Struct)
+
+
+def report_of(kind: type[Report], counted: object, **more: Any) -> Report:
+    """Make a report of the counts of an object that have the names of its fields, and of further values."""
+    counts = {name: getattr(counted, name) for name in kind.__struct_fields__ if hasattr(counted, name)}
+    return kind(**{**counts, **more})
 
 
 def reported_once(before: tuple[DataWarning, ...], own: tuple[DataWarning, ...]) -> tuple[DataWarning, ...]:
@@ -68,13 +86,7 @@ def reported_once(before: tuple[DataWarning, ...], own: tuple[DataWarning, ...])
 
 
 def check_any_placed(scene: Scene, unfused: Mapping[str, int], sweeps: int, done: str = "placed") -> None:
-    """Refuse a drive none of whose sweeps could be placed in the world.
-
-    Args:
-        scene: of the job.
-        unfused: why sweeps could not be placed, with counts.
-        sweeps: how many there are.
-        done: what could not be done with them.
+    """Refuse a drive none of whose sweeps could be placed in the world; `unfused` has the reasons with counts.
 
     Raises:
         PoseError: naming the reasons.
@@ -87,22 +99,18 @@ def check_any_placed(scene: Scene, unfused: Mapping[str, int], sweeps: int, done
         )
 
 
-def build_system(
-    scene: Scene, ego: EgoMotion | None, configuration: FusionConfiguration, skips: Skips | None = None
-) -> FusionSystem:
+def build_system(scene: Scene, ego: EgoMotion | None, configuration: FusionConfiguration, skips: Skips) -> FusionSystem:
     """Make a fusion system that knows the scene's lidars, and its cameras with images, and where they were.
 
     Args:
-        scene: whose sensors these are.
         ego: the ego trajectory; None where every sensor has poses of its own.
-        configuration: of the system.
-        skips: collects images that cannot be read; without it they raise.
+        skips: collects images that cannot be read.
 
     Raises:
         PoseError: for a sensor neither poses nor extrinsics are known.
     """
     system = FusionSystem(configuration)
-    if skips is not None:
+    if skips.lenient:
         system.on_unreadable = skips.add
     reach_ns = scene_period_ns(scene)
     for lidar in scene.lidars:
@@ -117,21 +125,16 @@ def build_system(
     return system
 
 
-def play(scene: Scene, system: FusionSystem, *, skips: Skips | None = None) -> Iterator[FusedFrame]:
+def play(scene: Scene, system: FusionSystem, skips: Skips) -> Iterator[FusedFrame]:
     """Send every sweep and image in the order of time, and yield the results in the order of the sweeps.
 
-    Args:
-        skips: collects sweeps that cannot be read and goes on; without it they raise.
-
     Raises:
-        DataError: a sweep or an image cannot be read.
+        DataError: a sweep or an image cannot be read, and nothing may be skipped.
     """
     for _, sensor_id, read in in_time_order(scene):
         try:
             measurement = read()
         except DataError as error:
-            if skips is None:
-                raise
             skips.add(error)
             system.pass_over(sensor_id)
             continue

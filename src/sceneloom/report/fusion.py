@@ -185,7 +185,7 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
         """
         aligned = align(scene)
         few = _with_some_sweeps(aligned.scene, sweeps)
-        skips = Skips() if lenient else None
+        skips = Skips(lenient)
         gathered = _Gathered(FusionStatistics.of(aligned), DriveCloud(frozenset(range(sweeps))))
         most = max((len(lidar.frames) for lidar in few.lidars), default=0)
         for frame in _played(aligned, few, skips):
@@ -198,10 +198,10 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
             of=sum(len(lidar.frames) for lidar in aligned.scene.lidars),
             points=statistics.points,
             coloured_percent=statistics.coloured_percent,
-            cameras=statistics.camera_reports,
+            cameras=statistics.cameras,
             extrapolated=statistics.extrapolated,
             unfused=statistics.unfused,
-            skipped=() if skips is None else tuple(skips.reasons),
+            skipped=skips.reasons,
             time_differences_ms={key: float(np.median(all_)) / 1e6 for key, all_ in differences_ns.items()},
         )
 
@@ -286,11 +286,11 @@ def _rows_around(times_ns: Int64Array, spans: list[tuple[Int64Array, int]]) -> I
     return np.flatnonzero(near)
 
 
-def _played(aligned: Aligned, few: Scene, skips: Skips | None) -> Iterator[FusedFrame]:
+def _played(aligned: Aligned, few: Scene, skips: Skips) -> Iterator[FusedFrame]:
     """Fuse the few sweeps by the pace of the whole drive."""
     configuration = FusionConfiguration(pairing_tolerance_ns=scene_period_ns(aligned.scene))
     system = build_system(aligned.scene, aligned.ego, configuration, skips)
-    yield from play(few, system, skips=skips)
+    yield from play(few, system, skips)
 
 
 def _draw(gathered: _Gathered, figures: Figures, path: Poses | None) -> None:

@@ -12,5 +12,7 @@ def rules_page() -> str:
         title = f"Only with `--profile {rule.only_in[0]}`" if rule.only_in else "In every profile"
         rows.setdefault(title, []).append(f"| `{rule.id}` | {marks} | {rule.summary} | {rule.remedy} |")
     tables = [f"## {title}\n\n" + "\n".join([head, *lines]) for title, lines in rows.items()]
-    first = "`sceneloom validate --rules` prints this list; `--fix` repairs rules marked *fix*. See [checks](../checks.md)."
+    first = (
+        "`sceneloom validate --rules` prints this list; `--fix` repairs rules marked *fix*. See [checks](../checks.md)."
+    )
     return "\n\n".join(["# Rules of validate", first, *tables]) + "\n"

@@ -8,8 +8,7 @@ import pytest
 
 import sceneloom
 from sceneloom.editing import crop_scene, merge_scenes, thin_scene, to_ego, to_sensor, to_world
-from sceneloom.editing.move_points import FrameChange
-from sceneloom.editing.move_world import moved_world
+from sceneloom.editing.move_world import FrameChange, moved_world
 from sceneloom.editing.references import with_ours
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import PointsFrame, Trajectory

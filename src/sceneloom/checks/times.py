@@ -30,7 +30,6 @@ from sceneloom.checks.rule import (
     timestamps_of,
     unless_recording,
 )
-from sceneloom.editing.move_points import chosen_frames
 from sceneloom.formats.sfs.clock import (
     READABLE_TICKS_NS,
     UINT32_MAX,
@@ -95,7 +94,7 @@ def _sorted(sensor: Any) -> Any:
     frames = getattr(sensor, name, None)
     if frames is None or getattr(sensor, "video", None) is not None:
         return sensor
-    chosen = chosen_frames(frames, np.argsort(frames.timestamps_ns, kind="stable"))
+    chosen = frames.chosen(np.argsort(frames.timestamps_ns, kind="stable"))
     return sensor if chosen is frames else replace(sensor, **{name: chosen})
 
 

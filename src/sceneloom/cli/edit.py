@@ -16,7 +16,7 @@ from sceneloom.cli.running import rewriting_verb
 from sceneloom.lazy import imported
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.editing.move_points import OnPoints
+    from sceneloom.editing.thin import OnPoints
     from sceneloom.pipeline.deskewing import DeskewReport
     from sceneloom.pipeline.editing import EditReport
     from sceneloom.pipeline.redacting import BlurReport

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import read_only
-from sceneloom.editing.move_points import FrameChange
-from sceneloom.editing.move_world import moved_world
+from sceneloom.editing.move_world import FrameChange, moved_world
 from sceneloom.editing.references import assumed, skipped, with_ours, with_warnings
 from sceneloom.editing.retime import ClockCorrection, retimed_annotation, retimed_sensor, retimed_trajectory
 from sceneloom.errors import OptionError

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.editing.move_points import FrameChange
-from sceneloom.editing.move_world import EGO_ID, free_id, moved_trajectory, moved_world, to_world
+from sceneloom.editing.move_world import EGO_ID, FrameChange, moved_world, to_world, with_odometry
 from sceneloom.editing.references import assumed, ours_of, skipped, with_ours, with_warnings
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
@@ -28,144 +27,13 @@ from sceneloom.scene.annotations_at import ANNOTATIONS_FRAME
 from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.ego import Posed
-from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses, PoseSource, Trajectory
 from sceneloom.scene.scene import Scene, scene_period_ns
-from sceneloom.scene.types import Coordinates, Identifier, Key, PointsFrame, key_of
+from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, key_of
 from sceneloom.warnings import DataWarning, WarningKind
 
-
-def _calibrated_camera(sensor: CameraSensor, calibration: CameraCalibration) -> CameraSensor:
-    """Give a camera with its calibration applied.
-
-    world_from_camera' = world_from_camera D(t); the camera model is replaced; images were taken `time_offset` later
-    than their timestamps state. Poses report where the camera was at a time, so they keep theirs; where the corrected
-    images go beyond them by no more than the offset, the last movement goes on.
-
-    Source: "Camera Calibration Annotation" of the SFS description; READING of "camera_calibration" in
-    docs/CONVENTIONS.md.
-    """
-    shift_ns = round(calibration.time_offset_ns or 0)
-    rotated = sensor if calibration.poses is None else _rotated(sensor, calibration.poses, shift_ns)
-    timestamps_ns = sensor.images.timestamps_ns + shift_ns
-    images = LazyFrames(timestamps_ns, partial(_calibrated_image, sensor, calibration, shift_ns))
-    poses = None if rotated.poses is None else _reaching(rotated.poses, timestamps_ns, abs(shift_ns))
-    return replace(rotated, camera=calibration.intrinsics or sensor.camera, images=images, poses=poses)
-
-
-def _calibrated_image(sensor: CameraSensor, calibration: CameraCalibration, shift_ns: int, k: int) -> CameraImage:
-    """Image `k`, not decoded, with its own mounting and camera model corrected."""
-    image = sensor.images[k]
-    timestamp_ns, mount, camera = (
-        image.timestamp_ns + shift_ns,
-        image.mount,
-        calibration.intrinsics or image.camera,
-    )
-    if mount is not None and calibration.poses is not None:
-        at = calibration.poses.held(np.array([timestamp_ns], np.int64))
-        mount = mount @ RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0])
-    size = image.camera.width, image.camera.height
-    if calibration.intrinsics is not None and size != (sensor.camera.width, sensor.camera.height):
-        camera = camera.resized(*size)
-    return replace(image, timestamp_ns=timestamp_ns, camera=camera, mount=mount)
-
-
-def _only_pose(path: Poses) -> RigidTransform | None:
-    """The pose that holds at all times; None where there are several."""
-    if len(path.timestamps_ns) > 1:
-        return None
-    return RigidTransform.from_quaternion(path.positions[0], path.quaternions_xyzw[0])
-
-
-def _rotated(sensor: CameraSensor, correction: Poses, shift_ns: int) -> CameraSensor:
-    """Put the correction behind the camera's poses and its mounting."""
-    constant = _only_pose(correction)
-    timestamps_ns = sensor.images.timestamps_ns + shift_ns
-    poses = None if sensor.poses is None else _behind(sensor.poses, correction, timestamps_ns)
-    if constant is not None:
-        mount = None if sensor.mount is None else sensor.mount @ constant
-        return replace(sensor, poses=poses, mount=mount)
-    if sensor.mount is None or poses is not None:
-        return replace(sensor, poses=poses, mount=None)
-    # a mounting that changes with time is stated by poses on the ego
-    mounted = Poses(
-        np.zeros(1, np.int64),
-        sensor.mount.translation[None],
-        sensor.mount.quaternion_xyzw[None],
-        static=True,
-    )
-    return replace(sensor, poses=_behind(mounted, correction, timestamps_ns), mount=None, coordinates=Coordinates.EGO)
-
-
-def _behind(path: Poses, correction: Poses, timestamps_ns: Int64Array) -> Poses:
-    """`path ∘ correction` at the times of both and of the images; beyond the correction its end poses hold."""
-    constant = len(correction.timestamps_ns) == 1
-    times_ns = path.timestamps_ns
-    if not constant:
-        times_ns = np.concatenate([correction.timestamps_ns, timestamps_ns])
-        if not path.static:
-            inside = (times_ns >= path.start_ns) & (times_ns <= path.stop_ns)
-            times_ns = np.concatenate([path.timestamps_ns, times_ns[inside]])
-        times_ns = np.unique(times_ns)
-    body = path.interpolate(times_ns)
-    diff = correction.held(times_ns)
-    return Poses(
-        times_ns,
-        rotate_vectors(body.quaternions_xyzw, diff.positions) + body.positions,
-        multiply_quaternions(body.quaternions_xyzw, diff.quaternions_xyzw),
-        static=path.static and constant,
-    )
-
-
-def _reaching(path: Poses, timestamps_ns: Int64Array, reach_ns: int) -> Poses:
-    """The path with poses at those timestamps that lie beyond its ends by no more than `reach_ns`."""
-    if path.static or len(path.timestamps_ns) < 2:
-        return path
-    beyond = np.unique(timestamps_ns[(timestamps_ns < path.start_ns) | (timestamps_ns > path.stop_ns)])
-    further = path.interpolate(beyond, reach_ns=reach_ns)
-    known = further.coverage <= 1
-    times = np.concatenate([path.timestamps_ns, beyond[known]])
-    order = np.argsort(times)
-    return Poses(
-        times[order],
-        np.concatenate([path.positions, further.positions[known]])[order],
-        np.concatenate([path.quaternions_xyzw, further.quaternions_xyzw[known]])[order],
-    )
-
-
-def _shifted_annotation(annotation: Annotation, sensor_id: Identifier, shift_ns: int) -> Annotation:
-    """Give an annotation whose times in the images of a camera follow these."""
-    key = key_of(sensor_id)
-    if isinstance(annotation, Box2DAnnotation | ShapeAnnotation):
-        if annotation.sensor_id is None or key_of(annotation.sensor_id) != key:
-            return annotation
-        if isinstance(annotation, ShapeAnnotation) and annotation.dimensions != 2:
-            return annotation
-        path: Any = replace(annotation.path, timestamps_ns=annotation.path.timestamps_ns + shift_ns)
-        return replace(annotation, path=path)
-    if isinstance(annotation, CuboidAnnotation):
-        return replace(
-            annotation,
-            activations=tuple(_shifted(entry, key, shift_ns) for entry in annotation.activations),
-            projections=tuple(_shifted(entry, key, shift_ns) for entry in annotation.projections),
-        )
-    if isinstance(annotation, PointsAnnotation):
-        projections = (tuple(_shifted(e, key, shift_ns) for e in entries) for entries in annotation.projections)
-        return replace(annotation, projections=tuple(projections))
-    return annotation
-
-
-def _shifted(entry: Any, key: Key, shift_ns: int) -> Any:
-    if key_of(entry.sensor_id) != key:
-        return entry
-    return replace(entry, timestamps_ns=entry.timestamps_ns + shift_ns)
-
-
-Correction = LocalizationAdjustment | CameraCalibration
-
-APPLIED = "applied"
-"""Our entry of the metadata that says which corrections were applied."""
+_Correction = LocalizationAdjustment | CameraCalibration
 
 
 def apply_corrections(
@@ -174,15 +42,15 @@ def apply_corrections(
     corrections: Iterable[Identifier] | None = None,
     annotations_in: Coordinates | str | None = None,
 ) -> Scene:
-    """Apply localization adjustments and camera calibrations, and take them away.
+    """Apply localization adjustments and camera calibrations, and remove them.
 
-    An adjustment takes locations in the world to where they belong, p' = A(t) p: points and poses at the time of their
+    An adjustment takes positions in the world to the corrected ones, p' = A(t) p: points and poses at the time of their
     frame, annotations at that of their keyframe; beyond its ends its end poses hold. In a scene in ego coordinates it
-    leads from the ego to the world, and reports the ego trajectory from then on. A calibration rotates a camera behind
-    its poses, replaces its camera model and moves the times of its images and of what is drawn in them.
+    leads from the ego to the world, and reports the ego trajectory from then on. A calibration composes with the
+    camera's poses, replaces its camera model and moves the times of its images and of what is drawn in them.
 
     Args:
-        scene: as it is.
+        scene: the scene.
         corrections: ids of the only annotations to apply; None for all adjustments and calibrations.
         annotations_in: "world" or "ego", where a scene in ego coordinates does not state in which frame its annotations
             are. None: "ego", with a warning.
@@ -206,7 +74,7 @@ def apply_corrections(
 
 
 def corrected_scene(scene: Scene) -> Scene:
-    """Give the scene with all that is to be applied applied, and a warning for each; what `Scene.corrected` calls.
+    """Give the scene with all pending corrections applied, and a warning for each; what `Scene.corrected` calls.
 
     Raises:
         OptionError, DataError: as of `apply_corrections`.
@@ -224,16 +92,15 @@ def corrected_scene(scene: Scene) -> Scene:
     return with_warnings(apply_corrections(scene, corrections=[c.id for c in pending]), reported)
 
 
-def _chosen(scene: Scene, wanted: Iterable[Identifier] | None) -> list[Correction]:
+def _chosen(scene: Scene, wanted: Iterable[Identifier] | None) -> list[_Correction]:
     there = [a for a in scene.annotations if isinstance(a, LocalizationAdjustment | CameraCalibration)]
     if wanted is not None:
-        known = {key_of(annotation.id): annotation for annotation in there}
-        ids = tuple(wanted)
-        unknown = [identifier for identifier in ids if key_of(identifier) not in known]
-        if unknown:
+        ids = {key_of(identifier): identifier for identifier in wanted}
+        if unknown := ids.keys() - {key_of(annotation.id) for annotation in there}:
+            name = next(identifier for key, identifier in ids.items() if key in unknown)
             names = ", ".join(repr(annotation.id) for annotation in there)
-            raise OptionError(f"{scene.source}: no correction {unknown[0]!r}; there are {names or 'none'}")
-        there = [annotation for annotation in there if key_of(annotation.id) in set(map(key_of, ids))]
+            raise OptionError(f"{scene.source}: no correction {name!r}; there are {names or 'none'}")
+        there = [annotation for annotation in there if key_of(annotation.id) in ids]
     if not there:
         raise OptionError(
             f"{scene.source}: nothing to apply; expected an annotation localization_adjustment or camera_calibration"
@@ -241,13 +108,16 @@ def _chosen(scene: Scene, wanted: Iterable[Identifier] | None) -> list[Correctio
     return there
 
 
-def _without(scene: Scene, correction: Correction, **further: Any) -> Scene:
-    """The scene without a correction that was applied, which the metadata report."""
-    earlier = ours_of(scene).get(APPLIED)
+def _without(scene: Scene, correction: _Correction, **further: Any) -> Scene:
+    """The scene without a correction that was applied, which the metadata list."""
+    earlier = ours_of(scene).get("applied")
     entry = {"id": correction.id, "type": correction.type, **further}
     left = tuple(a for a in scene.annotations if key_of(a.id) != key_of(correction.id))
     reported = [*(earlier if isinstance(earlier, list) else []), entry]
-    return with_ours(replace(scene, annotations=left), **{APPLIED: reported})
+    return with_ours(replace(scene, annotations=left), applied=reported)
+
+
+# Camera calibrations.
 
 
 def _calibrated(scene: Scene, calibration: CameraCalibration) -> Scene:
@@ -263,23 +133,130 @@ def _calibrated(scene: Scene, calibration: CameraCalibration) -> Scene:
         sensors=tuple(corrected if sensor is camera else sensor for sensor in scene.sensors),
         annotations=tuple(_shifted_annotation(a, camera.id, shift_ns) for a in scene.annotations),
     )
-    what = "projections into a camera that was corrected stay as they were drawn"
-    stale = assumed("projections-kept", f"sensors[{camera.id}]", what, count=_projections(scene, camera.id))
-    moved = calibration.poses is not None or calibration.intrinsics is not None
-    reported = with_warnings(changed, (stale,) if moved else ())
-    return _without(reported, calibration, sensor_id=camera.id)
+    if calibration.poses is not None or calibration.intrinsics is not None:
+        what, count = "projections into a corrected camera are kept as they are", _projections(scene, camera.id)
+        changed = with_warnings(changed, [assumed("projections-kept", f"sensors[{camera.id}]", what, count=count)])
+    return _without(changed, calibration, sensor_id=camera.id)
+
+
+def _calibrated_camera(sensor: CameraSensor, calibration: CameraCalibration) -> CameraSensor:
+    """Give a camera with its calibration applied.
+
+    world_from_camera' = world_from_camera D(t); the camera model is replaced; images were taken `time_offset` later
+    than their timestamps state. Poses report where the camera was at a time, so they keep theirs; where the corrected
+    images go beyond them by no more than the offset, they are extrapolated.
+
+    Source: "Camera Calibration Annotation" of the SFS description; READING of "camera_calibration" in
+    docs/CONVENTIONS.md.
+    """
+    shift_ns = round(calibration.time_offset_ns or 0)
+    timestamps_ns = sensor.images.timestamps_ns + shift_ns
+    rotated = sensor if calibration.poses is None else _rotated(sensor, calibration.poses, timestamps_ns)
+    size = sensor.camera.width, sensor.camera.height
+    images = sensor.images.mapped(partial(_calibrated_image, calibration, size), timestamps_ns=timestamps_ns)
+    poses = None if rotated.poses is None else _extrapolated(rotated.poses, timestamps_ns, abs(shift_ns))
+    return replace(rotated, camera=calibration.intrinsics or sensor.camera, images=images, poses=poses)
+
+
+def _calibrated_image(calibration: CameraCalibration, sensor_size: tuple[int, int], image: CameraImage) -> CameraImage:
+    """An image, not decoded, with its own mounting and camera model corrected."""
+    timestamp_ns = image.timestamp_ns + round(calibration.time_offset_ns or 0)
+    mount, camera = image.mount, calibration.intrinsics or image.camera
+    if mount is not None and calibration.poses is not None:
+        at = calibration.poses.held(np.array([timestamp_ns], np.int64))
+        mount = mount @ RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0])
+    size = image.camera.width, image.camera.height
+    if calibration.intrinsics is not None and size != sensor_size:
+        camera = camera.resized(*size)
+    return replace(image, timestamp_ns=timestamp_ns, camera=camera, mount=mount)
+
+
+def _rotated(sensor: CameraSensor, correction: Poses, timestamps_ns: Int64Array) -> CameraSensor:
+    """Compose the camera's poses and its mounting with the correction."""
+    mount, poses = sensor.mount, sensor.poses
+    if poses is not None:
+        poses = _composed(poses, correction, timestamps_ns)
+    if len(correction.timestamps_ns) == 1:
+        constant = RigidTransform.from_quaternion(correction.positions[0], correction.quaternions_xyzw[0])
+        return replace(sensor, poses=poses, mount=None if mount is None else mount @ constant)
+    if mount is None or poses is not None:
+        return replace(sensor, poses=poses, mount=None)
+    # a mounting that changes with time is stated by poses on the ego
+    mounted = Poses(np.zeros(1, np.int64), mount.translation[None], mount.quaternion_xyzw[None], static=True)
+    poses = _composed(mounted, correction, timestamps_ns)
+    return replace(sensor, poses=poses, mount=None, coordinates=Coordinates.EGO)
+
+
+def _composed(path: Poses, correction: Poses, timestamps_ns: Int64Array) -> Poses:
+    """`path ∘ correction` at the times of both and of the images; beyond the correction its end poses hold."""
+    constant = len(correction.timestamps_ns) == 1
+    times_ns = path.timestamps_ns
+    if not constant:
+        times_ns = np.concatenate([correction.timestamps_ns, timestamps_ns])
+        if not path.static:
+            inside = (times_ns >= path.start_ns) & (times_ns <= path.stop_ns)
+            times_ns = np.concatenate([path.timestamps_ns, times_ns[inside]])
+        times_ns = np.unique(times_ns)
+    body, offset = path.interpolate(times_ns), correction.held(times_ns)
+    return Poses(
+        times_ns,
+        rotate_vectors(body.quaternions_xyzw, offset.positions) + body.positions,
+        multiply_quaternions(body.quaternions_xyzw, offset.quaternions_xyzw),
+        static=path.static and constant,
+    )
+
+
+def _extrapolated(path: Poses, timestamps_ns: Int64Array, reach_ns: int) -> Poses:
+    """The path with poses at those timestamps that lie beyond its ends by no more than `reach_ns`."""
+    if path.static or len(path.timestamps_ns) < 2:
+        return path
+    beyond = np.unique(timestamps_ns[(timestamps_ns < path.start_ns) | (timestamps_ns > path.stop_ns)])
+    times_ns = np.union1d(path.timestamps_ns, beyond[path.interpolate(beyond, reach_ns=reach_ns).coverage <= 1])
+    if len(times_ns) == len(path.timestamps_ns):
+        return path
+    rows = np.searchsorted(times_ns, path.timestamps_ns)
+    poses = path.interpolate(times_ns, reach_ns=reach_ns)
+    positions, quaternions = poses.positions.copy(), poses.quaternions_xyzw.copy()
+    positions[rows], quaternions[rows] = path.positions, path.quaternions_xyzw
+    return Poses(times_ns, positions, quaternions)
+
+
+def _shifted_annotation(annotation: Annotation, sensor_id: Identifier, shift_ns: int) -> Annotation:
+    """Give an annotation whose times in the images of a camera follow these."""
+    key = key_of(sensor_id)
+
+    def shifted(entry: Any) -> Any:
+        if isinstance(entry, tuple):
+            return tuple(map(shifted, entry))
+        return replace(entry, timestamps_ns=entry.timestamps_ns + shift_ns) if key_of(entry.sensor_id) == key else entry
+
+    match annotation:
+        case Box2DAnnotation(path=path) | ShapeAnnotation(path=path, dimensions=2):
+            if annotation.sensor_id is not None and key_of(annotation.sensor_id) == key:
+                moved: Any = replace(path, timestamps_ns=path.timestamps_ns + shift_ns)
+                return replace(annotation, path=moved)
+        case CuboidAnnotation():
+            activations, projections = shifted(annotation.activations), shifted(annotation.projections)
+            return replace(annotation, activations=activations, projections=projections)
+        case PointsAnnotation():
+            return replace(annotation, projections=shifted(annotation.projections))
+    return annotation
 
 
 def _projections(scene: Scene, sensor_id: Identifier) -> int:
     """How many annotations have projections into a camera."""
     key, count = key_of(sensor_id), 0
     for annotation in scene.annotations:
+        seen: Iterable[Any] = ()
         if isinstance(annotation, CuboidAnnotation):
-            count += any(key_of(entry.sensor_id) == key for entry in annotation.projections)
+            seen = annotation.projections
         elif isinstance(annotation, PointsAnnotation):
             seen = (entry for entries in annotation.projections for entry in entries)
-            count += any(key_of(entry.sensor_id) == key for entry in seen)
+        count += any(key_of(entry.sensor_id) == key for entry in seen)
     return count
+
+
+# Localization adjustments.
 
 
 def _adjusted(scene: Scene, adjustment: LocalizationAdjustment, annotations_in: Coordinates | str | None) -> Scene:
@@ -287,20 +264,16 @@ def _adjusted(scene: Scene, adjustment: LocalizationAdjustment, annotations_in: 
     left = _without(scene, adjustment)
     if _frame(scene) is Coordinates.EGO:
         return _led_to_world(left, poses, annotations_in)
-    moved = moved_world(left, FrameChange(PoseSource(poses, RigidTransform.identity()), held=True))
+    moved = moved_world(left, FrameChange.along(poses, held=True))
     if len(poses.timestamps_ns) == 1 or not _only_mounted(scene):
         return moved
     # all sensors are on the ego, from which it leads to the world
-    trajectory = Trajectory(str(EGO_ID), poses.timestamps_ns, poses.positions, poses.quaternions_xyzw)
+    trajectory = Trajectory(EGO_ID, poses.timestamps_ns, poses.positions, poses.quaternions_xyzw)
     return replace(moved, trajectories={trajectory.name: trajectory})
 
 
 def _frame(scene: Scene) -> Coordinates:
-    """The frame that the sensors of a scene are in.
-
-    Raises:
-        OptionError: some are in the world and some on the ego.
-    """
+    """The frame that the sensors of a scene are in."""
     frames: dict[Coordinates, Identifier] = {}
     for sensor in scene.sensors:
         if isinstance(sensor, Posed) and sensor.poses is not None:
@@ -317,14 +290,15 @@ def _frame(scene: Scene) -> Coordinates:
 
 
 def _only_mounted(scene: Scene) -> bool:
-    """Whether sensors are mounted on the ego, and nothing says where it or any of them was in the world."""
+    """Whether sensors are mounted on the ego, and it is not stated where it or any of them was in the world."""
     placed = any(
-        isinstance(sensor, OdometrySensor) or getattr(sensor, "poses", None) is not None for sensor in scene.sensors
+        isinstance(sensor, OdometrySensor)
+        or getattr(sensor, "poses", None) is not None
+        or getattr(sensor, "points_frame", None) is PointsFrame.WORLD
+        for sensor in scene.sensors
     )
-    clouds = [sensor for sensor in scene.sensors if isinstance(sensor, LidarSensor | RadarSensor)]
-    in_world = any(sensor.points_frame is PointsFrame.WORLD for sensor in clouds)
     mounted = any(getattr(sensor, "mount", None) is not None for sensor in scene.sensors)
-    return mounted and not (placed or in_world or scene.trajectories)
+    return mounted and not placed and not scene.trajectories
 
 
 def _led_to_world(scene: Scene, world_from_ego: Poses, annotations_in: Coordinates | str | None) -> Scene:
@@ -335,31 +309,21 @@ def _led_to_world(scene: Scene, world_from_ego: Poses, annotations_in: Coordinat
         what = "the frame of the annotations is not stated; taken to be the ego frame, as that of the sensors"
         warnings.append(assumed("annotations-frame", "annotations", what))
     odometries = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
-    identifier = odometries[0].id if odometries else free_id(scene, EGO_ID)
-    ego = OdometrySensor(identifier, world_from_ego)
-    kept = tuple(sensor for sensor in scene.sensors if not isinstance(sensor, OdometrySensor))
+    bare = replace(scene, sensors=tuple(s for s in scene.sensors if not isinstance(s, OdometrySensor)))
+    led, identifier = with_odometry(bare, world_from_ego, wanted=odometries[0].id if odometries else EGO_ID)
     name = str(identifier)
-    times = world_from_ego
-    trajectory = Trajectory(name, times.timestamps_ns, times.positions, times.quaternions_xyzw)
-    others = _others_in_world(scene, odometries, world_from_ego, name)
-    led = replace(scene, sensors=(*kept, ego), trajectories={name: trajectory, **others})
-    return to_world(with_warnings(led, warnings), annotations_in=stated or Coordinates.EGO)
-
-
-def _others_in_world(
-    scene: Scene, odometries: list[OdometrySensor], world_from_ego: Poses, name: str
-) -> dict[str, Trajectory]:
-    """The other ways of the ego, in the world that the adjustment leads to: through the odometry that they join."""
-    if not odometries:
-        return {}
-    reach_ns = scene_period_ns(scene)
-    still = RigidTransform.identity()
-    onto_ego = FrameChange(None, PoseSource(odometries[0].poses, still, reach_ns))
-    into_world = FrameChange(PoseSource(world_from_ego, still, reach_ns))
-    moved: dict[str, Trajectory] = {}
-    for other, trajectory in scene.trajectories.items():
-        on_ego = None if other == name else moved_trajectory(trajectory, onto_ego)
-        there = None if on_ego is None else moved_trajectory(on_ego, into_world)
-        if there is not None:
-            moved[other] = there
-    return moved
+    trajectories = {
+        name: Trajectory(name, world_from_ego.timestamps_ns, world_from_ego.positions, world_from_ego.quaternions_xyzw)
+    }
+    if odometries:
+        # other trajectories of the ego go through the odometry that it had
+        identity, reach_ns = RigidTransform.identity(), scene_period_ns(scene)
+        onto_ego = FrameChange(None, PoseSource(odometries[0].poses, identity, reach_ns))
+        into_world = FrameChange(PoseSource(world_from_ego, identity, reach_ns))
+        for other, trajectory in scene.trajectories.items():
+            on_ego = None if other == name else onto_ego.trajectory(trajectory)
+            there = None if on_ego is None else into_world.trajectory(on_ego)
+            if there is not None:
+                trajectories[other] = there
+    led = with_warnings(replace(led, trajectories=trajectories), warnings)
+    return to_world(led, annotations_in=stated or Coordinates.EGO)

@@ -1,7 +1,7 @@
 """Scenes cropped in time, in space, to some sensors or to some labels."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -9,34 +9,24 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array
-from sceneloom.editing.move_points import (
-    KNOWN,
-    FrameChange,
-    OnPoints,
-    chosen_frames,
-    chosen_map,
-    points_change,
-    renumbered_frames,
-    renumbered_map,
-    with_chosen_points,
-)
-from sceneloom.editing.move_world import frames_ns
+from sceneloom.editing.move_world import FrameChange, points_change
 from sceneloom.editing.references import (
     OURS,
     NewIds,
     assumed,
-    attributes_of,
+    entries_of,
     metadata_of,
     ours_of,
+    recounted,
     skipped,
     with_annotation_ids,
     with_ours,
     with_sensor_ids,
     with_sensor_parent,
     with_warnings,
-    without_cameras,
 )
 from sceneloom.editing.retime import LINES, SHARED, TEXTS, streams_of
+from sceneloom.editing.thin import OnPoints, with_map_points, with_points
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import ego_motion_as_given
@@ -44,7 +34,6 @@ from sceneloom.scene.annotations import (
     Annotation,
     CameraCalibration,
     CuboidAnnotation,
-    CuboidPath,
     LinkAnnotation,
     LocalizationAdjustment,
     PlainAnnotation,
@@ -55,35 +44,82 @@ from sceneloom.scene.annotations import (
 from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame, cuboid_at, point_at, shape_at
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
-from sceneloom.scene.ego import EgoMotion, Posed, sensor_source
+from sceneloom.scene.ego import EgoMotion, Posed, frames_ns, sensor_source
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.scene import Scene, Sensor, scene_period_ns
-from sceneloom.scene.time_range import (
-    Interval,
-    Renumbering,
-    chosen_interval,
-    cut_scene,
-    renumbered,
-    select_rows,
-)
+from sceneloom.scene.time_range import Interval, Renumbering, chosen_interval, cut_scene, renumbered, select_rows
 from sceneloom.scene.types import Coordinates, Identifier, Key, PointsFrame, key_of
 from sceneloom.warnings import DataWarning
 
+_CHOICES = ("a time (start, stop)", "a space (box, range)", "sensors", "sensors to do without", "labels")
 
-def _with_sensors_chosen(
-    scene: Scene, *, sensors: Iterable[Identifier] | None = None, without: Iterable[Identifier] = ()
+
+def crop_scene(
+    scene: Scene,
+    *,
+    start: float | None = None,
+    stop: float | None = None,
+    box: Sequence[float] | None = None,
+    frame: PointsFrame | str = PointsFrame.WORLD,
+    reach: float | None = None,
+    sensors: Iterable[Identifier] | None = None,
+    without: Iterable[Identifier] = (),
+    labels: Iterable[str] | None = None,
+    trajectory: str | None = None,
+    heading: str | None = None,
+    on_points: OnPoints | None = None,
 ) -> Scene:
-    """Give a scene with some of its sensors, and without what is stated for the others.
+    """Give a part of a scene; points are chosen when frames are read, frames with labelled points now.
+
+    In space a point stays that lies inside; a cuboid whose centre is inside at some time, its path cut to that time and
+    a keyframe around it; a shape or keypoints any of whose vertices is inside at some time, whole.
 
     Args:
-        scene: as it is.
-        sensors: ids of those that stay; None for all.
-        without: ids of those that go all the same.
+        scene: the scene.
+        start: seconds after the scene's first timestamp, None for the beginning.
+        stop: seconds after it, exclusive, None for the end.
+        box: least x, y, z and greatest x, y, z [m], the faces included.
+        frame: along whose axes the box lies: "world", or of each frame's time "ego" or "sensor", where annotations and
+            maps stay that are in the box of any lidar or radar.
+        reach: greatest distance from the ego where `frame` is "ego", else from the sensor [m].
+        sensors: ids of the only sensors that stay; None for all.
+        without: ids of sensors to leave out.
+        labels: of the only annotations that stay, with their parents; None for all.
+        trajectory: name of the ego trajectory, where it is needed; None for the default.
+        heading: "motion" to derive orientations where the trajectory has positions only.
+        on_points: called for each frame that is read.
 
     Raises:
-        OptionError: there is no such sensor, none is left, or one that is left refers to an ego that is gone.
+        OptionError: a value is invalid, there is nothing to do, or nothing is left.
+        PoseError: the poses that this needs are not known.
+        DataError: a frame that this needs cannot be read.
     """
+    if frame not in tuple(PointsFrame):
+        raise OptionError(f"frame {frame!r}; expected one of {', '.join(PointsFrame)}")
+    gone = tuple(without)
+    if not gone and all(stated is None for stated in (start, stop, box, reach, sensors, labels)):
+        raise OptionError(f"nothing to crop by; expected one of {', '.join(_CHOICES)}")
+    regions = [] if box is None else [_Region(PointsFrame(frame), box=tuple(box))]
+    if reach is not None:
+        around = PointsFrame.EGO if frame == PointsFrame.EGO else PointsFrame.SENSOR
+        regions.append(_Region(around, reach=reach))
+    cut = scene if sensors is None and not gone else _with_sensors(scene, sensors, gone)
+    part = chosen_interval(cut, start=start, stop=stop)
+    cut = cut_scene(cut, start=start, stop=stop)
+    cut = replace(cut, metadata=_cut_lines(cut, part))
+    if labels is not None:
+        cut = _with_labels(cut, labels)
+    if not regions:
+        return cut
+    ego = _ego_if_needed(cut, regions, trajectory, heading)
+    cropped = _SpaceCrop(cut, ego, tuple(regions), on_points).cropped()
+    stated = {"box": None if box is None else list(box), "frame": PointsFrame(frame).value, "range": reach}
+    return with_ours(cropped, cropped={name: value for name, value in stated.items() if value is not None})
+
+
+def _with_sensors(scene: Scene, sensors: Iterable[Identifier] | None, without: Iterable[Identifier]) -> Scene:
+    """Give a scene with some of its sensors (None for all), and without what is stated for the others."""
     wanted = {key_of(s.id) for s in scene.sensors}
     if sensors is not None:
         wanted = {key_of(scene.sensor(identifier).id) for identifier in sensors}
@@ -93,10 +129,14 @@ def _with_sensors_chosen(
     ids = NewIds({key_of(s.id): None for s in scene.sensors if key_of(s.id) not in wanted})
     if not ids.changed:
         return scene
-    kept = tuple(with_sensor_parent(s, ids) for s in scene.sensors if key_of(s.id) in wanted)
+    kept = [with_sensor_parent(s, ids) for s in scene.sensors if key_of(s.id) in wanted]
     _check_ego(scene, kept, ids)
-    attributes = attributes_of(scene.attributes, ids)
-    cut = replace(scene, sensors=kept, attributes=attributes)
+    order = {key_of(camera.id): k for k, camera in enumerate(s for s in kept if isinstance(s, CameraSensor))}
+    numbers = {k: order[key_of(one.id)] for k, one in enumerate(scene.cameras) if key_of(one.id) in order}
+    lost_cameras = len(scene.cameras) - len(numbers)
+    if lost_cameras:
+        kept = [recounted(sensor, numbers) if isinstance(sensor, LidarSensor) else sensor for sensor in kept]
+    cut = replace(scene, sensors=tuple(kept), attributes=entries_of(scene.attributes, ids))
     cut = _with_annotations(cut, [with_sensor_ids(annotation, ids) for annotation in scene.annotations])
     ours = metadata_of(ours_of(scene), ids)
     if ours:
@@ -105,61 +145,53 @@ def _with_sensors_chosen(
     colours = assumed(
         "colours-kept",
         "sensors[].frames[].points.camera_index",
-        "points keep the colours that a camera that was left out gave them, without saying which it was",
-        count=sum(isinstance(s, CameraSensor) and ids.gone(s.id) for s in scene.sensors),
+        "points keep the colours of a camera that was left out, without naming it",
+        count=lost_cameras if any(isinstance(sensor, LidarSensor) for sensor in kept) else 0,
     )
-    clouds = any(isinstance(sensor, LidarSensor) for sensor in kept)
-    return with_warnings(without_cameras(scene, cut), (reported, *((colours,) if clouds else ())))
+    return with_warnings(cut, (reported, colours))
 
 
-def _check_ego(scene: Scene, kept: tuple[object, ...], ids: NewIds) -> None:
+def _check_ego(scene: Scene, kept: list[Sensor], ids: NewIds) -> None:
     gone = [s for s in scene.sensors if isinstance(s, OdometrySensor) and ids.gone(s.id)]
-    left = any(isinstance(sensor, OdometrySensor) for sensor in kept)
-    for sensor in kept if gone else ():
-        if isinstance(sensor, Posed) and sensor.coordinates is Coordinates.EGO and not left:
+    if not gone or any(isinstance(sensor, OdometrySensor) for sensor in kept):
+        return
+    for sensor in kept:
+        if isinstance(sensor, Posed) and sensor.coordinates is Coordinates.EGO:
             raise OptionError(
                 f"{scene.source}: sensor {sensor.id!r} is in ego coordinates and needs the odometry "
                 f"sensor {gone[0].id!r}; bring the scene into the world first: `sceneloom edit to-world`"
             )
 
 
-def _with_annotations(scene: Scene, found: list[Annotation | None]) -> Scene:
-    """Give a scene whose annotations became these, None for one that is gone; links to it and its role as parent go.
+def _with_annotations(scene: Scene, found: Sequence[Annotation | None]) -> Scene:
+    """Give a scene whose annotations became these, None for one that is gone, with links to it and its role as parent.
 
     Args:
         scene: with all annotations.
         found: one for each of them.
     """
-    gone: dict[Key, Identifier | None] = {}
-    for annotation, new in zip(scene.annotations, found, strict=True):
-        if new is None:
-            gone[key_of(annotation.id)] = None
+    gone = [old for old, new in zip(scene.annotations, found, strict=True) if new is None]
     kept = tuple(annotation for annotation in found if annotation is not None)
     if not gone:
         return replace(scene, annotations=kept)
-    ids = NewIds(gone)
-    orphans = sum(ids.gone(annotation.parent_id) for annotation in kept)
+    ids = NewIds({key_of(annotation.id): None for annotation in gone})
     freed = [with_annotation_ids(annotation, ids) for annotation in kept]
     left = tuple(annotation for annotation in freed if annotation is not None)
+    orphans = sum(ids.gone(annotation.parent_id) for annotation in kept)
     reported = (
-        ("annotations", "annotations that are not in it any more", len(gone)),
-        ("links", "links to annotations that are not in it any more", len(kept) - len(left)),
-        ("parents", "names of parents that are not in it any more", orphans),
+        ("annotations", "annotations that are no longer in the scene", len(gone)),
+        ("links", "links to annotations that are no longer in the scene", len(kept) - len(left)),
+        ("parents", "references to parents that are no longer in the scene", orphans),
     )
     warnings = [skipped(f"{what}-left-out", "annotations", message, count=n) for what, message, n in reported]
     return with_warnings(replace(scene, annotations=left), warnings)
 
 
-def _with_labels_chosen(scene: Scene, labels: Iterable[str]) -> Scene:
-    """Give a scene with the annotations of these labels, their parents, links between them, and all corrections.
-
-    Raises:
-        OptionError: no annotation has such a label.
-    """
+def _with_labels(scene: Scene, labels: Iterable[str]) -> Scene:
+    """Give a scene with the annotations of these labels, their parents, links between them, and all corrections."""
     wanted = frozenset(labels)
     stated = {_label(annotation) for annotation in scene.annotations}
-    unknown = sorted(wanted - stated)
-    if unknown:
+    if unknown := sorted(wanted - stated):
         known = ", ".join(sorted(repr(label) for label in stated if label is not None))
         raise OptionError(f"{scene.source}: no annotation has the label {unknown[0]!r}; there are {known or 'none'}")
     kept = {key_of(a.id) for a in scene.annotations if _label(a) in wanted}
@@ -169,19 +201,13 @@ def _with_labels_chosen(scene: Scene, labels: Iterable[str]) -> Scene:
         while parent is not None and key_of(parent) not in kept and key_of(parent) in parents:
             kept.add(key_of(parent))
             parent = parents[key_of(parent)]
-    links = {
-        key_of(a.id)
-        for a in scene.annotations
-        if isinstance(a, LinkAnnotation) and key_of(a.from_id) in kept and key_of(a.to_id) in kept
-    }
-    corrections = (LocalizationAdjustment, CameraCalibration)
-    return _with_annotations(
-        scene,
-        [
-            a if key_of(a.id) in kept or key_of(a.id) in links or isinstance(a, corrections) else None
-            for a in scene.annotations
-        ],
-    )
+
+    def stays(annotation: Annotation) -> bool:
+        if isinstance(annotation, LinkAnnotation) and {key_of(annotation.from_id), key_of(annotation.to_id)} <= kept:
+            return True
+        return key_of(annotation.id) in kept or isinstance(annotation, LocalizationAdjustment | CameraCalibration)
+
+    return _with_annotations(scene, [a if stays(a) else None for a in scene.annotations])
 
 
 def _label(annotation: Annotation) -> str | None:
@@ -189,6 +215,20 @@ def _label(annotation: Annotation) -> str | None:
         label = annotation.fields.get("label")
         return label if isinstance(label, str) else None
     return getattr(annotation, "label", None)
+
+
+def _ego_if_needed(
+    scene: Scene, regions: Iterable["_Region"], trajectory: str | None, heading: str | None
+) -> EgoMotion | None:
+    posed = [s for s in scene.sensors if isinstance(s, Posed)]
+    on_ego = any(s.mount is not None or s.coordinates is Coordinates.EGO for s in posed)
+    asked = any(region.frame is PointsFrame.EGO for region in regions)
+    if trajectory is None and not asked and not (on_ego and scene.trajectories):
+        return None
+    return ego_motion_as_given(scene, name=trajectory, heading=heading)
+
+
+# In space.
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,17 +246,14 @@ class _Region:
     reach: float | None = None
 
     def __post_init__(self) -> None:
-        if self.box is not None:
-            fits = len(self.box) == 6 and all(low <= high for low, high in zip(self.box[:3], self.box[3:], strict=True))
-            if not fits:
-                raise OptionError(
-                    f"box {self.box}; expected xmin,ymin,zmin,xmax,ymax,zmax, each minimum at most the maximum"
-                )
+        box = self.box
+        if box is not None and not (len(box) == 6 and all(a <= b for a, b in zip(box[:3], box[3:], strict=True))):
+            raise OptionError(f"box {box}; expected xmin,ymin,zmin,xmax,ymax,zmax, each minimum at most the maximum")
         if self.reach is not None and not self.reach > 0:
             raise OptionError(f"range {self.reach}; expected a positive number of metres")
 
-    def holds(self, points: FloatArray) -> BoolArray:
-        """Report which points (..., 3) [m] of the frame lie in it; one that is not finite does not."""
+    def contains(self, points: FloatArray) -> BoolArray:
+        """Report which points (..., 3) [m] of the frame lie in it; non-finite ones do not."""
         inside: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
         if self.box is not None:
             inside &= (points >= self.box[:3]).all(axis=-1) & (points <= self.box[3:]).all(axis=-1)
@@ -225,144 +262,176 @@ class _Region:
         return inside
 
 
-_Placed = tuple[_Region, FrameChange | None]
-"""A region, and what takes locations into its frame; None where they are in it."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _FrameChoice:
-    """Chooses the points of frames that lie in all of some regions."""
+class _Regions:
+    """Regions that a point must be in all of, each with what takes positions into its frame; None: they are in it."""
 
-    regions: tuple[_Placed, ...]
+    placed: tuple[tuple[_Region, FrameChange | None], ...]
+
+    def contain(self, times_ns: Int64Array, positions: FloatArray) -> BoolArray:
+        """Report which positions (M, V, 3) [m] at times (M,) lie inside; none do where a change is not known."""
+        exact = np.asarray(positions, np.float64)
+        inside = np.ones(exact.shape[:-1], np.bool_)
+        for region, change in self.placed:
+            inside &= region.contains(exact if change is None else change.positions(times_ns, exact))
+        return inside
+
+    def known(self, times_ns: Int64Array) -> Int64Array:
+        """The rows of the times at which all changes are known."""
+        known = np.ones(len(times_ns), np.bool_)
+        for _, change in self.placed:
+            known &= True if change is None else change.is_known(times_ns)
+        return np.flatnonzero(known)
+
+    @property
+    def constant(self) -> bool:
+        """Whether they are the same at all times."""
+        return all(change is None or change.is_constant for _, change in self.placed)
 
     def __call__(self, frame: LidarFrame | RadarFrame) -> Int64Array:
-        """The rows that stay of a frame, at whose time the changes are known."""
-        return np.flatnonzero(_held_at(self.regions, frame.timestamp_ns, frame.points.positions))
+        """The rows of a frame's points that lie inside."""
+        times_ns = np.array([frame.timestamp_ns], np.int64)
+        return np.flatnonzero(self.contain(times_ns, frame.points.positions[None])[0])
 
 
-def _held_at(regions: tuple[_Placed, ...], timestamp_ns: int, locations: FloatArray) -> BoolArray:
-    """Report which locations (N, 3) [m] lie in all regions at a time at which the changes are known."""
-    exact = np.asarray(locations, np.float64)
-    inside = np.ones(len(exact), np.bool_)
-    for region, change in regions:
-        inside &= region.holds(exact if change is None else change.transform(timestamp_ns).apply(exact))
-    return inside
-
-
-def _ever_held(alternatives: tuple[tuple[_Placed, ...], ...], times_ns: Int64Array, locations: FloatArray) -> BoolArray:
-    """Report at which times a thing lies in all regions of any alternative.
-
-    Args:
-        alternatives: regions around the world, the ego, or one sensor each.
-        times_ns: (M,) int64 [ns].
-        locations: (M, V, 3) [m], of its V vertices at each time; NaN where it is not there.
-
-    Returns:
-        (M,) bool, where any vertex lies inside; not where a change is not known.
-    """
-    found = np.zeros(len(times_ns), np.bool_)
-    for regions in alternatives:
-        inside = np.ones(locations.shape[:2], np.bool_)
-        for region, change in regions:
-            if change is None:
-                inside &= region.holds(locations)
-            else:
-                known = change.at(times_ns).coverage <= KNOWN
-                inside &= region.holds(change.locations(times_ns, locations)) & known[:, None]
-        found |= inside.any(axis=1)
-    return found
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class _SpaceCrop:
-    """Keeps the annotations that lie in a region at some time.
+    """Crops one scene in space."""
 
-    Attributes:
-        alternatives: the region around the world, the ego, or each of the sensors.
-        times_ns: (T,) int64 [ns], ascending: of the scene's frames. A thing is looked at at these and at its keyframes.
-        angles: how the angles of cuboids are meant.
-    """
+    scene: Scene
+    ego: EgoMotion | None
+    regions: tuple[_Region, ...]
+    on_points: OnPoints | None
+    angles: CuboidAngles = field(init=False)
+    frames_ns: Int64Array = field(init=False)
+    changes: dict[Key, Renumbering] = field(default_factory=dict)
+    warnings: list[DataWarning] = field(default_factory=list)
 
-    alternatives: tuple[tuple[_Placed, ...], ...]
-    times_ns: Int64Array
-    angles: CuboidAngles
+    def __post_init__(self) -> None:
+        self.angles, self.frames_ns = CuboidAngles.of(self.scene), frames_ns(self.scene)
 
-    def __call__(self, annotation: Annotation) -> Annotation | None:
+    def cropped(self) -> Scene:
+        sensors = tuple(self._sensor(sensor) for sensor in self.scene.sensors)
+        around = self._around(annotations_frame(self.scene))
+        cut = _with_annotations(self.scene, [self._annotation(around, one) for one in self.scene.annotations])
+        annotations, reported = renumbered(cut.annotations, self.changes)
+        return with_warnings(replace(cut, sensors=sensors, annotations=annotations), (*self.warnings, *reported))
+
+    def _sensor(self, sensor: Sensor) -> Sensor:
+        key = key_of(sensor.id)
+        if isinstance(sensor, PointsSensor):
+            sensor, self.changes[key] = with_map_points(sensor, np.flatnonzero(self._map_inside(sensor.positions)))
+        elif isinstance(sensor, LidarSensor | RadarSensor):
+            reach_ns = scene_period_ns(self.scene)
+            changes = [points_change(self.scene, sensor, self.ego, r.frame, reach_ns=reach_ns) for r in self.regions]
+            regions = _Regions(tuple(zip(self.regions, changes, strict=True)))
+            numbers = regions.known(sensor.frames.timestamps_ns)
+            lost, location = len(sensor.frames) - len(numbers), f"sensors[{sensor.id}].frames"
+            what = "frames at whose time the ego trajectory is not known"
+            self.warnings.append(skipped("frames-beyond-the-trajectory", location, what, count=lost))
+            sensor, self.changes[key] = with_points(sensor, numbers, regions, self.on_points)
+        return sensor
+
+    def _around(self, old: Coordinates) -> list[_Regions]:
+        """The regions for positions in the world or on the ego: around each lidar and radar, if in sensor frames."""
+        if all(region.frame is not PointsFrame.SENSOR for region in self.regions):
+            return [self._regions(old, None)]
+        clouds = [s for s in self.scene.sensors if isinstance(s, LidarSensor | RadarSensor)]
+        if not clouds:
+            raise OptionError(f"{self.scene.source}: no lidar or radar in it whose frame or distance could be meant")
+        return [self._regions(old, sensor) for sensor in clouds]
+
+    def _regions(self, old: Coordinates, sensor: LidarSensor | RadarSensor | None) -> _Regions:
+        placed = [
+            (
+                region,
+                None
+                if old.value == region.frame.value
+                else FrameChange(self._in_world(PointsFrame(old.value), None), self._in_world(region.frame, sensor)),
+            )
+            for region in self.regions
+        ]
+        return _Regions(tuple(placed))
+
+    def _in_world(self, frame: PointsFrame, sensor: LidarSensor | RadarSensor | None) -> PoseSource | None:
+        """The pose of a frame in the world; None of the world itself."""
+        reach_ns = scene_period_ns(self.scene)
+        if frame is PointsFrame.WORLD:
+            return None
+        if sensor is not None and frame is PointsFrame.SENSOR:
+            return sensor_source(self.scene, sensor, self.ego, reach_ns=reach_ns)
+        ego = ego_motion_as_given(self.scene) if self.ego is None else self.ego
+        return PoseSource(ego.path, RigidTransform.identity(), reach_ns)
+
+    def _map_inside(self, positions: Float32Array) -> BoolArray:
+        """Report which points of a map lie inside at any time."""
+        inside = np.zeros(len(positions), np.bool_)
+        for regions in self._around(Coordinates.WORLD):
+            times_ns = np.zeros(1, np.int64) if regions.constant else self.frames_ns
+            for k in regions.known(times_ns).tolist():
+                left = np.flatnonzero(~inside)
+                inside[left] = regions.contain(times_ns[k : k + 1], positions[None, left])[0]
+        return inside
+
+    def _annotation(self, around: list[_Regions], annotation: Annotation) -> Annotation | None:
         """Give the annotation, its path cut if it is a cuboid; None where it is never inside."""
-        crop = next((crop for kind, crop in _CROPS.items() if isinstance(annotation, kind)), None)
-        return annotation if crop is None else crop(self, annotation)
+        times: list[Int64Array] = []
+        positions: list[Float64Array] = []
+        stationary = bool(getattr(annotation, "stationary", None))
+        match annotation:
+            case CuboidAnnotation(path=path) if len(path.timestamps_ns):
+                times = [self._looks(path.timestamps_ns, stationary=stationary)]
+                positions = [cuboid_at(annotation, times[0], angles=self.angles)[0][:, None, 3:6]]
+            case ShapeAnnotation(path=path) if annotation.dimensions == 3 and len(path.timestamps_ns):
+                times = [self._looks(path.timestamps_ns, stationary=stationary)]
+                found = shape_at(annotation, times[0])
+                widest = max((len(vertices) for vertices in found if vertices is not None), default=0)
+                positions = [np.full((len(found), widest, 3), np.nan)]
+                for row, vertices in zip(positions[0], found, strict=True):
+                    if vertices is not None:
+                        row[: len(vertices)] = vertices
+            case PointsAnnotation():
+                paths = [p for p in annotation.paths if len(p.timestamps_ns) and p.values.shape[1] % 3 == 0]
+                times = [self._looks(path.timestamps_ns, stationary=stationary) for path in paths]
+                pairs = zip(paths, times, strict=True)
+                positions = [locations_of(point_at(path, at, stationary=stationary)[0]) for path, at in pairs]
+        inside = [
+            np.any([regions.contain(at, there).any(axis=1) for regions in around], axis=0)
+            for at, there in zip(times, positions, strict=True)
+        ]
+        if inside and not any(one.any() for one in inside):
+            return None
+        if not isinstance(annotation, CuboidAnnotation) or not inside or stationary or inside[0].all():
+            return annotation
+        return _cut_cuboid(annotation, *times[0][np.flatnonzero(inside[0])[[0, -1]]].tolist())
 
-    def looks(self, timestamps_ns: Int64Array, *, stationary: bool) -> Int64Array:
-        """The times at which a path is looked at."""
-        times = self.times_ns
+    def _looks(self, timestamps_ns: Int64Array, *, stationary: bool) -> Int64Array:
+        """The times at which a path is looked at: of its keyframes and of the scene's frames."""
+        times = self.frames_ns
         if not stationary:
             times = times[(times >= timestamps_ns.min()) & (times <= timestamps_ns.max())]
         return np.union1d(timestamps_ns, times)
 
-    def inside(self, times_ns: Int64Array, locations: Float64Array) -> BoolArray:
-        """Report at which times a thing with vertices (M, V, 3) is inside."""
-        return _ever_held(self.alternatives, times_ns, locations)
 
+def _cut_cuboid(annotation: CuboidAnnotation, first_ns: int, last_ns: int) -> CuboidAnnotation:
+    """Cut a cuboid to a time, and one keyframe before and after it, so that nothing changes in between."""
+    timestamps_ns = annotation.path.timestamps_ns
+    first = max(int(np.searchsorted(timestamps_ns, first_ns, side="right")) - 1, 0)
+    last = min(int(np.searchsorted(timestamps_ns, last_ns)), len(timestamps_ns) - 1)
+    start_ns, stop_ns = timestamps_ns[[first, last]]
 
-def _cropped_cuboid(crop: _SpaceCrop, annotation: CuboidAnnotation) -> CuboidAnnotation | None:
-    path, stationary = annotation.path, bool(annotation.stationary)
-    if len(path.timestamps_ns) == 0:
-        return annotation
-    times = crop.looks(path.timestamps_ns, stationary=stationary)
-    centers = cuboid_at(annotation, times, angles=crop.angles)[0][:, 3:6]
-    inside = np.flatnonzero(crop.inside(times, centers[:, None]))
-    if len(inside) == 0:
-        return None
-    if stationary or len(inside) == len(times):
-        return annotation
-    timestamps_ns = path.timestamps_ns
-    # one keyframe before and one after, so that nothing changes in between
-    first = max(int(np.searchsorted(timestamps_ns, times[inside[0]], side="right")) - 1, 0)
-    last = min(int(np.searchsorted(timestamps_ns, times[inside[-1]])), len(timestamps_ns) - 1)
-    cut = CuboidPath(timestamps_ns[first : last + 1], path.values[first : last + 1], path.extras)
+    def cut(entry: Any) -> Any:
+        return select_rows(entry, (entry.timestamps_ns >= start_ns) & (entry.timestamps_ns <= stop_ns))
+
     return replace(
         annotation,
-        path=cut,
-        activations=tuple(_between(entry, cut.timestamps_ns) for entry in annotation.activations),
-        projections=tuple(_between(entry, cut.timestamps_ns) for entry in annotation.projections),
+        path=select_rows(annotation.path, slice(first, last + 1)),
+        activations=tuple(map(cut, annotation.activations)),
+        projections=tuple(map(cut, annotation.projections)),
     )
 
 
-def _between(entry: Any, timestamps_ns: Int64Array) -> Any:
-    """Of an activation or a projection what lies between the first and the last keyframe."""
-    kept = (entry.timestamps_ns >= timestamps_ns[0]) & (entry.timestamps_ns <= timestamps_ns[-1])
-    return select_rows(entry, np.flatnonzero(kept))
-
-
-def _cropped_shape(crop: _SpaceCrop, annotation: ShapeAnnotation) -> ShapeAnnotation | None:
-    timestamps_ns = annotation.path.timestamps_ns
-    if annotation.dimensions == 2 or len(timestamps_ns) == 0:
-        return annotation
-    times = crop.looks(timestamps_ns, stationary=bool(annotation.stationary))
-    found = shape_at(annotation, times)
-    widest = max((len(vertices) for vertices in found if vertices is not None), default=0)
-    locations = np.full((len(times), widest, 3), np.nan)
-    for row, vertices in zip(locations, found, strict=True):
-        if vertices is not None:
-            row[: len(vertices)] = vertices
-    return annotation if crop.inside(times, locations).any() else None
-
-
-def _cropped_points(crop: _SpaceCrop, annotation: PointsAnnotation) -> PointsAnnotation | None:
-    stationary = bool(annotation.stationary)
-    placed = [p for p in annotation.paths if len(p.timestamps_ns) and p.values.shape[1] % 3 == 0]
-    for path in placed:
-        times = crop.looks(path.timestamps_ns, stationary=stationary)
-        locations = locations_of(point_at(path, times, stationary=stationary)[0])
-        if crop.inside(times, locations).any():
-            return annotation
-    return None if placed else annotation
-
-
-_CROPS: Mapping[type, Callable[[_SpaceCrop, Any], Annotation | None]] = MappingProxyType(
-    {CuboidAnnotation: _cropped_cuboid, ShapeAnnotation: _cropped_shape, PointsAnnotation: _cropped_points}
-)
-"""How the annotations that have a location in space are cropped; the others stay."""
+# Lines of recordings that are kept as text.
 
 _OTHER, _ANCHORS, _FRAMES = "other_lines", "other_seconds", "frame_lines"
 
@@ -370,8 +439,7 @@ _OTHER, _ANCHORS, _FRAMES = "other_lines", "other_seconds", "frame_lines"
 def _cut_lines(scene: Scene, part: Interval | None) -> Mapping[str, Any]:
     """Give a scene's metadata without lines of other times, and of sensors and trajectories that are gone.
 
-    Lines of unknown content stay where their time does, those without one where that of the line before does: it is not
-    known what they are of.
+    Unknown lines stay where their time does, those without one where that of the line before does.
 
     Args:
         scene: the part that stays.
@@ -399,23 +467,23 @@ def _cut_lines(scene: Scene, part: Interval | None) -> Mapping[str, Any]:
 
 
 def _other_lines(kept: Mapping[str, Any], part: Interval | None) -> dict[str, Any]:
-    """Lines that nothing computes with, with the times of those that have none of their own."""
+    """Unknown lines, with the times of those that have none of their own."""
     lines, anchors = kept.get(_OTHER), kept.get(_ANCHORS)
     if part is None or not isinstance(lines, list):
         return {}
     seconds = anchors if isinstance(anchors, Mapping) else {}
     chosen = []
-    for location, text in enumerate(lines):
-        anchor = seconds.get(str(location))
+    for number, text in enumerate(lines):
+        anchor = seconds.get(str(number))
         time = anchor if anchor is not None else _seconds_of(text)
-        if time is None or _is_inside(round(time * 1e9), part):
+        if time is None or part[0] <= round(time * 1e9) < part[1]:
             chosen.append((text, anchor))
-    found = {str(location): anchor for location, (_, anchor) in enumerate(chosen) if anchor is not None}
+    found = {str(number): anchor for number, (_, anchor) in enumerate(chosen) if anchor is not None}
     return {_OTHER: [text for text, _ in chosen], **({_ANCHORS: found} if _ANCHORS in kept else {})}
 
 
 def _stays(line: Any, there: set[str], part: Interval | None) -> bool:
-    """Whether a line that several streams have a part in is of the part, and of streams all of which stay."""
+    """Whether a line of several streams is of the part, and of streams all of which stay."""
     records = line.get("records") if isinstance(line, Mapping) else None
     pairs = [record for record in records or () if len(record) == 2]
     return all(stream in there and _is_key_inside(key, part) for stream, key in pairs)
@@ -423,11 +491,7 @@ def _stays(line: Any, there: set[str], part: Interval | None) -> bool:
 
 def _is_key_inside(key: str, part: Interval | None) -> bool:
     timestamp = key.partition("#")[0]
-    return part is None or (timestamp.removeprefix("-").isdecimal() and _is_inside(int(timestamp), part))
-
-
-def _is_inside(time_ns: int, part: Interval) -> bool:
-    return part[0] <= time_ns < part[1]
+    return part is None or (timestamp.removeprefix("-").isdecimal() and part[0] <= int(timestamp) < part[1])
 
 
 def _seconds_of(text: Any) -> float | None:
@@ -437,183 +501,3 @@ def _seconds_of(text: Any) -> float | None:
         return None
     seconds = line.get("time") if isinstance(line, dict) else None
     return float(seconds) if isinstance(seconds, int | float) and abs(seconds) < 9.2e9 else None
-
-
-_CHOICES = ("a time (start, stop)", "a space (box, range)", "sensors", "sensors to do without", "labels")
-
-
-def crop_scene(
-    scene: Scene,
-    *,
-    start: float | None = None,
-    stop: float | None = None,
-    box: Sequence[float] | None = None,
-    frame: PointsFrame | str = PointsFrame.WORLD,
-    reach: float | None = None,
-    sensors: Iterable[Identifier] | None = None,
-    without: Iterable[Identifier] = (),
-    labels: Iterable[str] | None = None,
-    trajectory: str | None = None,
-    heading: str | None = None,
-    on_points: OnPoints | None = None,
-) -> Scene:
-    """Give a part of a scene; points are chosen when frames are read, frames with labelled points now.
-
-    In space a point stays that lies inside; a cuboid whose centre is inside at some time, its path cut to that time and
-    a keyframe around it; a shape or named points any of whose vertices is inside at some time, whole.
-
-    Args:
-        scene: as it is.
-        start: seconds after the scene's first timestamp, None for the beginning.
-        stop: seconds after it, exclusive, None for the end.
-        box: least x, y, z and greatest x, y, z [m], the faces included.
-        frame: along whose axes the box lies: "world", or of each frame's time "ego" or "sensor", where annotations and
-            maps stay that are in the box of any lidar or radar.
-        reach: greatest distance from the ego where `frame` is "ego", else from the sensor [m].
-        sensors: ids of the only sensors that stay; None for all.
-        without: ids of sensors that go.
-        labels: of the only annotations that stay, with their parents; None for all.
-        trajectory: name of the ego trajectory, where it is needed; None for the default.
-        heading: "motion" to derive orientations where the trajectory has positions only.
-        on_points: reported each frame that is read.
-
-    Raises:
-        OptionError: a value cannot be followed, there is nothing to do, or nothing is left.
-        PoseError: the poses that this needs are not known.
-        DataError: a frame that this needs cannot be read.
-    """
-    if frame not in tuple(PointsFrame):
-        raise OptionError(f"frame {frame!r}; expected one of {', '.join(PointsFrame)}")
-    gone = tuple(without)
-    if not gone and all(stated is None for stated in (start, stop, box, reach, sensors, labels)):
-        raise OptionError(f"nothing to crop by; expected one of {', '.join(_CHOICES)}")
-    regions = _regions(PointsFrame(frame), box, reach)
-    cut = scene
-    if sensors is not None or gone:
-        cut = _with_sensors_chosen(cut, sensors=sensors, without=gone)
-    part = chosen_interval(cut, start=start, stop=stop)
-    cut = cut_scene(cut, start=start, stop=stop)
-    cut = replace(cut, metadata=_cut_lines(cut, part))
-    if labels is not None:
-        cut = _with_labels_chosen(cut, labels)
-    if not regions:
-        return cut
-    ego = _ego(cut, regions, trajectory, heading)
-    cropped = _Crop(cut, ego, regions, on_points).cropped()
-    stated = {"box": None if box is None else list(box), "frame": PointsFrame(frame).value, "range": reach}
-    return with_ours(cropped, cropped={name: value for name, value in stated.items() if value is not None})
-
-
-def _regions(frame: PointsFrame, box: Sequence[float] | None, reach: float | None) -> tuple[_Region, ...]:
-    regions = [] if box is None else [_Region(frame, box=tuple(box))]
-    if reach is not None:
-        around = PointsFrame.EGO if frame is PointsFrame.EGO else PointsFrame.SENSOR
-        regions.append(_Region(around, reach=reach))
-    return tuple(regions)
-
-
-def _ego(scene: Scene, regions: tuple[_Region, ...], trajectory: str | None, heading: str | None) -> EgoMotion | None:
-    """The ego trajectory, if something may need it."""
-    posed = [s for s in scene.sensors if isinstance(s, Posed)]
-    on_ego = any(s.mount is not None or s.coordinates is Coordinates.EGO for s in posed)
-    asked = any(region.frame is PointsFrame.EGO for region in regions)
-    if trajectory is None and not asked and not (on_ego and scene.trajectories):
-        return None
-    return ego_motion_as_given(scene, name=trajectory, heading=heading)
-
-
-@dataclass(slots=True, eq=False)
-class _Crop:
-    """Crops one scene in space."""
-
-    scene: Scene
-    ego: EgoMotion | None
-    regions: tuple[_Region, ...]
-    on_points: OnPoints | None
-    changes: dict[Key, Renumbering] = field(default_factory=dict)
-    warnings: list[DataWarning] = field(default_factory=list)
-
-    def cropped(self) -> Scene:
-        sensors = tuple(self._sensor(sensor) for sensor in self.scene.sensors)
-        crop = _SpaceCrop(
-            self._around(annotations_frame(self.scene)), frames_ns(self.scene), CuboidAngles.of(self.scene)
-        )
-        cut = _with_annotations(self.scene, [crop(annotation) for annotation in self.scene.annotations])
-        annotations, reported = renumbered(cut.annotations, self.changes)
-        return with_warnings(replace(cut, sensors=sensors, annotations=annotations), (*self.warnings, *reported))
-
-    def _sensor(self, sensor: Sensor) -> Sensor:
-        if isinstance(sensor, LidarSensor | RadarSensor):
-            return self._cloud(sensor)
-        if isinstance(sensor, PointsSensor):
-            rows = np.flatnonzero(self._held_once(sensor.positions))
-            self.changes[key_of(sensor.id)] = renumbered_map(rows)
-            return chosen_map(sensor, rows)
-        return sensor
-
-    def _cloud(self, sensor: LidarSensor | RadarSensor) -> Sensor:
-        placed = self._placed_points(sensor)
-        numbers = _known(placed, sensor.frames.timestamps_ns)
-        lost = len(sensor.frames) - len(numbers)
-        what = "frames at whose time the ego trajectory is not known"
-        location = f"sensors[{sensor.id}].frames"
-        self.warnings.append(skipped("frames-beyond-the-trajectory", location, what, count=lost))
-        choice = _FrameChoice(placed)
-        self.changes[key_of(sensor.id)] = renumbered_frames(numbers, sensor.frames, choice)
-        frames: Any = with_chosen_points(chosen_frames(sensor.frames, numbers), choice, sensor.id, self.on_points)
-        return replace(sensor, frames=frames)
-
-    def _placed_points(self, sensor: LidarSensor | RadarSensor) -> tuple[_Placed, ...]:
-        """The regions, each with what takes the sensor's points into its frame."""
-        reach_ns = scene_period_ns(self.scene)
-        return tuple(
-            (region, points_change(self.scene, sensor, self.ego, region.frame, reach_ns=reach_ns))
-            for region in self.regions
-        )
-
-    def _around(self, old: Coordinates) -> tuple[tuple[_Placed, ...], ...]:
-        """The regions for locations in the world or on the ego: around each sensor, where one is asked for."""
-        if all(region.frame is not PointsFrame.SENSOR for region in self.regions):
-            return (tuple((region, self._change(old, region.frame, None)) for region in self.regions),)
-        clouds = [s for s in self.scene.sensors if isinstance(s, LidarSensor | RadarSensor)]
-        if not clouds:
-            raise OptionError(f"{self.scene.source}: no lidar or radar in it whose frame or distance could be meant")
-        return tuple(
-            tuple((region, self._change(old, region.frame, sensor)) for region in self.regions) for sensor in clouds
-        )
-
-    def _change(
-        self, old: Coordinates, new: PointsFrame, sensor: LidarSensor | RadarSensor | None
-    ) -> FrameChange | None:
-        if old.value == new.value:
-            return None
-        return FrameChange(self._in_world(PointsFrame(old.value), None), self._in_world(new, sensor))
-
-    def _in_world(self, frame: PointsFrame, sensor: LidarSensor | RadarSensor | None) -> PoseSource | None:
-        reach_ns = scene_period_ns(self.scene)
-        if frame is PointsFrame.WORLD:
-            return None
-        if sensor is not None and frame is PointsFrame.SENSOR:
-            return sensor_source(self.scene, sensor, self.ego, reach_ns=reach_ns)
-        ego = ego_motion_as_given(self.scene) if self.ego is None else self.ego
-        return PoseSource(ego.path, RigidTransform.identity(), reach_ns)
-
-    def _held_once(self, positions: Float32Array) -> BoolArray:
-        """Report which points of a map lie inside at any time."""
-        inside = np.zeros(len(positions), np.bool_)
-        for placed in self._around(Coordinates.WORLD):
-            constant = all(change is None or change.is_constant for _, change in placed)
-            times_ns = np.zeros(1, np.int64) if constant else frames_ns(self.scene)
-            for time_ns in times_ns[_known(placed, times_ns)].tolist():
-                left = np.flatnonzero(~inside)
-                inside[left] = _held_at(placed, time_ns, positions[left])
-        return inside
-
-
-def _known(placed: tuple[_Placed, ...], times_ns: Int64Array) -> Int64Array:
-    """The rows of the times at which all changes are known."""
-    known = np.ones(len(times_ns), np.bool_)
-    for _, change in placed:
-        if change is not None:
-            known &= change.at(times_ns).coverage <= KNOWN
-    return np.flatnonzero(known)

@@ -1,45 +1,101 @@
-"""Scenes with fewer points and fewer frames."""
+"""Scenes with fewer points and fewer frames; a point that stays keeps everything that is known of it."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from types import MappingProxyType
+from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, FloatArray, Int64Array
-from sceneloom.editing.move_points import (
-    OnPoints,
-    chosen_map,
-    renumbered_frames,
-    renumbered_map,
-    with_chosen_points,
-)
+from sceneloom.arrays import AnyArray, Float64Array, FloatArray, Int64Array
 from sceneloom.editing.references import with_ours, with_warnings
 from sceneloom.errors import OptionError
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, chosen_shots
-from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarFrame, RadarSensor
+from sceneloom.scene.clouds import (
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    PointsSensor,
+    RadarFrame,
+    RadarPoints,
+    RadarSensor,
+)
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.time_range import Renumbering, renumbered
 from sceneloom.scene.types import Identifier, Key, key_of
 
-_NEAREST, FIRST = "nearest", "first"
+OnPoints = Callable[[Identifier, int, int, int], None]
+"""Called for each frame that is read: its sensor, its number, how many points it had, how many it has now."""
 
+ChoosePoints = Callable[[LidarFrame | RadarFrame], Int64Array]
+"""Gives the rows of a frame's points that stay, ascending."""
+
+_Points = TypeVar("_Points", LidarPoints, RadarPoints)
+
+_NEAREST, FIRST = "nearest", "first"
 _KEEPERS = (_NEAREST, FIRST)
 """Which point of a cube stays: the one nearest to the mean of those in it, or the first."""
 
 
-def one_per_cube(positions: FloatArray, side: float, *, keep: str = _NEAREST) -> Int64Array:
-    """Give the rows, ascending, of one point of each cube of side `side` [m].
+def chosen_points(points: _Points, rows: Int64Array) -> _Points:
+    """Give some of the points, (M,) int64 rows, each with everything that is known of it."""
+    arrays = {name: getattr(points, name) for name in points.__dataclass_fields__ if name != "extras"}
+    taken: dict[str, Any] = {name: array[rows] for name, array in arrays.items() if array is not None}
+    return replace(points, **taken, extras=_chosen_extras(points.extras, len(points), rows))
 
-    Cubes begin at whole multiples of their side on either side of zero: the one at the origin is no larger than others.
+
+def with_map_points(sensor: PointsSensor, rows: Int64Array) -> tuple[PointsSensor, Renumbering]:
+    """Give a map with some of its points, and what becomes of their numbers."""
+    extras = dict(sensor.extras)
+    if isinstance(extras.get("points"), Mapping):
+        extras["points"] = _chosen_extras(extras["points"], len(sensor.positions), rows)
+    colors = None if sensor.colors is None else sensor.colors[rows]
+    chosen = replace(sensor, positions=sensor.positions[rows], colors=colors, extras=MappingProxyType(extras))
+    return chosen, Renumbering(rows=lambda _: rows)
+
+
+def _chosen_extras(extras: Mapping[str, AnyArray], count: int, rows: Int64Array) -> Mapping[str, AnyArray]:
+    """Those rows of unknown arrays; what has not one row per point stays whole."""
+    by_point = {k: isinstance(array, np.ndarray) and array.shape[:1] == (count,) for k, array in extras.items()}
+    return MappingProxyType({k: array[rows] if by_point[k] else array for k, array in extras.items()})
+
+
+def with_points(
+    sensor: LidarSensor | RadarSensor, numbers: Int64Array, choose: ChoosePoints, on_points: OnPoints | None
+) -> tuple[LidarSensor | RadarSensor, Renumbering]:
+    """Give a sensor with some of its frames and, chosen when these are read, some of their points.
+
+    Returns:
+        The sensor, and what becomes of the numbers of its frames and points.
+    """
+    frames: Any = sensor.frames
+    read = partial(_frame_of_chosen, frames.chosen(numbers), choose, sensor.id, on_points)
+    chosen: Any = LazyFrames(frames.timestamps_ns[numbers], read)
+    return replace(sensor, frames=chosen), Renumbering(numbers, lambda k: None if k is None else choose(frames[k]))
+
+
+def _frame_of_chosen(
+    frames: LazyFrames[Any], choose: ChoosePoints, sensor_id: Identifier, on_points: OnPoints | None, k: int
+) -> Any:
+    frame = frames[k]
+    chosen = replace(frame, points=chosen_points(frame.points, choose(frame)))
+    if on_points is not None:
+        on_points(sensor_id, k, len(frame.points), len(chosen.points))
+    return chosen
+
+
+def one_per_cube(positions: FloatArray, side: float, *, keep: str = _NEAREST) -> Int64Array:
+    """Give the rows, ascending, of one point of each cube of a grid through the origin.
 
     Args:
         positions: (N, 3) [m]; a point that is not finite is left out.
-        side: [m].
+        side: of the cubes [m].
         keep: one of `_KEEPERS`.
 
     Raises:
-        OptionError: the side is not positive, or `keep` is not one of those.
+        OptionError: the side is not positive, or `keep` is none of these.
     """
     from sceneloom.kernels.voxels import first_of_cubes, nearest_of_cubes, number_cubes
 
@@ -63,7 +119,7 @@ def _check_cubes(side: float, keep: str) -> None:
 def evenly(count: int, wanted: int) -> Int64Array:
     """Give `wanted` of `count` rows, evenly spread; all of them where there are no more.
 
-    Row k is the one in whose share of the rows the middle of the k-th of `wanted` equal parts falls.
+    Row k is the middle of the k-th of `wanted` equal parts of the rows.
     """
     if wanted >= count:
         return np.arange(count)
@@ -71,20 +127,13 @@ def evenly(count: int, wanted: int) -> Int64Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Thinning:
-    """How points are chosen; one after the other where several are given.
+class _Thinning:
+    """How points are chosen, as of `thin_scene`; one way after the other where several are given."""
 
-    Attributes:
-        voxel: side of the cubes of which one point each stays [m].
-        keep: which one: "nearest" to the mean of the cube's points, or the "first".
-        share: how many of the points stay, 0 to 1, evenly spread over their rows.
-        points: how many points of a frame stay at most, evenly spread over their rows.
-    """
-
-    voxel: float | None = None
-    keep: str = _NEAREST
-    share: float | None = None
-    points: int | None = None
+    voxel: float | None
+    keep: str
+    share: float | None
+    points: int | None
 
     def __post_init__(self) -> None:
         _check_cubes(1.0 if self.voxel is None else self.voxel, self.keep)
@@ -128,76 +177,50 @@ def thin_scene(
     """Give a scene with fewer points in its clouds, or fewer frames; points are chosen when frames are read.
 
     A point that stays keeps everything that is known of it, and labelled points follow: frames that have some are
-    read now. Points whose location is not finite go where `voxel` is given.
+    read now. Non-finite points are left out where `voxel` is given.
 
     Args:
-        scene: as it is.
+        scene: the scene.
         voxel: side of the cubes of which one point each stays [m], in the frame in which the points are given.
         keep: which one: "nearest" to the mean of the cube's points, or the "first".
         share: how many of the points stay, 0 to 1, evenly spread over their rows.
-        points: how many points of a frame, or of a map, stay at most.
-        every: of lidars, radars and cameras only every so many-th frame stays, from the first.
+        points: how many points of a frame, or of a map, stay at most, evenly spread over their rows.
+        every: of lidars, radars and cameras keep only every n-th frame, from the first.
         sensors: ids of the only sensors to thin; None for all.
-        on_points: reported each frame that is read.
+        on_points: called for each frame that is read.
 
     Raises:
-        OptionError: a value cannot be followed, there is nothing to do, or no sensor has such an id.
+        OptionError: a value is out of range, there is nothing to do, or no sensor has such an id.
         DataError: a frame with labelled points cannot be read.
     """
-    thinning = Thinning(voxel, keep, share, points)
+    thinning = _Thinning(voxel, keep, share, points)
     if every < 1:
         raise OptionError(f"every {every}; expected 1 or more")
     if every == 1 and not thinning.changes:
         raise OptionError("nothing to thin by; expected one of voxel, share, points or every")
-    chosen = {key_of(s.id) for s in scene.sensors} if sensors is None else {key_of(scene.sensor(i).id) for i in sensors}
+    wanted = {key_of(s.id) for s in scene.sensors} if sensors is None else {key_of(scene.sensor(i).id) for i in sensors}
     changes: dict[Key, Renumbering] = {}
-    thinned = tuple(
-        _thinned(sensor, thinning, every, changes, on_points) if key_of(sensor.id) in chosen else sensor
-        for sensor in scene.sensors
-    )
-    annotations, warnings = renumbered(scene.annotations, changes)
-    stated = {
-        "voxel": voxel,
-        "keep": keep if voxel else None,
-        "share": share,
-        "points": points,
-        "every": every,
-    }
-    entry = {name: value for name, value in stated.items() if value is not None}
-    changed = replace(scene, sensors=thinned, annotations=annotations)
-    return with_warnings(with_ours(changed, thinned=entry), warnings)
 
-
-def _thinned(
-    sensor: Sensor,
-    thinning: Thinning,
-    every: int,
-    changes: dict[Key, Renumbering],
-    on_points: OnPoints | None,
-) -> Sensor:
-    """Thin one sensor, and note what became of the numbers of its frames and points."""
-    key = key_of(sensor.id)
-    if isinstance(sensor, CameraSensor | DepthCameraSensor):
-        thinned: Sensor = _every_shot(sensor, every)
-        return thinned
-    if isinstance(sensor, PointsSensor) and thinning.changes:
-        rows = thinning.rows(sensor.positions)
-        changes[key] = renumbered_map(rows)
-        return chosen_map(sensor, rows)
-    if not isinstance(sensor, LidarSensor | RadarSensor):
+    def thinned(sensor: Sensor) -> Sensor:
+        key = key_of(sensor.id)
+        if key not in wanted:
+            return sensor
+        if isinstance(sensor, CameraSensor | DepthCameraSensor):
+            fps = None if sensor.fps is None else sensor.fps / every
+            return sensor if every == 1 else replace(chosen_shots(sensor, slice(None, None, every)), fps=fps)  # type: ignore[type-var]
+        if isinstance(sensor, PointsSensor) and thinning.changes:
+            sensor, changes[key] = with_map_points(sensor, thinning.rows(sensor.positions))
+        elif isinstance(sensor, LidarSensor | RadarSensor):
+            numbers = np.arange(0, len(sensor.frames), every)
+            if thinning.changes:
+                sensor, changes[key] = with_points(sensor, numbers, thinning, on_points)
+            else:
+                kept: Any = sensor.frames.chosen(numbers)
+                sensor, changes[key] = replace(sensor, frames=kept), Renumbering(numbers)
         return sensor
-    frames: Any = sensor.frames
-    numbers = np.arange(0, len(frames), every)
-    changes[key] = Renumbering(numbers)
-    if thinning.changes:
-        changes[key] = renumbered_frames(numbers, frames, thinning)
-        frames = with_chosen_points(frames, thinning, sensor.id, on_points)
-    return replace(sensor, frames=frames[::every])
 
-
-def _every_shot(camera: Any, every: int) -> Any:
-    """A camera with every so many-th of its images or depth images, from the first."""
-    if every == 1:
-        return camera
-    thinned = chosen_shots(camera, slice(None, None, every))
-    return thinned if thinned.fps is None else replace(thinned, fps=thinned.fps / every)
+    changed = replace(scene, sensors=tuple(map(thinned, scene.sensors)))
+    annotations, warnings = renumbered(scene.annotations, changes)
+    stated = {"voxel": voxel, "keep": keep if voxel else None, "share": share, "points": points, "every": every}
+    entry = {name: value for name, value in stated.items() if value is not None}
+    return with_warnings(with_ours(replace(changed, annotations=annotations), thinned=entry), warnings)

@@ -25,8 +25,8 @@ from sceneloom.colouring.moving_points import MovingBoxes, MovingPoints, lags_fo
 from sceneloom.colouring.results import FusedFrame, FusedView, LidarTrajectory
 from sceneloom.colouring.visibility import VisibilitySettings
 from sceneloom.colouring.world_map import WorldMap, empty_points
-from sceneloom.editing.move_points import chosen_points
 from sceneloom.editing.references import assumed
+from sceneloom.editing.thin import chosen_points
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.label_images import NAMES_FILE, LabelFolder, write_label_png
 from sceneloom.formats.base.output import check_output, filling

@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.editing.move_points import chosen_frames
 from sceneloom.editing.references import ours_of, with_ours
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.formats.base.losses import LossReport
@@ -225,7 +224,7 @@ def _readable(sensor: LidarSensor, skips: Skips) -> LidarSensor:
             skips.add(error)
         else:
             rows.append(k)
-    return replace(sensor, frames=chosen_frames(sensor.frames, np.array(rows, np.int64)))
+    return replace(sensor, frames=sensor.frames.chosen(np.array(rows, np.int64)))
 
 
 def _check_on_ego(scene: Scene, lidars: tuple[LidarSensor, ...]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from sceneloom.editing.move_points import OnPoints
+from sceneloom.editing.thin import OnPoints
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.registry import check_scene_output, format_for_output, open_scenes, scene_for, write_scene
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame

@@ -12,7 +12,6 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.colouring.cuboid_points import count_points
 from sceneloom.colouring.cuboid_projection import observe_cuboids
-from sceneloom.editing.move_points import chosen_frames
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.report.content import (
     NOTHING,
@@ -327,7 +326,7 @@ def _count(scene: Scene, looks: _Looks, moments: int) -> None:
     if not _has_sweeps(scene):
         return
     some = {
-        lidar.id: replace(lidar, frames=chosen_frames(lidar.frames, spread_rows(len(lidar.frames), moments)))
+        lidar.id: replace(lidar, frames=lidar.frames.chosen(spread_rows(len(lidar.frames), moments)))
         for lidar in scene.lidars
     }
     part = replace(scene, sensors=tuple(some.get(sensor.id, sensor) for sensor in scene.sensors))

@@ -9,7 +9,6 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.calibrate.health import Item, Verdict, check_calibration
 from sceneloom.colouring.results import FusedFrame, FusedView
-from sceneloom.editing.move_points import chosen_frames
 from sceneloom.errors import SceneloomError
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.pipeline.alignment import Aligned, align
@@ -268,10 +267,10 @@ def _with_some_sweeps(scene: Scene, most: int) -> Scene:
 
     def thinned(sensor: Sensor) -> Sensor:
         if isinstance(sensor, LidarSensor):
-            return replace(sensor, frames=chosen_frames(sensor.frames, kept[sensor.id]))
+            return replace(sensor, frames=sensor.frames.chosen(kept[sensor.id]))
         if isinstance(sensor, CameraSensor):
             rows = _rows_around(sensor.images.timestamps_ns, spans)
-            return replace(sensor, images=chosen_frames(sensor.images, rows), video=None)
+            return replace(sensor, images=sensor.images.chosen(rows), video=None)
         return sensor
 
     return replace(scene, sensors=tuple(map(thinned, scene.sensors)))

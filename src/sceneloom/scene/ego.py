@@ -22,7 +22,7 @@ from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import ImuSensor, OdometrySensor
 from sceneloom.scene.poses import Poses, PoseSource, Trajectory, same_direction
-from sceneloom.scene.scene import Scene
+from sceneloom.scene.scene import Scene, frame_times
 from sceneloom.scene.time_range import Interval, cut_path
 from sceneloom.scene.types import Coordinates, Key, PointsFrame, key_of
 from sceneloom.warnings import DataWarning
@@ -235,7 +235,14 @@ def stated_origin(scene: Scene) -> tuple[float, float, float] | None:
 
 
 Posed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
-"""Sensors that are somewhere."""
+"""Sensors with poses."""
+
+
+def frames_ns(scene: Scene) -> Int64Array:
+    """The times (N,) int64 [ns], ascending, of all sweeps, radar cycles and images of a scene."""
+    timestamps = [frame_times(sensor) for sensor in scene.sensors if isinstance(sensor, Posed)]
+    return np.unique(np.concatenate([np.zeros(0, np.int64), *timestamps]))
+
 
 _NOT_PLACED = (
     "it has neither poses nor a mounting on the ego; give it one (in calibration.json `imuToCamera` or `imuToLidar`) "

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic, TypeVar, cast, overload
 
 import numpy as np
@@ -25,15 +26,12 @@ class Kept(Generic[Array_co]):
         return cast("Array_co", read_only(self.image))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Chosen(Generic[Item_co]):
-    """Reads some of the frames of another sequence: number `k` is its number `rows[k]`."""
+def _read_chosen(read: Callable[[int], Any], rows: "range | Int64Array", k: int) -> Any:
+    return read(int(rows[k]))
 
-    read: Callable[[int], Item_co]
-    rows: range
 
-    def __call__(self, k: int) -> Item_co:
-        return self.read(self.rows[k])
+def _read_mapped(frames: "LazyFrames[Any]", change: Callable[[Any], Any], k: int) -> Any:
+    return change(frames[k])
 
 
 class LazyFrames(Sequence[Item_co], Generic[Item_co]):
@@ -74,8 +72,24 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
     def __getitem__(self, index: slice) -> "LazyFrames[Item_co]": ...
     def __getitem__(self, index: int | slice) -> "Item_co | LazyFrames[Item_co]":
         if isinstance(index, slice):
-            return LazyFrames(self.timestamps_ns[index], _Chosen(self._read, range(len(self))[index]))
+            return LazyFrames(self.timestamps_ns[index], partial(_read_chosen, self._read, range(len(self))[index]))
         return in_stage("reading", self._read, range(len(self))[index])
 
     def __iter__(self) -> Iterator[Item_co]:
         return (self[k] for k in range(len(self)))
+
+    def chosen(self, numbers: Int64Array) -> "LazyFrames[Item_co]":
+        """Give the frames with these numbers, (M,) int64, in that order; itself where these are all of them."""
+        if np.array_equal(numbers, np.arange(len(self))):
+            return self
+        return LazyFrames(self.timestamps_ns[numbers], partial(_read_chosen, self._read, numbers))
+
+    def mapped(self, change: Callable[[Any], Any], *, timestamps_ns: Int64Array | None = None) -> "LazyFrames[Any]":
+        """Give frames that are changed when they are read.
+
+        Args:
+            change: makes the new frame of an old one; to be pickled as the constructor's function is.
+            timestamps_ns: (N,) int64 [ns], where the change moves the frames in time.
+        """
+        times_ns = self.timestamps_ns if timestamps_ns is None else timestamps_ns
+        return LazyFrames(times_ns, partial(_read_mapped, self, change))

@@ -220,7 +220,7 @@ _LONGEST = 9.2e9
 _FRAMED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 _CAMERAS = (CameraSensor, DepthCameraSensor)
 
-_COLUMNS: Mapping[type, tuple[str, ...]] = MappingProxyType(
+TIMED_COLUMNS: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {
         Poses: ("positions", "quaternions_xyzw"),
         Trajectory: ("positions", "quaternions_xyzw", "file_seconds", "covariances"),
@@ -244,7 +244,7 @@ _Drawn = TypeVar("_Drawn", Box2DAnnotation, ShapeAnnotation)
 
 def select_rows(holder: _Timed, rows: slice | Int64Array | BoolArray) -> _Timed:
     """Give poses, samples, fixes or a path of an annotation with some of its rows; absent columns stay absent."""
-    columns = {name: getattr(holder, name) for name in ("timestamps_ns", *_COLUMNS[type(holder)])}
+    columns = {name: getattr(holder, name) for name in ("timestamps_ns", *TIMED_COLUMNS[type(holder)])}
     chosen = {
         name: tuple(values[row] for row in np.arange(len(values))[rows].tolist())
         if isinstance(values, tuple)

@@ -156,7 +156,7 @@ def test_parts_are_merged_to_the_whole(call, scene_file, tmp_path):
     assert call("edit", "crop", scene_file, "-o", parts[0], "--stop", cut).code == 0
     assert call("edit", "crop", scene_file, "-o", parts[1], "--start", cut).code == 0
     refused = call("edit", "merge", *parts, "-o", tmp_path / "c.sfs")
-    assert (refused.code, "state `--rename`" in refused.err) == (2, True)
+    assert (refused.code, "`--rename`" in refused.err) == (2, True)
     joined = call("edit", "merge", *parts, "-o", tmp_path / "c.sfs", "--join")
     assert joined.code == 0, joined.err
     with sceneloom.open(scene_file) as whole, sceneloom.open(tmp_path / "c.sfs") as scene:

@@ -65,7 +65,7 @@ def test_ids_that_are_taken_are_refused_or_changed_with_all_references(drive, bo
     other = only(drive.scene(annotations=(second, *others)), "camera", "lidar")
     lidar = replace(other.sensor("lidar"), parent_id="camera")
     other = replace(other, sensors=(other.sensor("camera"), lidar))
-    with pytest.raises(OptionError, match=r"sensors\['camera'\]: this id stands in scene, too; state `--rename`"):
+    with pytest.raises(OptionError, match=r"sensors\['camera'\]: scene has this id, too; `--rename`"):
         merge_scenes([first, other])
     merged = merge_scenes([first, other], rename=True)
     assert [sensor.id for sensor in merged.sensors] == ["camera", "camera-2", "lidar"]
@@ -322,7 +322,7 @@ def test_what_cannot_be_merged_is_refused(drive, box):
         merge_scenes([scene, to_ego(scene)], rename=True)
     other = only(scene, "ego")
     shifted = replace(other, sensors=(replace(scene.sensor("ego"), poses=drive.path()),))
-    with pytest.raises(OptionError, match=r"sensors\['ego'\]: this id stands in"):
+    with pytest.raises(OptionError, match=r"sensors\['ego'\]: scene has this id, too"):
         merge_scenes([other, shifted])
     bent = replace(scene, metadata={"sceneloom": {"world_from_file": [[1, 2], [3, 4]]}})
     with pytest.raises(DataError, match="expected a rigid 4x4 matrix"):

@@ -16,7 +16,6 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.checks.faults import as_read
 from sceneloom.checks.rule import HINT, WARNING, Find, Hit, Rule, Subject
-from sceneloom.editing.move_points import chosen_frames
 from sceneloom.formats.recording.lines import (
     Columns,
     LineLog,
@@ -278,7 +277,7 @@ def _images_once(camera: CameraSensor) -> CameraSensor:
     if len(kept) == len(indices):
         return camera
     chosen = tuple(video.frame_indices[k] for k in kept.tolist())
-    images = chosen_frames(camera.images, kept.astype(np.int64))
+    images = camera.images.chosen(kept.astype(np.int64))
     return replace(camera, images=images, video=replace(video, frame_indices=chosen))
 
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Int64Array, finite_rows
 from sceneloom.editing.cameras import undistort_scene
-from sceneloom.editing.move_points import chosen_points, points_change
+from sceneloom.editing.move_world import points_change
+from sceneloom.editing.thin import chosen_points
 from sceneloom.errors import CalibrationError, DataError, PoseError
 from sceneloom.formats.base.images import ImageFile
 from sceneloom.formats.base.loss_list import Losses
@@ -586,7 +587,7 @@ class SweepFiles:
         times = frame.points.timestamps_ns
         if times is None:
             times = np.full(len(frame.points), frame.timestamp_ns, np.int64)
-        moved = change.locations(times, frame.points.positions[:, None])[:, 0] if len(times) else frame.points.positions
+        moved = change.positions(times, frame.points.positions[:, None])[:, 0] if len(times) else frame.points.positions
         if not np.isfinite(moved).all():
             raise PoseError(
                 f"lidar {lidar.id!r}: sweep at {frame.timestamp_ns} ns: no pose for some of its points, which have to "

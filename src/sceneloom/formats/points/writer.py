@@ -10,8 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.editing.move_points import points_change
-from sceneloom.editing.move_world import to_ego, to_sensor, to_world
+from sceneloom.editing.move_world import points_change, to_ego, to_sensor, to_world
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.formats.base.losses import Loss, LossReport, Support, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stems, replacing

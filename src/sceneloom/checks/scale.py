@@ -13,10 +13,10 @@ from sceneloom.formats.sfs.profiles import (
     PARTS,
     SENSORS,
     VALIDATED_SENSORS,
-    Location,
     record_faults,
     time_fault,
 )
+from sceneloom.formats.sfs.records import Location
 
 Located = tuple[Location, Any]
 _VERSION = "1.0"

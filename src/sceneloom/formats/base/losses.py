@@ -84,6 +84,16 @@ class Loss(msgspec.Struct, frozen=True, kw_only=True):
     support: Support = Support.DROPPED
     largest_error: float | None = None
 
+    @property
+    def kind(self) -> tuple[str, str, str | None, Support]:
+        """What losses that are added up have in common."""
+        return self.field, self.what, self.kept, self.support
+
+    def joined(self, other: "Loss") -> "Loss":
+        """This and another one of the same kind: counts are added, the largest error counts."""
+        errors = [loss.largest_error for loss in (self, other) if loss.largest_error is not None]
+        return msgspec.structs.replace(self, count=self.count + other.count, largest_error=max(errors, default=None))
+
 
 class LossReport(msgspec.Struct, frozen=True):
     """All losses of one writing; empty where the target holds everything."""
@@ -101,16 +111,9 @@ class LossReport(msgspec.Struct, frozen=True):
         """Collect losses; those of one field and kind are added up, and the largest error of them is reported."""
         together: dict[tuple[str, str, str | None, Support], Loss] = {}
         for loss in losses:
-            key = (loss.field, loss.what, loss.kept, loss.support)
-            earlier = together.get(key)
-            together[key] = loss if earlier is None else joined(earlier, loss)
+            earlier = together.get(loss.kind)
+            together[loss.kind] = loss if earlier is None else earlier.joined(loss)
         return cls(tuple(together.values()))
-
-
-def joined(first: Loss, second: Loss) -> Loss:
-    """Two losses of one kind as one: counts are added, the largest error counts."""
-    errors = [loss.largest_error for loss in (first, second) if loss.largest_error is not None]
-    return msgspec.structs.replace(first, count=first.count + second.count, largest_error=max(errors, default=None))
 
 
 SEVERITY: Mapping[Support, int] = {support: rank for rank, support in enumerate(Support)}

@@ -23,7 +23,7 @@ from sceneloom.formats.sfs.records import (
     Location,
     described,
     extras_of_poses,
-    repaired_path_of,
+    repaired_poses,
     rows_of,
     times_of,
     with_extras,
@@ -220,7 +220,7 @@ def _read_annotation(source: Source, raw: Any, location: Location, faults: Fault
     values = source.reader(forgiving=not known).read(raw, annotation_record(type_name), faults)
     if not known and not isinstance(values.get("id"), str | int):
         faults.add(("id",), f"{values.get('id')!r}; expected text or an integer")
-    if faults.unmended:
+    if faults.unrepaired:
         return None
     del values["type"]
     model = _MODELS.get(type_name)
@@ -396,7 +396,7 @@ def _read_vertices(record: _Record, name: str, raw: Any) -> tuple[Float64Array, 
         if array.size % size:
             problem = f"{array.size} numbers; expected a multiple of {size}, {size} per vertex"
             faults.add((*location, index), problem)
-    if faults.unmended:
+    if faults.unrepaired:
         return ()
     with _noting(faults, record.location):
         _check_counts(record, found)
@@ -440,7 +440,7 @@ def _write_vertices(location: str, vertices: tuple[Float64Array, ...], _: Any) -
 
 def _read_poses(record: _Record, name: str, raw: Any) -> Poses | None:
     before = len(record.faults)
-    path = repaired_path_of(raw, record.faults)
+    path = repaired_poses(raw, record.faults)
     if path is None and len(record.faults) == before:
         record.faults.add((name,), "empty; expected at least one pose")
     return path

@@ -190,7 +190,7 @@ class Source:
         self.faults.extend(self._placed(fault, location, vital=False) for fault in faults)
         if not faults:
             return True
-        kept = not faults.unmended
+        kept = not faults.unrepaired
         if not kept:
             self.left_out.add(location)
         if self.options.lenient:

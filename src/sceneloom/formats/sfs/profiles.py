@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from sceneloom.errors import OptionError
 from sceneloom.formats.sfs.annotations import attribute_values
 from sceneloom.formats.sfs.clock import TICKS_NS, FileClock
 from sceneloom.formats.sfs.container import RawBytes
-from sceneloom.formats.sfs.records import times_of
-from sceneloom.formats.sfs.schema import SENSOR_RECORDS
+from sceneloom.formats.sfs.records import Location, times_of
+from sceneloom.formats.sfs.schema import COEFFICIENT_COUNTS, RECORDS, SENSOR_RECORDS, Kind
 from sceneloom.scene.annotations import Annotation, AttributePath
 from sceneloom.scene.types import Identifier, key_of
 
@@ -29,18 +29,11 @@ _TICKS_PER_SECOND = 1e6
 VALIDATED_SENSORS = ("lidar", "radar", "camera")
 """The sensors that its validator knows."""
 
-_DISTORTION_MODELS = (
-    "brown_conrady",
-    "mod_equi_fish",
-    "mod_kannala",
-    "fisheye",
-    "fisheye_rad_tan_prism",
-    "cylindrical",
-    "equirectangular",
-    "omnidirectional",
-    "fisheye_radial_custom",
-    "ftheta",
+_LOADED_ANNOTATIONS = (
+    *("cuboid", "attributes", "box_2d", "polygon_2d", "polygon_topdown", "polyline", "event"),
+    *("labeled_points", "point_segmentation", "localization_adjustment", "object"),
 )
+"""The annotations that its loader takes and converts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +42,6 @@ class _Need:
 
     Attributes:
         what: a name out of `_CHECKS`, or of a record: `@poses` one, `[@attribute]` a list of them.
-        required: whether it must be there.
-        nullable: whether it may be null.
     """
 
     what: str
@@ -58,128 +49,81 @@ class _Need:
     nullable: bool = True
 
 
-def _needs(what: str) -> _Need:
-    return _Need(what, required=True, nullable=False)
-
-
-def _by_default(what: str) -> _Need:
-    return _Need(what, nullable=False)
-
-
-_ID = {"id": _needs("id"), "parent_id": _Need("id")}
-_ATTRIBUTES = {"attributes": _Need("[@attribute]")}
-_LABELLED = {**_ID, "label": _Need("text"), **_ATTRIBUTES}
-_SHAPE = {**_LABELLED, "stationary": _Need("flag"), "sensor_id": _Need("id"), "path": _needs("@path")}
-_FLAT_SHAPE = {**_SHAPE, "sensor_id": _needs("id")}
-
-_LABELED_POINTS = {
-    **_ID,
-    "label": _needs("text"),
-    "labeled_points": _needs("[@labeled_points_of_frame]"),
-    "is_instance": _by_default("flag"),
+_NEEDS_BY_KIND = {
+    Kind.IDENTIFIER: "id",
+    Kind.TEXT: "text",
+    Kind.FLAG: "flag",
+    Kind.INTEGER: "integer",
+    Kind.TIME: "integer",
+    Kind.DURATION: "integer",
+    Kind.NUMBER: "number",
+    Kind.TIMES: "integers",
+    Kind.DURATIONS: "numbers",
+    Kind.LIST: "rows",
+    Kind.ARRAY: "array",
+    Kind.POINT_TIMES: "array",
+    Kind.RECORD: "@{}",
+    Kind.RECORDS: "[@{}]",
 }
 
-ANNOTATIONS: Mapping[str, Mapping[str, _Need]] = MappingProxyType(
-    {
-        "cuboid": {
-            **_LABELLED,
-            "stationary": _Need("flag"),
-            "path": _needs("@cuboid_path"),
-            "activations": _Need("[@activation]"),
-            "projections": _Need("[@projection]"),
-        },
-        "attributes": {**_ID, **_ATTRIBUTES},
-        "box_2d": _FLAT_SHAPE,
-        "polygon_2d": _FLAT_SHAPE,
-        "polygon_topdown": _SHAPE,
-        "polyline": {**_SHAPE, "is_closed": _Need("flag")},
-        "event": {
-            **_LABELLED,
-            "start": _needs("integer"),
-            "duration": _Need("integer"),
-            "sensor_id": _Need("id"),
-        },
-        "labeled_points": _LABELED_POINTS,
-        "point_segmentation": _LABELED_POINTS,
-        "localization_adjustment": {**_ID, "poses": _needs("@poses")},
-        "object": _LABELLED,
-    }
-)
-"""The annotations that its loader takes and converts, with their fields."""
+_NEEDED_POSES = _Need("@poses", required=True, nullable=False)
+_COORDINATES = _Need("ego or world", nullable=False)
+_FLAG_BY_DEFAULT = _Need("flag", nullable=False)
 
-_MOVING = {**_ID, "poses": _needs("@poses")}
-_CLOUD = {**_MOVING, "coordinates": _by_default("ego or world")}
+_OTHER_NEEDS: Mapping[tuple[str, str], _Need | None] = {
+    ("sensor lidar", "poses"): _NEEDED_POSES,
+    ("sensor radar", "poses"): _NEEDED_POSES,
+    ("sensor camera", "poses"): _NEEDED_POSES,
+    ("sensor lidar", "coordinates"): _COORDINATES,
+    ("sensor radar", "coordinates"): _COORDINATES,
+    ("sensor camera", "coordinates"): None,
+    ("annotation attributes", "label"): None,
+    ("annotation labeled_points", "attributes"): None,
+    ("annotation labeled_points", "is_instance"): _FLAG_BY_DEFAULT,
+    ("annotation point_segmentation", "attributes"): None,
+    ("annotation point_segmentation", "is_instance"): _FLAG_BY_DEFAULT,
+    ("attribute", "values"): _Need("attribute values", required=True, nullable=False),
+    ("attribute", "static"): _FLAG_BY_DEFAULT,
+    ("attribute", "point_index"): None,
+    ("projection", "boxes"): _Need("rows or nulls", required=True, nullable=False),
+    ("projection", "confirmed"): None,
+    ("lidar_points", "ring"): None,
+    ("lidar_points", "camera_index"): None,
+    ("distortion", "model"): _Need("distortion model", required=True, nullable=False),
+    ("distortion", "params"): _Need("numbers", required=True, nullable=False),
+}
+"""Where the library differs from the description, or does not look (None)."""
 
-SENSORS: Mapping[str, Mapping[str, _Need]] = MappingProxyType(
-    {
-        "lidar": {**_CLOUD, "frames": _needs("[@lidar_frame]")},
-        "radar": {**_CLOUD, "frames": _needs("[@radar_frame]")},
-        "camera": {
-            **_MOVING,
-            "intrinsics": _needs("@intrinsics"),
-            "video": _Need("@video"),
-            "images": _Need("[@image]"),
-        },
-    }
+
+def _needs_of(record: str) -> Mapping[str, _Need]:
+    """What the library needs of the fields of a record: those that the description requires or expects.
+
+    Source: scale-sensor-fusion-io 0.5.4, spec/sfs/types.py and validation/parser/sfs.py.
+    """
+    needs: dict[str, _Need] = {}
+    for name, field in RECORDS[record].items():
+        needed = field.required or field.expected
+        usual = _Need(_NEEDS_BY_KIND.get(field.kind, "").format(field.record), needed, not needed)
+        need = _OTHER_NEEDS.get((record, name), usual)
+        if need is not None and name != "type":
+            needs[name] = need
+    return MappingProxyType(needs)
+
+
+ANNOTATIONS = MappingProxyType({name: _needs_of(f"annotation {name}") for name in _LOADED_ANNOTATIONS})
+"""The annotations that its loader takes, with what it needs of their fields."""
+
+SENSORS = MappingProxyType({name: _needs_of(f"sensor {name}") for name in VALIDATED_SENSORS})
+
+_PART_NAMES = (
+    *("poses", "path", "attribute", "activation", "projection", "labeled_points_of_frame", "lidar_frame"),
+    *("radar_frame", "lidar_points", "radar_points", "intrinsics", "distortion", "video", "image"),
 )
 
 PARTS: Mapping[str, Mapping[str, _Need]] = MappingProxyType(
     {
-        "scene": {
-            "time_offset": _Need("integer"),
-            "attributes": _Need("[@attribute]"),
-            "metadata": _Need("map"),
-        },
-        "poses": {"timestamps": _needs("integers"), "values": _needs("rows")},
-        "path": {"timestamps": _needs("integers"), "values": _needs("rows")},
-        "cuboid_path": {"timestamps": _needs("integers"), "values": _needs("rows")},
-        "attribute": {
-            "name": _needs("text"),
-            "timestamps": _needs("integers"),
-            "values": _needs("attribute values"),
-            "sensor_id": _Need("id"),
-            "static": _by_default("flag"),
-        },
-        "activation": {
-            "sensor_id": _needs("id"),
-            "timestamps": _needs("integers"),
-            "durations": _needs("numbers"),
-            "cuboids": _Need("rows"),
-        },
-        "projection": {
-            "sensor_id": _needs("id"),
-            "timestamps": _needs("integers"),
-            "boxes": _needs("rows or nulls"),
-            "cuboids": _Need("rows"),
-        },
-        "labeled_points_of_frame": {
-            "sensor_id": _needs("id"),
-            "point_ids": _needs("array"),
-            "sensor_frame": _Need("integer"),
-        },
-        "lidar_frame": {"timestamp": _needs("integer"), "points": _needs("@lidar_points")},
-        "radar_frame": {"timestamp": _needs("integer"), "points": _needs("@radar_points")},
-        "lidar_points": {
-            "positions": _needs("array"),
-            "colors": _Need("array"),
-            "intensities": _Need("array"),
-            "timestamps": _Need("array"),
-        },
-        "radar_points": {
-            "positions": _needs("array"),
-            "directions": _Need("array"),
-            "lengths": _Need("array"),
-            "timestamps": _Need("array"),
-        },
-        "intrinsics": {
-            **{name: _needs("number") for name in ("fx", "fy", "cx", "cy")},
-            "width": _needs("integer"),
-            "height": _needs("integer"),
-            "distortion": _Need("@distortion"),
-        },
-        "distortion": {"model": _needs("distortion model"), "params": _needs("numbers")},
-        "video": {"timestamps": _needs("integers"), "content": _needs("array"), "fps": _needs("number")},
-        "image": {"timestamp": _needs("integer"), "content": _needs("array")},
+        "scene": {"time_offset": _Need("integer"), "attributes": _Need("[@attribute]"), "metadata": _Need("map")},
+        **{name: _needs_of(name) for name in _PART_NAMES},
     }
 )
 """The records inside sensors and annotations."""
@@ -219,7 +163,7 @@ _CHECKS: Mapping[str, Callable[[Any], bool]] = MappingProxyType(
         ),
         "attribute values": lambda value: isinstance(value, list) and all(map(_attribute_value_fits, value)),
         "ego or world": lambda value: isinstance(value, str) and value in ("ego", "world"),
-        "distortion model": lambda value: isinstance(value, str) and value in _DISTORTION_MODELS,
+        "distortion model": lambda value: isinstance(value, str) and value in COEFFICIENT_COUNTS,
     }
 )
 """What a field can be, and how that is reported."""
@@ -238,11 +182,9 @@ _WORDS = MappingProxyType(
         "rows or nulls": "a list of lists of numbers, or null instead of a list",
         "attribute values": "a list of texts, integers, or lists of texts",
         "ego or world": "'ego' or 'world'",
-        "distortion model": "one of " + ", ".join(_DISTORTION_MODELS),
+        "distortion model": "one of " + ", ".join(COEFFICIENT_COUNTS),
     }
 )
-
-Location = tuple[str | int, ...]
 
 
 def record_faults(record: Any, needs: Mapping[str, _Need], location: Location = ()) -> Iterator[tuple[Location, str]]:
@@ -356,34 +298,126 @@ def _restored_attributes(attributes: Sequence[AttributePath], records: Sequence[
     return tuple(restored)
 
 
-def simplified_attributes(
-    attributes: Sequence[_Record], annotation_id: Identifier | None
-) -> tuple[list[_Record], list[_Record]]:
-    """Give attributes as Scale's library takes them, and the records that keep what was changed.
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Which programs a file is written for: all that know the format's text, or Scale's own library too.
 
-    Numbers become integers: an attribute with fractions is counted in thousandths. Static attributes keep their first
-    timestamp.
+    Attributes:
+        name: "sfs" or "scale".
+        scale: whether Scale's own library must load and validate the file. Attributes then have integers for numbers
+            and static ones one timestamp, radar points no lengths, frames begin with their earliest point, frames
+            without points have no point times, and distortion models are those that the format lists.
+        time_units: the units that the readers know.
     """
-    simplified: list[_Record] = []
-    records: list[_Record] = []
-    for index, attribute in enumerate(attributes):
-        times, values = _listed(attribute.get("timestamps")), _listed(attribute.get("values"))
-        written = _integers(values)
-        kept = 1 if attribute.get("static") else len(values)
-        written, written_times = written[:kept], times[:kept]
-        if attribute.get("timestamps") is None:
-            simplified.append(attribute)
-            continue
-        simplified.append({**attribute, "timestamps": written_times, "values": written})
-        if written_times != times or not _identical(written, values):
-            record = {"index": index, "timestamps": times, "values": values, "written": written}
-            records.append(record if annotation_id is None else {"annotation_id": annotation_id, **record})
-    return simplified, records
+
+    name: str
+    scale: bool
+    time_units: tuple[str, ...]
+
+    @classmethod
+    def named(cls, name: str) -> Self:
+        """Find a profile.
+
+        Raises:
+            OptionError: there is none of that name.
+        """
+        if name not in {"sfs", "scale"}:
+            raise OptionError(f"profile {name!r}; expected one of sfs, scale")
+        return cls(name, name == "scale", ("microseconds",) if name == "scale" else tuple(TICKS_NS))
+
+    def sensor_obstacle(self, record: _Record, clock: FileClock) -> str | None:
+        """Why a sensor, as a record in nanoseconds, has to stand under our metadata; None: it need not.
+
+        Source: scale-sensor-fusion-io 0.5.4, validation/parser/sfs.py and validation/validate.py.
+        """
+        type_name = record["type"]
+        if type_name in _OUR_TYPES or (self.scale and type_name not in SENSOR_RECORDS):
+            return "the format has no such sensor"
+        if not self.scale:
+            return None
+        if type_name not in VALIDATED_SENSORS:
+            return "Scale's validator knows no such sensor"
+        if record.get("poses") is None:
+            return "Scale's library needs poses"
+        video = record.get("video") if type_name == "camera" else None
+        name = "images" if type_name == "camera" else "frames"
+        series = [frame["timestamp"] for frame in record.get(name) or []] if video is None else video["timestamps"]
+        for what, times_ns in ((name, series), ("poses", record["poses"]["timestamps"])):
+            fault = time_fault([clock.timestamp(int(time)) for time in times_ns], paced=what != "poses")
+            if fault is not None:
+                return f"Scale's validator refuses {what} with {fault}"
+        return None
+
+    def annotation_obstacle(self, record: _Record) -> str | None:
+        """Why an annotation, as a record in nanoseconds, has to stand under our metadata; None: it need not.
+
+        Source: scale-sensor-fusion-io 0.5.4, spec/sfs/types.py and model_converters/sfs.py.
+        """
+        if not self.scale:
+            return None
+        if record["type"] not in ANNOTATIONS:
+            return f"Scale's loader knows no {record['type']} annotation"
+        missing = _missing(record, ANNOTATIONS[record["type"]])
+        for name, part in (("activations", "activation"), ("projections", "projection"), ("attributes", "attribute")):
+            for item in record.get(name) or []:
+                missing += [f"{name}[].{field}" for field in _missing(item, PARTS[part])]
+        if missing:
+            return f"Scale's loader needs {missing[0]}"
+        duration_ns = record.get("duration") if record["type"] == "event" else None
+        if duration_ns is not None and (type(duration_ns) is not int or duration_ns % TICKS_NS["microseconds"]):
+            return "Scale's loader takes durations of whole microseconds only"
+        parts = [part for name in ("activations", "projections") for part in record.get(name) or []]
+        if any(isinstance(part.get("cuboids"), list) and None in part["cuboids"] for part in parts):
+            return "Scale's loader takes no null among the cuboids of a sensor"
+        fit = all(map(_attribute_fits, record.get("attributes") or []))
+        return None if fit else "Scale's loader takes text and integers only"
+
+    def fitting_attributes(self, attributes: Sequence[_Record]) -> tuple[list[_Record], list[_Record]]:
+        """Part the attributes that can be written from those that have to stand under our metadata."""
+        fitting: list[_Record] = []
+        aside: list[_Record] = []
+        for attribute in attributes:
+            whole = {**attribute, "values": _integers(_listed(attribute.get("values")))}
+            (fitting if not self.scale or _attribute_fits(whole) else aside).append(attribute)
+        return fitting, aside
+
+    def simplified_attributes(
+        self, attributes: Sequence[_Record], annotation_id: Identifier | None
+    ) -> tuple[Sequence[_Record], list[_Record]]:
+        """Give attributes as the readers take them, and the records that keep what was changed.
+
+        For Scale's library, numbers become integers: an attribute with fractions is counted in thousandths. Static
+        attributes keep their first timestamp.
+        """
+        if not self.scale:
+            return attributes, []
+        simplified: list[_Record] = []
+        records: list[_Record] = []
+        for index, attribute in enumerate(attributes):
+            if attribute.get("timestamps") is None:
+                simplified.append(attribute)
+                continue
+            times, values = _listed(attribute["timestamps"]), _listed(attribute.get("values"))
+            kept = 1 if attribute.get("static") else len(values)
+            written, written_times = _integers(values)[:kept], times[:kept]
+            simplified.append({**attribute, "timestamps": written_times, "values": written})
+            if written_times != times or not _identical(written, values):
+                record = {"index": index, "timestamps": times, "values": values, "written": written}
+                records.append(record if annotation_id is None else {"annotation_id": annotation_id, **record})
+        return simplified, records
 
 
-def thousandths(attribute: _Record) -> _Record:
-    """Give one attribute with integers for numbers."""
-    return {**attribute, "values": _integers(_listed(attribute.get("values")))}
+_OUR_TYPES = frozenset({"imu", "gnss"})
+
+
+def _missing(record: _Record, needs: Mapping[str, _Need]) -> list[str]:
+    return [name for name, need in needs.items() if need.required and name != "id" and record.get(name) is None]
+
+
+def _attribute_fits(attribute: _Record) -> bool:
+    """Whether Scale's loader takes one attribute."""
+    named = isinstance(attribute.get("name"), str)
+    return named and all(map(_attribute_value_fits, attribute.get("values") or []))
 
 
 def _listed(values: Any) -> list[Any]:
@@ -402,174 +436,3 @@ def _is_number(value: Any) -> bool:
 
 def _identical(written: Sequence[Any], values: Sequence[Any]) -> bool:
     return [(type(value), value) for value in written] == [(type(value), value) for value in values]
-
-
-@dataclass(frozen=True, slots=True)
-class Profile:
-    """One profile.
-
-    Attributes:
-        name: as the caller says it.
-        time_units: the units that its readers know.
-        sensor_obstacle: why a sensor, as a record in nanoseconds, has to stand under our metadata; None: it need not.
-        annotation_obstacle: the same for an annotation.
-        exact_attributes: whether attributes may have fractions, and static ones several timestamps.
-        radar_lengths: whether radar points may have lengths.
-        late_frames: whether a frame that was read may start later than its points.
-        empty_point_times: whether a frame without points may have an array of point times.
-        any_distortion: whether distortion models may have names that the format does not list.
-    """
-
-    name: str
-    time_units: tuple[str, ...]
-    sensor_obstacle: Callable[[_Record, FileClock], str | None]
-    annotation_obstacle: Callable[[_Record], str | None]
-    exact_attributes: bool
-    radar_lengths: bool
-    late_frames: bool
-    empty_point_times: bool
-    any_distortion: bool
-
-
-def profile_named(name: str) -> Profile:
-    """Find a profile.
-
-    Raises:
-        OptionError: there is none of that name.
-    """
-    if name not in _PROFILES:
-        raise OptionError(f"profile {name!r}; expected one of {', '.join(_PROFILES)}")
-    return _PROFILES[name]
-
-
-_OUR_TYPES = frozenset({"imu", "gnss"})
-_NO_POSITION = "the format has no such sensor"
-
-
-def _sfs_sensor(record: _Record, _: FileClock) -> str | None:
-    return _NO_POSITION if record["type"] in _OUR_TYPES else None
-
-
-def _sfs_annotation(_: _Record) -> None:
-    return None
-
-
-def _scale_sensor(record: _Record, clock: FileClock) -> str | None:
-    """Report what Scale's validator would refuse about a sensor.
-
-    Source: scale-sensor-fusion-io 0.5.4, validation/parser/sfs.py and validation/validate.py.
-    """
-    type_name = record["type"]
-    if type_name in _OUR_TYPES or type_name not in SENSOR_RECORDS:
-        return _NO_POSITION
-    if type_name not in VALIDATED_SENSORS:
-        return "Scale's validator knows no such sensor"
-    if record.get("poses") is None:
-        return "Scale's library needs poses"
-    for name, times in _times_of(record).items():
-        obstacle = _time_obstacle(name, times, clock)
-        if obstacle is not None:
-            return obstacle
-    return None
-
-
-def _times_of(record: _Record) -> dict[str, list[int]]:
-    """All series of times of a sensor [ns], by name."""
-    if record["type"] == "camera":
-        video = record.get("video")
-        content = [image["timestamp"] for image in record.get("images") or []]
-        times = {"images": content if video is None else list(video["timestamps"])}
-    else:
-        times = {"frames": [frame["timestamp"] for frame in record["frames"]]}
-    return {**times, "poses": list(record["poses"]["timestamps"])}
-
-
-def _time_obstacle(name: str, times_ns: list[int], clock: FileClock) -> str | None:
-    fault = time_fault([clock.timestamp(int(time)) for time in times_ns], paced=name != "poses")
-    return None if fault is None else f"Scale's validator refuses {name} with {fault}"
-
-
-def _needed(record: Mapping[str, _Need]) -> tuple[str, ...]:
-    return tuple(name for name, need in record.items() if need.required and name != "id")
-
-
-_SCALE_ANNOTATIONS = {name: _needed(record) for name, record in ANNOTATIONS.items()}
-
-_SCALE_PARTS = {
-    "activations": _needed(PARTS["activation"]),
-    "projections": _needed(PARTS["projection"]),
-    "attributes": _needed(PARTS["attribute"]),
-}
-
-
-def _scale_annotation(record: _Record) -> str | None:
-    """Report what Scale's loader would refuse about an annotation.
-
-    Source: scale-sensor-fusion-io 0.5.4, spec/sfs/types.py and model_converters/sfs.py.
-    """
-    needed = _SCALE_ANNOTATIONS.get(record["type"])
-    if needed is None:
-        return f"Scale's loader knows no {record['type']} annotation"
-    missing = [name for name in needed if record.get(name) is None]
-    for part, names in _SCALE_PARTS.items():
-        for item in record.get(part) or []:
-            missing += [f"{part}[].{name}" for name in names if item.get(name) is None]
-    if missing:
-        return f"Scale's loader needs {missing[0]}"
-    if not _whole_duration(record):
-        return "Scale's loader takes durations of whole microseconds only"
-    if _has_null_cuboids(record):
-        return "Scale's loader takes no null among the cuboids of a sensor"
-    return None if _attributes_fit(record.get("attributes") or []) else "Scale's loader takes text and integers only"
-
-
-def _whole_duration(record: _Record) -> bool:
-    """Whether the duration of an event [ns] is a whole number in a file for Scale's library."""
-    duration_ns = record.get("duration") if record["type"] == "event" else None
-    return duration_ns is None or (isinstance(duration_ns, int) and duration_ns % TICKS_NS["microseconds"] == 0)
-
-
-def _has_null_cuboids(record: _Record) -> bool:
-    """Whether an activation or a projection has no cuboid at one of its times."""
-    parts = [part for name in ("activations", "projections") for part in record.get(name) or []]
-    return any(isinstance(part.get("cuboids"), list) and None in part["cuboids"] for part in parts)
-
-
-def _attributes_fit(attributes: Any) -> bool:
-    """Whether Scale's loader takes the values of attributes."""
-    return all(attribute_fits(attribute) for attribute in attributes)
-
-
-def attribute_fits(attribute: _Record) -> bool:
-    """Whether Scale's loader takes one attribute."""
-    named = isinstance(attribute.get("name"), str)
-    return named and all(_attribute_value_fits(value) for value in attribute.get("values") or [])
-
-
-_PROFILES: Mapping[str, Profile] = MappingProxyType(
-    {
-        "sfs": Profile(
-            name="sfs",
-            time_units=tuple(TICKS_NS),
-            sensor_obstacle=_sfs_sensor,
-            annotation_obstacle=_sfs_annotation,
-            exact_attributes=True,
-            radar_lengths=True,
-            late_frames=True,
-            empty_point_times=True,
-            any_distortion=True,
-        ),
-        "scale": Profile(
-            name="scale",
-            time_units=("microseconds",),
-            sensor_obstacle=_scale_sensor,
-            annotation_obstacle=_scale_annotation,
-            exact_attributes=False,
-            radar_lengths=False,
-            late_frames=False,
-            empty_point_times=False,
-            any_distortion=False,
-        ),
-    }
-)
-"""The profiles by name: the format's text, and what Scale's own library loads and validates."""

@@ -1,9 +1,9 @@
 """Reading records by the table of fields: kinds are checked, times become nanoseconds, unknown fields are kept.
 
-Poses and extrinsics.
+Poses and mountings of records.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,10 +43,9 @@ class Fault:
     """One thing that is wrong in a header.
 
     Attributes:
-        location: where.
-        problem: what, with the value and what was expected.
+        problem: the value and what was expected.
         code: the kind of fault, kebab case.
-        repaired: whether it was brought into order on reading, so that nothing has to be left out for it.
+        repaired: whether it was repaired on reading, so that nothing has to be left out for it.
     """
 
     location: Location
@@ -67,8 +66,8 @@ class Faults(list[Fault]):
         self.extend(replace(fault, location=(*location, *fault.location)) for fault in other)
 
     @property
-    def unmended(self) -> bool:
-        """Whether one of them was not brought into order."""
+    def unrepaired(self) -> bool:
+        """Whether one of them was not repaired."""
         return any(not fault.repaired for fault in self)
 
 
@@ -78,7 +77,7 @@ class RecordReader:
 
     Attributes:
         clock: turns timestamps into nanoseconds.
-        forgiving: keep what does not fit its field as it is found, without a fault.
+        forgiving: keep what does not fit its field as it is, without a fault.
     """
 
     clock: FileClock
@@ -98,7 +97,7 @@ class RecordReader:
                 continue
             inner = Faults()
             try:
-                values[name] = _READERS[field.kind](self, value, field, inner)
+                values[name] = self._value(value, field, inner)
             except (FieldError, TimeRangeError) as error:
                 if field.ours or self.forgiving:
                     values[name] = value
@@ -108,29 +107,36 @@ class RecordReader:
                 values[name] = value
             elif inner:
                 faults.take(inner, (name,))
-        for field in _required(record):
+        for field in _REQUIRED[record]:
             if raw.get(field.name) is None:
                 faults.add((field.name,), f"missing; expected {field.kind.value}")
         return values
 
-    def read_list(self, raw: Any, record: str, faults: Faults) -> list[dict[str, Any]]:
-        """Read a list of records."""
+    def _value(self, value: Any, field: Field, faults: Faults) -> Any:
+        is_plain = _PLAIN.get(field.kind)
+        if is_plain is None:
+            return _READERS[field.kind](self, value, field, faults)
+        if not is_plain(value):
+            raise _wrong(value, field)
+        return value
+
+    def records(self, raw: Any, record: str, faults: Faults, *, lists: bool = False) -> list[Any]:
+        """Read a list of records; with `lists`, entries may be lists of records themselves."""
         if not isinstance(raw, list):
             raise FieldError(f"{_found(raw)}; expected a list of objects")
-        records = []
-        for index, item in enumerate(raw):
-            inner = Faults()
-            records.append(self.read(item, record, inner))
-            if inner:
-                faults.take(inner, (index,))
-        return records
+        return [self.part(item, record, faults, index, lists=lists) for index, item in enumerate(raw)]
+
+    def part(self, raw: Any, record: str, faults: Faults, key: str | int, *, lists: bool = False) -> Any:
+        """Read a record that stands at a key of what is being read."""
+        inner = Faults()
+        as_list = lists and isinstance(raw, list)
+        values = self.records(raw, record, inner) if as_list else self.read(raw, record, inner)
+        if inner:
+            faults.take(inner, (key,))
+        return values
 
 
-_REQUIRED = {name: tuple(f for f in record.values() if f.required) for name, record in RECORDS.items()}
-
-
-def _required(record: str) -> tuple[Field, ...]:
-    return _REQUIRED[record]
+_REQUIRED = {name: tuple(field for field in record.values() if field.required) for name, record in RECORDS.items()}
 
 
 def _found(value: Any) -> str:
@@ -152,12 +158,7 @@ def _wrong(value: Any, field: Field) -> FieldError:
     return FieldError(f"{_found(value)}; expected {field.kind.value}")
 
 
-def _is_integer(value: Any) -> bool:
-    """Whether a value is an integer, and not a truth value."""
-    return type(value) is int
-
-
-def _as_integer(value: Any, field: Field) -> int:
+def _integer(value: Any, field: Field) -> int:
     """Take an integer, or a float that stands for one."""
     if type(value) is int and INT64_MIN <= value <= INT64_MAX:
         return value
@@ -166,85 +167,44 @@ def _as_integer(value: Any, field: Field) -> int:
     raise _wrong(value, field)
 
 
-def _read_anything(_: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
-    del field, faults
-    return value
-
-
-def _read_identifier(_: RecordReader, value: Any, field: Field, faults: Faults) -> str | int:
-    del faults
-    if type(value) is str or type(value) is int:
-        return value
-    raise _wrong(value, field)
-
-
-def _read_text(_: RecordReader, value: Any, field: Field, faults: Faults) -> str:
-    del faults
-    if isinstance(value, str):
-        return value
-    raise _wrong(value, field)
-
-
-def _read_flag(_: RecordReader, value: Any, field: Field, faults: Faults) -> bool:
-    del faults
-    if isinstance(value, bool):
-        return value
-    raise _wrong(value, field)
-
-
-def _read_integer(_: RecordReader, value: Any, field: Field, faults: Faults) -> int:
-    del faults
-    return _as_integer(value, field)
-
-
-def _read_number(_: RecordReader, value: Any, field: Field, faults: Faults) -> int | float:
-    del faults
-    if type(value) is float or type(value) is int:
-        return value
-    raise _wrong(value, field)
-
-
-def _read_time(reader: RecordReader, value: Any, field: Field, faults: Faults) -> int:
-    del faults
+def _time(clock: FileClock, value: Any, field: Field) -> int:
     if type(value) is int:
-        return reader.clock.absolute_ns(value)
+        return clock.absolute_ns(value)
     if type(value) is float:
-        return checked_ns(scaled(value, reader.clock.tick_ns) + reader.clock.offset_ns)
+        return checked_ns(scaled(value, clock.tick_ns) + clock.offset_ns)
     raise _wrong(value, field)
 
 
-def _read_times(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
+def _times(clock: FileClock, value: Any, field: Field) -> Any:
     if isinstance(value, np.ndarray):
         if value.ndim != 1 or value.dtype.kind not in "iu":
             raise _wrong(value, field)
-        return read_only(reader.clock.absolute_array(value))
+        return read_only(clock.absolute_array(value))
     if not isinstance(value, list):
         raise _wrong(value, field)
     if set(map(type, value)) <= {int}:
-        tick_ns, offset_ns = reader.clock.tick_ns, reader.clock.offset_ns
-        times = [timestamp * tick_ns + offset_ns for timestamp in value]
+        times = [timestamp * clock.tick_ns + clock.offset_ns for timestamp in value]
         if times:
-            reader.clock.absolute_ns(max(value))
-            reader.clock.absolute_ns(min(value))
+            clock.absolute_ns(max(value))
+            clock.absolute_ns(min(value))
         return times
-    return _each(value, lambda item: _read_time(reader, item, _TIME, faults))
+    return _each(value, lambda item: _time(clock, item, _TIME))
 
 
-def _read_duration(reader: RecordReader, value: Any, field: Field, faults: Faults) -> int | float:
-    del faults
+def _duration(clock: FileClock, value: Any, field: Field) -> int | float:
     if type(value) is int or type(value) is float:
-        return reader.clock.duration_ns(value)
+        return clock.duration_ns(value)
     raise _wrong(value, field)
 
 
-def _read_durations(reader: RecordReader, value: Any, field: Field, faults: Faults) -> list[Any]:
+def _durations(clock: FileClock, value: Any, field: Field) -> list[Any]:
     values = value.tolist() if isinstance(value, np.ndarray) else value
     if not isinstance(values, list):
         raise _wrong(value, field)
-    return _each(values, lambda item: _read_duration(reader, item, _DURATION, faults))
+    return _each(values, lambda item: _duration(clock, item, _DURATION))
 
 
-def _each(values: list[Any], read: Callable[[Any], Any]) -> list[Any]:
+def _each(values: Iterable[Any], read: Callable[[Any], Any]) -> list[Any]:
     times: list[Any] = []
     for index, item in enumerate(values):
         try:
@@ -257,15 +217,7 @@ def _each(values: list[Any], read: Callable[[Any], Any]) -> list[Any]:
 _TIME, _DURATION = Field("", Kind.TIME), Field("", Kind.DURATION)
 
 
-def _read_list(_: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
-    del faults
-    if isinstance(value, list | np.ndarray):
-        return value
-    raise _wrong(value, field)
-
-
-def _read_array(_: RecordReader, value: Any, field: Field, faults: Faults) -> AnyArray:
-    del faults
+def _array(value: Any, field: Field) -> AnyArray:
     dtype = np.dtype(field.dtype)
     if isinstance(value, RawBytes):
         array = _of_raw_bytes(value, dtype)
@@ -312,86 +264,67 @@ def _in_columns(array: AnyArray, columns: int) -> AnyArray:
     return array
 
 
-def _read_point_times(reader: RecordReader, value: Any, field: Field, faults: Faults) -> AnyArray:
-    """Check the times of points, which become nanoseconds only when their frame is asked for.
+def _point_times(clock: FileClock, value: Any) -> AnyArray:
+    """Check the times of points, which become nanoseconds only when their frame is read.
 
-    Source of the width where no dtype says it: `timestamps` in "Lidar Sensor" of the description.
+    Source of the width where no dtype states it: `timestamps` in "Lidar Sensor" of the description.
     """
-    del faults
     if isinstance(value, RawBytes):
-        return _of_raw_bytes(value, point_times_dtype(reader.clock))
+        return _of_raw_bytes(value, point_times_dtype(clock))
     array = _of_list(value, np.dtype(np.int64)) if isinstance(value, list) else value
     if not isinstance(array, np.ndarray):
         raise FieldError(f"{_found(value)}; expected an array of uint32 or uint64 that an item fills")
     if array.dtype.kind not in "iu" or array.dtype.itemsize < 4:
         raise FieldError(f"an array of {array.dtype.name}; expected uint32 or uint64")
-    del field
     return _in_columns(array, 0)
 
 
-def _read_record(reader: RecordReader, value: Any, field: Field, faults: Faults) -> dict[str, Any]:
-    return reader.read(value, field.record, faults)
+def _record_or_records(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
+    return (reader.read if isinstance(value, dict) else reader.records)(value, field.record, faults)
 
 
-def _read_records(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
-    return reader.read_list(value, field.record, faults)
-
-
-def _read_record_or_records(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
-    return (reader.read if isinstance(value, dict) else reader.read_list)(value, field.record, faults)
-
-
-def _read_record_lists(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
-    """Read a list of lists; a plain list of records is taken, too."""
+def _record_lists(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
     if not isinstance(value, list):
         raise _wrong(value, field)
-    lists = []
-    for index, item in enumerate(value):
-        inner = Faults()
-        lists.append((reader.read_list if isinstance(item, list) else reader.read)(item, field.record, inner))
-        if inner:
-            faults.take(inner, (index,))
-    return lists
+    return reader.records(value, field.record, faults, lists=True)
 
 
-def _read_record_map(reader: RecordReader, value: Any, field: Field, faults: Faults) -> dict[str, Any]:
+def _record_map(reader: RecordReader, value: Any, field: Field, faults: Faults) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise _wrong(value, field)
-    records = {}
-    for name, item in value.items():
-        inner = Faults()
-        records[name] = reader.read(item, field.record, inner)
-        if inner:
-            faults.take(inner, (name,))
-    return records
+    return {name: reader.part(item, field.record, faults, name) for name, item in value.items()}
 
+
+_PLAIN: Mapping[Kind, Callable[[Any], bool]] = {
+    Kind.ANYTHING: lambda _: True,
+    Kind.IDENTIFIER: lambda value: type(value) is str or type(value) is int,
+    Kind.TEXT: lambda value: isinstance(value, str),
+    Kind.FLAG: lambda value: isinstance(value, bool),
+    Kind.NUMBER: lambda value: type(value) is float or type(value) is int,
+    Kind.LIST: lambda value: isinstance(value, list | np.ndarray),
+}
+"""The kinds whose values pass as they are, and whether a value is one."""
 
 _READERS: Mapping[Kind, Callable[[RecordReader, Any, Field, Faults], Any]] = {
-    Kind.ANYTHING: _read_anything,
-    Kind.IDENTIFIER: _read_identifier,
-    Kind.TEXT: _read_text,
-    Kind.FLAG: _read_flag,
-    Kind.INTEGER: _read_integer,
-    Kind.NUMBER: _read_number,
-    Kind.TIME: _read_time,
-    Kind.TIMES: _read_times,
-    Kind.DURATION: _read_duration,
-    Kind.DURATIONS: _read_durations,
-    Kind.LIST: _read_list,
-    Kind.ARRAY: _read_array,
-    Kind.POINT_TIMES: _read_point_times,
-    Kind.RECORD: _read_record,
-    Kind.RECORDS: _read_records,
-    Kind.RECORD_OR_RECORDS: _read_record_or_records,
-    Kind.RECORD_LISTS: _read_record_lists,
-    Kind.RECORD_MAP: _read_record_map,
+    Kind.INTEGER: lambda _, value, field, __: _integer(value, field),
+    Kind.TIME: lambda reader, value, field, _: _time(reader.clock, value, field),
+    Kind.TIMES: lambda reader, value, field, _: _times(reader.clock, value, field),
+    Kind.DURATION: lambda reader, value, field, _: _duration(reader.clock, value, field),
+    Kind.DURATIONS: lambda reader, value, field, _: _durations(reader.clock, value, field),
+    Kind.ARRAY: lambda _, value, field, __: _array(value, field),
+    Kind.POINT_TIMES: lambda reader, value, _, __: _point_times(reader.clock, value),
+    Kind.RECORD: lambda reader, value, field, faults: reader.read(value, field.record, faults),
+    Kind.RECORDS: lambda reader, value, field, faults: reader.records(value, field.record, faults),
+    Kind.RECORD_OR_RECORDS: _record_or_records,
+    Kind.RECORD_LISTS: _record_lists,
+    Kind.RECORD_MAP: _record_map,
 }
 
 _NORM_TOLERANCE = 0.01
 """How far from 1 the norm of a quaternion may be. Source: our reading of "Poses", in docs/CONVENTIONS.md."""
 
 _LEAST_NORM = 1e-3
-"""A quaternion shorter than this reports no direction that could be trusted."""
+"""A quaternion shorter than this has no direction that could be trusted."""
 
 
 def rows_of(values: Any, columns: int) -> Float64Array:
@@ -417,30 +350,12 @@ def times_of(timestamps_ns: Any) -> Int64Array:
     return np.asarray(timestamps_ns, np.int64).reshape(-1)
 
 
-def _path_of(record: Mapping[str, Any]) -> Poses | None:
-    """Make the Poses of a `poses` record; None where it is empty.
-
-    Raises:
-        FieldError: it is not what a Poses must be.
-    """
-    timestamps_ns, rows = times_of(record["timestamps"]), rows_of(record["values"], 7)
-    if len(timestamps_ns) != len(rows):
-        raise FieldError(f"{len(timestamps_ns)} timestamps and {len(rows)} values; expected as many of both")
-    if len(rows) == 0:
-        return None
-    try:
-        with np.errstate(over="ignore"):
-            return Poses(timestamps_ns, rows[:, :3], rows[:, 3:])
-    except ArrayError as error:
-        raise FieldError(str(error).removeprefix("poses").lstrip(".: ")) from None
-
-
-def repaired_path_of(record: Mapping[str, Any], faults: Faults) -> Poses | None:
-    """Make the Poses of a `poses` record, brought into order where that leaves nothing to choose.
+def repaired_poses(record: Mapping[str, Any], faults: Faults) -> Poses | None:
+    """Make the Poses of a `poses` record, repaired where that leaves nothing to choose.
 
     Quaternions of another length than 1 are normalised, poses out of order are sorted, and poses that stand there
-    twice are taken once; each is a repaired fault. None where the record is empty, or has further faults: poses with
-    numbers that are none, without a direction, or that differ at one time, each at its row.
+    twice are taken once; each is a repaired fault. None where the record is empty, or has other faults: poses with
+    numbers that are not finite, without a direction, or that differ at one time, each at its row.
     """
     try:
         timestamps_ns, rows = times_of(record["timestamps"]), rows_of(record["values"], 7)
@@ -449,17 +364,24 @@ def repaired_path_of(record: Mapping[str, Any], faults: Faults) -> Poses | None:
                 problem = f"{rows[k].tolist()}; expected finite numbers"
                 faults.add(("poses", "values", k), problem, code="not-finite")
             return None
-        if len(timestamps_ns) == len(rows) > 0:
-            before = len(faults)
-            _note_useless_rows(timestamps_ns, rows, faults)
-            if len(faults) > before:
-                return None
-            timestamps_ns, rows = _in_order(timestamps_ns, rows, faults)
-            rows = _normalised(rows, faults)
-        return _path_of({"timestamps": timestamps_ns, "values": rows})
+        if len(timestamps_ns) != len(rows):
+            problem = f"{len(timestamps_ns)} timestamps and {len(rows)} values; expected as many of both"
+            faults.add(("poses",), problem)
+        if len(timestamps_ns) != len(rows) or len(rows) == 0:
+            return None
+        before = len(faults)
+        _note_useless_rows(timestamps_ns, rows, faults)
+        if len(faults) > before:
+            return None
+        timestamps_ns, rows = _in_order(timestamps_ns, rows, faults)
+        rows = _normalised(rows, faults)
+        with np.errstate(over="ignore"):
+            return Poses(timestamps_ns, rows[:, :3], rows[:, 3:])
     except FieldError as error:
         faults.add(("poses",), str(error), code=error.code)
-        return None
+    except ArrayError as error:
+        faults.add(("poses",), str(error).removeprefix("poses").lstrip(".: "))
+    return None
 
 
 def _note_useless_rows(timestamps_ns: Int64Array, rows: Float64Array, faults: Faults) -> None:
@@ -482,25 +404,22 @@ def _in_order(timestamps_ns: Int64Array, rows: Float64Array, faults: Faults) -> 
     backwards = np.flatnonzero(timestamps_ns[1:] <= timestamps_ns[:-1])
     if not len(backwards):
         return timestamps_ns, rows
-    order = np.argsort(timestamps_ns, kind="stable")
-    times_ns, sorted_rows = timestamps_ns[order], rows[order]
-    twice = np.diff(times_ns) == 0
     for k in backwards.tolist():
         problem = f"{timestamps_ns[k + 1]} ns after {timestamps_ns[k]} ns; expected strictly increasing times"
         faults.add(("poses", "timestamps", k + 1), problem, code="pose-times-increasing", repaired=True)
-    kept = np.concatenate(([True], ~twice))
-    return times_ns[kept], sorted_rows[kept]
+    times_ns, first = np.unique(timestamps_ns, return_index=True)
+    return times_ns, rows[first]
 
 
 def _normalised(rows: Float64Array, faults: Faults) -> Float64Array:
     """Bring quaternions to length 1 where they are off by more than rounding."""
     norms = np.linalg.norm(rows[:, 3:], axis=1)
     off = np.abs(norms - 1.0) > _NORM_TOLERANCE
-    if not off.any():
-        return rows
     for k in np.flatnonzero(off).tolist():
         problem = f"a quaternion of norm {norms[k]:.6g}; expected 1 within {_NORM_TOLERANCE}"
         faults.add(("poses", "values", k), problem, code="quaternion-norm", repaired=True)
+    if not off.any():
+        return rows
     repaired = rows.copy()
     repaired[off, 3:] /= norms[off, None]
     return repaired

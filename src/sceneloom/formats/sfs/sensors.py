@@ -24,7 +24,7 @@ from sceneloom.formats.sfs.records import (
     extras_of_poses,
     mount_of,
     mount_rows,
-    repaired_path_of,
+    repaired_poses,
     times_of,
     with_extras,
 )
@@ -370,16 +370,23 @@ class _Player:
 _Record = dict[str, Any]
 
 
-_LIDAR_ARRAYS = {
+LIDAR_ARRAYS = {
     "positions": "positions",
     "colors": "colors",
     "intensities": "intensities",
+    "timestamps": "timestamps_ns",
     "ring": "rings",
     "camera_index": "camera_index",
 }
+"""The arrays of a lidar's points in the file, and the attributes of the model."""
 
 
-_RADAR_ARRAYS = {"positions": "positions", "directions": "directions", "lengths": "lengths"}
+RADAR_ARRAYS = {
+    "positions": "positions",
+    "directions": "directions",
+    "lengths": "lengths",
+    "timestamps": "timestamps_ns",
+}
 
 
 _OURS = {"ring": np.dtype(np.uint16), "camera_index": np.dtype(np.uint8)}
@@ -396,7 +403,7 @@ def _read_lidar(source: Source, values: _Record, location: Location, faults: Fau
     frames = values.pop("frames")
     relative = _check_frames(source, frames, location, faults)
     moving = _read_moving(source, values, location, faults, frame_count=len(frames))
-    if faults.unmended:
+    if faults.unrepaired:
         return None
     note = source.note(values["id"])
     read = _frame_reader(source, frames, location, relative=relative, make=_lidar_frame)
@@ -417,7 +424,7 @@ def _read_radar(source: Source, values: _Record, location: Location, faults: Fau
     _restore_lengths(frames, note, faults)
     relative = _check_frames(source, frames, location, faults)
     moving = _read_moving(source, values, location, faults, frame_count=len(frames))
-    if faults.unmended:
+    if faults.unrepaired:
         return None
     read = _frame_reader(source, frames, location, relative=relative, make=_radar_frame)
     return RadarSensor(
@@ -485,7 +492,7 @@ def _read_moving(source: Source, values: _Record, location: Location, faults: Fa
 def _poses(source: Source, values: _Record, location: Location, faults: Faults) -> Poses | None:
     record = values.get("poses")
     found = Faults()
-    path = None if record is None else repaired_path_of(record, found)
+    path = None if record is None else repaired_poses(record, found)
     faults.extend(found)
     if path is None and not found:
         message = "no poses; expected where the sensor was"
@@ -548,12 +555,12 @@ def _point_times(
 
 
 def _lidar_frame(timestamp_ns: int, points: _Record, times_ns: Int64Array | None, extras: _Record) -> LidarFrame:
-    arrays, further = _known_arrays(points, _LIDAR_ARRAYS)
+    arrays, further = _known_arrays(points, LIDAR_ARRAYS)
     return LidarFrame(timestamp_ns, LidarPoints(**arrays, timestamps_ns=times_ns, extras=further), extras)
 
 
 def _radar_frame(timestamp_ns: int, points: _Record, times_ns: Int64Array | None, extras: _Record) -> RadarFrame:
-    arrays, further = _known_arrays(points, _RADAR_ARRAYS)
+    arrays, further = _known_arrays(points, RADAR_ARRAYS)
     return RadarFrame(timestamp_ns, RadarPoints(**arrays, timestamps_ns=times_ns, extras=further), extras)
 
 
@@ -561,9 +568,11 @@ def _known_arrays(points: _Record, names: Mapping[str, str]) -> tuple[_Record, _
     """Part the arrays that the model knows from those that it only carries along."""
     known, further = {}, {}
     for name, value in points.items():
+        if name == "timestamps":
+            continue
         if name in names and value is not None and _is_ours_or_known(name, value, points):
             known[names[name]] = _aligned(value)
-        elif name != "timestamps" and not (name in names and value is None):
+        elif not (name in names and value is None):
             further[name] = value
     return known, further
 
@@ -585,7 +594,7 @@ def _check_frames(source: Source, frames: list[_Record], location: Location, fau
 
     Report whether point times count from the frame's start.
     """
-    if faults.unmended:
+    if faults.unrepaired:
         return False
     for index, frame in enumerate(frames):
         _check_counts(frame["points"], ("frames", index, "points"), faults)
@@ -605,7 +614,7 @@ def _note_further_faults(values: _Record, faults: Faults) -> None:
             _check_counts(points, ("frames", index, "points"), faults)
     poses = values.get("poses")
     if isinstance(poses, dict) and not any(poses.get(name) is None for name in ("timestamps", "values")):
-        repaired_path_of(poses, faults)
+        repaired_poses(poses, faults)
 
 
 def _check_counts(points: _Record, location: Location, faults: Faults) -> None:
@@ -650,8 +659,8 @@ def _restore_lengths(frames: list[_Record], note: Mapping[str, Any], faults: Fau
 def _read_odometry(source: Source, values: _Record, location: Location, faults: Faults) -> OdometrySensor | None:
     """Make an odometry sensor of its record."""
     del location
-    path = repaired_path_of(values["poses"], faults)
-    if path is None and faults.unmended:
+    path = repaired_poses(values["poses"], faults)
+    if path is None and faults.unrepaired:
         return None
     if path is None:
         faults.add(("poses",), "empty; expected at least one pose")
@@ -675,13 +684,13 @@ def _read_imu(source: Source, values: _Record, location: Location, faults: Fault
     return ImuSensor(values["id"], streams, parent_id=values.get("parent_id"), extras=_rest_of(values))
 
 
-_GNSS_ARRAYS = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
+GNSS_ARRAYS = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies", "file_seconds")
 
 
 def _read_gnss(source: Source, values: _Record, location: Location, faults: Faults) -> GnssSensor | None:
     """Make a satellite receiver of the record in our metadata."""
     del source, location
-    arrays = {name: values.pop(name) for name in _GNSS_ARRAYS if values.get(name) is not None}
+    arrays = {name: values.pop(name) for name in GNSS_ARRAYS if values.get(name) is not None}
     rows = values.pop("mount", None)
     try:
         mount = None if rows is None else mount_of(rows)
@@ -757,7 +766,7 @@ def _read_camera(source: Source, values: _Record, location: Location, faults: Fa
     except (FieldError, CalibrationError) as error:
         inner.add(("images",), f"our note: {error}")
     faults.extend(inner)
-    if inner.unmended:
+    if inner.unrepaired:
         return None
     extras = {**_rest_of(values), **content.further}
     if of_intrinsics := extras_of_intrinsics(intrinsics):

@@ -621,7 +621,7 @@ def _draft_of(sensor: Sensor, losses: Losses, *, any_distortion: bool) -> _Senso
             what = f"points are in the {draft.points_frame} frame, which the format cannot state"
             losses.dropped(f"{draft.location}.points_frame", what, kept=f"{_NOTES}.points_frame")
     elif isinstance(sensor, CameraSensor):
-        draft.images = ImageNotesWriter.empty(sensor.camera)
+        draft.images = ImageNotesWriter({sensor.camera: 0})
         written, error = _written_camera_model(sensor.camera, any_model=any_distortion)
         if error is not None:
             draft.note |= {"camera": camera_record(sensor.camera), "written_camera": camera_record(written)}

@@ -88,9 +88,6 @@ class _Frame:
     """The boxes of one sensor that came one by one, of the frame that is not whole yet.
 
     Attributes:
-        sensor_id: the sensor.
-        setting: the configuration in force when the first box of the frame came.
-        boxes: that came.
         latest_s: when the last one came, on the monotonic clock [s].
     """
 
@@ -287,7 +284,6 @@ def _check_headings(directions: Float64Array, group: str, setting: Setting) -> N
 
     Args:
         directions: (N, 3), of any length but 0, in the declared lidar frame.
-        group: how messages call the list; "" for a single box.
 
     Source: READING of direction in docs/CONVENTIONS.md.
     """

@@ -86,13 +86,7 @@ _REACH_NS = 200_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RigResult:
-    """One result, and the configuration in force when its sweep came.
-
-    Attributes:
-        record: of table 9 or 10.
-        setting: the configuration.
-        found: of records of table 10, what they report, in the words of the fusion system.
-    """
+    """One result, and the configuration in force when its sweep came."""
 
     record: ResultRecord
     setting: Setting
@@ -430,13 +424,7 @@ def _type_of(record: ResultRecord) -> FusionType:
 
 @dataclass(slots=True)
 class _TaskQueue:
-    """Tasks in the order in which they came; of each sensor's records only so many wait.
-
-    Attributes:
-        closed: whether the worker may end.
-        busy: whether the worker does a task that it took; the worker says when it does not any more.
-        moves: how many chunks of the vehicle's trajectory wait.
-    """
+    """Tasks in the order in which they came; of each sensor's records only so many wait."""
 
     _tasks: deque[Task] = field(default_factory=deque)
     _waiting: Counter[Stream] = field(default_factory=Counter)
@@ -455,11 +443,7 @@ class _TaskQueue:
         return not self._tasks and not self.busy
 
     def put(self, task: Task, *, most: int) -> list[Accepted]:
-        """Append a task; gives the older records of the same stream that were dropped to make room.
-
-        Args:
-            most: how many records of one stream may wait.
-        """
+        """Append a task; gives the older records of the same stream that were dropped to make room."""
         dropped: list[Accepted] = []
         with self._changed:
             if isinstance(task, Accepted):

@@ -47,8 +47,6 @@ class _Kind(NamedTuple):
     """One class of objects.
 
     Attributes:
-        family: of classes that detectors take for one another.
-        words: other names of it.
         size_lwh: typical length, width and height [m].
         size_sigmas: how much they differ from one object to the next, as standard deviations [m].
     """

@@ -157,7 +157,6 @@ class _Alone:
         best: (M,) int64, the view that knows their location best.
         centers: (M, 3) float64 [m].
         covariances: (M, 3, 3) float64 [m²].
-        labels: M classes.
     """
 
     rows: Int64Array

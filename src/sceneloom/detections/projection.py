@@ -251,13 +251,11 @@ def _position_by_points(
     """Put objects that an image shows where the points of the sweep are.
 
     Args:
-        camera: the camera model.
         camera_from_lidar: how it lies.
         points_lidar: (P, 3) float [m], of the sweep.
         corners_xyxy: (M, 4) float64 [px], boxes of the image, corner convention.
         kinds: (M,) int64, of `classes.table_rows`.
         boxes: (N, 7) float64, boxes of the sweep: centre, size [m] and heading [rad].
-        placed: where heights put the objects.
 
     Returns:
         The objects, and which of them points have placed, (L,) bool.
@@ -331,9 +329,6 @@ class _Visibility(NamedTuple):
 
     Attributes:
         upright, across: under which angles [rad].
-        edge_shares: deviation of an edge across and upright, as shares of the sides of its box.
-        is_cut_upright, is_cut_across: whether the border of the image cuts it.
-        is_hidden: whether nearer things hide part of it.
     """
 
     upright: float
@@ -816,7 +811,6 @@ class _Seen(NamedTuple):
     Attributes:
         numbers: (N, 7) float64 of `outlines.boxes_with_position`, or (N, 4) of `outlines.boxes_with_area`.
         rows: (N,) int64, which of the detector's boxes these are.
-        labels: N classes.
         classes: (N,) int64 of `classes.numbers_of`.
         kinds: (N,) int64, rows of tables.
         reported: (N,) float64, logarithms of the odds that each exists, as the detector names them; NaN for no numbers.

@@ -128,13 +128,7 @@ _SIGNATURES: Mapping[FusionType, str] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class _Checked:
-    """An algorithm of someone else: what it gives is checked, and what it raises names it.
-
-    Attributes:
-        fusion_type: what it fuses.
-        function: the algorithm.
-        name: of the algorithm, for messages.
-    """
+    """An algorithm of someone else: what it gives is checked, and what it raises names it."""
 
     fusion_type: FusionType
     function: Callable[..., Any]
@@ -203,12 +197,7 @@ class _Checked:
 
 @dataclass(frozen=True, slots=True)
 class _FileFunction:
-    """A function of a Python file, that worker processes find by the names of both.
-
-    Attributes:
-        path: the file.
-        function: its name there.
-    """
+    """A function of a Python file, that worker processes find by the names of both."""
 
     path: str
     function: str
@@ -220,11 +209,7 @@ class _FileFunction:
         return self.load()(*arguments, **named)
 
     def load(self) -> Any:
-        """Give the function; the file is executed once in a process.
-
-        Raises:
-            OptionError: there is none, or the file cannot be executed.
-        """
+        """Give the function; the file is executed once in a process."""
         module = _module_of(Path(self.path))
         found = getattr(module, self.function, None)
         if found is None:

@@ -355,11 +355,7 @@ def _sent_of(message: fusion_pb2.SendSummary) -> Sent:
 
 
 def _result_of(message: fusion_pb2.GetReply) -> Result | None:
-    """Give the result of an answer of clause 5.7; None where it says that there is none.
-
-    Raises:
-        DataError: it says nothing, or the result is faulty.
-    """
+    """Give the result of an answer of clause 5.7; None where it says that there is none."""
     name = message.WhichOneof("result")
     if name is None:
         raise DataError("reply", "result", "missing; expected sensor_data, detections or no_data")

@@ -139,14 +139,7 @@ CALLS: Mapping[str, Call] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class _Method:
-    """A method of the service as the `.proto` describes it, and what it does.
-
-    Attributes:
-        name: of the method.
-        request_type: class of what is asked.
-        reply_type: class of what is answered.
-        call: what it does.
-    """
+    """A method of the service as the `.proto` describes it, and what it does."""
 
     name: str
     request_type: type[Any]
@@ -159,11 +152,7 @@ class _Method:
         return self.reply_type is fusion_pb2.Status
 
     def session_of(self, request: bytes) -> str:
-        """The session that a request names, "" for none; the rest of a large one is not read.
-
-        Raises:
-            DataError: the bytes are no request.
-        """
+        """The session that a request names, "" for none; the rest of a large one is not read."""
         fields = wire_fields(request, 0, len(request))
         if fields is None:
             name: str = self.parse(request).session
@@ -176,19 +165,11 @@ class _Method:
             raise DataError("request", "session", "no UTF-8; expected a name") from error
 
     def parse(self, request: bytes) -> Any:
-        """Read a request.
-
-        Raises:
-            DataError: the bytes are none.
-        """
+        """Read a request."""
         return parse_message(self.request_type, request)
 
     def perform(self, fusion: FusionInterface, request: bytes) -> bytes:
-        """Read a request, do it, and give the bytes of the answer.
-
-        Raises:
-            CallError: it cannot be answered.
-        """
+        """Read a request, do it, and give the bytes of the answer."""
         if self.call.perform is None:
             raise TypeError(f"{self.name} is not one step")
         try:
@@ -226,9 +207,7 @@ class _OneLidar:
     """What is followed of one lidar's sweeps.
 
     Attributes:
-        tracker: follows.
         origin: (3,) float64 [m], what the tracker's world counts from, in the world of the vehicle's trajectory.
-        waiting: results of the newest sweep, until all of its images are there.
     """
 
     tracker: Tracker

@@ -56,18 +56,7 @@ _LOOSE_M, _LOOSE_RAD = 0.02, 0.005
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SentRig:
-    """What a session has to know before the first record.
-
-    Attributes:
-        scene: the scene, its points in the frames of their sensors or of the ego.
-        numbers: sensor_id of each lidar and camera that is sent, lidars first.
-        calibrations: of each camera with each lidar.
-        camera_models: those that table 3 cannot state, by camera number.
-        sources: takes the points of a lidar into the world; None where that is not known.
-        at_once: lidars whose points hold for one time: those that came in the world, where each stands already.
-        path: the trajectory of the first lidar; None where it is not known, or it was stationary.
-        warnings: what was assumed or does not fit.
-    """
+    """What a session has to know before the first record."""
 
     scene: Scene
     numbers: Mapping[Identifier, int]
@@ -223,11 +212,7 @@ class _Locations:
             return None
 
     def between(self, camera: CameraSensor, lidar: LidarSensor) -> tuple[RigidTransform, list[DataWarning]]:
-        """Give `camera_from_points`, by their mountings, else by where both were at the same times.
-
-        Raises:
-            PoseError: neither is known.
-        """
+        """Give `camera_from_points`, by their mountings, else by where both were at the same times."""
         rider_association = lidar.points_frame is PointsFrame.EGO
         ego_from_points = RigidTransform.identity() if rider_association else lidar.mount
         if camera.mount is not None and ego_from_points is not None:
@@ -412,11 +397,8 @@ class _Track:
     """One object in the images of a camera.
 
     Attributes:
-        row: number of its annotation.
-        label: its class.
         timestamps_ns: (N,) int64 [ns].
         boxes: (N, 4) float64 [px], left, top, width, height; NaN where it is not seen.
-        always: whether it holds before and after, too.
     """
 
     row: int
@@ -693,11 +675,7 @@ def _refusing(receiver: Receiver, rate: float) -> Iterator[None]:
 
 
 def _must(outcome: Outcome, what: str) -> None:
-    """Make an error of what a session refuses and nothing works without.
-
-    Raises:
-        OptionError: with the reason.
-    """
+    """Make an error of what a session refuses and nothing works without."""
     if not outcome:
         raise OptionError(f"the session refuses the {what}: {outcome.cause}: {outcome.reason}")
 

@@ -439,14 +439,7 @@ def _escaped(text: str) -> str:
 
 
 async def _serve_metrics(metrics: _Metrics, sessions: SessionTable, port: int) -> asyncio.Server:
-    """Answer `GET /metrics` over HTTP, for this machine alone.
-
-    Args:
-        port: 0 for a free one.
-
-    Raises:
-        OSError: the port cannot be had.
-    """
+    """Answer `GET /metrics` over HTTP, for this machine alone."""
 
     async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:

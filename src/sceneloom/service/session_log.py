@@ -287,15 +287,7 @@ class _Waiting(NamedTuple):
 
 
 class _Message(NamedTuple):
-    """One message of a session.
-
-    Attributes:
-        name: of its topic within the session.
-        what: what it says, for those who read the log again.
-        type: its class; None for values that are no message.
-        content: its bytes, or these values.
-        timestamp_ns: when what it says was measured; None for when it happened.
-    """
+    """One message of a session."""
 
     name: str
     what: str
@@ -395,11 +387,7 @@ class _LogFile:
         self._channels: dict[tuple[str, str], int] = {}
 
     def add(self, session: str, message: _Message, time_ns: int) -> None:
-        """Write a message that happened at a time.
-
-        Raises:
-            OutputError: there are more channels than a log may have.
-        """
+        """Write a message that happened at a time."""
         if message.type is None:
             self._writer.add_metadata(message.name, message.content)
             return
@@ -425,11 +413,7 @@ class _LogFile:
         self._writer.flush()
 
     def close(self) -> None:
-        """Complete the log and give it its name.
-
-        Raises:
-            OutputError: a log of that name is there by now.
-        """
+        """Complete the log and give it its name."""
         self._writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())

@@ -71,7 +71,6 @@ class _LabelPath:
     Attributes:
         timestamps_ns: (K,) int64 [ns], of the track's states from the first to the last that rests on a box.
         boxes: (K, 7) float64, centre and size [m] and heading [rad], which goes on beyond half rotations.
-        stands: whether it is stationary.
     """
 
     timestamps_ns: Int64Array
@@ -265,10 +264,7 @@ class _Flag:
     """One thing to look at.
 
     Attributes:
-        track: number of the object.
-        kind: what looks wrong.
         timestamp_ns: where to look [ns]: where it is worst.
-        value: how much it is, in the unit of `_LIMITS`.
     """
 
     track: int
@@ -421,24 +417,14 @@ class _Heard:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RadarEvidence:
-    """What radars heard of the objects of some tracks.
-
-    Attributes:
-        attributes: by number of the track.
-        flags: of objects whose speed they contradict.
-    """
+    """What radars heard of the objects of some tracks."""
 
     attributes: Mapping[int, tuple[AttributePath, ...]]
     flags: tuple[_Flag, ...]
 
 
 def _hear(scene: Scene, tracks: Sequence[Track], ego: EgoMotion | None) -> _RadarEvidence:
-    """Ask the radars of a scene about tracks in its world.
-
-    Raises:
-        PoseError: it is not known where a radar was.
-        DataError: a frame cannot be read.
-    """
+    """Ask the radars of a scene about tracks in its world."""
     attributes: dict[int, list[AttributePath]] = {}
     flags: list[_Flag] = []
     for radar in scene.sensors:
@@ -642,10 +628,6 @@ def _boxes_in_images(
     """Give the boxes that the detector found of an object in images, by camera, at the times of these images.
 
     Args:
-        scene: whose cameras have the images. Of a camera without images the times are those of the track.
-        track: with boxes in images.
-        parent_id: of the object.
-        stem: how ids begin.
         longest_gap_ns: after a longer time without a box another annotation begins [ns].
     """
     cameras: dict[Key, CameraSensor] = {key_of(camera.id): camera for camera in scene.cameras}

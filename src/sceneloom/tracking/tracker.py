@@ -182,7 +182,6 @@ class _Observations:
         covariances: (M, 7, 7) float64 of these, with `UNKNOWN_VARIANCE` where it is not reported.
         measured: (M,) bool, whether a box of the sweep is behind it.
         log_odds: (M,) float64, of existence by this moment's boxes alone.
-        labels: M classes.
         codes: (M, 2) int64, of the class and its family.
         vehicles: (M,) bool.
         corners_xyxy: by camera, (M, 4) float64 [px], NaN where no box of its image is behind it.
@@ -723,10 +722,7 @@ def _candidates(
     """Which boxes may be of which objects, and how much likelier that is than that they are of anything else.
 
     Args:
-        objects: as they are expected at the time of the boxes.
         foreseen: by camera, (N, 4) [px], where they are expected in its image, NaN for nowhere.
-        seen: the boxes.
-        settings: what is taken for granted.
     """
     density = np.where(objects.vehicles, settings.vehicle_density, settings.person_density)
     found = Candidates(
@@ -779,9 +775,7 @@ def _unclaimed(seen: _Observations, free: BoolArray, objects: _Population) -> In
     """Give the rows of free boxes that are no second box of an object of this moment, nor of one another.
 
     Args:
-        seen: the boxes of the moment.
         free: (M,), which of them are no object's, and likely enough.
-        objects: those with a box at this moment.
     """
     rows = np.flatnonzero(free)
     rows = rows[np.argsort(-seen.log_odds[rows], kind="stable")]
@@ -852,9 +846,7 @@ def _rotation_round(objects: _Population, rows: Int64Array, seen: _Observations,
     """Let boxes, motion and neighbours vote on headings, in place, and rotate those round that are outvoted.
 
     Args:
-        objects: all of them.
         rows: (K,), those of which a box was seen.
-        seen: boxes.
         columns: (K,), the box of each.
     """
     sure = seen.covariances[columns, 6, 6] < _SURE_HEADING

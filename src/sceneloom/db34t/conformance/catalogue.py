@@ -21,12 +21,7 @@ from sceneloom.errors import SceneloomError
 
 
 class _Quote(NamedTuple):
-    """What stands at one location.
-
-    Attributes:
-        english: translated.
-        chinese: as printed.
-    """
+    """What stands at one location."""
 
     english: str
     chinese: str
@@ -258,11 +253,7 @@ def columns_of(record: Any, names: tuple[str, ...]) -> np.ndarray[Any, np.dtype[
 
 
 def _result_of(reply: Any, fusion_type: int) -> Any:
-    """The record or records that a reply holds.
-
-    Raises:
-        NoResultError: it holds others, or none.
-    """
+    """The record or records that a reply holds."""
     name = RESULT_NAMES[fusion_type]
     held = reply.WhichOneof("result")
     if held != name:

@@ -26,14 +26,7 @@ _NAME = "conformance_value"
 
 @dataclass(frozen=True, slots=True)
 class _Values:
-    """What a type takes and what not.
-
-    Attributes:
-        type: of table 1.
-        kept: values that it holds; the last one is there when the others are tried.
-        refused: values that it does not hold.
-        description: of the property.
-    """
+    """What a type takes and what not."""
 
     type: str
     kept: tuple[Any, ...]

@@ -12,6 +12,7 @@ from sceneloom.formats.base.files import read_settings
 try:
     import grpc
     from google.protobuf.message import DecodeError
+    from google.protobuf.message_factory import GetMessageClass
 
     from sceneloom.db34t.wire import fusion_pb2
 except ImportError as missing:
@@ -35,10 +36,7 @@ def read_certificates(path: Path) -> bytes:
 
 
 def read_pair(certificate: Path, key: Path) -> tuple[bytes, bytes]:
-    """Read a certificate and its key.
-
-    Returns:
-        the certificates and the key, as the PEM files have them.
+    """Read a certificate and its key, as the PEM files have them.
 
     Raises:
         DataError: one of them is none or cannot be read, or they do not belong together.
@@ -74,7 +72,7 @@ _UNREADABLE = "Exception deserializing response"
 
 
 def reader_of(reply_type: Any) -> Callable[[bytes], Any]:
-    """Give what reads answers of a type; None of bytes that are none, since gRPC logs tracebacks of what is raised."""
+    """What reads answers of a type; None of bytes that are none, since gRPC logs tracebacks of what is raised."""
 
     def read(content: bytes) -> Any:
         try:
@@ -86,13 +84,27 @@ def reader_of(reply_type: Any) -> Callable[[bytes], Any]:
 
 
 def details_of(error: grpc.RpcError) -> str:
-    """What is stated for a call that failed."""
+    """What a service reported of a call that failed."""
     details = str(getattr(error, "details", lambda: "")() or "")
     return "the answer is no message of this service" if _UNREADABLE in details else details
 
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 """The service of the `.proto`."""
+
+_ARITY = {False: "unary", True: "stream"}
+
+
+def calls_of(channel: grpc.Channel) -> dict[str, Callable[..., Any]]:
+    """The calls of all methods of the service over a channel, by name; requests are messages or their bytes."""
+    return {
+        method.name: getattr(channel, f"{_ARITY[method.client_streaming]}_{_ARITY[method.server_streaming]}")(
+            f"/{SERVICE.full_name}/{method.name}",
+            request_serializer=lambda sent: sent if isinstance(sent, bytes) else sent.SerializeToString(),
+            response_deserializer=reader_of(GetMessageClass(method.output_type)),
+        )
+        for method in SERVICE.methods
+    }
 
 
 def open_channel(

@@ -1,6 +1,6 @@
 """A client of the service: the fusion interface of another process."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType, TracebackType
@@ -22,7 +22,7 @@ from sceneloom.db34t.protobuf import (
     value_to_protobuf,
 )
 from sceneloom.db34t.records import CalibrationData, SentRecord
-from sceneloom.db34t.transport import SERVICE, details_of, open_channel, reader_of
+from sceneloom.db34t.transport import SERVICE, calls_of, details_of, open_channel
 from sceneloom.db34t.types import DONE, Cause, Outcome, refused
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError, OptionError, SceneloomError
@@ -70,10 +70,6 @@ class DeadlineError(ServiceError):
     """The answer did not come in time; whether the call was done is not known."""
 
 
-_TOO_LARGE = "larger than max"
-"""What gRPC says of a message beyond either side's limit; its status is also that of other limits."""
-
-
 _ERRORS: Mapping[grpc.StatusCode, type[ServiceError]] = MappingProxyType(
     {
         grpc.StatusCode.UNAVAILABLE: UnreachableError,
@@ -97,13 +93,6 @@ class Sent:
     accepted: int
     refused: int
     refusals: tuple[tuple[int, Outcome], ...] = ()
-
-
-_DEADLINE_S = 30.0
-"""How long an answer may take, beyond what a call itself waits for."""
-
-
-_LONGEST_WAIT_MS = 2**32 - 1
 
 
 class FusionClient:
@@ -132,7 +121,7 @@ class FusionClient:
         ca: str | Path | None = None,
         certificate: tuple[str | Path, str | Path] | None = None,
         session: str = "",
-        deadline_s: float = _DEADLINE_S,
+        deadline_s: float = 30.0,
     ) -> None:
         """Make a client; it connects with the first call.
 
@@ -142,13 +131,13 @@ class FusionClient:
             ca: PEM file of who signed the service's certificate; None for a connection without TLS.
             certificate: PEM files of this client's certificate and key, where the service asks for them.
             session: name of the rig.
-            deadline_s: how long an answer may take [s].
+            deadline_s: how long an answer may take, beyond what a call itself waits for [s].
         """
         self.address, self.session, self.deadline_s = address, session, deadline_s
         self._metadata = () if token is None else (("authorization", f"Bearer {token}"),)
         pair = None if certificate is None else (Path(certificate[0]), Path(certificate[1]))
         self._channel = open_channel(address, ca=None if ca is None else Path(ca), certificate=pair, token=token)
-        self._calls = {method.name: self._call(method) for method in SERVICE.methods}
+        self._calls = calls_of(self._channel)
 
     def __enter__(self) -> Self:
         return self
@@ -164,12 +153,11 @@ class FusionClient:
 
     def end_session(self) -> Outcome:
         """End the session and forget all of it."""
-        return self._status("CloseSession", fusion_pb2.CloseSessionRequest(session=self.session))
+        return self._status("CloseSession")
 
     def add_property(self, name: str, description: str, type: str) -> Outcome:
         """Add a property, clause 5.3."""
-        request = fusion_pb2.AddPropertyRequest(name=name, description=description, type=type, session=self.session)
-        return self._status("AddProperty", request)
+        return self._status("AddProperty", name=name, description=description, type=type)
 
     def set_property(self, name: str, value: Any) -> Outcome:
         """Set a property, clause 5.4; it counts for all records that come after."""
@@ -177,8 +165,7 @@ class FusionClient:
             message = value_to_protobuf(value)
         except DataError as error:
             return refused(Cause.ILL_TYPED, error)
-        request = fusion_pb2.SetPropertyRequest(name=name, value=message, session=self.session)
-        return self._status("SetProperty", request)
+        return self._status("SetProperty", name=name, value=message)
 
     def get_property(self, name: str) -> Any:
         """Give the value of a property, clause 5.5; None where it was added and not set yet.
@@ -186,21 +173,19 @@ class FusionClient:
         Raises:
             OptionError: there is none of that name.
         """
-        request = fusion_pb2.GetPropertyRequest(name=name, session=self.session)
-        return property_of(self._ask("GetProperty", request)).value
+        return property_of(self._ask("GetProperty", self._request("GetProperty", name=name))).value
 
     def list_properties(self) -> tuple[Property, ...]:
         """Give all properties, those of table 2 first."""
-        request = fusion_pb2.ListPropertiesRequest(session=self.session)
-        return tuple(map(property_of, self._ask("ListProperties", request).properties))
+        return tuple(map(property_of, self._ask("ListProperties", self._request("ListProperties")).properties))
 
     def set_calibration(self, data: CalibrationData, *, camera_id: int = 0, lidar_id: int = 0) -> Outcome:
         """Set or replace the calibration of a camera and a lidar; it counts for all records that come after."""
         if not all(isinstance(number, int) and 0 <= number <= 255 for number in (camera_id, lidar_id)):
             return refused(Cause.OUT_OF_RANGE, f"camera {camera_id}, lidar {lidar_id}; expected 0 to 255")
-        request = fusion_pb2.SetCalibrationRequest(camera_id=camera_id, lidar_id=lidar_id, session=self.session)
+        request = self._request("SetCalibration", camera_id=camera_id, lidar_id=lidar_id)
         fill_message(request.calibration, data)
-        return self._status("SetCalibration", request)
+        return _outcome_of(self._ask("SetCalibration", request))
 
     def send_motion(self, path: Poses) -> Outcome:
         """Report where the vehicle was."""
@@ -208,14 +193,15 @@ class FusionClient:
             request = motion_request(path, session=self.session)
         except DataError as error:
             return refused(Cause.BAD_MOTION, error)
-        return self._status("SendMotion", request)
+        return _outcome_of(self._ask("SendMotion", request))
 
     def send(self, record: SentRecord) -> Outcome:
         """Hand in a record of tables 4 to 8, clause 5.6."""
         if not isinstance(record, SentRecord):
             reason = f"a {type(record).__name__}; expected a record of tables 4 to 8"
             return refused(Cause.BAD_RECORD, reason)
-        return self._status("Send", self._sending(record))
+        request = encode_in(fusion_pb2.SendRequest(session=self.session), record)
+        return _outcome_of(self._ask("Send", request))
 
     def send_stream(self, records: Iterable[SentRecord], *, deadline_s: float | None = None) -> Sent:
         """Hand in records as one stream, as fast as the service takes them.
@@ -229,7 +215,7 @@ class FusionClient:
         def requests() -> Iterator[bytes]:
             try:
                 for record in records:
-                    yield self._sending(record)
+                    yield encode_in(fusion_pb2.SendRequest(session=self.session), record)
             except BaseException as error:
                 failures.append(error)
                 raise
@@ -240,7 +226,8 @@ class FusionClient:
             if failures:
                 raise failures[0] from None
             raise _service_error(self.address, error) from error
-        return _sent_of(answer)
+        refusals = tuple((refusal.number, _outcome_of(refusal.status)) for refusal in answer.refusals)
+        return Sent(answer.accepted, answer.refused, refusals)
 
     def get(self, fusion_type: int | None = None, timeout_s: float = 0.0) -> Result | None:
         """Fetch the oldest result that nobody has fetched, clause 5.7; None where there is none.
@@ -252,8 +239,8 @@ class FusionClient:
         Raises:
             OptionError: there is no such type.
         """
-        wait_ms = min(max(round(timeout_s * 1e3), 0), _LONGEST_WAIT_MS)
-        request = fusion_pb2.GetRequest(fusion_type=_type_or_none(fusion_type), wait_ms=wait_ms, session=self.session)
+        wait_ms = min(max(round(timeout_s * 1e3), 0), 2**32 - 1)
+        request = self._request("Get", fusion_type=_type_or_none(fusion_type), wait_ms=wait_ms)
         return _result_of(self._ask("Get", request, wait_s=wait_ms / 1e3))
 
     def results(self, fusion_type: int | None = None) -> Iterator[Result]:
@@ -271,9 +258,7 @@ class FusionClient:
         Raises:
             OptionError: there is no such type, or it has no objects to follow.
         """
-        request = fusion_pb2.SubscribeRequest(
-            fusion_type=_type_or_none(fusion_type), most=most, session=self.session, track=track
-        )
+        request = self._request("Subscribe", fusion_type=_type_or_none(fusion_type), most=most, track=track)
         call = self._calls["Subscribe"](request, metadata=self._metadata)
         try:
             for reply in call:
@@ -287,26 +272,17 @@ class FusionClient:
 
     def counters(self) -> dict[str, int]:
         """What came in, what was left out and why."""
-        request = fusion_pb2.GetCountersRequest(session=self.session)
-        return dict(sorted(self._ask("GetCounters", request).counts.items()))
+        return dict(sorted(self._ask("GetCounters", self._request("GetCounters")).counts.items()))
 
     def flush(self) -> Outcome:
         """Fuse what waits with what has come, and return when that is done."""
-        return self._status("Flush", fusion_pb2.FlushRequest(session=self.session))
+        return self._status("Flush")
 
-    def _call(self, method: Any) -> Callable[..., Any]:
-        """Make the call of a method of the `.proto`."""
-        reply_type = GetMessageClass(method.output_type)
-        kind = f"{_ARITY[method.client_streaming]}_{_ARITY[method.server_streaming]}"
-        made: Callable[..., Any] = getattr(self._channel, kind)(
-            f"/{SERVICE.full_name}/{method.name}",
-            request_serializer=_serialised,
-            response_deserializer=reader_of(reply_type),
-        )
-        return made
+    def _request(self, method: str, **fields: Any) -> Any:
+        return _REQUESTS[method](session=self.session, **fields)
 
-    def _sending(self, record: SentRecord) -> bytes:
-        return encode_in(fusion_pb2.SendRequest(session=self.session), record)
+    def _status(self, method: str, **fields: Any) -> Outcome:
+        return _outcome_of(self._ask(method, self._request(method, **fields)))
 
     def _ask(self, name: str, request: Message | bytes, *, wait_s: float = 0.0) -> Any:
         try:
@@ -314,23 +290,17 @@ class FusionClient:
         except grpc.RpcError as error:
             raise self._failure(error) from error
 
-    def _status(self, name: str, request: Message | bytes) -> Outcome:
-        return _outcome_of(self._ask(name, request))
-
     def _failure(self, error: grpc.RpcError) -> Exception:
         if _code_of(error) in _OF_THE_CALLER:
             return OptionError(details_of(error) or f"{self.address}: {_code_of(error).name.lower()}")
         return _service_error(self.address, error)
 
 
-_ARITY = {False: "unary", True: "stream"}
+_REQUESTS = {method.name: GetMessageClass(method.input_type) for method in SERVICE.methods}
+
 
 _OF_THE_CALLER = (grpc.StatusCode.NOT_FOUND, grpc.StatusCode.INVALID_ARGUMENT)
 """What is answered to a value that cannot be followed."""
-
-
-def _serialised(request: Message | bytes) -> bytes:
-    return request if isinstance(request, bytes) else request.SerializeToString()
 
 
 def _type_or_none(fusion_type: int | None) -> int | None:
@@ -348,12 +318,6 @@ def _outcome_of(message: fusion_pb2.Status) -> Outcome:
     return Outcome(message.status, cause, message.reason)
 
 
-def _sent_of(message: fusion_pb2.SendSummary) -> Sent:
-    """Give the answer to a stream of records."""
-    refusals = tuple((refusal.number, _outcome_of(refusal.status)) for refusal in message.refusals)
-    return Sent(message.accepted, message.refused, refusals)
-
-
 def _result_of(message: fusion_pb2.GetReply) -> Result | None:
     """Give the result of an answer of clause 5.7; None where it says that there is none."""
     name = message.WhichOneof("result")
@@ -367,7 +331,8 @@ def _result_of(message: fusion_pb2.GetReply) -> Result | None:
 def _service_error(address: str, error: grpc.RpcError) -> ServiceError:
     """Give the error of a call that failed."""
     code, details = _code_of(error), details_of(error)
-    kind = TooLargeError if _TOO_LARGE in details else _ERRORS.get(code, ServiceError)
+    # the status of a message beyond either side's limit is also that of other limits
+    kind = TooLargeError if "larger than max" in details else _ERRORS.get(code, ServiceError)
     problem = f"{code.name.lower().replace('_', ' ')}: {details}" if details else code.name.lower()
     return kind(address, problem)
 

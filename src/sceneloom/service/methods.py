@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import perf_counter
 from types import MappingProxyType
 from typing import Any, TypeAlias
@@ -44,38 +45,12 @@ from sceneloom.tracking.settings import TrackerSettings
 from sceneloom.tracking.tracker import Observation, Tracker, View
 
 
-def _add_property(fusion: FusionInterface, request: fusion_pb2.AddPropertyRequest) -> Outcome:
-    """Clause 5.3."""
-    return fusion.add_property(request.name, request.description, request.type)
-
-
-def _set_property(fusion: FusionInterface, request: fusion_pb2.SetPropertyRequest) -> Outcome:
-    """Clause 5.4."""
-    return fusion.set_property(request.name, value_from_protobuf(request.value))
-
-
 def _get_property(fusion: FusionInterface, request: fusion_pb2.GetPropertyRequest) -> Message:
     """Clause 5.5."""
     try:
         return property_to_protobuf(fusion.properties.get(request.name))
     except OptionError as error:
         raise CallError(grpc.StatusCode.NOT_FOUND, Cause.UNKNOWN_NAME, str(error)) from error
-
-
-def _list_properties(fusion: FusionInterface, _: fusion_pb2.ListPropertiesRequest) -> Message:
-    """All properties."""
-    return properties_message(fusion.properties.snapshot())
-
-
-def _set_calibration(fusion: FusionInterface, request: fusion_pb2.SetCalibrationRequest) -> Outcome:
-    """Table 3."""
-    data = from_protobuf(request.calibration)
-    return fusion.set_calibration(data, camera_id=request.camera_id, lidar_id=request.lidar_id)
-
-
-def _send_motion(fusion: FusionInterface, request: fusion_pb2.SendMotionRequest) -> Outcome:
-    """The trajectory of the vehicle."""
-    return fusion.send_motion(path_of(request))
 
 
 def _send(fusion: FusionInterface, request: bytes) -> Outcome:
@@ -88,13 +63,7 @@ def _send(fusion: FusionInterface, request: bytes) -> Outcome:
     return fusion.send(record)
 
 
-def _get_counters(fusion: FusionInterface, _: fusion_pb2.GetCountersRequest) -> Message:
-    """What came in, what was left out and why."""
-    return fusion_pb2.Counters(counts=fusion.counters.counts())
-
-
 def _flush(fusion: FusionInterface, _: fusion_pb2.FlushRequest) -> Outcome:
-    """Fuse what waits."""
     fusion.flush()
     return DONE
 
@@ -107,7 +76,6 @@ class Call:
         perform: given the interface and the request; None where it takes more than one step of the event loop.
         cause: why a message that is none is refused.
         quick: it never waits for records that are being received.
-        in_bytes: it takes the request unread.
         reads_bytes: it is given the bytes of the request.
     """
 
@@ -119,17 +87,22 @@ class Call:
 
 CALLS: Mapping[str, Call] = MappingProxyType(
     {
-        "AddProperty": Call(_add_property, quick=True),
-        "SetProperty": Call(_set_property),
+        "AddProperty": Call(lambda fusion, r: fusion.add_property(r.name, r.description, r.type), quick=True),
+        "SetProperty": Call(lambda fusion, r: fusion.set_property(r.name, value_from_protobuf(r.value))),
         "GetProperty": Call(_get_property, quick=True),
-        "ListProperties": Call(_list_properties, quick=True),
-        "SetCalibration": Call(_set_calibration, Cause.BAD_CALIBRATION),
-        "SendMotion": Call(_send_motion, Cause.BAD_MOTION),
+        "ListProperties": Call(lambda fusion, _: properties_message(fusion.properties.snapshot()), quick=True),
+        "SetCalibration": Call(
+            lambda fusion, r: fusion.set_calibration(
+                from_protobuf(r.calibration), camera_id=r.camera_id, lidar_id=r.lidar_id
+            ),
+            Cause.BAD_CALIBRATION,
+        ),
+        "SendMotion": Call(lambda fusion, r: fusion.send_motion(path_of(r)), Cause.BAD_MOTION),
         "Send": Call(_send, Cause.BAD_RECORD, reads_bytes=True),
         "SendStream": Call(None, Cause.BAD_RECORD),
         "Get": Call(None),
         "Subscribe": Call(None),
-        "GetCounters": Call(_get_counters, quick=True),
+        "GetCounters": Call(lambda fusion, _: fusion_pb2.Counters(counts=fusion.counters.counts()), quick=True),
         "Flush": Call(_flush),
         "CloseSession": Call(None),
     }
@@ -198,29 +171,29 @@ METHODS: Mapping[str, _Method] = MappingProxyType(
 )
 """All methods of the `.proto`, by name."""
 
-_DEFAULTS = TrackerSettings()
-_MEASURED = (Support.BOTH, Support.SWEEP)
-
 
 @dataclass(slots=True)
 class _OneLidar:
     """What is followed of one lidar's sweeps.
 
     Attributes:
+        tracker: follows.
         origin: (3,) float64 [m], what the tracker's world counts from, in the world of the vehicle's trajectory.
+        waiting: results of the newest sweep, until all of its images are there.
+        sweep: index and time of that sweep.
     """
 
     tracker: Tracker
     origin: Float64Array | None = None
     waiting: list[Result] = field(default_factory=list)
+    sweep: tuple[int, int] = (-1, -1)
 
 
 class TrackedResults:
     """Follows objects through results as they are fetched; not for several threads at once."""
 
-    def __init__(self, settings: TrackerSettings = _DEFAULTS) -> None:
+    def __init__(self) -> None:
         """Follow nothing yet."""
-        self._settings = settings
         self._lidars: dict[Identifier, _OneLidar] = {}
 
     def take(self, result: Result) -> list[Result]:
@@ -233,16 +206,14 @@ class TrackedResults:
         found = result.found
         if found is None:
             return [result]
-        lidar = self._lidars.setdefault(found.frame.lidar_id, _OneLidar(Tracker(self._settings)))
+        lidar = self._lidars.setdefault(found.frame.lidar_id, _OneLidar(Tracker(TrackerSettings())))
         given: list[Result] = []
-        if lidar.waiting and _sweep_of(lidar.waiting[0]) != _sweep_of(result):
+        sweep = found.frame.index, found.frame.timestamp_ns
+        if lidar.sweep != sweep and lidar.waiting:
             given += _step(lidar)
+        lidar.sweep = sweep
         lidar.waiting.append(result)
         return given + _step(lidar) if found.frame.last else given
-
-
-def _sweep_of(result: Result) -> tuple[int, int] | None:
-    return None if result.found is None else (result.found.frame.index, result.found.frame.timestamp_ns)
 
 
 def _step(lidar: _OneLidar) -> list[Result]:
@@ -282,7 +253,7 @@ def _boxes_of(objects: TrackedObjects, camera_id: Identifier, lidar_from_world: 
     rotation, count = lidar_from_world.rotation, len(objects)
     headings = np.column_stack([np.cos(objects.yaws), np.sin(objects.yaws), np.zeros(count)]) @ rotation.T
     unseen = np.full((count, 4), np.nan)
-    measured = np.isin(objects.supports, _MEASURED)
+    measured = np.isin(objects.supports, (Support.BOTH, Support.SWEEP))
     pictured = np.isin(objects.supports, (Support.BOTH, Support.IMAGE))
     return FusedBoxes(
         timestamp_ns=objects.timestamp_ns,
@@ -330,8 +301,8 @@ class Handlers:
         special: dict[str, grpc.RpcMethodHandler[Any, Any]] = {
             "SendStream": grpc.stream_unary_rpc_method_handler(self.send_stream),
             # one message, whose writing can fail before the call has ended
-            "Get": grpc.unary_stream_rpc_method_handler(self.get),
-            "Subscribe": grpc.unary_stream_rpc_method_handler(self.subscribe),
+            "Get": grpc.unary_stream_rpc_method_handler(partial(self._fetch, "Get")),
+            "Subscribe": grpc.unary_stream_rpc_method_handler(partial(self._fetch, "Subscribe")),
             "CloseSession": grpc.unary_unary_rpc_method_handler(self.close_session),
         }
         handlers = {
@@ -371,7 +342,8 @@ class Handlers:
 
     async def _answer(self, method: _Method, request: bytes) -> bytes:
         session = self._session_of(method, request)
-        self._check_open(method)
+        if self.draining and method.answers_status:
+            raise CallError(grpc.StatusCode.UNAVAILABLE, Cause.CLOSED, "the server is ending")
         with session.request(len(request), self.sessions.clock):
             if len(request) <= _SMALL and (method.call.quick or (session.idle and method.name != "Flush")):
                 return method.perform(session.fusion, request)
@@ -383,17 +355,16 @@ class Handlers:
         except DataError as error:
             raise method.fault(error) from error
 
-    def _check_open(self, method: _Method) -> None:
-        if self.draining and method.answers_status:
-            raise CallError(grpc.StatusCode.UNAVAILABLE, Cause.CLOSED, "the server is ending")
-
     async def send_stream(self, requests: AsyncIterator[bytes], _: _Context) -> bytes:
         """Clause 5.6 for a stream of records."""
         summary = fusion_pb2.SendSummary()
         number = 0
         with self._counted("SendStream"):
             async for request in requests:
-                status = await self._sent(request)
+                try:
+                    status = fusion_pb2.Status.FromString(await self._answer(METHODS["Send"], request))
+                except CallError as error:
+                    status = fusion_pb2.Status(status=0, cause=str(error.cause), reason=error.reason)
                 if status.status == 1:
                     summary.accepted += 1
                 else:
@@ -403,21 +374,8 @@ class Handlers:
                 number += 1
         return summary.SerializeToString()
 
-    async def _sent(self, request: bytes) -> fusion_pb2.Status:
-        try:
-            return fusion_pb2.Status.FromString(await self._answer(METHODS["Send"], request))
-        except CallError as error:
-            return fusion_pb2.Status(status=0, cause=str(error.cause), reason=error.reason)
-
-    async def get(self, request: bytes, context: _Context) -> None:
-        """Clause 5.7."""
-        await self._fetch("Get", request, context)
-
-    async def subscribe(self, request: bytes, context: _Context) -> None:
-        """Clause 5.7 as a stream."""
-        await self._fetch("Subscribe", request, context)
-
     async def _fetch(self, name: str, request: bytes, context: _Context) -> None:
+        """Clause 5.7, at once or as a stream."""
         method = METHODS[name]
         with self._counted(name) as ended:
             try:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import msgspec
 import numpy as np
@@ -22,7 +22,7 @@ from sceneloom.cameras.fitting import fit
 from sceneloom.db34t.calibration import CAMERA_MODELS, CalibrationEntry, DeclaredAxes, calibration_data
 from sceneloom.db34t.properties import Property
 from sceneloom.db34t.protobuf import from_protobuf, path_of, property_of, value_from_protobuf
-from sceneloom.db34t.records import Boxes2d, Boxes3d, CalibrationData, SentRecord, kind_of
+from sceneloom.db34t.records import CalibrationData, SentRecord, kind_of
 from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record, image_data_of, point_cloud_of
 from sceneloom.db34t.types import Cause, Outcome
 from sceneloom.editing.move_world import to_sensor
@@ -47,11 +47,8 @@ _CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
 """Where forward, right and up point in the frames of a scene: what a session has to be reported."""
 
 _MOST_SENSORS = 256
-_HELD_BY_TABLE_3 = ("k1", "k2", "p1", "p2", "k3")
 _LOOKED_AT = 9
-
-_LOOSE_M, _LOOSE_RAD = 0.02, 0.005
-"""How much a mounting may move before it is stated that it does: more than poses of a rigid one are off."""
+"""Times at which a camera and a lidar without extrinsics are compared."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,36 +109,30 @@ def sent_rig(scene: Scene, *, trajectory: str | None = None, heading: str | None
 def _table_3(
     camera: CameraSensor, camera_from_points: RigidTransform
 ) -> tuple[CalibrationData, Camera | None, list[DataWarning]]:
-    """Give the record of a camera; of a camera model that it cannot hold the one that comes nearest.
-
-    And the camera model itself.
-    """
+    """The record of a camera; of a camera model that table 3 cannot hold the nearest one, with the model itself."""
     axes = DeclaredAxes.of_words(_CAMERA_AXES), DeclaredAxes.of_words(_LIDAR_AXES)
+    model = camera.camera
     try:
-        return calibration_data(camera.camera, camera_from_points, *axes), None, []
+        return calibration_data(model, camera_from_points, *axes), None, []
     except CalibrationError:
         pass
-    camera_model, message = _nearest(camera.camera)
-    location = f"sensors[{camera.id}]"
-    warning = DataWarning(
-        kind=WarningKind.ASSUMED, code="camera-model-beyond-table-3", location=location, message=message
-    )
-    return calibration_data(camera_model, camera_from_points, *axes), camera.camera, [warning]
-
-
-def _nearest(camera_model: Camera) -> tuple[Camera, str]:
-    fixed = [name for name in MODELS["brown_conrady"].coefficient_names if name not in _HELD_BY_TABLE_3]
-    exactly = "the property `camera_models` says it exactly"
+    exactly = "the property `camera_models` states it exactly"
+    fixed = [name for name in MODELS["brown_conrady"].coefficient_names if name not in ("k1", "k2", "p1", "p2", "k3")]
     try:
-        found = fit(camera_model, "brown_conrady", fixed=fixed)
+        found = fit(model, "brown_conrady", fixed=fixed)
     except CalibrationError as error:
-        pinhole = replace(camera_model, model="pinhole", coefficients=())
-        beyond = f"a {camera_model.model} camera model, which table 3 cannot hold nearly ({error})"
-        return pinhole, f"{beyond}; {exactly}"
-    coefficients = found.camera.coefficients
-    held = (*coefficients[:5], *[0.0] * (len(coefficients) - 5))
-    message = f"{found.message(camera_model)}, for table 3; {exactly}"
-    return replace(found.camera, coefficients=held), message
+        nearest = replace(model, model="pinhole", coefficients=())
+        message = f"a {model.model} camera model, which table 3 cannot hold nearly ({error}); {exactly}"
+    else:
+        coefficients = found.camera.coefficients
+        nearest = replace(found.camera, coefficients=(*coefficients[:5], *[0.0] * (len(coefficients) - 5)))
+        message = f"{found.message(model)}, for table 3; {exactly}"
+    warning = _warning(WarningKind.ASSUMED, "camera-model-beyond-table-3", message, f"sensors[{camera.id}]")
+    return calibration_data(nearest, camera_from_points, *axes), model, [warning]
+
+
+def _warning(kind: WarningKind, code: str, message: str, location: str = "") -> DataWarning:
+    return DataWarning(kind=kind, code=code, location=location, message=message)
 
 
 def _format_camera_models(camera_models: Mapping[int, Camera]) -> str:
@@ -183,9 +174,7 @@ def _ego(scene: Scene, trajectory: str | None, heading: str | None) -> tuple[Ego
         return find_ego_motion(scene, heading=heading), []
     except PoseError as error:
         message = f"sent without motion: {error}"
-        return None, [
-            DataWarning(kind=WarningKind.SKIPPED, code="motion-unknown", location=scene.source, message=message)
-        ]
+        return None, [_warning(WarningKind.SKIPPED, "motion-unknown", message, scene.source)]
 
 
 def _path(source: PoseSource | None) -> Poses | None:
@@ -212,9 +201,11 @@ class _Locations:
             return None
 
     def between(self, camera: CameraSensor, lidar: LidarSensor) -> tuple[RigidTransform, list[DataWarning]]:
-        """Give `camera_from_points`, by their mountings, else by where both were at the same times."""
-        rider_association = lidar.points_frame is PointsFrame.EGO
-        ego_from_points = RigidTransform.identity() if rider_association else lidar.mount
+        """`camera_from_points`, by their extrinsics, else by where both were at the same times.
+
+        A record of table 3 holds one transform: where the camera moves against the lidar, this is a warning.
+        """
+        ego_from_points = RigidTransform.identity() if lidar.points_frame is PointsFrame.EGO else lidar.mount
         if camera.mount is not None and ego_from_points is not None:
             return camera.mount.inverse() @ ego_from_points, []
         found = list(self._seen(camera, lidar))
@@ -223,7 +214,15 @@ class _Locations:
                 f"{self.scene.source}: camera {camera.id!r} and lidar {lidar.id!r} are at no time where both are known"
             )
         middle = found[len(found) // 2]
-        return middle, _loose(camera, lidar, middle, found)
+        offset = max(float(np.linalg.norm(each.translation - middle.translation)) for each in found)
+        rotation = max(np.linalg.norm(each.rotation @ middle.rotation.T - np.eye(3)) / np.sqrt(2) for each in found)
+        if offset <= 0.02 and rotation <= 0.005:  # poses of a rigid rig are off by less [m, rad]
+            return middle, []
+        message = (
+            f"it moves against lidar {lidar.id!r} by up to {offset:.3f} m and {np.degrees(rotation):.2f}°; its pose in "
+            "the middle of the drive was taken"
+        )
+        return middle, [_warning(WarningKind.ASSUMED, "mounting-moves", message, f"sensors[{camera.id}]")]
 
     def _seen(self, camera: CameraSensor, lidar: LidarSensor) -> Iterator[RigidTransform]:
         of_camera = sensor_source(self.scene, camera, self.ego, reach_ns=self.reach_ns)
@@ -237,30 +236,6 @@ class _Locations:
             world_from_camera = RigidTransform.from_quaternion(cameras.positions[k], cameras.quaternions_xyzw[k])
             world_from_points = RigidTransform.from_quaternion(points.positions[k], points.quaternions_xyzw[k])
             yield world_from_camera.inverse() @ world_from_points
-
-
-def _loose(
-    camera: CameraSensor, lidar: LidarSensor, middle: RigidTransform, found: list[RigidTransform]
-) -> list[DataWarning]:
-    """Report where a camera moves against a lidar: a record of table 3 holds one location."""
-    shift = max(float(np.linalg.norm(one.translation - middle.translation)) for one in found)
-    rotation = max(float(np.linalg.norm(one.rotation @ middle.rotation.T - np.eye(3))) / np.sqrt(2) for one in found)
-    if shift <= _LOOSE_M and rotation <= _LOOSE_RAD:
-        return []
-    message = (
-        f"it moves against lidar {lidar.id!r} by up to {shift:.3f} m and {np.degrees(rotation):.2f}°; the location in "
-        f"the "
-        "middle of the drive was taken"
-    )
-    return [
-        DataWarning(kind=WarningKind.ASSUMED, code="mounting-moves", location=f"sensors[{camera.id}]", message=message)
-    ]
-
-
-_SECOND = 1_000_000_000
-
-_UNNAMED = "object"
-"""The class of a box that has none: the tables want one."""
 
 
 @dataclass(slots=True)
@@ -286,10 +261,10 @@ class _Maker:
         first_ns = 0 if span is None else span[0]
         if self.rig.path is not None:
             first_ns = min(first_ns, self.rig.path.start_ns)
-        self.shift_ns = max(-(first_ns // _SECOND), 0) * _SECOND
+        self.shift_ns = max(-(first_ns // 1_000_000_000), 0) * 1_000_000_000
 
     def motion_until(self, timestamp_ns: int) -> Poses | None:
-        """Give the poses that were not sent before, to two periods beyond a time; None where there are none."""
+        """The poses that were not sent before, to two periods beyond a time; None where there are none."""
         path = self.rig.path
         if path is None:
             return None
@@ -305,32 +280,28 @@ class _Maker:
         return Poses(path.timestamps_ns[rows] + self.shift_ns, path.positions[rows], path.quaternions_xyzw[rows])
 
     def records(self, sensor_id: Identifier, frame: LidarFrame | CameraImage) -> list[SentRecord]:
-        """Give the records of a frame: the frame itself, then the boxes in it."""
-        number = self.rig.numbers[sensor_id]
-        seq = self._seqs.get(sensor_id, -1) + 1
-        self._seqs[sensor_id] = seq
+        """The records of a frame: the frame itself, then the boxes in it."""
+        self._seqs[sensor_id] = self._seqs.get(sensor_id, -1) + 1
+        numbers: dict[str, Any] = {"sensor_id": self.rig.numbers[sensor_id], "seq": self._seqs[sensor_id]}
+        records: list[SentRecord] = []
         if isinstance(frame, LidarFrame):
-            return self._of_sweep(sensor_id, number, seq, frame)
-        return self._of_image(sensor_id, number, seq, frame)
+            if sensor_id in self.rig.at_once:
+                frame = replace(frame, points=replace(frame.points, timestamps_ns=None))
+            period_ns = sweep_period_ns(self._lidars[sensor_id])
+            timed = timed_frame(frame, period_ns, previous=self._raw_times.get(sensor_id))
+            self._raw_times[sensor_id] = timed.raw
+            records.append(point_cloud_of(_shifted(timed.frame, self.shift_ns), **numbers))
+            boxes_3d = self._boxes_3d(sensor_id, frame.timestamp_ns)
+            records += [] if boxes_3d is None else [boxes_3d_record(boxes_3d, **numbers)]
+        else:
+            moved = replace(frame, timestamp_ns=frame.timestamp_ns + self.shift_ns)
+            records.append(image_data_of(moved, encoding="rgb8" if frame.encoded is None else "jpeg", **numbers))
+            size_wh = frame.camera.width, frame.camera.height
+            boxes_2d = self._boxes_2d(sensor_id, frame.timestamp_ns)
+            records += [] if boxes_2d is None else [boxes_2d_record(boxes_2d, size_wh=size_wh, **numbers)]
+        return records
 
-    def _of_sweep(self, lidar_id: Identifier, number: int, seq: int, frame: LidarFrame) -> list[SentRecord]:
-        if lidar_id in self.rig.at_once:
-            frame = replace(frame, points=replace(frame.points, timestamps_ns=None))
-        timed = timed_frame(frame, sweep_period_ns(self._lidars[lidar_id]), previous=self._raw_times.get(lidar_id))
-        self._raw_times[lidar_id] = timed.raw
-        moved = _shifted(timed.frame, self.shift_ns)
-        records: list[SentRecord] = [point_cloud_of(moved, sensor_id=number, seq=seq)]
-        boxes = self._boxes_3d(lidar_id, number, seq, frame.timestamp_ns)
-        return records if boxes is None else [*records, boxes]
-
-    def _of_image(self, camera_id: Identifier, number: int, seq: int, image: CameraImage) -> list[SentRecord]:
-        moved = replace(image, timestamp_ns=image.timestamp_ns + self.shift_ns)
-        encoding = "rgb8" if image.encoded is None else "jpeg"
-        records: list[SentRecord] = [image_data_of(moved, sensor_id=number, seq=seq, encoding=encoding)]
-        boxes = self._boxes_2d(camera_id, number, seq, image)
-        return records if boxes is None else [*records, boxes]
-
-    def _boxes_3d(self, lidar_id: Identifier, number: int, seq: int, time_ns: int) -> Boxes3d | None:
+    def _boxes_3d(self, lidar_id: Identifier, time_ns: int) -> Boxes3D | None:
         """The cuboids of the scene as a detector in the sweep would state them; None where there are none at all."""
         source = self.rig.sources[lidar_id]
         if not self._boxes.annotations or source is None:
@@ -338,30 +309,28 @@ class _Maker:
         pose = source.at(np.array([time_ns], np.int64))
         if pose.coverage[0] == 2:
             return None
-        world_from_points = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
+        points_from_world = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]).inverse()
         rows, found = self._boxes.find(time_ns, sensor_id=lidar_id)
-        points_from_world = world_from_points.inverse()
         headings = points_from_world.rotate(found.rotations_world[:, :, 0])
-        boxes = Boxes3D(
+        return Boxes3D(
             time_ns + self.shift_ns,
             points_from_world.apply(found.centers_world),
             found.sizes_lwh,
             np.arctan2(headings[:, 1], headings[:, 0]),
             np.ones(len(found)),
-            tuple(label or _UNNAMED for label in found.labels),
+            tuple(label or "object" for label in found.labels),  # the tables require a class
             ids=rows.astype(np.int64),
         )
-        return boxes_3d_record(boxes, sensor_id=number, seq=seq)
 
     def _tracks_in(self, camera_id: Identifier) -> "list[_Track]":
         """The boxes of a camera's images over time: annotations of their own, and cuboids as it sees them."""
         if camera_id not in self._tracks:
             found: list[_Track] = []
             for row, annotation in enumerate(self.rig.scene.annotations):
-                label = getattr(annotation, "label", None) or _UNNAMED
+                label = getattr(annotation, "label", None) or "object"
                 if isinstance(annotation, Box2DAnnotation) and annotation.sensor_id == camera_id:
-                    path, always = annotation.path, bool(annotation.stationary)
-                    found.append(_Track(row, label, path.timestamps_ns, path.values, always))
+                    path = annotation.path
+                    found.append(_Track(row, label, path.timestamps_ns, path.values, bool(annotation.stationary)))
                 elif isinstance(annotation, CuboidAnnotation):
                     found += [
                         _Track(row, label, seen.timestamps_ns, seen.boxes)
@@ -371,25 +340,21 @@ class _Maker:
             self._tracks[camera_id] = found
         return self._tracks[camera_id]
 
-    def _boxes_2d(self, camera_id: Identifier, number: int, seq: int, image: CameraImage) -> Boxes2d | None:
+    def _boxes_2d(self, camera_id: Identifier, time_ns: int) -> Boxes2D | None:
         """The boxes of the scene in an image; None where the scene has none of its camera."""
         tracks = self._tracks_in(camera_id)
         if not tracks:
             return None
-        there = []
-        for track in tracks:
-            left, top, width, height = track.at(image.timestamp_ns)
-            if width > 0 and height > 0:
-                there.append((track.row, track.label, (left, top, left + width, top + height)))
-        boxes = Boxes2D(
-            image.timestamp_ns + self.shift_ns,
-            np.array([corners for _, _, corners in there], np.float64).reshape(-1, 4),
+        boxes = np.array([track.at(time_ns) for track in tracks])
+        there = np.flatnonzero((boxes[:, 2:] > 0).all(axis=1))
+        left_top = boxes[there, :2]
+        return Boxes2D(
+            time_ns + self.shift_ns,
+            np.hstack([left_top, left_top + boxes[there, 2:]]),
             np.ones(len(there)),
-            tuple(label for _, label, _ in there),
-            ids=np.array([row for row, _, _ in there], np.int64),
+            tuple(tracks[k].label for k in there),
+            ids=np.array([tracks[k].row for k in there], np.int64),
         )
-        size_wh = image.camera.width, image.camera.height
-        return boxes_2d_record(boxes, sensor_id=number, seq=seq, size_wh=size_wh)
 
 
 @dataclass(frozen=True, slots=True)
@@ -433,35 +398,21 @@ PATIENCE_MS = 1000
 
 
 class Receiver(Protocol):
-    """What is sent to: a client of the service, or a fusion interface."""
+    """What is sent to: a client of the service, or a fusion interface; methods by clause of the standard."""
 
-    def add_property(self, name: str, description: str, type: str) -> Outcome:
-        """Clause 5.3."""
-        ...
+    def add_property(self, name: str, description: str, type: str) -> Outcome: ...  # noqa: D102 - clause 5.3
 
-    def set_property(self, name: str, value: Any) -> Outcome:
-        """Clause 5.4."""
-        ...
+    def set_property(self, name: str, value: Any) -> Outcome: ...  # noqa: D102 - clause 5.4
 
-    def get_property(self, name: str) -> Any:
-        """Clause 5.5."""
-        ...
+    def get_property(self, name: str) -> Any: ...  # noqa: D102 - clause 5.5
 
-    def set_calibration(self, data: CalibrationData, *, camera_id: int = 0, lidar_id: int = 0) -> Outcome:
-        """Table 3."""
-        ...
+    def set_calibration(self, data: CalibrationData, *, camera_id: int = 0, lidar_id: int = 0) -> Outcome: ...  # noqa: D102 - table 3
 
-    def send_motion(self, path: Poses) -> Outcome:
-        """Report where the vehicle was."""
-        ...
+    def send_motion(self, path: Poses) -> Outcome: ...  # noqa: D102 - an extension
 
-    def send(self, record: SentRecord) -> Outcome:
-        """Clause 5.6."""
-        ...
+    def send(self, record: SentRecord) -> Outcome: ...  # noqa: D102 - clause 5.6
 
-    def flush(self) -> Any:
-        """Fuse what waits."""
-        ...
+    def flush(self) -> Any: ...  # noqa: D102 - an extension
 
 
 @dataclass(frozen=True, slots=True)
@@ -470,19 +421,29 @@ class SendReport:
 
     Attributes:
         source: the drive or the log.
-        sensors: what number each sensor has in the session.
         sent: records by kind, and poses as `motion`.
         refused: how many of them were not taken, by cause.
         seconds: how long it took.
+        sensors: what number each sensor has in the session.
         warnings: what was assumed or left out.
     """
 
     source: str
-    sensors: Mapping[str, int]
     sent: Mapping[str, int]
     refused: Mapping[str, int]
     seconds: float
+    sensors: Mapping[str, int] = field(default_factory=dict)
     warnings: tuple[DataWarning, ...] = ()
+
+    @classmethod
+    def of(cls, source: str, begun: float, sessions: "Iterable[Statistics]", **more: Any) -> Self:
+        """Sum the statistics of sessions that began at `begun`, by the performance counter [s]."""
+        sent, refused = Counter[str](), Counter[str]()
+        for statistics in sessions:
+            sent += statistics.sent
+            refused += statistics.refused
+        seconds = time.perf_counter() - begun
+        return cls(source, dict(sorted(sent.items())), dict(sorted(refused.items())), seconds, **more)
 
 
 @dataclass(slots=True)
@@ -560,7 +521,7 @@ def send_scene(
     """Configure a session for the sensors of a scene and send all that they measured, in the order of time.
 
     Lidars are numbered from 0, then cameras. Sweeps, images, boxes of the scene's annotations and the ego trajectory
-     are sent; times before 0 are moved by whole seconds, for a timestamp cannot state them.
+    are sent; times before 0 are moved by whole seconds, for a timestamp cannot state them.
 
     Args:
         rate: 1 for as fast as it was, 2 for twice as fast, 0 for as fast as the session takes it.
@@ -583,18 +544,9 @@ def send_scene(
     with _refusing(receiver, statistics.pace.rate):
         _send_frames(rig, statistics, skipped if lenient else None, progress)
     receiver.flush()
-    report = _reported(rig.scene.source, begun, [statistics])
     numbers = {str(sensor_id): number for sensor_id, number in rig.numbers.items()}
-    return replace(report, sensors=numbers, warnings=(*rig.scene.warnings, *rig.warnings, *skipped))
-
-
-def _reported(source: str, begun: float, sessions: Iterable[Statistics]) -> SendReport:
-    sent, refused = Counter[str](), Counter[str]()
-    for statistics in sessions:
-        sent += statistics.sent
-        refused += statistics.refused
-    seconds = time.perf_counter() - begun
-    return SendReport(source, {}, dict(sorted(sent.items())), dict(sorted(refused.items())), seconds)
+    warnings = (*rig.scene.warnings, *rig.warnings, *skipped)
+    return SendReport.of(rig.scene.source, begun, [statistics], sensors=numbers, warnings=warnings)
 
 
 def _send_frames(
@@ -612,7 +564,7 @@ def _send_frames(
         except DataError as error:
             if skipped is None:
                 raise
-            skipped.append(_unreadable(error))
+            skipped.append(_warning(WarningKind.SKIPPED, "frame-unreadable", str(error)))
             records = []
         if motion is not None:
             statistics.send_motion(motion)
@@ -620,10 +572,6 @@ def _send_frames(
             statistics.send(record)
         if progress is not None:
             progress(done, total)
-
-
-def _unreadable(error: DataError) -> DataWarning:
-    return DataWarning(kind=WarningKind.SKIPPED, code="frame-unreadable", location="", message=str(error))
 
 
 def _configure(receiver: Receiver, rig: _SentRig) -> None:
@@ -647,12 +595,12 @@ def _configure(receiver: Receiver, rig: _SentRig) -> None:
     for name, value in settings.items():
         _must(receiver.set_property(name, value), f"property {name}")
     for entry in rig.calibrations:
-        _set_calibration(receiver, entry)
+        _set_calibration(receiver, entry.data, entry.camera_id, entry.lidar_id)
 
 
-def _set_calibration(receiver: Receiver, entry: CalibrationEntry) -> None:
-    outcome = receiver.set_calibration(entry.data, camera_id=entry.camera_id, lidar_id=entry.lidar_id)
-    _must(outcome, f"calibration of camera {entry.camera_id} and lidar {entry.lidar_id}")
+def _set_calibration(receiver: Receiver, data: CalibrationData, camera_id: int, lidar_id: int) -> None:
+    outcome = receiver.set_calibration(data, camera_id=camera_id, lidar_id=lidar_id)
+    _must(outcome, f"calibration of camera {camera_id} and lidar {lidar_id}")
 
 
 def _frequency(periods_ns: Iterable[int]) -> int:
@@ -709,7 +657,7 @@ def send_log(
         sessions[entry.session].take(entry)
     for session in sessions.values():
         session.end()
-    return _reported(str(path), begun, [session.statistics for session in sessions.values()])
+    return SendReport.of(str(path), begun, [session.statistics for session in sessions.values()])
 
 
 @dataclass(slots=True)
@@ -735,8 +683,8 @@ class _ResentSession:
                     _must(receiver.set_property(_ALGORITHM, name), f"property {_ALGORITHM}")
                 _must(receiver.set_property(_TYPE, chosen), f"property {_TYPE}")
             case "calibration":
-                data, ids = from_protobuf(message.calibration), (message.camera_id, message.lidar_id)
-                _set_calibration(receiver, CalibrationEntry(*ids, data))
+                data = from_protobuf(message.calibration)
+                _set_calibration(receiver, data, message.camera_id, message.lidar_id)
             case "record":
                 self.statistics.send(from_protobuf(message))
             case "motion":
@@ -751,14 +699,14 @@ class _ResentSession:
             outcome = receiver.add_property(found.name, found.description, str(found.type))
             if outcome.cause is not Cause.KNOWN_NAME:
                 _must(outcome, f"property {found.name}")
+        value = found.value
         if found.name == _POLICY and self.statistics.pace.rate <= 0:
             # as fast as possible, what there is no room for is sent again; in the end it is as it was
-            self._policy = found.value
-            _must(receiver.set_property(_POLICY, "refuse"), f"property {_POLICY}")
-        elif found.value is not None and found.name != _ALGORITHM:
+            self._policy, value = found.value, "refuse"
+        if value is not None and found.name != _ALGORITHM:
             before = receiver.get_property(found.name) if known is None else known.value
-            if before != found.value:
-                _must(receiver.set_property(found.name, found.value), f"property {found.name}")
+            if before != value or value == "refuse":
+                _must(receiver.set_property(found.name, value), f"property {found.name}")
         self._known[found.name] = found
 
     def end(self) -> None:

@@ -30,7 +30,7 @@ from sceneloom.db34t.conformance.catalogue import (
     Seen,
     Transport,
 )
-from sceneloom.db34t.transport import SERVICE, details_of, open_channel, read_token, reader_of
+from sceneloom.db34t.transport import calls_of, details_of, open_channel, read_token, reader_of
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.formats.base.output import replacing
@@ -100,7 +100,19 @@ class Examination:
 
     def as_builtins(self) -> dict[str, Any]:
         """Give it as plain values."""
-        checks = [_plain(finding) for finding in self.findings]
+        checks = [
+            {
+                "id": finding.check.id,
+                "verdict": str(finding.verdict),
+                "basis": str(finding.check.basis),
+                "location": finding.check.location,
+                "title": finding.check.title,
+                "english": finding.check.quote.english,
+                "chinese": finding.check.quote.chinese,
+                "seen": [asdict(seen) for seen in finding.seen],
+            }
+            for finding in self.findings
+        ]
         return {"address": self.address, "passed": self.passed, "counts": self.counts, "checks": checks}
 
     def write(self, path: Path, *, overwrite: bool = False) -> None:
@@ -132,16 +144,13 @@ def chosen(ids: Iterable[str]) -> tuple[Check, ...]:
     Raises:
         OptionError: there is none of that name.
     """
-    wanted = tuple(ids)
-    for name in wanted:
-        if not any(_is_of(check, name) for check in CHECKS):
-            parts = ", ".join(dict.fromkeys(check.id.split("-")[0] for check in CHECKS))
-            raise OptionError(f"check {name!r}; there are those of {parts}, each with -1, -2, …")
-    return tuple(check for check in CHECKS if not wanted or any(_is_of(check, name) for name in wanted))
-
-
-def _is_of(check: Check, name: str) -> bool:
-    return name in (check.id, check.id.split("-")[0])
+    wanted = set(ids)
+    names = {check.id: {check.id, check.id.split("-")[0]} for check in CHECKS}
+    unknown = sorted(wanted - set().union(*names.values()))
+    if unknown:
+        parts = ", ".join(dict.fromkeys(check.id.split("-")[0] for check in CHECKS))
+        raise OptionError(f"check {unknown[0]!r}; there are those of {parts}, each with -1, -2, …")
+    return tuple(check for check in CHECKS if not wanted or wanted & names[check.id])
 
 
 def examine(
@@ -157,7 +166,7 @@ def examine(
         transport: carries the calls.
         address: of the server, for the report.
         only: ids of checks, or of clauses and tables; all where none are stated.
-        progress: reported how many checks are done, and of how many.
+        progress: called with how many checks are done, and of how many.
 
     Raises:
         OptionError: there is no such check.
@@ -192,59 +201,24 @@ def _after(seen: Sequence[Seen]) -> str:
     return f"what comes after: {seen[-1].sent}" if seen else "what the check begins with"
 
 
-def _plain(finding: Finding) -> dict[str, Any]:
-    check = finding.check
-    return {
-        "id": check.id,
-        "verdict": str(finding.verdict),
-        "basis": str(check.basis),
-        "location": check.location,
-        "title": check.title,
-        "english": check.quote.english,
-        "chinese": check.quote.chinese,
-        "seen": [asdict(seen) for seen in finding.seen],
-    }
-
-
-def _as_json(examination: Examination) -> str:
-    """Give an examination as JSON."""
-    return json.dumps(examination.as_builtins(), indent=2, ensure_ascii=False) + "\n"
-
-
-def _as_markdown(examination: Examination) -> str:
-    """Give an examination as Markdown: a table of all checks, and what was found by those that failed."""
-    return "\n".join(_markdown_lines(examination)) + "\n"
-
-
 def _markdown_lines(examination: Examination) -> Iterator[str]:
-    yield f"# DB34/T 4101-2022: conformance of {examination.address or 'a server'}"
-    yield ""
-    yield _summary(examination)
-    yield ""
+    """A table of all checks, and what was found by those that failed."""
+    yield f"# DB34/T 4101-2022: conformance of {examination.address or 'a server'}\n"
+    yield f"{_summary(examination)}\n"
     yield "| check | verdict | basis | location | what has to be so |"
     yield "| --- | --- | --- | --- | --- |"
     for finding in examination.findings:
         check = finding.check
-        cells = (check.id, str(finding.verdict), str(check.basis), check.location, check.title)
-        yield _table_row(cells)
+        yield _table_row((check.id, str(finding.verdict), str(check.basis), check.location, check.title))
     for finding in examination.findings:
         if finding.failures:
-            yield from _failed_in_markdown(finding)
-
-
-def _failed_in_markdown(finding: Finding) -> Iterator[str]:
-    check = finding.check
-    yield ""
-    yield f"## {check.id}: {check.title}"
-    yield f"> {check.quote.english}"
-    yield ">"
-    yield f"> {check.quote.chinese}"
-    yield ""
-    yield "| sent | expected | found |"
-    yield "| --- | --- | --- |"
-    for seen in finding.failures:
-        cells = (seen.sent, seen.expected, seen.found)
-        yield _table_row(cells)
+            check = finding.check
+            yield f"\n## {check.id}: {check.title}"
+            yield f"> {check.quote.english}\n>\n> {check.quote.chinese}\n"
+            yield "| sent | expected | found |"
+            yield "| --- | --- | --- |"
+            for seen in finding.failures:
+                yield _table_row((seen.sent, seen.expected, seen.found))
 
 
 def _table_row(cells: Iterable[str]) -> str:
@@ -294,8 +268,8 @@ def _summary(examination: Examination) -> str:
 
 
 _FORMATS: Mapping[str, Callable[[Examination], str]] = {
-    ".json": _as_json,
-    ".md": _as_markdown,
+    ".json": lambda examination: json.dumps(examination.as_builtins(), indent=2, ensure_ascii=False) + "\n",
+    ".md": lambda examination: "\n".join(_markdown_lines(examination)) + "\n",
     ".html": _as_html,
 }
 """By the suffix of the file."""
@@ -303,7 +277,7 @@ _FORMATS: Mapping[str, Callable[[Examination], str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """How a server lets one in.
+    """Access to a server.
 
     Attributes:
         ca: file of the certificate (PEM) that the server's is signed with; None for a connection that is not encrypted.
@@ -314,15 +288,6 @@ class Access:
     ca: Path | None = None
     token_file: Path | None = None
     certificate: tuple[Path, Path] | None = None
-
-    def token(self) -> str | None:
-        """What every call carries.
-
-        Raises:
-            DataError: the file holds no token.
-            OSError: it cannot be read.
-        """
-        return None if self.token_file is None else read_token(self.token_file)
 
 
 class GrpcTransport:
@@ -340,7 +305,7 @@ class GrpcTransport:
         """
         self.channel = channel
         self._metadata = metadata
-        self._stubs: Mapping[str, Any] = {method.name: _stub(channel, method) for method in SERVICE.methods}
+        self._calls = calls_of(channel)
 
     @classmethod
     def connected(cls, address: str, access: Access) -> "GrpcTransport":
@@ -352,7 +317,7 @@ class GrpcTransport:
             DataError: a file holds no token, or no certificate.
             OSError: a file cannot be read.
         """
-        token = access.token()
+        token = None if access.token_file is None else read_token(access.token_file)
         channel = open_channel(address, ca=access.ca, certificate=access.certificate, token=token)
         try:
             grpc.channel_ready_future(channel).result(timeout=PATIENCE_S / 3)
@@ -377,18 +342,21 @@ class GrpcTransport:
     def __exit__(self, *_: object) -> None:
         self.channel.close()
 
-    def call(self, method: str, request: Message) -> Any:
-        """Call a method that takes one message and gives one."""
-        return self._answered(method, request)
+    def call(self, method: str, request: Message | Iterator[Message]) -> Any:
+        """Call a method that gives one message."""
+        try:
+            return self._calls[method](request, timeout=PATIENCE_S, metadata=self._metadata)
+        except grpc.RpcError as error:
+            raise _reported(error) from error
 
     def send_stream(self, requests: Iterable[Message]) -> Any:
         """Call SendStream."""
-        return self._answered("SendStream", iter(list(requests)))
+        return self.call("SendStream", iter(list(requests)))
 
     def subscribe(self, request: Message) -> Iterator[Any]:
         """Call Subscribe."""
         try:
-            yield from self._stubs["Subscribe"](request, timeout=PATIENCE_S, metadata=self._metadata)
+            yield from self._calls["Subscribe"](request, timeout=PATIENCE_S, metadata=self._metadata)
         except grpc.RpcError as error:
             raise _reported(error) from error
 
@@ -441,22 +409,6 @@ class GrpcTransport:
             else:
                 return _only(replies)
         raise failed or CallFailedError("UNIMPLEMENTED", "")
-
-    def _answered(self, method: str, request: Any) -> Any:
-        try:
-            return self._stubs[method](request, timeout=PATIENCE_S, metadata=self._metadata)
-        except grpc.RpcError as error:
-            raise _reported(error) from error
-
-
-def _stub(channel: grpc.Channel, method: Any) -> Any:
-    kinds = {(False, False): "unary_unary", (True, False): "stream_unary", (False, True): "unary_stream"}
-    make = getattr(channel, kinds[method.client_streaming, method.server_streaming])
-    return make(
-        f"/{SERVICE.full_name}/{method.name}",
-        request_serializer=getattr(fusion_pb2, method.input_type.name).SerializeToString,
-        response_deserializer=reader_of(getattr(fusion_pb2, method.output_type.name)),
-    )
 
 
 def _reported(error: Any) -> CallFailedError:

@@ -1,13 +1,12 @@
 """Camera-lidar calibration by a checkerboard: its corners in images and its plane in clouds, without a first guess.
 
 Source: saddles by the determinant of the Hessian and their sub-pixel location by a quadratic surface: Lucchese and
-    Mitra
-2002, "Using saddle points for subpixel feature detection in camera calibration targets"; growing a grid from a seed:
-Geiger, Moosmann, Car and Schuster 2012, "Automatic camera and range sensor calibration using a single shot".
+Mitra 2002, "Using saddle points for subpixel feature detection in camera calibration targets"; growing a grid from a
+seed: Geiger, Moosmann, Car and Schuster 2012, "Automatic camera and range sensor calibration using a single shot".
 
-Of each view the camera reports the board's pose and the lidar its plane and extent. Normals give the rotation, planes
-and middles the translation; then all points are fitted at once: those of the cloud onto the board's plane, and the
-board's extent, as far as the scan lines report it, onto its border.
+Of each view the camera gives the board's pose and the lidar its plane and extent. Normals determine the rotation,
+planes and middles the translation; then all points are fitted at once: those of the cloud onto the board's plane, and
+the board's extent, as far as the scan lines show it, onto its border.
 
 Source: planes: Zhang and Pless 2004, "Extrinsic calibration of a camera and laser range finder", and Unnikrishnan and
 Hebert 2005; planes and borders: Zhou, Li and Kaess 2018, "Automatic extrinsic calibration of a camera and a 3D lidar
@@ -15,6 +14,7 @@ using line and plane correspondences".
 """
 
 import re
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -23,9 +23,9 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
-from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array
-from sceneloom.calibrate.extrinsics import MountingEstimate, ground_plane, moved_by, unobserved_directions
-from sceneloom.calibrate.frames import chosen_camera, chosen_lidar
+from sceneloom.arrays import AnyArray, Float32Array, Float64Array
+from sceneloom.calibrate.extrinsics import MountingEstimate, ground_plane, moved_by
+from sceneloom.calibrate.frames import LUMA, chosen_camera, chosen_lidar, spread_rows
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded, unproject
 from sceneloom.errors import OptionError, PoseError
@@ -35,6 +35,30 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
 
 _TEXT = re.compile(r"(\d+)x(\d+):([\d.]+)(?::([\d.]+)x([\d.]+))?")
+
+_SMOOTHED_PX, _SHARE, _MOST_SADDLES, _SEEDS = 1.5, 0.08, 2000, 80
+"""Saddles weaker than this share of the strong ones are left out."""
+
+_SURFACE = 4
+"""Half a side of the patch that a surface is fitted to [px]."""
+
+_TOLERANCE, _NEIGHBOURS = 0.3, 9
+"""A corner lies within this part of a step from where the grid goes on."""
+
+_CELL, _REACH, _LEAST_POINTS, _FLATNESS, _SIZE_SHARE, _GROUND_M = 0.12, 15.0, 40, 0.03, 0.3, 0.15
+
+_LEAST_VIEWS, _LEAST_ROTATION = 3, np.radians(10.0)
+_PLANE_SIGMA, _MIDDLE_SIGMA = 0.01, 0.02
+"""Errors of a board's plane, and of its extent as scan lines show it [m]: about a third of the gap between two."""
+
+_FARTHEST_NS = 100_000_000
+"""A sweep farther from an image does not show the board where the image does."""
+
+_WORST_PX = 1.5
+"""Corners that are farther off from a flat board under the camera model are not this board's [px]."""
+
+_Grid = dict[tuple[int, int], int]
+"""Number of a saddle by (column, row)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,27 +113,122 @@ class Board:
         return np.stack([u.ravel(), v.ravel(), np.zeros(u.size)], axis=1)
 
 
-_SMOOTHED_PX = 1.5
+@dataclass(frozen=True, slots=True, eq=False)
+class _BoardInCloud:
+    """A board as a lidar sees it.
 
-_SHARE = 0.08
-"""Saddles weaker than this share of the strong ones are left out."""
+    Attributes:
+        points: (N, 3) [m], lidar frame.
+        center: (3,) [m], the middle of its extent.
+        normal: (3,) unit, towards the lidar.
+        noise: root mean square of the points' distances from the plane [m].
+    """
 
-_MOST_SADDLES = 2000
-_SEEDS = 80
+    points: Float64Array
+    center: Float64Array
+    normal: Float64Array
+    noise: float
 
-_SURFACE = 4
-"""Half a side of the patch that a surface is fitted to [px]."""
 
-_TOLERANCE = 0.3
-"""A corner lies within this part of a step from where the grid goes on."""
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardView:
+    """A board seen by both: `camera_from_board` by the corners, z away from the camera, and the board in the cloud."""
 
-_NEIGHBOURS = 9
+    camera_from_board: RigidTransform
+    cloud: _BoardInCloud
+
+
+def board_views(
+    scene: Scene,
+    board: Board,
+    camera_id: Identifier | None = None,
+    lidar_id: Identifier | None = None,
+    *,
+    most: int,
+    progress: Progress | None = None,
+) -> Iterator[BoardView]:
+    """Find the board in images spread over a drive; board and vehicle are assumed to be stationary at these times.
+
+    Args:
+        camera_id, lidar_id: None for the scene's first ones.
+        most: so many images at most.
+        progress: reported after each image.
+
+    Raises:
+        OptionError: there is no such camera or lidar.
+        DataError: an image or a sweep cannot be read.
+    """
+    camera, lidar = chosen_camera(scene, camera_id), chosen_lidar(scene, lidar_id)
+    chosen = spread_rows(len(camera.images), most)
+    for done, k in enumerate(chosen, start=1):
+        image = camera.images[k]
+        sweep = lidar.frames[int(np.argmin(np.abs(lidar.frames.timestamps_ns - image.timestamp_ns)))]
+        if progress is not None:
+            progress(done, len(chosen))
+        if abs(sweep.reference_ns - image.timestamp_ns) > _FARTHEST_NS:
+            continue
+        corners = find_corners(image.rgb @ LUMA, board)
+        pose = None if corners is None else board_pose(image.camera, corners, board)
+        if pose is None or pose[1] > _WORST_PX:
+            continue
+        points: Float64Array = sweep.points.positions.astype(np.float64)
+        if lidar.points_frame is PointsFrame.EGO and lidar.mount is not None:
+            points = lidar.mount.inverse().apply(points)
+        found = board_in_cloud(points, board)
+        if found is not None:
+            yield BoardView(pose[0], found)
+
+
+def start_from_target(views: Sequence[BoardView], board: Board) -> MountingEstimate:
+    """Estimate `camera_from_lidar` from several views of a board.
+
+    Raises:
+        PoseError: too few views, or all with the board rotated alike.
+    """
+    if len(views) < _LEAST_VIEWS:
+        raise PoseError(f"{len(views)} views of the board; expected {_LEAST_VIEWS} or more, rotated differently")
+    boards = [view.camera_from_board for view in views]
+    middles = np.array([board.translation for board in boards])
+    normals = np.array([board.rotation[:, 2] for board in boards])
+    normals *= -np.sign((normals * middles).sum(axis=1, keepdims=True))  # towards the camera
+    if np.linalg.svd(normals)[1][1] < np.sin(_LEAST_ROTATION) * np.sqrt(len(views)) * 0.5:
+        raise PoseError("the board is rotated alike in all views; expected rotations by 10 deg or more about two axes")
+    # the rotation that takes the lidar's normals, and directions between middles, to the camera's; then the translation
+    seen_middles = np.array([view.cloud.center for view in views])
+    a = np.concatenate([normals, middles - middles.mean(axis=0)])
+    b = np.concatenate([[view.cloud.normal for view in views], seen_middles - seen_middles.mean(axis=0)])
+    rotation, _ = nearest_rotation(a.T @ b)
+    start = RigidTransform(rotation, (middles - seen_middles @ rotation.T).mean(axis=0))
+
+    def errors(step: Float64Array) -> Float64Array:
+        camera_from_lidar = moved_by(start, step)
+        return np.concatenate([_errors(view, camera_from_lidar, board) for view in views])
+
+    found = least_squares(errors, np.zeros(6), loss="soft_l1", x_scale=[0.01] * 3 + [0.02] * 3)
+    jacobian = np.asarray(found.jac, np.float64)
+    variance = max(float(2.0 * found.cost / max(len(found.fun) - 6, 1)), 1.0)
+    covariance = np.asarray(np.linalg.pinv(jacobian.T @ jacobian) * variance, np.float64)
+    return MountingEstimate.of(moved_by(start, found.x), covariance, "camera")
+
+
+def _errors(view: BoardView, camera_from_lidar: RigidTransform, board: Board) -> Float64Array:
+    """Distances from the board's plane, and how far the extent is from the border on both sides, by their sigmas.
+
+    Successive points of a plane are not independent: of many each counts less.
+    """
+    on_board = view.camera_from_board.inverse().apply(camera_from_lidar.apply(view.cloud.points))
+    share = np.sqrt(min(1.0, 100.0 / len(on_board)))
+    planes = on_board[:, 2] / max(view.cloud.noise, _PLANE_SIGMA) * share
+    beyond = np.abs(on_board[:, :2]) - 0.5 * np.array([board.width, board.height])
+    outside = np.maximum(beyond, 0.0) / _MIDDLE_SIGMA * share
+    low, high = (np.quantile(on_board[:, :2], q, axis=0) for q in (0.02, 0.98))
+    return np.concatenate([planes, outside.ravel(), 0.5 * (low + high) / _MIDDLE_SIGMA])
 
 
 def find_corners(grey: Float32Array, board: Board) -> Float64Array | None:
     """Find a board's inner corners, (rows columns, 2) float64 [px], row after row; None where it is not seen whole.
 
-    A board that is symmetric can be reported in several orders: which corner comes first is not known.
+    A board that is symmetric can be found in several orders: which corner comes first is not known.
     """
     saddles = _saddles(grey)
     if len(saddles) < board.rows * board.columns:
@@ -141,7 +260,8 @@ def _saddles(grey: Float32Array) -> Float64Array:
         return np.zeros((0, 2))
     order = np.argsort(-strength[rows, columns])[:_MOST_SADDLES]
     rows, columns = rows[order], columns[order]
-    strong = strength[rows, columns] > _SHARE * strength[rows[min(20, len(rows) - 1)], columns[min(20, len(rows) - 1)]]
+    strengths = strength[rows, columns]
+    strong = strengths > _SHARE * strengths[min(20, len(rows) - 1)]
     return _refined(smooth, columns[strong], rows[strong])
 
 
@@ -162,34 +282,28 @@ def _refined(smooth: Float64Array, columns: AnyArray, rows: AnyArray) -> Float64
     return locations
 
 
-_Grid = dict[tuple[int, int], int]
-
-
 def _grown(saddles: Float64Array, tree: cKDTree, seed: int) -> _Grid:
-    """Grow a grid of saddles from one of them: number of the saddle by (column, row)."""
+    """The largest grid of saddles around one of them, by any two directions to its neighbours."""
     near = np.asarray(tree.query(saddles[seed], k=min(_NEIGHBOURS, len(saddles)))[1], np.int64)
-    trajectories = saddles[near[1:]] - saddles[seed]
+    sides = saddles[near[1:]] - saddles[seed]
     best: _Grid = {}
-    lengths = np.linalg.norm(trajectories, axis=1)
-    for i in range(min(4, len(trajectories))):
-        for j in range(len(trajectories)):
-            sine = abs(trajectories[i, 0] * trajectories[j, 1] - trajectories[i, 1] * trajectories[j, 0]) / max(
-                lengths[i] * lengths[j], 1e-9
-            )
-            if sine < 0.4 or not 0.3 < lengths[i] / lengths[j] < 3.3:
-                continue
-            grid = _spread(saddles, tree, seed, trajectories[i], trajectories[j])
-            if len(grid) > len(best):
-                best = grid
+    lengths = np.linalg.norm(sides, axis=1)
+    for i in range(min(4, len(sides))):
+        for j in range(len(sides)):
+            sine = abs(sides[i, 0] * sides[j, 1] - sides[i, 1] * sides[j, 0]) / max(lengths[i] * lengths[j], 1e-9)
+            if sine >= 0.4 and 0.3 < lengths[i] / lengths[j] < 3.3:
+                grid = _spread(saddles, tree, seed, sides[i], sides[j])
+                best = max(best, grid, key=len)
     return best
 
 
 def _spread(saddles: Float64Array, tree: cKDTree, seed: int, right: Float64Array, below: Float64Array) -> _Grid:
+    """Grow a grid from a saddle in two directions; the steps follow the perspective."""
     grid: _Grid = {(0, 0): seed}
     steps: dict[tuple[int, int], tuple[Float64Array, Float64Array]] = {(0, 0): (right, below)}
-    taken, queue = {seed}, [(0, 0)]
+    taken, queue = {seed}, deque([(0, 0)])
     while queue:
-        location = queue.pop(0)
+        location = queue.popleft()
         own = steps[location]
         for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
             beside = (location[0] + sign * (axis == 0), location[1] + sign * (axis == 1))
@@ -208,58 +322,22 @@ def _spread(saddles: Float64Array, tree: cKDTree, seed: int, right: Float64Array
 
 
 def _whole_board(grid: _Grid, saddles: Float64Array, board: Board) -> Float64Array | None:
-    """The corners of a board in a grid, in its own rows; None where the grid is not just that board."""
+    """The corners of a board in a grid that may be a little larger; None where the grid is not just that board.
+
+    The board is seen from its front: columns go to the right of rows, as in the image.
+    """
     locations = np.array(list(grid))
     low, high = locations.min(axis=0), locations.max(axis=0)
-    size = tuple((high - low + 1).tolist())
-    for wanted, rotated in (((board.columns, board.rows), False), ((board.rows, board.columns), True)):
-        for start in _windows(size, wanted):
-            order = [
-                (low[0] + start[0] + (v if rotated else u), low[1] + start[1] + (u if rotated else v))
-                for v in range(board.rows)
-                for u in range(board.columns)
-            ]
+    v, u = np.mgrid[: board.rows, : board.columns].reshape(2, -1)
+    for cells in (np.stack([u, v], axis=1), np.stack([v, u], axis=1)):
+        for start in np.ndindex(*np.maximum(high - low + 1 - cells.max(axis=0), 0)):
+            order = list(map(tuple, (low + start + cells).tolist()))
             if all(location in grid for location in order) and len(grid) <= 1.3 * len(order):
-                return _facing(np.array([saddles[grid[location]] for location in order]), board)
+                square = saddles[[grid[location] for location in order]].reshape(board.rows, board.columns, 2)
+                right, below = square[0, -1] - square[0, 0], square[-1, 0] - square[0, 0]
+                mirrored = right[0] * below[1] - right[1] * below[0] < 0
+                return np.ascontiguousarray((square[:, ::-1] if mirrored else square).reshape(-1, 2))
     return None
-
-
-def _windows(size: tuple[int, ...], wanted: tuple[int, int]) -> list[tuple[int, int]]:
-    """Where a grid of the wanted size may begin in one that may be a little larger."""
-    return [(u, v) for u in range(max(size[0] - wanted[0] + 1, 0)) for v in range(max(size[1] - wanted[1] + 1, 0))]
-
-
-def _facing(corners: Float64Array, board: Board) -> Float64Array:
-    """Order the corners so that the board is seen from its front: columns to the right of rows, as in the image."""
-    square = corners.reshape(board.rows, board.columns, 2)
-    right, below = square[0, -1] - square[0, 0], square[-1, 0] - square[0, 0]
-    if right[0] * below[1] - right[1] * below[0] < 0:
-        square = square[:, ::-1]
-    return np.ascontiguousarray(square.reshape(-1, 2))
-
-
-_CELL = 0.12
-_REACH = 15.0
-_LEAST_POINTS = 40
-_FLATNESS = 0.03
-_SIZE_SHARE = 0.3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _BoardInCloud:
-    """A board as a lidar sees it.
-
-    Attributes:
-        points: (N, 3) [m], lidar frame.
-        center: (3,) [m], the middle of its extent.
-        normal: (3,) unit, towards the lidar.
-        noise: root mean square of the points' distances from the plane [m].
-    """
-
-    points: Float64Array
-    center: Float64Array
-    normal: Float64Array
-    noise: float
 
 
 def board_pose(camera: Camera, corners: Float64Array, board: Board) -> tuple[RigidTransform, float] | None:
@@ -271,21 +349,9 @@ def board_pose(camera: Camera, corners: Float64Array, board: Board) -> tuple[Rig
     rays = unproject(camera, corners)
     if not np.isfinite(rays).all() or (rays[:, 2] <= 0).any():
         return None
-    start = _from_homography(board.corners[:, :2], rays[:, :2] / rays[:, 2:])
-    if start is None:
-        return None
-
-    def errors(step: Float64Array) -> Float64Array:
-        pixels = project_unbounded(camera, moved_by(start, step).apply(board.corners))
-        return np.nan_to_num((pixels - corners).ravel(), nan=1e3)
-
-    found = least_squares(errors, np.zeros(6), method="lm")
-    return moved_by(start, found.x), float(np.sqrt(np.mean(found.fun**2) * 2.0))
-
-
-def _from_homography(plane: Float64Array, seen: Float64Array) -> RigidTransform | None:
-    ones, zeros = np.ones(len(plane)), np.zeros((len(plane), 3))
-    source = np.column_stack([plane, ones])
+    seen = rays[:, :2] / rays[:, 2:]
+    source = np.column_stack([board.corners[:, :2], np.ones(len(seen))])
+    zeros = np.zeros_like(source)
     rows = np.concatenate(
         [
             np.column_stack([source, zeros, -seen[:, :1] * source]),
@@ -298,31 +364,41 @@ def _from_homography(plane: Float64Array, seen: Float64Array) -> RigidTransform 
         return None
     h = h / scale * (1.0 if h[2, 2] > 0 else -1.0)
     rotation, _ = nearest_rotation(np.column_stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])]))
-    return RigidTransform(rotation, h[:, 2].copy())
+    start = RigidTransform(rotation, h[:, 2].copy())
+
+    def errors(step: Float64Array) -> Float64Array:
+        pixels = project_unbounded(camera, moved_by(start, step).apply(board.corners))
+        return np.nan_to_num((pixels - corners).ravel(), nan=1e3)
+
+    found = least_squares(errors, np.zeros(6), method="lm")
+    return moved_by(start, found.x), float(np.sqrt(np.mean(found.fun**2) * 2.0))
 
 
 def board_in_cloud(points: Float64Array, board: Board) -> _BoardInCloud | None:
     """Find a board in a cloud, (N, 3) [m]: something flat of its size that stands free; None where nothing is."""
     ranges = np.linalg.norm(points, axis=1)
-    near = points[np.isfinite(ranges) & (ranges > 0.5) & (ranges < _REACH)]
-    found = []
-    for cluster in _clusters(near):
-        candidate = _flat(cluster)
-        if candidate is not None:
-            misfit = _size_misfit(candidate, board)
-            if misfit < _SIZE_SHARE:
-                found.append((misfit, candidate))
-    return min(found, key=lambda one: one[0])[1] if found else None
+    found: list[tuple[float, _BoardInCloud]] = []
+    for cluster in _clusters(points[np.isfinite(ranges) & (ranges > 0.5) & (ranges < _REACH)]):
+        flat = _flat(cluster)
+        if flat is not None:
+            # lines miss up to a step at each edge
+            kept, normal, noise = flat
+            center, size = _extent(kept, normal)
+            misfit = float(np.abs(np.sort(size) / np.sort([board.width, board.height]) - 1.0).max())
+            found.append((misfit, _BoardInCloud(kept, center, normal, noise)))
+    misfit, best = min(found, key=lambda one: one[0], default=(np.inf, None))
+    return best if misfit < _SIZE_SHARE else None
 
 
 def _clusters(points: Float64Array) -> list[Float64Array]:
     """Parts of a cloud with a gap around each; the ground, which joins all, is left out."""
     if len(points) < _LEAST_POINTS:
         return []
-    stationary = points[~_ground(points)]
-    if len(stationary) < _LEAST_POINTS:
+    plane = ground_plane(points)
+    above = points if plane is None else points[points @ plane[0] + plane[1] >= _GROUND_M]
+    if len(above) < _LEAST_POINTS:
         return []
-    cells = np.floor(stationary / _CELL).astype(np.int64)
+    cells = np.floor(above / _CELL).astype(np.int64)
     cells -= cells.min(axis=0)
     volume = np.zeros(cells.max(axis=0) + 3, np.bool_)
     volume[tuple((cells + 1).T)] = True
@@ -331,19 +407,11 @@ def _clusters(points: Float64Array) -> list[Float64Array]:
     labels, count = ndimage.label(joined, np.ones((3, 3, 3)))
     own = labels[tuple((cells + 1).T)]
     sizes = np.bincount(own, minlength=count + 1)
-    return [stationary[own == label] for label in np.flatnonzero(sizes >= _LEAST_POINTS) if label]
+    return [above[own == label] for label in np.flatnonzero(sizes >= _LEAST_POINTS) if label]
 
 
-def _ground(points: Float64Array) -> BoolArray:
-    plane = ground_plane(points)
-    if plane is None:
-        return np.zeros(len(points), np.bool_)
-    normal, height = plane
-    return np.asarray(points @ normal + height < 0.15)
-
-
-def _flat(cluster: Float64Array) -> _BoardInCloud | None:
-    """The plane of a cluster whose points nearly all lie on one."""
+def _flat(cluster: Float64Array) -> tuple[Float64Array, Float64Array, float] | None:
+    """Points, normal and noise of the plane of a cluster whose points nearly all lie on one."""
     kept = cluster
     for _ in range(4):
         center = kept.mean(axis=0)
@@ -355,170 +423,20 @@ def _flat(cluster: Float64Array) -> _BoardInCloud | None:
     noise = float(np.sqrt(np.mean(((kept - center) @ normal) ** 2)))
     if noise > _FLATNESS or len(kept) < 0.8 * len(cluster):
         return None
-    normal = normal * -np.sign(normal @ center)
-    return _BoardInCloud(kept, _middle(kept, normal), normal, noise)
+    return kept, normal * -np.sign(normal @ center), noise
 
 
-def _axes(normal: Float64Array) -> Float64Array:
-    """Two unit vectors along a plane, (2, 3)."""
-    helper = np.eye(3)[int(np.argmin(np.abs(normal)))]
-    first = np.cross(normal, helper)
+def _extent(points: Float64Array, normal: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Middle (3,) and size (2,) of the smallest rectangle around points of a plane."""
+    first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first)])
-
-
-def _extent(points: Float64Array, normal: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Middle, size and axes of the smallest rectangle around points of a plane."""
-    axes = _axes(normal)
+    axes = np.stack([first, np.cross(normal, first)])
     flat = points @ axes.T
     rectangles = []
     for angle in np.radians(np.arange(0.0, 90.0, 1.0)):
         rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         rotated = flat @ rotation.T
         low, high = rotated.min(axis=0), rotated.max(axis=0)
-        rectangles.append((float(np.prod(high - low)), 0.5 * (low + high) @ rotation, high - low, rotation @ axes))
-    best = min(rectangles, key=lambda one: one[0])
-    middle = best[1] @ axes + normal * float(np.median(points @ normal))
-    return middle, best[2], best[3]
-
-
-def _middle(points: Float64Array, normal: Float64Array) -> Float64Array:
-    return _extent(points, normal)[0]
-
-
-def _size_misfit(found: _BoardInCloud, board: Board) -> float:
-    """How far the extent is from the board's size, as a share of it; lines miss up to a step at each edge."""
-    _, size, _ = _extent(found.points, found.normal)
-    wanted = np.sort([board.width, board.height])
-    return float(np.abs(np.sort(size) / wanted - 1.0).max())
-
-
-_LEAST_VIEWS = 3
-_LEAST_ROTATION = np.radians(10.0)
-_PLANE_SIGMA = 0.01
-
-_MIDDLE_SIGMA = 0.02
-"""How far a board's extent is off that scan lines report [m]: about a third of the trajectory between two lines."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BoardView:
-    """A board seen by both.
-
-    Attributes:
-        camera_from_board: by the corners; z away from the camera.
-        cloud: by the lidar.
-    """
-
-    camera_from_board: RigidTransform
-    cloud: _BoardInCloud
-
-
-def start_from_target(views: Sequence[BoardView], board: Board) -> MountingEstimate:
-    """Find `camera_from_lidar` from several views of a board.
-
-    Raises:
-        PoseError: too few views, or all with the board rotated alike.
-    """
-    if len(views) < _LEAST_VIEWS:
-        raise PoseError(f"{len(views)} views of the board; expected {_LEAST_VIEWS} or more, rotated differently")
-    normals = np.array([_towards_camera(view.camera_from_board) for view in views])
-    seen = np.array([view.cloud.normal for view in views])
-    spread = np.linalg.svd(normals)[1]
-    if spread[1] < np.sin(_LEAST_ROTATION) * np.sqrt(len(views)) * 0.5:
-        raise PoseError("the board is rotated alike in all views; expected rotates by 10 deg or more about two axes")
-    start = _closed(views, normals, seen)
-
-    def errors(step: Float64Array) -> Float64Array:
-        camera_from_lidar = moved_by(start, step)
-        return np.concatenate([_errors(view, camera_from_lidar, board) for view in views])
-
-    found = least_squares(errors, np.zeros(6), loss="soft_l1", x_scale=[0.01] * 3 + [0.02] * 3)
-    jacobian = np.asarray(found.jac, np.float64)
-    variance = max(float(2.0 * found.cost / max(len(found.fun) - 6, 1)), 1.0)
-    covariance = np.asarray(np.linalg.pinv(jacobian.T @ jacobian) * variance, np.float64)
-    return MountingEstimate(moved_by(start, found.x), covariance, unobserved_directions(covariance, "camera"))
-
-
-def _towards_camera(camera_from_board: RigidTransform) -> Float64Array:
-    normal = camera_from_board.rotation[:, 2]
-    return np.asarray(normal * -np.sign(normal @ camera_from_board.translation), np.float64)
-
-
-def _closed(views: Sequence[BoardView], normals: Float64Array, seen: Float64Array) -> RigidTransform:
-    """The rotation that takes the lidar's normals, and ways between middles, to the camera's; then the translation."""
-    camera_middles = np.array([view.camera_from_board.translation for view in views])
-    lidar_middles = np.array([view.cloud.center for view in views])
-    a = np.concatenate([normals, camera_middles - camera_middles.mean(axis=0)])
-    b = np.concatenate([seen, lidar_middles - lidar_middles.mean(axis=0)])
-    u, _, vt = np.linalg.svd(a.T @ b)
-    rotation = (u * [1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return RigidTransform(rotation, (camera_middles - lidar_middles @ rotation.T).mean(axis=0))
-
-
-def _errors(view: BoardView, camera_from_lidar: RigidTransform, board: Board) -> Float64Array:
-    """Distances from the board's plane, and how far the extent is from the border on both sides, by their sigmas.
-
-    Points of a plane that follow one another report the same: of many each counts less.
-    """
-    on_board = view.camera_from_board.inverse().apply(camera_from_lidar.apply(view.cloud.points))
-    share = np.sqrt(min(1.0, 100.0 / len(on_board)))
-    planes = on_board[:, 2] / max(view.cloud.noise, _PLANE_SIGMA) * share
-    half = 0.5 * np.array([board.width, board.height])
-    beyond = np.abs(on_board[:, :2]) - half
-    outside = np.maximum(beyond, 0.0) / _MIDDLE_SIGMA * share
-    low, high = (np.quantile(on_board[:, :2], q, axis=0) for q in (0.02, 0.98))
-    middles = 0.5 * (low + high) / _MIDDLE_SIGMA
-    return np.concatenate([planes, outside.ravel(), middles])
-
-
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
-
-_FARTHEST_NS = 100_000_000
-"""A sweep farther from an image does not show the board where the image does."""
-
-_WORST_PX = 1.5
-"""Corners that are farther off from a flat board under the camera model are not this board's [px]."""
-
-
-def board_views(
-    scene: Scene,
-    board: Board,
-    camera_id: Identifier | None = None,
-    lidar_id: Identifier | None = None,
-    *,
-    most: int,
-    progress: Progress | None = None,
-) -> Iterator[BoardView]:
-    """Look for the board in images spread over a drive; board and vehicle are taken to stand at these times.
-
-    Args:
-        camera_id, lidar_id: None for the scene's first ones.
-        most: so many images at most.
-        progress: reported after each image.
-
-    Raises:
-        OptionError: there is no such camera or lidar.
-        DataError: an image or a sweep cannot be read.
-    """
-    camera, lidar = chosen_camera(scene, camera_id), chosen_lidar(scene, lidar_id)
-    count = len(camera.images)
-    chosen = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
-    for done, k in enumerate(chosen, start=1):
-        image = camera.images[k]
-        near = int(np.argmin(np.abs(lidar.frames.timestamps_ns - image.timestamp_ns)))
-        sweep = lidar.frames[near]
-        if progress is not None:
-            progress(done, len(chosen))
-        if abs(sweep.reference_ns - image.timestamp_ns) > _FARTHEST_NS:
-            continue
-        corners = find_corners(image.rgb @ _LUMA, board)
-        pose = None if corners is None else board_pose(image.camera, corners, board)
-        if pose is None or pose[1] > _WORST_PX:
-            continue
-        points: Float64Array = sweep.points.positions.astype(np.float64)
-        if lidar.points_frame is PointsFrame.EGO and lidar.mount is not None:
-            points = lidar.mount.inverse().apply(points)
-        found = board_in_cloud(points, board)
-        if found is not None:
-            yield BoardView(pose[0], found)
+        rectangles.append((float(np.prod(high - low)), 0.5 * (low + high) @ rotation, high - low))
+    _, middle, size = min(rectangles, key=lambda one: one[0])
+    return middle @ axes + normal * float(np.median(points @ normal)), size

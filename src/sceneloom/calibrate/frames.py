@@ -1,12 +1,13 @@
 """The frames that a calibration is checked and refined by: an image with the points of a sweep in scan order."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array, hold_arrays
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
@@ -21,21 +22,27 @@ from sceneloom.scene.sampling import WORLD, choose_ego
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame, key_of
 
-_LEAST_LINES, _MOST_LINES = 4, 512
-_LEAST_POINTS = 64
-_MOST_PEAKS = 160
+MOST = 20
+"""Frames that are taken from a drive unless more are asked for."""
+
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+"""Weights of red, green and blue in brightness."""
+
+_LEAST_LINES, _MOST_LINES, _LEAST_POINTS, _MOST_PEAKS = 4, 512, 64, 160
 
 _ORDERED_SHARE = 0.95
 """Of the steps in the order of a file that goes along its lines, so many rotate the same way."""
 
 _JITTER = np.radians(5.0)
-_BIN = np.radians(0.02)
-_PEAKED_SHARE = 0.9
-_PEAKED_BINS = 0.35
-_FEW_SHARE = 0.1
+_BIN, _PEAKED_SHARE, _PEAKED_BINS, _FEW_SHARE = np.radians(0.02), 0.9, 0.35, 0.1
 
 _LEVEL_SHARE = 0.25
-"""A line's elevations deviate by less than this part of the way to the next line."""
+"""A line's elevations deviate by less than this part of the angle to the next line."""
+
+_HALF_STEP_NS = 25_000_000
+"""Half the time over which a velocity is measured [ns]."""
+
+_Kind = TypeVar("_Kind", CameraSensor, LidarSensor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +65,31 @@ class ScanOrder:
     ranges: Float64Array
     count: int
 
+    def part(self, points: Int64Array) -> "ScanOrder":
+        """Some of the points, (K,) int64 numbers of the frame, in the same order."""
+        wanted = np.zeros(max(int(self.order.max(initial=0)), int(points.max(initial=0))) + 1, np.bool_)
+        wanted[points] = True
+        rows = np.flatnonzero(wanted[self.order])
+        names = ("order", "lines", "azimuths", "elevations", "ranges")
+        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in names}
+        return replace(self, **columns)
+
+    def along(self, most_steps: float) -> tuple[Int64Array, float]:
+        """Rows (K,) whose next one is beside them on a line, at most so many usual steps away; that step [rad]."""
+        steps, same = np.diff(self.azimuths), np.diff(self.lines) == 0
+        usual = float(np.median(steps[same])) if same.any() else 0.0
+        return np.flatnonzero(same & (steps <= most_steps * usual)), usual
+
+    def above(self, step: float) -> Int64Array:
+        """The row of the next line above at the same azimuth, within two usual steps [rad], of each; -1 for none."""
+        rotation = 8.0  # more than all azimuths span, so that lines follow one another
+        keys, wanted = self.lines * rotation + self.azimuths, (self.lines + 1) * rotation + self.azimuths
+        after = np.clip(np.searchsorted(keys, wanted), 1, len(keys) - 1)
+        nearer = np.where(np.abs(keys[after] - wanted) < np.abs(keys[after - 1] - wanted), after, after - 1)
+        found: Int64Array = np.where(np.abs(keys[nearer] - wanted) <= 2.0 * max(step, 1e-4), nearer, -1)
+        found[self.lines + 1 >= self.count] = -1
+        return found
+
 
 def find_scan_order(measured_lidar: Float64Array, rings: UInt16Array | None) -> ScanOrder | None:
     """Find the scan lines of a sweep: by the rings it states, by its order, or by peaks among the elevations.
@@ -67,7 +99,7 @@ def find_scan_order(measured_lidar: Float64Array, rings: UInt16Array | None) -> 
         rings: (N,) index of the laser, or None.
 
     Returns:
-        None where no lines can be reported: too few points, or a lidar that does not scan in lines.
+        None where no lines are found: too few points, or a lidar that does not scan in lines.
     """
     ranges = np.sqrt(np.einsum("ij,ij->i", measured_lidar, measured_lidar))
     used = np.flatnonzero(ranges > 1e-3)
@@ -76,12 +108,12 @@ def find_scan_order(measured_lidar: Float64Array, rings: UInt16Array | None) -> 
     points, ranges = measured_lidar[used], ranges[used]
     azimuths = np.arctan2(points[:, 1], points[:, 0])
     elevations = np.arcsin(np.clip(points[:, 2] / ranges, -1.0, 1.0))
-    lines = None if rings is None else _by_rings(rings[used].astype(np.int64))
-    if lines is None:
-        trajectories = [_by_file_order(azimuths, cut) for cut in (0.0, np.pi, float(azimuths[0]))]
-        lines = _most_level(trajectories, elevations)
-    if lines is None:
-        lines = _most_level([_by_elevations(elevations)], elevations)
+    lines = None if rings is None else rings[used].astype(np.int64)
+    if lines is None or not _LEAST_LINES <= len(np.unique(lines)) <= _MOST_LINES:
+        by_order = [_by_file_order(azimuths, cut) for cut in (0.0, np.pi, float(azimuths[0]))]
+        lines = _most_level(by_order, elevations)
+        if lines is None:
+            lines = _most_level([_by_elevations(elevations)], elevations)
     if lines is None:
         return None
     numbers, count = _from_below(lines, elevations)
@@ -89,13 +121,8 @@ def find_scan_order(measured_lidar: Float64Array, rings: UInt16Array | None) -> 
     return ScanOrder(used[rows], numbers[rows], azimuths[rows], elevations[rows], ranges[rows], count)
 
 
-def _by_rings(rings: Int64Array) -> Int64Array | None:
-    found = len(np.unique(rings))
-    return rings if _LEAST_LINES <= found <= _MOST_LINES else None
-
-
 def _by_file_order(azimuths: Float64Array, cut: float) -> Int64Array | None:
-    """Number the rotations of a file that holds one line after another, each beginning at the azimuth `cut`."""
+    """Number the rotations of a file that has one line after another, each beginning at the azimuth `cut`."""
     steps = np.mod(np.diff(azimuths) + np.pi, 2.0 * np.pi) - np.pi
     forward = np.mean(steps > 0) >= 0.5
     if np.mean(steps > 0 if forward else steps < 0) < _ORDERED_SHARE:
@@ -110,9 +137,8 @@ def _by_file_order(azimuths: Float64Array, cut: float) -> Int64Array | None:
 
 
 def _by_elevations(elevations: Float64Array) -> Int64Array | None:
-    """Report lines by the elevations at which most points lie, where these are few."""
-    low = float(elevations.min())
-    bins = ((elevations - low) / _BIN).astype(np.int64)
+    """Number lines by the elevations at which most points lie, where these are few."""
+    bins = ((elevations - float(elevations.min())) / _BIN).astype(np.int64)
     counts = np.bincount(bins)
     full = np.sort(counts)[::-1]
     needed = int(np.searchsorted(np.cumsum(full), _PEAKED_SHARE * len(elevations))) + 1
@@ -120,23 +146,22 @@ def _by_elevations(elevations: Float64Array) -> Int64Array | None:
         return None
     occupied = counts >= _FEW_SHARE * full[needed // 2]
     lines = np.cumsum(np.diff(occupied.astype(np.int64), prepend=0) == 1)
-    count = int(lines[-1])
-    if not _LEAST_LINES <= count <= _MOST_PEAKS:
+    if not _LEAST_LINES <= int(lines[-1]) <= _MOST_PEAKS:
         return None
     of_line = lines[bins[occupied[bins]]] - 1
     means = np.bincount(of_line, elevations[occupied[bins]]) / np.bincount(of_line)
     return np.searchsorted(0.5 * (means[1:] + means[:-1]), elevations).astype(np.int64)
 
 
-def _most_level(trajectories: list[Int64Array | None], elevations: Float64Array) -> Int64Array | None:
-    """Of several ways to number lines the one whose lines keep their elevations best; None where none does."""
-    found = [(_unevenness(lines, elevations), lines) for lines in trajectories if lines is not None]
+def _most_level(numberings: list[Int64Array | None], elevations: Float64Array) -> Int64Array | None:
+    """The numbering of lines, (N,), whose lines keep their elevations best; None where none does."""
+    found = [(_unevenness(lines, elevations), lines) for lines in numberings if lines is not None]
     unevenness, lines = min(found, key=lambda pair: pair[0], default=(np.inf, None))
     return lines if unevenness <= _LEVEL_SHARE else None
 
 
 def _unevenness(lines: Int64Array, elevations: Float64Array) -> float:
-    """How much the elevations within a line differ, as part of the way to the next line."""
+    """How much the elevations within a line differ, as part of the angle to the next line."""
     numbers, count = _from_below(lines, elevations)
     counts = np.maximum(np.bincount(numbers, minlength=count), 1)
     means = np.bincount(numbers, elevations, minlength=count) / counts
@@ -151,16 +176,6 @@ def _from_below(lines: Int64Array, elevations: Float64Array) -> tuple[Int64Array
     ranks = np.empty(len(counts), np.int64)
     ranks[np.argsort(means, kind="stable")] = np.arange(len(counts))
     return ranks[inverse], len(counts)
-
-
-MOST = 20
-"""Frames that are taken from a drive unless more are asked for."""
-
-_Kind = TypeVar("_Kind", CameraSensor, LidarSensor)
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
-
-_HALF_STEP_NS = 25_000_000
-"""Half the time over which a velocity is measured [ns]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,8 +195,8 @@ class CalibrationFrame:
         scan: the points along the scan lines, or None where these are not known.
         grey: (H, W) float32, 0 to 255.
         rgb: (H, W, 3) uint8.
-        twist_lidar: (6,) float64, yaw rate [rad/s] and velocity [m/s] of the lidar in its own axes at the image's
-            time; None where the motion is not known, and the points were left as they were measured.
+        twist_lidar: (6,) float64, angular velocity [rad/s] and velocity [m/s] of the lidar in its own axes at the
+            image's time; None where the motion is not known, and the points were left as they were measured.
         world_from_lidar: where the lidar was at the image's time, or None.
     """
 
@@ -202,61 +217,23 @@ class CalibrationFrame:
     world_from_lidar: RigidTransform | None = None
 
     def __post_init__(self) -> None:
-        hold_arrays(
-            self,
-            "frame",
-            {
-                "points_lidar": (np.float64, "N", 3),
-                "intensities?": (np.uint8, "N"),
-                "seconds?": (np.float32, "N"),
-                "grey": (np.float32, self.camera.height, self.camera.width),
-                "twist_lidar?": (np.float64, 6),
-            },
-        )
-
-    def camera_from_points(self, camera_from_lidar: Float64Array, *, later: float = 0.0) -> Float64Array:
-        """Give what takes `points_lidar` into the camera under a candidate calibration.
-
-        Args:
-            camera_from_lidar: (4, 4), the candidate.
-            later: so many seconds after its timestamp the image was really taken; counts where the motion is known.
-
-        Returns:
-            (4, 4) float64, contiguous.
-        """
-        if later == 0.0 or self.twist_lidar is None:
-            return np.ascontiguousarray(camera_from_lidar, np.float64)
-        moved: Float64Array = camera_from_lidar @ moved_by(-later * self.twist_lidar)
-        return np.ascontiguousarray(moved)
-
-
-def moved_by(screw: Float64Array) -> Float64Array:
-    """Give the (4, 4) transform of a constant rotate [rad] and shift [m], (6,), over a unit of time.
-
-    Source: exponential map of SE(3), e.g. Barfoot 2017, State Estimation for Robotics, eq. 7.34 to 7.37.
-    """
-    rotation, shift = screw[:3], screw[3:]
-    angle = float(np.linalg.norm(rotation))
-    x = np.array([[0.0, -rotation[2], rotation[1]], [rotation[2], 0.0, -rotation[0]], [-rotation[1], rotation[0], 0.0]])
-    if angle < 1e-8:
-        a, b, c = 1.0, 0.5, 1.0 / 6.0
-    else:
-        a = np.sin(angle) / angle
-        b = (1.0 - np.cos(angle)) / angle**2
-        c = (1.0 - a) / angle**2
-    matrix = np.eye(4)
-    matrix[:3, :3] += a * x + b * (x @ x)
-    matrix[:3, 3] = shift + b * (x @ shift) + c * (x @ (x @ shift))
-    return matrix
+        count = check_array("frame.points_lidar", self.points_lidar, (None, 3), np.float64)
+        check_array("frame.intensities", self.intensities, (count,), np.uint8, optional=True)
+        check_array("frame.seconds", self.seconds, (count,), np.float32, optional=True)
+        check_array("frame.grey", self.grey, (self.camera.height, self.camera.width), np.float32)
+        check_array("frame.twist_lidar", self.twist_lidar, (6,), np.float64, optional=True)
 
 
 def calibration_frames(
-    scene: Scene, camera_id: Identifier | None = None, lidar_id: Identifier | None = None, most: int = MOST
+    scene: Scene,
+    camera_id: Identifier | None = None,
+    lidar_id: Identifier | None = None,
+    most: int = MOST,
 ) -> tuple[CalibrationFrame, ...]:
     """Gather frames spread over a drive: images of a camera, each with the sweep nearest in time.
 
-    The points are moved to the image's time along the ego trajectory: the recorded one, or that of the sweeps
-    themselves. Where neither is known they stay as they are, and the mountings alone relate camera and lidar.
+    The points are moved to the image's time along the ego trajectory: the recorded one, or that of lidar odometry.
+    Where neither is known they stay as they are, and the extrinsics alone relate camera and lidar.
 
     Args:
         camera_id, lidar_id: None for the scene's first ones.
@@ -264,16 +241,27 @@ def calibration_frames(
 
     Raises:
         OptionError: there is no such camera or lidar, or `most` is less than 1.
-        PoseError: it is not known how the camera lies to the lidar.
+        PoseError: the pose of the camera relative to the lidar is not known.
         DataError: an image or a sweep cannot be read, or an image has another size than its camera model; or no image
             has a sweep near enough in time.
     """
     if most < 1:
         raise OptionError(f"{most} frames; expected at least 1")
     camera, lidar = chosen_camera(scene, camera_id), chosen_lidar(scene, lidar_id)
-    count = len(camera.images)
-    rows = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
-    found = tuple(_frames(scene, camera, lidar, rows, _known_trajectory(scene)))
+    drive = _Drive(scene, camera, lidar)
+    samples = scene.samples(
+        reference=camera.id,
+        cameras=camera.id,
+        depth_cameras=(),
+        lidars=lidar.id,
+        trajectory=drive.ego,
+    )
+    found = []
+    for row in spread_rows(len(camera.images), most):
+        sample = samples[row]
+        image, sweep = sample.images[camera.id], sample.sweeps[lidar.id]
+        if image is not None and sweep is not None:
+            found.append(drive.frame(sample, image, sweep))
     if not found:
         raise DataError(
             scene.source,
@@ -281,7 +269,13 @@ def calibration_frames(
             f"{len(camera.images)} images, none with a sweep of {lidar.id!r} near enough in time; "
             "expected one at least",
         )
-    return found
+    return tuple(found)
+
+
+def spread_rows(count: int, most: int) -> list[int]:
+    """At most so many numbers of images or sweeps, evenly spread."""
+    rows: list[int] = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
+    return rows
 
 
 def chosen_camera(scene: Scene, camera_id: Identifier | None) -> CameraSensor:
@@ -290,7 +284,7 @@ def chosen_camera(scene: Scene, camera_id: Identifier | None) -> CameraSensor:
     Raises:
         OptionError: there is none.
     """
-    filled = (camera for camera in scene.cameras if len(camera.images))
+    filled = [camera for camera in scene.cameras if len(camera.images)]
     return _chosen(scene, "camera", camera_id, scene.cameras, filled, "images")
 
 
@@ -300,122 +294,22 @@ def chosen_lidar(scene: Scene, lidar_id: Identifier | None) -> LidarSensor:
     Raises:
         OptionError: there is none.
     """
-    filled = (lidar for lidar in scene.lidars if len(lidar.frames))
+    filled = [lidar for lidar in scene.lidars if len(lidar.frames)]
     return _chosen(scene, "lidar", lidar_id, scene.lidars, filled, "sweeps")
 
 
 def _chosen(
-    scene: Scene, kind: str, wanted: Identifier | None, there: tuple[_Kind, ...], filled: Iterator[_Kind], holds: str
+    scene: Scene, kind: str, wanted: Identifier | None, there: Sequence[_Kind], filled: Sequence[_Kind], content: str
 ) -> _Kind:
-    """The sensor of that id, or the first that holds anything."""
-    if wanted is not None:
-        for sensor in there:
-            if key_of(sensor.id) == key_of(wanted):
-                return sensor
-        listed = ", ".join(repr(sensor.id) for sensor in there) or "none"
-        raise OptionError(f"{scene.source}: no {kind} {wanted!r}; it has {listed}")
-    for sensor in filled:
-        return sensor
-    raise OptionError(f"{scene.source}: no {kind} with {holds}; a calibration is judged by images and sweeps")
-
-
-def _known_trajectory(scene: Scene) -> EgoMotion | None:
-    """The ego trajectory where poses need one: recorded, or found; None where it cannot be."""
-    if not needs_ego(scene):
-        return None
-    try:
-        return choose_ego(scene, None) or find_ego_motion(scene, lenient=True)
-    except PoseError:
-        return None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Locations:
-    """Where camera, lidar and points were; None where it is not known."""
-
-    camera: PoseSource | None
-    lidar: PoseSource | None
-    points: PoseSource | None
-
-    @classmethod
-    def of(cls, scene: Scene, camera: CameraSensor, lidar: LidarSensor, ego: EgoMotion | None) -> "_Locations":
-        reach_ns = scene_period_ns(scene)
-        try:
-            at_camera = sensor_source(scene, camera, ego, reach_ns=reach_ns)
-            of_points = points_source(scene, lidar, ego, reach_ns=reach_ns) or WORLD
-        except PoseError:
-            return cls(None, None, None)
-        return cls(at_camera, _lidar_position(scene, lidar, ego, reach_ns) or of_points, of_points)
-
-
-def _lidar_position(scene: Scene, lidar: LidarSensor, ego: EgoMotion | None, reach_ns: int) -> PoseSource | None:
-    try:
-        return sensor_source(scene, lidar, ego, reach_ns=reach_ns)
-    except PoseError:
-        return None
-
-
-def _frames(
-    scene: Scene, camera: CameraSensor, lidar: LidarSensor, rows: Sequence[int], ego: EgoMotion | None
-) -> Iterator[CalibrationFrame]:
-    samples = scene.samples(
-        reference=camera.id,
-        cameras=camera.id,
-        depth_cameras=(),
-        lidars=lidar.id,
-        trajectory=ego if needs_ego(scene) else None,
-    )
-    locations = _Locations.of(scene, camera, lidar, ego)
-    for row in rows:
-        sample = samples[row]
-        image, sweep = sample.images[camera.id], sample.sweeps[lidar.id]
-        if image is not None and sweep is not None:
-            yield _frame(scene, lidar, sample, image, sweep, locations)
-
-
-def _frame(
-    scene: Scene, lidar: LidarSensor, sample: Sample, image: CameraImage, sweep: LidarFrame, locations: _Locations
-) -> CalibrationFrame:
-    camera_id = sample.reference_id
-    rgb = image.rgb
-    if rgb.shape[:2] != (image.camera.height, image.camera.width):
-        raise DataError(
-            scene.source,
-            f"sensors[{camera_id}].images[{sample.index}]",
-            f"{rgb.shape[1]}x{rgb.shape[0]} pixels; expected {image.camera.width}x{image.camera.height}, the size "
-            "that the camera was calibrated for",
-        )
-    placed = _placed(sweep, image, locations)
-    if placed is None:
-        placed = _by_mountings(scene, lidar, sample)
-    points, measured, camera_from_lidar, twist, world_from_lidar = placed
-    finite = np.isfinite(points).all(axis=1) & np.isfinite(measured).all(axis=1)
-    times = sweep.points.timestamps_ns
-    seconds = None if times is None else ((times - image.timestamp_ns) * 1e-9).astype(np.float32)[finite]
-    of_lidar = lidar.points_frame is PointsFrame.SENSOR or _is_mounted(lidar)
-    rings, levels = sweep.points.rings, sweep.points.intensities
-    return CalibrationFrame(
-        camera_id=camera_id,
-        lidar_id=lidar.id,
-        index=sample.index,
-        image_ns=image.timestamp_ns,
-        sweep_ns=sample.times_ns[lidar.id],
-        camera=image.camera,
-        camera_from_lidar=camera_from_lidar,
-        points_lidar=np.ascontiguousarray(points[finite]),
-        intensities=None if levels is None else levels[finite],
-        seconds=seconds,
-        scan=find_scan_order(measured[finite], None if rings is None else rings[finite]) if of_lidar else None,
-        grey=rgb @ _LUMA,
-        rgb=rgb,
-        twist_lidar=twist,
-        world_from_lidar=world_from_lidar,
-    )
-
-
-def _is_mounted(lidar: LidarSensor) -> bool:
-    """Whether the position of the lidar on the ego was measured; a mounting that is the identity was not."""
-    return lidar.mount is not None and not np.array_equal(lidar.mount.matrix, np.eye(4))
+    if wanted is None:
+        if filled:
+            return filled[0]
+        raise OptionError(f"{scene.source}: no {kind} with {content}; a calibration is judged by images and sweeps")
+    for sensor in there:
+        if key_of(sensor.id) == key_of(wanted):
+            return sensor
+    listed = ", ".join(repr(sensor.id) for sensor in there) or "none"
+    raise OptionError(f"{scene.source}: no {kind} {wanted!r}; it has {listed}")
 
 
 _Placed = tuple[Float64Array, Float64Array, RigidTransform, Float64Array | None, RigidTransform | None]
@@ -423,51 +317,109 @@ _Placed = tuple[Float64Array, Float64Array, RigidTransform, Float64Array | None,
 location."""
 
 
-def _placed(sweep: LidarFrame, image: CameraImage, locations: _Locations) -> _Placed | None:
-    """Bring points to the image's time by the ways of the sensors; None where these do not reach."""
-    if locations.camera is None or locations.lidar is None or locations.points is None or len(sweep.points) == 0:
-        return None
-    times = sweep.points.timestamps_ns
-    if times is None:
-        times = np.full(len(sweep.points), sweep.timestamp_ns, np.int64)
-    at_image = _pose(locations.lidar, image.timestamp_ns)
-    camera = _pose(locations.camera.mounted(image.mount), image.timestamp_ns)
-    if at_image is None or camera is None:
-        return None
-    try:
-        knots = BodyKnots.of(locations.points, int(times.min()), int(times.max()))
-    except PoseError:
-        return None
-    points = knots.seen_from(at_image.inverse()).moved(sweep.points.positions, times, locations.points.mount)
-    measured = sweep.points.positions.astype(np.float64)
-    if locations.points is not locations.lidar:
-        at_sweep = _pose(locations.lidar, sweep.reference_ns)
-        of_points = _pose(locations.points, sweep.reference_ns)
-        if at_sweep is None or of_points is None:
-            return None
-        measured = (at_sweep.inverse() @ of_points).apply(measured)
-    twist = _twist(locations.lidar, image.timestamp_ns)
-    return points, measured, camera.inverse() @ at_image, twist, at_image
+class _Drive:
+    """A camera and a lidar of a scene, with the poses of both and of the points, which are None where not known."""
 
+    def __init__(self, scene: Scene, camera: CameraSensor, lidar: LidarSensor) -> None:
+        """Find the trajectory where poses need one: recorded, or estimated; None where it cannot be."""
+        self.scene, self.lidar = scene, lidar
+        self.ego: EgoMotion | None = None
+        if needs_ego(scene):
+            with suppress(PoseError):
+                self.ego = choose_ego(scene, None) or find_ego_motion(scene, lenient=True)
+        self.poses: tuple[PoseSource, PoseSource, PoseSource] | None = None
+        with suppress(PoseError):
+            reach_ns = scene_period_ns(scene)
+            at_camera = sensor_source(scene, camera, self.ego, reach_ns=reach_ns)
+            of_points = points_source(scene, lidar, self.ego, reach_ns=reach_ns) or WORLD
+            at_lidar = None
+            with suppress(PoseError):
+                at_lidar = sensor_source(scene, lidar, self.ego, reach_ns=reach_ns)
+            self.poses = at_camera, at_lidar or of_points, of_points
 
-def _by_mountings(scene: Scene, lidar: LidarSensor, sample: Sample) -> _Placed:
-    """Relate lidar and camera as if nothing moved between the sweep and the image.
+    def frame(self, sample: Sample, image: CameraImage, sweep: LidarFrame) -> CalibrationFrame:
+        """Make the frame of one image.
 
-    Raises:
-        PoseError: the mountings are not known.
-    """
-    camera_from_points = sample.camera_from_points[sample.reference_id]
-    sweep = sample.sweeps[lidar.id]
-    if camera_from_points is None or sweep is None:
-        why = "; ".join(dict.fromkeys(sample.unposed.values())) or "neither poses nor mountings are known"
-        raise PoseError(
-            f"{scene.source}: it is not known how camera {sample.reference_id!r} lies to lidar {lidar.id!r}: {why}"
+        Raises:
+            DataError: the image has another size than its camera model.
+            PoseError: the pose of the camera relative to the lidar is not known.
+        """
+        rgb, lidar = image.rgb, self.lidar
+        if rgb.shape[:2] != (image.camera.height, image.camera.width):
+            raise DataError(
+                self.scene.source,
+                f"sensors[{sample.reference_id}].images[{sample.index}]",
+                f"{rgb.shape[1]}x{rgb.shape[0]} pixels; expected {image.camera.width}x{image.camera.height}, the size "
+                "that the camera was calibrated for",
+            )
+        placed = self._by_poses(sweep, image) or self._by_extrinsics(sample, sweep)
+        points, measured, camera_from_lidar, twist, world_from_lidar = placed
+        finite = np.isfinite(points).all(axis=1) & np.isfinite(measured).all(axis=1)
+        times, rings, levels = sweep.points.timestamps_ns, sweep.points.rings, sweep.points.intensities
+        # extrinsics that are the identity were not measured
+        is_mounted = lidar.mount is not None and not np.array_equal(lidar.mount.matrix, np.eye(4))
+        of_lidar = lidar.points_frame is PointsFrame.SENSOR or is_mounted
+        return CalibrationFrame(
+            camera_id=sample.reference_id,
+            lidar_id=lidar.id,
+            index=sample.index,
+            image_ns=image.timestamp_ns,
+            sweep_ns=sample.times_ns[lidar.id],
+            camera=image.camera,
+            camera_from_lidar=camera_from_lidar,
+            points_lidar=np.ascontiguousarray(points[finite]),
+            intensities=None if levels is None else levels[finite],
+            seconds=None if times is None else ((times - image.timestamp_ns) * 1e-9).astype(np.float32)[finite],
+            scan=find_scan_order(measured[finite], None if rings is None else rings[finite]) if of_lidar else None,
+            grey=rgb @ LUMA,
+            rgb=rgb,
+            twist_lidar=twist,
+            world_from_lidar=world_from_lidar,
         )
-    positions = sweep.points.positions.astype(np.float64)
-    if lidar.points_frame is PointsFrame.EGO and lidar.mount is not None:
-        positions = lidar.mount.inverse().apply(positions)
-        camera_from_points = camera_from_points @ lidar.mount
-    return positions, positions, camera_from_points, None, None
+
+    def _by_poses(self, sweep: LidarFrame, image: CameraImage) -> _Placed | None:
+        """Bring points to the image's time by the poses of the sensors; None where these do not reach."""
+        if self.poses is None or len(sweep.points) == 0:
+            return None
+        at_camera, at_lidar, of_points = self.poses
+        times = sweep.points.timestamps_ns
+        if times is None:
+            times = np.full(len(sweep.points), sweep.timestamp_ns, np.int64)
+        at_image = _pose(at_lidar, image.timestamp_ns)
+        camera = _pose(at_camera.mounted(image.mount), image.timestamp_ns)
+        if at_image is None or camera is None:
+            return None
+        try:
+            knots = BodyKnots.of(of_points, int(times.min()), int(times.max()))
+        except PoseError:
+            return None
+        points = knots.seen_from(at_image.inverse()).moved(sweep.points.positions, times, of_points.mount)
+        measured = sweep.points.positions.astype(np.float64)
+        if of_points is not at_lidar:
+            at_sweep, points_at_sweep = _pose(at_lidar, sweep.reference_ns), _pose(of_points, sweep.reference_ns)
+            if at_sweep is None or points_at_sweep is None:
+                return None
+            measured = (at_sweep.inverse() @ points_at_sweep).apply(measured)
+        return points, measured, camera.inverse() @ at_image, _twist(at_lidar, image.timestamp_ns), at_image
+
+    def _by_extrinsics(self, sample: Sample, sweep: LidarFrame) -> _Placed:
+        """Relate lidar and camera as if nothing moved between the sweep and the image.
+
+        Raises:
+            PoseError: the extrinsics are not known.
+        """
+        lidar, camera_from_points = self.lidar, sample.camera_from_points[sample.reference_id]
+        if camera_from_points is None:
+            why = "; ".join(dict.fromkeys(sample.unposed.values())) or "neither poses nor extrinsics are known"
+            raise PoseError(
+                f"{self.scene.source}: the pose of camera {sample.reference_id!r} relative to lidar {lidar.id!r} is "
+                f"not known: {why}"
+            )
+        positions = sweep.points.positions.astype(np.float64)
+        if lidar.points_frame is PointsFrame.EGO and lidar.mount is not None:
+            positions = lidar.mount.inverse().apply(positions)
+            camera_from_points = camera_from_points @ lidar.mount
+        return positions, positions, camera_from_points, None, None
 
 
 def _pose(source: PoseSource, time_ns: int) -> RigidTransform | None:
@@ -481,7 +433,7 @@ def _pose(source: PoseSource, time_ns: int) -> RigidTransform | None:
 
 
 def _twist(source: PoseSource, time_ns: int) -> Float64Array | None:
-    """Rotate rate and velocity of a sensor in its own axes, (6,) [rad/s, m/s]."""
+    """Angular velocity and velocity of a sensor in its own axes, (6,) [rad/s, m/s]."""
     if source.path.static or len(source.path.timestamps_ns) < 2:
         return None
     reaching = replace(source, reach_ns=max(source.reach_ns, _HALF_STEP_NS))
@@ -489,6 +441,5 @@ def _twist(source: PoseSource, time_ns: int) -> Float64Array | None:
     if before is None or after is None:
         return None
     step = before.inverse() @ after
-    quaternion = step.quaternion_xyzw
-    rotation = 2.0 * quaternion[:3]  # of small angles
+    rotation = 2.0 * step.quaternion_xyzw[:3]  # of small angles
     return np.concatenate([rotation, step.translation]) / (2e-9 * _HALF_STEP_NS)

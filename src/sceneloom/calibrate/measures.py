@@ -1,12 +1,12 @@
-"""How well image and cloud agree under a candidate calibration: image edges, grey levels, depth edges, features.
+"""How well image and cloud agree under a candidate calibration: depth edges at image edges, intensity and grey levels.
 
 Source: Levinson and Thrun 2013, "Automatic Online Calibration of Cameras and Lasers": range jumps to both sides, the
 nearer point counts. Ours: jumps across the scan lines too, and their direction, which edges of images must share.
 
 Source: mutual information of intensity and grey: Pandey, McBride, Savarese and Eustice 2012, "Automatic Targetless
 Extrinsic Calibration of a 3D Lidar and Camera by Maximizing Mutual Information"; over levels that are equally frequent
-it is, but for a constant, the normalised information distance that Taylor and Nieto 2012 use. Linear B-splines as the
-Parzen window: Unser and Thévenaz 2000.
+it is, except for a constant, the normalised information distance that Taylor and Nieto 2012 use. Linear B-splines as
+the Parzen window: Unser and Thévenaz 2000.
 """
 
 from collections.abc import Collection, Sequence
@@ -14,13 +14,14 @@ from copy import copy
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
-from sceneloom.calibrate.frames import CalibrationFrame, ScanOrder, moved_by
+from sceneloom.calibrate.frames import CalibrationFrame, ScanOrder
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import (
     PointsInImage,
@@ -52,17 +53,73 @@ ROTATION = (Parameter.PITCH, Parameter.YAW, Parameter.ROLL)
 TRANSLATION = (Parameter.RIGHT, Parameter.DOWN, Parameter.AHEAD)
 
 UNITS = np.array([*(np.radians(0.25),) * 3, 0.05, 0.05, 0.05, 0.01, 0.02])
-"""What counts as about as much of each: 0.25 degrees, 5 cm, 1 % of the focal length, 20 ms."""
+"""Comparable steps of each: 0.25 degrees, 5 cm, 1 % of the focal length, 20 ms."""
+
+DIRECTIONS = 4
+"""Edges are distinguished by the direction across them: 0, 45, 90, 135 degrees from rightward to downward."""
+
+EDGES, _EDGES_COARSE, INFORMATION = "edges", "edges-coarse", "information"
+MEASURES = (EDGES, _EDGES_COARSE, INFORMATION)
+"""The measures; of all of them more is better."""
+
+_WIDTHS = {EDGES: "fine", _EDGES_COARSE: "coarse"}
+
+_LEVELS, _LEVEL_STEPS = 24, 16
+"""Grey levels and intensities are distinguished by so many; parts of a grey level that are distinguished."""
+
+_PIXELS_PER_RADIAN = 750.0
+"""About the finest that is looked at: a pixel of 0.08 degrees is less than the step of nearly all lidars."""
+
+_SMOOTHED_PX, _GREY_PX = 1.0, 1.5
+
+_SURROUNDINGS_PX = 61
+"""Edges are compared with others this near."""
+
+_NOISE, _STRONGEST = 2.0, 3.0
+"""Grey levels per pixel that noise and compression make; edges as multiples of their surroundings, at most."""
+
+_WIDTHS_PX = {"fine": 1.0, "coarse": 5.0}
+"""How far edges are widened, so that points that miss them by a little still meet them."""
+
+_LEAST_JUMP, _JUMP_SHARE, _LARGEST_JUMP = 0.4, 0.04, 3.0
+"""A jump is larger than this [m], and than this share of the range; one larger than that counts no more [m]."""
+
+_GAP_STEPS, _NEIGHBOURS, _ISOLATED = 4.0, 16, 3.0
+
+_SLANT_FACTOR = 2.0
+"""A surface that slants so many times as much as where it was last seen explains a jump."""
+
+_SURFACE_DISTANCE = 0.6
+"""Surfaces pass the lidar no nearer [m]: along them inverse range changes by less than one over it for each radian, so
+that ground seen at a grazing angle is no edge."""
+
+_TILES_ACROSS, _TILES_DOWN = 6, 3
+_TILES = _TILES_ACROSS * _TILES_DOWN
+"""Tiles of an image: how much these differ shows how much chance there is in a score."""
+
+_BESIDE = np.radians(6.0)
+"""Points so far outside the image may come into it [rad]."""
+
+_MOST_POINTS = 6000
+"""Points of a frame whose intensity is compared, evenly drawn."""
+
+_SMOOTHED_BINS = 0.7
+
+_THINNED = 3
+"""One feature of so many shows well enough where to look next."""
+
+_LEAST_SHARE = 0.25
+"""Of the features that fall into the images under the stated calibration, so many must do so under a candidate."""
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What a candidate changes of the stated calibration.
+    """A candidate's change of the stated calibration.
 
     Attributes:
-        numbers: eight: a rotation about the camera's x, y and z axes [rad] and a shift along them [m], of the cloud as
-            the camera sees it; the logarithm of a factor on the focal lengths; how long after its timestamp an image
-            was really taken [s].
+        numbers: eight: a rotation about the camera's x, y and z axes [rad] and a translation along them [m], of the
+            cloud as the camera sees it; the logarithm of a factor on the focal lengths; how long after its timestamp
+            an image was really taken [s], which counts where the lidar's motion is known.
     """
 
     numbers: tuple[float, ...] = (0.0,) * COUNT
@@ -79,64 +136,54 @@ class Change:
 
     def camera_from_lidar(self, stated: Float64Array) -> Float64Array:
         """Change a `camera_from_lidar`, (4, 4)."""
-        changed: Float64Array = moved_by(np.array(self.numbers[:6])) @ stated
+        changed: Float64Array = _screw_motion(np.array(self.numbers[:6])) @ stated
         return changed
 
     def camera_from_points(self, frame: CalibrationFrame) -> Float64Array:
-        """Give what takes the points of a frame into the camera, (4, 4)."""
+        """Give the transform of the points of a frame into the camera, (4, 4) float64, contiguous."""
         changed = self.camera_from_lidar(frame.camera_from_lidar.matrix)
-        return frame.camera_from_points(changed, later=self.numbers[Parameter.LATER])
+        later = self.numbers[Parameter.LATER]
+        if later != 0.0 and frame.twist_lidar is not None:
+            changed = changed @ _screw_motion(-later * frame.twist_lidar)
+        return np.ascontiguousarray(changed)
 
     def camera_model(self, intrinsics_vector: Float64Array) -> Float64Array:
         """Change the numbers of a camera model."""
-        scale = np.exp(self.numbers[Parameter.FOCAL])
-        if scale == 1.0:
-            return intrinsics_vector
         changed = intrinsics_vector.copy()
-        changed[:2] *= scale
+        changed[:2] *= np.exp(self.numbers[Parameter.FOCAL])
         return changed
 
 
-DIRECTIONS = 4
-"""Edges are distinguished by the direction across them: 0, 45, 90, 135 degrees from rightward to downward."""
+def _screw_motion(screw: Float64Array) -> Float64Array:
+    """The (4, 4) transform of a constant angular velocity [rad] and velocity [m], (6,), over a unit of time.
 
-_LEVELS = 24
-"""Grey levels and intensities are distinguished by so many."""
-
-_PIXELS_PER_RADIAN = 750.0
-"""About the finest that is looked at: a pixel of 0.08 degrees is less than the step of nearly all lidars."""
-
-_SMOOTHED_PX = 1.0
-
-_SURROUNDINGS_PX = 61
-"""Edges are compared with others this near."""
-
-_NOISE = 2.0
-"""Grey levels per pixel that noise and compression make."""
-
-_STRONGEST = 3.0
-
-_WIDTHS_PX = {"fine": 1.0, "coarse": 5.0}
-"""How far edges are widened, so that what misses them by a little still meets them."""
-
-_GREY_PX = 1.5
-
-_STEPS = 16
-"""Parts of a grey level that are distinguished."""
+    Source: exponential map of SE(3), e.g. Barfoot 2017, State Estimation for Robotics, eq. 7.34 to 7.37.
+    """
+    rotation, velocity = screw[:3], screw[3:]
+    angle = float(np.linalg.norm(rotation))
+    x = np.array([[0.0, -rotation[2], rotation[1]], [rotation[2], 0.0, -rotation[0]], [-rotation[1], rotation[0], 0.0]])
+    a, b, c = 1.0, 0.5, 1.0 / 6.0
+    if angle >= 1e-8:
+        a = np.sin(angle) / angle
+        b = (1.0 - np.cos(angle)) / angle**2
+        c = (1.0 - a) / angle**2
+    matrix = np.eye(4)
+    matrix[:3, :3] += a * x + b * (x @ x)
+    matrix[:3, 3] = velocity + b * (x @ velocity) + c * (x @ (x @ velocity))
+    return matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MeasuredImage:
-    """What measures need of an image.
+    """An image as the measures need it.
 
     Attributes:
-        camera: the camera model of the reduced image.
-        camera_model: its numbers as the projection takes them.
+        camera: the camera model of the reduced image; `camera_model` its numbers as the projection takes them.
         grey: (H, W) float32, the reduced image, 0 to 255.
         edges: by name of the width, "fine" and "coarse": (4, H, W) float32, strength of edges across each direction,
             as multiples of what is usual around them.
         levels: (H, W) float32, 0 to `_LEVELS` - 1, each level as frequent as any other.
-        plainness: share of the image that shows nothing: of one brightness, as far as can be reported.
+        plainness: share of the image that shows nothing, being of one brightness.
     """
 
     camera: Camera
@@ -158,79 +205,44 @@ def box_means(image: Float32Array, size: int) -> Float32Array:
 
 
 def measured_image(grey: Float32Array, camera: Camera, *, widths: Sequence[str] = tuple(_WIDTHS_PX)) -> _MeasuredImage:
-    """Reduce an image to what its camera model distinguishes at 0.08 degrees, and find its edges and levels.
-
-    Args:
-        widths: names of the widths at which edges are wanted.
-    """
-    small, camera_model = _reduced_image(grey, camera)
+    """Reduce an image to pixels of at least 0.08 degrees, and find its edges, at these widths, and levels."""
+    small, reduced = _reduced_image(grey, camera)
     smoothed = blur(small, _SMOOTHED_PX)
     across, down = ndimage.sobel(smoothed, 1) / 8.0, ndimage.sobel(smoothed, 0) / 8.0
     strength = np.hypot(across, down)
     shares = 1.0 / (box_means(strength, _SURROUNDINGS_PX) + np.float32(_NOISE))
-    trajectories = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
-    cosines, sines = np.cos(trajectories).astype(np.float32), np.sin(trajectories).astype(np.float32)
+    angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     directed = [
         np.minimum(np.abs(across * cosine + down * sine) * shares, np.float32(_STRONGEST))
-        for cosine, sine in zip(cosines, sines, strict=True)
+        for cosine, sine in zip(np.cos(angles).astype(np.float32), np.sin(angles).astype(np.float32), strict=True)
     ]
     edges = {name: np.stack([blur(image, _WIDTHS_PX[name]) for image in directed]) for name in widths}
     plain = float(np.mean(box_means(strength, 9) < 0.25))
-    return _MeasuredImage(
-        camera_model, intrinsics_vector(camera_model), small, edges, evened(blur(small, _GREY_PX)), plain
-    )
+    return _MeasuredImage(reduced, intrinsics_vector(reduced), small, edges, evened(blur(small, _GREY_PX)), plain)
 
 
 def _reduced_image(grey: Float32Array, camera: Camera) -> tuple[Float32Array, Camera]:
-    """Average blocks of pixels to what the camera model distinguishes at 0.08 degrees.
-
-    What is left over at the ends is cut.
-    """
+    """Average blocks of pixels to at least 0.08 degrees; the remainder at the ends is cut."""
     factor = max(int(min(camera.fx, camera.fy) / _PIXELS_PER_RADIAN + 0.25), 1)
     height, width = grey.shape[0] // factor, grey.shape[1] // factor
     if factor == 1 or height < 2 or width < 2:
         return grey, camera
     blocks = grey[: height * factor, : width * factor].reshape(height, factor, width, factor)
-    cut = Camera(
-        camera.model,
-        width * factor,
-        height * factor,
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        camera.coefficients,
-    )
+    cut = replace(camera, width=width * factor, height=height * factor)
     return np.ascontiguousarray(blocks.mean(axis=(1, 3), dtype=np.float32)), cut.resized(width, height)
 
 
 def evened(grey: Float32Array) -> Float32Array:
-    """Rotate brightness (H, W), 0 to 255, into levels that are as frequent as any other, 0 to `_LEVELS` - 1."""
+    """Turn brightness (H, W), 0 to 255, into levels that are as frequent as any other, 0 to `_LEVELS` - 1."""
     sample = np.sort(grey.ravel()[:: max(grey.size // 20_000, 1)])
-    shares = np.searchsorted(sample, np.arange(256 * _STEPS) / _STEPS) / max(len(sample), 1)
+    shares = np.searchsorted(sample, np.arange(256 * _LEVEL_STEPS) / _LEVEL_STEPS) / max(len(sample), 1)
     table = (shares * (_LEVELS - 1)).astype(np.float32)
-    return table[np.clip(grey * _STEPS, 0, len(table) - 1).astype(np.int32)]
-
-
-_LEAST_JUMP, _JUMP_SHARE, _LARGEST_JUMP = 0.4, 0.04, 3.0
-"""A jump is larger than this [m], and than this share of the range; one larger than that counts no more [m]."""
-
-_GAP_STEPS = 4.0
-
-_SLANT_FACTOR = 2.0
-"""A surface that slants so many times as much as where it was last seen explains a jump."""
-
-_NEIGHBOURS = 16
-_ISOLATED = 3.0
-
-_SURFACE_DISTANCE = 0.6
-"""Surfaces pass the lidar no nearer [m]: along them inverse range changes by less than one over it for each radian, so
-that ground seen at a grazing angle is no edge."""
+    return table[np.clip(grey * _LEVEL_STEPS, 0, len(table) - 1).astype(np.int32)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthEdges:
-    """Points at the edges of what is near.
+    """Points at the edges of near surfaces.
 
     Attributes:
         points_lidar: (N, 3) float64 [m], at the image's time, as far away as the nearer of two points, halfway to the
@@ -245,18 +257,14 @@ class DepthEdges:
 
 
 def find_depth_edges(frame: CalibrationFrame, chosen: Int64Array) -> DepthEdges:
-    """Find the edges among some points of a frame.
-
-    Args:
-        chosen: (M,) int64, the points that the camera may see.
-    """
+    """Find the edges among some points of a frame, (M,) int64, which the camera may see."""
     if frame.scan is None:
         eye = frame.camera_from_lidar.inverse().translation
         near, far = _jumps_anywhere(frame.points_lidar, chosen, eye)
         shares, reaches = np.ones(len(near)), np.ones(len(near))
     else:
         eye = np.zeros(3)
-        near, far, shares, reaches = _jumps_in_scan(frame.scan, chosen, len(frame.points_lidar))
+        near, far, shares, reaches = _jumps_in_scan(frame.scan, chosen)
     inner, outer = frame.points_lidar[near] - eye, frame.points_lidar[far] - eye
     ranges_near, ranges_far = np.linalg.norm(inner, axis=1), np.linalg.norm(outer, axis=1)
     weights = (shares * np.minimum(ranges_far - ranges_near, _LARGEST_JUMP)).astype(np.float32)
@@ -277,9 +285,7 @@ def _least_jump(near: Float64Array) -> Float64Array:
     return np.maximum(_LEAST_JUMP, _JUMP_SHARE * near)
 
 
-def _jumps_in_scan(
-    scan: ScanOrder, chosen: Int64Array, count: int
-) -> tuple[Int64Array, Int64Array, Float64Array, Float64Array]:
+def _jumps_in_scan(scan: ScanOrder, chosen: Int64Array) -> tuple[Int64Array, Int64Array, Float64Array, Float64Array]:
     """Jumps between neighbours on a line, and between lines; these count less, since lines lie farther apart.
 
     Returns:
@@ -287,31 +293,23 @@ def _jumps_in_scan(
         shares: (N,) what each counts.
         reaches: (N,) how far the edge is, as a multiple of the near point's range.
     """
-    wanted = np.zeros(count, np.bool_)
-    wanted[chosen] = True
-    rows = np.flatnonzero(wanted[scan.order])
-    lines, azimuths, ranges = scan.lines[rows], scan.azimuths[rows], scan.ranges[rows]
-    points = scan.order[rows]
-    if len(rows) < 2:
-        return points[:0], points[:0], np.zeros(0), np.zeros(0)
-    same = np.diff(lines) == 0
-    step = float(np.median(np.diff(azimuths)[same])) if same.any() else 0.0
-    spacing = _line_spacing(scan)
-    after = np.full(len(rows), -1)
-    pairs = np.flatnonzero(same & (np.diff(azimuths) <= _GAP_STEPS * step))
+    part = scan.part(chosen)
+    if len(part.order) < 2:
+        return part.order[:0], part.order[:0], np.zeros(0), np.zeros(0)
+    pairs, step = part.along(_GAP_STEPS)
+    after = np.full(len(part.order), -1)
     after[pairs] = pairs + 1
-    trajectories = [
-        _jumps_along(trajectory, _reversed(trajectory), ranges, apart)
-        for trajectory, apart in ((after, step), (rows_above(lines, azimuths, scan.count, step), spacing))
+    means = np.bincount(scan.lines, scan.elevations) / np.maximum(np.bincount(scan.lines), 1)
+    spacing = float(np.median(np.diff(means))) if len(means) > 1 else 0.0
+    jumps = [
+        _jumps_along(onwards, back, part.ranges, apart)
+        for ahead, apart in ((after, step), (part.above(step), spacing))
+        for onwards, back in ((ahead, _reversed(ahead)), (_reversed(ahead), ahead))
     ]
-    near, far, reaches = (np.concatenate(parts) for parts in zip(*trajectories, strict=True))
+    near, far, reaches = (np.concatenate(columns) for columns in zip(*jumps, strict=True))
     share = min(step / spacing, 1.0) if spacing > 0 else 1.0
-    return (
-        points[near],
-        points[far],
-        np.repeat([1.0, share], [len(trajectory[0]) for trajectory in trajectories]),
-        reaches,
-    )
+    shares = np.repeat([1.0, 1.0, share, share], [len(rows) for rows, _, _ in jumps])
+    return part.order[near], part.order[far], shares, reaches
 
 
 def _reversed(ahead: Int64Array) -> Int64Array:
@@ -322,61 +320,24 @@ def _reversed(ahead: Int64Array) -> Int64Array:
 
 
 def _jumps_along(
-    ahead: Int64Array, behind: Int64Array, ranges: Float64Array, apart: float
+    onwards: Int64Array, back: Int64Array, ranges: Float64Array, apart: float
 ) -> tuple[Int64Array, Int64Array, Float64Array]:
-    """Jumps from each row to the one ahead and to the one behind: near rows, far rows, reaches."""
-    found = []
-    for onwards, back in ((ahead, behind), (behind, ahead)):
-        near = np.flatnonzero(onwards >= 0)
-        near = near[_is_jump(ranges[near], ranges[onwards[near]], apart)]
-        far, before = onwards[near], back[near]
-        slants, known = _slants(ranges, near, before)
-        # a plane's inverse range changes evenly with the angle
-        explained = 1.0 / ranges[near] - 1.0 / ranges[far] < _SLANT_FACTOR * slants
-        kept = known & ~explained
-        reaches = 1.0 / np.maximum(1.0 - 0.5 * slants * ranges[near], ranges[near] / ranges[far])
-        found.append((near[kept], far[kept], reaches[kept]))
-    return (
-        np.concatenate([found[0][0], found[1][0]]),
-        np.concatenate([found[0][1], found[1][1]]),
-        np.concatenate([found[0][2], found[1][2]]),
-    )
+    """Jumps from each row to the next one: near rows, far rows, reaches.
 
-
-def _slants(ranges: Float64Array, near: Int64Array, before: Int64Array) -> tuple[Float64Array, BoolArray]:
-    """How much inverse range falls towards an edge on the surface that ends there, and whether it is that surface.
-
-    Where the surface is one point wide its slant counts as none; a point that itself lies behind an edge, or has none
-    beside it, is no end of a surface that is known.
+    Where the near surface is one point wide its slant counts as none; a point that itself lies behind an edge, or has
+    none beside it, is no end of a surface that is known.
     """
+    near = np.flatnonzero(onwards >= 0)
+    near = near[_is_jump(ranges[near], ranges[onwards[near]], apart)]
+    far, before = onwards[near], back[near]
     previous = np.where(before >= 0, ranges[before], ranges[near])
     same = np.abs(previous - ranges[near]) < _least_jump(ranges[near])
+    # a plane's inverse range changes evenly with the angle
     slants = np.where(same, 1.0 / previous - 1.0 / ranges[near], 0.0)
-    return slants, np.asarray((before >= 0) & (same | (previous > ranges[near])))
-
-
-def _line_spacing(scan: ScanOrder) -> float:
-    """Usual angle from line to line [rad]."""
-    means = np.bincount(scan.lines, scan.elevations) / np.maximum(np.bincount(scan.lines), 1)
-    return float(np.median(np.diff(means))) if len(means) > 1 else 0.0
-
-
-def rows_above(lines: Int64Array, azimuths: Float64Array, count: int, step: float) -> Int64Array:
-    """The point of the next line above at the same azimuth, by row; -1 for none.
-
-    Args:
-        lines, azimuths: (M,) of points in the order of a scan.
-        count: number of lines.
-        step: usual angle between points of a line [rad].
-    """
-    rotation = 8.0  # more than all azimuths span, so that lines follow one another
-    keys = lines * rotation + azimuths
-    wanted = (lines + 1) * rotation + azimuths
-    after = np.clip(np.searchsorted(keys, wanted), 1, len(keys) - 1)
-    nearer = np.where(np.abs(keys[after] - wanted) < np.abs(keys[after - 1] - wanted), after, after - 1)
-    found: Int64Array = np.where(np.abs(keys[nearer] - wanted) <= _GAP_STEPS / 2 * max(step, 1e-4), nearer, -1)
-    found[lines + 1 >= count] = -1
-    return found
+    explained = 1.0 / ranges[near] - 1.0 / ranges[far] < _SLANT_FACTOR * slants
+    kept = (before >= 0) & (same | (previous > ranges[near])) & ~explained
+    reaches = 1.0 / np.maximum(1.0 - 0.5 * slants * ranges[near], ranges[near] / ranges[far])
+    return near[kept], far[kept], reaches[kept]
 
 
 def _jumps_anywhere(
@@ -397,25 +358,12 @@ def _jumps_anywhere(
     return chosen[rows], chosen[others[rows, nearest[rows]]]
 
 
-_TILES_ACROSS, _TILES_DOWN = 6, 3
-
-_TILES = _TILES_ACROSS * _TILES_DOWN
-"""Tiles of an image: how much these differ reports how much chance there is in a score."""
-
-_BESIDE = np.radians(6.0)
-"""Points so far outside the image may come into it [rad]."""
-
-_MOST_POINTS = 6000
-"""Points of a frame whose intensity is compared, evenly drawn."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameFeatures:
-    """What the measures need of one frame.
+    """The features of one frame.
 
     Attributes:
-        frame: the frame.
-        image: its image.
+        frame, image: the frame and its image.
         edge_points: (E, 3) float64 [m], lidar frame.
         edge_kinds: (E,) uint8, the direction across the edge, as `MeasuredImage.edges` counts.
         edge_weights: (E,) float32.
@@ -443,80 +391,51 @@ class FrameFeatures:
 
     def thinned(self, every: int) -> "FrameFeatures":
         """One of so many edges and levels."""
-        return replace(
-            self,
-            edge_points=np.ascontiguousarray(self.edge_points[::every]),
-            edge_kinds=np.ascontiguousarray(self.edge_kinds[::every]),
-            edge_weights=np.ascontiguousarray(self.edge_weights[::every]),
-            edge_cells=np.ascontiguousarray(self.edge_cells[::every]),
-            level_points=np.ascontiguousarray(self.level_points[::every]),
-            levels=np.ascontiguousarray(self.levels[::every]),
-            level_cells=np.ascontiguousarray(self.level_cells[::every]),
-        )
+        names = ("edge_points", "edge_kinds", "edge_weights", "edge_cells", "level_points", "levels", "level_cells")
+        columns: dict[str, Any] = {name: np.ascontiguousarray(getattr(self, name)[::every]) for name in names}
+        return replace(self, **columns)
 
 
 def extract(frame: CalibrationFrame, image: _MeasuredImage | None = None) -> FrameFeatures:
-    """Take what is needed from a frame under its stated calibration; `image` where it was measured before."""
+    """Find the features of a frame under its stated calibration; `image` where it was measured before."""
     if image is None:
         image = measured_image(frame.grey, frame.camera)
-    chosen = _around_view(frame)
+    chosen, stated = _around_view(frame), frame.camera_from_lidar
     edges = find_depth_edges(frame, chosen)
-    stated = frame.camera_from_lidar
     near, far = (
         project_unbounded(image.camera, stated.apply(points)) for points in (edges.points_lidar, edges.outwards_lidar)
     )
-    towards = np.arctan2(far[:, 1] - near[:, 1], far[:, 0] - near[:, 0])
-    known = _as_in_memory(near, np.flatnonzero(np.isfinite(near).all(axis=1) & np.isfinite(towards)))
-    kinds = np.rint(towards[known] * DIRECTIONS / np.pi).astype(np.int64) % DIRECTIONS
+    directions = np.arctan2(far[:, 1] - near[:, 1], far[:, 0] - near[:, 0])
+    known = _as_in_memory(near, np.flatnonzero(np.isfinite(near).all(axis=1) & np.isfinite(directions)))
+    kinds = np.rint(directions[known] * DIRECTIONS / np.pi).astype(np.int64) % DIRECTIONS
     seen, visible = _seen(frame, chosen)
     level_rows, levels = _levels(frame, visible)
     level_pixels = project_unbounded(image.camera, stated.apply(frame.points_lidar[level_rows]))
     order = _as_in_memory(level_pixels, np.arange(len(level_rows)))
     return FrameFeatures(
-        frame,
-        image,
-        np.ascontiguousarray(edges.points_lidar[known]),
-        kinds.astype(np.uint8),
-        edges.weights[known],
-        _tiles(near[known], image),
-        np.ascontiguousarray(frame.points_lidar[level_rows[order]]),
-        levels[order],
-        _tiles(level_pixels[order], image),
-        seen,
-        chosen,
-        visible,
+        frame=frame,
+        image=image,
+        edge_points=np.ascontiguousarray(edges.points_lidar[known]),
+        edge_kinds=kinds.astype(np.uint8),
+        edge_weights=edges.weights[known],
+        edge_cells=_tiles(near[known], image),
+        level_points=np.ascontiguousarray(frame.points_lidar[level_rows[order]]),
+        levels=levels[order],
+        level_cells=_tiles(level_pixels[order], image),
+        seen=seen,
+        around=chosen,
+        visible=visible,
     )
 
 
 def _as_in_memory(pixels: Float64Array, rows: Int64Array) -> Int64Array:
-    """Order rows of (N, 2) pixels by where an image has them: what lies together is looked up together."""
-    lines = np.floor(pixels[rows, 1] / 4.0)
-    ordered: Int64Array = rows[np.lexsort((pixels[rows, 0], lines))]
+    """Order rows of (N, 2) pixels as an image has them: what lies together is looked up together."""
+    ordered: Int64Array = rows[np.lexsort((pixels[rows, 0], np.floor(pixels[rows, 1] / 4.0)))]
     return ordered
 
 
-def _project_features(
-    features: FrameFeatures,
-    points_lidar: Float64Array,
-    camera_from_points: Float64Array,
-    camera_model: Float64Array,
-) -> tuple[Int64Array, Float32Array]:
-    """Give ids and pixels of the points that fall into the (reduced) image under a candidate.
-
-    Args:
-        points_lidar: (N, 3) [m].
-        camera_from_points: (4, 4), as `Change.camera_from_points` gives it.
-        camera_model: as `Change.camera_model` gives it.
-    """
-    camera, count = features.image.camera, len(points_lidar)
-    room = PointsInImage.room(count)
-    kernel = projection_kernel(camera.model)
-    kept = kernel(points_lidar, camera_from_points, camera_model, camera.width, camera.height, room)
-    return room.point_ids[:kept], room.pixels[:kept]
-
-
 def _around_view(frame: CalibrationFrame) -> Int64Array:
-    """The points that the camera sees or nearly sees, as far as directions report."""
+    """The points in the directions that the camera sees or nearly sees."""
     camera = frame.camera
     across, down = np.linspace(-0.5, camera.width - 0.5, 9), np.linspace(-0.5, camera.height - 0.5, 9)
     border = np.array(
@@ -525,22 +444,15 @@ def _around_view(frame: CalibrationFrame) -> Int64Array:
     rays = unproject(camera, border)
     angles = np.arccos(np.clip(rays[np.isfinite(rays).all(axis=1), 2], -1.0, 1.0))
     widest = float(angles.max()) if len(angles) == len(border) else domain_angle(camera)
-    stated = frame.camera_from_lidar
-    ahead, seen_from = stated.rotation[2], stated.inverse().translation
-    relative = frame.points_lidar - seen_from
+    relative = frame.points_lidar - frame.camera_from_lidar.inverse().translation
     ranges = np.sqrt(np.einsum("ij,ij->i", relative, relative))
-    forward = np.einsum("ij,j->i", relative, ahead)
+    forward = np.einsum("ij,j->i", relative, frame.camera_from_lidar.rotation[2])
     rows: Int64Array = np.flatnonzero(forward > np.cos(min(widest + _BESIDE, np.pi)) * ranges)
     return rows
 
 
-def _visible_points(frame: CalibrationFrame) -> Int64Array:
-    """The points of a frame that its image shows under the stated calibration, (V,)."""
-    return _seen(frame, _around_view(frame))[1]
-
-
 def _seen(frame: CalibrationFrame, chosen: Int64Array) -> tuple[int, Int64Array]:
-    """The points that the camera sees under the stated calibration, hidden ones left out."""
+    """How many points fall into the image under the stated calibration, and those that nothing hides, (V,)."""
     points = np.ascontiguousarray(frame.points_lidar[chosen])
     pixels = project_unbounded(frame.camera, frame.camera_from_lidar.apply(points))
     size = np.array([frame.camera.width, frame.camera.height])
@@ -552,20 +464,15 @@ def _seen(frame: CalibrationFrame, chosen: Int64Array) -> tuple[int, Int64Array]
 
 
 def _levels(frame: CalibrationFrame, visible: Int64Array) -> tuple[Int64Array, Float32Array]:
-    """Some of the visible points, and their intensities as levels; none where all intensities are the same."""
+    """Some of the visible points, and their intensities as equally frequent levels; none where all are the same."""
     values = None if frame.intensities is None else frame.intensities[visible]
     if values is None or len(values) < 2 or values.min() == values.max():
         return visible[:0], np.zeros(0, np.float32)
-    drawn = np.linspace(0, len(visible) - 1, min(_MOST_POINTS, len(visible))).astype(np.int64)
-    return visible[drawn], _evened_levels(values)[drawn]
-
-
-def _evened_levels(intensities: UInt8Array) -> Float32Array:
-    """Intensities (N,) as levels that are as frequent as any other, 0 to `_LEVELS` - 1."""
     # points of one intensity share the middle of their levels
-    counts = np.bincount(intensities, minlength=256)
-    middles = (np.cumsum(counts) - 0.5 * counts) / max(len(intensities), 1) * (_LEVELS - 1)
-    return middles.astype(np.float32)[intensities]
+    counts = np.bincount(values, minlength=256)
+    middles = (np.cumsum(counts) - 0.5 * counts) / len(values) * (_LEVELS - 1)
+    drawn = np.linspace(0, len(visible) - 1, min(_MOST_POINTS, len(visible))).astype(np.int64)
+    return visible[drawn], middles.astype(np.float32)[values][drawn]
 
 
 def _tiles(pixels: Float64Array, image: _MeasuredImage) -> AnyArray:
@@ -574,24 +481,9 @@ def _tiles(pixels: Float64Array, image: _MeasuredImage) -> AnyArray:
     return np.asarray(rows * _TILES_ACROSS + columns, np.int16)
 
 
-EDGES, _EDGES_COARSE, INFORMATION = "edges", "edges-coarse", "information"
-
-MEASURES = (EDGES, _EDGES_COARSE, INFORMATION)
-"""The measures; of all of them more is better."""
-
-_WIDTHS = {EDGES: "fine", _EDGES_COARSE: "coarse"}
-_SMOOTHED_BINS = 0.7
-
-_THINNED = 3
-"""One feature of so many reports well enough where to look next."""
-
-_LEAST_SHARE = 0.25
-"""Of the features that fall into the images under the stated calibration, so many must do so under a candidate."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
-    """What one candidate came to, by cells: tiles of the images of one view.
+    """The score of one candidate, by cells: tiles of the images of one view.
 
     Attributes:
         sums: (M, C) float64, by measure and cell.
@@ -616,7 +508,7 @@ class Agreement:
     """Scores candidates by all frames.
 
     Attributes:
-        features: what was taken from the frames.
+        features: of the frames.
         views: (F,) int64, which frames show nearly the same.
         cells: number of cells.
     """
@@ -628,7 +520,7 @@ class Agreement:
         *,
         images: Sequence[_MeasuredImage | None] | None = None,
     ) -> None:
-        """Take the features of the frames.
+        """Find the features of the frames.
 
         Args:
             views: (F,) int64, which frames show nearly the same; None: each another.
@@ -680,11 +572,8 @@ class Agreement:
         histogram = np.zeros((_LEVELS, _LEVELS))
         for features, view in zip(self.features, self.views.tolist(), strict=True):
             own = slice(view * _TILES, (view + 1) * _TILES)
-            placing = (
-                change.camera_from_points(features.frame),
-                change.camera_model(features.image.camera_model),
-            )
-            ids, pixels = _project_features(features, features.edge_points, *placing)
+            placing = change.camera_from_points(features.frame), change.camera_model(features.image.camera_model)
+            ids, pixels = _project(features, features.edge_points, *placing)
             for row, name in enumerate(MEASURES):
                 if name in _WIDTHS and name in measures:
                     sum_edges(
@@ -693,7 +582,7 @@ class Agreement:
                     )  # fmt: skip
             if INFORMATION not in measures:
                 continue
-            ids, pixels = _project_features(features, features.level_points, *placing)
+            ids, pixels = _project(features, features.level_points, *placing)
             fill_histogram(ids, pixels, features.levels, features.image.levels, histogram)
             placed.append((features, own, ids, pixels))
         row = MEASURES.index(INFORMATION)
@@ -708,6 +597,16 @@ class Agreement:
                 sums[row, own], totals[row, own],
             )  # fmt: skip
         return Score(sums, totals)
+
+
+def _project(
+    features: FrameFeatures, points_lidar: Float64Array, camera_from_points: Float64Array, camera_model: Float64Array
+) -> tuple[Int64Array, Float32Array]:
+    """Ids and pixels of the points, (N, 3) [m], that fall into the reduced image under a candidate."""
+    camera, room = features.image.camera, PointsInImage.room(len(points_lidar))
+    kernel = projection_kernel(camera.model)
+    kept = kernel(points_lidar, camera_from_points, camera_model, camera.width, camera.height, room)
+    return room.point_ids[:kept], room.pixels[:kept]
 
 
 def _pointwise_information(histogram: Float64Array) -> Float64Array:

@@ -190,3 +190,11 @@ def quaternion_from_rotation_vector(rotation_vector: ArrayLike) -> Float64Array:
     half = np.linalg.norm(vector, axis=-1, keepdims=True) / 2.0
     quaternion = np.concatenate([0.5 * np.sinc(half / np.pi) * vector, np.cos(half)], axis=-1)
     return _with_positive_w(normalise_quaternion(quaternion))
+
+
+def cross_matrix(vectors: ArrayLike) -> Float64Array:
+    """Give the (..., 3, 3) matrices that take a vector w to v × w, for (..., 3) vectors v."""
+    x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
+    zero = np.zeros_like(x)
+    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

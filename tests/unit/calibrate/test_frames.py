@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames, find_scan_order, moved_by
-from sceneloom.calibrate.measures import DepthEdges, find_depth_edges
+from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames, find_scan_order
+from sceneloom.calibrate.measures import Change, DepthEdges, find_depth_edges
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
@@ -47,7 +47,7 @@ def test_a_later_image_sees_the_points_from_farther_on(drive):
     frame = calibration_frames(drive.scene, most=1)[0]
     assert frame.world_from_lidar is not None
     stated = frame.camera_from_lidar.matrix
-    later = frame.camera_from_points(stated, later=0.05)
+    later = Change((*(0.0,) * 7, 0.05)).camera_from_points(frame)
     poses = drive.scene.trajectories["groundTruth"].poses.interpolate(
         np.array([frame.image_ns, frame.image_ns + 50_000_000])
     )
@@ -58,7 +58,7 @@ def test_a_later_image_sees_the_points_from_farther_on(drive):
 
 
 def test_a_screw_of_a_quarter_rotation_is_a_quarter_circle():
-    moved = moved_by(np.array([0.0, 0.0, np.pi / 2, np.pi / 2, 0.0, 0.0]))
+    moved = Change((0.0, 0.0, np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0, 0.0)).camera_from_lidar(np.eye(4))
     np.testing.assert_allclose(moved[:3, 3], [1.0, 1.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(moved[:3, 0], [0.0, 1.0, 0.0], atol=1e-12)
 

@@ -113,7 +113,7 @@ def test_a_car_on_a_plane_reports_all_but_the_height_which_stays_as_it_was_guess
     np.testing.assert_allclose(step[3:5], 0.0, atol=1e-3)
     assert found.a_from_b.translation[2] == pytest.approx(guess.translation[2], abs=1e-6)
     assert len(found.unobserved) == 1
-    assert found.unobserved[0].startswith("shift along z of the ego: known within")
+    assert found.unobserved[0].startswith("translation along z of the ego: known within")
 
 
 def test_a_guess_that_is_upside_down_does_not_mislead() -> None:
@@ -135,14 +135,14 @@ def test_the_covariance_covers_what_noise_of_the_poses_does() -> None:
 
 def test_a_body_that_stands_is_refused() -> None:
     still = Poses(TIMES_NS, np.zeros((COUNT, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1)))
-    with pytest.raises(PoseError, match="stationary states nothing"):
+    with pytest.raises(PoseError, match="stationary ego determines nothing"):
         align_motions(paired_motions(still, still, TIMES_NS))
 
 
 def test_ways_without_common_time_are_refused() -> None:
     body = tumbling_body()
     later = Poses(TIMES_NS + 10**12, body.positions, body.quaternions_xyzw)
-    with pytest.raises(PoseError, match="do they lie on one clock"):
+    with pytest.raises(PoseError, match="are they on one clock"):
         paired_motions(body, later, TIMES_NS)
 
 

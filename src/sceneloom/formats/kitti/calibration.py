@@ -1,6 +1,7 @@
 """Calibration files of the object, tracking and odometry benchmarks, read and written."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -11,7 +12,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
-from sceneloom.formats.kitti.text import Line, read_lines
+from sceneloom.formats.kitti.text import Line, read_entries
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import GREATEST_ERROR, nearest_rotation
 
@@ -63,23 +64,12 @@ class KittiCalibration:
     entries: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
 
     def camera(self, number: int, size_wh: tuple[int, int]) -> Camera:
-        """The camera model of a rectified camera.
-
-        Args:
-            number: of the camera.
-            size_wh: of its images [px].
-        """
-        p = self.projections[number]
-        return Camera("pinhole", *size_wh, float(p[0, 0]), float(p[1, 1]), float(p[0, 2]), float(p[1, 2]))
+        """The camera model of a rectified camera whose images have a size [px]."""
+        return pinhole_of(self.projections[number], size_wh)
 
     def camera_from_lidar(self, number: int) -> RigidTransform:
-        """Takes the lidar's frame into that of a camera.
-
-        A projection K [I t] sees the rectified frame from t = K⁻¹ p₄, its fourth column being p₄.
-        """
-        p = self.projections[number]
-        shift = np.linalg.solve(p[:, :3], p[:, 3]).astype(np.float64)
-        return RigidTransform(np.eye(3), shift) @ self.rectified_from_lidar
+        """Takes the lidar's frame into that of a camera."""
+        return camera_from_rectified(self.projections[number]) @ self.rectified_from_lidar
 
     def usual_size(self, number: int) -> tuple[int, int] | None:
         """Width and height of the images of KITTI's cameras with this focal length [px]; None for others."""
@@ -99,25 +89,22 @@ def read_calibration(path: Path, *, needs_lidar: bool = True) -> KittiCalibratio
 
     Source: the readme files of KITTI's development kits for objects and tracking.
     """
-    entries: dict[str, Line] = {}
-    for line in read_lines(path):
-        if not line.words:
-            continue
-        name = line.words[0].rstrip(":")
-        if name in entries:
-            raise line.fault(f"{name} stands in line {entries[name].number} already; expected it once")
-        entries[name] = line
+    entries = read_entries(path)
     projections = {
         int(name[1:]): projection_of(line)
         for name, line in entries.items()
         if len(name) == 2 and name[0] == "P" and name[1].isdigit()
     }
+    finite = {}
+    for name, line in entries.items():
+        with suppress(DataError):  # such as a date: no number that a scene is made of
+            finite[name] = tuple(line.floats(1, [name] * (len(line.words) - 1)))
     has_imu = any(name in entries for name in _SPELLINGS["velodyne_from_imu"])
     return KittiCalibration(
         MappingProxyType(projections),
         _rectified_from_lidar(path, entries, needs_lidar=needs_lidar),
         _rigid(_entry(path, entries, "velodyne_from_imu")) if has_imu else None,
-        MappingProxyType(_finite_entries(entries)),
+        MappingProxyType(finite),
     )
 
 
@@ -130,18 +117,8 @@ def _rectified_from_lidar(path: Path, entries: Mapping[str, Line], *, needs_lida
     if line.words[0].rstrip(":") == _RECTIFIED_FROM_VELODYNE:
         return camera_from_velodyne
     line = _entry(path, entries, "rectification")
-    rectification = RigidTransform(rotation_of(line, _numbers(line, 9).reshape(3, 3)), np.zeros(3))
+    rectification = RigidTransform(rotation_of(line, line.entry(9).reshape(3, 3)), np.zeros(3))
     return rectification @ camera_from_velodyne
-
-
-def _finite_entries(entries: Mapping[str, Line]) -> dict[str, tuple[float, ...]]:
-    found = {}
-    for name, line in entries.items():
-        try:
-            found[name] = tuple(line.floats(1, [name] * (len(line.words) - 1)))
-        except DataError:
-            continue  # such as a date: no number that a scene is made of
-    return found
 
 
 def _entry(path: Path, entries: Mapping[str, Line], meaning: str) -> Line:
@@ -154,18 +131,9 @@ def _entry(path: Path, entries: Mapping[str, Line], meaning: str) -> Line:
     raise found[1].fault(f"{found[1].words[0]} beside {found[0].words[0]}; expected one of both")
 
 
-def _numbers(line: Line, count: int) -> Float64Array:
-    line.check_count((count + 1,), f"a name and {count} numbers")
-    return np.array(line.floats(1, [f"{line.words[0].rstrip(':')}[{k}]" for k in range(count)]))
-
-
 def projection_of(line: Line) -> Float64Array:
-    """The (3, 4) matrix of a projection, K [I t].
-
-    Raises:
-        DataError: it is none.
-    """
-    matrix = _numbers(line, 12).reshape(3, 4)
+    """The (3, 4) matrix of a projection, K [I t]; DataError if it is none."""
+    matrix = line.entry(12).reshape(3, 4)
     k = matrix[:, :3]
     upright = np.array_equal(k[[1, 2, 2], [0, 0, 1]], np.zeros(3)) and k[2, 2] == 1 and k[0, 1] == 0
     if not (upright and k[0, 0] > 0 and k[1, 1] > 0):
@@ -173,12 +141,19 @@ def projection_of(line: Line) -> Float64Array:
     return matrix
 
 
-def rotation_of(line: Line, matrix: Float64Array) -> Float64Array:
-    """The rotation nearest to a (3, 3) matrix of a line.
+def pinhole_of(projection: Float64Array, size_wh: tuple[int, int]) -> Camera:
+    """The camera model of a projection, for images of a size [px]."""
+    p = projection.tolist()
+    return Camera("pinhole", *size_wh, p[0][0], p[1][1], p[0][2], p[1][2])
 
-    Raises:
-        DataError: the matrix is too far from one.
-    """
+
+def camera_from_rectified(projection: Float64Array) -> RigidTransform:
+    """Takes the rectified frame into the camera's: K [I t] sees it from t = K⁻¹ p₄, its fourth column being p₄."""
+    return RigidTransform(np.eye(3), np.linalg.solve(projection[:, :3], projection[:, 3]).astype(np.float64))
+
+
+def rotation_of(line: Line, matrix: Float64Array) -> Float64Array:
+    """The rotation nearest to a (3, 3) matrix of a line; DataError if the matrix is too far from one."""
     small = np.abs(matrix).max() <= 2  # larger ones would overflow in the test
     rotation, error = nearest_rotation(matrix) if small else (matrix, float("inf"))
     if not error <= GREATEST_ERROR:
@@ -189,7 +164,7 @@ def rotation_of(line: Line, matrix: Float64Array) -> Float64Array:
 
 
 def _rigid(line: Line) -> RigidTransform:
-    matrix = _numbers(line, 12).reshape(3, 4)
+    matrix = line.entry(12).reshape(3, 4)
     try:
         return RigidTransform(rotation_of(line, matrix[:, :3]), matrix[:, 3].copy())
     except CalibrationError as error:
@@ -197,6 +172,9 @@ def _rigid(line: Line) -> RigidTransform:
 
 
 CAMERAS = 4
+SPARE_CAMERA = Camera("pinhole", 1242, 375, 721.5377, 721.5377, 609.5593, 172.854)
+"""What files state of cameras where a scene has none: KITTI's own."""
+
 _SAME = 1e-9
 
 _NAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -214,11 +192,10 @@ _PLAIN_NAMES = frozenset({"R_rect", "Tr_velo_cam", "Tr_imu_velo"})
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mounted:
-    """What a calibration says.
+    """What a calibration states.
 
     Attributes:
-        camera_models: by KITTI's number of the camera.
-        camera_from_lidar: by number.
+        camera_models, camera_from_lidar: by KITTI's number of the camera.
         lidar_from_imu: None where the ego is the lidar.
         reference: the camera whose frame is the rectified one; None without cameras.
         has_lidar: whether there is one; else its frame is the ego's, and files may position it elsewhere.
@@ -232,28 +209,23 @@ class Mounted:
 
     @property
     def rectified_from_lidar(self) -> RigidTransform:
-        """Takes the lidar's frame into the one that labels are in, where no file says otherwise.
-
-        Without cameras that is the frame of one that would look ahead from where the lidar is: labels stand upright in
-        it.
-        """
+        """Takes the lidar's frame into that of labels; without cameras, that of one that looks ahead from the lidar."""
         if self.reference is None:
-            return _AHEAD_FROM_LIDAR
+            return _OPTICAL_FROM_BODY
         return self.camera_from_lidar[self.reference]
 
 
-_AHEAD_FROM_LIDAR = RigidTransform(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), np.zeros(3))
-"""x right, y down, z forward, out of x forward, y left, z up."""
-
-
 def write_calibration(path: Path, benchmark: str, mounted: Mounted, kept: Mapping[str, Any] | None) -> RigidTransform:
-    """Write a calibration file; gives what takes the lidar's frame into the one that labels are in.
+    """Write a calibration file.
 
     Args:
         path: the file.
         benchmark: whose, which decides what entries are called.
-        mounted: how the sensors lie.
+        mounted: camera models and extrinsics.
         kept: entries that the scene was read with; they are written where they mean the same.
+
+    Returns:
+        What takes the lidar's frame into that of labels.
     """
     if kept:
         path.write_text(_text(_renamed(kept, benchmark)), "utf-8", newline="\n")
@@ -265,20 +237,17 @@ def write_calibration(path: Path, benchmark: str, mounted: Mounted, kept: Mappin
 
 
 def _rectified_if_same(path: Path, mounted: Mounted) -> RigidTransform | None:
-    """What a file says of labels' frame, if it says the same as the scene of all else; None if not."""
+    """The frame of labels that a file states, if all else in it is as in the scene; None if not."""
     try:
         read = read_calibration(path)
         mounts = {number: read.camera_from_lidar(number) for number in mounted.camera_models}
-        camera_models = {
-            number: read.camera(number, (camera_model.width, camera_model.height))
-            for number, camera_model in mounted.camera_models.items()
-        }
+        pairs = [
+            (read.camera(number, (camera.width, camera.height)), camera)
+            for number, camera in mounted.camera_models.items()
+        ]
     except (SceneloomError, KeyError):
         return None
-    if not all(
-        _same_camera_model(camera_models[number], camera_model)
-        for number, camera_model in mounted.camera_models.items()
-    ):
+    if not all(b.model == "pinhole" and np.abs(a.matrix - b.matrix).max() <= _SAME for a, b in pairs):
         return None
     between = files_lidar_from_lidar(mounts, read.lidar_from_imu, mounted)
     return None if between is None else read.rectified_from_lidar @ between
@@ -311,29 +280,23 @@ def _same(a: RigidTransform, b: RigidTransform) -> bool:
     return bool(np.abs(a.matrix - b.matrix).max() <= _SAME)
 
 
-def _same_camera_model(a: Camera, b: Camera) -> bool:
-    return bool(np.abs(a.matrix - b.matrix).max() <= _SAME) and b.model == "pinhole"
-
-
 def _renamed(kept: Mapping[str, Any], benchmark: str) -> dict[str, list[float]]:
     """Entries under the names of a benchmark; a rectified frame's rotation is multiplied in where it has no name."""
-    meanings = {name: k for names in _NAMES.values() for k, name in enumerate(names) if name}
-    found: dict[str, list[float]] = {}
-    by_meaning: dict[int, Float64Array] = {}
-    for name, row in kept.items():
-        values = np.asarray(row, np.float64)
-        if name in meanings:
-            by_meaning[meanings[name]] = values
-        elif name[:1] == "P" and name[1:].isdigit():
-            found[name] = values.tolist()
-    rectification, lidar, unit = _NAMES[benchmark]
-    rotation = by_meaning.get(0)
-    placed = by_meaning.get(1)
+    found = {
+        name: np.asarray(row, np.float64).tolist()
+        for name, row in kept.items()
+        if name[:1] == "P" and name[1:].isdigit()
+    }
+    rotation, placed, unit = (
+        next((np.asarray(kept[name], np.float64) for name in reversed(names) if name and name in kept), None)
+        for names in zip(*_NAMES.values(), strict=True)
+    )
+    rectification = _NAMES[benchmark][0]
     if placed is not None and _RECTIFIED_FROM_VELODYNE in kept:
         rotation = np.eye(3).reshape(-1)
     if placed is not None and not rectification and rotation is not None:
         placed = (rotation.reshape(3, 3) @ placed.reshape(3, 4)).reshape(-1)
-    for name, numbers in ((rectification, rotation), (lidar, placed), (unit, by_meaning.get(2))):
+    for name, numbers in zip(_NAMES[benchmark], (rotation, placed, unit), strict=True):
         if name and numbers is not None:
             found[name] = numbers.tolist()
     return found
@@ -343,10 +306,7 @@ def _built(benchmark: str, mounted: Mounted) -> dict[str, list[float]]:
     """Entries that state what a scene says: the reference camera's frame is the rectified one."""
     base = mounted.rectified_from_lidar
     found = {}
-    spare = next(
-        iter(mounted.camera_models.values()),
-        Camera("pinhole", 1242, 375, 721.5377, 721.5377, 609.5593, 172.854),
-    )
+    spare = next(iter(mounted.camera_models.values()), SPARE_CAMERA)
     for number in range(CAMERAS):
         camera_model = mounted.camera_models.get(number, mounted.camera_models.get(mounted.reference or 0, spare))
         shift = np.zeros(3)
@@ -364,8 +324,7 @@ def _built(benchmark: str, mounted: Mounted) -> dict[str, list[float]]:
 
 def _text(entries: Mapping[str, list[float]]) -> str:
     """The lines of a file, all digits."""
-    lines = []
-    for name, values in entries.items():
-        colon = "" if name in _PLAIN_NAMES else ":"
-        lines.append(f"{name}{colon} {' '.join(map(repr, values))}\n")
-    return "".join(lines)
+    return "".join(
+        f"{name}{'' if name in _PLAIN_NAMES else ':'} {' '.join(map(repr, values))}\n"
+        for name, values in entries.items()
+    )

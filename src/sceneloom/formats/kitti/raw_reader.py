@@ -11,14 +11,14 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import images_image_size
 from sceneloom.formats.base.spec import named_folder
 from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
-from sceneloom.formats.kitti.calibration import projection_of, rotation_of
+from sceneloom.formats.kitti.calibration import camera_from_rectified, pinhole_of, projection_of, rotation_of
 from sceneloom.formats.kitti.oxts import oxts_sensors, read_fields, rising
 from sceneloom.formats.kitti.sensors import (
     LIDAR_ID,
@@ -40,12 +40,12 @@ from sceneloom.formats.kitti.spec import (
 )
 from sceneloom.formats.kitti.text import (
     LARGEST,
-    Line,
     NumberedFiles,
     as_table,
     frames_within,
     note_unread,
     numbered_files,
+    read_entries,
     read_lines,
 )
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
@@ -63,64 +63,40 @@ _COUNTS = {"S": 2, "K": 9, "D": 5, "R": 9, "T": 3, "S_rect": 2, "R_rect": 9, "P_
 """How many numbers each entry of a camera has. Source: the readme of the raw data's development kit."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RawFile:
-    """One file of named numbers.
+class _RawFile:
+    """One file of named numbers."""
 
-    Attributes:
-        path: the file.
-        lines: by name.
-    """
-
-    path: Path
-    lines: Mapping[str, Line]
-
-    @classmethod
-    def read(cls, path: Path) -> "RawFile":
-        """Read the file.
-
-        Raises:
-            DataError: it is missing, or a name stands in it twice.
-        """
+    def __init__(self, path: Path) -> None:
         if not path.is_file():
-            problem = "is missing; the calibration of a day stands beside its drives"
-            raise DataError(path, "", problem)
-        lines: dict[str, Line] = {}
-        for line in read_lines(path):
-            if line.words:
-                name = line.words[0].rstrip(":")
-                if name in lines:
-                    raise line.fault(f"{name} stands in line {lines[name].number} already; expected it once")
-                lines[name] = line
-        return cls(path, MappingProxyType(lines))
+            raise DataError(path, "", "is missing; the calibration of a day is beside its drives")
+        self.path, self.lines = path, read_entries(path)
 
-    def numbers(self, name: str, count: int) -> Float64Array:
-        """The numbers of an entry, (count,) float64.
-
-        Raises:
-            DataError: it is missing, or has another number of them.
-        """
+    def numbers(self, name: str) -> Float64Array:
+        """The numbers of an entry; of one of a camera, `name` ends with the camera's number."""
         if name not in self.lines:
             raise DataError(self.path, "", f"no {name}; it has {', '.join(self.lines) or 'nothing'}")
-        line = self.lines[name]
-        line.check_count((count + 1,), f"a name and {count} numbers")
-        return np.array(line.floats(1, [f"{name}[{k}]" for k in range(count)]))
+        kind, _, number = name.rpartition("_")
+        return self.lines[name].entry(_COUNTS[kind if number.isdigit() else name])
 
-    def rigid(self, rotation: str, translation: str) -> RigidTransform:
-        """A rotation and a translation that stand in two entries.
-
-        Raises:
-            DataError: they are missing, or no rigid transform.
-        """
-        matrix = self.numbers(rotation, 9).reshape(3, 3)
+    def rigid(self, ending: str = "") -> RigidTransform:
+        """The transform of the entries R and T, with an ending."""
+        rotation = f"R{ending}"
+        matrix = self.numbers(rotation).reshape(3, 3)
         try:
-            return RigidTransform(rotation_of(self.lines[rotation], matrix), self.numbers(translation, 3))
+            return RigidTransform(rotation_of(self.lines[rotation], matrix), self.numbers(f"T{ending}"))
         except CalibrationError as error:
             raise self.lines[rotation].fault(str(error)) from error
 
+    def size(self, name: str) -> tuple[int, int]:
+        """Width and height of images [px]."""
+        width, height = self.numbers(name).tolist()
+        if not (width == int(width) > 0 and height == int(height) > 0):
+            raise self.lines[name].fault(f"{width:g} {height:g}; expected whole numbers of pixels above 0")
+        return int(width), int(height)
+
     @property
     def texts(self) -> dict[str, str]:
-        """What stands behind each name."""
+        """The text behind each name."""
         return {name: " ".join(line.words[1:]) for name, line in self.lines.items()}
 
 
@@ -129,18 +105,15 @@ class _RawCalibration:
     """Calibration of a drive.
 
     Attributes:
-        rectified: whether the camera models are those of rectified images.
-        camera_models: by number of the camera.
-        camera_from_lidar: by number of the camera.
+        camera_models, camera_from_lidar: by number of the camera.
         lidar_from_imu: None where the day has no such file.
-        texts: what stands in the files, by file and name.
+        texts: of the entries of the files, by file and name.
     """
 
-    rectified: bool
     camera_models: Mapping[int, Camera]
     camera_from_lidar: Mapping[int, RigidTransform]
     lidar_from_imu: RigidTransform | None
-    texts: Mapping[str, Mapping[str, str]]
+    texts: dict[str, dict[str, str]]
 
 
 def read_raw_calibration(folder: Path, cameras: tuple[int, ...], *, rectified: bool) -> _RawCalibration:
@@ -154,80 +127,48 @@ def read_raw_calibration(folder: Path, cameras: tuple[int, ...], *, rectified: b
     Raises:
         DataError: a file or an entry is missing or wrong.
     """
-    texts: dict[str, Mapping[str, str]] = {}
+    texts: dict[str, dict[str, str]] = {}
     camera_models: dict[int, Camera] = {}
     mounts: dict[int, RigidTransform] = {}
     if cameras:
-        between, lidar = RawFile.read(folder / CAM_TO_CAM), RawFile.read(folder / VELO_TO_CAM)
+        between, lidar = _RawFile(folder / CAM_TO_CAM), _RawFile(folder / VELO_TO_CAM)
         texts |= {CAM_TO_CAM: between.texts, VELO_TO_CAM: lidar.texts}
-        first_from_lidar = lidar.rigid("R", "T")
+        first_from_lidar = lidar.rigid()
         read = _rectified_camera if rectified else _recorded_camera
         for number in cameras:
-            camera_models[number], camera_from_first = read(between, number)
+            camera_models[number], camera_from_first = read(between, f"_{number:02d}")
             mounts[number] = camera_from_first @ first_from_lidar
     lidar_from_imu = None
     if (folder / IMU_TO_VELO).is_file():
-        unit = RawFile.read(folder / IMU_TO_VELO)
+        unit = _RawFile(folder / IMU_TO_VELO)
         texts[IMU_TO_VELO] = unit.texts
-        lidar_from_imu = unit.rigid("R", "T")
-    return _RawCalibration(rectified, camera_models, mounts, lidar_from_imu, MappingProxyType(texts))
+        lidar_from_imu = unit.rigid()
+    return _RawCalibration(camera_models, mounts, lidar_from_imu, texts)
 
 
-def _image_sizes(folder: Path, number: int) -> dict[bool, tuple[int, int]]:
-    """Width and height of a camera's images [px], by whether they are rectified."""
-    file = RawFile.read(folder / CAM_TO_CAM)
-    return {rectified: _size(file, f"{name}_{number:02d}") for rectified, name in ((True, "S_rect"), (False, "S"))}
+def _rectified_camera(file: _RawFile, ending: str) -> tuple[Camera, RigidTransform]:
+    """The camera model of a rectified camera, and what takes the frame of camera 0, as recorded, into its own."""
+    file.numbers(f"P_rect{ending}")
+    projection = projection_of(file.lines[f"P_rect{ending}"])
+    rotation = rotation_of(file.lines["R_rect_00"], file.numbers("R_rect_00").reshape(3, 3))
+    camera_from_first = camera_from_rectified(projection) @ RigidTransform(rotation, np.zeros(3))
+    return pinhole_of(projection, file.size(f"S_rect{ending}")), camera_from_first
 
 
-def _size(file: RawFile, name: str) -> tuple[int, int]:
-    width, height = file.numbers(name, _COUNTS["S"]).tolist()
-    if not (width == int(width) > 0 and height == int(height) > 0):
-        raise file.lines[name].fault(f"{width:g} {height:g}; expected whole numbers of pixels above 0")
-    return int(width), int(height)
-
-
-def _rectified_camera(file: RawFile, number: int) -> tuple[Camera, RigidTransform]:
-    """The camera model of a rectified camera, and what takes the frame of camera 0, as recorded, into its own.
-
-    A projection K [I t] sees the rectified frame from t = K⁻¹ p₄, its fourth column being p₄.
-    """
-    name = f"P_rect_{number:02d}"
-    file.numbers(name, _COUNTS["P_rect"])
-    p = projection_of(file.lines[name])
-    rotation = file.numbers("R_rect_00", _COUNTS["R_rect"]).reshape(3, 3)
-    delta_rotation = RigidTransform(rotation_of(file.lines["R_rect_00"], rotation), np.zeros(3))
-    shift = np.linalg.solve(p[:, :3], p[:, 3]).astype(np.float64)
-    size = _size(file, f"S_rect_{number:02d}")
-    camera_model = Camera("pinhole", *size, float(p[0, 0]), float(p[1, 1]), float(p[0, 2]), float(p[1, 2]))
-    return camera_model, RigidTransform(np.eye(3), shift) @ delta_rotation
-
-
-def _recorded_camera(file: RawFile, number: int) -> tuple[Camera, RigidTransform]:
-    """The camera model of a camera as it recorded (OpenCV's k1 k2 p1 p2 k3).
-
-    And what takes camera 0's frame into its own.
-    """
-    name = f"K_{number:02d}"
-    k = file.numbers(name, _COUNTS["K"]).reshape(3, 3)
-    line = file.lines[name]
+def _recorded_camera(file: _RawFile, ending: str) -> tuple[Camera, RigidTransform]:
+    """The model of a camera as it recorded (OpenCV's k1 k2 p1 p2 k3), and what takes camera 0's frame into its own."""
+    k = file.numbers(f"K{ending}").reshape(3, 3)
     if not (k[0, 0] > 0 and k[1, 1] > 0 and k[2].tolist() == [0, 0, 1] and k[0, 1] == k[1, 0] == 0):
-        raise line.fault(f"{k.tolist()}; expected rows (f, 0, c), (0, f, c), (0, 0, 1) with focal lengths above 0")
-    distortion = tuple(file.numbers(f"D_{number:02d}", _COUNTS["D"]).tolist())
-    numbers = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
-    size = _size(file, f"S_{number:02d}")
-    model = ("brown_conrady", distortion) if any(distortion) else ("pinhole", ())
-    camera_model = Camera(model[0], *size, *numbers, _full(model[1]))
-    return camera_model, file.rigid(f"R_{number:02d}", f"T_{number:02d}")
-
-
-def _full(distortion: tuple[float, ...]) -> tuple[float, ...]:
-    """The coefficients in the order of `brown_conrady`, which begins as OpenCV's; further ones are 0."""
-    from sceneloom.cameras.camera import MODELS
-
-    if not distortion:
-        return ()
+        expected = "rows (f, 0, c), (0, f, c), (0, 0, 1) with focal lengths above 0"
+        raise file.lines[f"K{ending}"].fault(f"{k.tolist()}; expected {expected}")
+    pinhole = pinhole_of(k, file.size(f"S{ending}"))
+    distortion = file.numbers(f"D{ending}").tolist()
+    if not any(distortion):
+        return pinhole, file.rigid(ending)
+    # `brown_conrady` begins as OpenCV's; further coefficients are 0
     count = len(MODELS["brown_conrady"].coefficient_names)
-    return (*distortion, *(0.0,) * (count - len(distortion)))
+    coefficients = (*distortion, *(0.0,) * (count - len(distortion)))
+    return replace(pinhole, model="brown_conrady", coefficients=coefficients), file.rigid(ending)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -659,7 +600,7 @@ def _open(drive: RawDrive, ledger: Ledger) -> Scene:
     reported = {
         "drive": drive.folder.resolve().name,
         "rectified": rectified,
-        "calibration": _plain_text(calibration),
+        "calibration": calibration.texts,
     }
     return Scene(
         (*sensors, *own),
@@ -670,10 +611,6 @@ def _open(drive: RawDrive, ledger: Ledger) -> Scene:
         format="kitti-raw",
         warnings=ledger.warnings,
     )
-
-
-def _plain_text(calibration: _RawCalibration) -> dict[str, dict[str, str]]:
-    return {name: dict(texts) for name, texts in calibration.texts.items()}
 
 
 def _stream(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> _Stream | None:
@@ -700,9 +637,9 @@ def _is_rectified(drive: RawDrive, cameras: Mapping[int, _Stream], ledger: Ledge
     if drive.kind is not None or not cameras:
         return drive.kind != "extract"
     number, stream = next(iter(cameras.items()))
-    sizes = _image_sizes(drive.calibration, number)
+    file = _RawFile(drive.calibration / CAM_TO_CAM)
     size = images_image_size(stream.files.paths[0])
-    found = sizes[True] == size or sizes[False] != size
+    found = file.size(f"S_rect_{number:02d}") == size or file.size(f"S_{number:02d}") != size
     kind = "rectified" if found else "as recorded"
     message = f"the folder's name says neither sync nor extract: by their size, images are taken as {kind}"
     ledger.note(WarningKind.ASSUMED, "rectified", str(drive.folder), message)

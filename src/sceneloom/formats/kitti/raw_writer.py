@@ -16,7 +16,7 @@ from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.poses import mounting
 from sceneloom.formats.base.written_ego import ego_trajectory
-from sceneloom.formats.kitti.calibration import CAMERAS, Mounted, files_lidar_from_lidar
+from sceneloom.formats.kitti.calibration import CAMERAS, SPARE_CAMERA, Mounted, files_lidar_from_lidar
 from sceneloom.formats.kitti.frames_writer import (
     NONE,
     PARALLEL_WITHIN,
@@ -56,8 +56,6 @@ from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 
-_SPARE = Camera("pinhole", 1242, 375, 721.5377, 721.5377, 609.5593, 172.854)
-
 
 def _write_raw_calibration(folder: Path, mounted: Mounted, kept: Mapping[str, Any] | None, *, rectified: bool) -> None:
     """Write the files: as the scene was read with them where they still hold, else such that state the same.
@@ -94,7 +92,7 @@ def _says(folder: Path, mounted: Mounted, *, rectified: bool) -> bool:
 def _built(mounted: Mounted, *, rectified: bool) -> dict[str, dict[str, str]]:
     """Entries of the files: the reference camera stands for camera 0, unless there is one."""
     base = mounted.camera_from_lidar.get(0, mounted.rectified_from_lidar)
-    reference = mounted.camera_models.get(mounted.reference or 0, _SPARE)
+    reference = mounted.camera_models.get(mounted.reference or 0, SPARE_CAMERA)
     between: dict[str, str] = {"calib_time": "01-Jan-1970 00:00:00", "corner_dist": "0.0"}
     for number in range(CAMERAS):
         camera_model = mounted.camera_models.get(number, reference)

@@ -22,46 +22,29 @@ LATEST = 999_999
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _SHOWN = 40
+_NUMBERS_SHOWN = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of a file, taken apart.
-
-    Attributes:
-        path: the file.
-        number: of the line, from 1.
-        words: its words.
-    """
+    """One line of a file, by its number from 1, split into words."""
 
     path: Path
     number: int
     words: tuple[str, ...]
 
     def fault(self, problem: str) -> DataError:
-        """What is wrong with it, reported with its location."""
+        """What is wrong with it, with its location."""
         return DataError(self.path, f"line {self.number}", problem)
 
     def check_count(self, counts: Sequence[int], meaning: str) -> None:
-        """Refuse a line with more or fewer words.
-
-        Args:
-            counts: how many there may be.
-            meaning: what they are, for the message.
-
-        Raises:
-            DataError: it has another number of words.
-        """
+        """Refuse a line with more or fewer words; `meaning` says in the message what they are."""
         if len(self.words) not in counts:
             expected = " or ".join(map(str, counts))
             raise self.fault(f"{len(self.words)} values; expected {expected}: {meaning}")
 
     def float_at(self, column: int, name: str) -> float:
-        """A finite number.
-
-        Raises:
-            DataError: it is none, or is too large.
-        """
+        """A finite number; DataError if it is none, or is too large."""
         text = self.words[column]
         value = float(text) if _NUMBER.fullmatch(text) else float("nan")
         if not abs(value) <= LARGEST:
@@ -69,24 +52,33 @@ class Line:
         return value
 
     def floats(self, first: int, names: Sequence[str]) -> list[float]:
-        """As many finite numbers as there are names, from a column on.
-
-        Raises:
-            DataError: one is none, or is too large.
-        """
+        """As many finite numbers as there are names, from a column on; DataError if one is none, or is too large."""
         return [self.float_at(first + k, name) for k, name in enumerate(names)]
 
     def whole_at(self, column: int, name: str, *, low: int = 0) -> int:
-        """A whole number of up to six digits, with or without a fraction of zeros.
-
-        Raises:
-            DataError: it is none, less than `low`, or larger.
-        """
+        """A whole number from `low` to `LATEST`, with or without a fraction of zeros; DataError if it is none."""
         value = self.float_at(column, name)
         if value != int(value) or not low <= value <= LATEST:
             shown = self.words[column][:_SHOWN]
             raise self.fault(f"{name} {shown!r}; expected a whole number from {low} to {LATEST}")
         return int(value)
+
+    def entry(self, count: int) -> Float64Array:
+        """The numbers behind the name of an entry, (count,) float64; DataError if there are more or fewer."""
+        self.check_count((count + 1,), f"a name and {count} numbers")
+        return np.array(self.floats(1, [f"{self.words[0].rstrip(':')}[{k}]" for k in range(count)]))
+
+
+def read_entries(path: Path) -> dict[str, Line]:
+    """The lines of a file of named numbers, by name; DataError if a name is there twice."""
+    entries: dict[str, Line] = {}
+    for line in read_lines(path):
+        if line.words:
+            name = line.words[0].rstrip(":")
+            if name in entries:
+                raise line.fault(f"{name} is in line {entries[name].number} already; expected it once")
+            entries[name] = line
+    return entries
 
 
 def read_lines(path: Path, *, separator: str | None = None) -> list[Line]:
@@ -118,13 +110,7 @@ def as_table(rows: Sequence[Sequence[float]], columns: int) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NumberedFiles:
-    """The files of one folder, by their numbers.
-
-    Attributes:
-        folder: where they are.
-        numbers: (N,) int64, rising.
-        paths: N files.
-    """
+    """The files of one folder, by their numbers (N,) int64, rising."""
 
     folder: Path
     numbers: Int64Array
@@ -195,20 +181,17 @@ def note_unread(folder: Path, known: Iterable[str], ledger: Ledger) -> None:
     others = [name for name in others if not name.startswith((".", "README", "readme"))]
     if others:
         shown = ", ".join(others[:_NUMBERS_SHOWN]) + (", …" if len(others) > _NUMBERS_SHOWN else "")
-        message = f"nothing is read of {shown}"
+        message = f"{shown} not read"
         ledger.note(WarningKind.SKIPPED, "not-read", str(folder), message, count=len(others))
 
 
-_NUMBERS_SHOWN = 5
-
-
 def sequences_called(sequences: Iterable[str], wanted: str) -> list[str]:
-    """Those of some sequences that a name means; its leading zeros need not be stated."""
+    """The sequences that a name matches; its leading zeros are optional."""
     return [name for name in sequences if wanted and wanted.lstrip("0") == name.lstrip("0")]
 
 
 def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) -> str:
-    """The only sequence, or the wanted one; leading zeros need not be stated.
+    """The only sequence, or the wanted one; leading zeros are optional.
 
     Raises:
         OptionError: there are several and none was chosen, or the chosen one is not there.

@@ -14,7 +14,7 @@ from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.images import ImageFile, encode_png
-from sceneloom.formats.base.losses import Loss, LossReport, Support, joined
+from sceneloom.formats.base.losses import Loss, LossReport, Support
 from sceneloom.formats.base.output import FolderKind, file_stem, replacing
 from sceneloom.formats.base.spec import as_positive
 from sceneloom.formats.nuscenes.plan import Channel, WritingPlan, unknown_fields
@@ -202,7 +202,7 @@ class _Writer:
         if count:
             loss = Loss(field=field, what=what, count=count, support=support, largest_error=error)
             known = self.losses.get((field, what, support))
-            self.losses[field, what, support] = loss if known is None else joined(known, loss)
+            self.losses[field, what, support] = loss if known is None else known.joined(loss)
 
     @contextmanager
     def _table(self, name: str) -> Iterator[_Add]:

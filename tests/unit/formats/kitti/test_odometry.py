@@ -86,7 +86,7 @@ def test_labels_can_be_left_aside_and_what_is_not_read_is_reported(root):
     assert reported["labels-aside"].count == 2
     with pytest.raises(OptionError, match=r"labels 'no'; expected one of read, skip"):
         open_scene(root, labels="no")
-    assert reported["not-read"].message == "nothing is read of voxels"
+    assert reported["not-read"].message == "voxels not read"
 
 
 def test_without_a_lidar_the_ego_is_camera_0_rotated_to_look_ahead(root):

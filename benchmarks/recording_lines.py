@@ -115,7 +115,7 @@ def check_equal(path: Path) -> None:
     theirs = read_plainly(path)
     ours = read_here(path)
     streams = {**ours.sensors, "gps": ours.gnss}
-    streams["groundTruth"] = ours.poses["groundTruth", "groundTruth"].samples
+    streams["groundTruth"] = ours.poses["groundTruth", "groundTruth"]
     assert streams.keys() | {"frames"} == theirs.keys()
     for name, stream in streams.items():
         np.testing.assert_array_equal(stream.seconds, theirs[name][0])
@@ -127,10 +127,9 @@ def check_equal(path: Path) -> None:
 def size_of(columns: RecordingColumns) -> int:
     """The length of all arrays [bytes]."""
     frames = columns.frames
-    arrays = [columns.log.codes, frames.numbers, frames.seconds, frames.lines, frames.offsets]
-    for stream in columns.streams().values():
-        arrays += [stream.seconds, stream.values]
-    arrays += [poses.lines for poses in columns.poses.values()]
+    arrays = [frames.numbers, frames.seconds, frames.lines, frames.offsets]
+    for stream in columns.streams():
+        arrays += [stream.seconds, stream.values, stream.lines]
     for camera in frames.cameras.values():
         arrays += [camera.rows, camera.seconds, camera.parameters, camera.mounts, camera.missing]
     return sum(len(numbers) * numbers.itemsize for numbers in arrays)

@@ -84,7 +84,7 @@ def entries(draw: st.DrawFn, index: int, seconds: float) -> dict[str, Any]:
         entry["cameraParameters"] = draw(camera_models())
     if draw(st.booleans()):
         entry["imuToCamera"] = draw(mounts())
-    entry |= draw(st.sampled_from([{}, {}, {"missingBitmap": True}, {"missingBitmap": False}]))
+    entry |= draw(st.sampled_from([{}, {}, {"missingBitmap": True}]))
     return {key: entry[key] for key in draw(st.permutations(list(entry)))}
 
 

@@ -254,7 +254,7 @@ def _lines_at_fault(code: str) -> Find:
     """Report the faults of a code that lines have: singly, or where a great part of all lines is so, by their kinds."""
 
     def find(subject: Subject) -> Iterator[Hit]:
-        lines = 0 if subject.recording is None else len(subject.recording.columns.log.codes)
+        lines = 0 if subject.recording is None else subject.recording.columns.count
         at_fault = sum(fault.count for fault in subject.faults if fault.code in _CODES)
         is_wholly_wrong = lines > 0 and at_fault >= _GREAT_PART * lines
         for alike in _kinds(subject.faults, code):

@@ -10,7 +10,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array
 from sceneloom.formats.base.diagnostics import PlacedFault
-from sceneloom.formats.recording.reader import RecordingContents
+from sceneloom.formats.recording.calibration import RecordingContents
 from sceneloom.scene.annotations import Annotation
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor

@@ -247,10 +247,10 @@ def _doubled(subject: Subject) -> Iterator[Hit]:
     if subject.recording is None:
         return
     lidars = subject.recording.columns.lidars
-    counts = Counter(name for lidar in lidars.values() for name in lidar.files)
+    counts = Counter(name for lidar in lidars.values() for name in lidar.texts)
     seen: dict[str, int] = {}
     for lidar in lidars.values():
-        for name, line in zip(lidar.files, lidar.lines, strict=True):
+        for name, line in zip(lidar.texts, lidar.lines, strict=True):
             if counts[name] > 1 and name in seen:
                 reported = f"lidar.dataFile: {name!r} is that of line {seen[name]}, too; expected one of its own"
                 yield Hit(f"data.jsonl: line {line}", reported)

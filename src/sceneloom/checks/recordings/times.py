@@ -16,15 +16,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.checks.faults import as_read
 from sceneloom.checks.rule import HINT, WARNING, Find, Hit, Rule, Subject
-from sceneloom.formats.recording.lines import (
-    Columns,
-    LineLog,
-    RecordingColumns,
-    is_sorted,
-    line_seconds,
-    lines_of,
-    time_order,
-)
+from sceneloom.formats.recording.lines import Columns, RecordingColumns, is_sorted, line_seconds, time_order
 from sceneloom.formats.recording.reader import RECEIVER, imu_streams, receivers
 from sceneloom.geometry.rotations import normalise_quaternion
 from sceneloom.scene.cameras import CameraSensor
@@ -72,9 +64,7 @@ class Stream:
         kind: what it is of.
         file_seconds: (N,) float64 [s], in the order of the file.
         file_values: (N, K) float64 in the order of the file; None for images and sweeps.
-        code: of the stream in `log`.
-        log: which line each sample was read from.
-        known_lines: (N,) int64, line of each in the order of the file, where that is known beforehand.
+        file_lines: (N,) int64, line of each in the order of the file; None where it cannot be reported.
         file: name of the file that it stands in.
     """
 
@@ -82,21 +72,11 @@ class Stream:
     kind: Kind
     file_seconds: Float64Array
     file_values: Float64Array | None = None
-    code: int = 0
-    log: LineLog | None = None
-    known_lines: Int64Array | None = None
+    file_lines: Int64Array | None = None
     file: str = "data.jsonl"
 
     def __len__(self) -> int:
         return len(self.file_seconds)
-
-    @cached_property
-    def file_lines(self) -> Int64Array | None:
-        """(N,) int64, line of each in the order of the file; None where it cannot be reported."""
-        if self.known_lines is not None or self.log is None:
-            return self.known_lines
-        lines = lines_of(self.log, self.code)
-        return lines if len(lines) == len(self) else None
 
     @cached_property
     def order(self) -> Int64Array:
@@ -175,36 +155,35 @@ def _frames(columns: RecordingColumns) -> Iterator[Stream]:
         there = np.asarray(camera.missing, np.int8) == 0
         rows = np.asarray(camera.rows, np.int64)[there]
         seconds = np.asarray(camera.seconds, np.float64)[there]
-        yield Stream(f"camera{index}", Kind.CAMERA, seconds, known_lines=lines[rows])
+        yield Stream(f"camera{index}", Kind.CAMERA, seconds, file_lines=lines[rows])
 
 
 def _lidars(columns: RecordingColumns) -> Iterator[Stream]:
     for index, lidar in sorted(columns.lidars.items()):
         name = f"lidar{index}" if len(columns.lidars) > 1 else "lidar"
-        seconds, lines = np.asarray(lidar.sweeps.seconds), np.asarray(lidar.lines, np.int64)
-        yield Stream(name, Kind.LIDAR, seconds, known_lines=lines)
+        yield Stream(name, Kind.LIDAR, np.asarray(lidar.seconds), file_lines=np.asarray(lidar.lines, np.int64))
 
 
 def _sensors(columns: RecordingColumns) -> Iterator[Stream]:
     for name, stream in imu_streams(columns).items():
-        yield _of_columns(name, Kind.of_sensor(name), stream, columns.log)
+        yield _of_columns(name, Kind.of_sensor(name), stream)
 
 
 def _fixes(columns: RecordingColumns) -> Iterator[Stream]:
     for name, (_, stream) in receivers(columns).items():
-        yield _of_columns("gps" if name == RECEIVER else name, Kind.GNSS, stream, columns.log)
+        yield _of_columns("gps" if name == RECEIVER else name, Kind.GNSS, stream)
 
 
 def _poses(columns: RecordingColumns) -> Iterator[Stream]:
     for (root, name), poses in columns.poses.items():
         reported = name if name == root or not root else f"{root} {name}"
-        yield _of_columns(reported, Kind.POSES, poses.samples, columns.log)
+        yield _of_columns(reported, Kind.POSES, poses)
 
 
-def _of_columns(name: str, kind: Kind, columns: Columns, log: LineLog) -> Stream:
+def _of_columns(name: str, kind: Kind, columns: Columns) -> Stream:
     seconds = np.asarray(columns.seconds, np.float64)
     values = np.asarray(columns.values, np.float64).reshape(len(seconds), columns.width)
-    return Stream(name, kind, seconds, values, columns.code, log)
+    return Stream(name, kind, seconds, values, np.asarray(columns.lines, np.int64))
 
 
 NORM_TOLERANCE = 1e-3

@@ -5,21 +5,19 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
-from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import open_file, why_no_file
-from sceneloom.formats.recording.calibration import Calibration, LidarCalibration
+from sceneloom.formats.recording.calibration import RecordingContents
 from sceneloom.formats.recording.json_faults import FARTHEST_TIME
-from sceneloom.formats.recording.lines import LidarColumns, by_time
+from sceneloom.formats.recording.lines import LIDAR_MODELS, Columns, by_time
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.poses import Poses, poses_along
+from sceneloom.scene.poses import poses_along
 from sceneloom.warnings import WarningKind
 
 XYZIRT = np.dtype(
@@ -32,48 +30,6 @@ Source: "Model: RoboSense M1 XYZIRT" of the recording format's description.
 
 _CERTAIN = 0x42
 """Times whose highest byte is below this are in order: from 0 to 2^33 s, by the sign and the exponent in it."""
-
-
-def _find_file(folder: Path, name: str, file: object, location: str) -> Path:
-    """Find the file that a `dataFile` names.
-
-    Args:
-        folder: the recording.
-        name: the `dataFile`, in which `problem_of_name` found nothing wrong.
-        file: what messages call the file that names it.
-        location: the line that names it, for messages.
-
-    Raises:
-        DataError: there is no such file, or a link leads it out of the folder.
-    """
-    try:
-        path = (folder / name).resolve()
-        inside, there = path.is_relative_to(folder.resolve()), path.is_file()
-    except (OSError, RuntimeError, ValueError) as error:
-        raise DataError(file, location, f"lidar.dataFile: {name!r} cannot be read: {error}") from error
-    if not inside:
-        raise DataError(file, location, f"lidar.dataFile: {name!r} leads out of the recording's folder by a link")
-    if not there:
-        raise DataError(file, location, f"lidar.dataFile: {name!r}: {why_no_file(path)}")
-    return path
-
-
-def _check_size(path: Path) -> int:
-    """Count the records of a file by its size.
-
-    Raises:
-        DataError: the size is no multiple of the record's 23 bytes.
-    """
-    size = path.stat().st_size
-    count, remainder = divmod(size, XYZIRT.itemsize)
-    if remainder:
-        raise DataError(
-            path,
-            f"byte {count * XYZIRT.itemsize}",
-            f"{size} bytes are {count} records of {XYZIRT.itemsize} bytes and a remainder of {remainder}; "
-            "expected whole records",
-        )
-    return count
 
 
 def read_points(path: Path) -> LidarPoints:
@@ -90,12 +46,21 @@ def read_points(path: Path) -> LidarPoints:
         DataError: the file cannot be read, is no whole number of records, or holds a time that is no time.
     """
     try:
-        count = _check_size(path)
+        count = _record_count(path)
         records = _mapped(path, count)
     except (OSError, ValueError) as error:
         raise DataError(path, "", f"cannot be read: {error}") from error
     _check_times(records, path)
     return LidarPoints.of_packed(_Records(records))
+
+
+def _record_count(path: Path) -> int:
+    count, remainder = divmod(path.stat().st_size, XYZIRT.itemsize)
+    if remainder:
+        size = f"{path.stat().st_size} bytes are {count} records of {XYZIRT.itemsize} bytes"
+        problem = f"{size} and a remainder of {remainder}; expected whole records"
+        raise DataError(path, f"byte {count * XYZIRT.itemsize}", problem)
+    return count
 
 
 def _mapped(path: Path, count: int) -> AnyArray:
@@ -160,17 +125,8 @@ def _check_times(records: AnyArray, path: Path) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SweepTable:
-    """The sweeps of one lidar in time order.
-
-    Attributes:
-        folder: the recording.
-        data_path: `data.jsonl`.
-        timestamps_ns: (N,) int64 [ns].
-        seconds: (N,) float64 [s], as the file has them.
-        files: `dataFile` of each.
-        lines: (N,) int64, number of each line.
-    """
+class _SweepTable:
+    """The sweeps of one lidar in time order: (N,) times [ns] and [s], `dataFile` and number of each line."""
 
     folder: Path
     data_path: Path
@@ -188,7 +144,20 @@ class SweepTable:
         Raises:
             DataError: there is none, or a link leads it out of the folder.
         """
-        return _find_file(self.folder, self.files[k], self.data_path, f"line {self.lines[k]}")
+        name, location = self.files[k], f"line {self.lines[k]}"
+        try:
+            path = (self.folder / name).resolve()
+            inside, there = path.is_relative_to(self.folder.resolve()), path.is_file()
+        except (OSError, RuntimeError, ValueError) as error:
+            problem = f"lidar.dataFile: {name!r} cannot be read: {error}"
+            raise DataError(self.data_path, location, problem) from error
+        if not inside:
+            problem = f"lidar.dataFile: {name!r} leads out of the recording's folder by a link"
+        elif not there:
+            problem = f"lidar.dataFile: {name!r}: {why_no_file(path)}"
+        else:
+            return path
+        raise DataError(self.data_path, location, problem)
 
     def frame(self, k: int) -> LidarFrame:
         """Read sweep `k`.
@@ -199,79 +168,48 @@ class SweepTable:
         extras = {"file_seconds": float(self.seconds[k]), "dataFile": self.files[k]}
         return LidarFrame(int(self.timestamps_ns[k]), read_points(self.file(k)), MappingProxyType(extras))
 
-    def select(self, rows: Int64Array) -> "SweepTable":
-        """Keep some of the sweeps."""
-        files = [self.files[row] for row in rows]
-        return SweepTable(
-            self.folder, self.data_path, self.timestamps_ns[rows], self.seconds[rows], files, self.lines[rows]
-        )
 
-
-def build_lidars(
-    folder: Path,
-    data_path: Path,
-    columns: dict[int, LidarColumns],
-    calibration: Calibration,
-    ego_path: Poses | None,
-    ledger: Ledger,
-) -> list[LidarSensor]:
-    """Build every lidar that a line names; a lenient reading looks for all their files at once.
-
-    Args:
-        columns: the lidars' lines by `lidarInd`.
-        ego_path: `world_from_ego` of the default trajectory, or None.
-    """
+def build_lidars(contents: RecordingContents) -> list[LidarSensor]:
+    """Build every lidar that a line names; a lenient reading looks for all their files at once."""
     sensors = []
-    for index in sorted(columns):
-        table = _usable(_table(folder, data_path, columns[index]), ledger)
-        name = f"lidar{index}" if len(columns) > 1 else "lidar"
-        entry = calibration.lidars.get(index)
-        mount = _mount(entry, name, calibration.path, ledger)
+    for index, columns in sorted(contents.columns.lidars.items()):
+        table = _sweeps(contents, columns)
+        name = f"lidar{index}" if len(contents.columns.lidars) > 1 else "lidar"
+        entry = contents.calibration.lidars.get(index)
+        if entry is not None and entry.lidar_from_imu is not None:
+            mount = entry.lidar_from_imu.inverse()
+        else:
+            location = str(contents.calibration.path) if entry is None else entry.location
+            message = f"no imuToLidar for {name!r}; it is taken to be where the IMU is, with the same axes"
+            contents.ledger.note(WarningKind.ASSUMED, "lidar-mount-identity", location, message)
+            mount = RigidTransform.identity()
+        extras = {"lidarInd": index} if entry is None else {"lidarInd": index, "calibration": entry.entry}
         sensors.append(
             LidarSensor(
                 id=name,
                 frames=LazyFrames(table.timestamps_ns, table.frame),
-                poses=poses_along(ego_path, {0: mount}, np.zeros(len(table), np.int64), table.timestamps_ns),
+                poses=poses_along(contents.ego_path, {0: mount}, np.zeros(len(table), np.int64), table.timestamps_ns),
                 mount=mount,
-                model=columns[index].model,
-                extras=MappingProxyType(_extras(index, entry)),
+                model=LIDAR_MODELS[0],
+                extras=MappingProxyType(extras),
             )
         )
     return sensors
 
 
-def _table(folder: Path, data_path: Path, columns: LidarColumns) -> SweepTable:
-    sweeps = by_time(columns.sweeps)
-    files = [columns.files[row] for row in sweeps.order]
-    lines = np.asarray(columns.lines, np.int64)[sweeps.order]
-    return SweepTable(folder, data_path, sweeps.timestamps_ns, sweeps.seconds, files, lines)
-
-
-def _usable(table: SweepTable, ledger: Ledger) -> SweepTable:
-    """Leave out sweeps whose file is missing or not whole; a strict reading finds out when it reads them."""
-    if not ledger.lenient:
+def _sweeps(contents: RecordingContents, columns: Columns) -> _SweepTable:
+    """Sweeps in time order; a lenient reading leaves out those whose file is missing or not whole."""
+    sweeps = by_time(columns)
+    files = [columns.texts[row] for row in sweeps.order]
+    table = _SweepTable(contents.folder, contents.data_path, sweeps.timestamps_ns, sweeps.seconds, files, sweeps.lines)
+    if not contents.ledger.lenient:
         return table
     rows = []
     for k in range(len(table)):
         try:
-            _check_size(table.file(k))
+            _record_count(table.file(k))
             rows.append(k)
         except DataError as error:
-            ledger.fault("unusable-lidar-files", error)
-    return table.select(np.asarray(rows, np.int64))
-
-
-def _mount(entry: LidarCalibration | None, name: str, path: Path, ledger: Ledger) -> RigidTransform:
-    if entry is not None and entry.lidar_from_imu is not None:
-        return entry.lidar_from_imu.inverse()
-    location = str(path) if entry is None else entry.location
-    message = f"no imuToLidar for {name!r}; it is taken to be where the IMU is, with the same axes"
-    ledger.note(WarningKind.ASSUMED, "lidar-mount-identity", location, message)
-    return RigidTransform.identity()
-
-
-def _extras(index: int, entry: LidarCalibration | None) -> dict[str, Any]:
-    extras: dict[str, Any] = {"lidarInd": index}
-    if entry is not None:
-        extras["calibration"] = entry.entry
-    return extras
+            contents.ledger.fault("unusable-lidar-files", error)
+    arrays = (table.timestamps_ns[rows], table.seconds[rows], [files[row] for row in rows], table.lines[rows])
+    return _SweepTable(contents.folder, contents.data_path, *arrays)

@@ -1,4 +1,4 @@
-"""Cameras of a recording: their calibration, images as videos or PNG files, and the `frames` lines that name them."""
+"""Images of a recording as videos or PNG files, and the `frames` lines that name them."""
 
 import re
 import shutil
@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -14,42 +13,19 @@ from typing import Any, NamedTuple, Protocol
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import (
-    Float32Array,
-    Int64Array,
-    UInt8Array,
-    UInt16Array,
-    check_array,
-)
-from sceneloom.cameras.camera import MODELS, Camera
-from sceneloom.cameras.fitting import nearest
-from sceneloom.errors import CalibrationError, OptionError, SceneloomError
-from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.arrays import Float32Array, Int64Array, UInt8Array, UInt16Array, check_array
+from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.formats.base.poses import field_of
 from sceneloom.formats.base.text_tables import TimeWriter
-from sceneloom.formats.recording.calibration import (
-    CameraParameters,
-    camera_model,
-    read_mount,
-    read_parameters,
-    rigid_transform,
-)
 from sceneloom.formats.recording.cameras import OWN_FIELDS, FrameNotes, choose_images, image_name
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
-from sceneloom.formats.recording.legacy import has_old_frame, with_frames
-from sceneloom.formats.recording.write_lines import (
-    FRAMES,
-    LineStream,
-    OneByOne,
-    WrittenLine,
-    main_receiver,
-    make_line,
-)
+from sceneloom.formats.recording.lines import record_keys, with_frames
+from sceneloom.formats.recording.write_calibration import CAMERA_MODEL, MOUNT, ImageParameters
+from sceneloom.formats.recording.write_lines import LineStream, make_line
 from sceneloom.formats.video.reader import VideoReader
 from sceneloom.formats.video.remux import copy_to_matroska
 from sceneloom.formats.video.writer import VideoWriter, is_lossless
-from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import (
     CameraImage,
     CameraSensor,
@@ -60,303 +36,31 @@ from sceneloom.scene.cameras import (
     VideoContent,
     shots_of,
 )
-from sceneloom.scene.clouds import LidarSensor
-from sceneloom.scene.motion import GnssSensor
-from sceneloom.scene.scene import Scene
 
+IMAGES = ("copy", "lossless", "h264", "ffv1", "png")
+"""Ways to keep images."""
 
-def matrix_entry(transform: RigidTransform) -> list[list[float]]:
-    """A transform as four rows of four numbers."""
-    rows: list[list[float]] = transform.matrix.tolist()
-    return rows
+_ENCODED_AS = {"copy": "h264", "lossless": "ffv1"}
+"""Codecs for videos that should have been copied and cannot be."""
 
+_SPELT = {"h264": "H.264", "ffv1": "FFV1, which loses nothing"}
 
-def mount_entry(mount: RigidTransform, before: Mapping[str, Any], *keys: str) -> list[list[float]]:
-    """Write a mounting: with the numbers of the entry that it was read from, where they still mean it.
+_PNG_EFFORT = 1
+"""Images of scenes shrink little more with more effort, at many times the time."""
 
-    Args:
-        mount: `ego_from_sensor`.
-        before: the entry.
-        keys: under which of its keys the matrix may stand.
-    """
-    for numbers in (before[key] for key in keys if key in before):
-        if _is_square(numbers) and _means(numbers, mount):
-            return [list(map(float, row)) for row in numbers]
-    return matrix_entry(mount.inverse())
+_EBML = b"\x1a\x45\xdf\xa3"
+"""How a Matroska file begins. Source: RFC 8794, section 11.2.1."""
 
-
-def _is_square(numbers: object) -> bool:
-    return (
-        isinstance(numbers, list)
-        and len(numbers) == len(np.eye(4))
-        and all(isinstance(row, list) and len(row) == len(numbers) for row in numbers)
-    )
-
-
-def _means(numbers: Any, mount: RigidTransform) -> bool:
-    try:
-        read = rigid_transform(numbers, "", Ledger(lenient=True)).inverse()
-    except (CalibrationError, *DECODER_FAULTS, TypeError, ValueError):
-        return False
-    return np.array_equal(read.matrix, mount.matrix)
-
-
-class _Writing(NamedTuple):
-    model: str
-    locations: tuple[int, ...]
-
-
-_CAMERA_MODELS: Mapping[str, tuple[_Writing, ...]] = {
-    "pinhole": (_Writing("pinhole", ()),),
-    "fisheye": (_Writing("kannala-brandt4", (0, 1, 2, 3)),),
-    "brown_conrady": (
-        _Writing("brown-conrady", tuple(range(8))),
-        _Writing("brown-conrady", (*range(8), *range(10, 16))),
-    ),
-    "kannala_brandt18": (_Writing("kannala-brandt18", tuple(range(18))),),
-    "omnidir": (_Writing("omnidir", tuple(range(6))),),
-}
-"""By our model: the format's name, and which of our coefficients it has, in order; the shortest list that holds all
-coefficients that are not 0 is written.
-
-Source: "Calibration format" of the recording format's description, and the models that the vendor's software knows.
-"""
-
-
-_STAND_INS: Mapping[str, tuple[str, ...]] = {
-    "brown_conrady": ("lx", "ly"),
-    "fisheye": (),
-    "omnidir": (),
-    "kannala_brandt18": (),
-}
-"""Models that other camera models are fitted to, each with the coefficients of ours that the format does not have."""
-
-
-_FARTHEST_SHARE, _LEAST_SHARE = 0.01, 0.5
-"""A camera model that is further off than this share of the image's width, in the mean square.
-
-Or holds less of the image
-than that is none that stands in for another."""
-
-
-@lru_cache(maxsize=64)
-def _holdable_camera_model(camera: Camera) -> tuple[Camera, str | None]:
-    """Give the camera model that a recording can hold: the same, or the nearest one of a model that it has.
-
-    Returns:
-        The camera model, and in words how far it is off; None where it is the same.
-
-    Raises:
-        CalibrationError: the model is unknown, or none of the format's comes near.
-    """
-    if camera.model in _CAMERA_MODELS and not _unplaced(camera):
-        return camera, None
-    if camera.model not in MODELS:
-        raise CalibrationError(f"camera model {camera.model!r}; a recording can hold {', '.join(_CAMERA_MODELS)}")
-    found = nearest(camera, _STAND_INS)
-    if found.rms_px > _FARTHEST_SHARE * camera.width or found.share < _LEAST_SHARE:
-        raise CalibrationError(
-            f"{found.message(camera)}; a recording can hold {', '.join(_CAMERA_MODELS)}: leave the camera out, or "
-            f"undistort "
-            "its images with `sceneloom edit undistort`"
-        )
-    return found.camera, found.message(camera)
-
-
-def _unplaced(camera: Camera) -> bool:
-    """Whether a coefficient is used that no list of the format holds."""
-    held = {location for row in _CAMERA_MODELS[camera.model] for location in row.locations}
-    return any(value != 0 for location, value in enumerate(camera.coefficients) if location not in held)
-
-
-def camera_model_entry(camera: Camera, *, model_key: str = "model") -> tuple[dict[str, Any], str | None]:
-    """Write a camera model.
-
-    Args:
-        camera: the camera model.
-        model_key: "model" in `calibration.json`, "distortionModel" in a line.
-
-    Returns:
-        The fields, and in words how far they are off the camera model; None where they hold it.
-
-    Raises:
-        CalibrationError: the model is unknown, or none of the format's comes near.
-    """
-    camera, how_far = _holdable_camera_model(camera)
-    used = {location for location, value in enumerate(camera.coefficients) if value != 0}
-    writing = next(row for row in _CAMERA_MODELS[camera.model] if used <= set(row.locations))
-    values = dict(enumerate(camera.coefficients))
-    fields = {
-        model_key: writing.model,
-        "distortionCoefficients": [float(values.get(location, 0.0)) for location in writing.locations],
-        "focalLengthX": float(camera.fx),
-        "focalLengthY": float(camera.fy),
-        "principalPointX": float(camera.cx),
-        "principalPointY": float(camera.cy),
-        "imageWidth": camera.width,
-        "imageHeight": camera.height,
-    }
-    return fields, how_far
-
-
-def _camera_model_losses(field: str, how_far: str | None) -> list[Loss]:
-    """Report that a camera model was fitted."""
-    return [] if how_far is None else [Loss(field=field, what=how_far, support=Support.APPROXIMATED)]
-
-
-def camera_entry(sensor: ShootingSensor, camera: Camera, mount: RigidTransform) -> tuple[dict[str, Any], list[Loss]]:
-    """Write a camera.
-
-    Args:
-        sensor: whose further fields, if it came from a recording, are written back.
-        camera: its camera model, for the images as they are written.
-        mount: `ego_from_camera`.
-
-    Raises:
-        CalibrationError: the model is unknown, or none of the format's comes near.
-    """
-    camera_model, how_far = camera_model_entry(camera)
-    losses = _camera_model_losses(f"sensors[{sensor.id}].camera", how_far)
-    before = _entry_before(sensor)
-    further = {k: v for k, v in before.items() if k not in {"imuToCameraMatrix", "distortionModel"}}
-    matrix = mount_entry(mount, before, "imuToCamera", "imuToCameraMatrix")
-    return {**further, **camera_model, "imuToCamera": matrix}, losses
-
-
-def lidar_entry(sensor: LidarSensor, index: int, mount: RigidTransform, model: str) -> dict[str, Any]:
-    """Write a lidar; `mount` is `ego_from_lidar`."""
-    before = _entry_before(sensor)
-    number = {"lidarInd": index} if index else {}
-    unwanted = {"imuToLidarMatrix", "lidarInd"} - number.keys()
-    further = {k: v for k, v in before.items() if k not in unwanted}
-    matrix = mount_entry(mount, before, "imuToLidar", "imuToLidarMatrix")
-    return {**further, "model": model, **number, "imuToLidar": matrix}
-
-
-def antenna_entry(scene: Scene, before: Mapping[str, Any]) -> dict[str, Any]:
-    """Write where the antenna of the receiver of `gps` lines sits; what a calibration stated of it before stays.
-
-    Args:
-        scene: what is written.
-        before: the root of the calibration that the scene was read with.
-    """
-    main = main_receiver([sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)])
-    mount = main[0].mount if main else None
-    return {} if mount is None or "imuToGnss" in before else {"imuToGnss": matrix_entry(mount.inverse())}
-
-
-def _entry_before(sensor: ShootingSensor | LidarSensor) -> dict[str, Any]:
-    entry = sensor.extras.get("calibration")
-    return dict(entry) if isinstance(entry, Mapping) else {}
-
-
-def cropped(camera: Camera, width: int, height: int) -> Camera:
-    """The camera model for images whose last rows and columns are cut off: nothing else changes."""
-    return replace(camera, width=width, height=height)
-
-
-_CAMERA_MODEL, _MOUNT = "cameraParameters", "imuToCamera"
-"""Fields of an entry, and extras of an image that has been read with them."""
-
-
-_NON_FINITE = Path("data.jsonl")
-
-
-class _ImageParameters:
-    """Writes what images of a camera have of their own.
-
-    Attributes:
-        losses: camera models that the format does not have.
-    """
-
-    def __init__(self, sensor: ShootingSensor, width: int, height: int) -> None:
-        """Begin.
-
-        Args:
-            sensor: the camera.
-            width: of the images as they are written [px].
-            height: likewise.
-        """
-        self.losses: list[Loss] = []
-        self._sensor, self._size = sensor, (width, height)
-        self._written: CameraParameters | None = None
-        self._last_camera_model: tuple[bytes, Camera | None] = (b"", None)
-        self._last_mount: tuple[bytes, RigidTransform | None] = (b"", None)
-
-    def fields(self, shot: Shot, kept: Mapping[str, Any]) -> dict[str, Any]:
-        """Give the camera model and the mounting of an image, as far as they are its own.
-
-        Args:
-            shot: the image.
-            kept: the fields that it was read with.
-        """
-        sensor, fields = self._sensor, dict[str, Any]()
-        if _CAMERA_MODEL in kept and self._means_camera_model(kept[_CAMERA_MODEL], shot.camera):
-            fields[_CAMERA_MODEL] = kept[_CAMERA_MODEL]
-        elif _CAMERA_MODEL in kept or shot.camera != sensor.camera:
-            written, how_far = camera_model_entry(shot.camera, model_key="distortionModel")
-            fields[_CAMERA_MODEL] = {k: v for k, v in written.items() if not k.startswith("image")}
-            self.losses += _camera_model_losses(f"{field_of(sensor)}[].camera", how_far)
-        if shot.mount is None:
-            return fields
-        if _MOUNT in kept and self._means_mount(kept[_MOUNT], shot.mount):
-            fields[_MOUNT] = kept[_MOUNT]
-        elif _MOUNT in kept or shot.mount is not sensor.mount:
-            fields[_MOUNT] = matrix_entry(shot.mount.inverse())
-        return fields
-
-    def _means_camera_model(self, words: Any, camera: Camera) -> bool:
-        text = msgspec.json.encode(words)
-        if text != self._last_camera_model[0]:
-            self._last_camera_model = text, self._camera_model_of(text)
-        stated = self._last_camera_model[1]
-        return stated is not None and _without_zeros(stated) == _without_zeros(cropped(camera, *self._size))
-
-    def _camera_model_of(self, text: bytes) -> Camera | None:
-        """What a reader of the written recording makes of it."""
-        try:
-            if self._written is None:
-                entry, _ = camera_model_entry(cropped(self._sensor.camera, *self._size))
-                self._written = msgspec.convert(entry, CameraParameters)
-            parameters = read_parameters(text, 0, path=_NON_FINITE).over(self._written)
-            return camera_model(parameters, self._size, "").resized(*self._size)
-        except (SceneloomError, msgspec.ValidationError):
-            return None
-
-    def _means_mount(self, words: Any, mount: RigidTransform) -> bool:
-        text = msgspec.json.encode(words)
-        if text != self._last_mount[0]:
-            self._last_mount = text, _mount_of(text)
-        read = self._last_mount[1]
-        return read is not None and np.array_equal(read.matrix, mount.matrix)
-
-
-def _mount_of(text: bytes) -> RigidTransform | None:
-    """What a reader makes of it; None where it would have to repair it."""
-    ledger = Ledger(lenient=True)
-    try:
-        mount = read_mount(text, 0, path=_NON_FINITE, ledger=ledger)
-    except SceneloomError:
-        return None
-    return None if ledger.warnings else mount
-
-
-def _without_zeros(camera: Camera) -> Camera:
-    """A camera without the zeros that other formats add at the end of its coefficients."""
-    count = max((k + 1 for k, value in enumerate(camera.coefficients) if value), default=0)
-    return replace(camera, coefficients=camera.coefficients[:count])
-
+_COPIED_AT_ONCE = 1 << 20
+_DEFAULT_FPS = 10.0
 
 _DEPTH_STEPS = (0.001, 0.002, 0.005, 0.01)
 """Lengths of a step that are tried, the smallest first, where the source has no steps [m]."""
 
-
 _COLOR_FORMAT = "gray16"
 """What the vendor's software calls images of 16-bit steps."""
 
-
 _LARGEST = 65535
-
 
 _OFF_STEP = 0.01
 """Share of a step that a depth may be off and still be one: float32 holds 65535 steps to 0.004 of one."""
@@ -392,273 +96,163 @@ def to_steps(depth: Float32Array, scale: float) -> _SteppedDepth:
     return _SteppedDepth(whole.astype(np.uint16), rounded, int((~holdable).sum()))
 
 
-def _common_scale(sensor: DepthCameraSensor) -> float:
-    """Find the length of a step for images that have none: the smallest one that holds the largest depth [m].
-
-    Each image is decoded and let go.
-    """
-    largest = 0.0
-    for frame in sensor.frames:
-        if frame.scale is None:
-            depth = frame.depth
-            largest = max(largest, float(depth[np.isfinite(depth)].max(initial=0.0)))
-    return next((scale for scale in _DEPTH_STEPS if round(largest / scale) <= _LARGEST), _DEPTH_STEPS[-1])
-
-
-class _DepthImages:
-    """The images of a depth camera as 16-bit steps, and what is lost by that."""
-
-    codec = "ffv1-gray16"
-
-    def __init__(self, sensor: DepthCameraSensor) -> None:
-        """Begin; no image is read."""
-        self.width, self.height = sensor.camera.width, sensor.camera.height
-        self.blank: UInt8Array | UInt16Array = np.zeros((self.height, self.width), np.uint16)
-        self.losses: list[Loss] = []
-        self._scales = _DepthScales(sensor)
-        self._field = f"sensors[{sensor.id}].frames[].depth"
-
-    def fields(self, shot: Shot) -> dict[str, Any]:
-        """Name the kind of image, and the length of its steps."""
-        return self._scales.fields(shot)
-
-    def image(self, shot: Shot) -> UInt16Array | None:
-        """Give an image in steps, (H, W) uint16; None of what is no depth image.
-
-        Raises:
-            OptionError: a step of the source has no length.
-        """
-        if not isinstance(shot, DepthFrame):
-            return None
-        depth, scale = shot.depth, self._scales.of(shot)
-        check_array("depth", depth, (self.height, self.width), np.float32)
-        found = to_steps(depth, scale)
-        self._lose(f"rounded to steps of {scale:g} m", found.rounded)
-        self._lose(f"left out: no number, negative, or beyond {_LARGEST * scale:g} m", found.beyond)
-        return found.steps
-
-    def _lose(self, what: str, count: int) -> None:
-        if count:
-            self.losses.append(Loss(field=self._field, what=what, count=count))
-
-
-class _DepthScales:
-    """The length of a step of each image of a camera: its own, else one that suits them all."""
-
-    def __init__(self, sensor: DepthCameraSensor) -> None:
-        """Begin; images are looked through when the first asks that has no step of its own."""
-        self._sensor = sensor
-        self._common: float | None = None
-
-    def of(self, frame: DepthFrame) -> float:
-        """Give the length of an image's steps [m].
-
-        Raises:
-            OptionError: it is no length.
-        """
-        if frame.scale is None:
-            if self._common is None:
-                self._common = _common_scale(self._sensor)
-            return self._common
-        if not 0 < frame.scale < np.inf:
-            location = f"depth camera {self._sensor.id!r}: image at {frame.timestamp_ns} ns"
-            raise OptionError(f"{location}: scale {frame.scale}; expected a length in metres")
-        return frame.scale
-
-    def fields(self, shot: Shot) -> dict[str, Any]:
-        """Name the kind of image, and the length of its steps."""
-        if not isinstance(shot, DepthFrame):
-            return {}
-        return {"colorFormat": shot.extras.get("colorFormat", _COLOR_FORMAT), "depthScale": self.of(shot)}
-
-
-IMAGES = ("copy", "lossless", "h264", "ffv1", "png")
-"""Ways to keep images."""
-
-
-_ENCODED_AS = {"copy": "h264", "lossless": "ffv1"}
-"""Codecs for videos that should have been copied and cannot be."""
-
-
-_SPELT = {"h264": "H.264", "ffv1": "FFV1, which loses nothing"}
-
-
-_PNG_EFFORT = 1
-"""Images of scenes shrink little more with more effort, at many times the time."""
-
-
-_EBML = b"\x1a\x45\xdf\xa3"
-"""How a Matroska file begins. Source: RFC 8794, section 11.2.1."""
-
-
-_COPIED_AT_ONCE = 1 << 20
-
-
-class ImageSink(Protocol):
-    """Takes the images of one camera, one per `frames` line."""
-
-    width: int
-    height: int
-    losses: list[Loss]
-
-    def fields(self, shot: Shot) -> dict[str, Any]:
-        """Give what the entry of an image has to report it that it can be read."""
-        ...
-
-    def add(self, shot: Shot | None, timestamp_ns: int) -> None:
-        """Take an image; None for a line in which the camera has none."""
-        ...
-
-    def close(self) -> None:
-        """Finish."""
-        ...
-
-    def abandon(self) -> None:
-        """Let go of what is not finished."""
-        ...
-
-
-class _CopiedVideo:
-    """The camera's own video, copied as it is or packet by packet, before the first line is written."""
-
-    def __init__(self, sensor: ShootingSensor) -> None:
-        self.width, self.height = sensor.camera.width, sensor.camera.height
-        self.losses: list[Loss] = []
-        self._scales = _DepthScales(sensor) if isinstance(sensor, DepthCameraSensor) else None
-
-    def fields(self, shot: Shot) -> dict[str, Any]:
-        """Name the kind of a depth image, and the length of its steps."""
-        return {} if self._scales is None else self._scales.fields(shot)
-
-    def add(self, shot: Shot | None, timestamp_ns: int) -> None:
-        """Take nothing: the image is there already."""
-
-    def close(self) -> None:
-        """Do nothing."""
-
-    def abandon(self) -> None:
-        """Do nothing."""
-
-
-class _Images(Protocol):
-    """Makes the images of one camera as a video takes them.
+class _Pixels(Protocol):
+    """Makes the images of one camera as they are encoded.
 
     Attributes:
-        codec: of the video, as `VideoWriter` calls it.
-        width, height: of the video [px].
-        blank: (height, width, 3) or (height, width), what a line before the first image gets.
-        losses: what the video cannot hold, added to as images are made.
+        width, height: as they are encoded [px].
+        blank: what a line before the first image gets.
+        losses: what cannot be held, added to as images are made.
     """
 
-    codec: str
     width: int
     height: int
     blank: UInt8Array | UInt16Array
     losses: list[Loss]
 
     def fields(self, shot: Shot) -> dict[str, Any]:
-        """Give what the entry of an image has to report it that it can be read."""
+        """What the entry of an image has to report so that it can be read."""
         ...
 
-    def image(self, shot: Shot) -> UInt8Array | UInt16Array | None:
-        """Give what is encoded, of the shape of `blank`; None of what is none of this camera's."""
+    def of(self, shot: Shot) -> UInt8Array | UInt16Array | None:
+        """What is encoded, of the shape of `blank`; None of what is no image of this camera."""
         ...
 
 
-class _ColorImages:
+class _ColorPixels:
     """The images of a camera; those of an odd size lose their last line or column in H.264."""
 
     def __init__(self, sensor: CameraSensor, codec: str) -> None:
-        """Begin; no image is read."""
-        camera, self.codec = sensor.camera, codec
-        lossy = codec == "h264"
-        cut = 2 if lossy else 1
-        self.width, self.height = camera.width - camera.width % cut, camera.height - camera.height % cut
-        self.blank: UInt8Array | UInt16Array = np.broadcast_to(np.uint8(0), (self.height, self.width, 3))
-        self.losses = _encoding_losses(sensor, (self.width, self.height)) if lossy else []
+        camera = sensor.camera
+        self.width, self.height = camera.width, camera.height
+        self.losses: list[Loss] = []
         self._full = (camera.height, camera.width, 3)
+        if codec == "h264":
+            self.width, self.height = camera.width - camera.width % 2, camera.height - camera.height % 2
+            field, count = f"sensors[{sensor.id}].images[].rgb", len(sensor.images)
+            what = "encoded as H.264, which changes colours a little"
+            self.losses.append(Loss(field=field, what=what, count=count, support=Support.APPROXIMATED))
+            if (self.width, self.height) != (camera.width, camera.height):
+                sizes = f"{camera.width}x{camera.height} to {self.width}x{self.height}"
+                self.losses.append(Loss(field=field, what=f"cut from {sizes}: H.264 needs even sizes", count=count))
+        self.blank: UInt8Array | UInt16Array = np.broadcast_to(np.uint8(0), (self.height, self.width, 3))
 
-    def fields(self, shot: Shot) -> dict[str, Any]:  # noqa: ARG002 - a video says what it is
-        """Give nothing."""
+    def fields(self, shot: Shot) -> dict[str, Any]:  # noqa: ARG002 - colours say what they are
         return {}
 
-    def image(self, shot: Shot) -> UInt8Array | None:
-        """Give an image, (height, width, 3), cut to the size of the video; None of what is no image."""
+    def of(self, shot: Shot) -> UInt8Array | None:
         if not isinstance(shot, CameraImage):
             return None
         rgb = shot.rgb
-        check_array(_of_one_size(shot), rgb, self._full, np.uint8)
+        name = f"the image at {shot.timestamp_ns} ns (a recording's camera has images of one size)"
+        check_array(name, rgb, self._full, np.uint8)
         return rgb[: self.height, : self.width]
 
 
-def _of_one_size(image: CameraImage) -> str:
-    """What a message calls an image of another size."""
-    return f"the image at {image.timestamp_ns} ns (a recording's camera has images of one size)"
+class _DepthPixels:
+    """The images of a depth camera as 16-bit steps, of their own length or else of one that suits them all."""
 
-
-class _EncodedVideo:
-    """Images encoded anew; a line without one gets the image before."""
-
-    def __init__(self, images: _Images, path: Path, fps: float) -> None:
-        """Start the file."""
-        self.width, self.height, self.losses = images.width, images.height, images.losses
-        self.fields = images.fields
-        self._images, self._last = images, images.blank
-        self._last_ns: int | None = None
-        self._writer = VideoWriter(path, self.width, self.height, fps, codec=images.codec)
-
-    def add(self, shot: Shot | None, timestamp_ns: int) -> None:
-        """Encode an image."""
-        image = None if shot is None else self._images.image(shot)
-        self._last = self._last if image is None else image
-        # the time of a line without an image can be before that of an image whose entry has a time of its own
-        self._last_ns = timestamp_ns if self._last_ns is None else max(timestamp_ns, self._last_ns)
-        self._writer.add(self._last, self._last_ns / 1e9)
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._writer.close()
-
-    def abandon(self) -> None:
-        """Close the file."""
-        with suppress(SceneloomError):
-            self._writer.close()
-
-
-class _PngImages:
-    """Images as numbered PNG files; a line without one gets the image before."""
-
-    def __init__(self, sensor: CameraSensor, folder: Path) -> None:
-        """Make the folder."""
+    def __init__(self, sensor: DepthCameraSensor) -> None:
         self.width, self.height = sensor.camera.width, sensor.camera.height
-        rate = Loss(field=f"sensors[{sensor.id}].fps", what="left out: files have no rate")
-        self.losses: list[Loss] = [rate] if sensor.fps else []
+        self.blank: UInt8Array | UInt16Array = np.zeros((self.height, self.width), np.uint16)
+        self.losses: list[Loss] = []
+        self._sensor = sensor
+        self._common_scale: float | None = None
+
+    def fields(self, shot: Shot) -> dict[str, Any]:
+        if not isinstance(shot, DepthFrame):
+            return {}
+        return {"colorFormat": shot.extras.get("colorFormat", _COLOR_FORMAT), "depthScale": self._scale(shot)}
+
+    def of(self, shot: Shot) -> UInt16Array | None:
+        if not isinstance(shot, DepthFrame):
+            return None
+        depth, scale = shot.depth, self._scale(shot)
+        check_array("depth", depth, (self.height, self.width), np.float32)
+        found = to_steps(depth, scale)
+        counts = {
+            f"rounded to steps of {scale:g} m": found.rounded,
+            f"left out: no number, negative, or beyond {_LARGEST * scale:g} m": found.beyond,
+        }
+        field = f"sensors[{self._sensor.id}].frames[].depth"
+        self.losses += [Loss(field=field, what=what, count=count) for what, count in counts.items() if count]
+        return found.steps
+
+    def _scale(self, frame: DepthFrame) -> float:
+        """The length of an image's steps [m].
+
+        Raises:
+            OptionError: it is no length.
+        """
+        if frame.scale is None:
+            if self._common_scale is None:
+                self._common_scale = self._find_common_scale()
+            return self._common_scale
+        if not 0 < frame.scale < np.inf:
+            location = f"depth camera {self._sensor.id!r}: image at {frame.timestamp_ns} ns"
+            raise OptionError(f"{location}: scale {frame.scale}; expected a length in metres")
+        return frame.scale
+
+    def _find_common_scale(self) -> float:
+        """The smallest step that holds the largest depth [m]; each image is decoded and let go."""
+        largest = 0.0
+        for frame in self._sensor.frames:
+            if frame.scale is None:
+                depth = frame.depth
+                largest = max(largest, float(depth[np.isfinite(depth)].max(initial=0.0)))
+        return next((scale for scale in _DEPTH_STEPS if round(largest / scale) <= _LARGEST), _DEPTH_STEPS[-1])
+
+
+class _PngWriter:
+    """Writes images as numbered PNG files."""
+
+    def __init__(self, folder: Path) -> None:
         folder.mkdir()
-        self._folder = folder
-        self._count = 0
-        self._last: UInt8Array = np.broadcast_to(np.uint8(0), (self.height, self.width, 3))
+        self._folder, self._count = folder, 0
 
-    def fields(self, shot: Shot) -> dict[str, Any]:  # noqa: ARG002 - an image says what it is
-        """Give nothing."""
-        return {}
-
-    def add(self, shot: Shot | None, timestamp_ns: int) -> None:  # noqa: ARG002 - the files have no times
-        """Write an image."""
-        if isinstance(shot, CameraImage):
-            rgb = shot.rgb
-            check_array(_of_one_size(shot), rgb, (self.height, self.width, 3), np.uint8)
-            self._last = rgb
+    def add(self, image: UInt8Array | UInt16Array, timestamp_seconds: float | None = None) -> None:  # noqa: ARG002
         from PIL import Image
 
-        image = Image.fromarray(np.ascontiguousarray(self._last))
-        image.save(self._folder / image_name(self._count), compress_level=_PNG_EFFORT)
+        file = self._folder / image_name(self._count)
+        Image.fromarray(np.ascontiguousarray(image)).save(file, compress_level=_PNG_EFFORT)
         self._count += 1
 
     def close(self) -> None:
         """Do nothing: every file is whole."""
 
+
+class ImageSink:
+    """Takes the images of one camera, one per `frames` line; a line without one gets the image before.
+
+    Attributes:
+        width, height: of the images as they are written [px].
+        losses: what could not be written.
+    """
+
+    def __init__(self, pixels: _Pixels, writer: VideoWriter | _PngWriter | None) -> None:
+        """Begin; there is no writer for a video that is copied, which is there already."""
+        self.width, self.height, self.losses, self.fields = pixels.width, pixels.height, pixels.losses, pixels.fields
+        self._pixels, self._writer, self._last, self._last_ns = pixels, writer, pixels.blank, -(2**63)
+
+    def add(self, shot: Shot | None, timestamp_ns: int) -> None:
+        """Take an image; None for a line in which the camera has none."""
+        if self._writer is None:
+            return
+        image = None if shot is None else self._pixels.of(shot)
+        self._last = self._last if image is None else image
+        # the time of a line without an image can be before that of an image whose entry has a time of its own
+        self._last_ns = max(timestamp_ns, self._last_ns)
+        self._writer.add(self._last, self._last_ns / 1e9)
+
+    def close(self) -> None:
+        """Finish the files."""
+        if self._writer is not None:
+            self._writer.close()
+
     def abandon(self) -> None:
-        """Do nothing."""
+        """Close what is not finished."""
+        with suppress(SceneloomError):
+            self.close()
 
 
 def open_sink(sensor: ShootingSensor, folder: Path, index: int, rows: Int64Array, *, images: str) -> ImageSink:
@@ -676,31 +270,36 @@ def open_sink(sensor: ShootingSensor, folder: Path, index: int, rows: Int64Array
     """
     path = folder / f"data{index + 1 if index else ''}.mkv"
     if isinstance(sensor, DepthCameraSensor):
-        copied = _copied(sensor, path, rows, codecs=("ffv1",)) and _all_stepped(sensor)
-        return _CopiedVideo(sensor) if copied else _EncodedVideo(_DepthImages(sensor), path, _frame_rate(sensor))
+        depth = _DepthPixels(sensor)
+        if _copied(sensor, path, rows, codecs=("ffv1",)) and all(frame.scale is not None for frame in sensor.frames):
+            return ImageSink(depth, None)
+        return ImageSink(depth, VideoWriter(path, depth.width, depth.height, _fps(sensor), codec="ffv1-gray16"))
     if images == "png":
-        return _PngImages(sensor, folder / f"frames{index + 1}")
+        sink = ImageSink(_ColorPixels(sensor, "png"), _PngWriter(folder / f"frames{index + 1}"))
+        if sensor.fps:
+            sink.losses.append(Loss(field=f"sensors[{sensor.id}].fps", what="left out: files have no rate"))
+        return sink
     if _copied(sensor, path, rows, codecs=None if images in _ENCODED_AS else (images,)):
-        return _CopiedVideo(sensor)
+        return ImageSink(_ColorPixels(sensor, "copy"), None)
     codec = _ENCODED_AS.get(images, images)
     if images == "copy" and sensor.video is not None and is_lossless(sensor.video.codec):
         codec = "ffv1"
-    encoded = _EncodedVideo(_ColorImages(sensor, codec), path, _frame_rate(sensor))
+    pixels = _ColorPixels(sensor, codec)
+    sink = ImageSink(pixels, VideoWriter(path, pixels.width, pixels.height, _fps(sensor), codec=codec))
     if sensor.video is not None and images in {*_ENCODED_AS, sensor.video.codec}:
         what = f"encoded anew as {_SPELT[codec]}: the video could not be copied for these images alone"
         field = f"sensors[{sensor.id}].video"
-        encoded.losses.append(Loss(field=field, what=what, support=Support.APPROXIMATED))
-    return encoded
+        sink.losses.append(Loss(field=field, what=what, support=Support.APPROXIMATED))
+    return sink
 
 
-def _encoding_losses(sensor: CameraSensor, size: tuple[int, int]) -> list[Loss]:
-    field, count, camera = f"sensors[{sensor.id}].images[].rgb", len(sensor.images), sensor.camera
-    what = "encoded as H.264, which changes colours a little"
-    losses = [Loss(field=field, what=what, count=count, support=Support.APPROXIMATED)]
-    if size != (camera.width, camera.height):
-        what = f"cut from {camera.width}x{camera.height} to {size[0]}x{size[1]}: H.264 needs even sizes"
-        losses.append(Loss(field=field, what=what, count=count))
-    return losses
+def _fps(sensor: ShootingSensor) -> float:
+    """Nominal images a second."""
+    timestamps = shots_of(sensor).timestamps_ns
+    if sensor.fps:
+        return sensor.fps
+    span = (int(timestamps[-1]) - int(timestamps[0])) * 1e-9 if len(timestamps) > 1 else 0.0
+    return (len(timestamps) - 1) / span if span > 0 else _DEFAULT_FPS
 
 
 def _copied(sensor: ShootingSensor, path: Path, rows: Int64Array, *, codecs: tuple[str, ...] | None) -> bool:
@@ -754,20 +353,10 @@ def _is_matroska(video: VideoContent, count: int, name: str) -> bool:
         return reader.index.timed and reader.index.hidden == 0 and reader.count == count
 
 
-def _all_stepped(sensor: DepthCameraSensor) -> bool:
-    """Whether the source says of each image how long its steps are."""
-    return all(frame.scale is not None for frame in sensor.frames)
-
-
 _DEFAULT_PERIOD_NS = 100_000_000
-
 
 _ROUNDED_NS = 500
 """Scene files in microseconds round times by so much [ns]; the lines that images belong to stay the same."""
-
-
-_decode = msgspec.json.Decoder(dict[str, Any]).decode
-
 
 _Key = tuple[int, float, int, int]
 """Time of a line [ns] and [s], its number, and how many lines of these come before it."""
@@ -803,16 +392,23 @@ def image_rows(sensors: Sequence[ShootingSensor], notes: FrameNotes | None) -> I
     """
     if not sensors:
         return ImageRows(np.zeros((0, 0), np.int64))
-    found = _as_read(sensors, notes) if notes is not None and notes.own else None
-    if found is None:
-        found = ImageRows(group_images([shots_of(sensor).timestamps_ns for sensor in sensors]))
+    rows = _as_read(sensors, notes) if notes is not None and notes.own else None
+    if rows is None:
+        rows = ImageRows(group_images([shots_of(sensor).timestamps_ns for sensor in sensors]))
     if notes is None:
-        return found
-    untouched = len(found.images) == notes.count
-    first = notes.first if untouched and notes.first is not None else 0
-    numbers = _numbers_as_read(sensors, found) if untouched and notes.first is None else None
-    losses = _losses(found, notes, counted_anew=untouched and notes.first is None and numbers is None)
-    return ImageRows(found.images, found.seconds, found.lines, first, numbers, losses)
+        return rows
+    losses, count, numbers, first = list[Loss](), len(rows.images), None, 0
+    if count == notes.count and notes.first is not None:
+        first = notes.first
+    elif count == notes.count:
+        numbers = _numbers_as_read(sensors, rows)
+        if numbers is None:
+            what = "counted from 0: they did not grow from line to line, and would mean other images"
+            losses.append(Loss(field="frames[].number", what=what, count=count, support=Support.KEPT))
+    if notes.own and rows.seconds is None:
+        what = "put together anew by the times of their images, which are not those that were read"
+        losses.append(Loss(field="frames", what=what, count=count, support=Support.KEPT))
+    return replace(rows, first=first, numbers=numbers, losses=losses)
 
 
 def _numbers_as_read(sensors: Sequence[ShootingSensor], rows: ImageRows) -> list[int] | None:
@@ -829,17 +425,6 @@ def _numbers_as_read(sensors: Sequence[ShootingSensor], rows: ImageRows) -> list
         numbers.append(known[0])
     found = choose_images(np.array(numbers, np.int64), len(numbers)).indices
     return numbers if np.array_equal(found, np.arange(len(numbers))) else None
-
-
-def _losses(rows: ImageRows, notes: FrameNotes, *, counted_anew: bool) -> list[Loss]:
-    losses, count = list[Loss](), len(rows.images)
-    if counted_anew:
-        what = "counted from 0: they did not grow from line to line, and would mean other images"
-        losses.append(Loss(field="frames[].number", what=what, count=count, support=Support.KEPT))
-    if notes.own and rows.seconds is None:
-        what = "put together anew by the times of their images, which are not those that were read"
-        losses.append(Loss(field="frames", what=what, count=count, support=Support.KEPT))
-    return losses
 
 
 def group_images(timestamps: Sequence[Int64Array]) -> Int64Array:
@@ -893,7 +478,7 @@ def _as_read(sensors: Sequence[ShootingSensor], notes: FrameNotes) -> ImageRows 
             seen[line] += 1
     lines = _kept_lines(notes.texts)
     if len(members.keys() | lines.keys()) == notes.count:
-        # nothing was cut: lines without any image have their locations
+        # nothing was cut: lines without any image have their places
         members = {key: members.get(key) or [-1] * len(sensors) for key in [*members, *lines]}
     keys = sorted(members)
     return ImageRows(
@@ -905,12 +490,10 @@ def _as_read(sensors: Sequence[ShootingSensor], notes: FrameNotes) -> ImageRows 
 
 def _line_of(shot: Shot) -> tuple[int, float, int] | None:
     seconds, number = shot.extras.get("file_seconds"), shot.extras.get("number")
-    if not isinstance(seconds, float) or type(number) is not int or not isfinite(seconds):
-        return None
-    if abs(round(seconds * 1e9) - shot.timestamp_ns) > _ROUNDED_NS:
-        return None
     own = shot.extras.get("line_seconds", seconds)
-    if not isinstance(own, float) or not isfinite(own):
+    if not (isinstance(seconds, float) and isfinite(seconds) and type(number) is int):
+        return None
+    if not (isinstance(own, float) and isfinite(own)) or abs(round(seconds * 1e9) - shot.timestamp_ns) > _ROUNDED_NS:
         return None
     return round(own * 1e9), own, number
 
@@ -920,43 +503,34 @@ def _kept_lines(texts: Sequence[str]) -> dict[_Key, Mapping[str, Any]]:
     seen = Counter[tuple[int, float, int]]()
     for text in texts:
         try:
-            line = _decode(text)
-            content = with_frames(line) if has_old_frame(line) else line
+            content = with_frames(msgspec.json.decode(text, type=dict[str, Any]))
             seconds, number = float(content["time"]), int(content["number"])
             timestamp, known = round(seconds * 1e9), [entry["cameraInd"] for entry in content["frames"]]
+            elsewhere = record_keys(content) - {"frames"}
         except (*DECODER_FAULTS, KeyError, TypeError, ValueError, OverflowError):
             continue
         if all(type(index) is int for index in known):
             key = (timestamp, seconds, number)
-            lines[(*key, seen[key])] = content
+            lines[(*key, seen[key])] = {k: v for k, v in content.items() if k not in elsewhere}
             seen[key] += 1
     return lines
 
 
-_OWN_EXTRAS = OWN_FIELDS | {_CAMERA_MODEL, _MOUNT}
+_OWN_EXTRAS = OWN_FIELDS | {CAMERA_MODEL, MOUNT}
 """Extras of an image that its line is made from anew."""
-
 
 _OWN_DEPTH_EXTRAS = frozenset({"colorFormat", "depthScale"})
 """Those of a depth image that are reported by how it is written."""
 
-
 _FORMATS_WORDS = {"exposureTimeSeconds"}
 """Extras that mean the same whatever a scene was read from: words of the recording format that the model took over."""
 
-
 _OWN_KEYS = {"frames", "number", "time"}
-
-
 _CAMERA = re.compile(r"camera(\d+)")
 
 
 class FrameLines:
-    """Makes the `frames` lines, and hands each image to the sink of its camera on the way.
-
-    Attributes:
-        losses: what could not be written.
-    """
+    """Makes the `frames` lines, and hands each image to the sink of its camera on the way."""
 
     def __init__(
         self,
@@ -974,15 +548,15 @@ class FrameLines:
             sinks: where the images of each go.
             rows: which image of each camera each line has.
             times: writes the times.
-            keep_extras: whether further fields of images are a recording's own, to be written back.
+            keep_extras: whether unknown fields of images are a recording's own, to be written back.
         """
         self._losses: list[Loss] = list(rows.losses)
         self._sensors, self._sinks, self._rows, self._times = sensors, sinks, rows, times
         self._keep_extras = keep_extras
-        self._read_as = [_index_before(sensor, location) for location, sensor in enumerate(sensors)]
-        self._parameters = [
-            _ImageParameters(sensor, sink.width, sink.height) for sensor, sink in zip(sensors, sinks, strict=False)
-        ]
+        matches = [_CAMERA.fullmatch(str(sensor.id)) for sensor in sensors]
+        self._read_as = [index if match is None else int(match[1]) for index, match in enumerate(matches)]
+        pairs = zip(sensors, sinks, strict=False)
+        self._parameters = [ImageParameters(sensor, sink.width, sink.height) for sensor, sink in pairs]
         self._not_listed = 0
 
     @property
@@ -996,35 +570,34 @@ class FrameLines:
         """The lines, each made after its images were handed on."""
         images, seconds = self._rows.images, self._rows.seconds
         if seconds is not None:
-            return OneByOne(np.array([round(time * 1e9) for time in seconds], np.int64), self._lines(), FRAMES)
-        timestamps = np.full(images.shape, np.iinfo(np.int64).max)
+            return LineStream(np.array([round(time * 1e9) for time in seconds], np.int64), self._lines())
+        latest = np.iinfo(np.int64).max
+        timestamps = np.full(images.shape, latest)
         for column, sensor in enumerate(self._sensors):
             there = images[:, column] >= 0
             timestamps[there, column] = shots_of(sensor).timestamps_ns[images[there, column]]
-        return OneByOne(timestamps.min(axis=1, initial=np.iinfo(np.int64).max), self._lines(), FRAMES)
+        return LineStream(timestamps.min(axis=1, initial=latest), self._lines())
 
-    def _lines(self) -> Iterator[WrittenLine]:
+    def _lines(self) -> Iterator[str]:
         seconds, numbers = self._rows.seconds, self._rows.numbers
-        for location, row in enumerate(self._rows.images.tolist()):
-            pairs = zip(self._sensors, row, strict=True)
+        for row, images in enumerate(self._rows.images.tolist()):
+            pairs = zip(self._sensors, images, strict=True)
             shots: list[Shot | None] = [shots_of(sensor)[k] if k >= 0 else None for sensor, k in pairs]
             first = min((shot for shot in shots if shot is not None), key=_time, default=None)
-            if first is not None and seconds is None:
-                timestamp, reported = first.timestamp_ns, first.extras.get("file_seconds")
-            else:
-                reported = 0.0 if seconds is None else seconds[location]
-                timestamp = round(reported * 1e9)
-            kept = self._rows.lines.get(location)
-            time = (timestamp, reported) if first is None else (first.timestamp_ns, first.extras.get("file_seconds"))
-            entries = [self._entry(c, shot, time, kept) for c, shot in enumerate(shots)]
+            kept = self._rows.lines.get(row)
+            of_line = None if seconds is None else (round(seconds[row] * 1e9), seconds[row])
+            of_first = None if first is None else (first.timestamp_ns, first.extras.get("file_seconds"))
+            entries = [self._entry(c, shot, of_first or of_line or (0, 0.0), kept) for c, shot in enumerate(shots)]
             fields = {
                 **self._beside(first, kept),
                 "frames": [entry for entry in entries if entry is not None],
-                "number": self._rows.first + location if numbers is None else numbers[location],
+                "number": self._rows.first + row if numbers is None else numbers[row],
             }
-            yield make_line(fields, timestamp, self._times, reported)
+            timestamp_ns, reported = of_line or of_first or (0, 0.0)
+            yield make_line(fields, timestamp_ns, self._times, reported)
 
     def _beside(self, first: Shot | None, kept: Mapping[str, Any] | None) -> Mapping[str, Any]:
+        """What the line states beside its images."""
         if kept is not None:
             return {key: value for key, value in kept.items() if key not in _OWN_KEYS}
         beside = first.extras.get("line", {}) if first is not None and self._keep_extras else {}
@@ -1033,32 +606,22 @@ class FrameLines:
     def _entry(
         self, index: int, shot: Shot | None, time: tuple[int, float | None], kept: Mapping[str, Any] | None
     ) -> dict[str, Any] | None:
-        """Make the entry of a camera; None for a camera that the line did not list."""
+        """The entry of a camera; None for a camera that the line did not list."""
         sink = self._sinks[index]
-        if shot is None:
-            sink.add(None, time[0])
-            return self._without_image(index, time, kept)
-        sink.add(shot, shot.timestamp_ns)
-        entry = {
-            "cameraInd": index,
-            "time": self._times.raw(shot.timestamp_ns, shot.extras.get("file_seconds")),
-        }
-        before = shot.extras if self._keep_extras else {}
-        own = {**sink.fields(shot), **self._parameters[index].fields(shot, before)}
-        return {**self._extras(index, shot), **entry, **own}
-
-    def _without_image(
-        self, index: int, time: tuple[int, float | None], kept: Mapping[str, Any] | None
-    ) -> dict[str, Any] | None:
-        listed = kept["frames"] if kept is not None else [{"cameraInd": self._read_as[index]}]
-        before = next((entry for entry in listed if entry["cameraInd"] == self._read_as[index]), None)
+        sink.add(shot, time[0] if shot is None else shot.timestamp_ns)
+        if shot is not None:
+            seconds = self._times.raw(shot.timestamp_ns, shot.extras.get("file_seconds"))
+            own = self._parameters[index].fields(shot, shot.extras if self._keep_extras else {})
+            return {**self._extras(index, shot), "cameraInd": index, "time": seconds, **sink.fields(shot), **own}
+        read_as = self._read_as[index]
+        listed = kept["frames"] if kept is not None else [{"cameraInd": read_as}]
+        before = next((entry for entry in listed if entry["cameraInd"] == read_as), None)
         if before is None:
             self._not_listed += 1
             return None
         own = before if before.get("missingBitmap") is True else {}
-        known = own.get("time")
-        seconds = self._times.raw(*time) if known is None else known
-        return {**own, "cameraInd": index, "time": seconds, "missingBitmap": True}
+        own_time = self._times.raw(*time) if own.get("time") is None else own["time"]
+        return {**own, "cameraInd": index, "time": own_time, "missingBitmap": True}
 
     def _extras(self, index: int, shot: Shot) -> dict[str, Any]:
         own = _OWN_EXTRAS | (_OWN_DEPTH_EXTRAS if isinstance(shot, DepthFrame) else frozenset())
@@ -1067,31 +630,11 @@ class FrameLines:
             hidden = shot.extras.get("entry", {})
             return {**further, **hidden} if isinstance(hidden, Mapping) else further
         for name in [name for name in further if name not in _FORMATS_WORDS]:
-            self._lose(f"{field_of(self._sensors[index])}[].{name}", "left out: the format has none", 1)
+            field = f"{field_of(self._sensors[index])}[].{name}"
+            self._losses.append(Loss(field=field, what="left out: the format has none"))
         return {name: value for name, value in further.items() if name in _FORMATS_WORDS}
-
-    def _lose(self, field: str, what: str, count: int) -> None:
-        self._losses.append(Loss(field=field, what=what, count=count))
-
-
-def _index_before(sensor: ShootingSensor, location: int) -> int:
-    """The `cameraInd` that a camera was read with."""
-    found = _CAMERA.fullmatch(str(sensor.id))
-    return int(found[1]) if found else location
 
 
 def _time(shot: Shot) -> tuple[int, float]:
     seconds = shot.extras.get("file_seconds")
     return shot.timestamp_ns, shot.timestamp_ns / 1e9 if seconds is None else seconds
-
-
-_DEFAULT_FPS = 10.0
-
-
-def _frame_rate(sensor: ShootingSensor) -> float:
-    """Nominal images a second."""
-    timestamps = shots_of(sensor).timestamps_ns
-    if sensor.fps:
-        return sensor.fps
-    span = (int(timestamps[-1]) - int(timestamps[0])) * 1e-9 if len(timestamps) > 1 else 0.0
-    return (len(timestamps) - 1) / span if span > 0 else _DEFAULT_FPS

@@ -14,7 +14,7 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import mounting
 from sceneloom.formats.recording.calibration import rigid_transform
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.formats.recording.write_images import (
+from sceneloom.formats.recording.write_calibration import (
     camera_entry,
     camera_model_entry,
     matrix_entry,

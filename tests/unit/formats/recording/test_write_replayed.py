@@ -65,7 +65,7 @@ CASES = {
     "times of the IMU": (
         (a_camera(timestamps=times(3, start_ms=1)), an_imu(*BOTH)),
         {
-            "images have the very times of IMU samples, which makes the vendor's diagnosis suspect that their times "
+            "images have exactly the times of IMU samples, which makes the vendor's diagnosis suspect that their times "
             "were not measured; they are written as they are": 3
         },
     ),

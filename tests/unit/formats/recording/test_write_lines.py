@@ -1,14 +1,20 @@
 """Blocks of numbers and times become the text that they become one by one; lines of many streams come in order."""
 
 from decimal import Decimal
-from itertools import pairwise
 
 import msgspec
 import numpy as np
 import pytest
 
-from sceneloom.formats.base.text_tables import TimeWriter, exact_seconds, number_texts, seconds_texts
-from sceneloom.formats.recording.write_lines import OneByOne, WrittenLine, merged_lines, row_texts
+from sceneloom.formats.base.text_tables import (
+    TimeWriter,
+    exact_seconds,
+    means,
+    number_texts,
+    seconds_text,
+    seconds_texts,
+)
+from sceneloom.formats.recording.write_lines import LineStream, merged_lines, row_texts
 
 SPANS = {
     "around zero": (-(10**7), 10**7),
@@ -71,42 +77,64 @@ def test_numbers_are_read_as_they_were():
     assert number_texts(np.zeros(0)) == row_texts(np.zeros((0, 3))) == []
 
 
-def a_stream(name, pairs, asked=None):
-    """Lines that state their stream, their time and their number."""
+@pytest.mark.parametrize(
+    ("timestamp_ns", "text"),
+    [
+        (0, "0.0"),
+        (1, "0.000000001"),
+        (-1, "-0.000000001"),
+        (100_000_000, "0.1"),
+        (-1_500_000_000, "-1.5"),
+        (1_444_770_263, "1.444770263"),
+        (1_700_000_000_123_456_789, "1700000000.123456789"),
+        (7_000_000_000, "7.0"),
+    ],
+)
+def test_a_time_is_written_with_as_many_digits_as_it_has(timestamp_ns, text):
+    assert seconds_text(timestamp_ns) == text
+    assert Decimal(text) * 10**9 == timestamp_ns
+
+
+@pytest.mark.parametrize("seconds", [1.444770263671875, 0.1 + 0.2, 1e-7, -3.25, 1700000000.1234567, 5.0])
+def test_the_number_that_a_time_came_from_is_written_back(seconds):
+    timestamp_ns = round(seconds * 1e9)
+    assert float(seconds_text(timestamp_ns, seconds)) == seconds
+
+
+@pytest.mark.parametrize("seconds", [1.5, float("nan"), float("inf")])
+def test_a_number_that_no_longer_means_the_time_is_not_written(seconds):
+    assert not means(seconds, 2_000_000_000)
+    assert seconds_text(2_000_000_000, seconds) == "2.0"
+
+
+def test_times_that_a_64_bit_number_cannot_hold_are_counted():
+    times = TimeWriter()
+    assert times.text(123_456_789) == "0.123456789"
+    assert times.inexact == 0
+    assert times.text(1_700_000_000_123_456_789) == "1700000000.123456789"
+    assert times.inexact == 1
+    # neighbouring numbers near 1.7e9 are 2^-22 s apart
+    assert 0 < times.worst_ns <= 2**-22 / 2 * 1e9 + 128
+
+
+def a_stream(name, timestamps, asked):
+    """Lines that state their stream and their time."""
 
     def make():
-        for timestamp, seconds in pairs:
-            if asked is not None:
-                asked.append(name)
-            yield WrittenLine(timestamp, seconds, f"{name} {timestamp} {seconds!r}")
+        for timestamp in timestamps:
+            asked.append(name)
+            yield f"{name} {timestamp}"
 
-    return OneByOne(np.array([timestamp for timestamp, _ in pairs], np.int64), make())
-
-
-def test_lines_come_by_time_then_by_number_then_by_stream():
-    first = a_stream("a", [(1, 1e-9), (5, 5.2e-9), (9, 9e-9)])
-    second = a_stream("b", [(1, 1e-9), (5, 4.9e-9), (6, 6e-9)])
-    lines = [line for block in merged_lines([first, second]) for line in block]
-    assert [line.split()[:2] for line in lines] == [
-        ["a", "1"],
-        ["b", "1"],
-        ["b", "5"],
-        ["a", "5"],
-        ["b", "6"],
-        ["a", "9"],
-    ]
+    return LineStream(np.array(timestamps, np.int64), make())
 
 
-def test_thousands_of_lines_come_in_order_each_asked_for_when_its_rotation_comes():
+def test_lines_come_by_time_then_by_stream_each_asked_for_when_its_turn_comes():
     rng = np.random.default_rng(3)
     asked: list[str] = []
-    pairs = {
-        name: sorted((int(t), float(t) * 1e-9) for t in rng.integers(0, 500, count))
-        for name, count in (("a", 7000), ("b", 300), ("c", 0))
-    }
-    streams = [a_stream(name, found, asked) for name, found in pairs.items()]
+    times = {name: sorted(rng.integers(0, 500, count).tolist()) for name, count in (("a", 7000), ("b", 300), ("c", 0))}
+    streams = [a_stream(name, found, asked) for name, found in times.items()]
     lines = [line.split() for block in merged_lines(streams) for line in block]
     assert len(lines) == 7300
-    keys = [(int(timestamp), float(seconds), name) for name, timestamp, seconds in lines]
-    assert all(before <= after for before, after in pairwise(keys))
-    assert asked == [name for name, _, _ in lines]
+    keys = [(int(timestamp), name) for name, timestamp in lines]
+    assert keys == sorted(keys)
+    assert asked == [name for name, _ in lines]

@@ -1,6 +1,6 @@
 """Evaluation of detections: precision and recall by KITTI's rules, calibration of scores and covariances, plots."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import ArrayError, OptionError
-from sceneloom.evaluate.object_files import BothSides, check_classes, check_similarity, classes_of, read_both
+from sceneloom.evaluate.object_files import read_both
 from sceneloom.evaluate.objects import (
     KITTI_NEIGHBOURS,
     FramePairs,
@@ -23,10 +23,35 @@ from sceneloom.evaluate.objects import (
     similarities,
     similarity_named,
 )
-from sceneloom.evaluate.plot import check_plot
-from sceneloom.formats.base.output import replacing
+from sceneloom.evaluate.plot import check_plot, save_plot
 from sceneloom.kernels import scores as kernels
 from sceneloom.warnings import DataWarning
+
+_CLASSES = ("car", "pedestrian", "cyclist")
+"""The classes of KITTI's object benchmark."""
+
+_SIMILARITIES = (Similarity.IMAGE, Similarity.ABOVE, Similarity.SPACE)
+"""Those of KITTI's object benchmark."""
+
+_LEAST_OVERLAPS: Mapping[str, float] = MappingProxyType({"car": 0.7, "pedestrian": 0.5, "cyclist": 0.5})
+"""KITTI's overlaps, by class, from which a detection has found an object; other classes have `_OTHER_OVERLAP`."""
+
+_OTHER_OVERLAP = 0.5
+
+_SAMPLES = 41
+"""Thresholds at which KITTI looks at precision: one for recalls of 0, 1/40, …, 1."""
+
+_BINS = 15
+"""Bins of equal width into which scores are sorted. Source: Guo et al. 2017, "On Calibration of Modern Networks"."""
+
+_LEVELS = (0.5, 0.9, 0.95, 0.99)
+"""The shares of errors that the regions promise to contain."""
+
+_OVERLAP_OF_ERRORS = 0.3
+"""Overlap in space from which errors of a detection are reported: such boxes are of one object beyond doubt."""
+
+_PARTS = {"center": slice(0, 3), "size": slice(3, 6), "yaw": slice(6, 7)}
+"""Parts of a box whose covariances are judged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,20 +79,15 @@ DIFFICULTIES: Mapping[str, _Difficulty] = MappingProxyType(
 )
 """KITTI's three, and one in which every object must be found."""
 
-
-_LEAST_OVERLAPS: Mapping[str, float] = MappingProxyType({"car": 0.7, "pedestrian": 0.5, "cyclist": 0.5})
-"""KITTI's overlaps, by class, from which a detection has found an object; other classes have `_OTHER_OVERLAP`."""
-
-
-_OTHER_OVERLAP = 0.5
+_KITTI_DIFFICULTIES = ("easy", "moderate", "hard")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectionRules:
-    """What counts, of detections and of the truth; the defaults are those of KITTI's object benchmark in 3D.
+    """Which detections and true objects count; the defaults are those of KITTI's object benchmark in 3D.
 
     Attributes:
-        similarity: what says how much two boxes overlap.
+        similarity: measure of the overlap of two boxes.
         least_overlap: what pairs must exceed. [default: that of `_LEAST_OVERLAPS`]
         neighbours: by class, the classes whose objects neither count nor make a detection wrong.
         regions: class of the truth whose boxes in the image are regions in which detections are not wrong.
@@ -88,205 +108,7 @@ class DetectionRules:
         return _LEAST_OVERLAPS.get(label.lower(), _OTHER_OVERLAP)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ScoredDetections:
-    """The true objects and the detections of one class, of all sequences, and what counts of them.
-
-    Attributes:
-        truth, found: in order of frames, those of neighbouring classes among the true ones.
-        frame_starts: of the pairs.
-        overlaps: (P,) float64, of the pairs.
-        least_overlap: what pairs must exceed.
-        true_ignored, found_ignored, excused: as `detection_scores.score_steps` takes them.
-    """
-
-    truth: ObjectTable
-    found: ObjectTable
-    pairs: FramePairs
-    overlaps: Float64Array
-    least_overlap: float
-    true_ignored: BoolArray
-    found_ignored: BoolArray
-    excused: BoolArray
-
-    @property
-    def scores(self) -> Float64Array:
-        """(N,) float64, of the detections."""
-        scores = self.found.scores
-        return np.zeros(0) if scores is None else np.require(scores, requirements=["C", "W"])
-
-
-def pair_detections(
-    found: Mapping[str, ObjectTable], truth: Mapping[str, ObjectTable], label: str, *, rules: DetectionRules
-) -> ScoredDetections:
-    """Take the objects and the detections of one class, and pair those of each frame.
-
-    Every true object must be found and every detection counts until `at_difficulty` says otherwise.
-
-    Raises:
-        OptionError: detections have no scores, or one side lacks the boxes that `rules.similarity` needs.
-    """
-    truth_all, found_all = _joined(truth, found)
-    regions = truth_all.select(truth_all.are(rules.regions))
-    own = truth_all.are(label)
-    wanted = own | truth_all.are(*rules.neighbours.get(label.lower(), ()))
-    objects, others = truth_all.select(wanted), ~own[wanted]
-    detections = found_all.select(found_all.are(label))
-    if detections.scores is None and len(detections):
-        raise OptionError("the results have no scores, by which detections are put in order")
-    frames = 1 + max((int(t.frames[-1]) for t in (objects, detections, regions) if len(t)), default=-1)
-    pairs = FramePairs.of(objects.frame_starts(frames), detections.frame_starts(frames))
-    overlaps = similarities(objects, detections, pairs, rules.similarity) if pairs.starts[-1] else np.zeros(0)
-    return ScoredDetections(
-        objects,
-        detections,
-        pairs,
-        overlaps,
-        rules.overlap_of(label),
-        others,
-        np.zeros(len(detections), np.bool_),
-        _excused(detections, regions, frames, rules, rules.overlap_of(label)),
-    )
-
-
-def at_difficulty(detections: ScoredDetections, difficulty: _Difficulty) -> ScoredDetections:
-    """Let only those objects count that are large and plain enough, and only detections that are high enough."""
-    truth, found = detections.truth, detections.found
-    true_ignored, found_ignored = detections.true_ignored.copy(), detections.found_ignored.copy()
-    if truth.corners_xyxy is not None:
-        heights = truth.corners_xyxy[:, 3] - truth.corners_xyxy[:, 1]
-        true_ignored |= heights <= difficulty.least_height_px
-    if truth.occlusions is not None:
-        true_ignored |= truth.occlusions > difficulty.most_occlusion
-    if truth.truncations is not None:
-        true_ignored |= truth.truncations > difficulty.most_truncation
-    if found.corners_xyxy is not None:
-        heights = found.corners_xyxy[:, 3] - found.corners_xyxy[:, 1]
-        found_ignored |= heights < difficulty.least_height_px
-    return replace(detections, true_ignored=true_ignored, found_ignored=found_ignored)
-
-
-def _excused(found: ObjectTable, regions: ObjectTable, frames: int, rules: DetectionRules, least: float) -> BoolArray:
-    in_image = rules.similarity is Similarity.IMAGE
-    counts = in_image or rules.regions_in_space
-    if not counts or not len(regions) or regions.corners_xyxy is None or found.corners_xyxy is None:
-        return np.zeros(len(found), np.bool_)
-    pairs = FramePairs.of(regions.frame_starts(frames), found.frame_starts(frames))
-    shares = covered_by(found, regions.corners_xyxy, pairs)
-    # a box in space is no image's box, whose own overlap would state when it is in a region
-    return kernels.reached_columns(shares, *pairs.locations, least if in_image else _OTHER_OVERLAP)
-
-
-def _joined(truth: Mapping[str, ObjectTable], found: Mapping[str, ObjectTable]) -> tuple[ObjectTable, ObjectTable]:
-    """Put the sequences behind one another, with frames that go on counting."""
-    first, shifts = 0, {}
-    for name in sorted(truth):
-        shifts[name] = first
-        first += 1 + max((int(s[name].frames.max()) for s in (truth, found) if len(s[name])), default=-1)
-    return tuple(  # type: ignore[return-value]
-        ObjectTable.joined([side[name].moved(shifts[name]).in_order() for name in sorted(truth)])
-        for side in (truth, found)
-    )
-
-
-_SAMPLES = 41
-"""Thresholds at which KITTI looks at precision: one for recalls of 0, 1/40, …, 1."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _ScoreCurve:
-    """What is right, wrong and missed among the detections of at least a score, for every score that there is.
-
-    Attributes:
-        thresholds: (K,) float64, falling.
-        tp, fp, fn: (K,) int64.
-        samples: (S,) int64, S <= `_SAMPLES`, which of the thresholds KITTI looks at.
-        true_count: objects that must be found.
-    """
-
-    thresholds: Float64Array
-    tp: Int64Array
-    fp: Int64Array
-    fn: Int64Array
-    samples: Int64Array
-    true_count: int
-
-    @property
-    def precisions(self) -> Float64Array:
-        """(K,) float64, 0 where no detection counts."""
-        return np.asarray(self.tp / np.maximum(1, self.tp + self.fp), np.float64)
-
-    @property
-    def recalls(self) -> Float64Array:
-        """(K,) float64."""
-        return np.asarray(self.tp / np.maximum(1, self.tp + self.fn), np.float64)
-
-    @property
-    def f1s(self) -> Float64Array:
-        """(K,) float64."""
-        return np.asarray(2.0 * self.tp / np.maximum(1, 2 * self.tp + self.fp + self.fn), np.float64)
-
-    @property
-    def sampled_precisions(self) -> Float64Array:
-        """(`_SAMPLES`,) float64, the best precision at a recall or beyond it; 0 at recalls that are not reached."""
-        sampled = np.zeros(_SAMPLES)
-        sampled[: len(self.samples)] = self.precisions[self.samples]
-        return np.maximum.accumulate(sampled[::-1])[::-1]
-
-
-def score_curve(detections: ScoredDetections) -> _ScoreCurve:
-    """Count what is right, wrong and missed at each score.
-
-    With each least score objects and detections are paired anew, as KITTI's development kit does at its 41 scores.
-    """
-    scores = detections.scores
-    steps = kernels.score_steps(
-        detections.overlaps,
-        *detections.pairs.locations,
-        detections.true_ignored,
-        detections.found_ignored,
-        detections.excused,
-        scores,
-        detections.least_overlap,
-    )
-    order = np.argsort(-scores, kind="stable")
-    ends = np.flatnonzero(np.diff(scores[order], append=-np.inf))
-    tp, fp, passed = np.cumsum(steps[order], axis=0)[ends].T
-    true_count = int((~detections.true_ignored).sum())
-    thresholds = scores[order][ends]
-    return _ScoreCurve(
-        thresholds, tp, fp, true_count - tp - passed, _samples(detections, thresholds, true_count), true_count
-    )
-
-
-def _samples(detections: ScoredDetections, thresholds: Float64Array, true_count: int) -> Int64Array:
-    """The thresholds whose recalls are nearest to 0, 1/40, …, 1.
-
-    Source: the development kit of KITTI's object benchmark, `getThresholds`; Simonelli et al. 2019 for 40 recalls.
-    """
-    matches = _surest_matches(detections)
-    right = (matches >= 0) & ~detections.found_ignored
-    right[right] = ~detections.true_ignored[matches[right]]
-    scores = np.sort(detections.scores[right])[::-1]
-    chosen, recall = [], 0.0
-    for k, score in enumerate(scores.tolist()):
-        here, after = (k + 1) / true_count, (k + 2) / true_count
-        if k + 1 < len(scores) and after - recall < recall - here:
-            continue
-        chosen.append(score)
-        recall += 1.0 / (_SAMPLES - 1)
-    return np.searchsorted(-thresholds, -np.array(chosen)).astype(np.int64)
-
-
-def _surest_matches(detections: ScoredDetections) -> Int64Array:
-    """The true object of each detection, (N,) int64, -1 for none; of several the surest one has it."""
-    return kernels.surest_matches(
-        detections.overlaps, *detections.pairs.locations, detections.scores, detections.least_overlap
-    )
-
-
-_BINS = 15
-"""Bins of equal width into which scores are sorted. Source: Guo et al. 2017, "On Calibration of Modern Networks"."""
+_KITTI_IN_SPACE = DetectionRules()
 
 
 class ReliabilityBin(msgspec.Struct, frozen=True, kw_only=True):
@@ -295,7 +117,7 @@ class ReliabilityBin(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         low, high: its bounds.
         count: how many detections it has.
-        mean_score: what they state on the average, None of an empty bin.
+        mean_score: of these, None of an empty bin.
         share_true: how many are true, of all, None of an empty bin.
     """
 
@@ -307,7 +129,7 @@ class ReliabilityBin(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Calibration(msgspec.Struct, frozen=True, kw_only=True):
-    """How true scores are as probabilities.
+    """Calibration of scores as probabilities.
 
     Attributes:
         count: detections that are either true or false.
@@ -324,66 +146,22 @@ class _Calibration(msgspec.Struct, frozen=True, kw_only=True):
     bins: tuple[ReliabilityBin, ...]
 
 
-def judge_calibration(probabilities: Float64Array, are_true: BoolArray, *, bin_count: int = _BINS) -> _Calibration:
-    """Hold scores against what came true.
-
-    Args:
-        probabilities: (N,), 0 to 1, N >= 1.
-        are_true: (N,).
-        bin_count: how many bins of equal width.
-    """
-    edges = np.linspace(0.0, 1.0, bin_count + 1)
-    locations = np.clip(np.searchsorted(edges, probabilities, side="right") - 1, 0, bin_count - 1)
-    counts = np.bincount(locations, minlength=bin_count)
-    stated = np.bincount(locations, weights=probabilities, minlength=bin_count)
-    came = np.bincount(locations, weights=are_true.astype(np.float64), minlength=bin_count)
-    gaps = np.abs(stated - came)
-    large = counts >= max(1.0, 0.01 * len(probabilities))
-    return _Calibration(
-        count=len(probabilities),
-        error=float(gaps.sum() / len(probabilities)),
-        largest_error=float((gaps[large] / counts[large]).max()),
-        brier=float(((probabilities - are_true) ** 2).mean()),
-        bins=tuple(
-            ReliabilityBin(
-                low=low,
-                high=high,
-                count=count,
-                mean_score=mean / count if count else None,
-                share_true=true / count if count else None,
-            )
-            for (low, high), count, mean, true in zip(
-                pairwise(edges.tolist()), counts.tolist(), stated.tolist(), came.tolist(), strict=True
-            )
-        ),
-    )
-
-
-_LEVELS = (0.5, 0.9, 0.95, 0.99)
-"""The shares of errors that the regions promise to hold."""
-
-
 class Coverage(msgspec.Struct, frozen=True, kw_only=True):
-    """What the region of one level holds.
-
-    Attributes:
-        level: what it promises.
-        share: what it holds.
-    """
+    """The share of errors in the regions of one level, which promise to contain `level`."""
 
     level: float
     share: float
 
 
 class CovarianceScores(msgspec.Struct, frozen=True, kw_only=True):
-    """How true covariances are.
+    """Consistency of covariances.
 
     Attributes:
         count: errors.
         dimensions: numbers in each.
         nees: mean of eᵀ Σ⁻¹ e, which true covariances make `dimensions`.
         nees_low, nees_high: between which that mean lies for true Gaussian ones in 95 of 100 cases.
-        degrees_of_freedom: of the Student distribution whose regions are asked, None for a Gaussian.
+        degrees_of_freedom: of the Student distribution whose regions are used, None for a Gaussian.
         coverages: of the regions of `_LEVELS`.
         log_volume: mean of ½ log det Σ: small for covariances that promise much.
         root_mean_square: of the errors.
@@ -400,73 +178,8 @@ class CovarianceScores(msgspec.Struct, frozen=True, kw_only=True):
     root_mean_square: float
 
 
-def judge_covariances(
-    errors: Float64Array, covariances: Float64Array, *, degrees_of_freedom: float | None = None
-) -> CovarianceScores:
-    """Hold covariances against the errors that were made.
-
-    Args:
-        errors: (N, K), estimated less true, N >= 1.
-        covariances: (N, K, K), of the errors.
-        degrees_of_freedom: ν > 2 of the Student distribution that errors have, with those covariances; infinite for a
-            Gaussian, which is also the default. The regions are those of `detections.noise.radius_squared`.
-
-    Raises:
-        ArrayError: shapes do not fit, or a matrix is no covariance.
-        OptionError: `degrees_of_freedom` is not above 2.
-
-    Source: Bar-Shalom, Li and Kirubarajan 2001, section 5.4.
-    """
-    # these take a second, which those who have no covariances need not wait
-    from scipy import stats
-
-    from sceneloom.detections.settings import radius_squared
-
-    count, dimensions = errors.shape
-    if covariances.shape != (count, dimensions, dimensions):
-        raise ArrayError(f"covariances: {covariances.shape}; expected {(count, dimensions, dimensions)}")
-    freedom = np.inf if degrees_of_freedom is None else degrees_of_freedom
-    if not freedom > 2.0:
-        raise OptionError(f"degrees of freedom {freedom}; expected more than 2")
-    signs, logs = np.linalg.slogdet(covariances)
-    if not (np.isfinite(logs).all() and (signs > 0).all()):
-        row = int(np.flatnonzero(~(np.isfinite(logs) & (signs > 0)))[0])
-        raise ArrayError(f"covariances[{row}]: {covariances[row].tolist()}; expected a positive definite matrix")
-    distances = (errors * np.linalg.solve(covariances, errors[..., None])[..., 0]).sum(axis=1)
-    limits = {level: radius_squared(level, degrees_of_freedom=freedom, dimensions=dimensions) for level in _LEVELS}
-    low, high = stats.chi2.ppf((0.025, 0.975), count * dimensions) / count
-    return CovarianceScores(
-        count=count,
-        dimensions=dimensions,
-        nees=float(distances.mean()),
-        nees_low=float(low),
-        nees_high=float(high),
-        degrees_of_freedom=None if np.isinf(freedom) else freedom,
-        coverages=tuple(
-            Coverage(level=level, share=float((distances <= limit).mean())) for level, limit in limits.items()
-        ),
-        log_volume=float(logs.mean() / 2.0),
-        root_mean_square=float(np.sqrt((errors**2).mean())),
-    )
-
-
-_CLASSES = ("car", "pedestrian", "cyclist")
-"""The classes of KITTI's object benchmark."""
-
-_KITTI_DIFFICULTIES = ("easy", "moderate", "hard")
-
-_KITTI_IN_SPACE = DetectionRules()
-"""Those of KITTI's object benchmark in 3D."""
-
-_OVERLAP_OF_ERRORS = 0.3
-"""Overlap in space from which errors of a detection are reported: such boxes are of one object beyond doubt."""
-
-_PARTS = {"center": slice(0, 3), "size": slice(3, 6), "yaw": slice(6, 7)}
-"""What covariances are judged of, and where it stands in a box."""
-
-
 class DetectionScores(msgspec.Struct, frozen=True, kw_only=True):
-    """The figures of detections of one class, at one difficulty.
+    """The metrics of detections of one class, at one difficulty.
 
     Attributes:
         ap40: average precision over the recalls 1/40, …, 1.
@@ -495,13 +208,13 @@ class DetectionScores(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ClassDetection(msgspec.Struct, frozen=True, kw_only=True):
-    """The figures for one class.
+    """The metrics of one class.
 
     Attributes:
-        similarity: what says how much two boxes overlap.
+        similarity: measure of the overlap of two boxes.
         least_overlap: what pairs must exceed.
-        difficulties: the figures, by difficulty.
-        covariances: how true the covariances of `_PARTS` are, of boxes that overlap in space by at least
+        difficulties: the metrics, by difficulty.
+        covariances: consistency of the covariances of `_PARTS`, of boxes that overlap in space by at least
             `_OVERLAP_OF_ERRORS`; None where detections have none, or nothing overlaps.
         headings_reversed: share of those boxes whose heading is off by more than 90°, None as above.
     """
@@ -513,154 +226,14 @@ class ClassDetection(msgspec.Struct, frozen=True, kw_only=True):
     headings_reversed: float | None
 
 
-def evaluate_detection(
-    results: Mapping[str, ObjectTable],
-    truth: Mapping[str, ObjectTable],
-    *,
-    classes: Sequence[str] = _CLASSES,
-    difficulties: Sequence[str] = _KITTI_DIFFICULTIES,
-    rules: DetectionRules = _KITTI_IN_SPACE,
-    degrees_of_freedom: float | None = None,
-) -> dict[str, ClassDetection]:
-    """Hold detections of some sequences against the truth.
-
-    Args:
-        results, truth: by name of the sequence; sequences without detections have empty ones.
-        classes: those to evaluate, each by itself.
-        difficulties: of `DIFFICULTIES`.
-        rules: what counts.
-        degrees_of_freedom: of the detections' errors, as of `judge_covariances`.
-
-    Returns:
-        By class.
-
-    Raises:
-        OptionError: sequences are not the same on both sides, or there is none, or boxes or scores are missing, or a
-            difficulty is unknown.
-        ArrayError: a covariance is none.
-    """
-    check_sequences(results, truth)
-    unknown = [name for name in difficulties if name not in DIFFICULTIES]
-    if unknown:
-        raise OptionError(f"difficulty {unknown[0]!r}; expected one of {', '.join(DIFFICULTIES)}")
-    reported = {}
-    for label in classes:
-        pairs = pair_detections(results, truth, label, rules=rules)
-        figures = {name: score_detections(at_difficulty(pairs, DIFFICULTIES[name])) for name in difficulties}
-        covariances, reversed_share = _judge_boxes(results, truth, label, rules, degrees_of_freedom)
-        reported[label] = ClassDetection(
-            similarity=rules.similarity.value,
-            least_overlap=pairs.least_overlap,
-            difficulties=figures,
-            covariances=covariances,
-            headings_reversed=reversed_share,
-        )
-    return reported
-
-
-def score_detections(detections: ScoredDetections) -> DetectionScores:
-    """Compute the figures of what was paired."""
-    curve = score_curve(detections)
-    sampled = curve.sampled_precisions
-    best = int(curve.f1s.argmax()) if len(curve.thresholds) else None
-    return DetectionScores(
-        ap40=float(sampled[1:].mean()),
-        ap11=float(sampled[::4].mean()),
-        max_f1=0.0 if best is None else float(curve.f1s[best]),
-        threshold=None if best is None else float(curve.thresholds[best]),
-        precision=0.0 if best is None else float(curve.precisions[best]),
-        recall=0.0 if best is None else float(curve.recalls[best]),
-        true_objects=curve.true_count,
-        detections=int(curve.tp[-1] + curve.fp[-1]) if len(curve.tp) else 0,
-        calibration=_calibration(detections),
-        **_sampled(curve),
-    )
-
-
-def _sampled(curve: _ScoreCurve) -> dict[str, tuple[float, ...]]:
-    columns = {"thresholds": curve.thresholds, "recalls": curve.recalls, "precisions": curve.precisions}
-    return {name: tuple(column[curve.samples].tolist()) for name, column in columns.items()}
-
-
-def _outcomes(detections: ScoredDetections) -> tuple[Int64Array, BoolArray]:
-    """Report which detections are true; of several of one object the surest one is.
-
-    Returns:
-        (K,) int64, the detections that are either true or false, and (K,) bool, whether each is true.
-    """
-    matches = _surest_matches(detections)
-    matched = matches >= 0
-    of_ignored = np.zeros(len(matches), np.bool_)
-    of_ignored[matched] = detections.true_ignored[matches[matched]]
-    counts = ~(detections.found_ignored | of_ignored | (detections.excused & ~matched))
-    return np.flatnonzero(counts), matched[counts]
-
-
-def _calibration(detections: ScoredDetections) -> _Calibration | None:
-    rows, are_true = _outcomes(detections)
-    scores = detections.scores
-    if not len(rows) or scores.min() < 0.0 or scores.max() > 1.0:
-        return None
-    return judge_calibration(scores[rows], are_true)
-
-
-def _judge_boxes(
-    results: Mapping[str, ObjectTable],
-    truth: Mapping[str, ObjectTable],
-    label: str,
-    rules: DetectionRules,
-    degrees_of_freedom: float | None,
-) -> tuple[dict[str, CovarianceScores] | None, float | None]:
-    """Judge covariances of boxes in space, whatever boxes the rest is judged by."""
-    if all(table.covariances is None or table.boxes is None for table in results.values()):
-        return None, None
-    in_space = replace(rules, similarity=Similarity.SPACE, least_overlap=_OVERLAP_OF_ERRORS, neighbours={}, regions="")
-    detections = pair_detections(results, truth, label, rules=in_space)
-    if detections.found.covariances is None or not (_surest_matches(detections) >= 0).any():
-        return None, None
-    errors, covariances = box_errors(detections)
-    reversed_share = float((np.abs(errors[:, 6]) > np.pi / 2).mean())
-    # a heading the wrong way round is a mistake of its own, which no covariance is meant to report
-    errors[:, 6] = (errors[:, 6] + np.pi / 2) % np.pi - np.pi / 2
-    judged = {
-        name: judge_covariances(errors[:, part], covariances[:, part, part], degrees_of_freedom=degrees_of_freedom)
-        for name, part in _PARTS.items()
-        if covariances[:, part, part].any()  # what nobody reported has variances of 0
-    }
-    return judged, reversed_share
-
-
-def box_errors(detections: ScoredDetections) -> tuple[Float64Array, Float64Array]:
-    """Give the errors of the detections that have a true object, and their covariances.
-
-    Returns:
-        (K, 7) float64: middle, length, width, height [m], heading [rad] within ±π; (K, 7, 7) float64.
-
-    Raises:
-        OptionError: one side has no boxes in space, or detections no covariances.
-    """
-    found, truth = detections.found, detections.truth
-    if found.boxes is None or truth.boxes is None or found.covariances is None:
-        raise OptionError("errors of boxes need boxes in space on both sides and covariances of the results")
-    matches = _surest_matches(detections)
-    matched = matches >= 0
-    errors = found.boxes[matched] - truth.boxes[matches[matched]]
-    errors[:, 6] = (errors[:, 6] + np.pi) % (2 * np.pi) - np.pi
-    return errors, found.covariances[matched]
-
-
-_SIMILARITIES = (Similarity.IMAGE, Similarity.ABOVE, Similarity.SPACE)
-"""Those of KITTI's object benchmark."""
-
-
 class DetectionReport(msgspec.Struct, frozen=True, kw_only=True):
     """One comparison.
 
     Attributes:
         results, truth: what was compared.
         sequences: names, in order.
-        classes: by class, the figures of each similarity.
-        warnings: what is to be known about the numbers.
+        classes: by class, the metrics of each similarity.
+        warnings: about the numbers.
     """
 
     results: str
@@ -684,13 +257,13 @@ def compare_detections(
     lenient: bool = False,
     corrections: str = "apply",
 ) -> DetectionReport:
-    """Hold detections against the truth, by KITTI's rules.
+    """Evaluate detections against the truth, by KITTI's rules.
 
     Args:
         results, truth: files or folders, as of `object_files.read_both`.
         classes: those to evaluate. [default: KITTI's of the truth, else all of the truth]
         sequences: those to take. [default: all of the truth]
-        similarities: what says how much two boxes overlap. [default: all of `_SIMILARITIES` that both sides have]
+        similarities: measures of the overlap of two boxes. [default: all of `_SIMILARITIES` that both sides have]
         least_overlap: what pairs must exceed. [default: KITTI's, by class]
         difficulties: of `DIFFICULTIES`. [default: KITTI's three; `all` where the truth has no boxes in images]
         degrees_of_freedom: of the detections' errors, as of `judge_covariances`.
@@ -698,25 +271,27 @@ def compare_detections(
         lenient, corrections: as of `object_files.read_both`.
 
     Raises:
-        DataError: a file is missing or holds something wrong.
+        DataError: a file is missing or has something wrong.
         OptionError: both sides cannot be compared, or not in this way.
     """
     sides = read_both(results, truth, sequences=sequences, lenient=lenient, corrections=corrections)
-    check_classes(sides, classes)
+    labels = sides.classes(classes, usual=_CLASSES)
     chosen = tuple(map(similarity_named, similarities)) or tuple(
         known for known in _SIMILARITIES if known in sides.similarities
     )
     for similarity in chosen or _SIMILARITIES[-1:]:
         if similarity is Similarity.DISTANCE:
             raise OptionError(f"similarity 'distance'; detections take {', '.join(_SIMILARITIES)}")
-        check_similarity(sides, similarity)
-    labels = tuple(classes) or classes_of(sides, _CLASSES)
+        sides.check_similarity(similarity)
+    if not difficulties:
+        in_images = any(len(table) and table.corners_xyxy is not None for table in sides.truth.values())
+        difficulties = _KITTI_DIFFICULTIES if in_images else ("all",)
     reported = [
         evaluate_detection(
             sides.results,
             sides.truth,
             classes=labels,
-            difficulties=difficulties or _usual_difficulties(sides),
+            difficulties=difficulties,
             rules=replace(rules, similarity=similarity, least_overlap=least_overlap or rules.least_overlap),
             degrees_of_freedom=degrees_of_freedom,
         )
@@ -731,17 +306,371 @@ def compare_detections(
     )
 
 
-def _usual_difficulties(sides: BothSides) -> tuple[str, ...]:
-    in_images = any(len(table) and table.corners_xyxy is not None for table in sides.truth.values())
-    return _KITTI_DIFFICULTIES if in_images else ("all",)
+def evaluate_detection(
+    results: Mapping[str, ObjectTable],
+    truth: Mapping[str, ObjectTable],
+    *,
+    classes: Sequence[str] = _CLASSES,
+    difficulties: Sequence[str] = _KITTI_DIFFICULTIES,
+    rules: DetectionRules = _KITTI_IN_SPACE,
+    degrees_of_freedom: float | None = None,
+) -> dict[str, ClassDetection]:
+    """Evaluate detections of some sequences against the truth.
+
+    Args:
+        results, truth: by name of the sequence; sequences without detections have empty ones.
+        classes: those to evaluate, each by itself.
+        difficulties: of `DIFFICULTIES`.
+        rules: what counts.
+        degrees_of_freedom: of the detections' errors, as of `judge_covariances`.
+
+    Returns:
+        By class.
+
+    Raises:
+        OptionError: sequences are not the same on both sides, or there is none, or boxes or scores are missing, or a
+            difficulty is unknown.
+        ArrayError: a covariance is none.
+    """
+    check_sequences(results, truth)
+    for name in difficulties:
+        if name not in DIFFICULTIES:
+            raise OptionError(f"difficulty {name!r}; expected one of {', '.join(DIFFICULTIES)}")
+    reported = {}
+    for label in classes:
+        pairs = pair_detections(results, truth, label, rules=rules)
+        metrics = {name: score_detections(at_difficulty(pairs, DIFFICULTIES[name])) for name in difficulties}
+        covariances, headings_reversed = _judge_boxes(results, truth, label, rules, degrees_of_freedom)
+        reported[label] = ClassDetection(
+            similarity=rules.similarity.value,
+            least_overlap=pairs.least_overlap,
+            difficulties=metrics,
+            covariances=covariances,
+            headings_reversed=headings_reversed,
+        )
+    return reported
 
 
-_COLUMN_INCHES, _ROW_INCHES = 4.6, 4.4
-_DPI = 120
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoredDetections:
+    """The true objects and the detections of one class, of all sequences, and which of them count.
+
+    Attributes:
+        truth, found: in order of frames, those of neighbouring classes among the true ones.
+        pairs: of the objects of each frame.
+        overlaps: (P,) float64, of the pairs.
+        least_overlap: what pairs must exceed.
+        true_ignored, found_ignored, excused: as `kernels.scores.score_steps` takes them.
+    """
+
+    truth: ObjectTable
+    found: ObjectTable
+    pairs: FramePairs
+    overlaps: Float64Array
+    least_overlap: float
+    true_ignored: BoolArray
+    found_ignored: BoolArray
+    excused: BoolArray
+
+    @property
+    def scores(self) -> Float64Array:
+        """(N,) float64, of the detections."""
+        scores = self.found.scores
+        return np.zeros(0) if scores is None else np.require(scores, requirements=["C", "W"])
+
+    def surest_matches(self) -> Int64Array:
+        """The true object of each detection, (N,) int64, -1 for none; of several the surest one has it."""
+        return kernels.surest_matches(self.overlaps, *self.pairs.locations, self.scores, self.least_overlap)
+
+
+def pair_detections(
+    found: Mapping[str, ObjectTable], truth: Mapping[str, ObjectTable], label: str, *, rules: DetectionRules
+) -> ScoredDetections:
+    """Select the objects and the detections of one class, and pair those of each frame.
+
+    Every true object must be found and every detection counts until `at_difficulty` says otherwise.
+
+    Raises:
+        OptionError: detections have no scores, or one side lacks the boxes that `rules.similarity` needs.
+    """
+    truth_all, found_all = _joined(truth, found)
+    regions = truth_all.select(truth_all.are(rules.regions))
+    own = truth_all.are(label)
+    wanted = own | truth_all.are(*rules.neighbours.get(label.lower(), ()))
+    objects, detections = truth_all.select(wanted), found_all.select(found_all.are(label))
+    if detections.scores is None and len(detections):
+        raise OptionError("the results have no scores, by which detections are put in order")
+    frames = 1 + max((int(t.frames[-1]) for t in (objects, detections, regions) if len(t)), default=-1)
+    pairs = FramePairs.of(objects.frame_starts(frames), detections.frame_starts(frames))
+    return ScoredDetections(
+        truth=objects,
+        found=detections,
+        pairs=pairs,
+        overlaps=similarities(objects, detections, pairs, rules.similarity) if pairs.starts[-1] else np.zeros(0),
+        least_overlap=rules.overlap_of(label),
+        true_ignored=~own[wanted],
+        found_ignored=np.zeros(len(detections), np.bool_),
+        excused=_excused(detections, regions, frames, rules, rules.overlap_of(label)),
+    )
+
+
+def _joined(truth: Mapping[str, ObjectTable], found: Mapping[str, ObjectTable]) -> tuple[ObjectTable, ObjectTable]:
+    """Put the sequences behind one another, with frames that go on counting."""
+    first, shifts = 0, {}
+    for name in sorted(truth):
+        shifts[name] = first
+        first += 1 + max((int(s[name].frames.max()) for s in (truth, found) if len(s[name])), default=-1)
+    return tuple(  # type: ignore[return-value]
+        ObjectTable.joined([side[name].moved(shifts[name]).in_order() for name in sorted(truth)])
+        for side in (truth, found)
+    )
+
+
+def _excused(found: ObjectTable, regions: ObjectTable, frames: int, rules: DetectionRules, least: float) -> BoolArray:
+    """Which detections are not wrong, since they are in a region."""
+    in_image = rules.similarity is Similarity.IMAGE
+    counts = in_image or rules.regions_in_space
+    if not counts or not len(regions) or regions.corners_xyxy is None or found.corners_xyxy is None:
+        return np.zeros(len(found), np.bool_)
+    pairs = FramePairs.of(regions.frame_starts(frames), found.frame_starts(frames))
+    shares = covered_by(found, regions.corners_xyxy, pairs)
+    # the overlap of boxes in space does not apply to boxes in the image
+    return kernels.reached_columns(shares, *pairs.locations, least if in_image else _OTHER_OVERLAP)
+
+
+def at_difficulty(detections: ScoredDetections, difficulty: _Difficulty) -> ScoredDetections:
+    """Let only those objects count that are large and plain enough, and only detections that are high enough."""
+    truth, found = detections.truth, detections.found
+    true_ignored, found_ignored = detections.true_ignored.copy(), detections.found_ignored.copy()
+    if truth.corners_xyxy is not None:
+        heights = truth.corners_xyxy[:, 3] - truth.corners_xyxy[:, 1]
+        true_ignored |= heights <= difficulty.least_height_px
+    if truth.occlusions is not None:
+        true_ignored |= truth.occlusions > difficulty.most_occlusion
+    if truth.truncations is not None:
+        true_ignored |= truth.truncations > difficulty.most_truncation
+    if found.corners_xyxy is not None:
+        heights = found.corners_xyxy[:, 3] - found.corners_xyxy[:, 1]
+        found_ignored |= heights < difficulty.least_height_px
+    return replace(detections, true_ignored=true_ignored, found_ignored=found_ignored)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ScoreCurve:
+    """Right, wrong and missed detections of at least a score, for every score that there is.
+
+    Attributes:
+        thresholds: (K,) float64, falling.
+        tp, fp, fn: (K,) int64.
+        true_count: objects that must be found.
+    """
+
+    thresholds: Float64Array
+    tp: Int64Array
+    fp: Int64Array
+    fn: Int64Array
+    true_count: int
+
+
+def score_curve(detections: ScoredDetections) -> _ScoreCurve:
+    """Count what is right, wrong and missed at each score.
+
+    With each least score objects and detections are paired anew, as KITTI's development kit does at its 41 scores.
+    """
+    scores = detections.scores
+    steps = kernels.score_steps(
+        detections.overlaps,
+        *detections.pairs.locations,
+        detections.true_ignored,
+        detections.found_ignored,
+        detections.excused,
+        scores,
+        detections.least_overlap,
+    )
+    order = np.argsort(-scores, kind="stable")
+    ends = np.flatnonzero(np.diff(scores[order], append=-np.inf))
+    tp, fp, passed = np.cumsum(steps[order], axis=0)[ends].T
+    true_count = int((~detections.true_ignored).sum())
+    return _ScoreCurve(scores[order][ends], tp, fp, true_count - tp - passed, true_count)
+
+
+def score_detections(detections: ScoredDetections) -> DetectionScores:
+    """Compute the metrics of paired detections."""
+    curve, scores, matches = score_curve(detections), detections.scores, detections.surest_matches()
+    tp, fp, fn = curve.tp, curve.fp, curve.fn
+    precisions, recalls = tp / np.maximum(1, tp + fp), tp / np.maximum(1, tp + fn)
+    f1s = 2.0 * tp / np.maximum(1, 2 * tp + fp + fn)
+    samples = _samples(detections, matches, curve)
+    # the best precision at a recall or beyond it; 0 at recalls that are not reached
+    sampled = np.zeros(_SAMPLES)
+    sampled[: len(samples)] = precisions[samples]
+    sampled = np.maximum.accumulate(sampled[::-1])[::-1]
+    # of several detections of one object the surest one is true; those of ignored objects are neither true nor false
+    matched = matches >= 0
+    of_ignored = np.zeros(len(matches), np.bool_)
+    of_ignored[matched] = detections.true_ignored[matches[matched]]
+    counts = ~(detections.found_ignored | of_ignored | (detections.excused & ~matched))
+    are_probabilities = counts.any() and scores.min() >= 0.0 and scores.max() <= 1.0
+    best = int(f1s.argmax()) if len(f1s) else None
+    return DetectionScores(
+        ap40=float(sampled[1:].mean()),
+        ap11=float(sampled[::4].mean()),
+        max_f1=0.0 if best is None else float(f1s[best]),
+        threshold=None if best is None else float(curve.thresholds[best]),
+        precision=0.0 if best is None else float(precisions[best]),
+        recall=0.0 if best is None else float(recalls[best]),
+        true_objects=curve.true_count,
+        detections=int(tp[-1] + fp[-1]) if len(tp) else 0,
+        thresholds=tuple(curve.thresholds[samples].tolist()),
+        recalls=tuple(recalls[samples].tolist()),
+        precisions=tuple(precisions[samples].tolist()),
+        calibration=judge_calibration(scores[counts], matched[counts]) if are_probabilities else None,
+    )
+
+
+def _samples(detections: ScoredDetections, matches: Int64Array, curve: _ScoreCurve) -> Int64Array:
+    """Which of the thresholds have recalls nearest to 0, 1/40, …, 1, (S,) int64, S <= `_SAMPLES`.
+
+    Source: the development kit of KITTI's object benchmark, `getThresholds`; Simonelli et al. 2019 for 40 recalls.
+    """
+    right = (matches >= 0) & ~detections.found_ignored
+    right[right] = ~detections.true_ignored[matches[right]]
+    scores = np.sort(detections.scores[right])[::-1]
+    chosen, recall = [], 0.0
+    for k, score in enumerate(scores.tolist()):
+        here, after = (k + 1) / curve.true_count, (k + 2) / curve.true_count
+        if k + 1 < len(scores) and after - recall < recall - here:
+            continue
+        chosen.append(score)
+        recall += 1.0 / (_SAMPLES - 1)
+    return np.searchsorted(-curve.thresholds, -np.array(chosen)).astype(np.int64)
+
+
+def judge_calibration(probabilities: Float64Array, are_true: BoolArray) -> _Calibration:
+    """Compare scores, (N,) in 0 to 1, N >= 1, with the share of true detections, (N,), in bins of equal width."""
+    edges = np.linspace(0.0, 1.0, _BINS + 1)
+    locations = np.clip(np.searchsorted(edges, probabilities, side="right") - 1, 0, _BINS - 1)
+    counts = np.bincount(locations, minlength=_BINS)
+    stated = np.bincount(locations, weights=probabilities, minlength=_BINS)
+    came = np.bincount(locations, weights=are_true.astype(np.float64), minlength=_BINS)
+    gaps = np.abs(stated - came)
+    large = counts >= max(1.0, 0.01 * len(probabilities))
+    columns = zip(pairwise(edges.tolist()), counts.tolist(), stated.tolist(), came.tolist(), strict=True)
+    return _Calibration(
+        count=len(probabilities),
+        error=float(gaps.sum() / len(probabilities)),
+        largest_error=float((gaps[large] / counts[large]).max()),
+        brier=float(((probabilities - are_true) ** 2).mean()),
+        bins=tuple(
+            ReliabilityBin(
+                low=low,
+                high=high,
+                count=count,
+                mean_score=mean / count if count else None,
+                share_true=true / count if count else None,
+            )
+            for (low, high), count, mean, true in columns
+        ),
+    )
+
+
+def judge_covariances(
+    errors: Float64Array, covariances: Float64Array, *, degrees_of_freedom: float | None = None
+) -> CovarianceScores:
+    """Compare covariances with the errors that were made.
+
+    Args:
+        errors: (N, K), estimated less true, N >= 1.
+        covariances: (N, K, K), of the errors.
+        degrees_of_freedom: ν > 2 of the Student distribution that errors have, with those covariances; infinite for a
+            Gaussian, which is also the default. The regions are those of `detections.settings.radius_squared`.
+
+    Raises:
+        ArrayError: shapes do not fit, or a matrix is no covariance.
+        OptionError: `degrees_of_freedom` is not above 2.
+
+    Source: Bar-Shalom, Li and Kirubarajan 2001, section 5.4.
+    """
+    # importing these takes a second, which is spared where there are no covariances
+    from scipy import stats
+
+    from sceneloom.detections.settings import radius_squared
+
+    count, dimensions = errors.shape
+    if covariances.shape != (count, dimensions, dimensions):
+        raise ArrayError(f"covariances: {covariances.shape}; expected {(count, dimensions, dimensions)}")
+    freedom = np.inf if degrees_of_freedom is None else degrees_of_freedom
+    if not freedom > 2.0:
+        raise OptionError(f"degrees of freedom {freedom}; expected more than 2")
+    signs, logs = np.linalg.slogdet(covariances)
+    bad = np.flatnonzero(~(np.isfinite(logs) & (signs > 0))).tolist()
+    if bad:
+        raise ArrayError(f"covariances[{bad[0]}]: {covariances[bad[0]].tolist()}; expected a positive definite matrix")
+    distances = (errors * np.linalg.solve(covariances, errors[..., None])[..., 0]).sum(axis=1)
+    limits = {level: radius_squared(level, degrees_of_freedom=freedom, dimensions=dimensions) for level in _LEVELS}
+    low, high = stats.chi2.ppf((0.025, 0.975), count * dimensions) / count
+    return CovarianceScores(
+        count=count,
+        dimensions=dimensions,
+        nees=float(distances.mean()),
+        nees_low=float(low),
+        nees_high=float(high),
+        degrees_of_freedom=None if np.isinf(freedom) else freedom,
+        coverages=tuple(
+            Coverage(level=level, share=float((distances <= limit).mean())) for level, limit in limits.items()
+        ),
+        log_volume=float(logs.mean() / 2.0),
+        root_mean_square=float(np.sqrt((errors**2).mean())),
+    )
+
+
+def _judge_boxes(
+    results: Mapping[str, ObjectTable],
+    truth: Mapping[str, ObjectTable],
+    label: str,
+    rules: DetectionRules,
+    degrees_of_freedom: float | None,
+) -> tuple[dict[str, CovarianceScores] | None, float | None]:
+    """Judge covariances of boxes in space, whatever boxes the rest is judged by."""
+    if all(table.covariances is None or table.boxes is None for table in results.values()):
+        return None, None
+    in_space = replace(rules, similarity=Similarity.SPACE, least_overlap=_OVERLAP_OF_ERRORS, neighbours={}, regions="")
+    detections = pair_detections(results, truth, label, rules=in_space)
+    if detections.found.covariances is None or not (detections.surest_matches() >= 0).any():
+        return None, None
+    errors, covariances = box_errors(detections)
+    headings_reversed = float((np.abs(errors[:, 6]) > np.pi / 2).mean())
+    # a reversed heading is an error of its own, which no covariance is meant to cover
+    errors[:, 6] = (errors[:, 6] + np.pi / 2) % np.pi - np.pi / 2
+    judged = {
+        name: judge_covariances(errors[:, part], covariances[:, part, part], degrees_of_freedom=degrees_of_freedom)
+        for name, part in _PARTS.items()
+        if covariances[:, part, part].any()  # parts that nobody reported have variances of 0
+    }
+    return judged, headings_reversed
+
+
+def box_errors(detections: ScoredDetections) -> tuple[Float64Array, Float64Array]:
+    """Give the errors of the detections that have a true object, and their covariances.
+
+    Returns:
+        (K, 7) float64: middle, length, width, height [m], heading [rad] within ±π; (K, 7, 7) float64.
+
+    Raises:
+        OptionError: one side has no boxes in space, or detections no covariances.
+    """
+    found, truth = detections.found, detections.truth
+    if found.boxes is None or truth.boxes is None or found.covariances is None:
+        raise OptionError("errors of boxes need boxes in space on both sides and covariances of the results")
+    matches = detections.surest_matches()
+    matched = matches >= 0
+    errors = found.boxes[matched] - truth.boxes[matches[matched]]
+    errors[:, 6] = (errors[:, 6] + np.pi) % (2 * np.pi) - np.pi
+    return errors, found.covariances[matched]
 
 
 def plot_detection(report: DetectionReport, path: Path, *, overwrite: bool = False) -> None:
-    """Draw the figures of detections into a file, without touching what the caller does with matplotlib.
+    """Plot the metrics of detections into a file: a row for each class, and only the panels that some class has.
 
     Raises:
         OptionError: the suffix is none of `plot.SUFFIXES`.
@@ -749,29 +678,24 @@ def plot_detection(report: DetectionReport, path: Path, *, overwrite: bool = Fal
         MissingExtraError: matplotlib is not installed.
     """
     figure_of = check_plot(path, overwrite=overwrite)
-    panels = _panels(report)
-    rows, columns = max(1, len(report.classes)), max(1, len(panels))
-    figure = figure_of(figsize=(_COLUMN_INCHES * columns, _ROW_INCHES * rows), dpi=_DPI, layout="constrained")
-    grid = figure.add_gridspec(rows, columns)
-    for row, (label, reported) in enumerate(report.classes.items()):
-        for column, (draw, number) in enumerate(panels):
-            draw(figure.add_subplot(grid[row, column]), label, reported[number])
-    figure.suptitle(f"{report.results} against {report.truth}", fontsize=11)
-    with replacing(path, overwrite=overwrite) as draft:
-        figure.savefig(draft, format=path.suffix[1:].lower())
-
-
-def _panels(report: DetectionReport) -> list[tuple[Callable[[Any, str, ClassDetection], None], int]]:
-    """What is drawn of each class, from left to right, and of which similarity; only what some class has."""
-    reported = [one for similarities in report.classes.values() for one in similarities]
-    count = max((len(similarities) for similarities in report.classes.values()), default=0)
-    panels: list[tuple[Callable[[Any, str, ClassDetection], None], int]]
+    reported = [one for of_class in report.classes.values() for one in of_class]
+    count = max(map(len, report.classes.values()), default=0)
     panels = [(_draw_precision, number) for number in range(count)]
     if any(scores.calibration for one in reported for scores in one.difficulties.values()):
         panels.append((_draw_reliability, count - 1))
     if any(one.covariances for one in reported):
         panels.append((_draw_coverage, count - 1))
-    return panels
+    rows, columns = max(1, len(report.classes)), max(1, len(panels))
+    figure = figure_of(figsize=(4.6 * columns, 4.4 * rows))
+    grid = figure.add_gridspec(rows, columns)
+    for row, (label, of_class) in enumerate(report.classes.items()):
+        for column, (draw, number) in enumerate(panels):
+            axes = figure.add_subplot(grid[row, column])
+            draw(axes, label, of_class[number])
+            axes.grid(visible=True, alpha=0.3)
+            if axes.get_legend_handles_labels()[0]:
+                axes.legend(loc="lower left" if draw is _draw_precision else "upper left", fontsize=8)
+    save_plot(figure, f"{report.results} against {report.truth}", path, overwrite=overwrite)
 
 
 def _draw_precision(axes: Any, label: str, reported: ClassDetection) -> None:
@@ -782,29 +706,22 @@ def _draw_precision(axes: Any, label: str, reported: ClassDetection) -> None:
             axes.plot(scores.recall, scores.precision, marker="o", color=line.get_color(), markersize=5)
     axes.set_title(f"{label}, {reported.similarity} overlap above {reported.least_overlap:g}", fontsize=10)
     axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
-    axes.grid(visible=True, alpha=0.3)
-    axes.legend(loc="lower left", fontsize=8)
 
 
 def _draw_reliability(axes: Any, label: str, reported: ClassDetection) -> None:
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1)
-    calibrations = {name: scores.calibration for name, scores in reported.difficulties.items() if scores.calibration}
-    for name, calibration in calibrations.items():
-        _draw_bins(axes, name, calibration)
-    if calibrations:
-        axes.legend(loc="upper left", fontsize=8)
+    for name, difficulty in reported.difficulties.items():
+        if difficulty.calibration is None:
+            continue
+        filled = [part for part in difficulty.calibration.bins if part.count]
+        most = max(part.count for part in filled)
+        scores, shares = [part.mean_score for part in filled], [part.share_true for part in filled]
+        shown = f"{name}: ECE {difficulty.calibration.error:.3f}"
+        (line,) = axes.plot(scores, shares, linewidth=1.2, label=shown)
+        sizes = [12 + 100 * part.count / most for part in filled]
+        axes.scatter(scores, shares, s=sizes, color=line.get_color(), alpha=0.6)
     axes.set_title(f"{label}, reliability of scores, {reported.similarity}", fontsize=10)
     axes.set(xlabel="score", ylabel="share that is true", xlim=(0, 1.02), ylim=(0, 1.02))
-    axes.grid(visible=True, alpha=0.3)
-
-
-def _draw_bins(axes: Any, name: str, calibration: _Calibration) -> None:
-    filled = [part for part in calibration.bins if part.count]
-    most = max(part.count for part in filled)
-    scores, shares = [part.mean_score for part in filled], [part.share_true for part in filled]
-    (line,) = axes.plot(scores, shares, linewidth=1.2, label=f"{name}: ECE {calibration.error:.3f}")
-    sizes = [12 + 100 * part.count / most for part in filled]
-    axes.scatter(scores, shares, s=sizes, color=line.get_color(), alpha=0.6)
 
 
 def _draw_coverage(axes: Any, label: str, reported: ClassDetection) -> None:
@@ -814,7 +731,4 @@ def _draw_coverage(axes: Any, label: str, reported: ClassDetection) -> None:
         shown = f"{name}: NEES {part.nees:.2f} of {part.dimensions}"
         axes.plot(levels, shares, marker="o", linewidth=1.2, label=shown)
     axes.set_title(f"{label}, regions of covariances", fontsize=10)
-    axes.set(xlabel="what a region promises", ylabel="what it holds", xlim=(0.4, 1.02), ylim=(0.4, 1.02))
-    axes.grid(visible=True, alpha=0.3)
-    if reported.covariances:
-        axes.legend(loc="upper left", fontsize=8)
+    axes.set(xlabel="promised share", ylabel="share within", xlim=(0.4, 1.02), ylim=(0.4, 1.02))

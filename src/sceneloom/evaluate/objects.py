@@ -1,17 +1,17 @@
 """Objects of a sequence as columns, and the similarity of true and found objects frame by frame."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import chain
 from types import MappingProxyType
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, check_array, hold_arrays, read_only
 from sceneloom.errors import ArrayError, OptionError
+from sceneloom.formats.kitti.labels import KittiLabels
 from sceneloom.kernels import overlaps
 
 _FLOATS: dict[str, tuple[int, ...]] = {
@@ -28,51 +28,7 @@ _FLOATS: dict[str, tuple[int, ...]] = {
 KITTI_NEIGHBOURS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"car": ("van",), "pedestrian": ("person", "person_sitting")}
 )
-"""By class, the classes that are easily taken for it: their objects need not be found, and may be."""
-
-
-class LabelColumns(Protocol):
-    """Labels or results of KITTI as columns, as `formats.kitti.read_labels` gives them."""
-
-    @property
-    def frames(self) -> Int64Array:
-        """(N,)."""
-
-    @property
-    def track_ids(self) -> Int64Array:
-        """(N,), -1 for none."""
-
-    @property
-    def types(self) -> tuple[str, ...]:
-        """N classes."""
-
-    @property
-    def truncations(self) -> AnyArray:
-        """(N,)."""
-
-    @property
-    def occlusions(self) -> AnyArray:
-        """(N,)."""
-
-    @property
-    def corners_xyxy(self) -> Float64Array:
-        """(N, 4) [px]."""
-
-    @property
-    def sizes_hwl(self) -> Float64Array:
-        """(N, 3) [m]."""
-
-    @property
-    def bottoms(self) -> Float64Array:
-        """(N, 3) [m], middles of the lower faces in the camera's frame."""
-
-    @property
-    def rotations_y(self) -> Float64Array:
-        """(N,) [rad], about the camera's y axis."""
-
-    @property
-    def scores(self) -> Float64Array | None:
-        """(N,), or None."""
+"""By class, the classes that are easily taken for it: their objects may be found, but need not be."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +94,7 @@ class ObjectTable:
         return cls(none, none, (), np.zeros((0, 4)), np.zeros((0, 7)), scores=np.zeros(0))
 
     @classmethod
-    def of_kitti(cls, labels: LabelColumns) -> "ObjectTable":
+    def of_kitti(cls, labels: KittiLabels) -> "ObjectTable":
         """Take the columns of KITTI's text; boxes get the frame x = camera's z, y = -x, z = -y.
 
         Source: the development kit of KITTI's tracking benchmark.
@@ -214,8 +170,12 @@ def check_sequences(results: Mapping[str, ObjectTable], truth: Mapping[str, Obje
             raise OptionError(f"{side} without the sequences {', '.join(sorted(names))}")
 
 
+_ZERO_DISTANCE = 4.0
+"""Middles that are so far apart have nothing in common, half of it is a similarity of 0.5 [m]."""
+
+
 class Similarity(StrEnum):
-    """What says how alike two boxes are, 0 to 1."""
+    """Measure of the similarity of two boxes, 0 to 1."""
 
     IMAGE = "2d"
     """Intersection over union of the boxes of the image."""
@@ -224,7 +184,7 @@ class Similarity(StrEnum):
     SPACE = "3d"
     """Intersection over union of the boxes in space."""
     DISTANCE = "distance"
-    """1 - d / `_ZERO_DISTANCE`, of the horizontal distance d of the middles."""
+    """1 - d / 4 m, of the horizontal distance d of the middles."""
 
 
 def similarity_named(name: Similarity | str) -> Similarity:
@@ -236,10 +196,6 @@ def similarity_named(name: Similarity | str) -> Similarity:
     if name not in tuple(Similarity):
         raise OptionError(f"similarity {str(name)!r}; expected one of {', '.join(Similarity)}")
     return Similarity(name)
-
-
-_ZERO_DISTANCE = 4.0
-"""Middles that are so far apart have nothing in common, half of it is a similarity of 0.5 [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,7 +223,7 @@ class FramePairs:
 
 
 def similarities(truth: ObjectTable, found: ObjectTable, pairs: FramePairs, similarity: Similarity) -> Float64Array:
-    """Report how alike the objects of each pair are.
+    """Compute the similarity of each pair.
 
     Args:
         truth, found: in order of frames.
@@ -278,13 +234,20 @@ def similarities(truth: ObjectTable, found: ObjectTable, pairs: FramePairs, simi
     Raises:
         OptionError: one of both lacks the boxes that this needs.
     """
-    column, compare = _COMPARED[similarity]
-    sides = (_column(truth, column, similarity, "the truth"), _column(found, column, similarity, "the results"))
-    return compare(*sides, pairs)
+    column = "corners_xyxy" if similarity is Similarity.IMAGE else "boxes"
+    true = _column(truth, column, similarity, "the truth")
+    ours = _column(found, column, similarity, "the results")
+    if similarity is Similarity.IMAGE:
+        return overlaps.image_overlaps(true, ours, *pairs.locations)
+    if similarity is Similarity.ABOVE:
+        return overlaps.overlaps_from_above(true, ours, *pairs.locations)
+    if similarity is Similarity.SPACE:
+        return overlaps.overlaps_in_space(true, ours, *pairs.locations)
+    return overlaps.nearnesses(_plain(true[:, :2]), _plain(ours[:, :2]), *pairs.locations, _ZERO_DISTANCE)
 
 
 def covered_by(found: ObjectTable, regions: Float64Array, pairs: FramePairs) -> Float64Array:
-    """Report which share of each found box of the image lies in each region of its frame, (P,) float64.
+    """Compute the share of each found box of the image that lies in each region of its frame, (P,) float64.
 
     Args:
         regions: (R, 4) [px], left, top, right, bottom; the rows of `pairs`.
@@ -301,29 +264,5 @@ def _column(objects: ObjectTable, name: str, similarity: Similarity, side: str) 
 
 
 def _plain(column: AnyArray) -> Float64Array:
-    """The same numbers as compiled loops take them: in one piece, and free to be written to."""
+    """The same numbers as compiled loops take them: contiguous and writable."""
     return np.require(column, np.float64, ["C", "W"])
-
-
-def _in_image(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
-    return overlaps.image_overlaps(truth, found, *pairs.locations)
-
-
-def _from_above(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
-    return overlaps.overlaps_from_above(truth, found, *pairs.locations)
-
-
-def _in_space(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
-    return overlaps.overlaps_in_space(truth, found, *pairs.locations)
-
-
-def _near(truth: Float64Array, found: Float64Array, pairs: FramePairs) -> Float64Array:
-    return overlaps.nearnesses(_plain(truth[:, :2]), _plain(found[:, :2]), *pairs.locations, _ZERO_DISTANCE)
-
-
-_COMPARED: dict[Similarity, tuple[str, Callable[[Float64Array, Float64Array, FramePairs], Float64Array]]] = {
-    Similarity.IMAGE: ("corners_xyxy", _in_image),
-    Similarity.ABOVE: ("boxes", _from_above),
-    Similarity.SPACE: ("boxes", _in_space),
-    Similarity.DISTANCE: ("boxes", _near),
-}

@@ -58,11 +58,7 @@ class _Outputs:
         return Path(self.location, name).exists() if self.there is None else name in self.there
 
     def accept(self, task: Task) -> None:
-        """Move an output to its folder, after what else the verb wrote beside it; to a store the worker has sent it.
-
-        Raises:
-            OSError: it cannot be moved.
-        """
+        """Move an output to its folder, after what else the verb wrote beside it; to a store the worker has sent it."""
         if self.there is None:
             put(task.draft, Path(self.location))
 
@@ -138,12 +134,7 @@ def record_folder(url: str) -> Path:
 
 
 def _check_further(wanted: Iterable[Further], store: str) -> None:
-    """Refuse locations that are not where the outputs go, on disk or in a store, or that cannot be folders.
-
-    Raises:
-        OptionError: one is in a store and the outputs are not, or the other way round.
-        OutputError: a file lies where a folder is to be.
-    """
+    """Refuse locations that are not where the outputs go, on disk or in a store, or that cannot be folders."""
     for one in wanted:
         if is_url(one.location) != bool(store):
             asked, others = ("on disk", "into a store") if store else ("in a store", "on disk")
@@ -155,11 +146,7 @@ def _check_further(wanted: Iterable[Further], store: str) -> None:
 
 
 def _check_locations(locations: Sequence[str]) -> None:
-    """Refuse locations of which two are one.
-
-    Raises:
-        OptionError: the same location twice.
-    """
+    """Refuse locations of which two are one."""
     seen: set[str] = set()
     for location in locations:
         known = location if is_url(location) else str(Path(location).absolute())
@@ -175,11 +162,7 @@ class _Locations:
         self._names: dict[str, frozenset[str]] = {}
 
     def has(self, location: str) -> bool:
-        """Whether there is a file or folder.
-
-        Raises:
-            DataError: a store cannot be read.
-        """
+        """Whether there is a file or folder."""
         if not is_url(location):
             return Path(location).exists()
         folder, _, name = location.rstrip("/").rpartition("/")
@@ -204,9 +187,6 @@ def _open_outputs(store: str, record: Record, *, resume: bool) -> _Outputs:
         store: a location in a store; "" for the folder of the record.
         record: of the run.
         resume: whether it may have drives already.
-
-    Raises:
-        OutputError: it has, or the location is that of another run.
     """
     known, drives = record.reported(), len(record.rows())
     before, now = known.get("store", ""), redacted(store)
@@ -227,13 +207,7 @@ def _open_outputs(store: str, record: Record, *, resume: bool) -> _Outputs:
 
 
 def _prepare(job: Job, record: Record, outputs: _Outputs) -> None:
-    """Enter the drives, and let those be done anew that changed.
-
-    Raises:
-        OutputError: a file that is no output of the run has the name of one.
-        OptionError: drives differ in secrets of their addresses only, or two outputs of one in nothing.
-        DataError: the server of a drive does not answer.
-    """
+    """Enter the drives, and let those be done anew that changed."""
     locations = _Locations()
     known = {_drive_key(row.input, row.part): row for row in record.rows()}
     asked = _asked_drives(job)

@@ -123,11 +123,7 @@ def put(draft: Path, folder: Path) -> None:
 
 
 def _send(draft: Path, target: str) -> None:
-    """Send an output to a store, after what else the verb wrote beside it; each object appears whole or not at all.
-
-    Raises:
-        OutputError: the store cannot be written to.
-    """
+    """Send an output to a store, after what else the verb wrote beside it; each object appears whole or not at all."""
     from sceneloom.formats.remote.uploads import upload
 
     for made in _made(draft):

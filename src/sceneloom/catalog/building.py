@@ -188,9 +188,6 @@ class _Run:
             drives: each once.
             files: of them, as `_looked_at` gives them.
             done: how many more are done already.
-
-        Raises:
-            OutputError: the catalogue cannot be written.
         """
         tried: set[str] = set()
         due = list(drives)

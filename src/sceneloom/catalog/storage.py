@@ -445,11 +445,7 @@ def _read(layout: Layout, number: int) -> _Part:
 
 
 def _kept_rows(location: Path, table: str, kept: Mapping[str, Entry], *, some: bool) -> list[Any]:
-    """The rows of scenes that stay; `some`: others are there, too.
-
-    Raises:
-        DataError: the file is damaged.
-    """
+    """The rows of scenes that stay; `some`: others are there, too."""
     if not kept:
         return []
     pa, _ = pyarrow()

@@ -422,10 +422,6 @@ def _check_unpacked(path: Path) -> None:
 
     Source: Apache Arrow, columnar format, "Serialization and Interprocess Communication": messages follow eight bytes
     at the beginning, and a compressed buffer begins with its own length, int64, -1 for what is not compressed.
-
-    Raises:
-        DataError: they do.
-        OSError: it is no regular file, or cannot be opened.
     """
     import pyarrow as pa
 
@@ -506,11 +502,7 @@ _KINDS = {"f": "fiu", "i": "iu", "u": "iu"}
 
 
 def _pose_columns(path: Path, columns: Columns) -> tuple[Float64Array, Float64Array]:
-    """Positions (N, 3) [m] and unit quaternions (N, 4), scalar last, of the columns of poses.
-
-    Raises:
-        DataError: a quaternion is far from length 1.
-    """
+    """Positions (N, 3) [m] and unit quaternions (N, 4), scalar last, of the columns of poses."""
     positions = np.stack([columns[f"t{axis}_m"] for axis in "xyz"], axis=1)
     quaternions = np.stack([columns[f"q{axis}"] for axis in "xyzw"], axis=1)
     norms, is_off = lengths_of(quaternions)

@@ -1,7 +1,7 @@
 """Write the object and tracking benchmarks: frames, calibration, and annotations as rows of label files."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from sceneloom.formats.kitti.labels import (
     DONT_CARE,
     NO_OUTLINE,
     NO_TRACK,
+    NUMBERS,
     KittiLabels,
     format_labels,
     observation_angles,
@@ -67,14 +68,14 @@ _NO_OUTLINE = np.full(4, NO_OUTLINE)
 _IMAGE_ONLY = " (image)"
 
 
-@dataclass(slots=True)
-class _Rows:
-    frames: list[int] = field(default_factory=list)
-    tracks: list[int] = field(default_factory=list)
-    types: list[str] = field(default_factory=list)
-    reported: list[tuple[float, float, float, float]] = field(default_factory=list)
-    corners: list[Float64Array] = field(default_factory=list)
-    space: list[Sequence[float]] = field(default_factory=list)
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """One row of labels; its numbers in the order of `NUMBERS`, and a score or NaN."""
+
+    frame: int
+    track: int
+    type: str
+    values: tuple[float, ...]
 
 
 class _LabelRows:
@@ -111,7 +112,7 @@ class _LabelRows:
         self._with_tracks = with_tracks
         self._timestamps_ns = self._image_times(choice.reference)
         self._angles = CuboidAngles.of(scene)
-        self._rows = _Rows()
+        self._rows: list[_Row] = []
         self._tilt, self._tilted = 0.0, 0
         self._tracks = self._track_ids()
 
@@ -179,7 +180,7 @@ class _LabelRows:
         poses = activated(annotation, seeing, times, by_path, angles=self._angles)
         attributes = {attribute.name: attribute for attribute in annotation.attributes}
         self._lose_rest(annotation, seen)
-        before = len(self._rows.frames)
+        before = len(self._rows)
         for k, frame in enumerate(frames.tolist()):
             if not (poses.there[k] and np.isfinite(poses.centers_world[k]).all()):
                 continue
@@ -194,7 +195,7 @@ class _LabelRows:
                 corners = found
             space = self._space(center, poses.sizes_lwh[k], rotation)
             self._add_row(annotation, frame, corners, attributes, space)
-        self._report_unseen(len(frames), len(self._rows.frames) - before)
+        self._report_unseen(len(frames), len(self._rows) - before)
 
     @property
     def _seeing(self) -> Identifier | None:
@@ -324,26 +325,14 @@ class _LabelRows:
         time = [int(self._timestamps_ns[frame])]
         reported = {name: _number(attributes.get(name), time) for name in _REPORTED[:4]}
         kinds = attribute_at(attributes["type"], time) if "type" in attributes else [None]
-        rows = self._rows
-        rows.frames.append(frame)
-        rows.tracks.append(self._tracks[key_of(annotation.id)])
-        rows.types.append(self._word(kinds[0] if isinstance(kinds[0], str) else annotation.label))
-        rows.corners.append(corners if corners is _NO_OUTLINE else corners - CENTRE_TO_CORNER)
-        rows.space.append(space)
-        alpha = reported["alpha"]
-        if alpha is None:
-            alpha = UNTOLD["alpha"]
-            if space[0] > 0 and corners is not _NO_OUTLINE:
-                alpha = float(observation_angles(np.array([space[3:6]]), np.array([space[6]]))[0])
-        truncated, occluded, score = reported["truncated"], reported["occluded"], reported["score"]
-        rows.reported.append(
-            (
-                UNTOLD["truncated"] if truncated is None else truncated,
-                UNTOLD["occluded"] if occluded is None else float(int(occluded)),
-                alpha,
-                np.nan if score is None else score,
-            )
-        )
+        if space[0] > 0 and corners is not _NO_OUTLINE and reported["alpha"] is None:
+            reported["alpha"] = float(observation_angles(np.array([space[3:6]]), np.array([space[6]]))[0])
+        truncated, occluded, alpha = (UNTOLD[n] if (v := reported[n]) is None else v for n in _REPORTED[:3])
+        edges = corners if corners is _NO_OUTLINE else corners - CENTRE_TO_CORNER
+        score = np.nan if reported["score"] is None else reported["score"]
+        word = self._word(kinds[0] if isinstance(kinds[0], str) else annotation.label)
+        values = (truncated, float(int(occluded)), alpha, *edges.tolist(), *space, score)
+        self._rows.append(_Row(frame, self._tracks[key_of(annotation.id)], word, values))
 
     def _word(self, label: str | None) -> str:
         """A class as a word without blanks."""
@@ -372,27 +361,15 @@ class _LabelRows:
 
     def _collected(self) -> KittiLabels:
         rows = self._rows
-        count = len(rows.frames)
-        order = np.argsort(np.array(rows.frames, np.int64), kind="stable")
-        reported = np.array(rows.reported, np.float64).reshape(count, 4)[order]
-        space = np.array(rows.space, np.float64).reshape(count, 7)[order]
-        scored = count > 0 and bool(np.isfinite(reported[:, 3]).all())
-        if count and not scored and np.isfinite(reported[:, 3]).any():
+        order = np.argsort(np.array([row.frame for row in rows], np.int64), kind="stable").tolist()
+        values = np.array([rows[k].values for k in order], np.float64).reshape(len(rows), len(NUMBERS) + 1)
+        scored = np.isfinite(values[:, -1])
+        if not (scored.all() and len(rows)):
             what = "left out: rows have scores only where all of them have one"
-            lost = int(np.isfinite(reported[:, 3]).sum())
-            self.losses.dropped("annotations.cuboid.attributes", what, count=lost)
-        return KittiLabels(
-            frames=np.array(rows.frames, np.int64)[order],
-            track_ids=np.array(rows.tracks, np.int64)[order],
-            types=tuple(rows.types[k] for k in order.tolist()),
-            truncations=reported[:, 0].copy(),
-            occlusions=reported[:, 1].astype(np.int64),
-            alphas=reported[:, 2].copy(),
-            corners_xyxy=np.array(rows.corners, np.float64).reshape(count, 4)[order],
-            sizes_hwl=space[:, :3].copy(),
-            bottoms=space[:, 3:6].copy(),
-            rotations_y=space[:, 6].copy(),
-            scores=reported[:, 3].copy() if scored else None,
+            self.losses.dropped("annotations.cuboid.attributes", what, count=int(scored.sum()))
+            values = values[:, :-1]
+        return KittiLabels.of(
+            [rows[k].frame for k in order], [rows[k].track for k in order], [rows[k].type for k in order], values
         )
 
 

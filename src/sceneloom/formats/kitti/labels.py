@@ -1,7 +1,7 @@
 """Labels, results and lists of detections of the tracking and object benchmarks, and their boxes in other frames."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -9,41 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, check_array, read_only
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array, read_only
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.output import filling, replacing
 from sceneloom.formats.kitti.text import Line, as_table, read_lines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.warnings import WarningKind
-
-
-class _Parser:
-    """Takes lines of one layout apart: how many values they have, and what each is called."""
-
-    def __init__(self, names: Sequence[str], *, whole: Sequence[str] = ()) -> None:
-        """Remember the layout.
-
-        Args:
-            names: of the values, in their order.
-            whole: which of them are whole numbers of 0 or more.
-        """
-        self._names = tuple(names)
-        self._whole = {names.index(name): name for name in whole}
-        self._meaning = ",".join(names)
-
-    def __call__(self, line: Line) -> list[float]:
-        """The numbers of a line.
-
-        Raises:
-            DataError: there are more or fewer, or one is none.
-        """
-        line.check_count((len(self._names),), self._meaning)
-        row = line.floats(0, self._names)
-        for column, name in self._whole.items():
-            line.whole_at(column, name)
-        return row
-
 
 NUMBERS = (
     *("truncated", "occluded", "alpha", "x1", "y1", "x2", "y2"),
@@ -93,14 +65,33 @@ class KittiLabels:
 
     def __post_init__(self) -> None:
         count = check_array("labels.frames", self.frames, (None,), np.int64)
-        for name, (dtype, shape) in _COLUMNS.items():
-            check_array(f"labels.{name}", getattr(self, name), (count, *shape), dtype, optional=name == "scores")
+        check_array("labels.track_ids", self.track_ids, (count,), np.int64)
+        for name, (column, dtype) in _COLUMNS.items():
+            shape = (count,) if isinstance(column, int) else (count, column.stop - column.start)
+            check_array(f"labels.{name}", getattr(self, name), shape, dtype, optional=name == "scores")
         if len(self.types) != count:
             raise ArrayError(f"labels.types: {len(self.types)}; expected {count}")
-        for name in ("frames", *_COLUMNS):
+        for name in ("frames", "track_ids", *_COLUMNS):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, read_only(value))
+
+    @classmethod
+    def of(
+        cls, frames: Sequence[int], track_ids: Sequence[int], types: Sequence[str], values: Float64Array
+    ) -> "KittiLabels":
+        """Labels of rows of numbers, (N, 14) float64 in the order of `NUMBERS`, or (N, 15) with a score."""
+        columns: dict[str, Any] = {
+            name: None if name == "scores" and values.shape[1] == len(NUMBERS) else values[:, column].astype(dtype)
+            for name, (column, dtype) in _COLUMNS.items()
+        }
+        return cls(np.array(frames, np.int64), np.array(track_ids, np.int64), tuple(types), **columns)
+
+    @property
+    def values(self) -> Float64Array:
+        """The numbers of all rows, as `of` takes them."""
+        columns = [value for name in _COLUMNS if (value := getattr(self, name)) is not None]
+        return np.column_stack(columns).astype(np.float64)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -125,29 +116,26 @@ class KittiLabels:
         """Keep some: (M,) numbers of rows, or (N,) bool."""
         picked = np.asarray(rows)
         chosen = np.arange(len(self))[picked if picked.dtype == np.bool_ else picked.astype(np.int64)]
-        kept: dict[str, Any] = {
-            f.name: None if (value := getattr(self, f.name)) is None else value[chosen]
-            for f in fields(self)
-            if f.name != "types"
-        }
-        return KittiLabels(types=tuple(self.types[k] for k in chosen.tolist()), **kept)
+        types = [self.types[k] for k in chosen.tolist()]
+        return KittiLabels.of(self.frames[chosen], self.track_ids[chosen], types, self.values[chosen])
 
 
 NO_OUTLINE = -1.0
 """All four edges of a box of a drive that has no camera; KITTI's own labels have none such."""
 
-_COLUMNS: dict[str, tuple[type, tuple[int, ...]]] = {
-    "track_ids": (np.int64, ()),
-    "truncations": (np.float64, ()),
-    "occlusions": (np.int64, ()),
-    "alphas": (np.float64, ()),
-    "corners_xyxy": (np.float64, (4,)),
-    "sizes_hwl": (np.float64, (3,)),
-    "bottoms": (np.float64, (3,)),
-    "rotations_y": (np.float64, ()),
-    "scores": (np.float64, ()),
-}
-"""Dtype, and shape of a row, of the columns beside frames and types."""
+_COLUMNS: Mapping[str, tuple[int | slice, type]] = MappingProxyType(
+    {
+        "truncations": (0, np.float64),
+        "occlusions": (1, np.int64),
+        "alphas": (2, np.float64),
+        "corners_xyxy": (slice(3, 7), np.float64),
+        "sizes_hwl": (slice(7, 10), np.float64),
+        "bottoms": (slice(10, 13), np.float64),
+        "rotations_y": (13, np.float64),
+        "scores": (14, np.float64),
+    }
+)
+"""Fields of labels: their columns among `NUMBERS`, which a score may follow, and dtypes."""
 
 
 def read_labels(path: Path | str) -> KittiLabels:
@@ -165,7 +153,9 @@ def read_labels(path: Path | str) -> KittiLabels:
     lines = read_lines(path)
     tracked = bool(lines) and len(lines[0].words) > 2 and lines[0].words[0].lstrip("-").isdigit()
     frame = int(path.stem) if path.stem.isascii() and path.stem.isdigit() and len(path.stem) < 19 else 0
-    heads, numbers, scored = [], [], None
+    heads: list[tuple[int, int, str]] = []
+    numbers: list[list[float]] = []
+    scored = None
     for line in lines:
         head, first = _head(line) if tracked else ((frame, NO_TRACK, _word(line, 0)), 1)
         values = _values(line, first)
@@ -174,7 +164,8 @@ def read_labels(path: Path | str) -> KittiLabels:
         scored = len(values)
         heads.append(head)
         numbers.append(values)
-    return _labels(heads, as_table(numbers, scored or len(NUMBERS)))
+    frames, tracks, types = zip(*heads, strict=True) if heads else ((), (), ())
+    return KittiLabels.of(frames, tracks, types, as_table(numbers, scored or len(NUMBERS)))
 
 
 def _head(line: Line) -> tuple[tuple[int, int, str], int]:
@@ -202,32 +193,17 @@ def _values(line: Line, first: int) -> list[float]:
     return values
 
 
-def _labels(heads: Sequence[tuple[int, int, str]], values: Float64Array) -> KittiLabels:
-    return KittiLabels(
-        frames=np.array([head[0] for head in heads], np.int64),
-        track_ids=np.array([head[1] for head in heads], np.int64),
-        types=tuple(head[2] for head in heads),
-        truncations=values[:, 0].copy(),
-        occlusions=values[:, 1].astype(np.int64),
-        alphas=values[:, 2].copy(),
-        corners_xyxy=values[:, 3:7].copy(),
-        sizes_hwl=values[:, 7:10].copy(),
-        bottoms=values[:, 10:13].copy(),
-        rotations_y=values[:, 13].copy(),
-        scores=values[:, 14].copy() if values.shape[1] > len(NUMBERS) else None,
-    )
-
-
 def joined_labels(parts: Sequence[KittiLabels]) -> KittiLabels:
     """Put labels together, in the order of the parts; scores are kept where all of them have some."""
     filled = [part for part in parts if len(part)]
-    columns: dict[str, Any] = {}
-    for name, (dtype, shape) in {"frames": (np.int64, ()), **_COLUMNS}.items():
-        values = [getattr(part, name) for part in filled]
-        known = all(value is not None for value in values) and (filled or name != "scores")
-        empty: AnyArray = np.zeros((0, *shape), dtype)
-        columns[name] = np.concatenate([empty, *values]) if known else None
-    return KittiLabels(types=tuple(word for part in filled for word in part.types), **columns)
+    width = min((part.values.shape[1] for part in filled), default=len(NUMBERS))
+    values = np.concatenate([np.zeros((0, width)), *(part.values[:, :width] for part in filled)])
+    return KittiLabels.of(
+        [frame for part in filled for frame in part.frames.tolist()],
+        [track for part in filled for track in part.track_ids.tolist()],
+        [word for part in filled for word in part.types],
+        values,
+    )
 
 
 def write_labels(labels: KittiLabels, path: Path | str, *, overwrite: bool = False) -> None:
@@ -279,27 +255,17 @@ def format_labels(labels: KittiLabels, path: Path | str = "", *, tracked: bool =
     Raises:
         DataError: a number is not finite, or a class has a blank.
     """
-    columns = [labels.alphas[:, None], labels.corners_xyxy, labels.sizes_hwl, labels.bottoms]
-    columns += [labels.rotations_y[:, None]] + ([] if labels.scores is None else [labels.scores[:, None]])
-    values = np.concatenate(columns, axis=1)
-    wrong = ~np.isfinite(values).all(axis=1)
+    values = labels.values
+    wrong = ~np.isfinite(values[:, 2:]).all(axis=1)
     if wrong.any():
         k = int(np.argmax(wrong))
-        raise DataError(path, f"object {k}", f"{values[k].tolist()}; expected finite numbers")
-    heads = zip(
-        labels.frames.tolist(),
-        labels.track_ids.tolist(),
-        labels.types,
-        labels.truncations.tolist(),
-        labels.occlusions.tolist(),
-        values.tolist(),
-        strict=True,
-    )
-    for frame, track, word, truncation, occlusion, row in heads:
+        raise DataError(path, f"object {k}", f"{values[k, 2:].tolist()}; expected finite numbers")
+    heads = zip(labels.frames.tolist(), labels.track_ids.tolist(), labels.types, values.tolist(), strict=True)
+    for frame, track, word, (truncation, occlusion, *row) in heads:
         if not word or any(letter.isspace() for letter in word):
             raise DataError(path, "", f"class {word!r}; expected a word without blanks")
         first = f"{frame} {track} " if tracked else ""
-        yield f"{first}{word} {truncation:g} {occlusion} {' '.join(f'{value:.6f}' for value in row)}"
+        yield f"{first}{word} {truncation:g} {int(occlusion)} {' '.join(f'{value:.6f}' for value in row)}"
 
 
 CENTRE_TO_CORNER = 0.5
@@ -406,11 +372,6 @@ class DetectionList:
         return int(self.frames[-1]) + 1 if len(self.frames) else 0
 
 
-def _empty_list(columns: Sequence[str]) -> DetectionList:
-    """A detector that found nothing."""
-    return DetectionList(np.zeros(0, np.int64), np.zeros((0, len(columns))), ())
-
-
 def read_boxes_2d_list(path: Path, label: str | None, ledger: Ledger) -> DetectionList:
     """Read a list of boxes in images: `frame,x1,y1,x2,y2,score`.
 
@@ -421,20 +382,15 @@ def read_boxes_2d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
     Raises:
         DataError: a line has another number of values, one is no number, or a score is no probability.
     """
-    parse = _Parser(COLUMNS_2D, whole=("frame",))
     rows = []
-    for line, row in _sound_rows(read_lines(path, separator=","), parse, ledger, "faulty-detections"):
+    for line, row in _sound_rows(path, COLUMNS_2D, ("frame",), ledger):
         if not -_BEYOND <= row[5] <= 1 + _BEYOND:
             problem = f"score {row[5]:g}; expected a probability from 0 to 1"
             ledger.fault("faulty-detections", line.fault(problem))
             continue
         if row[3] <= row[1] or row[4] <= row[2]:
-            ledger.note(
-                WarningKind.SKIPPED,
-                "boxes-without-area",
-                f"{path}: line {line.number}",
-                "boxes without an area",
-            )
+            location = f"{path}: line {line.number}"
+            ledger.note(WarningKind.SKIPPED, "boxes-without-area", location, "boxes without an area")
             continue
         row[5] = min(max(row[5], 0.0), 1.0)
         rows.append(row)
@@ -446,16 +402,15 @@ def read_boxes_3d_list(path: Path, label: str | None, ledger: Ledger) -> Detecti
     """Read a list of boxes in space: `frame,type,x1,y1,x2,y2,score,h,w,l,x,y,z,ry,alpha`.
 
     Args:
-        label: class of all of them; None, or no word of KITTI's, where the numbers in the lines report.
-        ledger: takes warnings of in a lenient reading of faulty lines.
+        label: class of all of them; None, or no word of KITTI's, where the numbers in the lines state it.
+        ledger: takes warnings of faulty lines in a lenient reading.
 
     Raises:
         DataError: a line has another number of values, one is no number, a size is not above 0, or the type is unknown,
             or another one than the class.
     """
-    parse = _Parser(COLUMNS_3D, whole=("frame", "type"))
     rows, labels = [], []
-    for line, row in _sound_rows(read_lines(path, separator=","), parse, ledger, "faulty-detections"):
+    for line, row in _sound_rows(path, COLUMNS_3D, ("frame", "type"), ledger):
         try:
             labels.append(_checked_label(line, row, label))
         except DataError as error:
@@ -491,9 +446,7 @@ def _by_frame(values: Float64Array, labels: Sequence[str], classes: frozenset[st
 
 def joined(lists: Sequence[DetectionList], columns: Sequence[str]) -> DetectionList:
     """Put the lists of several classes together; within a frame they keep their order."""
-    if not lists:
-        return _empty_list(columns)
-    values = np.concatenate([one.values for one in lists])
+    values = np.concatenate([np.zeros((0, len(columns))), *(one.values for one in lists)])
     classes = frozenset[str]().union(*(one.classes for one in lists))
     return _by_frame(values, [label for one in lists for label in one.labels], classes)
 
@@ -504,22 +457,16 @@ def class_word(name: str) -> str:
 
 
 def _sound_rows(
-    lines: Sequence[Line], parse: "_Parser", ledger: Ledger, code: str
+    path: Path, names: Sequence[str], whole: Sequence[str], ledger: Ledger
 ) -> Iterator[tuple[Line, list[float]]]:
-    """Take each line apart into numbers; a faulty one raises, or is left out in a lenient reading.
-
-    Args:
-        parse: gives the numbers of a line.
-        ledger: takes warnings of faults.
-        code: of the warning about them.
-
-    Raises:
-        DataError: a line is faulty, and the reading is not lenient.
-    """
-    for line in lines:
+    """The numbers of each line, some of them whole; a faulty line raises, or is left out in a lenient reading."""
+    for line in read_lines(path, separator=","):
         try:
-            row = parse(line)
+            line.check_count((len(names),), ",".join(names))
+            row = line.floats(0, names)
+            for name in whole:
+                line.whole_at(names.index(name), name)
         except DataError as error:
-            ledger.fault(code, error)
+            ledger.fault("faulty-detections", error)
             continue
         yield line, row

@@ -1,7 +1,7 @@
 """Read frames of KITTI's object benchmark, each with its own calibration."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -22,7 +22,7 @@ from sceneloom.formats.kitti.sensors import (
     lidar_sensor,
 )
 from sceneloom.formats.kitti.spec import IMAGES, OBJECT_CAMERAS, PARTS, SWEEPS, TEXTS, object_folders
-from sceneloom.formats.kitti.text import NumberedFiles, note_unread, numbered_files
+from sceneloom.formats.kitti.text import NumberedFiles, note_other_part, note_unread, numbered_files
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import Annotation
 from sceneloom.scene.cameras import CameraImage, CameraSensor
@@ -31,70 +31,23 @@ from sceneloom.scene.poses import Poses, PoseSamples, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.warnings import WarningKind
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _FramedImages:
-    """Reads images with the camera model and extrinsics of their own frame.
-
-    None is decoded before it is asked for.
-
-    Attributes:
-        files: of each image.
-        names: of the files, seen from the folder above theirs.
-        timestamps_ns: (N,) int64 [ns].
-        camera: the number of the camera.
-        calibrations: those that occur.
-        chosen: which of them each image has.
-    """
-
-    files: tuple[Path, ...]
-    names: tuple[str, ...]
-    timestamps_ns: Int64Array
-    camera: int
-    calibrations: tuple[KittiCalibration, ...]
-    chosen: tuple[int, ...]
-
-    def __call__(self, k: int) -> CameraImage:
-        """Make image `k`, whose size its file reports.
-
-        Raises:
-            DataError: the file is missing, or no image.
-        """
-        calibration, path = self.calibrations[self.chosen[k]], self.files[k]
-        camera_model = calibration.camera(self.camera, images_image_size(path))
-        file = ImageFile(path, camera_model.width, camera_model.height)
-        extras: Mapping[str, str] = MappingProxyType({"file": self.names[k]})
-        mount = calibration.camera_from_lidar(self.camera).inverse()
-        encoded = file.encoded if is_jpeg(path) else None
-        return CameraImage(int(self.timestamps_ns[k]), camera_model, file, mount, extras, encoded)
-
-
 FRAME_NS = 1_000_000_000
-"""From frame to frame: so far that none is taken for its neighbour's moment."""
+"""From frame to frame: so long that no frame is taken for its neighbour."""
 
 _TRAJECTORY = "frames"
 """The name of the trajectory of an ego that is stationary in each frame's own world."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrameCalibrations:
-    """The calibrations of frames; most frames of a drive have the same one.
-
-    Attributes:
-        different: those that differ.
-        chosen: which of them a frame has, by its number.
-    """
+class _Calibrations:
+    """The different calibrations of frames, and which of them a frame has, by its number."""
 
     different: tuple[KittiCalibration, ...]
     chosen: dict[int, int]
 
     @classmethod
-    def read(cls, files: NumberedFiles, ledger: Ledger) -> "FrameCalibrations":
-        """Read the files of all frames, each text once.
-
-        Raises:
-            DataError: one is faulty.
-        """
+    def read(cls, files: NumberedFiles, ledger: Ledger) -> "_Calibrations":
+        """Read the files of all frames, each text once."""
         known: dict[bytes, int] = {}
         different: list[KittiCalibration] = []
         chosen = {}
@@ -115,11 +68,7 @@ class FrameCalibrations:
         return self.different[self.chosen[number]]
 
     def kept(self, files: NumberedFiles, ledger: Ledger) -> NumberedFiles:
-        """Those files whose frames have a calibration.
-
-        Raises:
-            DataError: one has none.
-        """
+        """The files whose frames have a calibration; others are faults."""
         missing = [k for k, number in enumerate(files.numbers.tolist()) if number not in self.chosen]
         if not missing:
             return files
@@ -142,12 +91,17 @@ def open_object(path: Path, *, lenient: bool = False) -> Scene:
     """
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        return _open(_find_frames(path, ledger), ledger)
+        found = object_folders(path)
+        if not found:
+            expected = "velodyne/000000.bin, image_2/000000.png or label_2/000000.txt"
+            raise DataError(path, "", f"holds no frames; expected {expected}")
+        note_other_part(path, found, ledger)
+        return _open(found[0], ledger)
 
 
 def _open(folder: Path, ledger: Ledger) -> Scene:
     note_unread(folder, ("calib", "velodyne", "label_2", *OBJECT_CAMERAS.values(), *PARTS), ledger)
-    calibrations = FrameCalibrations.read(numbered_files(folder / "calib", TEXTS, ledger), ledger)
+    calibrations = _Calibrations.read(numbered_files(folder / "calib", TEXTS, ledger), ledger)
     sweeps = calibrations.kept(numbered_files(folder / "velodyne", SWEEPS, ledger), ledger)
     images = {
         number: calibrations.kept(numbered_files(folder / name, IMAGES, ledger), ledger)
@@ -157,47 +111,33 @@ def _open(folder: Path, ledger: Ledger) -> Scene:
     every = np.unique(np.concatenate([files.numbers for files in (sweeps, labels, *images.values())]))
     if not len(every):
         raise DataError(folder, "", "holds no frame with a calibration; expected calib/000000.txt for each frame")
-    times = FrameTimes(every)
     path = Poses(*_still(len(every)))
+
+    def times(numbers: Int64Array) -> Int64Array:
+        return np.searchsorted(every, numbers).astype(np.int64) * FRAME_NS
+
     sensors: list[Sensor] = []
     reported = _labels(labels, ledger)
     if len(sweeps):
-        sensors.append(lidar_sensor(sweeps, times.of(sweeps.numbers), RigidTransform.identity(), path, ledger))
+        sensors.append(lidar_sensor(sweeps, times(sweeps.numbers), RigidTransform.identity(), path, ledger))
     for number, files in images.items():
         if len(files) or (number == 2 and reported.have_outline.any()):
-            sensors.append(_camera(number, files, calibrations, times, ledger))
+            sensors.append(_camera(number, files, calibrations, times(files.numbers), ledger))
+    entries = {
+        "different": [{name: list(row) for name, row in one.entries.items()} for one in calibrations.different],
+        "frames": {str(number): row for number, row in calibrations.chosen.items()},
+    }
     message = "frames have no times and no common world: they are a second apart, each in the frame of its own lidar"
     ledger.note(WarningKind.ASSUMED, "frames-apart", str(folder), message)
     return Scene(
         tuple(sensors),
-        annotations=_annotations(reported, labels.folder, calibrations, times),
+        annotations=_annotations(reported, labels.folder, calibrations, times(reported.frames)),
         trajectories=MappingProxyType({_TRAJECTORY: Trajectory(_TRAJECTORY, *_still(len(every)))}),
-        metadata=kitti_metadata("object", numbers=every.tolist(), calibration=_plain(calibrations)),
+        metadata=kitti_metadata("object", numbers=every.tolist(), calibration=entries),
         source=str(folder),
         format="kitti-object",
         warnings=ledger.warnings,
     )
-
-
-def _plain(calibrations: FrameCalibrations) -> dict[str, object]:
-    """The numbers of all calibrations, and which of them each frame has."""
-    different = [{name: list(row) for name, row in one.entries.items()} for one in calibrations.different]
-    return {"different": different, "frames": {str(k): row for k, row in calibrations.chosen.items()}}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameTimes:
-    """When frames are.
-
-    Attributes:
-        numbers: (N,) int64, of all frames, rising.
-    """
-
-    numbers: Int64Array
-
-    def of(self, numbers: Int64Array) -> Int64Array:
-        """The times of some frames, (M,) int64 [ns]."""
-        return np.searchsorted(self.numbers, numbers).astype(np.int64) * FRAME_NS
 
 
 def _still(count: int) -> tuple[Int64Array, Float64Array, Float64Array]:
@@ -211,7 +151,7 @@ def _still(count: int) -> tuple[Int64Array, Float64Array, Float64Array]:
 
 
 def _camera(
-    number: int, files: NumberedFiles, calibrations: FrameCalibrations, times: FrameTimes, ledger: Ledger
+    number: int, files: NumberedFiles, calibrations: _Calibrations, timestamps_ns: Int64Array, ledger: Ledger
 ) -> CameraSensor:
     """A camera whose images have camera models and mountings of their own; its own are those of its first image."""
     folder = files.folder.parent
@@ -227,28 +167,28 @@ def _camera(
         size = first.usual_size(number) or (1242, 375)
         message = f"without images, they are taken as {size[0]}x{size[1]}"
         ledger.note(WarningKind.ASSUMED, "image-size", str(folder), message)
-    timestamps = read_only(times.of(files.numbers))
-    chosen = tuple(calibrations.chosen[frame] for frame in files.numbers.tolist())
-    reader = _FramedImages(files.paths, files.names, timestamps, number, calibrations.different, chosen)
-    images: LazyFrames[CameraImage] = LazyFrames(timestamps, reader)
-    return CameraSensor(
-        camera_id(number),
-        first.camera(number, size),
-        images,
-        poses=_poses(timestamps, number, chosen, calibrations.different),
-        mount=first.camera_from_lidar(number).inverse(),
-    )
+    timestamps = read_only(timestamps_ns)
+    own = [calibrations.of(frame) for frame in files.numbers.tolist()]
+    mounts = {id(one): one.camera_from_lidar(number).inverse() for one in own}
+    poses = None
+    if own:
+        positions = np.stack([mounts[id(one)].translation for one in own])
+        poses = Poses(timestamps, positions, np.stack([mounts[id(one)].quaternion_xyzw for one in own]))
+    images = LazyFrames(timestamps, partial(_read_image, files, timestamps, number, calibrations))
+    mount = first.camera_from_lidar(number).inverse()
+    return CameraSensor(camera_id(number), first.camera(number, size), images, poses=poses, mount=mount)
 
 
-def _poses(
-    timestamps_ns: Int64Array, number: int, chosen: Sequence[int], different: Sequence[KittiCalibration]
-) -> Poses | None:
-    """Where the camera is in each frame's world."""
-    if not len(timestamps_ns):
-        return None
-    mounts = {row: different[row].camera_from_lidar(number).inverse() for row in set(chosen)}
-    positions = np.stack([mounts[row].translation for row in chosen])
-    return Poses(timestamps_ns, positions, np.stack([mounts[row].quaternion_xyzw for row in chosen]))
+def _read_image(
+    files: NumberedFiles, timestamps_ns: Int64Array, camera: int, calibrations: _Calibrations, k: int
+) -> CameraImage:
+    """Make image `k`, with the camera model and extrinsics of its own frame, without decoding it."""
+    calibration, path = calibrations.of(int(files.numbers[k])), files.paths[k]
+    model = calibration.camera(camera, images_image_size(path))
+    file = ImageFile(path, model.width, model.height)
+    mount = calibration.camera_from_lidar(camera).inverse()
+    extras, encoded = MappingProxyType({"file": files.names[k]}), file.encoded if is_jpeg(path) else None
+    return CameraImage(int(timestamps_ns[k]), model, file, mount, extras, encoded)
 
 
 def _labels(files: NumberedFiles, ledger: Ledger) -> KittiLabels:
@@ -262,7 +202,7 @@ def _labels(files: NumberedFiles, ledger: Ledger) -> KittiLabels:
 
 
 def _annotations(
-    labels: KittiLabels, folder: Path, calibrations: FrameCalibrations, times: FrameTimes
+    labels: KittiLabels, folder: Path, calibrations: _Calibrations, timestamps_ns: Int64Array
 ) -> tuple[Annotation, ...]:
     if not len(labels):
         return ()
@@ -273,19 +213,4 @@ def _annotations(
         np.stack([rectified[row].quaternion_xyzw for row in rows]),
         np.zeros(len(rows), np.uint8),
     )
-    return label_annotations(labels, LabelLocations(times.of(labels.frames), locations, camera_id(2), folder))
-
-
-def _find_frames(path: Path, ledger: Ledger) -> Path:
-    """Find the folder of the frames; of both parts it is `training`, with a warning."""
-    found = object_folders(path)
-    if not found:
-        raise DataError(
-            path,
-            "",
-            "holds no frames; expected velodyne/000000.bin, image_2/000000.png or label_2/000000.txt",
-        )
-    if len(found) > 1 and found[0] != path:
-        message = f"{found[0].name} is read, {found[1].name} is left aside; name its folder to read it"
-        ledger.note(WarningKind.SKIPPED, "other-part", str(path), message)
-    return found[0]
+    return label_annotations(labels, LabelLocations(timestamps_ns, locations, camera_id(2), folder))

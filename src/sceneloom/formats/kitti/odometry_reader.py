@@ -84,11 +84,7 @@ CLASS_BITS = 16
 
 
 def _read_point_labels(path: Path, count: int) -> UInt32Array:
-    """Read the labels of a sweep, (count,) uint32.
-
-    Raises:
-        DataError: there are more or fewer.
-    """
+    """Read the labels of a sweep, (count,) uint32."""
     content = read_bytes(path)
     if len(content) != 4 * count:
         problem = f"{len(content)} bytes for the {count} points of the sweep; expected {4 * count}, 4 for each"
@@ -103,9 +99,6 @@ def _point_annotations(labels: NumberedFiles, sweeps: NumberedFiles, ledger: Led
         labels: files of labels.
         sweeps: files of the sweeps, in the order of the sensor's frames.
         ledger: takes warnings of labels without a sweep, and of numbers without a name.
-
-    Raises:
-        DataError: a file has not one label for each point.
     """
     parts: dict[int, list[LabeledPoints]] = defaultdict(list)
     frames = {number: frame for frame, number in enumerate(sweeps.numbers.tolist())}

@@ -187,11 +187,7 @@ class _TimestampFile:
 
     @classmethod
     def read(cls, path: Path) -> "_TimestampFile":
-        """Read a file of times.
-
-        Raises:
-            DataError: it is missing or empty, or a line is no time.
-        """
+        """Read a file of times."""
         if not path.is_file():
             raise DataError(path, "", "is missing; expected the time of each frame, a line each")
         lines = read_lines(path)
@@ -207,11 +203,7 @@ class _TimestampFile:
 
 
 def _timestamped(files: NumberedFiles, timestamps: _TimestampFile, ledger: Ledger) -> NumberedFiles:
-    """The files that have a time; frames without a file between others are left out with a warning.
-
-    Raises:
-        DataError: files are missing at the end, or one has no time.
-    """
+    """The files that have a time; frames without a file between others are left out with a warning."""
     count = len(timestamps.values_ns)
     files = frames_within(files, count, timestamps.path, ledger)
     untold = [number for number in files.numbers.tolist() if not timestamps.reported[number]]
@@ -281,11 +273,7 @@ class Tracklet:
 
 
 def _read_tracklets(path: Path) -> list[Tracklet]:
-    """Read a file of tracklets.
-
-    Raises:
-        DataError: it is no such file, or a number of it is none.
-    """
+    """Read a file of tracklets."""
     content = read_bytes(path)
     if re.search(rb"<!ENTITY", content):
         raise DataError(path, "", "declares entities; expected plain XML")
@@ -410,9 +398,6 @@ def _tracklet_annotations(
         trajectory: `world_from_ego`.
         ego_from_lidar: the mounting.
         ledger: takes warnings of frames that are not there, and of such beyond the trajectory.
-
-    Raises:
-        DataError: a tracklet has a frame beyond the last one.
     """
     source = None if trajectory is None else PoseSource(trajectory, ego_from_lidar)
     last = max(times_ns, default=-1)
@@ -493,12 +478,7 @@ class RawDrive:
 
 
 def _find_drive(path: Path, wanted: str | None = None) -> RawDrive:
-    """Find the only drive of a folder, or the wanted one: the drive's own folder, that of its day, or the one above.
-
-    Raises:
-        DataError: there is none.
-        OptionError: there are several and none was chosen, or the chosen one is not there.
-    """
+    """Find the only drive of a folder, or the wanted one: the drive's own folder, that of its day, or the one above."""
     found = [named_folder(path)] if is_raw_drive(path) else raw_drives_below(path)
     if wanted is not None:
         chosen = [drive for drive in found if wanted in _names(drive)]

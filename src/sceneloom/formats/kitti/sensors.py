@@ -74,11 +74,7 @@ class _SweepFiles:
     rotations: RotationTimes | None = None
 
     def __call__(self, k: int) -> LidarFrame:
-        """Read sweep `k`.
-
-        Raises:
-            DataError: its file is missing or wrong.
-        """
+        """Read sweep `k`."""
         columns = _read_columns(self.files[k])
         positions = _positions(self.files[k], columns)
         intensities, clipped = self.scale.apply(columns["intensity"])
@@ -102,11 +98,7 @@ class _SweepFiles:
 
 
 def _read_columns(path: Path) -> Mapping[str, AnyArray]:
-    """The columns x, y, z and intensity of a sweep: packed float32, or text where the name ends in `.txt`.
-
-    Raises:
-        DataError: it is missing, cut off, or holds something else.
-    """
+    """The columns x, y, z and intensity of a sweep: packed float32, or text where the name ends in `.txt`."""
     if path.suffix.lower() != ".txt":
         return read_bin(path, layout=KITTI).columns
     lines = [line for line in read_bytes(path).decode("utf-8", "replace").splitlines() if line.strip()]
@@ -141,11 +133,7 @@ def times_in_rotation(positions: Float32Array, start_ns: int, middle_ns: int, en
 
 
 def _scale_of(path: Path, ledger: Ledger) -> IntensityScale:
-    """The scale of the reflectance, by a sensor's first sweep: 0 to 1, else that of other programs, with a warning.
-
-    Raises:
-        DataError: the sweep is missing or wrong.
-    """
+    """The scale of the reflectance, by a sensor's first sweep: 0 to 1, else that of other programs, with a warning."""
     values = _read_columns(path)["intensity"]
     found = detect_scale(values) or IntensityScale(255.0)
     if found.maximum != _REFLECTANCE.maximum:

@@ -185,6 +185,13 @@ def note_unread(folder: Path, known: Iterable[str], ledger: Ledger) -> None:
         ledger.note(WarningKind.SKIPPED, "not-read", str(folder), message, count=len(others))
 
 
+def note_other_part(path: Path, found: Sequence[Path], ledger: Ledger) -> None:
+    """Warn that of `training` and `testing` the first one that was found is read."""
+    if len(found) > 1 and found[0] != path:
+        message = f"{found[0].name} is read, {found[1].name} is not; name its folder to read it"
+        ledger.note(WarningKind.SKIPPED, "other-part", str(path), message)
+
+
 def sequences_called(sequences: Iterable[str], wanted: str) -> list[str]:
     """The sequences that a name matches; its leading zeros are optional."""
     return [name for name in sequences if wanted and wanted.lstrip("0") == name.lstrip("0")]

@@ -1,7 +1,4 @@
-"""Read a sequence of KITTI's tracking benchmark as a scene, or calibration, OXTS.
-
-Detections and labels of a folder in its layout without one.
-"""
+"""Read a sequence of KITTI's tracking benchmark, as a scene, or its calibration, OXTS lines and detections."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -10,12 +7,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import file_faults, open_file, read_bytes
-from sceneloom.formats.base.images import images_image_size as size_of_image
+from sceneloom.formats.base.images import PNG_START, images_image_size
 from sceneloom.formats.base.text_tables import line_timestamps
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
 from sceneloom.formats.kitti.labels import (
@@ -26,6 +23,7 @@ from sceneloom.formats.kitti.labels import (
     KittiLabels,
     class_word,
     joined,
+    joined_labels,
     lidar_boxes,
     read_boxes_2d_list,
     read_boxes_3d_list,
@@ -50,9 +48,9 @@ from sceneloom.formats.kitti.spec import (
     tracking_sequences,
 )
 from sceneloom.formats.kitti.text import (
-    NumberedFiles,
     choose_sequence,
     frames_within,
+    note_other_part,
     note_unread,
     numbered_files,
 )
@@ -156,7 +154,7 @@ class KittiTracking:
     warnings: tuple[DataWarning, ...] = ()
 
     def chosen(self, names: Iterable[str]) -> tuple[str, ...]:
-        """The sequences that are meant, each once: leading zeros need not be stated, and no names mean all.
+        """The sequences of some names, each once: leading zeros are optional, and no names mean all.
 
         Raises:
             OptionError: there is none of a name.
@@ -165,7 +163,7 @@ class KittiTracking:
         return tuple(dict.fromkeys(found)) or self.sequences
 
     def sequence(self, name: str) -> KittiSequence:
-        """Read a sequence; its labels are never looked at.
+        """Read a sequence; its labels are not read.
 
         Raises:
             DataError: there is none of that name, or a file of it is faulty.
@@ -174,7 +172,52 @@ class KittiTracking:
             raise DataError(self.path, f"sequence {name}", f"is not there; expected one of {', '.join(self.sequences)}")
         ledger = Ledger(lenient=self.lenient)
         with ledger.telling():
-            return _read_sequence(self, name, ledger)
+            return self._read(_Files(self.path, name, ledger))
+
+    def _read(self, files: "_Files") -> KittiSequence:
+        calibration, ledger = read_calibration(files.text("calib")), files.ledger
+        if _CAMERA not in calibration.projections:
+            problem = f"no P{_CAMERA}; expected that of the left colour camera"
+            raise DataError(files.text("calib"), "", problem)
+        boxes_2d = _detections(self.detector_2d, files, COLUMNS_2D, read_boxes_2d_list)
+        boxes_3d = _detections(self.detector_3d, files, COLUMNS_3D, read_boxes_3d_list)
+        if boxes_2d and boxes_3d and self.detector_2d and self.detector_3d:
+            for own, other, folder, kind in (
+                (boxes_2d, boxes_3d, self.detector_3d, "images"),
+                (boxes_3d, boxes_2d, self.detector_2d, "sweeps"),
+            ):
+                # a missing list in a folder of its class has been reported
+                folders = {class_word(child.name) for child in folder.iterdir()}
+                for label in sorted(own.classes - other.classes - folders):
+                    message = f"{label} has a list of boxes of {kind} only: tracked by these alone"
+                    ledger.note(WarningKind.SKIPPED, "one-detector", f"{files.name}: {label}", message)
+        fields = files.oxts()
+        poses = 0 if fields is None else len(fields)
+        frames = [sum(1 for _ in files.images.glob("*.png")), *(one.frame_count for one in (boxes_2d, boxes_3d) if one)]
+        if poses == 0:
+            message = "no poses: the ego trajectory is not known"
+            ledger.note(WarningKind.SKIPPED, "no-oxts", str(files.text("oxts")), message)
+        elif poses < max(frames):
+            files.note_short_oxts(poses, max(frames))
+        times = files.times(max(poses, *frames))
+        trajectory = None
+        if poses and calibration.lidar_from_imu is not None:
+            trajectory = read_oxts(files.text("oxts"), times)
+        elif poses:
+            files.note_no_mounting("the trajectory")
+        return KittiSequence(
+            name=files.name,
+            frame_count=max(poses, *frames),
+            camera=calibration.camera(_CAMERA, files.image_size(calibration)),
+            camera_from_lidar=calibration.camera_from_lidar(_CAMERA),
+            rectified_from_lidar=calibration.rectified_from_lidar,
+            lidar_from_imu=calibration.lidar_from_imu,
+            world_from_ego=trajectory,
+            timestamps_ns=times,
+            detections_2d=boxes_2d,
+            detections_3d=boxes_3d,
+            warnings=ledger.warnings,
+        )
 
 
 def open_tracking_folder(
@@ -202,16 +245,28 @@ def open_tracking_folder(
         for prefix, chosen in (("det2d_", detector_2d), ("det3d_", detector_3d))
     }
     if not any(found.values()):
-        raise DataError(
-            folder,
-            "",
-            "no folder det2d_NAME or det3d_NAME; expected one with the boxes of a detector at least",
-        )
-    for prefix, detector in found.items():
-        if detector is None:
-            kind = {"det2d_": "boxes of images", "det3d_": "boxes of sweeps"}[prefix]
-            ledger.note(WarningKind.SKIPPED, "no-detector", str(folder), f"no folder {prefix}*: goes without {kind}")
+        expected = "expected one with the boxes of a detector at least"
+        raise DataError(folder, "", f"no folder det2d_NAME or det3d_NAME; {expected}")
+    for prefix, kind in (("det2d_", "images"), ("det3d_", "sweeps")):
+        if found[prefix] is None:
+            message = f"no folder {prefix}*: continues without boxes of {kind}"
+            ledger.note(WarningKind.SKIPPED, "no-detector", str(folder), message)
     return KittiTracking(folder, sequences, found["det2d_"], found["det3d_"], lenient, ledger.warnings)
+
+
+def _find_detector(folder: Path, prefix: str, chosen: str | None) -> Path | None:
+    """The only folder of a detector's lists, or the chosen one, its name with or without the prefix; None without."""
+    found = sorted(path for path in folder.glob(f"{prefix}*") if path.is_dir())
+    names = ", ".join(path.name for path in found) or "none"
+    if chosen is not None:
+        for path in found:
+            if chosen in (path.name, path.name.removeprefix(prefix)):
+                return path
+        raise OptionError(f"detector {chosen!r}; {folder} has {names} of the kind {prefix}*")
+    if len(found) > 1:
+        kind = prefix.rstrip("_")
+        raise OptionError(f"{folder} has several detectors: {names}; choose one with `--{kind} NAME`")
+    return found[0] if found else None
 
 
 def is_tracking_folder(path: Path) -> bool:
@@ -219,154 +274,93 @@ def is_tracking_folder(path: Path) -> bool:
 
     One with detections and no calibration does, too, so that opening it reports what is missing.
     """
-    return any(
-        any(
-            child.is_dir()
-            and (
-                child.name.startswith(("det2d_", "det3d_"))
-                or (child.name in ("oxts", "label_02") and (folder / "calib").is_dir())
-            )
-            for child in folder.iterdir()
-        )
-        for folder in (path, path / "training")
-        if folder.is_dir()
-    )
-
-
-def _read_sequence(tracking: KittiTracking, name: str, ledger: Ledger) -> KittiSequence:
-    folder = tracking.path
-    calibration = read_calibration(folder / "calib" / f"{name}.txt")
-    if _CAMERA not in calibration.projections:
-        raise DataError(folder / "calib" / f"{name}.txt", "", f"no P{_CAMERA}; expected that of the left colour camera")
-    boxes_2d = _detections(tracking.detector_2d, name, COLUMNS_2D, read_boxes_2d_list, ledger)
-    boxes_3d = _detections(tracking.detector_3d, name, COLUMNS_3D, read_boxes_3d_list, ledger)
-    _note_lonely_classes(tracking, name, (boxes_2d, boxes_3d), ledger)
-    frame_count, poses = _frame_count(folder, name, (boxes_2d, boxes_3d), ledger)
-    times = _frame_times(folder, name, frame_count)
-    oxts = folder / "oxts" / f"{name}.txt"
-    trajectory = None
-    if poses and calibration.lidar_from_imu is not None:
-        trajectory = read_oxts(oxts, times)
-    elif poses:
-        location = str(folder / "calib" / f"{name}.txt")
-        message = "no Tr_imu_velo: the trajectory of the OXTS unit cannot be used"
-        ledger.note(WarningKind.SKIPPED, "no-imu-mounting", location, message)
-    return KittiSequence(
-        name=name,
-        frame_count=frame_count,
-        camera=calibration.camera(_CAMERA, _image_size(folder, name, calibration, ledger)),
-        camera_from_lidar=calibration.camera_from_lidar(_CAMERA),
-        rectified_from_lidar=calibration.rectified_from_lidar,
-        lidar_from_imu=calibration.lidar_from_imu,
-        world_from_ego=trajectory,
-        timestamps_ns=times,
-        detections_2d=boxes_2d,
-        detections_3d=boxes_3d,
-        warnings=ledger.warnings,
-    )
+    for folder in (path, path / "training"):
+        names = [child.name for child in folder.iterdir() if child.is_dir()] if folder.is_dir() else []
+        if any(name.startswith(("det2d_", "det3d_")) for name in names):
+            return True
+        if "calib" in names and ("oxts" in names or "label_02" in names):
+            return True
+    return False
 
 
 def _detections(
     detector: Path | None,
-    name: str,
+    files: "_Files",
     columns: Sequence[str],
     read: Callable[[Path, str | None, Ledger], DetectionList],
-    ledger: Ledger,
 ) -> DetectionList | None:
     """The lists of all classes of a detector; None where it has none for the sequence."""
     if detector is None:
         return None
-    files: list[tuple[Path, str | None]] = [
-        (child / f"{name}.txt", class_word(child.name)) for child in sorted(detector.iterdir()) if child.is_dir()
+    name, ledger = f"{files.name}.txt", files.ledger
+    found: list[tuple[Path, str | None]] = [
+        (child / name, class_word(child.name)) for child in sorted(detector.iterdir()) if child.is_dir()
     ]
-    if columns is COLUMNS_3D and (detector / f"{name}.txt").is_file():
-        files.append((detector / f"{name}.txt", None))
-    for file, _ in files:
+    if columns is COLUMNS_3D and (detector / name).is_file():
+        found.append((detector / name, None))
+    for file, _ in found:
         if not file.is_file():
-            ledger.note(WarningKind.SKIPPED, "no-detections", str(file), "no such list: goes without its boxes")
-    lists = [read(file, label, ledger) for file, label in files if file.is_file()]
-    if not files:
-        ledger.note(
-            WarningKind.SKIPPED,
-            "no-detections",
-            str(detector),
-            "no folders named after classes in it: goes without its boxes",
-        )
+            message = "no such list: continues without its boxes"
+            ledger.note(WarningKind.SKIPPED, "no-detections", str(file), message)
+    lists = [read(file, label, ledger) for file, label in found if file.is_file()]
+    if not found:
+        message = "no folders named after classes in it: continues without its boxes"
+        ledger.note(WarningKind.SKIPPED, "no-detections", str(detector), message)
     return joined(lists, columns) if lists else None
 
 
-def _note_lonely_classes(
-    tracking: KittiTracking, name: str, found: Sequence[DetectionList | None], ledger: Ledger
-) -> None:
-    """Report of classes for which one of both detectors has no folder.
+class _Files:
+    """The files of one sequence, and the ledger that takes what is assumed of them."""
 
-    Of a missing list in one it was reported before.
-    """
-    boxes_2d, boxes_3d = found
-    if boxes_2d is None or boxes_3d is None or tracking.detector_2d is None or tracking.detector_3d is None:
-        return
-    for own, other, folder, kind in (
-        (boxes_2d, boxes_3d, tracking.detector_3d, "images"),
-        (boxes_3d, boxes_2d, tracking.detector_2d, "sweeps"),
-    ):
-        folders = {class_word(child.name) for child in folder.iterdir()}
-        for label in sorted(own.classes - other.classes - folders):
-            message = f"{label} has a list of boxes of {kind} only: followed by these alone"
-            ledger.note(WarningKind.SKIPPED, "one-detector", f"{name}: {label}", message)
+    def __init__(self, folder: Path, name: str, ledger: Ledger) -> None:
+        self.folder, self.name, self.ledger = folder, name, ledger
+        self.images = folder / TRACKING_CAMERAS[_CAMERA] / name
 
+    def text(self, kind: str) -> Path:
+        return self.folder / kind / f"{self.name}.txt"
 
-def _frame_count(folder: Path, name: str, lists: Sequence[DetectionList | None], ledger: Ledger) -> tuple[int, int]:
-    """How many frames a sequence has, and of how many the OXTS unit reports."""
-    oxts = folder / "oxts" / f"{name}.txt"
-    poses = len(read_fields(oxts)) if oxts.is_file() and read_bytes(oxts).strip() else 0
-    images = sum(1 for _ in (folder / _IMAGES / name).glob("*.png"))
-    found = max((one.frame_count for one in lists if one is not None), default=0)
-    if poses == 0:
-        message = "no poses: the ego trajectory is not known"
-        ledger.note(WarningKind.SKIPPED, "no-oxts", str(oxts), message)
-    elif poses < max(images, found):
-        message = f"{poses} lines for {max(images, found)} frames; the trajectory ends before the frames do"
-        ledger.note(WarningKind.ASSUMED, "oxts-short", str(oxts), message)
-    return max(poses, images, found), poses
+    def oxts(self) -> Float64Array | None:
+        """The lines of the OXTS unit; None without any."""
+        path = self.text("oxts")
+        return read_fields(path) if path.is_file() and read_bytes(path).strip() else None
 
+    def times(self, count: int) -> Int64Array:
+        """The times of the frames, (N,) int64 [ns]: by a file of seconds where there is one, else ten a second."""
+        file = self.text("times")
+        if not file.is_file():
+            return np.arange(count, dtype=np.int64) * PERIOD_NS
+        times = line_timestamps(file, "seconds")
+        if len(times) < count:
+            raise DataError(file, "", f"{len(times)} times for {count} frames; expected as many")
+        back = np.flatnonzero(np.diff(times) <= 0)
+        if len(back):
+            problem = "is not later than the line before; expected rising times"
+            raise DataError(file, f"line {int(back[0]) + 2}", problem)
+        return times[:count].copy()
 
-_IMAGES = "image_02"
-"""The folder of the left colour camera's images, where it is there."""
+    def image_size(self, calibration: KittiCalibration) -> tuple[int, int]:
+        """Width and height of the images: of the first one, else by the focal length or the principal point."""
+        for image in sorted(self.images.glob("*.png"))[:1]:
+            with file_faults(image), open_file(image) as file:
+                head = file.read(24)
+            if len(head) == 24 and head.startswith(PNG_START):
+                return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+        known = calibration.usual_size(_CAMERA)
+        if known is not None:
+            return known
+        p = calibration.projections[_CAMERA]
+        size = max(round(2 * float(p[0, 2]) + 1), 1), max(round(2 * float(p[1, 2]) + 1), 1)
+        message = f"the size of images is not known: taken as {size[0]}x{size[1]}, twice the principal point"
+        self.ledger.note(WarningKind.ASSUMED, "image-size", str(self.text("calib")), message)
+        return size
 
+    def note_short_oxts(self, poses: int, frames: int) -> None:
+        message = f"{poses} lines for {frames} frames; the trajectory ends before the frames do"
+        self.ledger.note(WarningKind.ASSUMED, "oxts-short", str(self.text("oxts")), message)
 
-def _frame_times(folder: Path, name: str, frame_count: int) -> Int64Array:
-    """When the frames of a sequence were, (N,) int64 [ns]: by a file of seconds, where there is one; else ten a second.
-
-    Raises:
-        DataError: the file has fewer times, or they do not rise.
-    """
-    file = folder / "times" / f"{name}.txt"
-    if not file.is_file():
-        return np.arange(frame_count, dtype=np.int64) * PERIOD_NS
-    times = line_timestamps(file, "seconds")
-    if len(times) < frame_count:
-        raise DataError(file, "", f"{len(times)} times for {frame_count} frames; expected as many")
-    back = np.flatnonzero(np.diff(times) <= 0)
-    if len(back):
-        raise DataError(file, f"line {int(back[0]) + 2}", "is not later than the line before; expected rising times")
-    return times[:frame_count].copy()
-
-
-def _image_size(folder: Path, name: str, calibration: KittiCalibration, ledger: Ledger) -> tuple[int, int]:
-    """Width and height of a sequence's images: of the first one, else by the focal length or the camera model."""
-    for image in sorted((folder / _IMAGES / name).glob("*.png"))[:1]:
-        with file_faults(image), open_file(image) as file:
-            head = file.read(24)
-        if len(head) == 24 and head[:8] == b"\x89PNG\r\n\x1a\n":
-            return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
-    known = calibration.usual_size(_CAMERA)
-    if known is not None:
-        return known
-    p = calibration.projections[_CAMERA]
-    size = max(round(2 * float(p[0, 2]) + 1), 1), max(round(2 * float(p[1, 2]) + 1), 1)
-    message = f"no image reports its size: taken as {size[0]}x{size[1]}, twice the principal point"
-    ledger.note(WarningKind.ASSUMED, "image-size", str(folder / "calib" / f"{name}.txt"), message)
-    return size
+    def note_no_mounting(self, what: str) -> None:
+        message = f"no Tr_imu_velo: {what} of the OXTS unit cannot be used"
+        self.ledger.note(WarningKind.SKIPPED, "no-imu-mounting", str(self.text("calib")), message)
 
 
 def open_tracking(path: Path, *, sequence: str | None = None, lenient: bool = False) -> Scene:
@@ -383,44 +377,63 @@ def open_tracking(path: Path, *, sequence: str | None = None, lenient: bool = Fa
     """
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        return _open(*_find_sequence(path, sequence, ledger), ledger)
+        found = tracking_folders(path)
+        if not found:
+            expected = "velodyne/0000, image_02/0000, label_02/0000.txt or oxts/0000.txt"
+            raise DataError(path, "", f"holds no sequences; expected {expected}")
+        note_other_part(path, found, ledger)
+        name = choose_sequence(path, tracking_sequences(found[0]), sequence)
+        return _open(_Files(found[0], name, ledger))
 
 
-def _open(folder: Path, name: str, ledger: Ledger) -> Scene:
-    location = folder / "calib" / f"{name}.txt"
-    if not location.is_file():
-        raise DataError(location, "", f"is missing; sequence {name} needs its calibration")
-    calibration = read_calibration(location)
+def _open(files: _Files) -> Scene:
+    folder, name, ledger = files.folder, files.name, files.ledger
+    if not files.text("calib").is_file():
+        raise DataError(files.text("calib"), "", f"is missing; sequence {name} needs its calibration")
+    calibration = read_calibration(files.text("calib"))
     sweeps = numbered_files(folder / "velodyne" / name, SWEEPS, ledger)
     images = {number: numbered_files(folder / kind / name, IMAGES, ledger) for number, kind in TRACKING_CAMERAS.items()}
-    labels = _labels(folder / "label_02" / f"{name}.txt", ledger)
-    fields = _fields(folder / "oxts" / f"{name}.txt")
-    counts = [int(files.numbers[-1]) + 1 for files in (sweeps, *images.values()) if len(files)]
-    counts += [int(labels.frames.max()) + 1] if labels is not None and len(labels) else []
-    times = _times(folder, name, max([*counts, 0 if fields is None else len(fields)]), ledger)
-    sweeps = frames_within(sweeps, len(times), folder / "times" / f"{name}.txt", ledger)
-    own, trajectory = _oxts(folder, name, fields, times, calibration, ledger)
-    if trajectory is None and labels is not None and len(labels):
-        trajectory = stationary(
-            times, folder / "oxts" / f"{name}.txt", "the trajectory of the OXTS unit is not known", ledger
-        )
+    labels, fields = _labels(files), files.oxts()
+    counts = [int(found.numbers[-1]) + 1 for found in (sweeps, *images.values()) if len(found)]
+    counts += [int(labels.frames.max()) + 1] if len(labels) else []
+    count = max([*counts, 0 if fields is None else len(fields)])
+    if count == 0:
+        raise DataError(folder, f"sequence {name}", "holds no frames; expected sweeps, images, labels or OXTS lines")
+    if not files.text("times").is_file():
+        message = "frames have no times: frame k is at k / 10 s"
+        ledger.note(WarningKind.ASSUMED, "frame-times", f"{folder}/{name}", message)
+    times = files.times(count)
+    own, trajectory = _oxts(files, fields, times, calibration)
+    if trajectory is None and len(labels):
+        trajectory = stationary(times, files.text("oxts"), "the trajectory of the OXTS unit is not known", ledger)
     path = None if trajectory is None else trajectory.poses
     ego_from_lidar = RigidTransform.identity()
     if calibration.lidar_from_imu is not None:
         ego_from_lidar = calibration.lidar_from_imu.inverse()
     sensors: list[Sensor] = []
+    sweeps = frames_within(sweeps, len(times), files.text("times"), ledger)
     if len(sweeps):
         sensors.append(lidar_sensor(sweeps, times[sweeps.numbers], ego_from_lidar, path, ledger))
-    for number, found in images.items():
-        files = frames_within(found, len(times), folder / "times" / f"{name}.txt", ledger)
-        if len(files) or (number == _CAMERA and labels is not None and labels.have_outline.any()):
-            sensors.append(_camera(number, files, times, (folder, name), calibration, ego_from_lidar, path, ledger))
-    _note_others(folder, ledger)
+    for number, listed in images.items():
+        found = frames_within(listed, len(times), files.text("times"), ledger)
+        if len(found) or (number == _CAMERA and labels.have_outline.any()):
+            if number not in calibration.projections:
+                problem = f"no P{number}; expected that of {TRACKING_CAMERAS[number]}"
+                raise DataError(files.text("calib"), "", problem)
+            size = images_image_size(found.paths[0]) if len(found) else files.image_size(calibration)
+            mount = ego_from_lidar @ calibration.camera_from_lidar(number).inverse()
+            camera = calibration.camera(number, size)
+            sensors.append(camera_sensor(number, found, times[found.numbers], camera, mount, path))
+    lists = sorted(path.name for path in folder.iterdir() if path.name.startswith(("det2d_", "det3d_")))
+    if lists:
+        message = f"{', '.join(lists)}: lists of detections, which `track` and `fuse --type detection` read"
+        ledger.note(WarningKind.SKIPPED, "detections-aside", str(folder), message)
+    read = ("calib", "velodyne", "label_02", "oxts", "times", *TRACKING_CAMERAS.values(), *PARTS)
+    note_unread(folder, (*read, *lists), ledger)
     annotations: tuple[Annotation, ...] = ()
-    if labels is not None and path is not None:
+    if path is not None:
         ego_from_rectified = ego_from_lidar @ calibration.rectified_from_lidar.inverse()
-        label_file = folder / "label_02" / f"{name}.txt"
-        annotations = _annotations(labels, times, PoseSource(path, ego_from_rectified), label_file, ledger)
+        annotations = _annotations(labels, times, PoseSource(path, ego_from_rectified), files)
     entries = {key: list(row) for key, row in calibration.entries.items()}
     return Scene(
         (*sensors, *own),
@@ -433,104 +446,42 @@ def _open(folder: Path, name: str, ledger: Ledger) -> Scene:
     )
 
 
-def _labels(path: Path, ledger: Ledger) -> KittiLabels | None:
-    if not path.is_file():
-        return None
-    try:
-        return read_labels(path)
-    except DataError as error:
-        ledger.fault("faulty-labels", error)
-        return None
-
-
-def _fields(path: Path) -> np.ndarray | None:
-    return read_fields(path) if path.is_file() and read_bytes(path).strip() else None
-
-
-def _times(folder: Path, name: str, count: int, ledger: Ledger) -> Int64Array:
-    if count == 0:
-        raise DataError(folder, f"sequence {name}", "holds no frames; expected sweeps, images, labels or OXTS lines")
-    if not (folder / "times" / f"{name}.txt").is_file():
-        message = "frames have no times: frame k is at k / 10 s"
-        ledger.note(WarningKind.ASSUMED, "frame-times", f"{folder}/{name}", message)
-    return _frame_times(folder, name, count)
+def _labels(files: _Files) -> KittiLabels:
+    path = files.text("label_02")
+    if path.is_file():
+        try:
+            return read_labels(path)
+        except DataError as error:
+            files.ledger.fault("faulty-labels", error)
+    return joined_labels([])
 
 
 def _oxts(
-    folder: Path,
-    name: str,
-    fields: np.ndarray | None,
-    times: Int64Array,
-    calibration: KittiCalibration,
-    ledger: Ledger,
+    files: _Files, fields: Float64Array | None, times: Int64Array, calibration: KittiCalibration
 ) -> tuple[tuple[Sensor, ...], Trajectory | None]:
-    location = folder / "oxts" / f"{name}.txt"
+    """The sensors and the trajectory of the OXTS unit; without its mounting, only the receiver."""
     if fields is None:
         return (), None
     if len(fields) < len(times):
-        message = f"{len(fields)} lines for {len(times)} frames; the trajectory ends before the frames do"
-        ledger.note(WarningKind.ASSUMED, "oxts-short", str(location), message)
-    sensors, trajectory = oxts_sensors(fields, times[: len(fields)].copy(), str(location), ledger)
+        files.note_short_oxts(len(fields), len(times))
+    own_times = times[: len(fields)].copy()
+    sensors, trajectory = oxts_sensors(fields, own_times, str(files.text("oxts")), files.ledger)
     if calibration.lidar_from_imu is not None:
         return sensors, trajectory
-    message = "no Tr_imu_velo: the trajectory and the IMU of the OXTS unit cannot be used"
-    ledger.note(WarningKind.SKIPPED, "no-imu-mounting", str(folder / "calib" / f"{name}.txt"), message)
+    files.note_no_mounting("the trajectory and the IMU")
     return tuple(sensor for sensor in sensors if not isinstance(sensor, ImuSensor)), None
 
 
-def _camera(
-    number: int,
-    files: NumberedFiles,
-    times: Int64Array,
-    sequence: tuple[Path, str],
-    calibration: KittiCalibration,
-    ego_from_lidar: RigidTransform,
-    path: Poses | None,
-    ledger: Ledger,
-) -> Sensor:
-    folder, name = sequence
-    if number not in calibration.projections:
-        problem = f"no P{number}; expected that of {TRACKING_CAMERAS[number]}"
-        raise DataError(folder / "calib" / f"{name}.txt", "", problem)
-    size = size_of_image(files.paths[0]) if len(files) else _image_size(folder, name, calibration, ledger)
-    mount = ego_from_lidar @ calibration.camera_from_lidar(number).inverse()
-    return camera_sensor(number, files, times[files.numbers], calibration.camera(number, size), mount, path)
-
-
-def _note_others(folder: Path, ledger: Ledger) -> None:
-    """Warn about files beside the folders that are read."""
-    lists = sorted(path.name for path in folder.iterdir() if path.name.startswith(("det2d_", "det3d_")))
-    if lists:
-        message = f"{', '.join(lists)}: lists of detections, which `track` and `fuse --type detection` read"
-        ledger.note(WarningKind.SKIPPED, "detections-aside", str(folder), message)
-    read = ("calib", "velodyne", "label_02", "oxts", "times", *TRACKING_CAMERAS.values(), *PARTS)
-    note_unread(folder, (*read, *lists), ledger)
-
-
-def _annotations(
-    labels: KittiLabels, times: Int64Array, source: PoseSource, file: Path, ledger: Ledger
-) -> tuple[Annotation, ...]:
-    """The labels of frames whose location is known; others are left out with a warning."""
-    locations = source.at(times[labels.frames])
-    known = np.isfinite(locations.positions[:, 0])
+def _annotations(labels: KittiLabels, times: Int64Array, source: PoseSource, files: _Files) -> tuple[Annotation, ...]:
+    """The labels of frames whose pose is known; others are left out with a warning."""
+    known = np.isfinite(source.at(times[labels.frames]).positions[:, 0])
+    file = files.text("label_02")
     if not known.all():
-        message = "labels of frames beyond the ego trajectory"
-        ledger.note(WarningKind.SKIPPED, "boxes-beyond-trajectory", str(file), message, count=int((~known).sum()))
+        message, count = "labels of frames beyond the ego trajectory", int((~known).sum())
+        files.ledger.note(WarningKind.SKIPPED, "boxes-beyond-trajectory", str(file), message, count=count)
         labels = labels.select(known)
-        locations = source.at(times[labels.frames])
-    return label_annotations(labels, LabelLocations(times[labels.frames], locations, camera_id(_CAMERA), file))
-
-
-def _find_sequence(path: Path, wanted: str | None, ledger: Ledger) -> tuple[Path, str]:
-    """Find the folder of the sequences, and the only one of them or the wanted one."""
-    found = tracking_folders(path)
-    if not found:
-        expected = "velodyne/0000, image_02/0000, label_02/0000.txt or oxts/0000.txt"
-        raise DataError(path, "", f"holds no sequences; expected {expected}")
-    if len(found) > 1 and found[0] != path:
-        message = f"{found[0].name} is read, {found[1].name} is left aside; name its folder to read it"
-        ledger.note(WarningKind.SKIPPED, "other-part", str(path), message)
-    return found[0], choose_sequence(path, tracking_sequences(found[0]), wanted)
+    timestamps = times[labels.frames]
+    return label_annotations(labels, LabelLocations(timestamps, source.at(timestamps), camera_id(_CAMERA), file))
 
 
 _EGO_ID = "ego"
@@ -564,30 +515,3 @@ def sequence_scene(sequence: KittiSequence, *, source: str = "kitti") -> Scene:
         parent_id=_EGO_ID,
     )
     return Scene((OdometrySensor(_EGO_ID, path), camera), source=source, format="kitti")
-
-
-def _find_detector(folder: Path, prefix: str, chosen: str | None) -> Path | None:
-    """Find the folder of a detector's lists.
-
-    Args:
-        folder: of all sequences.
-        prefix: with which the names of such folders begin, "det2d_" or "det3d_".
-        chosen: name of the folder, with or without the prefix; None for the only one.
-
-    Returns:
-        The folder; None where there is none.
-
-    Raises:
-        OptionError: there are several and none was chosen, or the chosen one is not there.
-    """
-    found = sorted(path for path in folder.glob(f"{prefix}*") if path.is_dir())
-    names = ", ".join(path.name for path in found) or "none"
-    if chosen is not None:
-        for path in found:
-            if chosen in (path.name, path.name.removeprefix(prefix)):
-                return path
-        raise OptionError(f"detector {chosen!r}; {folder} has {names} of the kind {prefix}*")
-    if len(found) > 1:
-        kind = prefix.rstrip("_")
-        raise OptionError(f"{folder} has several detectors: {names}; choose one with `--{kind} NAME`")
-    return found[0] if found else None

@@ -91,11 +91,7 @@ class _Fix(msgspec.Struct):
 
 
 def _read_times(path: Path, count: int) -> Int64Array:
-    """Read times [s] of `count` frames as nanoseconds, exactly as they are written.
-
-    Raises:
-        DataError: there are more or fewer, or they do not ascend.
-    """
+    """Read times [s] of `count` frames as nanoseconds, exactly as they are written."""
     seconds = read_json(path, list[Decimal])
     if len(seconds) != count:
         raise DataError(path, "", f"{len(seconds)} times; expected {count}, one for each frame")
@@ -108,11 +104,7 @@ def _read_times(path: Path, count: int) -> Int64Array:
 
 
 def _read_poses(path: Path, count: int) -> tuple[Float64Array, Float64Array]:
-    """Read poses of `count` frames: positions (N, 3) [m] and unit quaternions (N, 4), scalar last.
-
-    Raises:
-        DataError: there are more or fewer, or a heading is no rotation.
-    """
+    """Read poses of `count` frames: positions (N, 3) [m] and unit quaternions (N, 4), scalar last."""
     poses = read_json(path, list[Pose])
     if len(poses) != count:
         raise DataError(path, "", f"{len(poses)} poses; expected {count}, one for each frame")
@@ -162,11 +154,7 @@ class _Sweeps:
 
 
 def _read_sweeps(drive: Path) -> _Sweeps:
-    """Find the sweeps of a drive, their times and poses; no point is read.
-
-    Raises:
-        DataError: there is none, or times or poses are missing or wrong.
-    """
+    """Find the sweeps of a drive, their times and poses; no point is read."""
     folder = drive / "lidar"
     files = tuple(_numbered_files(folder, r"\.pkl(\.gz)?"))
     if not files:
@@ -206,11 +194,7 @@ class SweepFiles:
     number: int
 
     def __call__(self, k: int) -> LidarFrame:
-        """Read sweep `k`.
-
-        Raises:
-            DataError: its file is missing, cut off, or no frame of points.
-        """
+        """Read sweep `k`."""
         frame = read_pickled_frame(self.files[k])
         chosen = _rows_of_lidar(frame, self.number)
         positions = np.stack([frame.numbers(axis)[chosen] for axis in "xyz"], axis=1)
@@ -258,11 +242,7 @@ def _build_lidars(sweeps: _Sweeps) -> list[Sensor]:
 
 
 def _build_cameras(drive: Path, ledger: Ledger) -> list[Sensor]:
-    """Build the cameras, each with its own poses at its own times.
-
-    Raises:
-        DataError: a file is missing or wrong.
-    """
+    """Build the cameras, each with its own poses at its own times."""
     folders = sorted(child for child in (drive / "camera").glob("*") if child.is_dir())
     if not folders:
         message = "no camera; only sweeps are read"
@@ -298,11 +278,7 @@ def _camera(folder: Path) -> CameraSensor:
 
 
 def _build_receiver(drive: Path) -> list[Sensor]:
-    """Build the satellite receiver; [] where the drive has no fixes.
-
-    Raises:
-        DataError: a file is missing or wrong.
-    """
+    """Build the satellite receiver; [] where the drive has no fixes."""
     file = drive / "meta" / "gps.json"
     if not file.is_file():
         return []
@@ -343,11 +319,7 @@ class _Track:
 
 
 def _build_cuboids(drive: Path, sweeps: _Sweeps, ledger: Ledger) -> tuple[CuboidAnnotation, ...]:
-    """Build a cuboid for each uuid, in the order in which they come up; () where there are no annotations.
-
-    Raises:
-        DataError: a file is wrong, or there are more files than sweeps.
-    """
+    """Build a cuboid for each uuid, in the order in which they come up; () where there are no annotations."""
     timestamps = _timestamps_of(drive / "annotations" / "cuboids", sweeps)
     tracks: dict[str, _Track] = {}
     for file, timestamp_ns in timestamps.items():
@@ -359,11 +331,7 @@ def _build_cuboids(drive: Path, sweeps: _Sweeps, ledger: Ledger) -> tuple[Cuboid
 
 
 def _timestamps_of(folder: Path, sweeps: _Sweeps) -> dict[Path, int]:
-    """The files of annotations, and the time of the sweep with the same number [ns].
-
-    Raises:
-        DataError: a file has no sweep.
-    """
+    """The files of annotations, and the time of the sweep with the same number [ns]."""
     times = {_number(file): int(t) for file, t in zip(sweeps.files, sweeps.timestamps_ns, strict=True)}
     files = _numbered_files(folder, r"\.pkl(\.gz)?")
     lost = [file for file in files if _number(file) not in times]
@@ -522,11 +490,7 @@ class ClassPoints(Sequence[LabeledPoints]):
 
 
 def _build_labelled_points(drive: Path, sweeps: _Sweeps) -> tuple[LabeledPointsAnnotation, ...]:
-    """Build an annotation for each class that classes.json names; () where the drive has no such labels.
-
-    Raises:
-        DataError: classes.json is missing or wrong, or a file has no sweep.
-    """
+    """Build an annotation for each class that classes.json names; () where the drive has no such labels."""
     folder = drive / "annotations" / "semseg"
     timestamps = _timestamps_of(folder, sweeps)
     if not timestamps:

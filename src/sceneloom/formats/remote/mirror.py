@@ -148,11 +148,7 @@ class _Mirror:
         return None if number is None else self.listing.files[number]
 
     def bring(self, file: _ListedFile) -> None:
-        """Have a file on disk; those after it are fetched, too, where one after the other is asked for.
-
-        Raises:
-            DataError: it cannot be read, or was changed after the folder was opened.
-        """
+        """Have a file on disk; those after it are fetched, too, where one after the other is asked for."""
         coming = self._fetching(file)
         for later in self._later(file):
             self._fetching(later)
@@ -165,11 +161,7 @@ class _Mirror:
         return file.name in self._coming or self._is_here(file)
 
     def head(self, file: _ListedFile) -> bytes:
-        """Fetch the first bytes of a file, `HEAD` of them unless it is shorter.
-
-        Raises:
-            DataError: they cannot be read.
-        """
+        """Fetch the first bytes of a file, `HEAD` of them unless it is shorter."""
         with closing(self._ranges_of(file)) as ranged:
             return self._part(file, ranged, 0, HEAD, checked=False)
 
@@ -178,11 +170,7 @@ class _Mirror:
         return self._read[file.name] > _MUCH * file.size
 
     def piece(self, file: _ListedFile, number: int) -> bytes:
-        """Fetch a piece of a file, `PIECE` bytes but for the last one; those of a moment ago are remembered.
-
-        Raises:
-            DataError: it cannot be read, or the file was changed after the folder was opened.
-        """
+        """Fetch a piece of a file, `PIECE` bytes but for the last one; those of a moment ago are remembered."""
         with self._lock:
             ranged = self._ranged.setdefault(file.name, self._ranges_of(file))
         content = self._part(file, ranged, number * PIECE, (number + 1) * PIECE, checked=True)
@@ -215,11 +203,7 @@ class _Mirror:
         return content
 
     def gather(self, files: Iterable[_ListedFile]) -> None:
-        """Have files on disk, side by side, right after they were listed.
-
-        Raises:
-            DataError: one cannot be read.
-        """
+        """Have files on disk, side by side, right after they were listed."""
         for coming in [self._fetching(file, fresh=True) for file in files]:
             if coming is not None:
                 coming.result()
@@ -347,12 +331,7 @@ class _Mirror:
 
 
 def _fetch_whole(location: Store, size: int | None, target: Path) -> None:
-    """Fetch a file once.
-
-    Raises:
-        CutShortError: another number of bytes came.
-        Exception: whatever the back end raises.
-    """
+    """Fetch a file once."""
     location.get(target)
     found = target.stat().st_size
     if size is not None and found != size:
@@ -385,11 +364,7 @@ class MirroredPath(_AnyPath):
     """
 
     def __fspath__(self) -> str:
-        """Have the file fetched, and give its location on disk.
-
-        Raises:
-            DataError: it cannot be fetched, or was changed after the folder was opened.
-        """
+        """Have the file fetched, and give its location on disk."""
         text = str(self)
         mirror, file = _find(text)
         if mirror is not None and file is not None:

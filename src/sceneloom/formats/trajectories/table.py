@@ -52,10 +52,6 @@ def _read_scene_trajectory(
             and not what a smoother makes of it where a scene is placed; else what `find_ego_motion` finds.
         options: reading options of the format.
         progress: reported after each sweep, where the trajectory is found from the sweeps.
-
-    Raises:
-        OptionError: there is none of that name.
-        PoseError: there is none at all, or it cannot be found.
     """
     further = dict(options)
     chosen = chosen_corrections(further.pop("corrections", Corrections.APPLY))
@@ -257,11 +253,7 @@ def read_trajectory_file(
 
 
 def _check_used(path: str | Path, form: TrajectoryForm | None, reading: Reading) -> None:
-    """Refuse what would be ignored: a rate or unit of times that are known, an origin of positions in metres.
-
-    Raises:
-        OptionError: naming the option, and what it is for.
-    """
+    """Refuse what would be ignored: a rate or unit of times that are known, an origin of positions in metres."""
     what = "scenes" if form is None else f"the form {form.name!r}"
     if reading.rate_hz is not None and (form is None or form.name != "kitti"):
         raise OptionError(

@@ -21,7 +21,7 @@ from benchmarks.detector_fits import KITTI, kitti_examples
 from sceneloom.detections.fitting import FitSettings, columns_of, fit_columns
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.formats.kitti.tracking_reader import KittiTracking, open_tracking_folder
-from sceneloom.pipeline.tracking import TrackingSettings, track_folder
+from sceneloom.pipeline import DetectionInput, TrackingSettings, track_objects
 from sceneloom.tracking import ImageBox
 
 FITTED = ("0000", "0002", "0003", "0006", "0010")
@@ -69,10 +69,10 @@ def follow(tracking: KittiTracking, fusion: Mapping[str, ProjectionSettings], va
     seconds, frames = 0.0, 0
     for name, settings in fusion.items():
         with tempfile.TemporaryDirectory() as scratch:
-            report = track_folder(
-                tracking,
+            report = track_objects(
+                tracking.path,
                 Path(scratch) / "out",
-                sequences=[name],
+                chosen=DetectionInput(sequences=[name]),
                 box2d=box2d,
                 settings=TrackingSettings(offline=offline, fusion=settings),
             )

@@ -4,11 +4,10 @@ In this order: checking; what a repaired calibration is written as; repairing.
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -31,7 +30,7 @@ from sceneloom.calibrate.health import (
 from sceneloom.calibrate.lidar_to_ego import lidar_to_ego
 from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
 from sceneloom.calibrate.measures import Change, Parameter, extract
-from sceneloom.calibrate.refinement import DEFAULT, Refinement, RefinementVerdict, refine
+from sceneloom.calibrate.refinement import DEFAULT, RefinementVerdict, refine
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project
 from sceneloom.db34t.calibration import DeclaredAxes, calibration_data
@@ -257,21 +256,14 @@ def _draw_points(frame: CalibrationFrame, points_lidar: Float64Array, change: Ch
     """
     matrix = change.camera_from_points(frame)
     points_camera = points_lidar @ matrix[:3, :3].T + matrix[:3, 3]
-    pixels, inside = project(_camera_model(frame.camera, change), points_camera)
+    camera, focal = frame.camera, float(np.exp(change.numbers[Parameter.FOCAL]))
+    pixels, inside = project(replace(camera, fx=camera.fx * focal, fy=camera.fy * focal), points_camera)
     ranges: FloatArray = np.linalg.norm(points_camera[inside], axis=1)
     scale = DepthScale.of(ranges)
     radius = max(frame.camera.width / 900.0, 1.0)
     drawn = draw_discs(subdued(frame.rgb), pixels[inside], ranges, scale.colours(ranges), radius)
     title = f"{frame.camera_id} · {seconds_text(frame.image_ns)}"
     return framed(image_canvas(drawn), [title, caption], scale=scale)
-
-
-def _camera_model(camera: Camera, change: Change) -> Camera:
-    scale = float(np.exp(change.numbers[Parameter.FOCAL]))
-    return Camera(
-        camera.model, camera.width, camera.height, camera.fx * scale, camera.fy * scale, camera.cx, camera.cy,
-        camera.coefficients,
-    )  # fmt: skip
 
 
 _CALIBRATION_FILE = "calibration.json"
@@ -344,7 +336,7 @@ def write_calibration(
     if chosen is CalibrationForm.SFS:
         format_for_output(target).write(_with_repair(scene, repair), target, overwrite=overwrite)
         return chosen
-    text = _TEXTS[chosen](scene, repair)
+    text = _table_3(repair) if chosen is CalibrationForm.TABLE_3 else _recording(scene, repair)
     with replacing(target, overwrite=overwrite) as draft:
         draft.write_text(text + "\n", "utf-8")
     return chosen
@@ -355,18 +347,25 @@ def _with_repair(scene: Scene, repair: Repair) -> Scene:
 
     Source: "Camera Calibration Annotation" of the SFS description: world_from_camera' = world_from_camera D.
     """
-    if repair.camera_id is None:
-        return _remounted(scene, repair)
+    if repair.camera_id is None:  # no annotation holds the extrinsics of a lidar: the scene itself is changed
+        sensors = (
+            replace(sensor, mount=repair.repaired)
+            if isinstance(sensor, LidarSensor) and sensor.id == repair.lidar_id
+            else sensor
+            for sensor in scene.sensors
+        )
+        return replace(scene, sensors=tuple(sensors))
     sensor = scene.sensor(repair.camera_id)
     if not isinstance(sensor, CameraSensor):
         raise OptionError(f"{scene.source}: sensor {repair.camera_id!r} is a {sensor.type}; expected a camera")
     difference = repair.stated @ repair.repaired.inverse()
-    first_ns = sensor.images.timestamps_ns[:1]
+    taken, wanted = {annotation.id for annotation in scene.annotations}, f"calibration-{repair.camera_id}"
+    names = (wanted, *(f"{wanted}-{number}" for number in range(2, len(taken) + 3)))
     annotation = CameraCalibration(
-        id=_free_id(scene, f"calibration-{repair.camera_id}"),
+        id=next(name for name in names if name not in taken),
         sensor_id=repair.camera_id,
         poses=Poses(
-            np.asarray(first_ns, np.int64),
+            np.asarray(sensor.images.timestamps_ns[:1], np.int64),
             difference.translation.reshape(1, 3).copy(),
             difference.quaternion_xyzw.reshape(1, 4),
         ),
@@ -376,44 +375,42 @@ def _with_repair(scene: Scene, repair: Repair) -> Scene:
     return replace(scene, annotations=(*scene.annotations, annotation))
 
 
-def _remounted(scene: Scene, repair: Repair) -> Scene:
-    """No annotation holds the extrinsics of a lidar: the scene itself is changed."""
-    sensors = tuple(
-        replace(sensor, mount=repair.repaired)
-        if isinstance(sensor, LidarSensor) and sensor.id == repair.lidar_id
-        else sensor
-        for sensor in scene.sensors
-    )
-    return replace(scene, sensors=sensors)
-
-
-def _free_id(scene: Scene, wanted: str) -> str:
-    taken = {annotation.id for annotation in scene.annotations}
-    names = [wanted, *(f"{wanted}-{number}" for number in range(2, len(taken) + 3))]
-    return next(name for name in names if name not in taken)
-
-
-def _table_3(scene: Scene, repair: Repair) -> str:
-    del scene
+def _table_3(repair: Repair) -> str:
     if repair.camera is None:
         raise OptionError("table 3 holds the calibration of a camera and a lidar; there is no camera in this one")
     axes = DeclaredAxes.of_words(_CAMERA_AXES), DeclaredAxes.of_words(_LIDAR_AXES)
-    record = calibration_data(repair.camera, repair.repaired, *axes)
-    return format_json(record)
+    return format_json(calibration_data(repair.camera, repair.repaired, *axes))
 
 
 def _recording(scene: Scene, repair: Repair) -> str:
-    content = _calibration_of(scene)
+    """The calibration.json of the drive, changed."""
+    try:
+        content = json.loads(read_bytes(Path(scene.source) / _CALIBRATION_FILE))
+    except (DataError, ValueError, RecursionError) as error:
+        raise DataError(
+            scene.source,
+            _CALIBRATION_FILE,
+            f"cannot be read ({error}); a new one is the drive's own changed: write a .sfs or table 3 instead",
+        ) from error
+    if not isinstance(content, dict):
+        raise DataError(scene.source, _CALIBRATION_FILE, f"a {type(content).__name__}; expected an object")
+
+    def entry_of(part: str, number_key: str, sensors: Sequence[Any], wanted: Identifier) -> dict[str, Any]:
+        """The entry of a sensor: by its number where entries have one, else by its place."""
+        place = [sensor.id for sensor in sensors].index(wanted)
+        number = int("".join(sign for sign in str(wanted) if sign.isdigit()) or place)
+        entries = [entry for entry in content.get(part) or () if isinstance(entry, dict)]
+        for index, entry in enumerate(entries):
+            if entry.get(number_key, index) == number:
+                return entry
+        raise DataError(_CALIBRATION_FILE, part, f"{len(entries)} entries; expected one of sensor {wanted!r}")
+
     if repair.camera_id is None:
-        entry = _entry(content, "lidars", "lidarInd", scene.lidars, repair.lidar_id)
+        entry = entry_of("lidars", "lidarInd", scene.lidars, repair.lidar_id)
         entry["imuToLidar"] = repair.repaired.inverse().matrix.tolist()
         entry.pop("imuToLidarMatrix", None)
-    else:
-        _change_camera(_entry(content, "cameras", "cameraInd", scene.cameras, repair.camera_id), repair)
-    return json.dumps(content, indent=2)
-
-
-def _change_camera(entry: dict[str, Any], repair: Repair) -> None:
+        return json.dumps(content, indent=2)
+    entry = entry_of("cameras", "cameraInd", scene.cameras, repair.camera_id)
     word = "imuToCamera" if "imuToCamera" in entry else "imuToCameraMatrix"
     if word not in entry:
         raise CalibrationError("the camera's entry has no imuToCamera; expected one that can be changed")
@@ -423,40 +420,7 @@ def _change_camera(entry: dict[str, Any], repair: Repair) -> None:
         entry["focalLengthX"], entry["focalLengthY"] = repair.camera.fx, repair.camera.fy
     if repair.time_offset:
         entry["imuToCameraShiftSeconds"] = float(entry.get("imuToCameraShiftSeconds") or 0.0) + repair.time_offset
-
-
-def _calibration_of(scene: Scene) -> dict[str, Any]:
-    """The calibration.json of the drive."""
-    file = Path(scene.source) / _CALIBRATION_FILE
-    try:
-        content = json.loads(read_bytes(file))
-    except (DataError, ValueError, RecursionError) as error:
-        raise DataError(
-            scene.source,
-            _CALIBRATION_FILE,
-            f"cannot be read ({error}); a new one is the drive's own changed: write a .sfs or table 3 instead",
-        ) from error
-    if not isinstance(content, dict):
-        raise DataError(scene.source, _CALIBRATION_FILE, f"a {type(content).__name__}; expected an object")
-    return content
-
-
-def _entry(
-    content: Mapping[str, Any], part: str, number_key: str, sensors: tuple[Any, ...], wanted: Identifier
-) -> dict[str, Any]:
-    """The entry of a sensor: by its number where entries have one, else by its location."""
-    location = [sensor.id for sensor in sensors].index(wanted)
-    number = int("".join(sign for sign in str(wanted) if sign.isdigit()) or location)
-    entries = [entry for entry in content.get(part) or () if isinstance(entry, dict)]
-    for index, entry in enumerate(entries):
-        if entry.get(number_key, index) == number:
-            return entry
-    raise DataError(_CALIBRATION_FILE, part, f"{len(entries)} entries; expected one of sensor {wanted!r}")
-
-
-_TEXTS: Mapping[CalibrationForm, Callable[[Scene, Repair], str]] = MappingProxyType(
-    {CalibrationForm.TABLE_3: _table_3, CalibrationForm.RECORDING: _recording}
-)
+    return json.dumps(content, indent=2)
 
 
 class RepairReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -525,16 +489,22 @@ def refine_drive(
     found = refine(frames, parameters=parameters, progress=progress)
     if images is not None:
         _save_images(frames, found.change, images, overwrite=overwrite)
-    first = frames[0]
-    repair = Repair(
-        first.camera_id,
-        first.lidar_id,
-        first.camera_from_lidar,
-        found.camera_from_lidar,
-        found.camera,
-        found.time_offset,
+    first, repaired = frames[0], found.camera_from_lidar
+    repair = Repair(first.camera_id, first.lidar_id, first.camera_from_lidar, repaired, found.camera, found.time_offset)
+    report = _report(
+        scene,
+        "refine",
+        (str(first.camera_id), str(first.lidar_id)),
+        repaired,
+        found.found_change,
+        found.sigmas,
+        verdict=str(found.verdict),
+        reason=found.reason,
+        unobserved=found.held,
+        notes=(f"{found.frames} frames of {found.views} views, sharpness {found.sharpness:.1f}",),
+        frames=found.frames,
+        time_offset=found.time_offset,
     )
-    report = _refinement_report(scene, repair, found)
     return output.write(scene, repair, report)
 
 
@@ -654,47 +624,50 @@ def _mounting_report(
 ) -> RepairReport:
     """Report what was found of a mounting."""
     names = ("rotation_x", "rotation_y", "rotation_z", "shift_x", "shift_y", "shift_z")
-    return RepairReport(
-        source=scene.source,
-        method=method,
+    change, sigmas = step_between(stated, mounting.a_from_b).tolist(), mounting.sigmas.tolist()
+    return _report(
+        scene,
+        method,
+        sensors,
+        mounting.a_from_b,
+        dict(zip(names, change, strict=True)),
+        dict(zip(names, sigmas, strict=True)),
         verdict=str(RefinementVerdict.REFINED),
         reason="found from the motions and sweeps of the drive",
-        sensors=sensors,
-        transform=_rows(mounting.a_from_b),
-        change=_in_degrees(dict(zip(names, step_between(stated, mounting.a_from_b).tolist(), strict=True))),
-        sigmas=_in_degrees(dict(zip(names, mounting.sigmas.tolist(), strict=True))),
         unobserved=mounting.unobserved,
         notes=tuple(notes),
         frames=frames,
     )
 
 
-def _refinement_report(scene: Scene, repair: Repair, found: Refinement) -> RepairReport:
-    return RepairReport(
-        source=scene.source,
-        method="refine",
-        verdict=str(found.verdict),
-        reason=found.reason,
-        sensors=(str(repair.camera_id), str(repair.lidar_id)),
-        transform=_rows(repair.repaired),
-        change=_in_degrees(found.found_change),
-        sigmas=_in_degrees(found.sigmas),
-        unobserved=found.held,
-        notes=(f"{found.frames} frames of {found.views} views, sharpness {found.sharpness:.1f}",),
-        frames=found.frames,
-        time_offset=found.time_offset,
-    )
-
-
-def _rows(transform: RigidTransform) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in transform.matrix.tolist())
-
-
 _ROTATIONS = frozenset({"pitch", "yaw", "roll", "rotation_x", "rotation_y", "rotation_z"})
 
 
-def _in_degrees(numbers: dict[str, float]) -> dict[str, float]:
-    return {name: value * 57.29577951308232 if name in _ROTATIONS else value for name, value in numbers.items()}
+def _report(
+    scene: Scene,
+    method: str,
+    sensors: tuple[str, str],
+    transform: RigidTransform,
+    change: Mapping[str, float],
+    sigmas: Mapping[str, float],
+    **more: Any,
+) -> RepairReport:
+    """A report of numbers in radians."""
+
+    def in_degrees(numbers: Mapping[str, float]) -> dict[str, float]:
+        return {name: value * 57.29577951308232 if name in _ROTATIONS else value for name, value in numbers.items()}
+
+    return RepairReport(
+        source=scene.source,
+        method=method,
+        sensors=sensors,
+        transform=tuple(tuple(row) for row in transform.matrix.tolist()),
+        change=in_degrees(change),
+        sigmas=in_degrees(sigmas),
+        **more,
+    )
+
+
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from sceneloom.detections.detectors import detector_names
 from sceneloom.detections.residuals import BoxResiduals
 from sceneloom.detections.results import DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
+from sceneloom.editing.references import assumed
 from sceneloom.errors import PoseError
 from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, KittiLabels, observation_angles, rectified_boxes
 from sceneloom.formats.kitti.oxts import PERIOD_NS
@@ -27,7 +28,7 @@ from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, sweep_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,9 +70,6 @@ class SweepPoints:
         positions = self.lidar.frames[row].points.positions
         if self.lidar.points_frame is PointsFrame.SENSOR:
             return np.ascontiguousarray(positions)
-        return self._from_world(positions, time_ns)
-
-    def _from_world(self, positions: Float32Array, time_ns: int) -> Float32Array:
         pose = self.source.at(np.array([time_ns], np.int64))
         if not np.isfinite(pose.positions).all():
             raise PoseError(f"it is not known where lidar {self.lidar.id!r} was at {time_ns} ns")
@@ -275,11 +273,6 @@ def poses_at(source: PoseSource, times_ns: Int64Array) -> tuple[RigidTransform, 
     )
 
 
-def _kitti_detectors() -> str | None:
-    """The name of what is known of detectors on KITTI's drives; None where the package has none."""
-    return next((name for name in detector_names() if name.startswith("kitti")), None)
-
-
 def projection_settings(drive: DetectedDrive, stated: ProjectionSettings | None) -> ProjectionSettings:
     """What fusion by projection takes for granted: what was stated, else what is known of the drive's detectors."""
     if stated is not None:
@@ -292,21 +285,18 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
 
     Without the trajectory of its OXTS unit the lidar's frame stands for the world.
     """
-    path, ego_from_lidar = sequence.world_from_ego, RigidTransform.identity()
+    path, ego_from_lidar = Poses.identity(), RigidTransform.identity()
     warnings = list(sequence.warnings)
-    if path is None or sequence.lidar_from_imu is None:
-        message = "the ego trajectory is not known: objects are followed as if it was stationary"
-        warnings.append(
-            DataWarning(kind=WarningKind.ASSUMED, code="no-trajectory", location=sequence.name, message=message)
-        )
+    known = sequence.world_from_ego is not None and sequence.lidar_from_imu is not None
+    if sequence.world_from_ego is not None and sequence.lidar_from_imu is not None:
+        path, ego_from_lidar = sequence.world_from_ego, sequence.lidar_from_imu.inverse()
     else:
-        ego_from_lidar = sequence.lidar_from_imu.inverse()
-    known = path is not None and sequence.lidar_from_imu is not None
-    detectors = _kitti_detectors()
+        message = "the ego trajectory is not known: objects are followed as if it was stationary"
+        warnings.append(assumed("no-trajectory", sequence.name, message))
+    detectors = next((name for name in detector_names() if name.startswith("kitti")), None)
     if detectors is not None:
         message = f"boxes are taken to be as sure and exact as those of {detectors}; `--detectors` says otherwise"
-        warnings.append(DataWarning(kind=WarningKind.ASSUMED, code="detectors", location="", message=message))
-    path = path if known and path is not None else Poses.identity()
+        warnings.append(assumed("detectors", "", message))
     frames = range(sequence.frame_count)
     camera = DetectedCamera(
         sequence.camera,

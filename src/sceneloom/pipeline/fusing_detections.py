@@ -4,9 +4,8 @@ And such files read again for tracking.
 """
 
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from heapq import merge
 from pathlib import Path
@@ -85,17 +84,17 @@ def _looked_for(boxes: Boxes3D | Boxes2D, classes: _Classes) -> BoolArray:
 
 
 def _part(pair: DetectionPair, in_space: BoolArray, in_image: BoolArray, settings: ProjectionSettings) -> FusedBoxes:
-    """Fuse some of the boxes; rows are reported all."""
+    """Fuse some of the boxes; rows are those among all."""
     if in_space.all() and in_image.all():
         return fuse_by_projection(pair, settings=settings)
     rows_3d, rows_2d = np.flatnonzero(in_space), np.flatnonzero(in_image)
     some = replace(pair, boxes_3d=pair.boxes_3d.select(rows_3d), boxes_2d=pair.boxes_2d.select(rows_2d))
     fused = fuse_by_projection(some, settings=settings)
-    return replace(fused, rows_3d=_of_all(fused.rows_3d, rows_3d), rows_2d=_of_all(fused.rows_2d, rows_2d))
 
+    def of_all(rows: Int64Array, chosen: Int64Array) -> Int64Array:
+        return np.array([NO_BOX if row == NO_BOX else chosen[row] for row in rows.tolist()], np.int64)
 
-def _of_all(rows: Int64Array, chosen: Int64Array) -> Int64Array:
-    return np.array([NO_BOX if row == NO_BOX else chosen[row] for row in rows.tolist()], np.int64)
+    return replace(fused, rows_3d=of_all(fused.rows_3d, rows_3d), rows_2d=of_all(fused.rows_2d, rows_2d))
 
 
 def _together(parts: Sequence[FusedBoxes]) -> FusedBoxes:
@@ -114,15 +113,6 @@ def _together(parts: Sequence[FusedBoxes]) -> FusedBoxes:
     return replace(filled[0], **{**columns, "labels": labels, "ids": np.arange(len(labels))})
 
 
-def _fusion_for(
-    classes_2d: _Classes, classes_3d: _Classes, found: frozenset[str], settings: ProjectionSettings
-) -> Callable[[DetectionPair], FusedBoxes] | None:
-    """Give the fusion for detectors of some classes; None where both look for all that was found."""
-    if all(classes is None or found <= classes for classes in (classes_2d, classes_3d)):
-        return None
-    return _CoveringFusion(classes_2d, classes_3d, settings)
-
-
 def iter_fused_detections(
     drive: DetectedDrive,
     *,
@@ -132,8 +122,6 @@ def iter_fused_detections(
     """Play what detectors found through the fusion system, as if it happened now.
 
     Args:
-        drive: what they found.
-        configuration: settings of the fusion system.
         settings: what fusion by projection takes for granted; None for the detectors that the configuration names, else
             for what is known of the drive's.
 
@@ -151,9 +139,10 @@ def iter_fused_detections(
         if settings is None and chosen.detectors != DEFAULT:
             settings = ProjectionSettings(detectors=chosen.detectors)
         wanted, found = projection_settings(drive, settings), frozenset(drive.labels)
-        detect = _fusion_for(drive.classes_2d, drive.classes, found, wanted) or partial(
-            fuse_by_projection, settings=wanted
-        )
+        if all(classes is None or found <= classes for classes in (drive.classes_2d, drive.classes)):
+            detect = partial(fuse_by_projection, settings=wanted)
+        else:
+            detect = _CoveringFusion(drive.classes_2d, drive.classes, wanted)
     system = FusionSystem(chosen, detect=detect if drive.points is None else _WithPoints(drive.points, detect))
     system.add_lidar(drive.lidar_id, drive.source, period_ns=drive.period_ns, location=drive.source)
     for index, (camera_id, camera) in enumerate(drive.cameras.items()):
@@ -202,6 +191,9 @@ def _detections_record(
     """Give the record of table 10 of the objects of a sweep and an image, axes as the scene has them."""
     fused = frame.fused
     columns, _ = declared_columns(fused, _AS_IN_THE_SCENE, camera_model)
+    box_ids = [
+        tuple(None if row == NO_BOX else row for row in rows.tolist()) for rows in (fused.rows_3d, fused.rows_2d)
+    ]
     return FusedDetections(
         timestamp=Timestamp.of(frame.timestamp_ns),
         image_seq=int(frame.image_extras["seq"]),
@@ -210,8 +202,8 @@ def _detections_record(
         lidar_id=lidar_number,
         id=fused.ids.astype(np.int32),
         class_names=fused.labels,
-        box_3d_ids=_numbers(fused.rows_3d.tolist()),
-        box_2d_ids=_numbers(fused.rows_2d.tolist()),
+        box_3d_ids=box_ids[0],
+        box_2d_ids=box_ids[1],
         motion_compensated=int(not frame.stationary),
         image_timestamp=Timestamp.of(frame.image_timestamp_ns),
         **columns,
@@ -221,14 +213,14 @@ def _detections_record(
 _AS_IN_THE_SCENE = read_only(np.eye(3))
 
 
-def _numbers(rows: list[int]) -> tuple[int | None, ...]:
-    return tuple(None if row == NO_BOX else row for row in rows)
-
-
 def _fused_boxes_of(record: FusedDetections) -> FusedBoxes:
     """Give the objects of a record of table 10, whose numbers have 32 bits and whose corners are whole pixels."""
     directions = record.directions.astype(np.float64)
     vectors = record.velocity_vectors
+    rows_3d, rows_2d = (
+        np.array([NO_BOX if row is None else row for row in ids], np.int64)
+        for ids in (record.box_3d_ids, record.box_2d_ids)
+    )
     return FusedBoxes(
         timestamp_ns=record.timestamp.nanoseconds,
         centers=record.centers.astype(np.float64),
@@ -241,28 +233,45 @@ def _fused_boxes_of(record: FusedDetections) -> FusedBoxes:
         labels=record.class_names,
         corners_xyxy=record.corners_xyxy.astype(np.float64),
         ids=record.id.astype(np.int64),
-        rows_3d=_rows(record.box_3d_ids),
-        rows_2d=_rows(record.box_2d_ids),
+        rows_3d=rows_3d,
+        rows_2d=rows_2d,
     )
 
 
-def _rows(ids: tuple[int | None, ...]) -> Int64Array:
-    return np.array([NO_BOX if row is None else row for row in ids], np.int64)
-
-
-class _FusedDriveReport(msgspec.Struct, frozen=True, kw_only=True):
-    """One drive or sequence."""
+class _FusedDriveReport(msgspec.Struct, kw_only=True):
+    """One drive or sequence; its counts grow while it is fused."""
 
     name: str
     file: str
-    pairs: int
+    pairs: int = 0
     unpaired: int
-    objects: int
-    both: int
-    sweeps_only: int
-    images_only: int
-    by_class: Mapping[str, int]
+    objects: int = 0
+    both: int = 0
+    sweeps_only: int = 0
+    images_only: int = 0
+    by_class: dict[str, int] = msgspec.field(default_factory=dict)
     warnings: tuple[DataWarning, ...] = ()
+
+    @classmethod
+    def of(cls, drive: DetectedDrive, file: Path) -> "_FusedDriveReport":
+        return cls(name=drive.name, file=str(file), unpaired=len(drive.boxes), warnings=drive.all_warnings)
+
+    def counted(self, frames: Iterable[FusedDetectionFrame]) -> Iterator[FusedDetectionFrame]:
+        """Count the objects of each pair that passes."""
+        sweep = -1
+        for frame in frames:
+            fused = frame.fused
+            self.pairs += 1
+            self.unpaired -= frame.index != sweep
+            sweep = frame.index
+            in_space, in_image = fused.rows_3d != NO_BOX, fused.rows_2d != NO_BOX
+            self.both += int((in_space & in_image).sum())
+            self.sweeps_only += int((in_space & ~in_image).sum())
+            self.images_only += int((~in_space & in_image).sum())
+            self.objects = self.both + self.sweeps_only + self.images_only
+            for label in fused.labels:
+                self.by_class[label] = self.by_class.get(label, 0) + 1
+            yield frame
 
 
 class DetectionFusionReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -281,39 +290,6 @@ class DetectionFusionReport(msgspec.Struct, frozen=True, kw_only=True):
     drives: tuple[_FusedDriveReport, ...]
     seconds: float
     warnings: tuple[DataWarning, ...] = ()
-
-
-@dataclass(slots=True)
-class _DetectionStatistics:
-    """Counts objects."""
-
-    pairs: int = 0
-    fused_sweeps: int = 0
-    both: int = 0
-    sweeps_only: int = 0
-    images_only: int = 0
-    by_class: Counter[str] = field(default_factory=Counter)
-    _sweep: int = -1
-
-    @classmethod
-    def of(cls, frames: Iterable[FusedDetectionFrame]) -> "_DetectionStatistics":
-        """Count the objects of all pairs."""
-        statistics = cls()
-        for frame in frames:
-            statistics.add(frame)
-        return statistics
-
-    def add(self, frame: FusedDetectionFrame) -> None:
-        """Count the objects of a pair."""
-        fused = frame.fused
-        self.pairs += 1
-        self.fused_sweeps += frame.index != self._sweep
-        self._sweep = frame.index
-        in_space, in_image = fused.rows_3d != NO_BOX, fused.rows_2d != NO_BOX
-        self.both += int((in_space & in_image).sum())
-        self.sweeps_only += int((in_space & ~in_image).sum())
-        self.images_only += int((~in_space & in_image).sum())
-        self.by_class.update(fused.labels)
 
 
 def _kitti_objects(frame: FusedDetectionFrame) -> KittiObjects:
@@ -357,7 +333,6 @@ def fuse_detections(
         output: the folder of files, or the file of lines of JSON.
         chosen: what of it.
         form: "jsonl", or of KITTI's folders "kitti" for its text, `NNNN.txt`, without tracks.
-        configuration: settings of the fusion system.
         settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
         lenient: leave out what is faulty, and count it.
         reading: further options of opening a drive, `start` and `stop` of a part among them.
@@ -373,18 +348,26 @@ def fuse_detections(
     begun, output, wanted = time.perf_counter(), Path(output), chosen or DetectionInput()
     fuse = partial(iter_fused_detections, configuration=configuration, settings=settings)
     tracking = wanted.tracking_folder(path, lenient=lenient, reading=reading)
+    warnings: tuple[DataWarning, ...] = ()
     if tracking is not None:
         reports = _fuse_sequences(tracking, wanted.sequences, output, form, fuse, progress, overwrite=overwrite)
-        return _report(str(tracking.path), output, reports, tracking.warnings, begun)
-    if form != "jsonl":
-        raise OptionError(
-            f"format {form!r} is written for folders laid out like KITTI's only; expected 'jsonl' for {path}"
-        )
-    with wanted.open_drive(path, lenient=lenient, reading=reading) as (drive, _):
-        begun = time.perf_counter()
-        with replacing_together((output, _side_file(output)), overwrite=overwrite) as (draft, side):
-            report = _fuse_into(drive, draft, side, output, fuse, progress)
-        return _report(drive.name, output, [report], (), begun)
+        source, warnings = str(tracking.path), tracking.warnings
+    else:
+        if form != "jsonl":
+            raise OptionError(
+                f"format {form!r} is written for folders laid out like KITTI's only; expected 'jsonl' for {path}"
+            )
+        with wanted.open_drive(path, lenient=lenient, reading=reading) as (drive, _):
+            begun, source = time.perf_counter(), drive.name
+            with replacing_together((output, _side_file(output)), overwrite=overwrite) as (draft, side):
+                reports = [_fuse_into(drive, draft, side, output, fuse, progress)]
+    return DetectionFusionReport(
+        source=source,
+        output=str(output),
+        drives=tuple(reports),
+        seconds=time.perf_counter() - begun,
+        warnings=tuple(dict.fromkeys([*warnings, *(warning for one in reports for warning in one.warnings)])),
+    )
 
 
 def _fuse_sequences(
@@ -406,10 +389,9 @@ def _fuse_sequences(
             sequence = tracking.sequence(name)
             drive = kitti_drive(sequence)
             if form == "kitti":
-                fused = list(fuse(drive))
-                labels = kitti_labels(map(_kitti_objects, fused), sequence.rectified_from_lidar)
-                write_labels(labels, folder / f"{name}.txt")
-                reports.append(_drive_report(drive, output / f"{name}.txt", _DetectionStatistics.of(fused)))
+                reports.append(_FusedDriveReport.of(drive, output / f"{name}.txt"))
+                fused = map(_kitti_objects, reports[-1].counted(fuse(drive)))
+                write_labels(kitti_labels(fused, sequence.rectified_from_lidar), folder / f"{name}.txt")
             else:
                 draft = folder / f"{name}.jsonl"
                 reports.append(_fuse_into(drive, draft, _side_file(draft), output / draft.name, fuse))
@@ -426,71 +408,17 @@ def _side_file(path: Path) -> Path:
 def _fuse_into(
     drive: DetectedDrive, draft: Path, side: Path, output: Path, fuse: _Fuse, progress: Progress | None = None
 ) -> _FusedDriveReport:
-    statistics = _DetectionStatistics()
+    report = _FusedDriveReport.of(drive, output)
     numbers = {camera_id: k for k, camera_id in enumerate(drive.cameras, start=1)}
     with draft.open("w", encoding="utf-8", newline="\n") as lines, side.open("wb") as sides:
-        for frame in fuse(drive):
-            statistics.add(frame)
+        for frame in report.counted(fuse(drive)):
             if progress is not None:
                 progress(frame.index + 1, len(drive.boxes))
             camera_model = drive.cameras[frame.camera_id].camera_model
             record = _detections_record(frame, camera_model, camera_number=numbers[frame.camera_id])
             lines.write(f"{format_json(record)}\n")
-            sides.write(msgspec.json.encode(_side(drive, frame, camera_model)) + b"\n")
-    return _drive_report(drive, output, statistics)
-
-
-def _drive_report(drive: DetectedDrive, output: Path, statistics: _DetectionStatistics) -> _FusedDriveReport:
-    return _FusedDriveReport(
-        name=drive.name,
-        file=str(output),
-        pairs=statistics.pairs,
-        unpaired=len(drive.boxes) - statistics.fused_sweeps,
-        objects=statistics.both + statistics.sweeps_only + statistics.images_only,
-        both=statistics.both,
-        sweeps_only=statistics.sweeps_only,
-        images_only=statistics.images_only,
-        by_class=dict(statistics.by_class),
-        warnings=drive.all_warnings,
-    )
-
-
-def _side(drive: DetectedDrive, frame: FusedDetectionFrame, camera_model: Camera) -> dict[str, Any]:
-    """Where lidar and camera were, which camera model it was, as one line."""
-    camera = drive.cameras[frame.camera_id]
-    (world_from_lidar,) = poses_at(drive.source, np.array([frame.timestamp_ns], np.int64))
-    (world_from_camera,) = poses_at(camera.source, np.array([frame.image_timestamp_ns], np.int64))
-    return {
-        "timestamp_ns": frame.timestamp_ns,
-        "image_timestamp_ns": frame.image_timestamp_ns,
-        "lidar": frame.lidar_id,
-        "camera": frame.camera_id,
-        "world_from_lidar": _seven(world_from_lidar),
-        "world_from_camera": _seven(world_from_camera),
-        "camera_model": {
-            "model": camera_model.model,
-            "size_wh": [camera_model.width, camera_model.height],
-            "fx_fy_cx_cy": [camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy],
-            "coefficients": list(camera_model.coefficients),
-        },
-    }
-
-
-def _seven(pose: RigidTransform) -> list[float]:
-    """x, y, z, then the quaternion x, y, z, w."""
-    return [*pose.translation.tolist(), *pose.quaternion_xyzw.tolist()]
-
-
-def _report(
-    source: str, output: Path, reports: list[_FusedDriveReport], warnings: Iterable[DataWarning], begun: float
-) -> DetectionFusionReport:
-    return DetectionFusionReport(
-        source=source,
-        output=str(output),
-        drives=tuple(reports),
-        seconds=time.perf_counter() - begun,
-        warnings=tuple(dict.fromkeys([*warnings, *(warning for report in reports for warning in report.warnings)])),
-    )
+            sides.write(msgspec.json.encode(_Placed.of(drive, frame)) + b"\n")
+    return report
 
 
 def fused_files(path: Path) -> tuple[Path, ...]:
@@ -498,13 +426,12 @@ def fused_files(path: Path) -> tuple[Path, ...]:
 
     A file is known by its first line, so that one whose other file is missing is reported so.
     """
-    found = sorted(path.glob("*.jsonl")) if path.is_dir() else [path] if path.is_file() else []
-    return tuple(file for file in found if _begins_with_detections(file))
-
-
-def _begins_with_detections(path: Path) -> bool:
-    with file_faults(path), open_file(path) as file:
-        return file.read(64).lstrip().startswith(b'{"detections"')
+    found = []
+    for file in sorted(path.glob("*.jsonl")) if path.is_dir() else [path] if path.is_file() else []:
+        with file_faults(file), open_file(file) as content:
+            if content.read(64).lstrip().startswith(b'{"detections"'):
+                found.append(file)
+    return tuple(found)
 
 
 def read_fused(path: Path) -> tuple[DetectedDrive, tuple[Observation, ...]]:
@@ -546,10 +473,11 @@ class _CameraModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 _Time = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 _Seven = tuple[float, float, float, float, float, float, float]
+"""x, y, z, then the quaternion x, y, z, w."""
 
 
 class _Placed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where lidar and camera were, as `_side` reports it."""
+    """Where lidar and camera were, and which camera model it was: a line of the file beside the results."""
 
     timestamp_ns: _Time
     image_timestamp_ns: _Time
@@ -559,16 +487,36 @@ class _Placed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     world_from_camera: _Seven
     camera_model: _CameraModel
 
+    @classmethod
+    def of(cls, drive: DetectedDrive, frame: FusedDetectionFrame) -> "_Placed":
+        """Those of the sweep and the image of a result."""
+        camera, model = drive.cameras[frame.camera_id], drive.cameras[frame.camera_id].camera_model
+        poses = [
+            poses_at(source, np.array([time_ns], np.int64))[0]
+            for source, time_ns in ((drive.source, frame.timestamp_ns), (camera.source, frame.image_timestamp_ns))
+        ]
+        sevens: list[Any] = [(*pose.translation.tolist(), *pose.quaternion_xyzw.tolist()) for pose in poses]
+        focal = (model.fx, model.fy, model.cx, model.cy)
+        numbers = _CameraModel(model.model, (model.width, model.height), focal, tuple(model.coefficients))
+        return cls(
+            frame.timestamp_ns, frame.image_timestamp_ns, frame.lidar_id, frame.camera_id, sevens[0], sevens[1], numbers
+        )
+
+    @property
+    def poses(self) -> tuple[RigidTransform, RigidTransform]:
+        """`world_from_lidar` and `world_from_camera`."""
+        lidar, camera = (
+            RigidTransform.from_quaternion(np.array(seven[:3]), np.array(seven[3:]))
+            for seven in (self.world_from_lidar, self.world_from_camera)
+        )
+        return lidar, camera
+
     @property
     def view(self) -> View:
         """The camera as a tracker knows it."""
-        camera_model = Camera(
-            self.camera_model.model,
-            *self.camera_model.size_wh,
-            *self.camera_model.fx_fy_cx_cy,
-            self.camera_model.coefficients,
-        )
-        return View(camera_model, _pose(self.world_from_camera).inverse() @ _pose(self.world_from_lidar))
+        model, (world_from_lidar, world_from_camera) = self.camera_model, self.poses
+        camera_model = Camera(model.model, *model.size_wh, *model.fx_fy_cx_cy, model.coefficients)
+        return View(camera_model, world_from_camera.inverse() @ world_from_lidar)
 
 
 def _record(path: Path, number: int, line: str) -> FusedDetections:
@@ -591,14 +539,10 @@ def _placed(path: Path, number: int, line: str) -> _Placed:
     return placed
 
 
-def _pose(seven: _Seven) -> RigidTransform:
-    return RigidTransform.from_quaternion(np.array(seven[:3]), np.array(seven[3:]))
-
-
 def _observation(same: list[tuple[FusedDetections, _Placed]]) -> Observation:
     return Observation(
         same[0][1].timestamp_ns,
-        _pose(same[0][1].world_from_lidar),
+        same[0][1].poses[0],
         {placed.camera: _fused_boxes_of(record) for record, placed in same},
         {placed.camera: placed.view for _, placed in same},
     )
@@ -619,12 +563,8 @@ def _drive(path: Path, sides: list[_Placed], times: list[int]) -> DetectedDrive:
         source=lidar,
         boxes=tuple(Boxes3D.empty(t, sensor_id=lidar_id) for t in times),
         cameras=cameras,
-        period_ns=usual_period_ns(_times(times)) if len(times) > 1 else PERIOD_NS,
+        period_ns=usual_period_ns(np.array(times, np.int64)) if len(times) > 1 else PERIOD_NS,
     )
-
-
-def _times(times: Iterable[int]) -> Int64Array:
-    return np.array(list(times), np.int64)
 
 
 def _trajectory(poses: Mapping[int, _Seven]) -> PoseSource:
@@ -632,5 +572,5 @@ def _trajectory(poses: Mapping[int, _Seven]) -> PoseSource:
         return PoseSource(Poses.identity(), RigidTransform.identity())
     times = sorted(poses)
     values = np.array([poses[t] for t in times], np.float64)
-    path = Poses(_times(times), values[:, :3].copy(), values[:, 3:].copy())
+    path = Poses(np.array(times, np.int64), values[:, :3].copy(), values[:, 3:].copy())
     return PoseSource(path, RigidTransform.identity(), PERIOD_NS, own=True)

@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from sceneloom.arrays import Int64Array
-from sceneloom.editing.redact import HiddenRegions, Hiding, ImageBox, find_hidings, hide_in_images, regions_of
+from sceneloom.editing.redact import ImageBox, find_hidings, hide_in_images, regions_of
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.files import open_file, read_bytes
 from sceneloom.formats.base.images import PNG_START, encode_png, without_metadata
@@ -36,42 +36,32 @@ _PixelsByImage = Mapping[int, Int64Array]
 
 def _with_hidden_files(scene: Scene, hidden: Scene, pixels: Mapping[Key, _PixelsByImage]) -> Scene:
     """Give a scene with hidden locations the files of its images again."""
-    before = {key_of(camera.id): camera for camera in scene.cameras}
-    sensors: list[Any] = [
-        replace(
-            sensor,
-            images=LazyFrames(
-                sensor.images.timestamps_ns,
-                _WithFiles(before[key_of(sensor.id)].images, sensor.images, pixels[key_of(sensor.id)]),
-            ),
-        )
-        if isinstance(sensor, CameraSensor)
-        else sensor
-        for sensor in hidden.sensors
-    ]
+    before = {key_of(camera.id): camera.images for camera in scene.cameras}
+    sensors: list[Any] = []
+    for sensor in hidden.sensors:
+        if isinstance(sensor, CameraSensor):
+            key = key_of(sensor.id)
+            read = partial(_with_file, before[key], sensor.images, pixels[key])
+            sensor = replace(sensor, images=LazyFrames(sensor.images.timestamps_ns, read))  # noqa: PLW2901
+        sensors.append(sensor)
     return replace(hidden, sensors=tuple(sensors))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _WithFiles:
-    """Reads images; what `LazyFrames` asks for."""
-
-    before: LazyFrames[CameraImage]
-    after: LazyFrames[CameraImage]
-    pixels: _PixelsByImage
-
-    def __call__(self, k: int) -> CameraImage:
-        old, image = self.before[k], self.after[k]
-        if old.encoded is None:
-            return image
-        if k not in self.pixels:
-            return replace(image, encoded=partial(_without_metadata, old))
-        # a JPEG is made by the writer, which says so; PNG files stay what they are
-        is_png = old.encoded().startswith(PNG_START)
-        return replace(image, encoded=partial(_as_png, image)) if is_png else image
+def _with_file(
+    before: LazyFrames[CameraImage], after: LazyFrames[CameraImage], pixels: _PixelsByImage, k: int
+) -> CameraImage:
+    """An image with hidden locations, and its file where that is not left to the writer."""
+    old, image = before[k], after[k]
+    if old.encoded is None:
+        return image
+    if k not in pixels:
+        return replace(image, encoded=partial(_without_metadata, old))
+    # a JPEG is made by the writer, which says so; PNG files stay what they are
+    is_png = old.encoded().startswith(PNG_START)
+    return replace(image, encoded=partial(_png_of, image)) if is_png else image
 
 
-def _as_png(image: CameraImage) -> bytes:
+def _png_of(image: CameraImage) -> bytes:
     return encode_png(image.rgb)
 
 
@@ -81,8 +71,7 @@ def _without_metadata(image: CameraImage) -> bytes:
     try:
         return without_metadata(content)[0]
     except DataError:
-        # a file that cannot be taken apart is made anew from its pixels
-        return encode_png(image.rgb)
+        return _png_of(image)  # a file that cannot be taken apart is made anew from its pixels
 
 
 _DEFAULT_FPS = 25.0
@@ -171,11 +160,31 @@ def blur_files(
     reported: list[_CameraBlur] = []
     losses: list[Loss] = []
     with TemporaryDirectory(dir=Path(output).parent, prefix=".sceneloom-blur-") as folder:
-        settings = _Settings(tuple(boxes), chosen, fill, margin, hold, drop_colours)
 
         def change(scenes: Sequence[Scene], _: Any) -> Scene:
-            changed, done = settings.hidden(scenes[0], Path(folder), losses)
-            reported.extend(done)
+            scene = scenes[0]
+            hidings = find_hidings(scene, boxes=tuple(boxes), labels=chosen, hold=hold)
+            regions = regions_of(scene, hidings, margin=margin)
+            bare = hide_in_images(scene, hidings, fill=fill, margin=margin, drop_colours=drop_colours)
+            hidden = _with_hidden_files(scene, bare, {key: found.pixels for key, found in regions.items()})
+            changed, encoded = _with_videos(scene, hidden, Path(folder), losses)
+            counts = {key_of(camera.id): len(camera.images) for camera in scene.cameras}
+            for hiding in hidings:
+                key = key_of(hiding.camera_id)
+                found = regions[key]
+                reported.append(
+                    _CameraBlur(
+                        camera=hiding.camera_id,
+                        boxes=hiding.given,
+                        hidden=sum(map(len, found.pixels.values())),
+                        images=len(found.pixels),
+                        of_images=counts[key],
+                        without_image=hiding.unmatched,
+                        outside=found.outside,
+                        cut=found.cut,
+                        encoded=counts[key] if key in encoded else None,
+                    )
+                )
             return changed
 
         report = edit_files(
@@ -183,32 +192,6 @@ def blur_files(
         )
     report = msgspec.structs.replace(report, losses=LossReport.of([*report.losses, *losses]))
     return BlurReport(edit=report, fill=fill, margin=margin, cameras=tuple(reported))
-
-
-@dataclass(frozen=True, slots=True)
-class _Settings:
-    """What to hide, and how."""
-
-    boxes: tuple[ImageBox, ...]
-    labels: tuple[str, ...]
-    fill: str
-    margin: float
-    hold: float
-    drop_colours: bool
-
-    def hidden(self, scene: Scene, folder: Path, losses: list[Loss]) -> tuple[Scene, list[_CameraBlur]]:
-        """Hide in a scene; its videos are written into a folder, and what they lose is added to `losses`."""
-        hidings = find_hidings(scene, boxes=self.boxes, labels=self.labels, hold=self.hold)
-        regions = regions_of(scene, hidings, margin=self.margin)
-        pixels = {key: found.pixels for key, found in regions.items()}
-        bare = hide_in_images(scene, hidings, fill=self.fill, margin=self.margin, drop_colours=self.drop_colours)
-        changed, encoded = _with_videos(scene, _with_hidden_files(scene, bare, pixels), folder, losses)
-        counts = {key_of(camera.id): len(camera.images) for camera in scene.cameras}
-        return changed, [
-            _camera_blur(hiding, regions[key], counts[key], counts[key] if key in encoded else None)
-            for hiding in hidings
-            for key in [key_of(hiding.camera_id)]
-        ]
 
 
 def _with_videos(scene: Scene, hidden: Scene, folder: Path, losses: list[Loss]) -> tuple[Scene, frozenset[Key]]:
@@ -228,42 +211,18 @@ def _with_videos(scene: Scene, hidden: Scene, folder: Path, losses: list[Loss]) 
             losses.append(Loss(field=f"sensors[{sensor.id}].video", what=what, support=Support.CONVERTED))
             sensors.append(sensor)
             continue
-        target = folder / f"video{len(encoded)}{'.mkv' if codec == 'ffv1' else '.mp4'}"
-        _encode(sensor, target, codec)
+        target, count = folder / f"video{len(encoded)}{'.mkv' if codec == 'ffv1' else '.mp4'}", len(sensor.images)
+        seconds = (sensor.images.timestamps_ns - sensor.images.timestamps_ns[0]) * 1e-9
+        fps = (count - 1) / seconds[-1] if seconds[-1] > 0 else _DEFAULT_FPS
+        with VideoWriter(target, size.width, size.height, fps, codec=codec, images=count) as writer:
+            for image, time in zip(sensor.images, seconds.tolist(), strict=True):
+                writer.add(image.rgb, time)
         if codec == "h264":
-            what = "the video is encoded again, as H.264 of quality 18"
-            count = len(sensor.images)
-            losses.append(
-                Loss(field=f"sensors[{sensor.id}].video", what=what, count=count, support=Support.APPROXIMATED)
-            )
+            what, support = "the video is encoded again, as H.264 of quality 18", Support.APPROXIMATED
+            losses.append(Loss(field=f"sensors[{sensor.id}].video", what=what, count=count, support=support))
         sensors.append(replace(sensor, video=VideoContent(partial(open_file, target), codec)))
         encoded.add(key)
     return replace(hidden, sensors=tuple(sensors)), frozenset(encoded)
-
-
-def _encode(camera: CameraSensor, target: Path, codec: str) -> None:
-    times_ns = camera.images.timestamps_ns
-    seconds = (times_ns - times_ns[0]) * 1e-9
-    fps = (len(seconds) - 1) / seconds[-1] if seconds[-1] > 0 else _DEFAULT_FPS
-    size = camera.images[0].camera
-    count = len(seconds)
-    with VideoWriter(target, size.width, size.height, fps, codec=codec, images=count) as writer:
-        for image, time in zip(camera.images, seconds.tolist(), strict=True):
-            writer.add(image.rgb, time)
-
-
-def _camera_blur(hiding: Hiding, regions: HiddenRegions, images: int, encoded: int | None) -> _CameraBlur:
-    return _CameraBlur(
-        camera=hiding.camera_id,
-        boxes=hiding.given,
-        hidden=sum(map(len, regions.pixels.values())),
-        images=len(regions.pixels),
-        of_images=images,
-        without_image=hiding.unmatched,
-        outside=regions.outside,
-        cut=regions.cut,
-        encoded=encoded,
-    )
 
 
 _ALIASES: Mapping[str, str] = MappingProxyType(

@@ -170,7 +170,8 @@ def corrected_scene(scene: Scene, corrections: Collection[AppliedCorrection], *,
     for correction in corrections:
         stream = found.get(correction.stream)
         if stream is None:
-            raise OptionError(f"{scene.source}: no stream {correction.stream!r}; there are: {_listed(found)}")
+            there = ", ".join(found) or "none"
+            raise OptionError(f"{scene.source}: no stream {correction.stream!r}; there are: {there}")
         clock = ClockCorrection(correction.offset_ns, correction.skew_ppm, correction.at_ns)
         if stream.kind is StreamKind.TRAJECTORY:
             trajectories[stream.source.name] = clock
@@ -190,7 +191,7 @@ def _chosen(
     """The reference, and the streams to be compared with it."""
     for name in (*([reference] if reference else ()), *(names or ())):
         if name not in found:
-            raise OptionError(f"{scene.source}: no stream {name!r}; there are: {_listed(found)}")
+            raise OptionError(f"{scene.source}: no stream {name!r}; there are: {', '.join(found) or 'none'}")
     wanted = [stream for stream in found.values() if names is None or stream.name in names]
     if reference is not None:
         first = found[reference]
@@ -240,11 +241,19 @@ def _corrections(comparisons: Collection[ClockComparison], reference: str | None
     indirect = {c.stream: c for c in comparisons if c.reference != reference}
     found = []
     for stream, comparison in direct.items():
-        other = indirect.get(stream)
+        other, through = indirect.get(stream), None
+        at_ns, parts = comparison.estimate.at_ns, [comparison.estimate]
         if other is not None and _is_better(other, direct.get(other.reference), comparison):
-            found += _through(other, direct[other.reference])
-        elif comparison.estimate.is_off:
-            found.append(_correction(comparison))
+            through, link = other.reference, direct[other.reference].estimate
+            at_ns, parts = link.at_ns, [other.estimate, link]
+        # of the sum of two corrections each counts only where it is off
+        parts = [part for part in parts if part.is_off]
+        if parts:
+            offset_ns = sum((part.offset_ns or 0.0) + _skew(part) * 1e-6 * (at_ns - part.at_ns) for part in parts)
+            skew_ppm = sum(map(_skew, parts))
+            found.append(
+                AppliedCorrection(stream=stream, offset_ns=offset_ns, skew_ppm=skew_ppm, at_ns=at_ns, through=through)
+            )
     return tuple(found)
 
 
@@ -258,31 +267,6 @@ def _is_better(other: ClockComparison, link: ClockComparison | None, direct: Clo
     return bool(sum(s * s for s in parts) < (direct.estimate.offset_sigma_ns or 0.0) ** 2)
 
 
-def _correction(comparison: ClockComparison) -> AppliedCorrection:
-    estimate = comparison.estimate
-    return AppliedCorrection(
-        stream=comparison.stream, offset_ns=estimate.offset_ns or 0.0, skew_ppm=_skew(estimate), at_ns=estimate.at_ns
-    )
-
-
-def _through(other: ClockComparison, link: ClockComparison) -> list[AppliedCorrection]:
-    """The sum of two corrections of which either is one; each counts only where it is off."""
-    parts = [comparison.estimate for comparison in (other, link) if comparison.estimate.is_off]
-    if not parts:
-        return []
-    at_ns = link.estimate.at_ns
-    offset_ns = sum((part.offset_ns or 0.0) + _skew(part) * 1e-6 * (at_ns - part.at_ns) for part in parts)
-    return [
-        AppliedCorrection(
-            stream=other.stream,
-            offset_ns=offset_ns,
-            skew_ppm=sum(map(_skew, parts)),
-            at_ns=at_ns,
-            through=other.reference,
-        )
-    ]
-
-
 def _skew(estimate: ClockEstimate) -> float:
     """The skew that is corrected: one that is surely there."""
     sure = estimate.skew_ppm is not None and abs(estimate.skew_ppm) > 3 * (estimate.skew_sigma_ppm or 0.0)
@@ -294,7 +278,3 @@ def _warning(correction: AppliedCorrection, reference: str | None) -> DataWarnin
         f", its clock slowed by {correction.skew_ppm:.1f} ppm" if correction.skew_ppm else ""
     )
     return DataWarning(kind=WarningKind.REPAIRED, code="clock-corrected", location=correction.stream, message=message)
-
-
-def _listed(found: Mapping[str, Stream]) -> str:
-    return ", ".join(found) or "none"

@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.cuboid_projection import FINE, box_extents
 from sceneloom.detections.projection import fuse_by_projection
@@ -27,13 +27,12 @@ from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import check_output, file_stem, filling, replacing
 from sceneloom.formats.base.registry import write_scene
 from sceneloom.formats.kitti.labels import write_labels
-from sceneloom.formats.kitti.tracking_reader import KittiSequence, KittiTracking, sequence_scene
+from sceneloom.formats.kitti.tracking_reader import KittiSequence, sequence_scene
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm, chosen_algorithm
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detected_drive import (
     DetectedDrive,
     KittiObjects,
-    Moment,
     SweepPoints,
     kitti_drive,
     kitti_labels,
@@ -165,42 +164,21 @@ _COLUMNS = tuple(
 """The columns of states that tracks and objects of a moment share, without boxes in images."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _TrackedDrive:
-    """The objects of a drive."""
-
-    drive: DetectedDrive
-    moments: tuple[TrackedObjects, ...]
-    seconds: float
-
-    @property
-    def tracks(self) -> Tracks:
-        """The same by object."""
-        return gathered(list(self.moments))
-
-
-def _moments_of(tracks: Iterable[Track], timestamps_ns: Int64Array) -> tuple[TrackedObjects, ...]:
-    """Give the objects at each time; states of tracks at other times are left out.
-
-    Args:
-        timestamps_ns: (N,) int64 [ns], rising.
-    """
-    tracks = tuple(tracks)
-    counts = [len(track) for track in tracks]
-    times = _joined([track.timestamps_ns for track in tracks], (0,), np.int64)
-    ids = np.repeat(np.array([track.id for track in tracks], np.int64), counts)
+def _moments_of(tracks: Sequence[Track], timestamps_ns: Int64Array) -> tuple[TrackedObjects, ...]:
+    """The objects at each time (N,) int64 [ns], rising; states of tracks at other times are left out."""
+    nobody = TrackedObjects(
+        0, np.zeros(0, np.int64), (), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)), np.zeros(0),
+        np.zeros((0, 10, 10)), np.zeros(0), np.zeros(0, np.uint8),
+    )  # fmt: skip
+    times = np.concatenate([np.zeros(0, np.int64), *(track.timestamps_ns for track in tracks)])
+    ids = np.repeat(np.array([track.id for track in tracks], np.int64), [len(track) for track in tracks])
     labels = [track.label for track in tracks for _ in range(len(track))]
-    empty = _NOBODY
     columns = {
-        name: _joined(
-            [getattr(track, name) for track in tracks], getattr(empty, name).shape, getattr(empty, name).dtype
-        )
-        for name in _COLUMNS
+        name: np.concatenate([getattr(nobody, name), *(getattr(track, name) for track in tracks)]) for name in _COLUMNS
     }
     cameras = dict.fromkeys(camera_id for track in tracks for camera_id in track.corners_xyxy)
     corners = {
-        camera_id: _joined([_corners(track, camera_id, len(track)) for track in tracks], (0, 4), np.float64)
-        for camera_id in cameras
+        camera_id: np.concatenate([_corners(track, camera_id, len(track)) for track in tracks]) for camera_id in cameras
     }
     order = np.lexsort((ids, times))
     first, stop = (np.searchsorted(times[order], timestamps_ns, side=side) for side in ("left", "right"))
@@ -245,28 +223,17 @@ def _corners(states: Track | TrackedObjects, camera_id: Identifier, count: int) 
     return found[camera_id] if camera_id in found else np.full((count, 4), np.nan)
 
 
-def _joined(parts: Sequence[AnyArray], shape: tuple[int, ...], dtype: Any) -> Any:
-    return np.concatenate(parts) if parts else np.zeros(shape, dtype)
-
-
-_NOBODY = TrackedObjects(
-    0, np.zeros(0, np.int64), (), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)), np.zeros(0),
-    np.zeros((0, 10, 10)), np.zeros(0), np.zeros(0, np.uint8),
-)  # fmt: skip
-"""A moment without objects."""
+_Moments = tuple[TrackedObjects, ...]
+"""The objects of a drive at each of its sweeps."""
 
 
 def track(
     drive: DetectedDrive, *, settings: TrackingSettings | None = None, progress: Progress | None = None
-) -> _TrackedDrive:
-    """Follow the objects of a drive.
+) -> tuple[_Moments, float]:
+    """Follow the objects of a drive; give them with the time of the processor that this took [s].
 
     Classes that only one of both detectors looks for are followed on their own, so that the other one's silence does
     not count against them.
-
-    Args:
-        settings: how.
-        progress: reported after each sweep.
 
     Raises:
         OptionError: no algorithm of detection fusion has that name.
@@ -277,26 +244,21 @@ def track(
     parts, seconds = [], 0.0
     groups = tuple(_groups(drive))
     for k, (of_group, recalls) in enumerate(groups):
-        own = replace(wanted, fusion=replace(fusion, **recalls), tracker=replace(wanted.tracker, **recalls))
-        steps = _Steps(progress, k, len(groups), len(of_group.boxes))
-        found, spent = _track_group(of_group, own, steps)
+        known = replace(fusion, **recalls)
+        tracker = replace(wanted.tracker, **recalls)
+        steps = _share(progress, k, len(groups), len(of_group.boxes))
+        observations = _observations(of_group, wanted.algorithm, known)
+        found, spent = _track_all(of_group, observations, wanted.offline, tracker, steps)
         parts.append(found)
         seconds += spent
-    return _TrackedDrive(drive, _joined_moments(parts), seconds)
+    return _joined_moments(parts), seconds
 
 
-@dataclass(frozen=True, slots=True)
-class _Steps:
-    """Reports of the work of several groups of classes as of one."""
-
-    reported: Progress | None
-    group: int
-    groups: int
-    total: int
-
-    def done(self, count: int) -> None:
-        if self.reported is not None:
-            self.reported(self.group * self.total + count, self.groups * self.total)
+def _share(progress: Progress | None, k: int, count: int, total: int) -> Progress | None:
+    """Progress of one part of several of `total` steps each."""
+    if progress is None:
+        return None
+    return lambda done, of: progress(k * total + done * total // max(of, 1), count * total)
 
 
 def _groups(drive: DetectedDrive) -> Iterator[tuple[DetectedDrive, dict[str, Any]]]:
@@ -318,71 +280,48 @@ def _groups(drive: DetectedDrive) -> Iterator[tuple[DetectedDrive, dict[str, Any
             yield drive.of_classes(classes), recalls
 
 
-def _track_observations(
-    drive: DetectedDrive,
-    observations: Sequence[Observation],
-    *,
-    settings: TrackingSettings | None = None,
-    progress: Progress | None = None,
-) -> _TrackedDrive:
-    """Follow the objects of a drive whose detections were fused before."""
-    steps = _Steps(progress, 0, 1, len(observations))
-    found, seconds = _track_all(drive, observations, settings or TrackingSettings(), steps)
-    return _TrackedDrive(drive, found, seconds)
-
-
-def _track_group(
-    drive: DetectedDrive, settings: TrackingSettings, steps: _Steps
-) -> tuple[tuple[TrackedObjects, ...], float]:
-    known = projection_settings(drive, settings.fusion)
-    fuse = _fusion(settings.algorithm, known)
-    lonely = partial(fuse_by_projection, settings=replace(known, recall_2d=0.0))
-    prepared = tuple(moments(drive))
-    seen = (_observation(drive, moment, fuse, lonely) for moment in prepared)
-    return _track_all(drive, seen, settings, steps)
-
-
 def _track_all(
-    drive: DetectedDrive, observations: Iterable[Observation], settings: TrackingSettings, steps: _Steps
-) -> tuple[tuple[TrackedObjects, ...], float]:
+    drive: DetectedDrive,
+    observations: Iterable[Observation],
+    offline: bool,  # noqa: FBT001 - of the settings
+    settings: TrackerSettings,
+    progress: Progress | None,
+) -> tuple[_Moments, float]:
     """Track; and the time of the processor for that and for fusing, without what progress takes [s]."""
-    tracker, seconds = Tracker(settings.tracker), 0.0
+    tracker, seconds = Tracker(settings), 0.0
     online, seen = list[TrackedObjects](), list[Observation]()
     begun = time.thread_time()
     for count, observation in enumerate(observations, start=1):
-        if settings.offline:
+        if offline:
             seen.append(observation)
         else:
             online.append(tracker.step(observation))
         seconds += time.thread_time() - begun
-        steps.done(count)
+        if progress is not None:
+            progress(count, len(drive.boxes))
         begun = time.thread_time()
-    if not settings.offline:
+    if not offline:
         return tuple(online), seconds
-    tracks = track_drive(seen, settings=settings.tracker, offline=True)
+    tracks = track_drive(seen, settings=settings, offline=True)
     seconds += time.thread_time() - begun
-    return _moments_of(tracks, drive.timestamps_ns), seconds
+    return _moments_of(tuple(tracks), drive.timestamps_ns), seconds
 
 
-def _fusion(chosen: AlgorithmChoice, known: ProjectionSettings) -> DetectionAlgorithm:
-    if chosen == "projection":
-        return partial(fuse_by_projection, settings=known)
-    named = chosen_algorithm(FusionType.DETECTIONS, chosen)
-    found: DetectionAlgorithm = algorithm(FusionType.DETECTIONS, named)
-    return found
-
-
-def _observation(
-    drive: DetectedDrive, moment: Moment, fuse: DetectionAlgorithm, lonely: DetectionAlgorithm
-) -> Observation:
-    """What is seen at a moment; a sweep to which no image belongs counts as it is."""
-    if moment.pairs:
-        return Observation.of_pairs(moment.pairs_with_points(), moment.world_from_lidar, fuse=fuse)
+def _observations(drive: DetectedDrive, chosen: AlgorithmChoice, known: ProjectionSettings) -> Iterator[Observation]:
+    """What is seen at each moment; a sweep to which no image belongs counts as it is."""
+    fuse: DetectionAlgorithm = partial(fuse_by_projection, settings=known)
+    if chosen != "projection":
+        fuse = algorithm(FusionType.DETECTIONS, chosen_algorithm(FusionType.DETECTIONS, chosen))
+    lonely = partial(fuse_by_projection, settings=replace(known, recall_2d=0.0))
     camera_id, camera = next(iter(drive.cameras.items()), (None, None))
     camera_model = _NO_CAMERA_MODEL if camera is None else camera.camera_model
-    none = Boxes2D.empty(moment.timestamp_ns)
-    fused = lonely(DetectionPair(moment.boxes_3d, none, camera_model, RigidTransform.identity()))
-    return Observation(moment.timestamp_ns, moment.world_from_lidar, {camera_id or "": fused})
+    for moment in tuple(moments(drive)):
+        if moment.pairs:
+            yield Observation.of_pairs(moment.pairs_with_points(), moment.world_from_lidar, fuse=fuse)
+            continue
+        none = Boxes2D.empty(moment.timestamp_ns)
+        fused = lonely(DetectionPair(moment.boxes_3d, none, camera_model, RigidTransform.identity()))
+        yield Observation(moment.timestamp_ns, moment.world_from_lidar, {camera_id or "": fused})
 
 
 _NO_CAMERA_MODEL = Camera("pinhole", 1, 1, 1.0, 1.0, 0.0, 0.0)
@@ -450,10 +389,10 @@ class _TrackableDrive:
         return cls(kitti_drive(sequence), scene, sequence.rectified_from_lidar)
 
 
-_Write = Callable[[_TrackedDrive, _TrackableDrive, Path, TrackOutputs], LossReport]
+_Write = Callable[[_Moments, _TrackableDrive, Path, TrackOutputs], LossReport]
 
 
-def _write_kitti(tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs) -> LossReport:
+def _write_kitti(tracked: _Moments, source: _TrackableDrive, path: Path, outputs: TrackOutputs) -> LossReport:
     drive = source.drive
     if len(drive.cameras) != 1:
         raise OptionError(
@@ -466,7 +405,7 @@ def _write_kitti(tracked: _TrackedDrive, source: _TrackableDrive, path: Path, ou
         rectified_from_lidar = camera.source.mount.inverse() @ drive.source.mount
     poses = zip(drive.locations(), poses_at(camera.source, drive.timestamps_ns), strict=True)
     found = []
-    for frame, (objects, (world_from_lidar, world_from_camera)) in enumerate(zip(tracked.moments, poses, strict=True)):
+    for frame, (objects, (world_from_lidar, world_from_camera)) in enumerate(zip(tracked, poses, strict=True)):
         boxes = _in_lidar(objects, world_from_lidar)
         camera_from_lidar = world_from_camera.inverse() @ world_from_lidar
         corners = _image_boxes(objects, boxes, camera_id, camera.camera_model, camera_from_lidar, outputs.box2d)
@@ -478,15 +417,15 @@ def _write_kitti(tracked: _TrackedDrive, source: _TrackableDrive, path: Path, ou
     return LossReport()
 
 
-def _write_lines(tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs) -> LossReport:
+def _write_lines(tracked: _Moments, source: _TrackableDrive, path: Path, outputs: TrackOutputs) -> LossReport:
     del source, outputs
     with path.open("wb") as file:
-        file.writelines(line + b"\n" for line in track_lines(tracked.moments))
+        file.writelines(line + b"\n" for line in track_lines(tracked))
     return LossReport()
 
 
-def _write_scene(tracked: _TrackedDrive, source: _TrackableDrive, path: Path, outputs: TrackOutputs) -> LossReport:
-    labelled = label_drive(source.scene, source.drive, tracked.tracks)
+def _write_scene(tracked: _Moments, source: _TrackableDrive, path: Path, outputs: TrackOutputs) -> LossReport:
+    labelled = label_drive(source.scene, source.drive, gathered(list(tracked)))
     return write_scene(labelled.scene, path, format="sfs", **outputs.scene_options)
 
 
@@ -598,19 +537,10 @@ _TRAIL = 20
 def save_tracking_images(
     scene: Scene, drive: DetectedDrive, moments: Sequence[TrackedObjects], folder: Path, *, count: int = 12
 ) -> list[Path]:
-    """Draw some moments of a tracked drive into a folder, evenly spread over it.
+    """Draw at most `count` moments of a tracked drive into a folder, evenly spread over it; give the paths written.
 
-    `<number>_above.png`, and `<number>_<camera>.png` for each camera with an image within half a sweep.
-
-    Args:
-        scene: whose sweeps and images; what it does not have is not drawn.
-        drive: where the sensors were.
-        moments: the objects at each sweep.
-        folder: made where it is missing; files of the same names are replaced.
-        count: how many moments at most.
-
-    Returns:
-        The paths written.
+    `<number>_above.png`, and `<number>_<camera>.png` for each camera with an image within half a sweep. What the scene
+    does not have is not drawn; files of the same names are replaced.
 
     Raises:
         OutputError: a file cannot be written.
@@ -630,43 +560,37 @@ def _drawn(
 ) -> Iterator[tuple[str, PilImage]]:
     objects = moments[row]
     (world_from_lidar,) = poses_at(drive.source, np.array([objects.timestamp_ns], np.int64))
-    ego = EgoPosition(world_from_lidar.translation, _level(world_from_lidar.rotation[:, 0]))
+    forward = world_from_lidar.rotation[:, 0] * (1.0, 1.0, 0.0)
+    length = float(np.linalg.norm(forward))
+    forward = forward / length if length > 0.0 else np.array([1.0, 0.0, 0.0])
     points = SweepPoints.of(scene, drive.lidar_id, drive.source)
     cloud = None if points is None else points.at(objects.timestamp_ns)
     seen = np.zeros((0, 3)) if cloud is None else world_from_lidar.apply(cloud.astype(np.float64))
-    trails = _trails(moments[max(row - _TRAIL, 0) : row + 1])
-    yield f"{row:06d}_above.png", draw_objects_above(seen, objects, ego=ego, trails=trails, reach=_REACH)
+    trails: dict[int, list[Float64Array]] = {}
+    for moment in moments[max(row - _TRAIL, 0) : row + 1]:
+        for number, center in zip(moment.ids.tolist(), moment.centers, strict=True):
+            trails.setdefault(number, []).append(center)
+    yield (
+        f"{row:06d}_above.png",
+        draw_objects_above(
+            seen,
+            objects,
+            ego=EgoPosition(world_from_lidar.translation, forward),
+            trails={number: np.array(found) for number, found in trails.items()},
+            reach=_REACH,
+        ),
+    )
     for camera in scene.cameras:
-        location = drive.cameras.get(camera.id)
-        k = _nearest(camera.images.timestamps_ns, objects.timestamp_ns, drive.period_ns // 2)
-        if location is None or k is None:
+        location, times_ns = drive.cameras.get(camera.id), camera.images.timestamps_ns
+        if location is None or not len(times_ns):
+            continue
+        k = int(np.abs(times_ns - objects.timestamp_ns).argmin())
+        if abs(int(times_ns[k]) - objects.timestamp_ns) > drive.period_ns // 2:
             continue
         image = camera.images[k]
         (world_from_camera,) = poses_at(location.source, np.array([image.timestamp_ns], np.int64))
         drawn = draw_objects_in_image(image, objects, world_from_camera, camera.id)
         yield f"{row:06d}_{file_stem(camera.id)}.png", drawn
-
-
-def _level(forward: Float64Array) -> Float64Array:
-    level = forward * (1.0, 1.0, 0.0)
-    length = float(np.linalg.norm(level))
-    return level / length if length > 0.0 else np.array([1.0, 0.0, 0.0])
-
-
-def _nearest(times_ns: Int64Array, time_ns: int, within_ns: int) -> int | None:
-    if len(times_ns) == 0:
-        return None
-    k = int(np.abs(times_ns - time_ns).argmin())
-    return k if abs(int(times_ns[k]) - time_ns) <= within_ns else None
-
-
-def _trails(moments: Sequence[TrackedObjects]) -> dict[int, Float64Array]:
-    """Where objects were, by number."""
-    locations: dict[int, list[Float64Array]] = {}
-    for moment in moments:
-        for number, center in zip(moment.ids.tolist(), moment.centers, strict=True):
-            locations.setdefault(number, []).append(center)
-    return {number: np.array(found) for number, found in locations.items()}
 
 
 def track_objects(
@@ -683,7 +607,8 @@ def track_objects(
     """Follow objects through a drive, or through each sequence of a folder.
 
     Args:
-        path: a folder laid out like KITTI's tracking benchmark, a drive, or what `fuse_detections` wrote.
+        path: a folder laid out like KITTI's tracking benchmark, whose labels are never read, a drive, or what
+            `fuse_detections` wrote.
         output: the folder of files, or the file.
         chosen: what of it.
         settings: how to track.
@@ -701,55 +626,8 @@ def track_objects(
     wanted = chosen or DetectionInput()
     job = _Job(Path(output), TrackOutputs(**outputs), settings or TrackingSettings(), progress)
     with timed() as stages:
-        report = _track_objects(job, path, wanted, lenient=lenient, reading=reading)
+        report = job.track_path(path, wanted, lenient=lenient, reading=reading)
     return msgspec.structs.replace(report, stages=dict(stages))
-
-
-def _track_objects(
-    job: "_Job", path: str | Path, wanted: DetectionInput, *, lenient: bool, reading: Mapping[str, Any] | None
-) -> TrackReport:
-    tracking = wanted.tracking_folder(path, lenient=lenient, reading=reading)
-    if tracking is not None:
-        return job.track_folder(tracking, wanted.sequences)
-    found = () if wanted.has_lists else fused_files(Path(path))
-    if found:
-        wanted.refuse_part(path, reading)
-        if wanted.sequences:
-            raise OptionError(f"{path}: --sequence does not count here: all that was fused is followed")
-    if found and Path(path).is_dir():
-        return job.track_many(lambda k: _TrackableDrive.of_fused(found[k]), len(found), str(path))
-    if found:
-        return job.track_one(_TrackableDrive.of_fused(found[0]))
-    with wanted.open_drive(path, lenient=lenient, reading=reading) as (drive, scene):
-        return job.track_one(_TrackableDrive(drive, scene))
-
-
-def track_folder(
-    tracking: KittiTracking,
-    output: str | Path,
-    *,
-    sequences: Sequence[str] = (),
-    settings: TrackingSettings | None = None,
-    progress: Progress | None = None,
-    **outputs: Any,
-) -> TrackReport:
-    """Track the sequences of a folder laid out like KITTI's tracking benchmark; a file each, named after it.
-
-    Labels are never read.
-
-    Args:
-        tracking: the folder.
-        output: the folder to write.
-        sequences: which ones; none for all.
-        settings, progress, outputs: as of `track_objects`.
-
-    Raises:
-        DataError: a file is faulty, or a sequence is not there.
-        OutputError: the folder has something in it, or cannot be written.
-        OptionError: a value is not one that can be followed.
-    """
-    job = _Job(Path(output), TrackOutputs(**outputs), settings or TrackingSettings(), progress)
-    return job.track_folder(tracking, sequences)
 
 
 @dataclass(slots=True)
@@ -768,18 +646,32 @@ class _Job:
         tracker = replace(self.settings.tracker, image_box=self.outputs.box2d)
         self.settings = replace(self.settings, tracker=tracker)
 
-    def track_folder(self, tracking: KittiTracking, sequences: Sequence[str]) -> TrackReport:
-        """Track sequences of KITTI's tracking benchmark, a file each."""
-        names = tracking.chosen(sequences)
+    def track_path(
+        self, path: str | Path, wanted: DetectionInput, *, lenient: bool, reading: Mapping[str, Any] | None
+    ) -> TrackReport:
+        """Track what a path is: sequences of KITTI's benchmark, detections that were fused before, or a drive."""
+        tracking = wanted.tracking_folder(path, lenient=lenient, reading=reading)
+        if tracking is not None:
+            source = str(tracking.path)
 
-        def read(k: int) -> _TrackableDrive:
-            return _TrackableDrive.of_sequence(tracking.sequence(names[k]), str(tracking.path))
+            def read(name: str) -> _TrackableDrive:
+                return _TrackableDrive.of_sequence(tracking.sequence(name), source)
 
-        report = self.track_many(read, len(names), str(tracking.path))
-        return msgspec.structs.replace(report, warnings=(*tracking.warnings, *report.warnings))
+            report = self._track_many([partial(read, name) for name in tracking.chosen(wanted.sequences)], source)
+            return msgspec.structs.replace(report, warnings=(*tracking.warnings, *report.warnings))
+        found = () if wanted.has_lists else fused_files(Path(path))
+        if found:
+            wanted.refuse_part(path, reading)
+            if wanted.sequences:
+                raise OptionError(f"{path}: --sequence does not count here: all that was fused is followed")
+            if Path(path).is_dir():
+                return self._track_many([partial(_TrackableDrive.of_fused, file) for file in found], str(path))
+            return self._track_one(_TrackableDrive.of_fused(found[0]))
+        with wanted.open_drive(path, lenient=lenient, reading=reading) as (drive, scene):
+            return self._track_one(_TrackableDrive(drive, scene))
 
-    def track_many(self, read: Callable[[int], _TrackableDrive], count: int, source: str) -> TrackReport:
-        """Track several drives, each read by its number, a file each, named after it."""
+    def _track_many(self, drives: Sequence[Callable[[], _TrackableDrive]], source: str) -> TrackReport:
+        """Track several drives, each read when it is its turn, a file each, named after it."""
         outputs, output = self.outputs, self.output
         form = replace(outputs, form=outputs.form or "kitti").form_of(output)
         named = _form_of_suffix(output)
@@ -793,14 +685,15 @@ class _Job:
             drawn = None
             if outputs.images is not None:
                 drawn = stack.enter_context(filling(outputs.images, overwrite=outputs.overwrite))
-            for k in range(count):
-                drive = read(k)
+            for k, read in enumerate(drives):
+                drive = read()
                 name = f"{drive.drive.name}{_FORMS[form][0]}"
                 images = None if drawn is None else drawn / drive.drive.name
-                self._track(drive, form, folder / name, output / name, images, self._share(k, count))
+                progress = _share(self.progress, k, len(drives), 1000)
+                self._track(drive, form, folder / name, output / name, images, progress)
         return self._report(source, form)
 
-    def track_one(self, drive: _TrackableDrive) -> TrackReport:
+    def _track_one(self, drive: _TrackableDrive) -> TrackReport:
         """Track one drive into a file."""
         outputs, output = self.outputs, self.output
         form = outputs.form_of(output)
@@ -813,13 +706,6 @@ class _Job:
             self._track(drive, form, draft, output, images, self.progress)
         return self._report(drive.scene.source, form)
 
-    def _share(self, k: int, count: int) -> Progress | None:
-        """Progress of one drive of many, which count alike."""
-        progress = self.progress
-        if progress is None:
-            return None
-        return lambda done, total: progress(k * 1000 + done * 1000 // max(total, 1), count * 1000)
-
     def _track(
         self,
         source: _TrackableDrive,
@@ -827,30 +713,28 @@ class _Job:
         draft: Path,
         file: Path,
         images: Path | None,
-        progress: Progress | None,
+        steps: Progress | None,
     ) -> None:
         with stage("tracking"):
-            if source.observations is None:
-                tracked = track(source.drive, settings=self.settings, progress=progress)
+            fused = source.observations
+            if fused is None:
+                tracked, seconds = track(source.drive, settings=self.settings, progress=steps)
             else:
-                tracked = _track_observations(
-                    source.drive, source.observations, settings=self.settings, progress=progress
-                )
+                offline, tracker = self.settings.offline, self.settings.tracker
+                tracked, seconds = _track_all(source.drive, fused, offline, tracker, steps)
         with stage("writing"):
             losses = _FORMS[form][1](tracked, source, draft, self.outputs)
         with counting_left_out() as left:
             if images is not None:
-                save_tracking_images(source.scene, source.drive, tracked.moments, images)
-        labels = {
-            number: label for m in tracked.moments for number, label in zip(m.ids.tolist(), m.labels, strict=True)
-        }
+                save_tracking_images(source.scene, source.drive, tracked, images)
+        labels = {number: label for m in tracked for number, label in zip(m.ids.tolist(), m.labels, strict=True)}
         report = _TrackedReport(
             name=source.drive.name,
             file=str(file),
-            frames=len(tracked.moments),
+            frames=len(tracked),
             tracks=dict(sorted(Counter(labels.values()).items())),
-            states=sum(map(len, tracked.moments)),
-            seconds=tracked.seconds,
+            states=sum(map(len, tracked)),
+            seconds=seconds,
             warnings=(*source.drive.all_warnings, *left.warnings),
         )
         self.drives.append(report)

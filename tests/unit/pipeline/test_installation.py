@@ -142,7 +142,7 @@ def test_kept_kernels_are_those_of_the_content_of_their_sources_and_not_of_their
     ],
 )
 def test_what_to_do_about_kernels(warm, writable, stated):
-    remedy = installation._kernel_remedy(warm=warm, writable=writable)
+    remedy = installation._KERNEL_REMEDIES[warm, writable]
     assert remedy is None if stated is None else stated in remedy
 
 

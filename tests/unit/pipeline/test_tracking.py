@@ -92,8 +92,8 @@ def scene_and_drive():
 
 def test_a_dozen_moments_are_drawn_over_images_and_from_above(scene_and_drive, tmp_path):
     scene, drive = scene_and_drive
-    tracked = track(drive)
-    paths = save_tracking_images(scene, drive, tracked.moments, tmp_path / "drawn", count=2)
+    objects, _ = track(drive)
+    paths = save_tracking_images(scene, drive, objects, tmp_path / "drawn", count=2)
     assert [path.name for path in paths] == [
         "000000_above.png",
         "000000_camera0.png",
@@ -102,7 +102,7 @@ def test_a_dozen_moments_are_drawn_over_images_and_from_above(scene_and_drive, t
     ]
     with Image.open(paths[1]) as image:
         assert image.width >= 320
-    bare = save_tracking_images(Scene(()), drive, tracked.moments, tmp_path / "bare", count=1)
+    bare = save_tracking_images(Scene(()), drive, objects, tmp_path / "bare", count=1)
     assert [path.name for path in bare] == ["000000_above.png"]
 
 

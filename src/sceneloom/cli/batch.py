@@ -21,7 +21,7 @@ from sceneloom.cli.printing import SHOWN, print_json, print_table, several
 from sceneloom.errors import OptionError
 
 if TYPE_CHECKING:
-    from sceneloom.batch.jobs import Further, Input, Outcome
+    from sceneloom.batch.jobs import Input, Outcome
     from sceneloom.batch.record import Row
     from sceneloom.batch.running import Reported, RunSummary
     from sceneloom.batch.workers import Executor
@@ -159,11 +159,13 @@ _options = options.stacked(
 
 def _over_many(name: str) -> click.Command:
     batched, verb = BATCHED[name], verb_named(name)
-    theirs = [
-        _placed(parameter) if parameter.name in {*batched.folders, *batched.files} else parameter
-        for parameter in verb.params
-        if parameter.name not in {batched.drive, batched.output, *_LEFT_OUT}
-    ]
+    theirs = []
+    for parameter in verb.params:
+        if parameter.name in {*batched.folders, *batched.files}:
+            parameter = copy(parameter)  # noqa: PLW2901 - which may lie in a store as OUT does
+            parameter.type = click.types.convert_type(target)
+        if parameter.name not in {batched.drive, batched.output, *_LEFT_OUT}:
+            theirs.append(parameter)
 
     def callback(**values: Any) -> int:
         own = {option.name: values.pop(option.name) for option in ours}
@@ -183,57 +185,37 @@ _HELP = (
 )
 
 
-def _placed(parameter: click.Parameter) -> click.Parameter:
-    """The option of a further output, which may lie in a store as OUT does."""
-    placed = copy(parameter)
-    placed.type = click.types.convert_type(target)
-    return placed
-
-
-def _further(name: str, values: dict[str, Any]) -> "tuple[Further, ...]":
-    """Take the further outputs that were asked for out of the verb's values, as the run writes them."""
-    from sceneloom.batch.jobs import Further
-
-    batched = BATCHED[name]
-    wanted = [option for option in (*batched.folders, *batched.files) if values[option] is not None]
-    for option in wanted:
-        values[option] = str(values[option])
-    return tuple(
-        Further(option=option, location=values[option], is_folder=option in batched.folders) for option in wanted
-    )
-
-
 def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
-    from sceneloom.batch.jobs import Job, give_files
+    from sceneloom.batch.jobs import Further, Job, give_files
     from sceneloom.batch.running import run
     from sceneloom.formats.base.files import processors
 
     workers = own["workers"] or processors()
     taken, whole = _beside(name), partial(_is_one_task, values)
     stated = {option: values[option] for option in taken if values[option] not in (None, ())}
+    reading, batched = options.stated(**values), BATCHED[name]
     found = find_listed(
-        name,
-        own["inputs"],
-        own["lists"],
-        files=taken,
-        reading=options.stated(**values),
-        stays=whole,
-        quiet=own["quiet"],
+        name, own["inputs"], own["lists"], files=taken, reading=reading, stays=whole, quiet=own["quiet"]
     )
     inputs, files = give_files(found, stated, taken)
-    further = _further(name, values)
-    executor = _cluster(own, workers)
+    outputs = [option for option in (*batched.folders, *batched.files) if values[option] is not None]
+    values |= {option: str(values[option]) for option in outputs}
+    # names of folders, with a file for each drive, end in nothing
+    suffix = "" if all(map(whole, inputs)) else batched.suffix
     job = Job(
         verb=name,
         call=CALL,
         inputs=inputs,
         options={"verb": name, **values},
         files=files,
-        suffix=_suffix(name, own["suffix"], folders=all(map(whole, inputs))),
+        suffix=suffix if own["suffix"] is None else own["suffix"],
         retries=own["retries"],
-        modules=BATCHED[name].modules,
-        further=further,
+        modules=batched.modules,
+        further=tuple(
+            Further(option=option, location=values[option], is_folder=option in batched.folders) for option in outputs
+        ),
     )
+    executor = _cluster(own, workers)
     with _progress(name, len(job.inputs), quiet=own["quiet"]) as reported:
         summary = run(
             job,
@@ -249,13 +231,6 @@ def _run(name: str, own: dict[str, Any], values: dict[str, Any]) -> int:
     else:
         _print_summary(summary, verbose=own["verbose"])
     return int(bool(summary.failed))
-
-
-def _suffix(name: str, stated: str | None, *, folders: bool) -> str:
-    """What names of outputs end in; those of folders, with a file for each drive, in nothing."""
-    if stated is None:
-        return "" if folders else BATCHED[name].suffix
-    return stated
 
 
 def _is_one_task(values: Mapping[str, Any], drive: "Input") -> bool:
@@ -435,23 +410,18 @@ def run_verb(location: str, output: Path, values: Mapping[str, Any]) -> Any:
                 raise OptionError(f"{name} ended with code {ended.exit_code}") from ended
         except click.ClickException as error:
             raise OptionError(error.format_message()) from error
-    reported = _reported(printed.getvalue())
+    reported: Any = printed.getvalue()
+    try:
+        reported = json.loads(reported)
+    except ValueError:
+        reported = reported.strip()
     if not batched.output:  # without times, which the record has: the same drive gives the same file
-        result = (
-            {name: value for name, value in reported.items() if name != "stages"}
-            if isinstance(reported, dict)
-            else reported
-        )
+        result = reported
+        if isinstance(reported, dict):
+            result = {name: value for name, value in reported.items() if name != "stages"}
         with output.open("w", encoding="utf-8") as file, redirect_stdout(file):
             print_json(result)
     return reported
-
-
-def _reported(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text.strip()
 
 
 def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
@@ -483,15 +453,7 @@ def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
 @option("--json as_json", "Print the result as JSON.")
 @option("-q --quiet", "Only how many, no failures.")
 @option("-v --verbose", "Every drive, not only the failures.")
-def status(
-    output: Path | str,
-    record: Path | None,
-    html: Path | None,
-    overwrite: bool,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
-) -> None:
+def status(output: Path | str, record: Path | None, html: Path | None, overwrite: bool, **shown: bool) -> None:
     """Report the state of the run into OUTPUT, a folder or a URL, while it goes on, too."""
     from sceneloom.batch.figures import read_figures, write_page
     from sceneloom.batch.jobs import State
@@ -505,20 +467,20 @@ def status(
     figures = read_figures(folder)
     if html is not None:
         write_page(figures, html, overwrite=overwrite)
-    if as_json:
+    if shown["as_json"]:
         print_json({"run": reported, "stages": figures.stages, "drives": [asdict(row) for row in rows]})
         return
     counts = {state: sum(row.state is state for row in rows) for state in State}
     parts = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
     click.echo(f"{redacted(output)}: {reported.get('verb', '')} over {several(len(rows), 'drive')}: {parts or 'none'}")
-    if quiet:
+    if shown["quiet"]:
         return
     stages = sorted(figures.stages.items(), key=lambda stage: -stage[1])
     if stages:
         click.echo("  " + ", ".join(f"{name} {seconds:.1f} s" for name, seconds in stages))
-    shown = rows if verbose else [row for row in rows if row.state is State.FAILED]
+    listed = rows if shown["verbose"] else [row for row in rows if row.state is State.FAILED]
     print_table(
-        [(row.state, row.name, "" if row.seconds is None else f"{row.seconds:.1f} s", _why(row)) for row in shown]
+        [(row.state, row.name, "" if row.seconds is None else f"{row.seconds:.1f} s", _why(row)) for row in listed]
     )
     if html is not None:
         click.echo(f"page: {html}")

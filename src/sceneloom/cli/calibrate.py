@@ -1,6 +1,6 @@
 """`sceneloom calibrate`: a calibration checked, repaired, or its conventions found out."""
 
-from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,12 +8,12 @@ import click
 
 from sceneloom.cli import detection_options, options
 from sceneloom.cli.options import option
-from sceneloom.cli.printing import Printer, print_table, several
+from sceneloom.cli.printing import Printer, print_json, print_table, several
 from sceneloom.cli.running import reading_verb
 
 if TYPE_CHECKING:
-    from sceneloom.calibrate.conventions import ConventionsReport, ExtrinsicFound
-    from sceneloom.calibrate.health import CalibrationHealth, Item
+    from sceneloom.calibrate.conventions import ConventionsReport
+    from sceneloom.calibrate.health import CalibrationHealth
     from sceneloom.pipeline.calibrating import RepairReport
     from sceneloom.scene.scene import Scene
 
@@ -163,14 +163,13 @@ def _check_folder(path: Path | str, given: dict[str, Any], printer: Printer, *, 
 
     tracking = open_tracking_folder(path, detector_2d=given["det2d"], detector_3d=given["det3d"], lenient=lenient)
     found = check_sequences(tracking, given["sequences"])
-    printer.show(found, _print_healths)
+    if printer.as_json:
+        print_json(found)
+    else:
+        for health in found:
+            _print_health(health, printer)
     verdicts = {str(health.verdict) for health in found}
     return next(code for verdict, code in _WORST_FIRST.items() if verdict in verdicts)
-
-
-def _print_healths(found: "list[CalibrationHealth]", printer: Printer) -> None:
-    for health in found:
-        _print_health(health, printer)
 
 
 def _print_health(health: "CalibrationHealth", printer: Printer) -> None:
@@ -182,8 +181,14 @@ def _print_health(health: "CalibrationHealth", printer: Printer) -> None:
     if len(reasons) == 1 and reasons != {""}:
         click.echo(f"nothing can be reported: {reasons.pop()}")
     else:
-        reported = [item for item in health.items if health.views or item.name.startswith("boxes")]
-        print_table([("part", "verdict", "to be changed by", "why"), *map(_item_row, reported)])
+        table = [("part", "verdict", "to be changed by", "why")]
+        for item in health.items:
+            if health.views or item.name.startswith("boxes"):
+                pairs = zip(item.values, item.sigmas, strict=True)
+                numbers = ", ".join(f"{v:+.2f} ± {s:.2f}" for v, s in pairs)
+                change = f"{numbers} {item.unit}" if numbers else "-"
+                table.append((item.name.replace("_", " "), str(item.verdict), change, item.reason))
+        print_table(table)
     if not health.views:
         return
     stated, best = health.stated_distinctness, health.distinctness
@@ -191,11 +196,6 @@ def _print_health(health: "CalibrationHealth", printer: Printer) -> None:
     if printer.verbose:
         rows = [(name, f"{here:.1f}", f"{there:.1f}") for name, (here, there) in health.measures.items()]
         print_table([("measure", "as stated", "at best"), *rows])
-
-
-def _item_row(item: "Item") -> tuple[str, ...]:
-    numbers = ", ".join(f"{v:+.2f} ± {s:.2f}" for v, s in zip(item.values, item.sigmas, strict=True))
-    return (item.name.replace("_", " "), str(item.verdict), f"{numbers} {item.unit}" if numbers else "-", item.reason)
 
 
 # --refine, --hand-eye, --lidar-to-lidar, --target
@@ -241,19 +241,18 @@ def _repaired(scene: "Scene", repair: str, given: dict[str, Any], progress: Any)
 def _print_repair(report: "RepairReport", _: Printer) -> None:
     a, b = report.sensors
     click.echo(f"{report.source}: {a} from {b} ({report.method}): {report.verdict}: {report.reason}")
-    rows = [_change_row(name, value, report.sigmas[name]) for name, value in report.change.items()]
-    print_table([("number", "changed by", "known within"), *rows])
+    rows = [("number", "changed by", "known within")]
+    for name, value in report.change.items():
+        unit, scale = {"later": ("ms", 1e3), "focal": ("%", 100.0)}.get(name, ("deg", 1.0))
+        if name in {"right", "down", "ahead"} or name.startswith("shift"):
+            unit, scale = "cm", 100.0
+        known = f"{report.sigmas[name] * scale:.2f} {unit}"
+        rows.append((name.replace("_", " "), f"{value * scale:+.2f} {unit}", known))
+    print_table(rows)
     for line in (*report.unobserved, *report.notes):
         click.echo(line)
     if report.output is not None:
         click.echo(f"written as {report.form}: {report.output}")
-
-
-def _change_row(name: str, value: float, sigma: float) -> tuple[str, str, str]:
-    unit, scale = {"later": ("ms", 1e3), "focal": ("%", 100.0)}.get(name, ("deg", 1.0))
-    if name in {"right", "down", "ahead"} or name.startswith("shift"):
-        unit, scale = "cm", 100.0
-    return name.replace("_", " "), f"{value * scale:+.2f} {unit}", f"{sigma * scale:.2f} {unit}"
 
 
 # --conventions
@@ -264,52 +263,36 @@ def _check_conventions(
 ) -> int:
     """Judge a file, by a drive where one is given, or a drive; print the result, and give the exit code."""
     from sceneloom.calibrate.conventions import check_drive, check_file
-    from sceneloom.formats.base.registry import open_scene
+    from sceneloom.errors import SceneloomError
+    from sceneloom.formats.base.registry import format_and_location, open_scene
 
-    def opened(location: Path | str, judge: Callable[["Scene"], "ConventionsReport"]) -> "ConventionsReport":
-        with open_scene(location, **reading) as scene:
-            return judge(scene)
-
-    judged_by_drive = drive is not None or _is_drive(path)
+    is_drive = Path(path).is_dir() or "://" in str(path)
+    if drive is None and not is_drive:  # a file of numbers alone is none
+        with suppress(SceneloomError):
+            format_and_location(path)
+            is_drive = True
     with printer.progress("judging") as progress:
         if drive is not None:
-            report = opened(
-                drive,
-                lambda scene: check_file(
-                    Path(path),
-                    scene,
-                    camera_id=options.known_id(scene, given["camera"]),
-                    lidar_id=options.known_id(scene, given["lidar"]),
-                    progress=progress,
-                ),
-            )
-        elif judged_by_drive:
-            report = opened(path, lambda scene: check_drive(scene, progress=progress))
+            with open_scene(drive, **reading) as scene:
+                ids = {f"{name}_id": options.known_id(scene, given[name]) for name in ("camera", "lidar")}
+                report = check_file(Path(path), scene, **ids, progress=progress)
+        elif is_drive:
+            with open_scene(path, **reading) as scene:
+                report = check_drive(scene, progress=progress)
         else:
             report = check_file(Path(path), progress=progress)
-    printer.show(report, _print_conventions, judged_by_drive)
+    printer.show(report, _print_conventions, drive is not None or is_drive)
     return _WRONG_CONVENTIONS if report.wrong else 0
-
-
-def _is_drive(path: Path | str) -> bool:
-    """Whether a path is one of the formats of drives; a file of numbers alone is none."""
-    from sceneloom.errors import SceneloomError
-    from sceneloom.formats.base.registry import format_and_location
-
-    if Path(path).is_dir() or "://" in str(path):
-        return True
-    try:
-        format_and_location(path)
-    except SceneloomError:
-        return False
-    return True
 
 
 def _print_conventions(report: "ConventionsReport", judged_by_drive: bool, printer: Printer) -> None:
     printer.corrections(report.corrections)
     click.echo(f"{report.source}:")
     for found in report.extrinsics:
-        click.echo(f"{found.location}: {_verdict(found)}: {found.reason}")
+        verdict = "decided" if found.decided else "cannot determine"
+        if found.as_read is not None:
+            verdict = "as read" if found.as_read else "NOT as read"
+        click.echo(f"{found.location}: {verdict}: {found.reason}")
         print_table([(f"  {name}", " or ".join(values)) for name, values in found.possible.items()])
     for points in report.points:
         possible = " or ".join(points.possible) or "the drive does not report"
@@ -319,9 +302,3 @@ def _print_conventions(report: "ConventionsReport", judged_by_drive: bool, print
         click.echo(f"timestamps of {times.sensor} ({times.kind}), read as seconds: {units}")
     if report.extrinsics and not judged_by_drive:
         click.echo("judged without a drive: --drive DRIVE lets its points and images report more")
-
-
-def _verdict(found: "ExtrinsicFound") -> str:
-    if found.as_read is not None:
-        return "as read" if found.as_read else "NOT as read"
-    return "decided" if found.decided else "cannot determine"

@@ -12,7 +12,7 @@ from sceneloom.cli.printing import Printer, print_json, print_table, several
 from sceneloom.cli.running import reading_verb, verb
 
 if TYPE_CHECKING:
-    from sceneloom.catalog.building import CatalogReport, Drive, Failure
+    from sceneloom.catalog.building import CatalogReport, Drive
     from sceneloom.catalog.database import Result, Selection
 
 
@@ -42,12 +42,7 @@ _lists = options.lists('a path, or {"path": …, "reading": {"sequence": …}}')
 @_building
 @reading_verb
 def build(
-    drives: tuple[str, ...],
-    output: Path,
-    lists: tuple[Path, ...],
-    printer: Printer,
-    reading: dict[str, Any],
-    **given: Any,
+    drives: tuple[str, ...], lists: tuple[Path, ...], printer: Printer, reading: dict[str, Any], **given: Any
 ) -> int:
     """Make a catalogue of drives: scenes, sensors, frames, annotations, tracks, attributes and findings as tables.
 
@@ -58,7 +53,7 @@ def build(
 
     named = _named_drives(drives, lists, reading, quiet=printer.quiet)
     with printer.progress("reading drives") as progress:
-        report = build_catalogue(named, output, progress=progress, **given)
+        report = build_catalogue(named, given.pop("output"), progress=progress, **given)
     printer.show(report, _print_report)
     return int(bool(report.failed))
 
@@ -104,27 +99,22 @@ def _named_drives(
 
 
 def _print_report(report: "CatalogReport", printer: Printer) -> None:
-    parts = [
-        f"{count} {word}"
-        for word, count in (
-            ("new", len(report.added)),
-            ("read again", len(report.changed)),
-            ("unchanged", report.unchanged),
-            ("taken out", len(report.removed)),
-            ("failed", len(report.failed)),
-        )
-        if count
-    ]
-    click.echo(f"{report.catalogue}: {several(report.scenes, 'scene')}: {', '.join(parts) or 'nothing to do'}")
+    counts = {
+        "new": len(report.added),
+        "read again": len(report.changed),
+        "unchanged": report.unchanged,
+        "taken out": len(report.removed),
+        "failed": len(report.failed),
+    }
+    parts = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+    click.echo(f"{report.catalogue}: {several(report.scenes, 'scene')}: {parts or 'nothing to do'}")
+    failures = []
+    for failure in report.failed:  # errors of files begin with their path; of a fault of ours the last line says it
+        text = (failure.error.strip().splitlines() or [""])[-1]
+        failures.append(f"failed: {text if text.startswith(failure.path) else f'{failure.path}: {text}'}")
     always = Printer(verbose=printer.verbose)
-    always.notes([f"failed: {_reported(failure)}" for failure in report.failed])
+    always.notes(failures)
     always.notes([f"not there any more: {path}; `--prune` takes it out" for path in report.gone])
-
-
-def _reported(failure: "Failure") -> str:
-    """Errors of files begin with their path already; of a fault of ours the last line says what it is."""
-    text = (failure.error.strip().splitlines() or [""])[-1]
-    return text if text.startswith(failure.path) else f"{failure.path}: {text}"
 
 
 @catalog.command()
@@ -171,29 +161,34 @@ def _reported(failure: "Failure") -> str:
     "`list`: drives and spans as lines that the verbs of `sceneloom batch` take with --list. [default: table]",
 )
 @verb
-def query(
-    catalogue: Path,
-    sql: str | None,
-    show: str,
-    gap: float,
-    margin: float,
-    limit: int | None,
-    form: str | None,
-    printer: Printer,
-    **filters: Any,
-) -> None:
+def query(catalogue: Path, sql: str | None, form: str | None, printer: Printer, **filters: Any) -> None:
     """Query a catalogue: drives and time spans in which all filters hold, or SQL.
 
     SQL sees the tables `scenes`, `sensors`, `frames`, `annotations`, `tracks`, `attributes` and `findings`, joined by
     `scene`; it can read them and nothing else.
     """
+    shown = {name: filters.pop(name) for name in ("show", "gap", "margin", "limit")}
     if sql is not None and any(value not in {None, ()} for value in filters.values()):
         raise click.UsageError("--sql replaces filters: state them in its WHERE")
     from sceneloom.catalog.database import query as query_catalogue
 
     wanted = sql if sql is not None else _selection(filters)
-    result = query_catalogue(catalogue, wanted, show=show, gap=gap, margin=margin, limit=limit)
-    _PRINTED[form or ("json" if printer.as_json else "table")](result)
+    result = query_catalogue(catalogue, wanted, **shown)
+    _print_result(result, form or ("json" if printer.as_json else "table"))
+
+
+def _print_result(result: "Result", form: str) -> None:
+    from sceneloom.catalog.database import format_cell, format_csv, iter_list, records
+
+    if form == "table":
+        print_table([result.columns, *([format_cell(value) for value in row] for row in result.rows)], indent="")
+    elif form == "json":
+        print_json(records(result))
+    elif form == "csv":
+        click.echo(format_csv(result), nl=False)
+    else:
+        for line in iter_list(result):
+            click.echo(line)
 
 
 def _selection(filters: dict[str, Any]) -> "Selection":
@@ -204,31 +199,3 @@ def _selection(filters: dict[str, Any]) -> "Selection":
         if not (name and sign):
             raise click.BadParameter(f"{name + sign + value!r}; expected NAME=VALUE", param_hint="--attribute")
     return Selection(attributes=tuple((name, value) for name, _, value in pairs), **filters)
-
-
-def _print_rows(result: "Result") -> None:
-    from sceneloom.catalog.database import format_cell
-
-    print_table([result.columns, *([format_cell(value) for value in row] for row in result.rows)], indent="")
-
-
-def _print_json(result: "Result") -> None:
-    from sceneloom.catalog.database import records
-
-    print_json(records(result))
-
-
-def _print_csv(result: "Result") -> None:
-    from sceneloom.catalog.database import format_csv
-
-    click.echo(format_csv(result), nl=False)
-
-
-def _print_list(result: "Result") -> None:
-    from sceneloom.catalog.database import iter_list
-
-    for line in iter_list(result):
-        click.echo(line)
-
-
-_PRINTED = {"table": _print_rows, "json": _print_json, "csv": _print_csv, "list": _print_list}

@@ -49,8 +49,7 @@ def colour(
     from sceneloom.pipeline.colouring import ColourOutputs, ColourSettings
     from sceneloom.pipeline.colouring import colour as colour_scene
 
-    if given["label_radius_px"] is not None and given["project_labels"] is None:
-        raise click.UsageError("--label-radius does nothing without --project-labels DIR")
+    options.needs("--label-radius", given["label_radius_px"], "--project-labels DIR", given["project_labels"])
     settings = options.take(ColourSettings, given, exposure=not no_exposure)
     outputs = options.take(ColourOutputs, given, map=output)
     with open_scene(path, **reading) as scene, printer.progress("colouring") as progress:
@@ -70,44 +69,30 @@ def _print_report(report: "ColourReport", outputs: "ColourOutputs", printer: Pri
         [str(camera.camera), f"{camera.in_image_percent:.1f} % of the points in its images"]
         for camera in report.cameras
     )
-    _print_exposure(report)
+    found, labels = report.exposure, report.labels
+    if found is not None and found.seam_before is not None and found.seam_after is not None:
+        click.echo(
+            f"exposure: where two cameras show a point, colours differ by {found.seam_before:.1f} levels before and "
+            f"{found.seam_after:.1f} after evening out (median of {several(found.seam_points, 'point')})"
+        )
+    alone = [] if found is None else [*found.alone, *found.unlinked]
+    if alone and len(report.cameras) > 1:
+        click.echo(f"exposure: nothing compares {', '.join(map(str, alone))} with the other cameras")
     removed = {"in moving boxes": report.removed_in_boxes, "by rays through their locations": report.removed_by_rays}
     for how, count in removed.items():
         if count:
             click.echo(f"{several(count, 'point')} removed {how}")
-    _print_labels(report)
+    if labels is not None and (labels.images or labels.missing):
+        click.echo(
+            f"labels: {several(labels.images, 'image')} painted onto {several(labels.points, 'point')}, "
+            f"{several(labels.classes, 'label')} among them"
+        )
+    if labels is not None and labels.missing:
+        click.echo(f"labels: no label image of {several(labels.missing, 'image')}")
     for reason, count in report.unfused.items():
         click.echo(f"{several(count, 'sweep')} left out: {reason}")
     if outputs.map is not None:
         click.echo(f"map: {outputs.map} ({several(report.written, 'point')})")
     folders = {"sweeps": outputs.per_sweep, "label images": outputs.project_labels, "images": outputs.images}
     print_outputs(folders, report.files)
-    printer.skipped(report.skipped)
-    printer.warnings(report.warnings)
-
-
-def _print_exposure(report: "ColourReport") -> None:
-    found = report.exposure
-    if found is None:
-        return
-    if found.seam_before is not None and found.seam_after is not None:
-        click.echo(
-            f"exposure: where two cameras show a point, colours differ by {found.seam_before:.1f} levels before and "
-            f"{found.seam_after:.1f} after evening out (median of {several(found.seam_points, 'point')})"
-        )
-    alone = [*found.alone, *found.unlinked]
-    if alone and len(report.cameras) > 1:
-        click.echo(f"exposure: nothing compares {', '.join(map(str, alone))} with the other cameras")
-
-
-def _print_labels(report: "ColourReport") -> None:
-    labels = report.labels
-    if labels is None:
-        return
-    if labels.images or labels.missing:
-        click.echo(
-            f"labels: {several(labels.images, 'image')} painted onto {several(labels.points, 'point')}, "
-            f"{several(labels.classes, 'label')} among them"
-        )
-    if labels.missing:
-        click.echo(f"labels: no label image of {several(labels.missing, 'image')}")
+    printer.remarks(report)

@@ -68,9 +68,8 @@ def convert(
     from sceneloom.pipeline.converting import convert as convert_scene
     from sceneloom.stages import timed
 
-    from_file = {name: given.pop(name) for name in list(given) if name.startswith("from_")}
-    for name, value in options.stated(**from_file, start=given.pop("start"), stop=given.pop("stop")).items():
-        reading[name.removeprefix("from_")] = value
+    from_file = options.of_side(given, "from_")
+    reading |= options.stated(**from_file, start=given.pop("start"), stop=given.pop("stop"))
     own = options.stated(**given | {"channel": given["channel"] or None})
     others: dict[str, Any] = {**options.pairs("--output-option", output_options)}
     for name in sorted({*_OWN, *own} & others.keys()):
@@ -87,19 +86,15 @@ _OWN = ("source", "target", "to", "trajectory", "strict", "loss", "overwrite", "
 
 
 def _print_report(report: "ConversionReport", printer: Printer) -> None:
-
-    click.echo(report.headline)
-    if not printer.quiet:
-        printer.warnings(report.warnings)
-        _print_supports(report, verbose=printer.verbose)
-
-
-def _print_supports(report: "ConversionReport", *, verbose: bool) -> None:
     """Print what is not simply kept, grouped by what became of it; every field where that is asked for."""
+    click.echo(report.headline)
+    if printer.quiet:
+        return
+    printer.warnings(report.warnings)
     for group in report.groups:
         click.echo(f"  {group.title}: {several(len(group.fields), 'field')}", err=True)
-        if group.explained or verbose:
-            rows = group.rows if verbose else group.short_rows
-            print_table(rows if verbose else rows[:SHOWN], indent="    ", err=True)
-            if len(rows) > SHOWN and not verbose:
+        if group.explained or printer.verbose:
+            rows = group.rows if printer.verbose else group.short_rows
+            print_table(rows if printer.verbose else rows[:SHOWN], indent="    ", err=True)
+            if len(rows) > SHOWN and not printer.verbose:
                 click.echo(f"    … and {len(rows) - SHOWN} more: state --verbose", err=True)

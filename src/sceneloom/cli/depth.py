@@ -32,14 +32,7 @@ if TYPE_CHECKING:
 @options.overwrite
 @reading_verb
 def depth(
-    path: Path | str,
-    output: Path,
-    cameras: tuple[str, ...],
-    method: str | None,
-    form: str | None,
-    printer: Printer,
-    reading: dict[str, Any],
-    **given: Any,
+    path: Path | str, output: Path, cameras: tuple[str, ...], printer: Printer, reading: dict[str, Any], **given: Any
 ) -> None:
     """Write a depth image for each sweep and image: z in metres, dense by choice, with a confidence."""
     from sceneloom.colouring.visibility import VisibilitySettings
@@ -48,17 +41,10 @@ def depth(
     from sceneloom.pipeline.depth_images import write_depth_images
 
     configuration = FusionConfiguration(visibility=options.take(VisibilitySettings, given))
+    own = {"configuration": configuration, "lenient": "lenient" in reading, **options.stated(**given)}
     with open_scene(path, **reading) as scene, printer.progress("completing") as progress:
-        report = write_depth_images(
-            scene,
-            output,
-            cameras=options.known_ids(scene, cameras),
-            configuration=configuration,
-            lenient="lenient" in reading,
-            progress=progress,
-            **given,
-            **options.stated(method=method, form=form),
-        )
+        chosen = options.known_ids(scene, cameras)
+        report = write_depth_images(scene, output, cameras=chosen, progress=progress, **own)
     printer.show(report, _print_report, given["images"])
 
 
@@ -83,5 +69,4 @@ def _print_report(report: "DepthReport", images: Path | None, printer: Printer) 
         click.echo(f"{several(left_out, 'sweep')} left out: {reason}")
     if report.beyond_range:
         click.echo(f"{report.beyond_range} pixels beyond 255.99 m were written as 0; --form npz keeps them")
-    printer.skipped(report.skipped)
-    printer.warnings(report.warnings)
+    printer.remarks(report)

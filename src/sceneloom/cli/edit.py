@@ -19,7 +19,6 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     from sceneloom.editing.thin import OnPoints
     from sceneloom.pipeline.deskewing import DeskewReport
     from sceneloom.pipeline.editing import EditReport
-    from sceneloom.pipeline.redacting import BlurReport
     from sceneloom.scene.ego import EgoMotion
     from sceneloom.scene.scene import Scene
 
@@ -61,6 +60,20 @@ def _size(_context: click.Context, _option: click.Parameter, text: str | None) -
     if text is not None and match is None:
         raise click.BadParameter(f"{text!r}; expected width x height in pixels, such as 1280x720")
     return None if match is None else (int(match[1]), int(match[2]))
+
+
+def _applied(scene: "Scene", *, only: Sequence[str] = (), **given: Any) -> "Scene":
+    from sceneloom.editing.apply import apply_corrections
+
+    ids = [annotation.id for annotation in scene.annotations]
+    return apply_corrections(scene, corrections=[options.known(text, ids) for text in only] or None, **given)
+
+
+def _undistorted(scene: "Scene", *, keep: str, size: tuple[int, int] | None = None, **given: Any) -> "Scene":
+    from sceneloom.editing.cameras import undistort_scene
+
+    width, height = size or (None, None)
+    return undistort_scene(scene, keep=_KEEP[keep], width=width, height=height, **given)
 
 
 _PATHS = ("cuboids", "keypoints", "poses")
@@ -294,27 +307,22 @@ def _print_edit(report: "EditReport", printer: Printer) -> None:
         those = " of the frames that stay" if noun == "point" and before.frames != after.frames else ""
         click.echo(several(was, noun) if was == is_now else f"{several(was, noun)}{those} -> {is_now}")
     click.echo(f"written: {report.output}")
-    printer.warnings(report.warnings)
-    printer.losses(report.losses)
+    printer.remarks(report)
 
 
 # what some of them do besides calling a function of the library
 
 
-def _chosen_trajectory(
-    scene: "Scene", *, trajectory: str | None = None, heading: str | None = None
-) -> "EgoMotion | str | None":
+def _chosen_trajectory(scene: "Scene", given: dict[str, Any]) -> "EgoMotion | str | None":
     """The ego trajectory that was asked for; the name itself where the scene needs none, which is refused later."""
     from sceneloom.motion.ego_trajectory import find_ego_motion
     from sceneloom.scene.ego import needs_ego
 
+    trajectory: str | None = given.pop("trajectory", None)
+    heading = given.pop("heading", None)
     if (trajectory is None and heading is None) or not needs_ego(scene):
         return trajectory
     return find_ego_motion(scene, name=trajectory, heading=heading)
-
-
-def _trajectory_of(given: dict[str, Any]) -> dict[str, Any]:
-    return {name: given.pop(name) for name in ("trajectory", "heading") if name in given}
 
 
 def _counted(
@@ -325,7 +333,7 @@ def _counted(
     from sceneloom.colouring.cuboid_points import count_points, with_activations, with_counts, with_labeled_points
 
     scene = scene.corrected()
-    trajectory = _chosen_trajectory(scene, **_trajectory_of(given))
+    trajectory = _chosen_trajectory(scene, given)
     counts = count_points(
         scene, moment=at, trajectory=trajectory, listed=labeled_points, activations=not activations, **given
     )
@@ -347,7 +355,7 @@ def _projected(scene: "Scene", *, lidar: str | None = None, **given: Any) -> "tu
     from sceneloom.colouring.cuboid_projection import project_cuboids
     from sceneloom.scene.annotations import CuboidAnnotation
 
-    trajectory = _chosen_trajectory(scene, **_trajectory_of(given))
+    trajectory = _chosen_trajectory(scene, given)
     projected = project_cuboids(scene, trajectory=trajectory, lidar=options.known_id(scene, lidar), **given)
     cuboids = [each for each in projected.annotations if isinstance(each, CuboidAnnotation)]
     return projected, {
@@ -369,22 +377,6 @@ def _simplified(
     return found, {"timestamps_left_out": sum(warning.count for warning in new)}
 
 
-def _applied(scene: "Scene", *, only: Sequence[str] = (), **given: Any) -> "Scene":
-    from sceneloom.editing.apply import apply_corrections
-
-    ids = [annotation.id for annotation in scene.annotations]
-    chosen = [options.known(text, ids) for text in only]
-    return apply_corrections(scene, corrections=chosen or None, **given)
-
-
-def _undistorted(
-    scene: "Scene", *, keep: str, size: tuple[int | None, int | None] = (None, None), **given: Any
-) -> "Scene":
-    from sceneloom.editing.cameras import undistort_scene
-
-    return undistort_scene(scene, keep=_KEEP[keep], width=size[0], height=size[1], **given)
-
-
 for _name, _row in _EDITS.items():
     edit.add_command(_command(_name, _row))
 
@@ -401,29 +393,15 @@ for _name, _row in _EDITS.items():
 @options.part
 @rewriting_verb
 def deskew(
-    path: Path | str,
-    output: Path,
-    lidar: str | None,
-    profile: str | None,
-    time_unit: str | None,
-    printer: Printer,
-    reading: dict[str, Any],
-    **given: Any,
+    path: Path | str, output: Path, lidar: str | None, printer: Printer, reading: dict[str, Any], **given: Any
 ) -> None:
     """Undo the motion during each lidar sweep: points stay in their sensor, as if measured all at one time."""
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.pipeline.deskewing import deskew as deskew_scene
 
+    own = {"lenient": "lenient" in reading, **options.scene_options(given), **given}
     with open_scene(path, **reading) as scene, printer.progress("deskewing") as progress:
-        report = deskew_scene(
-            scene,
-            output,
-            lidar=options.known_id(scene, lidar),
-            lenient="lenient" in reading,
-            progress=progress,
-            **given,
-            **options.stated(profile=profile, time_unit=time_unit),
-        )
+        report = deskew_scene(scene, output, lidar=options.known_id(scene, lidar), progress=progress, **own)
     printer.show(report, _print_deskewing)
 
 
@@ -445,9 +423,7 @@ def _print_deskewing(report: "DeskewReport", printer: Printer) -> None:
     if report.skipped:
         click.echo(f"{several(len(report.skipped), 'unreadable sweep')} skipped")
     click.echo(f"scene: {report.output}")
-    printer.skipped(report.skipped)
-    printer.warnings(report.warnings)
-    printer.losses(report.losses)
+    printer.remarks(report)
 
 
 @edit.command()
@@ -480,8 +456,6 @@ def blur(
     output: Path,
     box_file: Path | None,
     labels: tuple[str, ...],
-    profile: str | None,
-    time_unit: str | None,
     printer: Printer,
     reading: dict[str, Any],
     **given: Any,
@@ -491,26 +465,14 @@ def blur(
 
     boxes = () if box_file is None else read_image_boxes(box_file)
     names = tuple(name for label in labels for name in label.split(",") if name)
+    own = {"boxes": boxes, "labels": names, "reading": reading, **options.scene_options(given), **given}
     with printer.progress("edit blur") as progress:
-        report = blur_files(
-            path,
-            output,
-            boxes=boxes,
-            labels=names,
-            reading=reading,
-            progress=progress,
-            **given,
-            **options.stated(profile=profile, time_unit=time_unit),
-        )
+        report = blur_files(path, output, progress=progress, **own)
     if printer.as_json:
         chosen = {name: given[name] for name in ("fill", "margin")}
         print_json({**structs.asdict(report.edit), **chosen, "cameras": report.cameras})
         return
     _print_edit(report.edit, printer)
-    _print_redacted(report)
-
-
-def _print_redacted(report: "BlurReport") -> None:
     rows = [("camera", "boxes", "locations hidden", "in images", "outside", "video")]
     for one in report.cameras:
         video = "" if one.encoded is None else f"{one.encoded} encoded again"

@@ -1,5 +1,6 @@
 """`sceneloom eval`: an estimate and a reference in, metrics out."""
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,9 +14,9 @@ from sceneloom.cli.running import reading_verb, verb
 from sceneloom.errors import SceneloomError
 
 if TYPE_CHECKING:
-    from sceneloom.evaluate.detection import ClassDetection, CovarianceScores, DetectionReport, DetectionScores
-    from sceneloom.evaluate.tracking import ClassTracking, TrackingReport, TrackingScores
-    from sceneloom.evaluate.trajectory import ErrorStatistics, KittiErrors, RelativeErrors, TrajectoryReport
+    from sceneloom.evaluate.detection import DetectionReport, DetectionScores
+    from sceneloom.evaluate.tracking import TrackingReport
+    from sceneloom.evaluate.trajectory import ErrorStatistics, RelativeErrors, TrajectoryReport
 
 
 @click.group("eval")
@@ -23,9 +24,13 @@ def evaluate() -> None:
     """Evaluate an estimate against a reference."""
 
 
-def _share(text: str | float) -> float:
-    """Take a value as a number above 0, at most 1."""
-    return options.number(text, lambda value: 0.0 < value <= 1.0, "a number above 0, at most 1")
+def _threshold(name: str, help: str) -> "Callable[[options.Command], options.Command]":  # noqa: A002 - click's word
+    """The least similarity of two boxes that match."""
+
+    def share(text: str | float) -> float:
+        return options.number(text, lambda value: 0.0 < value <= 1.0, "a number above 0, at most 1")
+
+    return option(f"--threshold=S {name}", help, share)
 
 
 _overwrite = option("--overwrite", "Replace an image that exists.")
@@ -64,11 +69,7 @@ _objects = options.stacked(
     "--similarity=2d|bev|3d… similarities",
     "Overlap in the image, from above, in space; may be repeated. [default: all that both sides have]",
 )
-@option(
-    "--threshold=S least_overlap",
-    "Overlap from which a detection matches an object. [default: 0.7 for cars, else 0.5]",
-    _share,
-)
+@_threshold("least_overlap", "Overlap from which a detection matches an object. [default: 0.7 for cars, else 0.5]")
 @option(
     "--difficulty=easy|moderate|hard|all… difficulties",
     "Which objects must be found; may be repeated. [default: easy moderate hard; all without images]",
@@ -83,15 +84,7 @@ _objects = options.stacked(
     options.positive,
 )
 @verb
-def detection(
-    results: Path | str,
-    truth: Path | str,
-    plot: Path | None,
-    overwrite: bool,
-    regions_in_space: bool,
-    printer: Printer,
-    **given: Any,
-) -> None:
+def detection(regions_in_space: bool, printer: Printer, **given: Any) -> None:
     """Evaluate the detections RESULTS against TRUTH: AP, F1, calibration of scores, by KITTI's rules.
 
     Both are KITTI's text (a file for each sequence or for each frame, in a folder, or one file), or scenes with
@@ -99,15 +92,30 @@ def detection(
     whose covariances are evaluated, too.
     """
     from sceneloom.evaluate.detection import DetectionRules, compare_detections, plot_detection
+
+    rules = DetectionRules(regions_in_space=regions_in_space)
+    printer.show(_compared(compare_detections, plot_detection, rules=rules, **given), _print_detection)
+
+
+def _compared(
+    compare: Any,
+    plot_report: Any,
+    *,
+    results: Path | str,
+    truth: Path | str,
+    plot: Path | None,
+    overwrite: bool,
+    **given: Any,
+) -> Any:
+    """The report of a comparison of objects, which is plotted if that was asked for."""
     from sceneloom.evaluate.plot import check_plot
 
     if plot is not None:
         check_plot(plot, overwrite=overwrite)
-    rules = DetectionRules(regions_in_space=regions_in_space)
-    report = compare_detections(results, truth, rules=rules, **given)
+    report = compare(results, truth, **given)
     if plot is not None:
-        plot_detection(report, plot, overwrite=overwrite)
-    printer.show(report, _print_detection)
+        plot_report(report, plot, overwrite=overwrite)
+    return report
 
 
 _DETECTION = ("AP40", "AP11", "max F1", "at score", "precision", "recall", "objects", "detections", "ECE")
@@ -125,7 +133,20 @@ def _print_detection(report: "DetectionReport", printer: Printer) -> None:
             for name, scores in one.difficulties.items()
         ]
         print_table([("overlap", "", *_DETECTION), *rows])
-        _print_covariances(reported)
+        judged = next((one for one in reported if one.covariances), None)
+        if judged is None or judged.covariances is None:
+            continue
+        levels = [part.level for part in next(iter(judged.covariances.values())).coverages]
+        head = ("covariances", "errors", "rms", "NEES", "expected")
+        covariances: list[tuple[str, ...]] = [(*head, *(f"{100 * level:g} %" for level in levels))]
+        for name, part in judged.covariances.items():
+            shares = (f"{100 * one.share:.2f}" for one in part.coverages)
+            expected = f"{part.nees_low:.2f} to {part.nees_high:.2f}"
+            numbers = (str(part.count), f"{part.root_mean_square:.3f}", f"{part.nees:.2f}")
+            covariances.append((name, *numbers, expected, *shares))
+        print_table(covariances)
+        if judged.headings_reversed is not None:
+            click.echo(f"  headings reversed: {100 * judged.headings_reversed:.2f} %")
     printer.warnings(report.warnings)
 
 
@@ -138,23 +159,6 @@ def _detection_cells(scores: "DetectionScores") -> list[str]:
     return [ap40, ap11, max_f1, threshold, precision, recall, *counts, error]
 
 
-def _print_covariances(reported: "tuple[ClassDetection, ...]") -> None:
-    judged = next((one for one in reported if one.covariances), None)
-    if judged is None or judged.covariances is None:
-        return
-    levels = [part.level for part in next(iter(judged.covariances.values())).coverages]
-    head = ("covariances", "errors", "rms", "NEES", "expected", *(f"{100 * level:g} %" for level in levels))
-    print_table([head, *(_covariance_row(name, part) for name, part in judged.covariances.items())])
-    if judged.headings_reversed is not None:
-        click.echo(f"  headings reversed: {100 * judged.headings_reversed:.2f} %")
-
-
-def _covariance_row(name: str, part: "CovarianceScores") -> tuple[str, ...]:
-    shares = (f"{100 * one.share:.2f}" for one in part.coverages)
-    expected = f"{part.nees_low:.2f} to {part.nees_high:.2f}"
-    return (name, str(part.count), f"{part.root_mean_square:.3f}", f"{part.nees:.2f}", expected, *shares)
-
-
 # tracks
 
 
@@ -165,28 +169,16 @@ def _covariance_row(name: str, part: "CovarianceScores") -> tuple[str, ...]:
     "Similarity of two boxes: overlap in the image, from above, in space; distance of centres (0 at 4 m). "
     "[default: 2d, else 3d]",
 )
-@option(
-    "--threshold=S least_similarity",
-    "Similarity from which CLEAR and identity metrics match two boxes. [default: 0.5]",
-    _share,
-)
+@_threshold("least_similarity", "Similarity from which CLEAR and identity metrics match two boxes. [default: 0.5]")
 @verb
-def tracking(
-    results: Path | str, truth: Path | str, plot: Path | None, overwrite: bool, printer: Printer, **given: Any
-) -> None:
+def tracking(printer: Printer, **given: Any) -> None:
     """Evaluate the tracks RESULTS against TRUTH: HOTA, CLEAR MOT, IDF1, by KITTI's rules.
 
     Both are KITTI's text (a file NNNN.txt for each sequence, in a folder, or one file), or scenes with cuboids.
     """
-    from sceneloom.evaluate.plot import check_plot
     from sceneloom.evaluate.tracking import compare_tracks, plot_tracking
 
-    if plot is not None:
-        check_plot(plot, overwrite=overwrite)
-    report = compare_tracks(results, truth, **given)
-    if plot is not None:
-        plot_tracking(report, plot, overwrite=overwrite)
-    printer.show(report, _print_tracking)
+    printer.show(_compared(compare_tracks, plot_tracking, **given), _print_tracking)
 
 
 _TRACKING = {
@@ -210,19 +202,15 @@ def _print_tracking(report: "TrackingReport", printer: Printer) -> None:
             f"{label}: {several(combined.true_objects, 'object')} in {combined.true_boxes} boxes, "
             f"{several(combined.found_objects, 'track')} in {combined.found_boxes}"
         )
+        parts = {**(scores.sequences if len(scores.sequences) > 1 else {}), "all": combined}
         for family, names in _TRACKING.items():
-            print_table([("", *names), *_tracking_rows(scores, family)])
+            rows = [("", *names)]
+            for sequence, one in parts.items():
+                values = [getattr(getattr(one, family), name.lower()) for name in names]
+                cells = (str(value) if isinstance(value, int) else f"{100 * value:.2f}" for value in values)
+                rows.append((sequence, *cells))
+            print_table(rows)
     printer.warnings(report.warnings)
-
-
-def _tracking_rows(scores: "ClassTracking", family: str) -> list[tuple[str, ...]]:
-    rows = [(sequence, *_tracking_cells(one, family)) for sequence, one in scores.sequences.items()]
-    return [*(rows if len(rows) > 1 else ()), ("all", *_tracking_cells(scores.combined, family))]
-
-
-def _tracking_cells(scores: "TrackingScores", family: str) -> list[str]:
-    values = [getattr(getattr(scores, family), name.lower()) for name in _TRACKING[family]]
-    return [str(value) if isinstance(value, int) else f"{100 * value:.2f}" for value in values]
 
 
 # trajectories
@@ -278,11 +266,11 @@ def trajectory(
 
     if given["plot"] is not None:
         check_plot(given["plot"], overwrite=given["overwrite"])
-    own = {side: _taken(given, f"{side}_") for side in ("est", "ref")}
     shared, sides = SharedOptions(reading), {}
     for path, side in ((estimate, "est"), (reference, "ref")):
+        own = options.stated(**options.of_side(given, f"{side}_"))
         with printer.progress(f"reading {side.upper()}") as progress:
-            sides[side] = shared.read(partial(read_trajectory_file, path, progress=progress, **own[side]))
+            sides[side] = shared.read(partial(read_trajectory_file, path, progress=progress, **own))
     shared.check()
     try:
         report = evaluate_trajectory(
@@ -293,12 +281,6 @@ def trajectory(
             error.raised_with(str(path))
         raise
     printer.show(report, _print_trajectory)
-
-
-def _taken(given: dict[str, Any], prefix: str) -> dict[str, Any]:
-    """Take the options of one side out of all."""
-    named = {name: given.pop(name) for name in list(given) if name.startswith(prefix)}
-    return options.stated(**{name.removeprefix(prefix): value for name, value in named.items()})
 
 
 def _offset_ns(text: str) -> int:
@@ -322,8 +304,12 @@ def _print_trajectory(report: "TrajectoryReport", printer: Printer) -> None:
         f"{report.seconds:.3f} s from {seconds(report.start_ns)}, {report.path_length:.2f} m, "
         f"{100 * report.coverage:.1f} % of the reference's time"
     )
-    click.echo(_alignment(report))
-    absolute = report.absolute
+    how, absolute = report.alignment, report.absolute
+    if how.kind == "none":
+        click.echo("compared as they are, without alignment")
+    else:
+        scale = f", scale {how.scale:.6g}" if how.kind == "sim3" else ""
+        click.echo(f"aligned by {how.kind} on {several(how.poses, 'pair')}{scale}")
     rows = [
         ("translation [m]", absolute.translation),
         ("  horizontal [m]", absolute.horizontal),
@@ -336,16 +322,14 @@ def _print_trajectory(report: "TrajectoryReport", printer: Printer) -> None:
         click.echo("errors of motions (RPE)")
         print_table([("over", "", *_ERRORS, "per metre", "per second"), *_relative_rows(report.relative)])
     if report.kitti is not None:
-        _print_kitti(report.kitti)
+        click.echo("KITTI's odometry figures")
+        table = [("segments of", "count", "translation", "rotation")]
+        for part in (*report.kitti.by_length, report.kitti.overall):
+            length = "all lengths" if part.length is None else f"{part.length:g} m"
+            rotation = f"{part.rotation_deg_per_m:.6f} °/m"
+            table.append((length, str(part.segments), f"{part.translation_percent:.4f} %", rotation))
+        print_table(table)
     printer.warnings(report.warnings)
-
-
-def _alignment(report: "TrajectoryReport") -> str:
-    how = report.alignment
-    if how.kind == "none":
-        return "compared as they are, without alignment"
-    scale = f", scale {how.scale:.6g}" if how.kind == "sim3" else ""
-    return f"aligned by {how.kind} on {several(how.poses, 'pair')}{scale}"
 
 
 def _relative_rows(relative: "tuple[RelativeErrors, ...]") -> list[tuple[str, ...]]:
@@ -359,21 +343,6 @@ def _relative_rows(relative: "tuple[RelativeErrors, ...]") -> list[tuple[str, ..
             per_second = f"{step.rotation_deg_per_s:.4g} °/s"
             rows.append(("", "°", *_error_cells(step.rotation_deg), reported, per_second))
     return rows
-
-
-def _print_kitti(kitti: "KittiErrors") -> None:
-    click.echo("KITTI's odometry figures")
-    rows = [("segments of", "count", "translation", "rotation")]
-    rows += [
-        (
-            "all lengths" if part.length is None else f"{part.length:g} m",
-            str(part.segments),
-            f"{part.translation_percent:.4f} %",
-            f"{part.rotation_deg_per_m:.6f} °/m",
-        )
-        for part in (*kitti.by_length, kitti.overall)
-    ]
-    print_table(rows)
 
 
 def _error_cells(errors: "ErrorStatistics") -> list[str]:

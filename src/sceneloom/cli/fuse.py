@@ -13,7 +13,7 @@ from sceneloom.cli.printing import Printer, print_outputs, print_table, several
 from sceneloom.cli.running import rewriting_verb, verb
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
-    from sceneloom.pipeline.fusing import CameraReport, FusionOutputs, FusionReport
+    from sceneloom.pipeline.fusing import FusionOutputs, FusionReport
     from sceneloom.pipeline.fusing_detections import DetectionFusionReport
 
 
@@ -88,19 +88,12 @@ def _fuse_sensor_data(
     from sceneloom.pipeline.fusing import fuse as fuse_scene
     from sceneloom.stages import timed
 
-    configuration = FusionConfiguration(
-        visibility=options.take(VisibilitySettings, given), **options.stated(fusion_algorithm=given.pop("algorithm"))
-    )
+    algorithm = options.stated(fusion_algorithm=given.pop("algorithm"))
+    configuration = FusionConfiguration(visibility=options.take(VisibilitySettings, given), **algorithm)
     outputs = options.take(FusionOutputs, given, scene=output)
+    own: dict[str, Any] = {"outputs": outputs, "configuration": configuration, "lenient": "lenient" in reading}
     with timed() as stages, open_scene(path, **reading) as scene, printer.progress("fusing") as progress:
-        report = fuse_scene(
-            scene,
-            outputs=outputs,
-            configuration=configuration,
-            lenient="lenient" in reading,
-            progress=progress,
-            **given,
-        )
+        report = fuse_scene(scene, progress=progress, **own, **given)
     printer.show(report, _print_fusion, outputs, stages=stages)
 
 
@@ -112,38 +105,26 @@ def _print_fusion(report: "FusionReport", outputs: "FusionOutputs", printer: Pri
         f"in {report.seconds:.1f} s ({report.frames_per_second:.1f} sweeps a second)"
     )
     click.echo(f"{several(report.points, 'point')}, {report.coloured_percent:.1f} % coloured")
-    print_table(_camera_row(camera) for camera in report.cameras)
-    if not printer.quiet:
-        _print_blind(report)
-    _print_left_out(report, printer)
-    locations = {"scene": outputs.scene, "depth images": outputs.depth, "images": outputs.images}
-    print_outputs(locations, report.files)
-    printer.warnings(report.warnings)
-    printer.losses(report.losses)
-
-
-def _camera_row(camera: "CameraReport") -> list[str]:
-    unpaired = f"{several(camera.unpaired, 'sweep')} without an image" if camera.unpaired else ""
-    unposed = f"{several(camera.unposed, 'image')} beyond the trajectory" if camera.unposed else ""
-    return [
-        str(camera.camera),
-        several(camera.images, "image"),
-        f"{camera.in_image_percent:.1f} % of the points in it",
-        f"{camera.hidden_percent:.1f} % of these hidden",
-        f"{camera.coloured} coloured",
-        ", ".join(filter(None, [unpaired, unposed])),
-    ]
-
-
-def _print_blind(report: "FusionReport") -> None:
-    """Note cameras that see nothing of what the lidars see, as with most wrong extrinsics."""
+    rows = []
+    for camera in report.cameras:
+        unpaired = f"{several(camera.unpaired, 'sweep')} without an image" if camera.unpaired else ""
+        unposed = f"{several(camera.unposed, 'image')} beyond the trajectory" if camera.unposed else ""
+        rows.append(
+            [
+                str(camera.camera),
+                several(camera.images, "image"),
+                f"{camera.in_image_percent:.1f} % of the points in it",
+                f"{camera.hidden_percent:.1f} % of these hidden",
+                f"{camera.coloured} coloured",
+                ", ".join(filter(None, [unpaired, unposed])),
+            ]
+        )
+    print_table(rows)
+    # cameras that see nothing of what the lidars see, as with most wrong extrinsics
     blind = [str(camera.camera) for camera in report.cameras if camera.paired and not camera.in_image_percent]
-    if blind:
+    if blind and not printer.quiet:
         message = f"no point falls into the images of {', '.join(blind)}; where they look is in `sceneloom info`"
         click.echo(f"assumed: {message}: is the mounting right?", err=True)
-
-
-def _print_left_out(report: "FusionReport", printer: Printer) -> None:
     if report.extrapolated:
         sweeps = several(report.extrapolated, "sweep")
         click.echo(f"{sweeps} used poses beyond the trajectory's ends, by at most one sweep period")
@@ -152,11 +133,13 @@ def _print_left_out(report: "FusionReport", printer: Printer) -> None:
     if report.skipped:
         count = len(report.skipped)
         click.echo("1 sweep or image skipped" if count == 1 else f"{count} sweeps or images skipped")
-        printer.skipped(report.skipped)
     if report.depth_beyond_range:
         click.echo(
             f"{report.depth_beyond_range} depth pixels beyond 255.99 m were written as 0; --depth-format npz keeps them"
         )
+    locations = {"scene": outputs.scene, "depth images": outputs.depth, "images": outputs.images}
+    print_outputs(locations, report.files)
+    printer.remarks(report)
 
 
 def _fuse_detections(

@@ -20,8 +20,7 @@ from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.scene.types import SensorType
 
 if TYPE_CHECKING:
-    from sceneloom.scene.scene import Scene, Sensor
-    from sceneloom.warnings import DataWarning
+    from sceneloom.scene.scene import Sensor
 
 
 _SECTORS = ("ahead", "ahead left", "left", "back left", "back", "back right", "right", "ahead right")
@@ -54,8 +53,14 @@ def info(
         summary = summarise(scene, size_bytes=size_on_disk(whole))
         axes = ego_axes(scene)
         mountings = [mounting_text(sensor, axes) for sensor in scene.sensors]
-        drawn, undrawn = ([], ()) if images is None else _draw(scene, images, at, overwrite=overwrite)
-        summary = structs.replace(summary, warnings=(*summary.warnings, *undrawn))
+        drawn: list[Path] = []
+        if images is not None:
+            from sceneloom.visualization.annotations import save_annotation_images
+            from sceneloom.visualization.canvas import counting_left_out
+
+            with counting_left_out() as left:
+                drawn = save_annotation_images(scene, images, at=at, overwrite=overwrite)
+            summary = structs.replace(summary, warnings=(*summary.warnings, *left.warnings))
     if printer.as_json:
         print_json(summary if images is None else {**structs.asdict(summary), "images": list(map(str, drawn))})
         return
@@ -65,18 +70,6 @@ def info(
     printer.warnings(summary.warnings)
 
 
-def _draw(
-    scene: "Scene", folder: Path, at: float | None, *, overwrite: bool
-) -> "tuple[list[Path], tuple[DataWarning, ...]]":
-    """Draw the annotations; gives the files, and what is in none of them."""
-    from sceneloom.visualization.annotations import save_annotation_images
-    from sceneloom.visualization.canvas import counting_left_out
-
-    with counting_left_out() as left:
-        drawn = save_annotation_images(scene, folder, at=at, overwrite=overwrite)
-    return drawn, left.warnings
-
-
 def _print_summary(summary: SceneSummary, mountings: Sequence[str | None]) -> None:
     size = "" if summary.size_bytes is None else f", {amount(summary.size_bytes)}"
     click.echo(f"{summary.source}: {summary.format}, {summary.duration:.3f} s{size}")
@@ -84,7 +77,15 @@ def _print_summary(summary: SceneSummary, mountings: Sequence[str | None]) -> No
         click.echo(f"clock starts at {seconds(summary.start_ns)}")
     click.echo("sensors" if summary.sensors else "no sensors")
     print_table(map(_sensor_row, summary.sensors, mountings))
-    click.echo(_trajectories_title(summary))
+    placeable = any(
+        sensor.type == SensorType.LIDAR and sensor.count and "points world" not in (sensor.coordinates or "")
+        for sensor in summary.sensors
+    )
+    if summary.trajectories:
+        click.echo("trajectories (the first is the default)")
+    else:
+        found = "; one can be found from the lidar (`--trajectory lidar`)" if placeable else ""
+        click.echo(f"no trajectory{found}")
     print_table(
         (
             trajectory.name,
@@ -101,39 +102,22 @@ def _print_summary(summary: SceneSummary, mountings: Sequence[str | None]) -> No
         click.echo(f"{correction.type}, applied by what computes: {correction.effect}")
 
 
-def _trajectories_title(summary: SceneSummary) -> str:
-    if summary.trajectories:
-        return "trajectories (the first is the default)"
-    placeable = any(
-        sensor.type == SensorType.LIDAR and sensor.count and "points world" not in (sensor.coordinates or "")
-        for sensor in summary.sensors
-    )
-    return "no trajectory" + ("; one can be found from the lidar (`--trajectory lidar`)" if placeable else "")
-
-
-def _camera_model_range(sensor: SensorSummary) -> str | None:
-    """How the camera models of single images differ; None where all images have the same."""
-    found = sensor.intrinsics
-    if found is None or found.camera_models < 2:
-        return None
-    ranges = {"fx": found.fx, "fy": found.fy, "cx": found.cx, "cy": found.cy}
-    differing = [f"{name} {least:.6g} to {most:.6g}" for name, (least, most) in ranges.items() if least != most]
-    px = f": {' '.join(differing)} px" if differing else ""
-    return f"{found.camera_models} camera models among {several(sensor.count, 'image')}{px}"
-
-
 def _sensor_row(sensor: SensorSummary, mounting: str | None) -> list[str]:
     """One line of the table; what a sensor does not have is left blank."""
     rate = "" if sensor.rate_hz is None else f"{sensor.rate_hz:.4g} Hz"
     span = "" if sensor.start is None else f"{sensor.start:.3f} to {sensor.stop:.3f} s"
     gaps = f"{several(sensor.gap_count, 'gap')}, first at {sensor.gaps[0].start:.3f} s" if sensor.gaps else ""
+    points, models, found = sensor.first_frame_points, None, sensor.intrinsics
+    if found is not None and found.camera_models > 1:  # those of single images differ
+        ranges = {"fx": found.fx, "fy": found.fy, "cx": found.cx, "cy": found.cy}
+        differing = [f"{name} {least:.6g} to {most:.6g}" for name, (least, most) in ranges.items() if least != most]
+        px = f": {' '.join(differing)} px" if differing else ""
+        models = f"{found.camera_models} camera models among {several(sensor.count, 'image')}{px}"
     details = [
         sensor.camera_model,
-        _camera_model_range(sensor),
+        models,
         sensor.video,
-        None
-        if sensor.first_frame_points is None
-        else f"{several(sensor.first_frame_points, 'point')} in the first frame",
+        None if points is None else f"{several(points, 'point')} in the first frame",
         sensor.coordinates,
         None if sensor.poses is None else several(sensor.poses, "pose"),
         mounting if sensor.mounted else None,

@@ -4,7 +4,6 @@ import os
 from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import click
 from click.shell_completion import get_completion_class
@@ -12,9 +11,6 @@ from click.shell_completion import get_completion_class
 from sceneloom.cli.printing import Printer, print_json, print_table
 from sceneloom.cli.running import verb
 from sceneloom.errors import OptionError
-
-if TYPE_CHECKING:
-    from sceneloom.pipeline.installation import Finding
 
 _MARKS = {"good": "ok", "missing": "--", "broken": "BROKEN"}
 
@@ -30,18 +26,17 @@ def doctor(printer: Printer) -> int:
         print_json({"sound": report.is_sound, "findings": report.findings})
         return int(not report.is_sound)
     for group, findings in groupby(report.findings, key=lambda finding: finding.group):
-        rows = [_row(one) for one in findings if not printer.quiet or one.status != "good"]
+        rows = [
+            (_MARKS[one.status], one.name, ": ".join(filter(None, (one.stated, one.remedy))))
+            for one in findings
+            if not printer.quiet or one.status != "good"
+        ]
         if rows:
             click.echo(group)
             print_table(rows)
     if not report.is_sound:
         click.echo("sceneloom: something that is needed is broken; what to do stands beside it", err=True)
     return int(not report.is_sound)
-
-
-def _row(finding: "Finding") -> tuple[str, str, str]:
-    stated = finding.stated if finding.remedy is None else f"{finding.stated}: {finding.remedy}"
-    return _MARKS[finding.status], finding.name, stated
 
 
 _INSTALLED = MappingProxyType(

@@ -144,11 +144,7 @@ def not_negative(text: str | float) -> float:
 
 
 def one_sequence(given: Sequence[str]) -> str | None:
-    """The sequence of a data set that is opened as one drive, where it was stated.
-
-    Raises:
-        click.UsageError: several were.
-    """
+    """The sequence of a data set that is opened as one drive, where it was stated; several are wrong usage."""
     if len(given) > 1:
         raise click.UsageError(f"--sequence {' --sequence '.join(given)}: one drive is opened at a time; state one")
     return given[0] if given else None
@@ -319,6 +315,11 @@ def stated(**values: Any) -> dict[str, Any]:
     return {**kept, **others, **switched}
 
 
+def of_side(given: dict[str, Any], prefix: str) -> dict[str, Any]:
+    """Take the options whose names have a prefix out of all of a verb; they are named without it."""
+    return {name.removeprefix(prefix): given.pop(name) for name in list(given) if name.startswith(prefix)}
+
+
 def take(options: type[Options], given: dict[str, Any], **fixed: Any) -> Options:
     """Make an options object of the library: what its fields name is taken out of `given`."""
     own = {field.name: given.pop(field.name) for field in fields(options) if field.name in given}  # type: ignore[arg-type]
@@ -326,11 +327,7 @@ def take(options: type[Options], given: dict[str, Any], **fixed: Any) -> Options
 
 
 def pairs(flag: str, texts: Iterable[str]) -> dict[str, str]:
-    """Options that are written as NAME=VALUE.
-
-    Raises:
-        OptionError: one is no such pair.
-    """
+    """Options that are written as NAME=VALUE; anything else is an `OptionError`."""
     found = {}
     for text in texts:
         name, sign, value = text.partition("=")
@@ -346,11 +343,7 @@ def names(text: str | None) -> tuple[str, ...] | None:
 
 
 def refuse(given: Mapping[str, Any], named: Iterable[str], why: str) -> None:
-    """Refuse options that have no effect on such an input.
-
-    Raises:
-        click.UsageError: one was stated.
-    """
+    """Refuse options that have no effect on such an input, if one was stated."""
     flags = flags_of_verb()
     for name in named:
         if given.get(name):
@@ -364,11 +357,7 @@ def flags_of_verb() -> dict[str, str]:
 
 
 def needs(option: str, value: object, needed: str, other: object) -> None:
-    """Refuse an option that does nothing without another one.
-
-    Raises:
-        click.UsageError: it was stated alone.
-    """
+    """Refuse an option that does nothing without another one, if it was stated alone."""
     if value is not None and other is None:
         raise click.UsageError(f"{option} {value} does nothing without {needed}")
 
@@ -376,6 +365,11 @@ def needs(option: str, value: object, needed: str, other: object) -> None:
 def known_id(scene: "Scene", text: str | None) -> "Identifier | None":
     """The id of a sensor as the scene has it, where `7` may be a number; the text itself where no sensor has it."""
     return None if text is None else known(text, [sensor.id for sensor in scene.sensors])
+
+
+def scene_options(given: dict[str, Any]) -> dict[str, Any]:
+    """How a scene file is written, as far as it was stated; taken out of `given`."""
+    return stated(**{name: given.pop(name) for name in ("profile", "time_unit")})
 
 
 def known_ids(scene: "Scene", texts: Iterable[str]) -> "tuple[Identifier, ...] | None":

@@ -11,7 +11,7 @@ import click
 import msgspec
 
 if TYPE_CHECKING:  # a verb that reads no drive starts quickly without them
-    from sceneloom.formats.base.losses import LossReport
+    from sceneloom.formats.base.losses import Loss
     from sceneloom.warnings import DataWarning
 
 SHOWN = 5
@@ -65,7 +65,7 @@ class Printer:
         """Print only what was made of a drive's corrections, for verbs whose results hold the other warnings."""
         Printer(quiet=self.quiet, verbose=True).warnings(list(filter(_is_correction, warnings)))
 
-    def losses(self, losses: "LossReport") -> None:
+    def losses(self, losses: "Iterable[Loss]") -> None:
         """Print what the target format has no field for: lost, or kept where only we look for it."""
         self.notes(
             [
@@ -76,9 +76,11 @@ class Printer:
             ]
         )
 
-    def skipped(self, reasons: Iterable[str]) -> None:
-        """Print what a lenient reading left out."""
-        self.notes([f"skipped: {reason}" for reason in reasons])
+    def remarks(self, report: Any) -> None:
+        """Print what a lenient reading skipped, warnings and losses, as far as a report has them."""
+        self.notes([f"skipped: {reason}" for reason in getattr(report, "skipped", ())])
+        self.warnings(report.warnings)
+        self.losses(getattr(report, "losses", ()))
 
     def notes(self, lines: Sequence[str]) -> None:
         """Print lines on standard error, only the first ones unless `--verbose` is stated."""

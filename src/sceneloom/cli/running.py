@@ -23,13 +23,21 @@ def verb(command: Command) -> Command:
     The function gets a `Printer` as `printer`, and the stated options of reading as `reading` if it has these.
     """
 
+    def packed(values: Mapping[str, Any]) -> dict[str, Any]:
+        given = dict(values)
+        given["printer"] = Printer(given.pop("as_json"), given.pop("quiet"), given.pop("verbose"))
+        if options.INPUT_OPTIONS in given:
+            stated = {name: given.pop(name) for name in options.READING if name in given}
+            given["reading"] = options.stated(**stated)
+        return given
+
     @wraps(command)
     def run(*arguments: Any, **values: Any) -> Any:
         from sceneloom.cli.uploads import uploads
 
         try:
             with uploads(overwrite=values.get("overwrite", False)), _flags_named():
-                return command(*arguments, **_packed(values))
+                return command(*arguments, **packed(values))
         except SceneloomError as error:
             if not values["quiet"]:
                 if error.warnings and values.get("lenient"):
@@ -58,15 +66,6 @@ def rewriting_verb(command: Command) -> Command:
     return options.writing_scenes(reading_verb(command))
 
 
-def _packed(values: Mapping[str, Any]) -> dict[str, Any]:
-    """A verb's arguments: those of printing and of reading in one each."""
-    given = dict(values)
-    given["printer"] = Printer(given.pop("as_json"), given.pop("quiet"), given.pop("verbose"))
-    if options.INPUT_OPTIONS in given:
-        given["reading"] = options.stated(**{name: given.pop(name) for name in options.READING if name in given})
-    return given
-
-
 _PREFIXES = {"opening": ("from_", "est_", "ref_", ""), "writing": ("to_", "")}
 """What names of flags begin with, before the library's name of the option, by what is done."""
 
@@ -77,19 +76,19 @@ def _flags_named() -> Iterator[None]:
     try:
         yield
     except UnknownOptionError as error:
-        option, *known = (_flag(name, error.doing.split()[0]) for name in (error.option, *error.known))
+        flags, prefixes = options.flags_of_verb(), _PREFIXES.get(error.doing.split()[0], ("",))
+
+        def flag(name: str) -> str | None:
+            names = [side + name + several for side in prefixes for several in ("", "s")]
+            return next((flags[name] for name in names if name in flags), None)
+
+        option, *known = map(flag, (error.option, *error.known))
         if option is None:
             raise
         taken = ", ".join(filter(None, known)) or "no option of this verb"
         reported = OptionError(f"{option} does not count here: {error.doing} takes {taken}")
         reported.remember(error.warnings)
         raise reported from error
-
-
-def _flag(name: str, doing: str) -> str | None:
-    flags = options.flags_of_verb()
-    names = [side + name + several for side in _PREFIXES.get(doing, ("",)) for several in ("", "s")]
-    return next((flags[name] for name in names if name in flags), None)
 
 
 _NOT_BROKEN = ("no such file", "no lidar in it")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from itertools import groupby, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -20,7 +20,7 @@ from sceneloom.errors import OptionError
 
 if TYPE_CHECKING:
     from sceneloom.db34t.conformance.catalogue import Check
-    from sceneloom.db34t.conformance.examination import Examination, Finding
+    from sceneloom.db34t.conformance.examination import Examination
     from sceneloom.db34t.events import Result
     from sceneloom.service.client import FusionClient
     from sceneloom.service.sending import SendReport
@@ -55,21 +55,7 @@ _PORT = click.IntRange(0, 65535)
 @option("-q --quiet", "Log warnings only.")
 @option("-v --verbose", "Also log what helps to find faults.")
 def serve(
-    config: Path | None,
-    host: str,
-    port: int,
-    tls_cert: Path | None,
-    tls_key: Path | None,
-    tls_client_ca: Path | None,
-    token_file: Path | None,
-    metrics_port: int | None,
-    max_sessions: int | None,
-    idle_minutes: float | None,
-    log: Path | None,
-    overwrite: bool,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
+    host: str, port: int, log: Path | None, as_json: bool, quiet: bool, verbose: bool, overwrite: bool, **given: Any
 ) -> None:
     """Serve the fusion interface of DB34/T 4101-2022 over gRPC, until it is told to end.
 
@@ -90,12 +76,13 @@ def serve(
         from sceneloom.service.running import configured, serve_until_ended
         from sceneloom.service.server import Security, ServerSettings
 
-        limits, configure = configured(config, **options.stated(most_sessions=max_sessions, idle_minutes=idle_minutes))
+        stated = options.stated(most_sessions=given["max_sessions"], idle_minutes=given["idle_minutes"])
+        limits, configure = configured(given["config"], **stated)
         security = Security(
-            tls_certificate=tls_cert,
-            tls_key=tls_key,
-            tls_client_authority=tls_client_ca,
-            token=None if token_file is None else read_token(token_file),
+            tls_certificate=given["tls_cert"],
+            tls_key=given["tls_key"],
+            tls_client_authority=given["tls_client_ca"],
+            token=None if given["token_file"] is None else read_token(given["token_file"]),
         )
         security.check_host(host)
         observe: Any = None
@@ -103,38 +90,25 @@ def serve(
             from sceneloom.service.session_log import SessionLog
 
             observe = stack.enter_context(SessionLog(log, overwrite=overwrite)).session
-        settings = ServerSettings(
-            host=host,
-            port=port,
-            metrics_port=metrics_port,
-            limits=limits,
-            security=security,
-            configure=configure,
-            observe=observe,
-        )
-        started = _print_server_json if as_json else _print_server
+        address: dict[str, Any] = {"host": host, "port": port, "metrics_port": given["metrics_port"]}
+        settings = ServerSettings(**address, limits=limits, security=security, configure=configure, observe=observe)
+
+        def started(server: "FusionServer") -> None:
+            if as_json:
+                metrics_port = server.metrics_port or None
+                print_json({"address": server.address, "port": server.port, "metrics_port": metrics_port})
+                return
+            click.echo(f"serving at {server.address}")
+            if server.metrics_port:
+                click.echo(f"metrics at http://127.0.0.1:{server.metrics_port}/metrics")
+
         hanging = serve_until_ended(settings, started=started, quiet=quiet, verbose=verbose)
-    if hanging:
-        _leave(hanging)
-
-
-def _leave(hanging: tuple[str, ...]) -> NoReturn:
-    """End the process at once: threads that hang would keep it for ever."""
-    reported = f"left with the fusion of {', '.join(hanging)} hanging; what waited there is lost"
-    click.echo(f"Error: {reported}", err=True)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(1)
-
-
-def _print_server(server: "FusionServer") -> None:
-    click.echo(f"serving at {server.address}")
-    if server.metrics_port:
-        click.echo(f"metrics at http://127.0.0.1:{server.metrics_port}/metrics")
-
-
-def _print_server_json(server: "FusionServer") -> None:
-    print_json({"address": server.address, "port": server.port, "metrics_port": server.metrics_port or None})
+    if hanging:  # the process ends at once: threads that hang would keep it for ever
+        reported = f"left with the fusion of {', '.join(hanging)} hanging; what waited there is lost"
+        click.echo(f"Error: {reported}", err=True)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(1)
 
 
 # the options of clients
@@ -162,27 +136,20 @@ _CALLING = ("session", "token_file", "ca", "client_cert", "client_key")
 """The parameters that `_connected` takes."""
 
 
-def _certificate_of(client_cert: Path | None, client_key: Path | None) -> tuple[Path, Path] | None:
-    """Give the certificate that a client shows, with its key; None for none."""
-    if client_cert is not None and client_key is not None:
-        return client_cert, client_key
-    if client_cert is None and client_key is None:
-        return None
-    raise click.UsageError("--client-cert and --client-key belong together")
+def _certificate(given: dict[str, Any]) -> tuple[Path, Path] | None:
+    """The certificate that a client shows, with its key, taken out of the options; None for none."""
+    certificate, key = given.pop("client_cert"), given.pop("client_key")
+    if (certificate is None) is not (key is None):
+        raise click.UsageError("--client-cert and --client-key belong together")
+    return None if certificate is None else (certificate, key)
 
 
 @contextmanager
 def _connected(
-    address: str,
-    *,
-    session: str,
-    token_file: Path | None,
-    ca: Path | None,
-    client_cert: Path | None,
-    client_key: Path | None,
+    address: str, *, session: str, token_file: Path | None, ca: Path | None, **given: Any
 ) -> Iterator[Callable[[str], "FusionClient"]]:
     """Give what opens clients of sessions; all are closed in the end. The name "" stands for the chosen session."""
-    certificate = _certificate_of(client_cert, client_key)
+    certificate = _certificate(given)
     from sceneloom.db34t.transport import read_token
     from sceneloom.service.client import FusionClient
 
@@ -280,32 +247,34 @@ _TYPES = {"sensor": 0, "detection": 1}
 @_calling
 @verb
 def get(
-    address: str,
-    kind: str,
-    output: Path | None,
-    overwrite: bool,
-    count: int | None,
-    follow: bool,
-    track: bool,
-    wait: float,
-    printer: Printer,
-    **calls: Any,
+    address: str, kind: str, output: Path | None, overwrite: bool, follow: bool, printer: Printer, **given: Any
 ) -> None:
     """Fetch results from a fusion service: those that are there, or as they come."""
+    count, track, wait = (given.pop(name) for name in ("count", "track", "wait"))
     if track and (kind != "detection" or not follow):
         raise click.UsageError("--track needs --type detection and --follow")
     from sceneloom.service.result_files import described, open_sink
 
+    def has_received(client: "FusionClient") -> bool:
+        """Whether anything was sent to the session, whatever became of it: the service begins one with any name."""
+        return any(name.startswith(("received.", "refused.")) for name in client.counters())
+
+    def results(client: "FusionClient") -> "Iterator[Result]":
+        if follow:
+            return client.subscribe(_TYPES[kind], most=count or 0, track=track)
+        return islice(iter(lambda: client.get(_TYPES[kind], timeout_s=wait), None), count)
+
     fetched = 0
-    with _connected(address, **calls) as open_client, ExitStack() as stack:
+    with _connected(address, **given) as open_client, ExitStack() as stack:
         sink = None
         if output is not None:
             sink = stack.enter_context(open_sink(output, detections=kind == "detection", overwrite=overwrite))
         try:
             client = open_client("")
-            if follow and not printer.quiet and not _has_received(client):
-                click.echo(f"session {_name(client)!r} has received no records yet; waiting", err=True)
-            for result in _results(client, _TYPES[kind], count, wait, follow=follow, track=track):
+            session = f"session {client.session or 'default'!r}"
+            if follow and not printer.quiet and not has_received(client):
+                click.echo(f"{session} has received no records yet; waiting", err=True)
+            for result in results(client):
                 fetched += 1
                 if sink is not None:
                     sink.add(result)
@@ -315,31 +284,14 @@ def get(
             if not printer.quiet:
                 click.echo("stopped; what was fetched is kept", err=True)
         else:
-            if not follow and not fetched and not _has_received(client):
-                problem = f"session {_name(client)!r} has received no records; expected one that data were sent to"
-                raise OptionError(f"{problem} (--session)")
-    summary = {"address": address, "type": kind, "results": fetched, "output": output}
+            if not follow and not fetched and not has_received(client):
+                problem = "has received no records; expected one that data were sent to (--session)"
+                raise OptionError(f"{session} {problem}")
     if printer.as_json:
-        print_json(summary | {"output": None if output is None else str(output)})
+        written = None if output is None else str(output)
+        print_json({"address": address, "type": kind, "results": fetched, "output": written})
     elif output is not None:
         click.echo(f"{fetched} results of {kind} fusion: {output}")
-
-
-def _has_received(client: "FusionClient") -> bool:
-    """Whether anything was sent to the session, whatever became of it: the service begins one with any name."""
-    return any(name.startswith(("received.", "refused.")) for name in client.counters())
-
-
-def _name(client: "FusionClient") -> str:
-    return client.session or "default"
-
-
-def _results(
-    client: "FusionClient", kind: int, count: int | None, wait_s: float, *, follow: bool, track: bool
-) -> "Iterator[Result]":
-    if follow:
-        return client.subscribe(kind, most=count or 0, track=track)
-    return islice(iter(lambda: client.get(kind, timeout_s=wait_s), None), count)
 
 
 # conformance
@@ -359,11 +311,8 @@ def conformance(
     overwrite: bool,
     only: tuple[str, ...],
     list_checks: bool,
-    ca: Path | None,
-    token_file: Path | None,
-    client_cert: Path | None,
-    client_key: Path | None,
     printer: Printer,
+    **given: Any,
 ) -> None:
     """Check a fusion service against DB34/T 4101-2022, clause by clause and row by row; exit 1 where a check fails.
 
@@ -379,14 +328,11 @@ def conformance(
         return
     if address is None:
         raise click.UsageError("Missing argument 'HOST:PORT'.", click.get_current_context())
-    certificate = _certificate_of(client_cert, client_key)
+    access = Access(given["ca"], given["token_file"], _certificate(given))
     if report is not None:
         check_report(report)
         check_output(report, overwrite=overwrite)
-    with (
-        GrpcTransport.connected(address, Access(ca, token_file, certificate)) as transport,
-        printer.progress("checking") as progress,
-    ):
+    with GrpcTransport.connected(address, access) as transport, printer.progress("checking") as progress:
         examination = examine(transport, address=address, only=only, progress=progress)
     if report is not None:
         examination.write(report, overwrite=overwrite)
@@ -399,22 +345,23 @@ def conformance(
 
 
 def _print_checks(checks: "tuple[Check, ...]", printer: Printer) -> None:
-    rows = [
-        {
-            "id": check.id,
-            "location": check.location,
-            "title": check.title,
-            "basis": str(check.basis),
-            "english": check.quote.english,
-            "chinese": check.quote.chinese,
-        }
-        for check in checks
-    ]
     if printer.as_json:
-        print_json(rows)
+        print_json(
+            [
+                {
+                    "id": check.id,
+                    "location": check.location,
+                    "title": check.title,
+                    "basis": str(check.basis),
+                    "english": check.quote.english,
+                    "chinese": check.quote.chinese,
+                }
+                for check in checks
+            ]
+        )
         return
-    for row in rows:
-        click.echo(f"{row['id']:8} {row['title']} ({row['basis']}: {row['location']})")
+    for check in checks:
+        click.echo(f"{check.id:8} {check.title} ({check.basis}: {check.location})")
 
 
 def _print_examination(examination: "Examination", *, verbose: bool, report: Path | None) -> None:
@@ -422,19 +369,13 @@ def _print_examination(examination: "Examination", *, verbose: bool, report: Pat
     for part, findings in groupby(shown, key=lambda finding: finding.check.id.split("-")[0]):
         click.echo(part)
         for finding in findings:
-            _print_finding(finding)
+            check = finding.check
+            click.echo(f"  {check.id:7} {finding.verdict}  {check.title} ({check.location})")
+            if finding.failures:
+                click.echo(f"          {check.quote.english}\n          {check.quote.chinese}")
+            for seen in finding.failures:
+                click.echo(f"          sent {seen.sent}: expected {seen.expected}, found {seen.found}")
     counts = ", ".join(f"{count} {verdict}" for verdict, count in examination.counts.items())
     click.echo(f"{examination.address}: {len(examination.findings)} checks: {counts}")
     if report is not None:
         click.echo(f"written: {report}")
-
-
-def _print_finding(finding: "Finding") -> None:
-    check = finding.check
-    click.echo(f"  {check.id:7} {finding.verdict}  {check.title} ({check.location})")
-    if not finding.failures:
-        return
-    click.echo(f"          {check.quote.english}")
-    click.echo(f"          {check.quote.chinese}")
-    for seen in finding.failures:
-        click.echo(f"          sent {seen.sent}: expected {seen.expected}, found {seen.found}")

@@ -36,8 +36,6 @@ def sync(
     stop: float | None,
     streams: str | None,
     reach: float,
-    profile: str | None,
-    time_unit: str | None,
     printer: Printer,
     reading: dict[str, Any],
     **given: Any,
@@ -51,16 +49,11 @@ def sync(
     from sceneloom.pipeline.syncing import sync as sync_scene
     from sceneloom.scene.time_range import cut_scene
 
+    writing = options.scene_options(given)
+    own = {"streams": options.names(streams), "reach_ns": round(reach * 1e9), **given}
     with open_scene(path, **reading) as scene, printer.progress("looking") as progress:
-        report = sync_scene(
-            cut_scene(scene, start=start, stop=stop),
-            output,
-            streams=options.names(streams),
-            reach_ns=round(reach * 1e9),
-            progress=progress,
-            **given,
-            **({} if output is None else options.stated(profile=profile, time_unit=time_unit)),
-        )
+        part = cut_scene(scene, start=start, stop=stop)
+        report = sync_scene(part, output, progress=progress, **own, **({} if output is None else writing))
     printer.show(report, _print_report)
 
 
@@ -76,8 +69,7 @@ def _print_report(report: "SyncReport", printer: Printer) -> None:
             through = f" (through {correction.through})" if correction.through else ""
             click.echo(f"corrected: {correction.stream}: {-correction.offset_ns / 1e6:+.3f} ms{skew}{through}")
         click.echo(f"written: {report.output}" + ("" if report.applied else ", as it was"))
-    printer.warnings(report.warnings)
-    printer.losses(report.losses)
+    printer.remarks(report)
 
 
 def _row(comparison: Any) -> tuple[str, ...]:

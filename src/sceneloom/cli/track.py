@@ -82,5 +82,4 @@ def _print_tracking(report: "TrackReport", printer: Printer) -> None:
         f"tracked {several(len(report.drives), 'drive')} in {report.seconds:.1f} s "
         f"({report.ms_per_frame:.2f} ms of the processor a frame for fusing and tracking): {report.output}"
     )
-    printer.warnings(report.warnings)
-    printer.losses(report.losses)
+    printer.remarks(report)

@@ -9,12 +9,11 @@ import click
 
 from sceneloom.cli import options
 from sceneloom.cli.options import option
-from sceneloom.cli.printing import Printer, amount, print_table, several, times
+from sceneloom.cli.printing import Printer, amount, print_json, print_table, several, times
 from sceneloom.cli.running import reading_verb, verb
 
 if TYPE_CHECKING:
     from sceneloom.checks.validation import ValidationReport
-    from sceneloom.formats.base.losses import Loss
     from sceneloom.formats.sfs.salvage import SalvageReport
     from sceneloom.warnings import Finding
 
@@ -55,7 +54,12 @@ def validate(
     from sceneloom.stages import timed
 
     if list_rules:
-        printer.show(catalogue(), _print_rules)
+        if printer.as_json:
+            print_json(catalogue())
+            return
+        for rule in catalogue():
+            marks = [rule.severity, *(["fix"] if rule.fixable else []), *rule.only_in]
+            click.echo(f"{rule.id} ({', '.join(marks)})\n    {rule.summary}\n    {rule.remedy}")
         return
     if path is None:
         raise click.UsageError("Missing argument 'PATH'.", click.get_current_context())
@@ -75,12 +79,6 @@ def validate(
         click.get_current_context().exit(1)
 
 
-def _print_rules(rules: Sequence[Any], _: Printer) -> None:
-    for rule in rules:
-        marks = [rule.severity, *(["fix"] if rule.fixable else []), *rule.only_in]
-        click.echo(f"{rule.id} ({', '.join(marks)})\n    {rule.summary}\n    {rule.remedy}")
-
-
 def _print_validation(report: "ValidationReport", asked_to_fix: bool, printer: Printer) -> None:
     found = ", ".join(several(count, severity) for severity, count in report.counts.items() if count)
     verdict = "passed" if report.passed else "not passed"
@@ -92,9 +90,16 @@ def _print_validation(report: "ValidationReport", asked_to_fix: bool, printer: P
     click.echo(f"{report.output or report.source}: {reported}: {verdict}, {found or 'nothing found'}{read}")
     _print_findings([f for f in report.findings if not (printer.quiet and f.severity == "hint")])
     if report.output is not None:
-        _print_changes("fixed", report.fixed)
-        _print_changes("left out", report.left_out)
-        _print_losses(report.losses)
+        losses = [(loss.kept, f"  {loss.field}: {loss.what}{times(loss.count)}") for loss in report.losses]
+        changes = {
+            "fixed": [f"  {finding.rule}: {_line(finding)}" for finding in report.fixed],
+            "left out": [f"  {finding.rule}: {_line(finding)}" for finding in report.left_out],
+            "lost": [line for kept, line in losses if kept is None],
+            "kept aside": [f"{line}; it is in {kept}" for kept, line in losses if kept is not None],
+        }
+        for title, lines in changes.items():
+            for line in [title, *lines] if lines else ():
+                click.echo(line)
         click.echo(f"written: {report.output}")
     elif asked_to_fix:
         click.echo(f"nothing was written: {report.unwritten}", err=True)
@@ -111,23 +116,6 @@ def _print_findings(findings: "Sequence[Finding]") -> None:
             for finding in listed:
                 click.echo(f"    {_line(finding)}")
             click.echo(f"    → {listed[0].remedy}")
-
-
-def _print_changes(title: str, findings: "Sequence[Finding]") -> None:
-    if findings:
-        click.echo(title)
-    for finding in findings:
-        click.echo(f"  {finding.rule}: {_line(finding)}")
-
-
-def _print_losses(losses: "Sequence[Loss]") -> None:
-    for title, kept in (("lost", False), ("kept aside", True)):
-        group = [loss for loss in losses if (loss.kept is not None) is kept]
-        if group:
-            click.echo(title)
-        for loss in group:
-            location = f"; it is in {loss.kept}" if kept else ""
-            click.echo(f"  {loss.field}: {loss.what}{times(loss.count)}{location}")
 
 
 def _line(finding: "Finding") -> str:

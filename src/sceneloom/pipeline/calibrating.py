@@ -668,8 +668,6 @@ def _report(
     )
 
 
-
-
 @dataclass(frozen=True, slots=True)
 class _Output:
     """The file that a repaired calibration is written to, if any; refused before anything is read if it cannot be."""

@@ -107,8 +107,7 @@ class DeclaredAxes:
 
 
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
-_MOST_ENTRY = 2.0
-"""Numbers beyond it stand in no rotation: their squares may overflow."""
+_MOST_ENTRY = 2.0  # numbers beyond it stand in no rotation: their squares may overflow
 
 _MOST_ROTATION_ERROR = 0.02
 """How far a rotation may be from orthonormal: matrices are printed with three digits or more."""

@@ -56,11 +56,8 @@ from sceneloom.fusion.algorithms import FusionType, algorithm
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.poses import Poses
 
-_KEPT_NS = 60_000_000_000
-"""So much of the trajectory is kept."""
-
-_MOST_POSES = 100_000
-"""Of one minute: a sender that reports more than 1600 poses a second is stopped."""
+_KEPT_NS = 60_000_000_000  # so much of the trajectory is kept
+_MOST_POSES = 100_000  # of one minute: a sender that reports more than 1600 poses a second is stopped
 
 
 @dataclass(slots=True)
@@ -98,12 +95,10 @@ class RecentTrajectory:
         return self._path.moved(self._path.positions[-1])
 
 
-_MOST_MOVES = 100
-"""Chunks of the vehicle's trajectory that may wait for the thread that fuses."""
+_MOST_MOVES = 100  # chunks of the vehicle's trajectory that may wait for the thread that fuses
 
 
-_PIXEL_BYTES = 7
-"""What a pixel takes while its image is fused: red, green, blue, and a depth of 32 bits."""
+_PIXEL_BYTES = 7  # what a pixel takes while its image is fused: red, green, blue, and a depth of 32 bits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,8 +119,7 @@ class QueueLimits:
         return self.most_bytes // _PIXEL_BYTES
 
 
-_QUEUE_PROPERTIES = ("queue_length", "result_queue_length")
-"""Those that `QueueLimits.most_length` bounds."""
+_QUEUE_PROPERTIES = ("queue_length", "result_queue_length")  # those that `QueueLimits.most_length` bounds
 
 
 class FusionInterface:

@@ -20,8 +20,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import GLOBAL, LONGEST_ROLL_S, Shutter
 
 _MOUNTING_PARTS = {"position": 3, "quaternion_xyzw": 4}
-_MOST_M = 1e9
-"""Beyond this a number is none of an extrinsic position [m]."""
+_MOST_M = 1e9  # beyond this a number is none of an extrinsic position [m]
 
 _OF_KIND = {SensorKind.LIDAR: ("body_from_lidar",), SensorKind.CAMERA: ("shutter_roll_s", "shutter_left_to_right")}
 """What is stated for sensors of one kind alone."""

@@ -42,8 +42,7 @@ LARGEST_PLAIN = 1 << 24
 MOST_PARTS = 100_100
 """Of one message: 100,000 boxes or poses, and what stands beside them. A part of two bytes takes hundreds in memory."""
 
-_FEW_PARTS = 1 << 16
-"""Messages of fewer bytes are not looked through for how many parts they have."""
+_FEW_PARTS = 1 << 16  # messages of fewer bytes are not looked through for how many parts they have
 
 _KIND_OF_MESSAGE: Mapping[str, RecordKind] = {kind.message_name: kind for kind in RECORD_KINDS.values()}
 

@@ -26,17 +26,10 @@ from sceneloom.db34t.tables import BOX_3D
 from sceneloom.db34t.types import Cause, Outcome, refused
 from sceneloom.errors import CalibrationError, SceneloomError
 
-_MOST_BOXES = 100_000
-"""Boxes of one frame: a sender that never begins another is stopped."""
-
-_REMEMBERED = 256
-"""Numbers of each stream that are kept to report one that comes again."""
-
-_LEAST_LEVEL = 1e-3
-"""A direction whose part along the ground is a smaller share of it than this is vertical."""
-
-_RESTART_NS = 2_000_000_000
-"""A sensor that was silent for so long may have been started again, and count from 0."""
+_MOST_BOXES = 100_000  # boxes of one frame: a sender that never begins another is stopped
+_REMEMBERED = 256  # numbers of each stream that are kept to report one that comes again
+_LEAST_LEVEL = 1e-3  # a direction whose part along the ground is a smaller share of it than this is vertical
+_RESTART_NS = 2_000_000_000  # a sensor that was silent for so long may have been started again, and count from 0
 
 _KINDS: dict[type, SensorKind] = {
     ImageData: SensorKind.CAMERA,

@@ -183,8 +183,7 @@ _SPATIAL = (
 _CORNERS = Column("corners_xyxy", ("x1", "y1", "x2", "y2"), np.uint32, (4,))
 _COVARIANCES = {"center_cov": "center_covs", "size_cov": "size_covs"}
 
-_LAYOUT_3D = ListLayout("boxes", BOX_3D, _SPATIAL, {"points_seq": "seq", "timestamp": "timestamp"})
-"""Of `Boxes3d`."""
+_LAYOUT_3D = ListLayout("boxes", BOX_3D, _SPATIAL, {"points_seq": "seq", "timestamp": "timestamp"})  # of `Boxes3d`
 
 _LAYOUT_2D = ListLayout("boxes", BOX_2D, (*_SPATIAL[:2], _CORNERS), {"image_seq": "seq", "timestamp": "timestamp"})
 """Of `Boxes2d`."""
@@ -813,8 +812,7 @@ def _check_area(corners_xyxy: UInt32Array, *, group: str) -> None:
         raise BOX_2D.fault(_location(group, k, name), problem)
 
 
-_ASYMMETRY = 1e-3
-"""How much a covariance of 32-bit numbers may differ from its transpose, of its largest number."""
+_ASYMMETRY = 1e-3  # how much a covariance of 32-bit numbers may differ from its transpose, of its largest number
 
 
 def _check_fused(columns: Mapping[str, Any], box_3d_ids: Sequence[int | None], *, group: str) -> None:

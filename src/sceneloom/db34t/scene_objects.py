@@ -155,8 +155,7 @@ def _confidence(boxes: Boxes3D | Boxes2D) -> Float32Array:
     return scores.astype(np.float32)
 
 
-_MOST_FIELDS = 255
-"""Of a point of table 9, whose fields_number is a uint8."""
+_MOST_FIELDS = 255  # of a point of table 9, whose fields_number is a uint8
 
 
 def measurement_of(
@@ -196,8 +195,7 @@ _REFLECTIVITY_NAMES = ("reflectivity", "intensity")
 _RAW_FIELDS = ("reflectivity", "ring", "time")
 """What the 23-byte records of the recording format report of a point beside its position."""
 
-_LONGEST_OFFSET = 3600.0
-"""Times of points that are farther than so many seconds from their cloud's are none."""
+_LONGEST_OFFSET = 3600.0  # times of points that are farther than so many seconds from their cloud's are none
 
 
 def lidar_frame_of(record: PointCloudData) -> LidarFrame:

@@ -20,8 +20,7 @@ from sceneloom.errors import DataError
 TIME = "uint32. uint32"
 """How the standard writes the type of a timestamp."""
 
-_CLASS = "enum"
-"""The type of classes, which are names here."""
+_CLASS = "enum"  # the type of classes, which are names here
 
 STREAM = "int8[]"
 """How it writes the type of raw bytes."""
@@ -31,8 +30,7 @@ _STRING = ValueType.parse("string")
 ARRAY_DTYPES: Mapping[str, np.dtype[Any]] = {"uint8[]": np.dtype(np.uint8), "float[]": np.dtype(np.float32)}
 """The types of fields that are arrays of any length, and what they are in memory."""
 
-_FEW = 1000
-"""Of fewer numbers it is quicker to look at each than for the smallest and the largest."""
+_FEW = 1000  # of fewer numbers it is quicker to look at each than for the smallest and the largest
 
 
 @dataclass(frozen=True, slots=True)

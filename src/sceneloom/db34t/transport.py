@@ -67,8 +67,7 @@ def read_token(path: Path) -> str:
     return token
 
 
-_UNREADABLE = "Exception deserializing response"
-"""What gRPC says where a reader of answers gives None."""
+_UNREADABLE = "Exception deserializing response"  # what gRPC says where a reader of answers gives None
 
 
 def reader_of(reply_type: Any) -> Callable[[bytes], Any]:
@@ -140,8 +139,7 @@ def open_channel(
     return grpc.secure_channel(address, credentials, options)
 
 
-_LARGEST_MESSAGE = 1 << 29
-"""Of an answer [byte]."""
+_LARGEST_MESSAGE = 1 << 29  # of an answer [byte]
 
 
 def is_local(address: str) -> bool:

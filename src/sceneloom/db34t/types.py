@@ -89,8 +89,7 @@ def _check_basic(kind: BasicType, value: Any, owner: str, location: str) -> Any:
 NANOSECONDS = 1_000_000_000
 """In a second."""
 
-_LATEST_NS = 2**32 * NANOSECONDS - 1
-"""The latest time that a time timestamp can state [ns]."""
+_LATEST_NS = 2**32 * NANOSECONDS - 1  # the latest time that a time timestamp can state [ns]
 
 _TEXT = re.compile(r"([0-9]{1,10})\.([0-9]{9})")
 

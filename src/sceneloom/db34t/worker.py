@@ -493,8 +493,7 @@ class _TaskQueue:
 
 _LONGEST_IDLE_S = 3600.0
 
-_FEW_BOXES = 100
-"""Lists of so many boxes are fused in less time than it takes to hand them to another thread and back."""
+_FEW_BOXES = 100  # lists of so many boxes are fused in less time than it takes to hand them to another thread and back
 
 _MANY_LATER = 1000
 """After a longer list, a sweep or an image so many lists go to the thread, for they may be fused together."""

@@ -50,8 +50,7 @@ from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 _ROUNDS = 200
 _SMALL = 1e-8
 
-_EXACT = 1e-3
-"""Errors below are none [m or rad]."""
+_EXACT = 1e-3  # errors below are none [m or rad]
 
 
 def fit_odds(
@@ -467,15 +466,13 @@ def _common(one: Float64Array, other: Float64Array) -> Float64Array:
     return common
 
 
-_LOWEST = 0.001
-"""Scores are held above those of so few true boxes, the lowest of which report few."""
+_LOWEST = 0.001  # scores are held above those of so few true boxes, the lowest of which report few
 
 _SURE, _SURE_ENDS = 0.99, (0.65, 0.99)
 """Scores are held from where on so many are true: nothing is known of the slope there. That is not below and not above
 the scores of these shares of the true boxes."""
 
-_SUREST_2D = 5.0
-"""Probabilities of images are held at 0.993: what is surer says how they were rounded."""
+_SUREST_2D = 5.0  # probabilities of images are held at 0.993: what is surer says how they were rounded
 
 _AGREEMENT, _AGREEMENT_WEIGHTS = (1.0, 0.5, 0.2, 2.0), (30.0, 300.0, 1000.0, 300.0)
 """What boxes of both come to where data state nothing, and as how many examples' worth that counts: half the slope of a
@@ -484,13 +481,11 @@ calibrated score, since what one detector takes for an object misleads the other
 _HEIGHTS_PX = ((10.0, 20.0), (15.0, 25.0), (20.0, 35.0), (25.0, 50.0))
 _SEEN_SHARES = (0.1, 0.25, 0.5, 1.0)
 
-_FLOOR = 0.03
-"""What an image shows nothing of is found by chance."""
+_FLOOR = 0.03  # what an image shows nothing of is found by chance
 
 _PRIOR = 0.1
 
-_SUREST_RECALL = 0.98
-"""No detector is taken to find a larger share than this: the next drive has another light."""
+_SUREST_RECALL = 0.98  # no detector is taken to find a larger share than this: the next drive has another light
 
 _OPEN = 0.5
 
@@ -640,8 +635,7 @@ def _fit_image_noise(columns: SweepColumns) -> ImageNoise:
     )
 
 
-_NORMAL = 1.4826
-"""A Gaussian's deviation by its median absolute value."""
+_NORMAL = 1.4826  # a Gaussian's deviation by its median absolute value
 
 _LEAST_PX, _LEAST_SHARE = 0.5, 0.01
 
@@ -750,8 +744,7 @@ def _ratios(columns: Columns, name: str, distances: Float64Array, promised: floa
 
 _LEAST_RATIO = 0.01
 
-_OF_ONE = 3.0 * 3.84 / 7.81
-"""A Gaussian's 95 % of one number against those of three."""
+_OF_ONE = 3.0 * 3.84 / 7.81  # a Gaussian's 95 % of one number against those of three
 
 
 def _scaled(

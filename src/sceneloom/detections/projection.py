@@ -101,11 +101,8 @@ def says_nothing(label: str) -> bool:
 EDGES = (0.05, 2.0)
 """Deviation of an edge of a box: this share of its side, plus so many pixels."""
 
-_BORDER_PX = 2.0
-"""A box that comes so near to the border of the image may be cut there [px]."""
-
-_CUT_SIGMA = 0.5
-"""Deviation of the distance of what the image cuts at top or bottom, as a share of it."""
+_BORDER_PX = 2.0  # a box that comes so near to the border of the image may be cut there [px]
+_CUT_SIGMA = 0.5  # deviation of the distance of what the image cuts at top or bottom, as a share of it
 
 _RAYS: Float64Array = read_only(
     np.array(
@@ -184,23 +181,15 @@ def position_by_height(
     )
 
 
-_LEAST_POINTS = 5
-"""Fewer points at one distance state nothing."""
+_LEAST_POINTS = 5  # fewer points at one distance state nothing
 
 _CORE_ACROSS, _CORE_UPRIGHT = (0.2, 0.8), (0.05, 0.75)
 """The part of a box that is looked at, as shares of its width and of its height from the top."""
 
-_SURFACE = 0.25
-"""The share of an object's points that lies before its surface in the middle of what is seen."""
-
-_SURFACE_SIGMA = 0.15
-"""Deviation of that surface [m]."""
-
-_DEEPER = 0.4
-"""Points of an object reach so much farther in depth than the mean of its length and width [m]."""
-
-_IN_BOX = 0.15
-"""A point so near to a box of the sweep is of it [m]."""
+_SURFACE = 0.25  # the share of an object's points that lies before its surface in the middle of what is seen
+_SURFACE_SIGMA = 0.15  # deviation of that surface [m]
+_DEEPER = 0.4  # points of an object reach so much farther in depth than the mean of its length and width [m]
+_IN_BOX = 0.15  # a point so near to a box of the sweep is of it [m]
 
 _FREEDOM = 4.0
 """Degrees of freedom of the distances that heights report: Student's distribution forgives classes that are wrong."""
@@ -212,8 +201,7 @@ else it may be hidden behind something, and points report that."""
 _HIDDEN = 0.15
 """If a larger share of the points is nearer than the object, its box in the image is of what is not hidden."""
 
-_HIDDEN_SIGMA = 0.25
-"""Deviation of the middle of such a box, as a share of its sides."""
+_HIDDEN_SIGMA = 0.25  # deviation of the middle of such a box, as a share of its sides
 
 _CUT_ALONG, _CUT_SHARE = 0.25, 0.3
 """Deviation of the position of what the border of the image cuts, as shares of its length (height), along the ray and
@@ -235,8 +223,7 @@ _LEAST_COSINE, _WIDER = 0.2, 0.999
 
 _ANY_ROTATION = np.linspace(0.0, np.pi / 2.0, 16)
 
-_SIDE_SHARE = 0.12
-"""Deviation of how wide an object appears, as a share of it."""
+_SIDE_SHARE = 0.12  # deviation of how wide an object appears, as a share of it
 
 
 def _position_by_points(
@@ -459,8 +446,7 @@ def _height(distance: float, size: Float64Array, visibility: _Visibility) -> tup
     return (usual * weight + appears * weight_seen) / (weight + weight_seen), 1.0 / (weight + weight_seen)
 
 
-_NEAR = 0.05
-"""A box nearer to the camera than this holds it, and has no outline [m]."""
+_NEAR = 0.05  # a box nearer to the camera than this holds it, and has no outline [m]
 
 _APART = 1.5
 """Boxes whose middles are nearer to each other than this along the ray are one object and hide no other [m]."""
@@ -658,11 +644,8 @@ FARTHEST = 3.0
 BORDER_PX = 2.0
 """What comes so near to the border of the image may be cut there [px]."""
 
-_STEP = 1e-3
-"""Slopes are of lines through locations so far to either side [m]."""
-
-_PROJECTION_LEAST_SHARE = 0.1
-"""No size shrinks below this share of what it was."""
+_STEP = 1e-3  # slopes are of lines through locations so far to either side [m]
+_PROJECTION_LEAST_SHARE = 0.1  # no size shrinks below this share of what it was
 
 
 def refine(
@@ -712,11 +695,8 @@ def refine(
     )
 
 
-_FASTEST_BACKWARDS = 3.0
-"""What moves faster than this moves forward [m/s]: cars leave parking locations at 1 to 2 m/s."""
-
-_AGAINST = -0.5
-"""Cosine between heading and motion from which on one of them is wrong."""
+_FASTEST_BACKWARDS = 3.0  # what moves faster than this moves forward [m/s]: cars leave parking locations at 1 to 2 m/s
+_AGAINST = -0.5  # cosine between heading and motion from which on one of them is wrong
 
 
 def orient_by_motion(yaws: Float64Array, velocities: Float64Array | None) -> Float64Array:
@@ -795,14 +775,12 @@ def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DE
     return replace(fused, by_points=np.concatenate([np.zeros(len(sweep.rows), np.bool_), by_points]))
 
 
-_BELIEVED = 0.3
-"""Points in a box of the sweep that is less likely than this may be another object's."""
+_BELIEVED = 0.3  # points in a box of the sweep that is less likely than this may be another object's
 
 _NO_ROWS = np.zeros(0, np.int64)
 _NOT_REPORTED = np.zeros((0, 7, 7))
 
-_ANY_YAW = np.pi**2 / 3.0
-"""Variance of a heading of which nothing is known [rad²]."""
+_ANY_YAW = np.pi**2 / 3.0  # variance of a heading of which nothing is known [rad²]
 
 
 class _Seen(NamedTuple):

@@ -30,11 +30,8 @@ from sceneloom.detections.projection import boxes_with_area, boxes_with_position
 from sceneloom.detections.results import DetectionPair
 from sceneloom.warnings import DataWarning, WarningKind
 
-_LARGEST_DEG = 5.0
-"""Rotates beyond are not looked for [°]."""
-
-_LEAST_AGREEING = 20
-"""So many couples must agree."""
+_LARGEST_DEG = 5.0  # rotates beyond are not looked for [°]
+_LEAST_AGREEING = 20  # so many couples must agree
 
 _NO_ROTATION = np.zeros(3)
 _STEP_DEG = 0.5
@@ -138,22 +135,14 @@ def _chance_agreement(couples: Float64Array, jacobian: Float64Array, rotation: F
     return float(max(_agreeing_with(couples, jacobian, rotation + step).sum() for step in away))
 
 
-_WORTH_TELLING_DEG = 1.0
-"""Rotates below may be those of boxes and of motion between sweep and image [°]."""
-
-_MOST_COUPLES = 4000
-"""No more couples are kept."""
-
-_ALIKE = 1.3
-"""Boxes of one object are this much higher than one another at the most."""
+_WORTH_TELLING_DEG = 1.0  # rotates below may be those of boxes and of motion between sweep and image [°]
+_MOST_COUPLES = 4000  # no more couples are kept
+_ALIKE = 1.3  # boxes of one object are this much higher than one another at the most
 
 _LEAST_PX, _BORDER_PX = 25.0, 3.0
 
-_LEAST_DEPTH = 0.3
-"""Cosine of the angle to the optical axis from which on tangents are of use."""
-
-_BETTER = 1.2
-"""So many times more couples must agree about a rotation than about none."""
+_LEAST_DEPTH = 0.3  # cosine of the angle to the optical axis from which on tangents are of use
+_BETTER = 1.2  # so many times more couples must agree about a rotation than about none
 
 
 @dataclass(frozen=True, slots=True)

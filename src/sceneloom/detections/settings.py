@@ -48,8 +48,7 @@ from sceneloom.detections.detectors import DEFAULT, KINDS, ClassStatistics, Dete
 from sceneloom.errors import OptionError
 from sceneloom.kernels import existence as columns
 
-_SUREST = 0.9995
-"""No detector finds a larger share than this."""
+_SUREST = 0.9995  # no detector finds a larger share than this
 
 _LEAST = 1e-3
 

@@ -16,8 +16,7 @@ from sceneloom.scene.point_times import RawTimes, TimesFound, timed_frame
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.types import NO_FIELDS, Identifier
 
-_MOST_SWEEPS = 3
-"""So many sweeps are kept for boxes, which come later."""
+_MOST_SWEEPS = 3  # so many sweeps are kept for boxes, which come later
 
 
 @dataclass(slots=True)
@@ -116,11 +115,9 @@ class TimedFrame(Protocol):
         ...
 
 
-_Frame = TypeVar("_Frame", bound=TimedFrame)
-"""Of a lidar: a sweep, or the boxes in it."""
+_Frame = TypeVar("_Frame", bound=TimedFrame)  # of a lidar: a sweep, or the boxes in it
 
-_Partner = TypeVar("_Partner", bound=Timed)
-"""Of a camera: an image, or the boxes in it."""
+_Partner = TypeVar("_Partner", bound=Timed)  # of a camera: an image, or the boxes in it
 
 
 class Leave(StrEnum):

@@ -274,11 +274,8 @@ def _boxes_of(objects: TrackedObjects, camera_id: Identifier, lidar_from_world: 
 
 _Context: TypeAlias = "ServicerContext[bytes, bytes]"
 
-_SMALL = 32_768
-"""Bytes of a request that is answered at once where its session has nothing else to do."""
-
-_FEW = 100
-"""Detections of a result that is made a reply at once."""
+_SMALL = 32_768  # bytes of a request that is answered at once where its session has nothing else to do
+_FEW = 100  # detections of a result that is made a reply at once
 
 _REFUSALS_REPORTED = 100
 

@@ -47,8 +47,7 @@ _CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
 """Where forward, right and up point in the frames of a scene: what a session has to be reported."""
 
 _MOST_SENSORS = 256
-_LOOKED_AT = 9
-"""Times at which a camera and a lidar without extrinsics are compared."""
+_LOOKED_AT = 9  # times at which a camera and a lidar without extrinsics are compared
 
 
 @dataclass(frozen=True, slots=True, eq=False)

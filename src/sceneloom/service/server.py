@@ -121,14 +121,9 @@ async def _refuse(_: Any, context: "ServicerContext[Any, Any]") -> None:
 _LOG = logging.getLogger(__name__)
 _Observer = Callable[[Event], None]
 
-_LOOK_S = 0.05
-"""How often a server that ends looks whether all results were fetched."""
-
-_FETCHES_AGAIN_S = 2.0
-"""Who fetched a result so lately is given time to ask for the next one."""
-
-_LAST_WORDS_S = 1.0
-"""How long calls that are being answered may take in the end."""
+_LOOK_S = 0.05  # how often a server that ends looks whether all results were fetched
+_FETCHES_AGAIN_S = 2.0  # who fetched a result so lately is given time to ask for the next one
+_LAST_WORDS_S = 1.0  # how long calls that are being answered may take in the end
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

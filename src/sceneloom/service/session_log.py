@@ -51,11 +51,8 @@ _LOG = logging.getLogger(__name__)
 _CHUNK_BYTES = 4 << 20
 """Of messages that are compressed and written together; the most that is kept in memory, beside the largest message."""
 
-_MOST_CHANNELS = 60_000
-"""Channels of one file, of at most 65535 that the format counts."""
-
-_OVERHEAD = 2048
-"""What an event that waits keeps beside its arrays [byte], about."""
+_MOST_CHANNELS = 60_000  # channels of one file, of at most 65535 that the format counts
+_OVERHEAD = 2048  # what an event that waits keeps beside its arrays [byte], about
 
 _MAGIC_BYTES = 8
 _PACKAGE = fusion_pb2.DESCRIPTOR.package

@@ -88,8 +88,7 @@ _Answer = TypeVar("_Answer")
 DEFAULT_SESSION = "default"
 """The session of calls that name none."""
 
-_THREADS_OF_SESSION = 2
-"""Threads that one session may keep busy, so that none waits for another's."""
+_THREADS_OF_SESSION = 2  # threads that one session may keep busy, so that none waits for another's
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,63}")
 

@@ -14,8 +14,7 @@ from typing import Any, Self
 
 from sceneloom.errors import DataError, MissingExtraError, OptionError, how_to_install
 
-_EXTRA = "serve"
-"""The extra of the package that the service needs."""
+_EXTRA = "serve"  # the extra of the package that the service needs
 
 for _name in ("google.protobuf", "grpc", "grpc_health", "grpc_reflection"):
     try:

@@ -49,19 +49,15 @@ from sceneloom.tracking.settings import LabelSettings
 from sceneloom.version import __version__
 from sceneloom.warnings import DataWarning
 
-_BOXED = (Support.BOTH, Support.SWEEP, Support.IMAGE)
-"""States that rest on a box of a detector."""
+_BOXED = (Support.BOTH, Support.SWEEP, Support.IMAGE)  # states that rest on a box of a detector
 
 _MEASURED = (Support.BOTH, Support.SWEEP)
 
 _ROUNDING = 1e-9
 """Tolerances are kept this share smaller, so that another order of the same sums does not break the promise."""
 
-_MOST_UNSURE = 0.6
-"""However little is known of a speed, what gets on faster does not stand [m/s]."""
-
-_LEAST_VARIANCE = 1e-6
-"""No variance counts as less than this [m²]."""
+_MOST_UNSURE = 0.6  # however little is known of a speed, what gets on faster does not stand [m/s]
+_LEAST_VARIANCE = 1e-6  # no variance counts as less than this [m²]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,14 +245,9 @@ _LIMITS: Mapping[FlagKind, float] = {
 """What is beyond these is flagged: boxes, probability, share of states, -, metres, metres, share of the size, radians
 (three times), share of the narrower one's width by which centres are nearer, share of the sweeps, metres a second."""
 
-_BELOW = (FlagKind.SHORT, FlagKind.UNSURE)
-"""What is flagged below its limit; all else above it."""
-
-_DRIVES = 2.0
-"""What is slower has a heading of its own [m/s]."""
-
-_MIDDLING = 0.8
-"""Jitter is what this share of the states do not exceed: a single jump is flagged as such."""
+_BELOW = (FlagKind.SHORT, FlagKind.UNSURE)  # what is flagged below its limit; all else above it
+_DRIVES = 2.0  # what is slower has a heading of its own [m/s]
+_MIDDLING = 0.8  # jitter is what this share of the states do not exceed: a single jump is flagged as such
 
 
 @dataclass(frozen=True, slots=True)
@@ -393,16 +384,12 @@ def _overlaps(tracks: list[Track], there: list[tuple[int, int]]) -> Iterator[tup
 _RETURNS, _RADIAL_VELOCITY = "radar_returns", "radial_velocity"
 """Names of attributes: how many returns of a frame come from it; its speed over ground away from the radar [m/s]."""
 
-_MARGIN = np.array([0.4, 0.4, 2.0])
-"""A return so near outside a box is of it [m]: radars report the height badly."""
-
-_STEP_NS = 20_000_000
-"""The radar's own velocity is that of so long before to so long after [ns]."""
+_MARGIN = np.array([0.4, 0.4, 2.0])  # a return so near outside a box is of it [m]: radars report the height badly
+_STEP_NS = 20_000_000  # the radar's own velocity is that of so long before to so long after [ns]
 
 _DECIMALS = 2
 
-_LEAST_FRAMES = 3
-"""Fewer frames with returns do not contradict a track."""
+_LEAST_FRAMES = 3  # fewer frames with returns do not contradict a track
 
 
 @dataclass(slots=True)
@@ -530,8 +517,7 @@ _EXISTENCE, _SUPPORT, _SPEED, _POSITION_SIGMA = "existence", "support", "speed",
 _TRACK, _SOURCE, _REVIEW = "track", "source", "review"
 """Names of those that hold at all times: number of the track, where it comes from, what to look at first."""
 
-_STEPS = {_EXISTENCE: 0.05, _SPEED: 0.5, _POSITION_SIGMA: 0.1}
-"""A value holds until the true one is so far from it."""
+_STEPS = {_EXISTENCE: 0.05, _SPEED: 0.5, _POSITION_SIGMA: 0.1}  # a value holds until the true one is so far from it
 
 _LABELS_DECIMALS = 3
 
@@ -570,13 +556,11 @@ def _stepped(name: str, times_ns: Int64Array, values: Float64Array, step: float)
 
 _RIDDEN = frozenset({"bicycle", "bike", "motorcycle", "motorbike", "scooter", "moped", "cyclist", "motorcyclist"})
 
-_NEAR = 0.8
-"""A rider's middle is no farther than this from that of what he rides, seen from above [m]."""
+_NEAR = 0.8  # a rider's middle is no farther than this from that of what he rides, seen from above [m]
 
 _LEAST_STATES = 3
 
-_SHARE = 0.7
-"""Of the time that both are there, so much they are together."""
+_SHARE = 0.7  # of the time that both are there, so much they are together
 
 
 def _plain(label: str) -> str:
@@ -618,8 +602,7 @@ def _together(person: Track, bike: Track) -> float | None:
     return float(np.median(apart)) if float((apart < _NEAR).mean()) >= _SHARE else None
 
 
-_PICTURED_DECIMALS = 2
-"""Of pixels that are written."""
+_PICTURED_DECIMALS = 2  # of pixels that are written
 
 
 def _boxes_in_images(

@@ -159,14 +159,12 @@ def _is_vehicle(codes: Int64Array) -> BoolArray:
     return vehicles
 
 
-_SUREST = 1e-4
-"""No single moment makes surer of what is there or not than this."""
+_SUREST = 1e-4  # no single moment makes surer of what is there or not than this
 
 UNKNOWN_VARIANCE = 1e4
 """Of what a box does not report."""
 
-_VEHICLE_YAW_SIGMA, _PERSON_YAW_SIGMA = 0.1, 0.4
-"""Deviation of headings whose fusion does not give it [rad]."""
+_VEHICLE_YAW_SIGMA, _PERSON_YAW_SIGMA = 0.1, 0.4  # deviation of headings whose fusion does not give it [rad]
 
 _SEEN_ALONG = 9.0
 """Of a box of images alone: how often its variance along the ray is taken. The same guess of the object's height
@@ -365,23 +363,15 @@ _EMPTY: dict[str, Any] = {
 SIZE, _MEASURED = tracking.SIZE, tracking.MEASURED
 YAW, ROTATION = 6, 10
 
-_FREEDOM = 4.0
-"""Degrees of freedom of what boxes are off."""
-
-_CLIMB = 0.3
-"""Deviation of vertical accelerations [m/s²]."""
-
-_SIZE_DRIFT = 0.02
-"""How much sizes change as objects are seen from other sides [m after a second]."""
+_FREEDOM = 4.0  # degrees of freedom of what boxes are off
+_CLIMB = 0.3  # deviation of vertical accelerations [m/s²]
+_SIZE_DRIFT = 0.02  # how much sizes change as objects are seen from other sides [m after a second]
 
 _VEHICLE_HEADING_DRIFT, _PERSON_HEADING_DRIFT = 0.02, 0.5
 """How much headings change beside rotating [rad after a second]."""
 
-_ACROSS = 0.3
-"""Acceleration of vehicles across their heading, as a share of that along it."""
-
-_ROTATION_TIME = 1.0
-"""Time after which a rotation has died down [s]."""
+_ACROSS = 0.3  # acceleration of vehicles across their heading, as a share of that along it
+_ROTATION_TIME = 1.0  # time after which a rotation has died down [s]
 
 
 def wrapped(angles: Float64Array) -> Float64Array:
@@ -580,8 +570,7 @@ def no_boxes(count: int) -> Float64Array:
     return np.full((count, 4), np.nan)
 
 
-_EDGE_PX, _EDGE_SHARE = 1.0, 0.02
-"""Deviation of an edge of a detector's box: so many pixels, plus so much of its side."""
+_EDGE_PX, _EDGE_SHARE = 1.0, 0.02  # deviation of an edge of a detector's box: so many pixels, plus so much of its side
 
 DRIFTS = (0.05, 0.3)
 """How much a box comes to differ from the outline, as shares of its sides: of vehicles and people [after a second]."""
@@ -692,17 +681,10 @@ def has_area(corners: Float64Array) -> BoolArray:
     return area
 
 
-_OVERLAP_SIGMA = 0.25
-"""Deviation of the share by which boxes in images fail to overlap that are one object's."""
-
-_USUAL_OVERLAP = 0.6
-"""The overlap that speaks neither for nor against one object."""
-
-_LEAST_OVERLAP = 0.3
-"""An object takes a box of an image alone that overlaps with its own by so much at least."""
-
-_LEAST_SIGMA = 0.3
-"""No middle of a box is where it is expected to within less than this [m]."""
+_OVERLAP_SIGMA = 0.25  # deviation of the share by which boxes in images fail to overlap that are one object's
+_USUAL_OVERLAP = 0.6  # the overlap that speaks neither for nor against one object
+_LEAST_OVERLAP = 0.3  # an object takes a box of an image alone that overlaps with its own by so much at least
+_LEAST_SIGMA = 0.3  # no middle of a box is where it is expected to within less than this [m]
 
 _AGREEMENT = 0.5 * (_FREEDOM + 1.0) * float(np.log1p(((1.0 - _USUAL_OVERLAP) / _OVERLAP_SIGMA) ** 2 / _FREEDOM))
 """What an image adds at most: where boxes are the same."""
@@ -755,20 +737,14 @@ def _candidates(
     return found
 
 
-_TWIN_OVERLAP = 0.5
-"""Boxes in an image that overlap by more than this stand for one object."""
-
-_TWIN_SHARE = 0.5
-"""So do boxes whose middles are nearer to each other than this share of a width."""
-
-_LOCATION = [0, 1, 4]
-"""What says where a box is on the ground, and how wide."""
+_TWIN_OVERLAP = 0.5  # boxes in an image that overlap by more than this stand for one object
+_TWIN_SHARE = 0.5  # so do boxes whose middles are nearer to each other than this share of a width
+_LOCATION = [0, 1, 4]  # what says where a box is on the ground, and how wide
 
 _SPEEDS = ((10.0, 2.0), (1.5, 1.5))
 """Deviation of the speed of what is seen for the first time, along and across its heading: vehicles, people [m/s]."""
 
-_TRACKER_CLIMB, _ROTATION = 0.3, 0.2
-"""The same of climbing [m/s] and rotating [rad/s]."""
+_TRACKER_CLIMB, _ROTATION = 0.3, 0.2  # the same of climbing [m/s] and rotating [rad/s]
 
 
 def _unclaimed(seen: _Observations, free: BoolArray, objects: _Population) -> Int64Array:
@@ -817,29 +793,14 @@ def _states(seen: _Observations, rows: Int64Array) -> tuple[Float64Array, Float6
     return means, covariances
 
 
-_MOST_VOTES = 5.0
-"""So many looks at a heading are remembered."""
-
-_MOVING = 1.5
-"""What is faster than this shows by its motion where it heads [m/s]."""
-
-_SURE_HEADING = 1.0
-"""A heading with a larger variance than this says nothing [rad²]."""
-
-_OUTVOTED = -1.0
-"""With fewer votes than this a heading is reversed."""
-
-_NEIGHBOURS = 2.0
-"""So many votes have the neighbours together."""
-
-_KNOWN = 3.0
-"""So many votes make a neighbour's heading known."""
-
-_HALF_LANE, _AHEAD = 1.75, 50.0
-"""How far across and along its heading a neighbour of the same lane is [m]."""
-
-_PARALLEL = 0.95
-"""Least cosine between the axes of neighbours."""
+_MOST_VOTES = 5.0  # so many looks at a heading are remembered
+_MOVING = 1.5  # what is faster than this shows by its motion where it heads [m/s]
+_SURE_HEADING = 1.0  # a heading with a larger variance than this says nothing [rad²]
+_OUTVOTED = -1.0  # with fewer votes than this a heading is reversed
+_NEIGHBOURS = 2.0  # so many votes have the neighbours together
+_KNOWN = 3.0  # so many votes make a neighbour's heading known
+_HALF_LANE, _AHEAD = 1.75, 50.0  # how far across and along its heading a neighbour of the same lane is [m]
+_PARALLEL = 0.95  # least cosine between the axes of neighbours
 
 
 def _rotation_round(objects: _Population, rows: Int64Array, seen: _Observations, columns: Int64Array) -> None:

@@ -178,14 +178,9 @@ def _square(rows: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
 _ROTATED_LIDAR = _square([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 """Of a lidar with y forward, x right, z up: takes points out of x forward, y left, z up."""
 
-_MIRRORED_LIDAR = _square([[1, 0, 0], [0, -1, 0], [0, 0, 1]])
-"""Of a left-handed lidar with x forward, y right, z up."""
-
-_MIRRORED_CAMERA = _square([[1, 0, 0], [0, -1, 0], [0, 0, 1]])
-"""Of a left-handed camera with x right, y up, z forward."""
-
-_ROTATED_CAMERA = _square([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
-"""Of a camera with x forward, y left, z up."""
+_MIRRORED_LIDAR = _square([[1, 0, 0], [0, -1, 0], [0, 0, 1]])  # of a left-handed lidar with x forward, y right, z up
+_MIRRORED_CAMERA = _square([[1, 0, 0], [0, -1, 0], [0, 0, 1]])  # of a left-handed camera with x right, y up, z forward
+_ROTATED_CAMERA = _square([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # of a camera with x forward, y left, z up
 
 
 def _look(

@@ -32,8 +32,7 @@ QUOTES: Mapping[str, Mapping[str, Any]] = tomllib.loads(files(__package__).joinp
 
 _Made = TypeVar("_Made")
 
-_WAIT_MS = 5_000
-"""How long a result may take."""
+_WAIT_MS = 5_000  # how long a result may take
 
 SENSOR_DATA, DETECTIONS = 0, 1
 """Fusion types, table 2, row 1."""

@@ -174,8 +174,7 @@ def _no_trace(bench: Bench) -> Iterator[Seen]:
     )
 
 
-_Case = tuple[Any, Any]
-"""Values of a field: taken, refused."""
+_Case = tuple[Any, Any]  # values of a field: taken, refused
 
 _IMAGE_ROWS: Mapping[str, _Case] = {
     "sensor_id": ((scene.CAMERA_ID,), (scene.CAMERA_ID + 256, 2**32 - 1)),

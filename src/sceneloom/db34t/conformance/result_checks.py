@@ -183,8 +183,7 @@ def _unseen(bench: Bench) -> Iterator[Seen]:
 _BOXES_SENT = "the scene's boxes, Get"
 _BOXES = (scene.MATCHED, scene.ALONE)
 
-_TOLERANCE = 1e-4
-"""What numbers of 32 bits lose on the way through another frame and back."""
+_TOLERANCE = 1e-4  # what numbers of 32 bits lose on the way through another frame and back
 
 
 @CHECKS.row(10, "id", "each detection of a pair has an id of its own")

@@ -46,6 +46,7 @@ from sceneloom.scene.sampling import WORLD, choose_ego
 from sceneloom.scene.scene import Scene, scene_period_ns, usual_period_ns
 from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 from sceneloom.tracking.settings import LabelSettings
+from sceneloom.tracking.tracker import wrapped
 from sceneloom.version import __version__
 from sceneloom.warnings import DataWarning
 
@@ -98,8 +99,14 @@ class _LabelPath:
 
 def boxed_part(track: Track) -> Track | None:
     """The states of a track from the first that rests on a box to the last that does; None where none does."""
-    rows = np.flatnonzero(_boxed(track))
-    return None if len(rows) == 0 else _part_of(track, slice(int(rows[0]), int(rows[-1]) + 1))
+    boxed = np.flatnonzero(_boxed(track))
+    if len(boxed) == 0:
+        return None
+    rows = slice(int(boxed[0]), int(boxed[-1]) + 1)
+    names = ("timestamps_ns", "centers", "sizes_lwh", "yaws", "velocities", "yaw_rates", "covariances", "scores")
+    corners = {camera_id: boxes[rows] for camera_id, boxes in track.corners_xyxy.items()}
+    kept = {name: getattr(track, name)[rows] for name in (*names, "supports")}
+    return replace(track, corners_xyxy=corners, **kept)
 
 
 def _boxed(track: Track) -> BoolArray:
@@ -107,30 +114,8 @@ def _boxed(track: Track) -> BoolArray:
     return np.isin(track.supports, _BOXED)
 
 
-def _part_of(track: Track, rows: slice) -> Track:
-    """Some states of a track."""
-    names = (
-        "timestamps_ns",
-        "centers",
-        "sizes_lwh",
-        "yaws",
-        "velocities",
-        "yaw_rates",
-        "covariances",
-        "scores",
-    )
-    corners = {camera_id: boxes[rows] for camera_id, boxes in track.corners_xyxy.items()}
-    kept = {name: getattr(track, name)[rows] for name in (*names, "supports")}
-    return replace(track, corners_xyxy=corners, **kept)
-
-
 def label_path(track: Track, settings: LabelSettings) -> _LabelPath:
-    """Give an object over time as it is to be labelled.
-
-    Args:
-        track: from its first box to its last.
-        settings: whether sizes are made constant and stationary objects found.
-    """
+    """An object over time as it is to be labelled, from its first box to its last."""
     yaws = np.unwrap(track.yaws)
     boxes = np.column_stack([track.centers, track.sizes_lwh, yaws])
     weights = _weights(track)
@@ -152,10 +137,7 @@ def _stands(track: Track, settings: LabelSettings) -> bool:
     rows = np.flatnonzero(np.isin(track.supports, _MEASURED))
     if len(rows) < 2:
         return False
-    locations, times = (
-        track.centers[rows, :2],
-        (track.timestamps_ns[rows] - track.timestamps_ns[rows[0]]) * 1e-9,
-    )
+    locations, times = track.centers[rows, :2], (track.timestamps_ns[rows] - track.timestamps_ns[rows[0]]) * 1e-9
     away = np.linalg.norm(locations - np.median(locations, axis=0), axis=1)
     if float(away.max()) > settings.stationary_spread:
         return False
@@ -280,29 +262,20 @@ def _flag(track: Track, kind: FlagKind, value: float, row: int) -> Iterator[_Fla
 def flags_of(track: Track) -> list[_Flag]:
     """Look at one track: from its first box to its last."""
     rows = np.flatnonzero(_boxed(track))
-    found = [
+    gaps = np.diff(rows)
+    k = int(gaps.argmax()) if len(gaps) else 0
+    middle = int(rows[k] + rows[k + 1]) // 2 if len(gaps) else 0  # of the longest time without a box
+    changes = np.abs(track.sizes_lwh / np.median(track.sizes_lwh, axis=0) - 1.0).max(axis=1)
+    guessed = not np.isin(track.supports, _MEASURED).any()
+    return [
         *_flag(track, FlagKind.SHORT, len(rows), 0),
         *_flag(track, FlagKind.UNSURE, float(track.scores.max()), int(track.scores.argmax())),
-        *_flag(track, FlagKind.SPARSE, 1.0 - len(rows) / len(track), _longest_gap(rows)),
+        *_flag(track, FlagKind.SPARSE, 1.0 - len(rows) / len(track), middle),
+        *(_flag(track, FlagKind.IMAGE_ONLY, 1.0, 0) if guessed else ()),
+        *_flag(track, FlagKind.SIZE, float(changes.max()), int(changes.argmax())),
+        *_of_motion(track),
+        *_of_heading(track),
     ]
-    if not np.isin(track.supports, (Support.BOTH, Support.SWEEP)).any():
-        found += _flag(track, FlagKind.IMAGE_ONLY, 1.0, 0)
-    return [*found, *_of_sizes(track), *_of_motion(track), *_of_heading(track)]
-
-
-def _longest_gap(rows: Int64Array) -> int:
-    """The state in the middle of the longest time without a box."""
-    steps = np.diff(rows)
-    if len(steps) == 0:
-        return 0
-    k = int(steps.argmax())
-    return int(rows[k] + rows[k + 1]) // 2
-
-
-def _of_sizes(track: Track) -> Iterator[_Flag]:
-    usual = np.median(track.sizes_lwh, axis=0)
-    changes = np.abs(track.sizes_lwh / usual - 1.0).max(axis=1)
-    yield from _flag(track, FlagKind.SIZE, float(changes.max()), int(changes.argmax()))
 
 
 def _of_motion(track: Track) -> Iterator[_Flag]:
@@ -317,7 +290,7 @@ def _of_motion(track: Track) -> Iterator[_Flag]:
 
 
 def _of_heading(track: Track) -> Iterator[_Flag]:
-    rotations = np.abs(_shortest(np.diff(track.yaws)))
+    rotations = np.abs(wrapped(np.diff(track.yaws)))
     if len(rotations):
         yield from _flag(track, FlagKind.YAW_FLIP, float(rotations.max()), int(rotations.argmax()) + 1)
     if len(rotations) > 1 and rotations.max() <= _LIMITS[FlagKind.YAW_FLIP]:
@@ -326,7 +299,7 @@ def _of_heading(track: Track) -> Iterator[_Flag]:
     driving = np.flatnonzero(np.linalg.norm(track.velocities[:, :2], axis=1) > _DRIVES)
     if len(driving):
         courses = np.arctan2(track.velocities[driving, 1], track.velocities[driving, 0])
-        off = np.abs(_shortest(courses - track.yaws[driving]))
+        off = np.abs(wrapped(courses - track.yaws[driving]))
         yield from _flag(track, FlagKind.AGAINST_MOTION, float(np.median(off)), int(driving[off.argmax()]))
 
 
@@ -338,17 +311,10 @@ def _off_lines(track: Track, values: Float64Array) -> Float64Array:
     return off
 
 
-def _shortest(angles: Float64Array) -> Float64Array:
-    rotated: Float64Array = (angles + pi) % (2.0 * pi) - pi
-    return rotated
-
-
 def overlap_flags(tracks: Iterable[Track], together: Collection[frozenset[int]] = ()) -> list[_Flag]:
     """Find objects that are in the same location at the same time: the less sure one of each two is flagged.
 
-    Args:
-        tracks: all of them.
-        together: numbers of those that may be, such as a rider and what he rides.
+    Those whose numbers are `together`, such as a rider and what he rides, may be.
     """
     kept = list(tracks)
     times = np.unique(np.concatenate([np.zeros(0, np.int64), *(track.timestamps_ns for track in kept)]))
@@ -387,10 +353,6 @@ _RETURNS, _RADIAL_VELOCITY = "radar_returns", "radial_velocity"
 _MARGIN = np.array([0.4, 0.4, 2.0])  # a return so near outside a box is of it [m]: radars report the height badly
 _STEP_NS = 20_000_000  # the radar's own velocity is that of so long before to so long after [ns]
 
-_DECIMALS = 2
-
-_LEAST_FRAMES = 3  # fewer frames with returns do not contradict a track
-
 
 @dataclass(slots=True)
 class _Heard:
@@ -402,47 +364,11 @@ class _Heard:
     misfits: list[float] = field(default_factory=list)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _RadarEvidence:
-    """What radars heard of the objects of some tracks."""
-
-    attributes: Mapping[int, tuple[AttributePath, ...]]
-    flags: tuple[_Flag, ...]
-
-
-def _hear(scene: Scene, tracks: Sequence[Track], ego: EgoMotion | None) -> _RadarEvidence:
-    """Ask the radars of a scene about tracks in its world."""
-    attributes: dict[int, list[AttributePath]] = {}
-    flags: list[_Flag] = []
-    for radar in scene.sensors:
-        if isinstance(radar, RadarSensor):
-            for number, heard in _heard(scene, radar, tracks, ego).items():
-                attributes.setdefault(tracks[number].id, []).extend(_attributes(radar.id, heard))
-                flags += _contradiction(tracks[number], heard)
-    return _RadarEvidence({number: tuple(reported) for number, reported in attributes.items()}, tuple(flags))
-
-
-def _attributes(radar_id: Identifier, heard: _Heard) -> list[AttributePath]:
-    times = np.array(heard.times_ns, np.int64)
-    timed = np.flatnonzero(np.isfinite(heard.speeds))
-    reported = [AttributePath(_RETURNS, tuple(heard.counts), times, sensor_id=radar_id)]
-    if len(timed):
-        speeds = tuple(round(heard.speeds[k], _DECIMALS) for k in timed.tolist())
-        reported.append(AttributePath(_RADIAL_VELOCITY, speeds, times[timed], sensor_id=radar_id))
-    return reported
-
-
-def _contradiction(track: Track, heard: _Heard) -> list[_Flag]:
-    misfits = np.abs(heard.misfits)
-    reported = np.flatnonzero(np.isfinite(misfits))
-    if len(reported) < _LEAST_FRAMES:
-        return []
-    worst = heard.times_ns[int(reported[misfits[reported].argmax()])]
-    row = int(np.abs(track.timestamps_ns - worst).argmin())
-    return list(_flag(track, FlagKind.RADAR, float(np.median(misfits[reported])), row))
+_Attributes = Mapping[int, Sequence[AttributePath]]  # by number of the track
 
 
 def _heard(scene: Scene, radar: RadarSensor, tracks: Sequence[Track], ego: EgoMotion | None) -> dict[int, _Heard]:
+    """What a radar heard of tracks in the world, by their place in the list."""
     reach_ns = scene_period_ns(scene)
     location = points_source(scene, radar, ego, reach_ns=reach_ns) or WORLD
     own = sensor_source(scene, radar, ego, reach_ns=reach_ns)
@@ -455,6 +381,30 @@ def _heard(scene: Scene, radar: RadarSensor, tracks: Sequence[Track], ego: EgoMo
             for number in there.tolist():
                 _listen(found.setdefault(number, _Heard()), tracks[number], frame.timestamp_ns, returns)
     return {number: heard for number, heard in found.items() if heard.times_ns}
+
+
+def _ask_radars(scene: Scene, tracks: Sequence[Track], ego: EgoMotion | None) -> tuple[_Attributes, list[_Flag]]:
+    """What the radars of a scene state of tracks, and those whose speed they contradict."""
+    attributes: dict[int, list[AttributePath]] = {}
+    flags: list[_Flag] = []
+    for radar in scene.sensors:
+        if not isinstance(radar, RadarSensor):
+            continue
+        for number, heard in _heard(scene, radar, tracks, ego).items():
+            track, times = tracks[number], np.array(heard.times_ns, np.int64)
+            reported = attributes.setdefault(track.id, [])
+            reported.append(AttributePath(_RETURNS, tuple(heard.counts), times, sensor_id=radar.id))
+            timed = np.flatnonzero(np.isfinite(heard.speeds))
+            if len(timed):
+                speeds = tuple(round(heard.speeds[k], 2) for k in timed.tolist())
+                reported.append(AttributePath(_RADIAL_VELOCITY, speeds, times[timed], sensor_id=radar.id))
+            misfits = np.abs(heard.misfits)
+            sound = np.flatnonzero(np.isfinite(misfits))
+            if len(sound) >= 3:  # fewer frames with returns do not contradict a track
+                worst_ns = heard.times_ns[int(sound[misfits[sound].argmax()])]
+                row = int(np.abs(track.timestamps_ns - worst_ns).argmin())
+                flags += _flag(track, FlagKind.RADAR, float(np.median(misfits[sound])), row)
+    return attributes, flags
 
 
 def _returns(frame: RadarFrame, location: PoseSource, own: PoseSource) -> Float64Array | None:
@@ -519,8 +469,6 @@ _TRACK, _SOURCE, _REVIEW = "track", "source", "review"
 
 _STEPS = {_EXISTENCE: 0.05, _SPEED: 0.5, _POSITION_SIGMA: 0.1}  # a value holds until the true one is so far from it
 
-_LABELS_DECIMALS = 3
-
 
 def _attributes_of(track: Track, source: str, flags: Sequence[str]) -> tuple[AttributePath, ...]:
     """Report of an object what its track knows; what holds over time is reported only where it changes."""
@@ -538,12 +486,8 @@ def _attributes_of(track: Track, source: str, flags: Sequence[str]) -> tuple[Att
     still: dict[str, Any] = {_TRACK: track.id, _SOURCE: source}
     if flags:
         still[_REVIEW] = tuple(flags)
-    return (*timed, *(_static(name, value, int(times[0])) for name, value in still.items()))
-
-
-def _static(name: str, value: Any, time_ns: int) -> AttributePath:
-    """An attribute that holds at all times; its only timestamp is for readers that want one."""
-    return AttributePath(name, (value,), np.array([time_ns], np.int64), static=True)
+    # the timestamp of what holds at all times is for readers that expect one
+    return (*timed, *(AttributePath(name, (value,), times[:1], static=True) for name, value in still.items()))
 
 
 def _stepped(name: str, times_ns: Int64Array, values: Float64Array, step: float) -> AttributePath:
@@ -551,7 +495,7 @@ def _stepped(name: str, times_ns: Int64Array, values: Float64Array, step: float)
     for k, value in enumerate(values.tolist()):
         if not kept or abs(value - values[kept[-1]]) >= step:
             kept.append(k)
-    return AttributePath(name, tuple(round(float(values[k]), _LABELS_DECIMALS) for k in kept), times_ns[kept])
+    return AttributePath(name, tuple(round(float(values[k]), 3) for k in kept), times_ns[kept])
 
 
 _RIDDEN = frozenset({"bicycle", "bike", "motorcycle", "motorbike", "scooter", "moped", "cyclist", "motorcyclist"})
@@ -563,12 +507,12 @@ _LEAST_STATES = 3
 _SHARE = 0.7  # of the time that both are there, so much they are together
 
 
-def _plain(label: str) -> str:
+def _letters(label: str) -> str:
     return "".join(letter for letter in label.casefold() if letter.isalnum())
 
 
 def _is_person(label: str) -> bool:
-    return _plain(label) == "rider" or (kind_name(label) == "pedestrian" and _plain(label) not in _RIDDEN)
+    return _letters(label) == "rider" or (kind_name(label) == "pedestrian" and _letters(label) not in _RIDDEN)
 
 
 def riders(tracks: Iterable[Track]) -> Iterator[tuple[Track, Track]]:
@@ -579,7 +523,7 @@ def riders(tracks: Iterable[Track]) -> Iterator[tuple[Track, Track]]:
     """
     kept = list(tracks)
     people = [track for track in kept if _is_person(track.label)]
-    ridden = [track for track in kept if _plain(track.label) in _RIDDEN]
+    ridden = [track for track in kept if _letters(track.label) in _RIDDEN]
     pairs = [
         (distance, person, bike)
         for person in people
@@ -602,16 +546,12 @@ def _together(person: Track, bike: Track) -> float | None:
     return float(np.median(apart)) if float((apart < _NEAR).mean()) >= _SHARE else None
 
 
-_PICTURED_DECIMALS = 2  # of pixels that are written
-
-
 def _boxes_in_images(
     scene: Scene, track: Track, parent_id: Identifier, stem: str, *, longest_gap_ns: int
 ) -> Iterator[Box2DAnnotation]:
-    """Give the boxes that the detector found of an object in images, by camera, at the times of these images.
+    """The boxes that the detector found of an object in images, by camera, at the times of these images.
 
-    Args:
-        longest_gap_ns: after a longer time without a box another annotation begins [ns].
+    After more than `longest_gap_ns` [ns] without a box another annotation begins.
     """
     cameras: dict[Key, CameraSensor] = {key_of(camera.id): camera for camera in scene.cameras}
     for camera_id, corners in track.corners_xyxy.items():
@@ -621,19 +561,10 @@ def _boxes_in_images(
         times, chosen = _at_images(cameras[key_of(camera_id)], track.timestamps_ns[rows])
         breaks = np.flatnonzero(np.diff(times) > longest_gap_ns) + 1
         for part, own in enumerate(np.split(np.arange(len(times)), breaks)):
-            tail = f"-{part + 1}" if len(breaks) else ""
-            yield Box2DAnnotation(
-                f"{stem}-{camera_id}{tail}",
-                camera_id,
-                BoxPath(times[own], _left_top_width_height(corners[rows[chosen[own]]])),
-                label=track.label,
-                parent_id=parent_id,
-            )
-
-
-def _left_top_width_height(corners_xyxy: Float64Array) -> Float64Array:
-    rounded = np.round(corners_xyxy, _PICTURED_DECIMALS)
-    return np.column_stack([rounded[:, :2], rounded[:, 2:] - rounded[:, :2]])
+            name = f"{stem}-{camera_id}" + (f"-{part + 1}" if len(breaks) else "")
+            edges = np.round(corners[rows[chosen[own]]], 2)
+            path = BoxPath(times[own], np.column_stack([edges[:, :2], edges[:, 2:] - edges[:, :2]]))
+            yield Box2DAnnotation(name, camera_id, path, label=track.label, parent_id=parent_id)
 
 
 def _at_images(camera: CameraSensor, times_ns: Int64Array) -> tuple[Int64Array, Int64Array]:
@@ -656,8 +587,6 @@ DEFAULTS = LabelSettings()
 LABELS = "labels"
 """Name of our entry in a scene's metadata that says how labels were made and what to look at first."""
 
-_NO_EVIDENCE = _RadarEvidence({}, ())
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Labelled:
@@ -666,10 +595,8 @@ class Labelled:
     Attributes:
         scene: with annotations of the objects behind those that it had.
         flags: what a person should look at, the most urgent first.
-        objects: how many objects are labelled.
-        stationary: how many of them are stationary.
-        states: how many states their tracks have.
-        keyframes: how many keyframes report them.
+        objects, stationary: how many objects are labelled, and how many of them are stationary.
+        states, keyframes: how many states their tracks have, and how many keyframes report them.
     """
 
     scene: Scene
@@ -687,16 +614,13 @@ def label_tracks(
     settings: LabelSettings = DEFAULTS,
     trajectory: str | EgoMotion | None = None,
 ) -> Labelled:
-    """Rotate tracks into annotations of a scene, with what its sensors state of them.
+    """Turn tracks into annotations of a scene, with what its sensors state of them.
 
-    What a scene lacks is left out with a warning: projections without known locations of cameras, points without those
-        of
+    What a scene lacks is left out with a warning: projections without known poses of cameras, points without those of
     lidars, speeds without those of radars.
 
     Args:
         scene: whose world the tracks are in; one without sensors is enough.
-        tracks: the objects.
-        settings: how labels are made.
         trajectory: name of the ego trajectory, as for `Scene.samples`.
 
     Raises:
@@ -706,37 +630,80 @@ def label_tracks(
     """
     if scene.annotations and annotations_frame(scene) is not Coordinates.WORLD:
         raise not_in_world(scene.source)
-    kept = [part for track in tracks if (part := boxed_part(track)) and _is_wanted(part, settings)]
-    ego, warnings = choose_ego(scene, trajectory), list[DataWarning]()
+    kept = [
+        part
+        for track in tracks
+        if (part := boxed_part(track))
+        and int(_boxed(part).sum()) >= settings.least_states
+        and float(part.scores.max()) >= settings.least_score
+    ]
+    ego, warnings, angles = choose_ego(scene, trajectory), list[DataWarning](), CuboidAngles.of(scene)
     pairs = list(riders(kept)) if settings.links else []
     paths = [label_path(track, settings) for track in kept]
-    cuboids = [_cuboid(track, path, scene, settings) for track, path in zip(kept, paths, strict=True)]
+    cuboids = [
+        CuboidAnnotation(
+            cuboid_id(track),
+            path.cuboids(path.keyframes(settings), angles),
+            label=track.label,
+            stationary=path.stands,
+            parent_id=object_id(track),
+        )
+        for track, path in zip(kept, paths, strict=True)
+    ]
     seen, counts = _seen_by_sensors(replace(scene, annotations=tuple(cuboids)), settings, ego, warnings)
-    heard = _labels_heard(scene, kept, settings, ego, warnings)
-    together = {frozenset((person.id, bike.id)) for person, bike in pairs}
-    flags = [one for track in kept for one in flags_of(track)]
-    flags += [*overlap_flags(kept, together), *heard.flags, *_empty(kept, counts)]
-    flags.sort(key=lambda one: (-one.urgency, one.track, one.kind))
+    heard: _Attributes = {}
+    flags = [flag for track in kept for flag in flags_of(track)]
+    flags += overlap_flags(kept, {frozenset((person.id, bike.id)) for person, bike in pairs})
+    if settings.radar:
+        try:
+            heard, contradicted = _ask_radars(scene, kept, ego)
+            flags += contradicted
+        except PoseError as error:
+            warnings.append(skipped("labels-not-heard", "annotations", f"radars were not asked: {error}"))
+    flags += _empty(kept, counts)
+    flags.sort(key=lambda flag: (-flag.urgency, flag.track, flag.kind))
     made: list[Annotation] = []
     for track, cuboid in zip(kept, seen, strict=True):
-        made += _annotations(scene, track, cuboid, heard, flags, settings)
-    made += [_link(person, bike) for person, bike in pairs]
+        reported = _attributes_of(track, settings.source, [str(flag.kind) for flag in flags if flag.track == track.id])
+        attributes = (*reported, *heard.get(track.id, ()), *cuboid.attributes)
+        made += [ObjectAnnotation(object_id(track), label=track.label), replace(cuboid, attributes=attributes)]
+        if settings.boxes_2d:
+            gap_ns = round(settings.longest_gap * 1e9)
+            made += _boxes_in_images(scene, track, object_id(track), f"box-{track.id}", longest_gap_ns=gap_ns)
+    for person, bike in pairs:
+        ids = cuboid_id(person), cuboid_id(bike)
+        made.append(LinkAnnotation(f"link-{person.id}-{bike.id}", *ids, label="rides", is_bidirectional=False))
     labelled = replace(scene, annotations=(*scene.annotations, *made))
-    labelled = with_ours(labelled, **{**_angles(scene), LABELS: _record(flags, settings, len(kept))})
-    keyframes = sum(len(cuboid.path.timestamps_ns) for cuboid in cuboids)
+    entries = {
+        "euler_unit": str(angles.unit),
+        "euler_order": str(angles.order),
+        LABELS: {
+            "made_by": f"sceneloom {__version__}",
+            "source": settings.source,
+            "objects": len(kept),
+            "tolerance_m": settings.tolerance_m,
+            "tolerance_deg": settings.tolerance_deg,
+            "constant_sizes": settings.constant_sizes,
+            "review": [
+                {
+                    "annotation": f"cuboid-{flag.track}",
+                    "flag": str(flag.kind),
+                    "timestamp_ns": flag.timestamp_ns,
+                    "value": flag.value,
+                    "urgency": round(flag.urgency, 2),
+                }
+                for flag in flags
+            ],
+        },
+    }
     return Labelled(
-        with_warnings(labelled, warnings),
+        with_warnings(with_ours(labelled, **entries), warnings),
         tuple(flags),
         len(kept),
         sum(path.stands for path in paths),
         sum(len(track) for track in kept),
-        keyframes,
+        sum(len(cuboid.path.timestamps_ns) for cuboid in cuboids),
     )
-
-
-def _is_wanted(track: Track, settings: LabelSettings) -> bool:
-    enough = int(_boxed(track).sum()) >= settings.least_states
-    return enough and float(track.scores.max()) >= settings.least_score
 
 
 def object_id(track: Track) -> str:
@@ -747,41 +714,6 @@ def object_id(track: Track) -> str:
 def cuboid_id(track: Track) -> str:
     """The id of the cuboid of a track's object."""
     return f"cuboid-{track.id}"
-
-
-def _cuboid(track: Track, path: _LabelPath, scene: Scene, settings: LabelSettings) -> CuboidAnnotation:
-    return CuboidAnnotation(
-        cuboid_id(track),
-        path.cuboids(path.keyframes(settings), CuboidAngles.of(scene)),
-        label=track.label,
-        stationary=path.stands,
-        parent_id=object_id(track),
-    )
-
-
-def _annotations(
-    scene: Scene,
-    track: Track,
-    cuboid: CuboidAnnotation,
-    heard: _RadarEvidence,
-    flags: Iterable[_Flag],
-    settings: LabelSettings,
-) -> list[Annotation]:
-    """The object of a track, and what belongs to it."""
-    kinds = [str(one.kind) for one in flags if one.track == track.id]
-    reported = _attributes_of(track, settings.source, kinds)
-    boxes: Sequence[Box2DAnnotation] = ()
-    if settings.boxes_2d:
-        gap_ns = round(settings.longest_gap * 1e9)
-        boxes = list(_boxes_in_images(scene, track, object_id(track), f"box-{track.id}", longest_gap_ns=gap_ns))
-    about = heard.attributes.get(track.id, ())
-    whole = replace(cuboid, attributes=(*reported, *about, *cuboid.attributes))
-    return [ObjectAnnotation(object_id(track), label=track.label), whole, *boxes]
-
-
-def _link(person: Track, bike: Track) -> LinkAnnotation:
-    ids = cuboid_id(person), cuboid_id(bike)
-    return LinkAnnotation(f"link-{person.id}-{bike.id}", *ids, label="rides", is_bidirectional=False)
 
 
 def _seen_by_sensors(
@@ -805,22 +737,6 @@ def _seen_by_sensors(
     return [each for each in scene.annotations if isinstance(each, CuboidAnnotation)], counts
 
 
-def _labels_heard(
-    scene: Scene,
-    tracks: Sequence[Track],
-    settings: LabelSettings,
-    ego: EgoMotion | None,
-    warnings: list[DataWarning],
-) -> _RadarEvidence:
-    if not settings.radar or not any(isinstance(sensor, RadarSensor) for sensor in scene.sensors):
-        return _NO_EVIDENCE
-    try:
-        return _hear(scene, tracks, ego)
-    except PoseError as error:
-        warnings.append(skipped("labels-not-heard", "annotations", f"radars were not asked: {error}"))
-        return _NO_EVIDENCE
-
-
 def _empty(tracks: Sequence[Track], counts: PointCounts | None) -> list[_Flag]:
     """Flag objects without points in sweeps that have a box of them."""
     if counts is None:
@@ -840,30 +756,3 @@ def _empty(tracks: Sequence[Track], counts: PointCounts | None) -> list[_Flag]:
         if len(rows):
             found += _flag(track, FlagKind.EMPTY, float((points == 0).mean()), int(rows[points.argmin()]))
     return found
-
-
-def _angles(scene: Scene) -> dict[str, Any]:
-    angles = CuboidAngles.of(scene)
-    return {"euler_unit": str(angles.unit), "euler_order": str(angles.order)}
-
-
-def _record(flags: Sequence[_Flag], settings: LabelSettings, objects: int) -> dict[str, Any]:
-    """How labels were made and what to look at first, for the scene's metadata."""
-    return {
-        "made_by": f"sceneloom {__version__}",
-        "source": settings.source,
-        "objects": objects,
-        "tolerance_m": settings.tolerance_m,
-        "tolerance_deg": settings.tolerance_deg,
-        "constant_sizes": settings.constant_sizes,
-        "review": [
-            {
-                "annotation": f"cuboid-{one.track}",
-                "flag": str(one.kind),
-                "timestamp_ns": one.timestamp_ns,
-                "value": one.value,
-                "urgency": round(one.urgency, 2),
-            }
-            for one in flags
-        ],
-    }

@@ -67,27 +67,26 @@ class TrackerSettings:
     image_box: ImageBox = ImageBox.IMAGE
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            if f.name == "image_box":
-                continue
-            value = getattr(self, f.name)
-            low, high = _BOUNDS.get(f.name, (0.0, float("inf")))
-            if not low <= value <= high:
-                raise OptionError(f"{f.name} {value!r}; expected {low:g} to {high:g}")
+        _check(self)
 
-
-_BOUNDS = {
-    "recall_2d": (0.0, 0.999),
-    "recall_3d": (0.0, 0.999),
-    "prior": (1e-6, 1.0 - 1e-6),
-    "trust": (0.0, 1.0),
-    "lifetime": (1e-3, float("inf")),
-    "report": (0.0, 1.0),
-    "drop": (0.0, 1.0),
-    "accept": (0.0, 1.0),
-}
 
 _ANY = float("inf")
+_BOUNDS = {
+    **dict.fromkeys(("recall_2d", "recall_3d"), (0.0, 0.999)),
+    **dict.fromkeys(("trust", "report", "drop", "accept", "least_score"), (0.0, 1.0)),
+    "prior": (1e-6, 1.0 - 1e-6),
+    "lifetime": (1e-3, _ANY),
+    "tolerance_deg": (0.0, 180.0),
+    "least_states": (1.0, _ANY),
+}
+
+
+def _check(settings: "TrackerSettings | LabelSettings") -> None:
+    """Check that every number is in its bounds, 0 or more if it has none."""
+    for f in fields(settings):
+        value, (low, high) = getattr(settings, f.name), _BOUNDS.get(f.name, (0.0, _ANY))
+        if isinstance(value, float | int) and not low <= value <= high:
+            raise OptionError(f"{f.name} {value!r}; expected {low:g} to {high:g}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,11 +132,4 @@ class LabelSettings:
     source: str = "tracks"
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            low, high = _SETTINGS_BOUNDS.get(f.name, (0.0, _ANY))
-            if isinstance(value, float | int) and not low <= value <= high:
-                raise OptionError(f"{f.name} {value!r}; expected {low:g} to {high:g}")
-
-
-_SETTINGS_BOUNDS = {"least_score": (0.0, 1.0), "tolerance_deg": (0.0, 180.0), "least_states": (1.0, _ANY)}
+        _check(self)

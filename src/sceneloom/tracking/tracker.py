@@ -50,7 +50,7 @@ box votes for its own heading, each moment of motion for its direction; the sum 
 whose heading is known are asked anew each time, and count only where the rest is undecided.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from types import MappingProxyType
@@ -119,8 +119,6 @@ class Observation:
 
         Args:
             pairs: by camera, the same boxes of the sweep with those of its image; one at least.
-            world_from_lidar: where the lidar was at the time of the sweep.
-            fuse: how.
 
         Raises:
             OptionError: the boxes of the sweep are not in the lidar's frame.
@@ -200,46 +198,37 @@ class _Observations:
         return len(self.measures)
 
 
-def visibility(observation: Observation) -> _Observations:
-    """Give the boxes of all cameras' fusions in the world frame, those of the sweep once each."""
+def observed(observation: Observation) -> _Observations:
+    """The boxes of all cameras' fusions in the world frame, those of the sweep once each."""
     parts = [(camera_id, fused, np.flatnonzero(_sound(fused))) for camera_id, fused in observation.fused.items()]
-    parts = [part for part in parts if len(part[2])]
-    if not parts:
-        return _observations([], observation.world_from_lidar)
-    rows = _each_once(parts)
-    return _observations(
-        [(camera_id, fused, kept) for (camera_id, fused, _), kept in zip(parts, rows, strict=True)],
-        observation.world_from_lidar,
-        {camera_id: fused for camera_id, fused, _ in parts},
-    )
+    parts = _each_once([part for part in parts if len(part[2])])
+    columns = [_columns(fused, rows, observation.world_from_lidar) for _, fused, rows in parts]
+    stacked: dict[str, Any] = {
+        name: np.concatenate([empty, *(found[name] for found in columns)]) for name, empty in _EMPTY.items()
+    }
+    labels = tuple(fused.labels[k] for _, fused, rows in parts for k in rows.tolist())
+    codes = _codes_of(labels)
+    corners_xyxy = _corners(parts, stacked.pop("rows_3d"))
+    return _Observations(labels=labels, codes=codes, vehicles=_is_vehicle(codes), corners_xyxy=corners_xyxy, **stacked)
 
 
 def _sound(fused: FusedBoxes) -> BoolArray:
-    """Which boxes have a location, a size and covariances."""
-    numbers = np.concatenate(
-        [
-            fused.centers,
-            fused.sizes_lwh,
-            fused.yaws[:, None],
-            fused.center_covariances.reshape(-1, 9),
-            fused.size_covariances.reshape(-1, 9),
-        ],
-        axis=1,
-    )
-    sound: BoolArray = np.isfinite(numbers).all(axis=1) & (fused.sizes_lwh > 0.0).all(axis=1)
+    """Which boxes have a position, a size and covariances."""
+    sound: BoolArray = (fused.sizes_lwh > 0.0).all(axis=1) & np.isfinite(fused.yaws)
+    for values in (fused.centers, fused.sizes_lwh, fused.center_covariances, fused.size_covariances):
+        sound &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     return sound
 
 
-_Part = tuple[Identifier, FusedBoxes, Int64Array]
-
-
-def _each_once(parts: list[_Part]) -> list[Int64Array]:
+def _each_once(
+    parts: list[tuple[Identifier, FusedBoxes, Int64Array]],
+) -> list[tuple[Identifier, FusedBoxes, Int64Array]]:
     """Of every box of the sweep the one camera's fusion that knows most: one with a partner, else the most doubtful.
 
     A camera that should have seen an object and did not makes it doubtful; one that could not says nothing.
     """
-    if len(parts) == 1:
-        return [parts[0][2]]
+    if len(parts) <= 1:
+        return parts
     best: dict[int, tuple[tuple[bool, float, int], int]] = {}
     kept: list[list[int]] = [[] for _ in parts]
     for p, (_, fused, rows) in enumerate(parts):
@@ -253,47 +242,26 @@ def _each_once(parts: list[_Part]) -> list[Int64Array]:
                 best[number] = rank, row
     for rank, row in best.values():
         kept[rank[2]].append(row)
-    return [np.array(sorted(rows), np.int64) for rows in kept]
-
-
-def _observations(
-    parts: list[_Part],
-    world_from_lidar: RigidTransform,
-    all_fused: dict[Identifier, FusedBoxes] | None = None,
-) -> _Observations:
-    columns = [_columns(fused, rows, world_from_lidar) for _, fused, rows in parts]
-    labels = tuple(fused.labels[k] for _, fused, rows in parts for k in rows.tolist())
-    stacked: dict[str, Any] = {
-        name: np.concatenate([c[name] for c in columns]) if columns else empty for name, empty in _EMPTY.items()
-    }
-    numbers = stacked.pop("rows_3d")
-    codes = _codes_of(labels)
-    return _Observations(
-        labels=labels,
-        codes=codes,
-        vehicles=_is_vehicle(codes),
-        corners_xyxy=_corners(parts, numbers, all_fused or {}),
-        **stacked,
-    )
+    rows_of = (np.array(sorted(rows), np.int64) for rows in kept)
+    return [(camera_id, fused, rows) for (camera_id, fused, _), rows in zip(parts, rows_of, strict=True)]
 
 
 def _corners(
-    parts: list[_Part], numbers: Int64Array, all_fused: dict[Identifier, FusedBoxes]
+    parts: list[tuple[Identifier, FusedBoxes, Int64Array]], numbers: Int64Array
 ) -> dict[Identifier, Float64Array]:
     """Of each camera the boxes of its image, also of boxes of the sweep that another camera's fusion reports."""
     corners, start = {}, 0
-    for camera_id, _, rows in parts:
-        fused = all_fused[camera_id]
+    for camera_id, fused, rows in parts:
         boxes = np.full((len(numbers), 4), np.nan)
         paired = fused.rows_2d[rows] != NO_BOX
         boxes[start : start + len(rows)][paired] = fused.corners_xyxy[rows[paired]]
         start += len(rows)
         if len(parts) > 1:
             both = np.flatnonzero((fused.rows_3d != NO_BOX) & (fused.rows_2d != NO_BOX))
-            location = {int(fused.rows_3d[k]): k for k in both.tolist()}
+            row_of = {int(fused.rows_3d[k]): k for k in both.tolist()}
             for i, number in enumerate(numbers.tolist()):
-                if number in location:
-                    boxes[i] = fused.corners_xyxy[location[number]]
+                if number in row_of:
+                    boxes[i] = fused.corners_xyxy[row_of[number]]
         corners[camera_id] = boxes
     return corners
 
@@ -304,8 +272,11 @@ def _columns(fused: FusedBoxes, rows: Int64Array, world_from_lidar: RigidTransfo
     yaws, covariances = fused.yaws[rows], np.zeros((len(rows), 7, 7))
     centers = fused.center_covariances[rows]
     alone = np.flatnonzero(~measured)
-    if len(alone):
-        centers[alone] = _stretched(centers[alone], fused.centers[rows[alone]])
+    if len(alone):  # wider along the ray
+        rays = fused.centers[rows[alone]]
+        rays = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-9)
+        along = np.einsum("ni,nij,nj->n", rays, centers[alone], rays)
+        centers[alone] += ((_SEEN_ALONG - 1.0) * along)[:, None, None] * (rays[:, :, None] * rays[:, None])
     covariances[:, :3, :3] = rotation @ centers @ rotation.T
     covariances[:, 3:6, 3:6] = fused.size_covariances[rows]
     covariances[:, 6, 6] = _yaw_variances(fused, rows)
@@ -315,30 +286,15 @@ def _columns(fused: FusedBoxes, rows: Int64Array, world_from_lidar: RigidTransfo
     velocities = np.full((len(rows), 3), np.nan)
     if fused.velocities is not None:
         velocities[measured] = fused.velocities[rows[measured]] @ rotation.T
+    headings = np.arctan2(directions[:, 1], directions[:, 0])
     return {
-        "measures": np.column_stack(
-            [
-                world_from_lidar.apply(fused.centers[rows]),
-                fused.sizes_lwh[rows],
-                np.arctan2(directions[:, 1], directions[:, 0]),
-            ]
-        ),
+        "measures": np.column_stack([world_from_lidar.apply(fused.centers[rows]), fused.sizes_lwh[rows], headings]),
         "covariances": covariances,
         "measured": measured,
         "log_odds": np.log(scores / (1.0 - scores)),
         "velocities": velocities,
         "rows_3d": fused.rows_3d[rows],
     }
-
-
-def _stretched(covariances: Float64Array, centers: Float64Array) -> Float64Array:
-    """The covariances, wider along the ray."""
-    rays = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-9)
-    along = np.einsum("ni,nij,nj->n", rays, covariances, rays)
-    wider: Float64Array = covariances + ((_SEEN_ALONG - 1.0) * along)[:, None, None] * (
-        rays[:, :, None] * rays[:, None]
-    )
-    return wider
 
 
 def _yaw_variances(fused: FusedBoxes, rows: Int64Array) -> Float64Array:
@@ -387,16 +343,10 @@ def predicted(
     seconds: float,
     settings: TrackerSettings,
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Move states on.
+    """Move states (N, 11) and their covariances (N, 11, 11) on by so many seconds.
 
-    Args:
-        means, covariances: (N, 11) and (N, 11, 11).
-        vehicles: (N,), whether they move as vehicles do.
-        seconds: how long.
-        settings: how strongly they change their motion.
-
-    Returns:
-        Means and covariances afterwards, and the slopes (N, 11, 11) of the means.
+    `vehicles` (N,) are those that move as vehicles do. Gives means and covariances afterwards, and the slopes (N, 11,
+    11) of the means.
     """
     fast, slow = settings.vehicle_acceleration, settings.person_acceleration
     rotating = settings.yaw_acceleration
@@ -420,13 +370,9 @@ def read(
     noises: Float64Array,
     columns: Int64Array,
 ) -> None:
-    """Read of some states a box each, in place.
+    """Read of states (N, 11) a box each, in place: of states `rows` (K,) the boxes `columns` (K,) of M.
 
-    Args:
-        means, covariances: (N, 11) and (N, 11, 11).
-        rows: (K,), which of them.
-        measures, noises: (M, 7) and (M, 7, 7); headings off by more than a right angle are taken the other way round.
-        columns: (K,), the box of each.
+    Headings of boxes that are off by more than a right angle are taken the other way round.
     """
     tracking.read_boxes(means, covariances, rows, measures, noises, columns, _FREEDOM)
 
@@ -458,13 +404,8 @@ def aged(odds: Float64Array, seconds: float, lifetime: float) -> Float64Array:
 def missed(lines: Outlines, distances: Float64Array, settings: TrackerSettings) -> Float64Array:
     """How little it says of each object that neither detector finds it, by what one camera sees: logarithms of 1 - D.
 
-    Args:
-        lines: where the image shows the objects, and how openly.
-        distances: (N,) float64 [m], from the lidar.
-        settings: what the detectors find.
-
-    Returns:
-        (N, 2) float64, of images and of sweeps.
+    `lines` are where the image shows the objects, `distances` (N,) [m] are from the lidar. Gives (N, 2) float64, of
+    images and of sweeps.
     """
     corners = lines.corners_xyxy
     tall = corners[:, 3] - corners[:, 1] >= settings.least_height_px
@@ -531,21 +472,21 @@ class _Population:
             supports=np.zeros(0, np.uint8),
         )
 
-    def copied(self) -> "_Population":
-        """The same objects, to be changed in place."""
+    def _each(self, change: Callable[[Any], Any]) -> "_Population":
+        """The objects with every array changed."""
         kept: dict[str, Any] = {}
         for name in _COLUMNS:
             value = getattr(self, name)
-            kept[name] = dict(value) if isinstance(value, dict) else value.copy()
+            kept[name] = {k: change(v) for k, v in value.items()} if isinstance(value, dict) else change(value)
         return _Population(**kept)
+
+    def copied(self) -> "_Population":
+        """The same objects, to be changed in place."""
+        return self._each(np.copy)
 
     def select(self, rows: Int64Array | BoolArray) -> "_Population":
         """Some of the objects."""
-        kept: dict[str, Any] = {}
-        for name in _COLUMNS:
-            value = getattr(self, name)
-            kept[name] = {k: v[rows] for k, v in value.items()} if isinstance(value, dict) else value[rows]
-        return _Population(**kept)
+        return self._each(lambda values: values[rows])
 
     def joined(self, others: "_Population") -> "_Population":
         """These objects and others, whose words are the same."""
@@ -585,8 +526,6 @@ def outlines(numbers: Float64Array, likely: Float64Array, world_from_lidar: Rigi
     Args:
         numbers: (N, 7), middle, length, width, height [m] and heading [rad].
         likely: (N,), how likely each is there, and hides what is behind it.
-        world_from_lidar: where the lidar is.
-        view: the camera.
     """
     rotation = world_from_lidar.rotation
     cosines, sines = np.cos(numbers[:, 6]), np.sin(numbers[:, 6])
@@ -599,7 +538,12 @@ def outlines(numbers: Float64Array, likely: Float64Array, world_from_lidar: Rigi
     if in_view.all():
         return project_outlines(view.camera, view.camera_from_lidar, boxes, likely=likely)
     found = project_outlines(view.camera, view.camera_from_lidar, boxes[in_view], likely=likely[in_view])
-    return Outlines(*(_spread(getattr(found, f.name), in_view) for f in fields(found)))
+    every = []
+    for f in fields(found):  # zeros for boxes out of view
+        rows = getattr(found, f.name)
+        every.append(np.zeros((len(in_view), *rows.shape[1:])))
+        every[-1][in_view] = rows
+    return Outlines(*every)
 
 
 def _in_view(boxes: Float64Array, view: View) -> BoolArray:
@@ -614,13 +558,6 @@ def _in_view(boxes: Float64Array, view: View) -> BoolArray:
     balls = np.arcsin(np.minimum(reach / np.maximum(away, 1e-9), 1.0))
     in_view: BoolArray = (angles - balls < widest_angle(view.camera)) | (reach >= away)
     return in_view
-
-
-def _spread(rows: Float64Array, chosen: BoolArray) -> Float64Array:
-    """Rows in their locations among all, zeros between them."""
-    every = np.zeros((len(chosen), *rows.shape[1:]))
-    every[chosen] = rows
-    return every
 
 
 def _filtered(
@@ -657,12 +594,9 @@ def noises(corners: Float64Array) -> Float64Array:
 
 
 def applied(differing: Float64Array, outlined: Float64Array, width: int, height: int) -> Float64Array:
-    """The boxes that differ so from outlines, cut at the image; NaN where there is no outline.
+    """The boxes (N, 4) [px] that differ so from outlines, cut at the image; NaN where there is no outline.
 
-    Args:
-        differing: (N, 4), NaN where nothing is known of it.
-        outlined: (N, 4) [px].
-        width, height: of the image [px].
+    `differing` (N, 4) is NaN where nothing is known of it.
     """
     known = np.where(np.isnan(differing), 0.0, differing)
     sides = outlined[:, 2:] - outlined[:, :2]
@@ -690,50 +624,32 @@ _AGREEMENT = 0.5 * (_FREEDOM + 1.0) * float(np.log1p(((1.0 - _USUAL_OVERLAP) / _
 """What an image adds at most: where boxes are the same."""
 
 
-class Candidates(NamedTuple):
-    """Pairs of objects and boxes: (K,) int64 of both, and (K,) float64, how much likelier they are one than not."""
-
-    rows: Int64Array
-    columns: Int64Array
-    gains: Float64Array
-
-
 def _candidates(
     objects: _Population, foreseen: _ByCamera, seen: _Observations, settings: TrackerSettings
-) -> Candidates:
+) -> tuple[Int64Array, Int64Array, Float64Array]:
     """Which boxes may be of which objects, and how much likelier that is than that they are of anything else.
 
-    Args:
-        foreseen: by camera, (N, 4) [px], where they are expected in its image, NaN for nowhere.
+    `foreseen` is by camera, (N, 4) [px], where they are expected in its image, NaN for nowhere. Gives (K,) rows of
+    objects, (K,) rows of boxes, and (K,) logarithms.
     """
     density = np.where(objects.vehicles, settings.vehicle_density, settings.person_density)
-    found = Candidates(
-        *gains_in_space(
-            np.ascontiguousarray(objects.means[:, :3]),
-            np.ascontiguousarray(objects.covariances[:, :3, :3]),
-            objects.codes,
-            np.log(density),
-            np.ascontiguousarray(seen.measures[:, :3]),
-            np.ascontiguousarray(seen.covariances[:, :3, :3]),
-            seen.codes,
-            np.minimum(seen.log_odds, 0.0),
-            _LEAST_SIGMA**2,
-            _FREEDOM,
-            len(seen.corners_xyxy) * _AGREEMENT,
-        )
+    found: tuple[Int64Array, Int64Array, Float64Array] = gains_in_space(
+        np.ascontiguousarray(objects.means[:, :3]),
+        np.ascontiguousarray(objects.covariances[:, :3, :3]),
+        objects.codes,
+        np.log(density),
+        np.ascontiguousarray(seen.measures[:, :3]),
+        np.ascontiguousarray(seen.covariances[:, :3, :3]),
+        seen.codes,
+        np.minimum(seen.log_odds, 0.0),
+        _LEAST_SIGMA**2,
+        _FREEDOM,
+        len(seen.corners_xyxy) * _AGREEMENT,
     )
+    numbers = _OVERLAP_SIGMA, _USUAL_OVERLAP, _LEAST_OVERLAP, _FREEDOM
     for camera_id, corners in seen.corners_xyxy.items():
         if camera_id in foreseen:
-            add_gains_in_image(
-                *found,
-                foreseen[camera_id],
-                corners,
-                seen.measured,
-                _OVERLAP_SIGMA,
-                _USUAL_OVERLAP,
-                _LEAST_OVERLAP,
-                _FREEDOM,
-            )
+            add_gains_in_image(*found, foreseen[camera_id], corners, seen.measured, *numbers)
     return found
 
 
@@ -885,7 +801,7 @@ class Tracker:
     def advance(self, observation: Observation) -> Moment:
         """Take the boxes of the next moment, and give all that is known then."""
         seconds = self._elapsed(observation.timestamp_ns)
-        seen = visibility(observation)
+        seen = observed(observation)
         self._learn_words(seen)
         predicted, slopes = _predicted(self._objects, seconds, self.settings)
         foreseen, missed = _foreseen(predicted, observation, self.settings)
@@ -899,7 +815,9 @@ class Tracker:
         self._read(objects, rows, seen, columns, predicted)
         objects.seen_ns[rows] = observation.timestamp_ns
         objects = self._with_newborn(objects, rows, seen, columns, observation.timestamp_ns)
-        objects = self._still_there(objects, observation.timestamp_ns)
+        there = objects.log_odds > log_odds(self.settings.drop)
+        there &= observation.timestamp_ns - objects.seen_ns <= self.settings.longest_gap * 1e9
+        objects = objects if there.all() else objects.select(there)
         outlined = _compare_with_outlines(objects, observation)
         self._objects = objects
         return Moment(observation, objects, predicted, slopes, outlined, self._words)
@@ -977,12 +895,6 @@ class Tracker:
         )
         self._next_id += len(new)
         return objects.joined(newborn)
-
-    def _still_there(self, objects: _Population, timestamp_ns: int) -> _Population:
-        settings = self.settings
-        there = objects.log_odds > log_odds(settings.drop)
-        there &= timestamp_ns - objects.seen_ns <= settings.longest_gap * 1e9
-        return objects if there.all() else objects.select(there)
 
 
 def _predicted(objects: _Population, seconds: float, settings: TrackerSettings) -> tuple[_Population, Float64Array]:
@@ -1062,7 +974,7 @@ def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
     return TrackedObjects(
         timestamp_ns=moment.observation.timestamp_ns,
         ids=objects.ids,
-        labels=tuple(moment.words[k] for k in _most_votes(objects).tolist()),
+        labels=tuple(moment.words[k] for k in objects.votes.argmax(axis=1).tolist()) if len(objects) else (),
         centers=objects.means[:, :3],
         sizes_lwh=objects.means[:, 3:6],
         yaws=objects.means[:, YAW],
@@ -1073,7 +985,3 @@ def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
         supports=objects.supports,
         corners_xyxy=corners,
     )
-
-
-def _most_votes(objects: _Population) -> Int64Array:
-    return objects.votes.argmax(axis=1) if len(objects) else np.zeros(0, np.int64)

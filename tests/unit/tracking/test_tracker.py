@@ -9,7 +9,7 @@ from sceneloom.detections.projection import Outlines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Support
 from sceneloom.tracking import ImageBox, Observation, Tracker, TrackerSettings, track_drive, tracker
-from sceneloom.tracking.tracker import UNKNOWN_VARIANCE, visibility
+from sceneloom.tracking.tracker import UNKNOWN_VARIANCE, observed
 
 SETTINGS = TrackerSettings()
 
@@ -194,14 +194,14 @@ def stationary(street, actor, **options):
 def test_locations_headings_and_covariances_are_those_of_the_world(street, actor):
     seen = stationary(street, actor)
     fused = replace(seen.fused["front"], center_covariances=np.diag([0.01, 0.04, 0.09])[None])
-    there = visibility(replace(seen, fused={"front": fused}, world_from_lidar=ROTATION))
+    there = observed(replace(seen, fused={"front": fused}, world_from_lidar=ROTATION))
     assert there.measures[0, :2] == pytest.approx([5.0 - 2.0, 6.0 + 10.0])
     assert there.measures[0, 6] == pytest.approx(0.2 + np.pi / 2)
     assert np.diag(there.covariances[0])[:3] == pytest.approx([0.04, 0.01, 0.09])
 
 
 def test_a_box_of_the_image_alone_reports_no_heading_and_little_of_its_distance(street, actor):
-    there = visibility(stationary(street, actor, only_in_image=(0.0, 1.0)))
+    there = observed(stationary(street, actor, only_in_image=(0.0, 1.0)))
     assert not there.measured[0]
     assert there.covariances[0, 6, 6] == UNKNOWN_VARIANCE
     ray = there.measures[0, :3] / np.linalg.norm(there.measures[0, :3])
@@ -219,7 +219,7 @@ def test_of_two_cameras_the_one_with_a_partner_counts_else_the_doubtful_one(stre
         ({"a": doubtful, "b": replace(fused, scores=np.array([0.6]))}, 0.6),
         ({"a": sure, "b": doubtful}, 0.3),
     ):
-        there = visibility(replace(seen, fused=by_camera))
+        there = observed(replace(seen, fused=by_camera))
         assert len(there) == 1
         assert there.log_odds[0] == pytest.approx(np.log(odds / (1.0 - odds)))
 
@@ -228,7 +228,7 @@ def test_yaw_variances_of_the_fusion_count_where_they_are_some(street, actor):
     seen = stationary(street, actor)
     for stated, expected in ((np.array([0.04]), 0.04), (np.array([np.nan]), 0.01), (None, 0.01)):
         fused = replace(seen.fused["front"], yaw_variances=stated)
-        assert visibility(replace(seen, fused={"front": fused})).covariances[0, 6, 6] == pytest.approx(expected)
+        assert observed(replace(seen, fused={"front": fused})).covariances[0, 6, 6] == pytest.approx(expected)
 
 
 TRACKER_TIMES = np.arange(40) / 10.0

@@ -1,4 +1,4 @@
-"""x.
+"""Fusion of the boxes of a sweep with those of an image, by projecting the former into the image.
 
 An object of the height h that is seen under the angle α from top to bottom is h / (2 tan(α / 2)) away. How much
 heights differ within a class is how little is known of that distance; across the ray the image knows better.
@@ -7,8 +7,7 @@ The rays through a box in an image bound a frustum. What the middle of the box s
 ground left out, is mostly the object itself: of the points there, those of the boxes that the sweep has itself taken
 away, the object's are the many at one distance, near to what its height in the image makes likely (`camera_only`).
 Its middle lies behind them, by half of what it measures along the line of sight: how that is rotated is known by how
-    wide
-it appears. Too few points leave the object where its height puts it.
+wide it appears. Too few points leave the object where its height puts it.
 
 Source: Qi et al. 2018, "Frustum PointNets for 3D Object Detection from RGB-D Data", for frustums of boxes; there a
 network looks into them, here two distributions do.
@@ -30,8 +29,7 @@ What becomes of the boxes:
 - A pair is one object: where and how large the sweep's box says, sharpened by the image's (`refinement`); with the
   class of the surer detector, the image's box, and the existence that both together make likely (`existence`).
 - A box of the sweep alone stays an object. If the image shows its location openly, and its detector should have found
-it
-  there, it becomes less likely.
+  it there, it becomes less likely.
 - A box of the image alone stays an object too, at the distance that its height in the image and the usual height
   of its class give (`camera_only`), or that of the points of the sweep behind it, where these are given and report one
   (`frustum`); how little that is worth is in its covariance. Its heading is not known, and given as 0. Whoever wants
@@ -40,8 +38,8 @@ it
 Boxes whose location or size is no number are left out.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -57,7 +55,6 @@ from sceneloom.detections.results import NO_BOX, DetectionPair, FusedBoxes
 from sceneloom.detections.settings import (
     AGREED,
     ProjectionSettings,
-    Tables,
     box_covariances,
     image_sigmas,
     tables_of,
@@ -71,25 +68,6 @@ from sceneloom.kernels.boxes import points_in_cones
 from sceneloom.kernels.overlaps import hide_covered
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 from sceneloom.scene.types import PointsFrame
-
-
-def _widen_agreed(
-    covariances: Float64Array, partners: Int64Array, own: BoolArray, kinds: Int64Array, table: Float64Array
-) -> None:
-    """Multiply the covariances of boxes with a partner.
-
-    The update makes them as small as if both sensors erred independently.
-
-    Args:
-        covariances: (N, 6, 6), of middles and sizes; changed.
-        partners: (N,), -1 for none.
-        own: (N,), those of a detector that knows them stay.
-        kinds: (N,), rows of the table.
-        table: (K, COLUMNS).
-    """
-    widened: Int64Array = np.flatnonzero((partners >= 0) & ~own)
-    factors = np.sqrt(np.repeat(table[kinds[widened], AGREED : AGREED + 2], 3, axis=1))
-    covariances[widened] *= factors[:, :, None] * factors[:, None]
 
 
 @lru_cache(maxsize=4096)
@@ -118,15 +96,13 @@ _RAYS: Float64Array = read_only(
 
 
 class _Placed(NamedTuple):
-    """Objects in space by one image.
+    """Objects in space by one image: rows of boxes along which the camera model has rays, positions in the lidar frame.
 
     Attributes:
-        rows: (P,) int64, which boxes: those asked for along which the camera model has rays.
-        centers: (P, 3) float64 [m], lidar frame.
-        center_covariances: (P, 3, 3) float64 [m²].
-        sizes_lwh: (P, 3) float64 [m], typical of the class.
-        size_covariances: (P, 3, 3) float64 [m²].
-        ranges: (P,) float64 [m], from the camera.
+        rows: (P,) int64.
+        centers, center_covariances: (P, 3) [m] and (P, 3, 3) [m²].
+        sizes_lwh, size_covariances: (P, 3) [m], typical of the class, and (P, 3, 3) [m²].
+        ranges: (P,) [m], from the camera.
     """
 
     rows: Int64Array
@@ -144,14 +120,12 @@ def position_by_height(
     rows: Int64Array,
     kinds: Int64Array,
 ) -> _Placed:
-    """Guess where objects are whose boxes in the image are all that is known.
+    """Estimate where objects are whose boxes in the image are all that is known.
 
     Args:
-        camera: the camera model.
-        camera_from_lidar: how it lies.
         corners_xyxy: (M, 4) float64 [px], boxes of the image, corner convention, with an area.
         rows: (L,) int64, which of them are asked for.
-        kinds: (M,) int64, of `classes.table_rows`.
+        kinds: (M,) int64, of `detectors.table_rows`.
     """
     boxes = corners_xyxy[rows]
     pixels = (boxes @ _RAYS).reshape(-1, 2) - CENTRE_TO_CORNER
@@ -211,10 +185,8 @@ _NEAR_SHIFT = 12.0
 """The middle of what is seen of a near object of length l is off by l² / (so many times its distance)."""
 
 _SLIM, _BODY = 1.0, 0.25
-"""Of what is slimmer [m] the middle shows a person, rider association or not.
-
-The middle of a body is this share of its width
-behind its surface."""
+"""Of what is slimmer [m] the middle shows a person, riding or not, whose middle is this share of its width behind its
+surface."""
 
 _MIDDLE_AND_CORNERS = np.array([[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 
@@ -235,17 +207,10 @@ def _position_by_points(
     boxes: Float64Array,
     placed: _Placed,
 ) -> tuple[_Placed, BoolArray]:
-    """Put objects that an image shows where the points of the sweep are.
+    """Put objects that an image shows where the points (P, 3) [m] of the sweep are; and which of them that did, (L,).
 
-    Args:
-        camera_from_lidar: how it lies.
-        points_lidar: (P, 3) float [m], of the sweep.
-        corners_xyxy: (M, 4) float64 [px], boxes of the image, corner convention.
-        kinds: (M,) int64, of `classes.table_rows`.
-        boxes: (N, 7) float64, boxes of the sweep: centre, size [m] and heading [rad].
-
-    Returns:
-        The objects, and which of them points have placed, (L,) bool.
+    `corners_xyxy` (M, 4) [px] and `kinds` (M,) are of boxes of the image, `boxes` (N, 7) of the sweep: centre, size [m]
+    and heading [rad].
     """
     measured = np.zeros(len(placed.rows), np.bool_)
     if len(measured) == 0 or len(points_lidar) == 0:
@@ -257,13 +222,21 @@ def _position_by_points(
     points, pixels = points[visible], pixels[visible] + CENTRE_TO_CORNER
     moved = _Placed(*(column.copy() for column in placed))  # type: ignore[arg-type]
     observations = _observations(camera, corners)
-    for k, inside in enumerate(_cores(pixels, corners)):
-        own = points[inside]
+    sides = corners[:, 2:] - corners[:, :2]
+    for k in range(len(corners)):
+        shares = (pixels - corners[k, :2]) / sides[k]
+        inside = (shares[:, 0] >= _CORE_ACROSS[0]) & (shares[:, 0] <= _CORE_ACROSS[1])
+        inside &= (shares[:, 1] >= _CORE_UPRIGHT[0]) & (shares[:, 1] <= _CORE_UPRIGHT[1])
+        own = points[np.flatnonzero(inside)]
         own = own[~_in_boxes(own, boxes)]
         found = _Found.of(own, origin, placed, k, SIZES[kinds[placed.rows[k]]], observations[k])
         if found is not None:
             measured[k] = True
-            found.put(moved, k, origin)
+            ray = (placed.centers[k] - origin) / placed.ranges[k]
+            outer = np.outer(ray, ray)
+            moved.centers[k], moved.ranges[k] = origin + found.distance * ray, found.distance
+            moved.center_covariances[k] = found.across * (np.eye(3) - outer) + found.along * outer
+            moved.sizes_lwh[k, 2], moved.size_covariances[k, 2, 2] = found.height
     return moved, measured
 
 
@@ -288,16 +261,6 @@ def _near_boxes(
     return points_lidar[rows].astype(np.float64)
 
 
-def _cores(pixels: Float64Array, corners: Float64Array) -> Iterator[Int64Array]:
-    """Which points lie in the middle of each box."""
-    for left, top, right, bottom in corners.tolist():
-        wide, high = right - left, bottom - top
-        u, v = pixels[:, 0], pixels[:, 1]
-        inside = (u >= left + _CORE_ACROSS[0] * wide) & (u <= left + _CORE_ACROSS[1] * wide)
-        inside &= (v >= top + _CORE_UPRIGHT[0] * high) & (v <= top + _CORE_UPRIGHT[1] * high)
-        yield np.flatnonzero(inside)
-
-
 def _in_boxes(points: Float64Array, boxes: Float64Array) -> BoolArray:
     """Which points are of a box of the sweep."""
     apart = points[:, None] - boxes[:, :3]
@@ -306,9 +269,7 @@ def _in_boxes(points: Float64Array, boxes: Float64Array) -> BoolArray:
     across = np.abs(cos * apart[:, :, 1] - sin * apart[:, :, 0])
     halves = boxes[:, 3:6] / 2.0 + _IN_BOX
     inside = (along <= halves[:, 0]) & (across <= halves[:, 1]) & (np.abs(apart[:, :, 2]) <= halves[:, 2])
-    found = np.zeros(len(points), np.bool_)
-    found[np.flatnonzero(inside.any(axis=1))] = True
-    return found
+    return np.asarray(inside.any(axis=1))
 
 
 class _Visibility(NamedTuple):
@@ -373,14 +334,6 @@ class _Found(NamedTuple):
         across = across * (distance / placed.ranges[k]) ** 2 + _off_ray(distance, size, visibility)
         along = _SURFACE_SIGMA**2 + behind_variance + visibility.is_cut_across * (_CUT_ALONG * float(size[0])) ** 2
         return cls(distance, along, across, _height(distance, size, visibility))
-
-    def put(self, placed: _Placed, k: int, origin: Float64Array) -> None:
-        """Move object k there."""
-        ray = (placed.centers[k] - origin) / placed.ranges[k]
-        outer = np.outer(ray, ray)
-        placed.centers[k], placed.ranges[k] = origin + self.distance * ray, self.distance
-        placed.center_covariances[k] = self.across * (np.eye(3) - outer) + self.along * outer
-        placed.sizes_lwh[k, 2], placed.size_covariances[k, 2, 2] = self.height
 
 
 def _most_at_once(depths: Float64Array, reach: float, expected: float, variance: float) -> tuple[int, int]:
@@ -455,14 +408,10 @@ _APART = 1.5
 def boxes_with_position(
     centers: Float64Array, sizes: Float64Array, yaws: Float64Array
 ) -> tuple[Float64Array, Int64Array]:
-    """Take those boxes in space that have finite numbers, and sizes above 0.
-
-    Args:
-        centers, sizes: (N, 3) [m].
-        yaws: (N,) [rad].
+    """Those of N boxes in space that have finite numbers, and sizes above 0.
 
     Returns:
-        (M, 7) float64, middle, size and heading of those, and (M,) int64, which they are.
+        (M, 7) float64, middle, size [m] and heading [rad] of those, and (M,) int64, which they are.
     """
     boxes = np.column_stack([centers, sizes, yaws])
     rows = np.flatnonzero(np.isfinite(boxes).all(axis=1) & (boxes[:, 3:6] > 0.0).all(axis=1))
@@ -470,10 +419,7 @@ def boxes_with_position(
 
 
 def boxes_with_area(corners: Float64Array) -> tuple[Float64Array, Int64Array]:
-    """Take those boxes in an image that have finite edges, right and lower ones beyond left and upper ones.
-
-    Args:
-        corners: (N, 4) [px], left, upper, right and lower edge.
+    """Those of (N, 4) boxes in an image [px] that have finite edges, right and lower ones beyond left and upper ones.
 
     Returns:
         (M, 4) float64 [px], their edges, and (M,) int64, which they are.
@@ -509,8 +455,6 @@ def project_outlines(
     """Find where an image shows the boxes of a sweep.
 
     Args:
-        camera: the camera model.
-        camera_from_lidar: how it lies.
         boxes: (N, 7) float64, middle, size [m] and heading [rad] in the lidar's frame; finite.
         likely: (N,) float64, how likely it is that each exists, and so hides what is behind it; None for certain.
 
@@ -554,19 +498,10 @@ def pair_gains(
     *,
     least_iou: float,
 ) -> Float64Array:
-    """Report what it is worth to take a box of the sweep and one of the image for one object.
+    """Gains (N, M) of taking a box of the sweep and one of the image for one object, 0 where they cannot be.
 
-    The worth is (1 + GIoU) / 2, which is 1 for equal boxes, times a factor for the classes.
-
-    Args:
-        outlines_xyxy: (N, 4) float64 [px], of the boxes of the sweep in the image.
-        corners_xyxy: (M, 4) float64 [px], boxes of the image.
-        classes_3d, classes_2d: (N,) and (M,) of `classes.numbers_of`.
-        probabilities_3d, probabilities_2d: (N,) and (M,).
-        least_iou: boxes that overlap less are worth nothing.
-
-    Returns:
-        (N, M) float64, 0 where they cannot be one object.
+    A gain is (1 + GIoU) / 2, which is 1 for equal boxes, times a factor for the classes (`detectors.numbers_of`);
+    boxes that overlap by less than `least_iou` gain nothing.
 
     Source: Rezatofighi et al. 2019, "Generalized Intersection over Union".
     """
@@ -587,10 +522,7 @@ def pair_gains(
 
 
 def assign(gains: Float64Array) -> tuple[Int64Array, Int64Array]:
-    """Pair rows with columns so that the sum of their gains is the largest; pairs without gain are none.
-
-    Args:
-        gains: (N, M), finite.
+    """Pair rows with columns so that the sum of their (N, M) gains is the largest; pairs without gain are none.
 
     Returns:
         (N,) int64, the column of each row, and (M,) int64, the row of each column; NO_BOX for none.
@@ -603,16 +535,10 @@ def assign(gains: Float64Array) -> tuple[Int64Array, Int64Array]:
 
 
 def assign_pairs(rows: Int64Array, columns: Int64Array, gains: Float64Array) -> tuple[Int64Array, Int64Array]:
-    """Choose pairs so that the sum of their gains is the largest, and none shares a row or a column.
+    """Choose of (K,) pairs, each once, so that the sum of gains is the largest, and none shares a row or a column.
 
-    Pairs that compete with no other are taken as they are, since SciPy's time grows with the whole table.
-
-    Args:
-        rows, columns: (K,), the pairs that there may be, each once.
-        gains: (K,), of each, finite; what gains nothing is no pair.
-
-    Returns:
-        (P,) int64 rows, rising, and their columns.
+    Pairs that compete with no other are taken as they are, since SciPy's time grows with the whole table. What gains
+    nothing is no pair. Gives (P,) int64 rows, rising, and their columns.
     """
     worth = gains > 0.0
     rows, columns, gains = rows[worth], columns[worth], gains[worth]
@@ -621,7 +547,10 @@ def assign_pairs(rows: Int64Array, columns: Int64Array, gains: Float64Array) -> 
     taken = (np.bincount(rows)[rows] == 1) & (np.bincount(columns)[columns] == 1)
     rivals = np.flatnonzero(~taken)
     if len(rivals):
-        first, second = _renumbered(rows[rivals]), _renumbered(columns[rivals])
+        # numbered from 0 without gaps, in the same order
+        first, second = (
+            (np.cumsum(np.bincount(numbers) > 0) - 1)[numbers] for numbers in (rows[rivals], columns[rivals])
+        )
         table = np.zeros((first.max() + 1, second.max() + 1))
         table[first, second] = gains[rivals]
         partners = np.full(len(table), -1)
@@ -632,17 +561,9 @@ def assign_pairs(rows: Int64Array, columns: Int64Array, gains: Float64Array) -> 
     return rows[taken][order], columns[taken][order]
 
 
-def _renumbered(numbers: Int64Array) -> Int64Array:
-    """Number what is there from 0 without gaps, in the same order."""
-    found: Int64Array = (np.cumsum(np.bincount(numbers) > 0) - 1)[numbers]
-    return found
-
-
 FARTHEST = 3.0
 """A number of the image that is more deviations than this from where it is expected has another reason."""
 
-BORDER_PX = 2.0
-"""What comes so near to the border of the image may be cut there [px]."""
 
 _STEP = 1e-3  # slopes are of lines through locations so far to either side [m]
 _PROJECTION_LEAST_SHARE = 0.1  # no size shrinks below this share of what it was
@@ -658,23 +579,21 @@ def refine(
     corners_xyxy: Float64Array,
     sigmas: Float64Array,
 ) -> None:
-    """Update boxes by their partners.
+    """Update boxes by their partners, in place.
 
     Args:
-        camera: the camera model.
-        camera_from_lidar: takes middles into the camera's frame.
         outlines: of the boxes in the image.
         boxes: (N, 7), middle in the lidar's frame, length, width, height [m] and heading [rad]; changed.
         covariances: (N, 6, 6) [m²], of middles and sizes; changed.
         partners: (N,) int64, which box of the image is the same object, NO_BOX for none.
         corners_xyxy: (M, 4) [px], boxes of the image, corner convention.
-        sigmas: (N, 6), how far off partners are, of `noise.image_sigmas`.
+        sigmas: (N, 6), how far off partners are, of `settings.image_sigmas`.
     """
     corners, count = outlines.corners_camera, len(boxes)
     pixels = project_unbounded(camera, corners.reshape(-1, 3)).reshape(count, 8, 2)
     pixels += CENTRE_TO_CORNER
     rows, sides, shifted = shifted_sides(
-        corners, pixels, partners, corners_xyxy, float(camera.width), float(camera.height), BORDER_PX, _STEP
+        corners, pixels, partners, corners_xyxy, float(camera.width), float(camera.height), _BORDER_PX, _STEP
     )
     update_by_sides(
         boxes,
@@ -700,13 +619,10 @@ _AGAINST = -0.5  # cosine between heading and motion from which on one of them i
 
 
 def orient_by_motion(yaws: Float64Array, velocities: Float64Array | None) -> Float64Array:
-    """Rotate the headings of objects around that would move backwards too fast.
+    """Reverse the headings (N,) [rad] of objects that would move backwards too fast by their velocities (N, 3) [m/s].
 
-    Detectors of sweeps know the axis of a box better than its front: 2 % of PointRCNN's cars on KITTI are rotated.
-
-    Args:
-        yaws: (N,) [rad].
-        velocities: (N, 3) [m/s] over ground, in the frame of the headings, or None.
+    Velocities are over ground, in the frame of the headings. Detectors of sweeps know the axis of a box better than its
+    front: 2 % of PointRCNN's cars on KITTI are rotated.
     """
     if velocities is None or not len(yaws):
         return yaws
@@ -723,25 +639,22 @@ DEFAULTS = ProjectionSettings()
 def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DEFAULTS) -> FusedBoxes:
     """Fuse the boxes of one sweep with those of one image.
 
-    Args:
-        pair: the boxes, and how their frames lie.
-        settings: what is taken for granted about the detectors.
-
     Returns:
         The objects: those of the boxes of the sweep in their order, then those of the other boxes of the image.
 
     Raises:
         CalibrationError: the camera model is unknown.
         OptionError: the boxes of the sweep are not in the lidar's frame, or there are no such detectors.
-        DataError: the file of the detectors says something else.
+        DataError: the file of the detectors is faulty.
 
     Source: DB34/T 4101-2022, clause 5.7 and table 10 name what is asked for; how is ours.
     """
-    if pair.boxes_3d.frame is not PointsFrame.SENSOR:
-        raise OptionError(f"boxes in the {pair.boxes_3d.frame} frame; expected the lidar's")
+    three, camera, camera_from_lidar = pair.boxes_3d, pair.camera, pair.camera_from_lidar
+    if three.frame is not PointsFrame.SENSOR:
+        raise OptionError(f"boxes in the {three.frame} frame; expected the lidar's")
     tables = tables_of(settings)
     sweep, image = _seen(pair, tables.existence)
-    outlines = project_outlines(pair.camera, pair.camera_from_lidar, sweep.numbers, likely=sweep.likely)
+    outlines = project_outlines(camera, camera_from_lidar, sweep.numbers, likely=sweep.likely)
     gains = pair_gains(
         outlines.corners_xyxy,
         image.numbers,
@@ -763,37 +676,62 @@ def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DE
         sweep.kinds,
         tables.existence,
     )
-    spread = _refined(pair, sweep, image, outlines, partners, tables, settings)
-    alone = np.flatnonzero(taken == NO_BOX) if settings.keep_camera_only else _NO_ROWS
-    placed, by_points = _placed(pair, sweep, image, alone)
+    covariances, of_yaws = _refined(pair, sweep, image, outlines, partners, settings)
+    alone = np.flatnonzero(taken == NO_BOX) if settings.keep_camera_only else np.zeros(0, np.int64)
+    placed = position_by_height(camera, camera_from_lidar, image.numbers, alone, image.kinds)
+    by_points = None
+    if pair.points_lidar is not None:
+        believed = sweep.numbers[sweep.likely >= _BELIEVED]
+        placed, measured = _position_by_points(
+            camera, camera_from_lidar, pair.points_lidar, image.numbers, image.kinds, believed, placed
+        )
+        by_points = np.concatenate([np.zeros(len(sweep.rows), np.bool_), measured])
     others = existence.scores_of_image(placed.rows, placed.ranges, image.odds, image.kinds, tables.existence)
-    scores = np.concatenate([scores, others])
-    labels = (*_labels(sweep, image, partners), *(image.labels[k] for k in placed.rows.tolist()))
-    fused = _joined(pair, sweep, image, outlines, partners, spread, placed, scores, labels, tables.degrees_of_freedom)
-    if by_points is None:
-        return fused
-    return replace(fused, by_points=np.concatenate([np.zeros(len(sweep.rows), np.bool_), by_points]))
+    count = len(placed.rows)
+    sources = np.concatenate([partners, placed.rows])
+    shown = np.flatnonzero(sources != NO_BOX)
+    corners = np.concatenate([outlines.corners_xyxy, np.empty((count, 4))])
+    corners[shown] = image.numbers[sources[shown]]
+    rows_2d = np.full(len(sources), NO_BOX)
+    rows_2d[shown] = image.rows[sources[shown]]
+    yaws, velocities = np.concatenate([sweep.numbers[:, 6], np.zeros(count)]), three.velocities
+    if velocities is not None:
+        velocities = np.concatenate([velocities[sweep.rows], np.zeros((count, 3))])
+    return FusedBoxes(
+        timestamp_ns=three.timestamp_ns,
+        centers=np.concatenate([sweep.numbers[:, :3], placed.centers]),
+        center_covariances=np.concatenate([covariances[:, :3, :3], placed.center_covariances]),
+        sizes_lwh=np.concatenate([sweep.numbers[:, 3:6], placed.sizes_lwh]),
+        size_covariances=np.concatenate([covariances[:, 3:, 3:], placed.size_covariances]),
+        yaws=orient_by_motion(yaws, velocities),
+        velocities=velocities,
+        scores=np.concatenate([scores, others]),
+        labels=(*_labels(sweep, image, partners), *(image.labels[k] for k in placed.rows.tolist())),
+        corners_xyxy=corners,
+        ids=np.arange(len(sources)),
+        rows_3d=np.concatenate([sweep.rows, np.full(count, NO_BOX)]),
+        rows_2d=rows_2d,
+        yaw_variances=np.concatenate([of_yaws, np.full(count, _ANY_YAW)]),
+        degrees_of_freedom=tables.degrees_of_freedom,
+        by_points=by_points,
+    )
 
 
 _BELIEVED = 0.3  # points in a box of the sweep that is less likely than this may be another object's
 
-_NO_ROWS = np.zeros(0, np.int64)
-_NOT_REPORTED = np.zeros((0, 7, 7))
 
 _ANY_YAW = np.pi**2 / 3.0  # variance of a heading of which nothing is known [rad²]
 
 
 class _Seen(NamedTuple):
-    """The boxes of one detector that have a location.
+    """The boxes of one detector that have a position.
 
     Attributes:
-        numbers: (N, 7) float64 of `outlines.boxes_with_position`, or (N, 4) of `outlines.boxes_with_area`.
+        numbers: (N, 7) float64 of `boxes_with_position`, or (N, 4) of `boxes_with_area`.
         rows: (N,) int64, which of the detector's boxes these are.
-        classes: (N,) int64 of `classes.numbers_of`.
-        kinds: (N,) int64, rows of tables.
+        classes, kinds: (N,) int64 of `detectors.numbers_of`, and rows of tables.
         reported: (N,) float64, logarithms of the odds that each exists, as the detector names them; NaN for no numbers.
-        odds: (N,) float64, the same as they come true of that detector.
-        likely: (N,) float64, the probabilities.
+        odds, likely: (N,) float64, the same as they come true of that detector, and the probabilities.
     """
 
     numbers: Float64Array
@@ -808,45 +746,20 @@ class _Seen(NamedTuple):
 
 def _seen(pair: DetectionPair, table: Float64Array) -> tuple[_Seen, _Seen]:
     three, two = pair.boxes_3d, pair.boxes_2d
-    boxes, rows_3d = boxes_with_position(three.centers, three.sizes_lwh, three.yaws)
-    corners, rows_2d = boxes_with_area(two.corners_xyxy)
-    labels_3d, labels_2d = _some(three.labels, rows_3d), _some(two.labels, rows_2d)
+    numbers_3d, rows_3d = boxes_with_position(three.centers, three.sizes_lwh, three.yaws)
+    numbers_2d, rows_2d = boxes_with_area(two.corners_xyxy)
+    labels_3d, labels_2d = ([b.labels[k] for k in rows.tolist()] for b, rows in ((three, rows_3d), (two, rows_2d)))
     classes_3d, classes_2d = numbers_of(labels_3d, labels_2d)
-    return (
-        _weighed(three, boxes, rows_3d, labels_3d, classes_3d, table),
-        _weighed(two, corners, rows_2d, labels_2d, classes_2d, table),
-    )
 
+    def seen(
+        boxes: Boxes3D | Boxes2D, numbers: Float64Array, rows: Int64Array, labels: Sequence[str], classes: Int64Array
+    ) -> _Seen:
+        kinds, is_logit = table_rows(classes), boxes.score_form is ScoreForm.LOGIT
+        odds = existence.reported_odds(boxes.scores, rows, is_logit, isinstance(boxes, Boxes2D), kinds, table)
+        return _Seen(numbers, rows, labels, classes, kinds, *odds)
 
-def _some(labels: tuple[str, ...], rows: Int64Array) -> Sequence[str]:
-    return labels if len(rows) == len(labels) else [labels[k] for k in rows.tolist()]
-
-
-def _weighed(
-    boxes: Boxes3D | Boxes2D,
-    numbers: Float64Array,
-    rows: Int64Array,
-    labels: Sequence[str],
-    classes: Int64Array,
-    table: Float64Array,
-) -> _Seen:
-    kinds = table_rows(classes)
-    odds = existence.reported_odds(
-        boxes.scores, rows, boxes.score_form is ScoreForm.LOGIT, isinstance(boxes, Boxes2D), kinds, table
-    )
-    return _Seen(numbers, rows, labels, classes, kinds, *odds)
-
-
-class _Spread(NamedTuple):
-    """How uncertain the objects of a sweep are.
-
-    Attributes:
-        covariances: (N, 6, 6) float64 [m²], of middles and sizes.
-        of_yaws: (N,) float64 [rad²].
-    """
-
-    covariances: Float64Array
-    of_yaws: Float64Array
+    sweep = seen(three, numbers_3d, rows_3d, labels_3d, classes_3d)
+    return sweep, seen(two, numbers_2d, rows_2d, labels_2d, classes_2d)
 
 
 def _refined(
@@ -855,41 +768,27 @@ def _refined(
     image: _Seen,
     outlines: Outlines,
     partners: Int64Array,
-    tables: Tables,
     settings: ProjectionSettings,
-) -> _Spread:
-    """Sharpen the boxes of a sweep by their partners; how uncertain they are is as their detector reports, or usual."""
-    reported = _NOT_REPORTED if pair.boxes_3d.covariances is None else pair.boxes_3d.covariances
-    covariances, of_yaws, own = box_covariances(
-        sweep.numbers, sweep.reported, reported, sweep.rows, sweep.kinds, tables.noise
-    )
+) -> tuple[Float64Array, Float64Array]:
+    """Sharpen the boxes of a sweep by their partners; gives covariances (N, 6, 6) [m²] and variances of yaws [rad²].
+
+    How uncertain boxes are is as their detector reports, or usual.
+    """
+    table, stated, velocities = tables_of(settings).noise, pair.boxes_3d.covariances, pair.boxes_3d.velocities
+    reported = np.zeros((0, 7, 7)) if stated is None else stated
+    covariances, of_yaws, own = box_covariances(sweep.numbers, sweep.reported, reported, sweep.rows, sweep.kinds, table)
     off_px = pair.camera.fx * np.radians(settings.rotation_sigma_deg)
-    refine(
-        pair.camera,
-        pair.camera_from_lidar,
-        outlines,
-        sweep.numbers,
-        covariances,
-        partners,
-        image.numbers,
-        image_sigmas(tables.noise, sweep.kinds, added_px=off_px),
-    )
-    _widen_agreed(covariances, partners, own, sweep.kinds, tables.noise)
-    velocities = pair.boxes_3d.velocities
+    sigmas = image_sigmas(table, sweep.kinds, added_px=off_px)
+    numbers = sweep.numbers, covariances, partners, image.numbers, sigmas
+    refine(pair.camera, pair.camera_from_lidar, outlines, *numbers)
+    # the update makes them as small as if both sensors erred independently; those that a detector knows stay
+    widened = np.flatnonzero((partners >= 0) & ~own)
+    factors = np.sqrt(np.repeat(table[sweep.kinds[widened], AGREED : AGREED + 2], 3, axis=1))
+    covariances[widened] *= factors[:, :, None] * factors[:, None]
     if settings.time_sigma > 0.0 and velocities is not None:
         moved = np.where(np.isfinite(velocities), velocities, 0.0)[sweep.rows] * settings.time_sigma
         covariances[:, :3, :3] += moved[:, :, None] * moved[:, None]
-    return _Spread(covariances, of_yaws)
-
-
-def _placed(pair: DetectionPair, sweep: _Seen, image: _Seen, alone: Int64Array) -> tuple[_Placed, BoolArray | None]:
-    """The objects of boxes of the image alone, and which of them points of the sweep have placed."""
-    camera, camera_from_lidar = pair.camera, pair.camera_from_lidar
-    placed = position_by_height(camera, camera_from_lidar, image.numbers, alone, image.kinds)
-    if pair.points_lidar is None:
-        return placed, None
-    boxes = sweep.numbers[sweep.likely >= _BELIEVED]
-    return _position_by_points(camera, camera_from_lidar, pair.points_lidar, image.numbers, image.kinds, boxes, placed)
+    return covariances, of_yaws
 
 
 def _labels(sweep: _Seen, image: _Seen, partners: Int64Array) -> list[str]:
@@ -902,46 +801,3 @@ def _labels(sweep: _Seen, image: _Seen, partners: Int64Array) -> list[str]:
         if says_nothing(labels[row]) or (surer and not says_nothing(other)):
             labels[row] = other
     return labels
-
-
-def _joined(
-    pair: DetectionPair,
-    sweep: _Seen,
-    image: _Seen,
-    outlines: Outlines,
-    partners: Int64Array,
-    spread: _Spread,
-    placed: _Placed,
-    scores: Float64Array,
-    labels: tuple[str, ...],
-    degrees_of_freedom: float,
-) -> FusedBoxes:
-    """The objects of the sweep, then those of the image alone."""
-    count, spreads = len(placed.rows), spread.covariances
-    sources = np.concatenate([partners, placed.rows])
-    shown = np.flatnonzero(sources != NO_BOX)
-    corners = np.concatenate([outlines.corners_xyxy, np.empty((count, 4))])
-    corners[shown] = image.numbers[sources[shown]]
-    rows_2d = np.full(len(sources), NO_BOX)
-    rows_2d[shown] = image.rows[sources[shown]]
-    yaws = np.concatenate([sweep.numbers[:, 6], np.zeros(count)])
-    velocities = pair.boxes_3d.velocities
-    if velocities is not None:
-        velocities = np.concatenate([velocities[sweep.rows], np.zeros((count, 3))])
-    return FusedBoxes(
-        timestamp_ns=pair.boxes_3d.timestamp_ns,
-        centers=np.concatenate([sweep.numbers[:, :3], placed.centers]),
-        center_covariances=np.concatenate([spreads[:, :3, :3], placed.center_covariances]),
-        sizes_lwh=np.concatenate([sweep.numbers[:, 3:6], placed.sizes_lwh]),
-        size_covariances=np.concatenate([spreads[:, 3:, 3:], placed.size_covariances]),
-        yaws=orient_by_motion(yaws, velocities),
-        velocities=velocities,
-        scores=scores,
-        labels=labels,
-        corners_xyxy=corners,
-        ids=np.arange(len(labels)),
-        rows_3d=np.concatenate([sweep.rows, np.full(count, NO_BOX)]),
-        rows_2d=rows_2d,
-        yaw_variances=np.concatenate([spread.of_yaws, np.full(count, _ANY_YAW)]),
-        degrees_of_freedom=degrees_of_freedom,
-    )

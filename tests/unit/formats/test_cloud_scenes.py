@@ -11,7 +11,7 @@ import pytest
 from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError, UnknownOptionError
 from sceneloom.formats.base.losses import Support
 from sceneloom.formats.base.registry import find_format, open_scene, write_scene
-from sceneloom.formats.points.reader import name_of_time, numbers_of_names, stem_of, times_of_names
+from sceneloom.formats.points.reader import numbers_of_names, stem_of, times_of_names
 from sceneloom.pipeline.converting import convert
 from sceneloom.scene import (
     CuboidAnnotation,
@@ -262,7 +262,7 @@ def test_numbers_and_endings_of_names():
     assert numbers_of_names(["frame_000007", "frame_000009"]) == [7, 9]
     assert numbers_of_names(["a_1", "b_1"]) is None
     assert stem_of("x__1.pcd.bin") == "x__1"
-    assert times_of_names([name_of_time(-3)]) == [-3]
+    assert times_of_names(["-0000000000000000003"]) == [-3]
 
 
 def numbered(folder, numbers):

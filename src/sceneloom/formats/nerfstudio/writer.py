@@ -10,7 +10,8 @@ import numpy as np
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
-from sceneloom.formats.base.losses import Loss, LossReport, field_losses
+from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.losses import LossReport, field_losses
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.points.files import FrameColumns, write_ply
 from sceneloom.formats.posed_images.posed_scene import (
@@ -135,6 +136,5 @@ class _CameraModels:
 
 
 def _write_points(path: Path, points: MapPoints) -> None:
-    losses: list[Loss] = []
     columns = FrameColumns(points.positions.astype(np.float32), points.colors, None, 255.0)
-    write_ply(path, columns, "points", losses.append)
+    write_ply(path, columns, "points", Losses())

@@ -4,15 +4,16 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float32Array, UInt8Array, finite_rows
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, finite_rows
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.base.losses import Loss, Support
+from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.points.cloud import (
     Cloud,
@@ -38,17 +39,12 @@ from sceneloom.formats.points.pcd import PcdLayout, pcd_body, pcd_head, read_pcd
 from sceneloom.formats.points.ply import PlyLayout, ply_head, read_ply
 from sceneloom.scene.clouds import LidarFrame, grey_where_unseen
 
-
-def _self_described(read: Callable[[Path], Cloud]) -> Callable[[Path, FieldLayout | None], Cloud]:
-    return lambda path, _: read(path)
-
-
 _READERS: Mapping[str, Callable[[Path, FieldLayout | None], Cloud]] = MappingProxyType(
     {
-        ".pcd": _self_described(read_pcd),
-        ".ply": _self_described(read_ply),
-        ".las": _self_described(read_las),
-        ".laz": _self_described(read_las),
+        ".pcd": lambda path, _: read_pcd(path),
+        ".ply": lambda path, _: read_ply(path),
+        ".las": lambda path, _: read_las(path),
+        ".laz": lambda path, _: read_las(path),
         ".bin": lambda path, layout: read_bin(path, layout=layout),
         ".npz": lambda path, layout: read_npz(path, layout=layout),
         ".npy": lambda path, layout: read_npz(path, layout=layout),
@@ -126,11 +122,8 @@ def open_cloud_writer(path: Path, *, overwrite: bool = False) -> Iterator[CloudW
 _OFFSET = "offset_ns"
 """Times of points from the frame's time on [ns]: 32 bits hold two seconds either way."""
 
-_LOCATIONS = ("x", "y", "z")
-_COLORS = ("red", "green", "blue")
 _SPACES = re.compile(r"\s+")
 _LONGEST_LAS_NAME = 32
-LossTaker = Callable[[Loss], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +134,7 @@ class FrameColumns:
         positions: (N, 3) float32 [m].
         colors: (N, 3) uint8, or None.
         intensities: (N,) of any dtype, on the scale of `brightest`; or None.
-        brightest: the value that is the full brightness.
+        brightest: the value of full intensity.
         further: (N,) or (N, K) each, by name.
     """
 
@@ -151,13 +144,18 @@ class FrameColumns:
     brightest: float
     further: Mapping[str, AnyArray] = field(default_factory=lambda: MappingProxyType({}))
 
+    @property
+    def named(self) -> dict[str, AnyArray]:
+        """Intensities, if any, and the further columns."""
+        return {**({} if self.intensities is None else {"intensity": self.intensities}), **self.further}
+
 
 def frame_columns(frame: LidarFrame, intensity_max: float | None) -> FrameColumns:
-    """Lay out a frame; brightness as its source had it is taken before that of 0 to 255.
+    """Lay out a frame; intensities as its source had them are preferred to those of 0 to 255.
 
     Args:
         frame: the frame.
-        intensity_max: the full brightness in the source, where it is known.
+        intensity_max: the full intensity in the source, where it is known.
     """
     points = frame.points
     extras = {name: values for name, values in points.extras.items() if _is_column(values, len(points))}
@@ -169,11 +167,9 @@ def frame_columns(frame: LidarFrame, intensity_max: float | None) -> FrameColumn
         offsets = points.timestamps_ns - frame.timestamp_ns
         small = not len(offsets) or bool(np.abs(offsets).max() < 2**31)
         further[_OFFSET] = offsets.astype(np.int32) if small else offsets
-    if points.rings is not None:
-        further["ring"] = points.rings
-    if points.camera_index is not None:
-        further["camera_index"] = points.camera_index
-    taken = {*_LOCATIONS, *_COLORS, "intensity", "rgb", *further}
+    known = {"ring": points.rings, "camera_index": points.camera_index}
+    further |= {name: values for name, values in known.items() if values is not None}
+    taken = {"x", "y", "z", "red", "green", "blue", "intensity", "rgb", *further}
     for name, values in extras.items():
         plain = _SPACES.sub("_", name) or "_"
         while plain in taken:
@@ -188,31 +184,23 @@ def _is_column(values: AnyArray, count: int) -> bool:
     return values.ndim in {1, 2} and len(values) == count and values.dtype.kind in "iufb" and values.size > 0
 
 
-def left_out(frame: LidarFrame, sensor: str, notify: LossTaker) -> None:
+def left_out(frame: LidarFrame, sensor: str, losses: Losses) -> None:
     """Report what of a frame no file of points has a field for."""
     count = len(frame.points)
     for name, values in frame.points.extras.items():
+        field = f"sensors[{sensor}].frames.points.extras.{name}"
         if count and not _is_column(values, count):
-            what = "left out: no column of numbers with a row per point"
-            notify(Loss(field=f"sensors[{sensor}].frames.points.extras.{name}", what=what))
+            losses.dropped(field, "left out: no column of numbers with a row per point")
         elif _SPACES.search(name):
-            what = "spaces in its name written as `_`"
-            notify(
-                Loss(
-                    field=f"sensors[{sensor}].frames.points.extras.{name}",
-                    what=what,
-                    support=Support.CONVERTED,
-                )
-            )
-    if frame.extras:
-        what = "left out: a file of points has no other fields"
-        notify(Loss(field=f"sensors[{sensor}].frames.extras", what=what, count=len(frame.extras)))
+            losses.converted(field, "spaces in its name written as `_`")
+    what = "left out: a file of points has no other fields"
+    losses.dropped(f"sensors[{sensor}].frames.extras", what, count=len(frame.extras))
 
 
-def _single_columns(columns: FrameColumns) -> dict[str, AnyArray]:
-    """All further columns, those of several values split into single ones."""
+def _single_columns(columns: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+    """Columns, those of several values split into single ones."""
     found: dict[str, AnyArray] = {}
-    for name, values in columns.further.items():
+    for name, values in columns.items():
         if values.ndim == 1:
             found[name] = values
         else:
@@ -220,194 +208,137 @@ def _single_columns(columns: FrameColumns) -> dict[str, AnyArray]:
     return found
 
 
-def _columns_fitted(
-    columns: Mapping[str, AnyArray], held: frozenset[str], location: str, notify: LossTaker
+_WHOLE = frozenset({"u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"})
+_WIDER: Mapping[str, str] = {"b1": "u1", "f2": "f4", "i8": "f8", "u8": "f8"}
+
+
+def _fitted(
+    columns: Mapping[str, AnyArray], held: frozenset[str], location: str, losses: Losses
 ) -> dict[str, AnyArray]:
-    """Bring columns to the types that a kind of file has; what this changes is reported.
-
-    Args:
-        columns: by name.
-        held: types of the kind, as "u1" or "f8".
-        location: of the points, for the losses.
-        notify: takes the losses.
-    """
-    return {name: _fitted(name, values, held, location, notify) for name, values in columns.items()}
-
-
-_WIDER: Mapping[str, str] = MappingProxyType({"b1": "u1", "f2": "f4", "i8": "f8", "u8": "f8"})
-
-
-def _fitted(name: str, values: AnyArray, held: frozenset[str], location: str, notify: LossTaker) -> AnyArray:
-    kind = values.dtype.str[1:]
-    if kind in held:
-        return values
-    wider = values.astype(_WIDER.get(kind, "f8"))
-    error = 0.0
-    if values.dtype.kind in "iu" and len(values):
-        # what float64 makes of large integers, compared as integers
-        inside = np.abs(wider) < 2.0**63
-        error = float(np.abs(wider[inside].astype(np.int64) - values[inside].astype(np.int64)).max(initial=0))
-    reported = f"{values.dtype.name} written as {wider.dtype.name}"
-    support = Support.APPROXIMATED if error else Support.CONVERTED
-    notify(
-        Loss(
-            field=f"{location}.extras.{name}",
-            what=reported,
-            count=1,
-            support=support,
-            largest_error=error or None,
-        )
-    )
-    return wider
-
-
-def _las_names(columns: Mapping[str, AnyArray], taken: frozenset[str]) -> dict[str, AnyArray]:
-    """Columns under names that are short enough for LAS and not those of its own dimensions."""
+    """Bring columns to the types that a kind of file holds, as "u1" or "f8"; what this changes is reported."""
     found: dict[str, AnyArray] = {}
     for name, values in columns.items():
-        short = name.encode("ascii", "replace").decode()[:_LONGEST_LAS_NAME]
-        if short in taken or short in found:
-            short = f"{short[: _LONGEST_LAS_NAME - 8]}_further"[:_LONGEST_LAS_NAME]
-        found[short] = values
+        kind = values.dtype.str[1:]
+        found[name] = values if kind in held else values.astype(_WIDER.get(kind, "f8"))
+        if kind in held:
+            continue
+        error = 0.0
+        if values.dtype.kind in "iu" and len(values):
+            # what float64 makes of large integers, compared as integers
+            inside = np.abs(found[name]) < 2.0**63
+            error = float(np.abs(found[name][inside].astype(np.int64) - values[inside].astype(np.int64)).max(initial=0))
+        report = losses.approximated if error else losses.converted
+        what = f"{values.dtype.name} written as {found[name].dtype.name}"
+        report(f"{location}.extras.{name}", what, error=error or None)
     return found
 
 
-_WHOLE = frozenset({"u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"})
+def _finite(columns: FrameColumns, location: str, losses: Losses) -> BoolArray:
+    """Which points are finite, (N,) bool: the others are left out, which is reported."""
+    finite = finite_rows(columns.positions)
+    losses.dropped(f"{location}.positions", "points that are not finite are left out", count=int((~finite).sum()))
+    return finite
+
+
+def _write_pcd(path: Path, columns: FrameColumns, location: str, losses: Losses, *, encoding: str) -> None:
+    """Write a PCD file; colours are packed into one float, as PCL's type PointXYZRGB has them."""
+    further = _fitted(columns.named, _WHOLE | {"i8", "u8"}, location, losses)
+    records = pack_records(
+        {**axis_columns(columns.positions), **packed_colors(columns.colors), **further}, len(columns.positions)
+    )
+    with path.open("xb") as file:
+        file.write(pcd_head(records.dtype, str(len(records)), encoding))
+        file.write(pcd_body(records, encoding))
+
+
+def write_ply(path: Path, columns: FrameColumns, location: str, losses: Losses) -> None:
+    """Write a binary PLY file."""
+    further = _fitted(_single_columns(columns.named), _WHOLE, location, losses)
+    records = pack_records(
+        {**axis_columns(columns.positions), **color_columns(columns.colors), **further}, len(columns.positions)
+    )
+    with path.open("xb") as file:
+        file.write(ply_head(records.dtype, str(len(records))))
+        file.write(records.tobytes())
 
 
 _STEPS_M = (1e-5, 1e-3)
 """Steps of the positions in LAS files: fine where the points lie within 20 km, else as fine as any lidar measures."""
 
 
-def _brightness(columns: FrameColumns) -> dict[str, AnyArray]:
-    return {} if columns.intensities is None else {"intensity": columns.intensities}
-
-
-def _finite(columns: FrameColumns, location: str, notify: LossTaker) -> BoolArray:
-    """Which points are finite, (N,) bool: the others are left out, which is reported."""
-    finite = finite_rows(columns.positions)
-    if not finite.all():
-        what = "points that are not finite are left out"
-        notify(Loss(field=f"{location}.positions", what=what, count=int((~finite).sum())))
-    return finite
-
-
-def write_pcd(path: Path, columns: FrameColumns, location: str, notify: LossTaker, *, encoding: str) -> None:
-    """Write a PCD file; colours are packed into one float, as PCL's type PointXYZRGB has them."""
-    further = _columns_fitted({**_brightness(columns), **columns.further}, _WHOLE | {"i8", "u8"}, location, notify)
-    found = {**axis_columns(columns.positions), **packed_colors(columns.colors), **further}
-    records = pack_records(found, len(columns.positions))
-    with path.open("xb") as file:
-        file.write(pcd_head(records.dtype, str(len(records)), encoding))
-        file.write(pcd_body(records, encoding))
-
-
-def write_ply(path: Path, columns: FrameColumns, location: str, notify: LossTaker) -> None:
-    """Write a binary PLY file."""
-    further = _columns_fitted({**_brightness(columns), **_single_columns(columns)}, _WHOLE, location, notify)
-    found = {**axis_columns(columns.positions), **color_columns(columns.colors), **further}
-    records = pack_records(found, len(columns.positions))
-    with path.open("xb") as file:
-        file.write(ply_head(records.dtype, str(len(records))))
-        file.write(records.tobytes())
-
-
-def write_las(path: Path, columns: FrameColumns, location: str, notify: LossTaker) -> None:
+def _write_las(path: Path, columns: FrameColumns, location: str, losses: Losses) -> None:
     """Write a LAS or LAZ file, by the ending of its name; positions are rounded to steps."""
-    finite = _finite(columns, location, notify)
+    finite = _finite(columns, location, losses)
     positions = columns.positions[finite].astype(np.float64)
     distance = np.abs(positions - las_offsets(positions)).max(initial=0.0)
     step = next((step for step in _STEPS_M if distance / step < MOST_STEPS), None)
     if step is None:
         raise OptionError(f"{path.name}: points {distance / 1000:.0f} km apart; LAS holds 2147 km in steps of 1 mm")
-    intensities = _intensities_16(columns, location, notify)
-    further = _columns_fitted(
-        _las_names(_single_columns(columns), las_dimensions(columns.colors)),
-        _WHOLE | {"i8", "u8"},
-        location,
-        notify,
-    )
+    dimensions: dict[str, AnyArray] = {}
+    if columns.intensities is not None:
+        scaled = columns.intensities.astype(np.float64) * (65535.0 / columns.brightest)
+        whole = np.clip(np.rint(np.nan_to_num(scaled)), 0, 65535)
+        error = float(np.abs(whole - scaled).max(initial=0.0)) * columns.brightest / 65535.0
+        if error > 1e-9 * columns.brightest:
+            what = f"intensities of 0 to {columns.brightest:g} rounded to 65536 steps"
+            losses.approximated(f"{location}.intensities", what, error=error)
+        dimensions["intensity"] = whole.astype(np.uint16)
+    # names that are short enough, and not those of LAS's own dimensions
+    taken, named = las_dimensions(columns.colors), dict[str, AnyArray]()
+    for name, values in _single_columns(columns.further).items():
+        short = name.encode("ascii", "replace").decode()[:_LONGEST_LAS_NAME]
+        if short in taken or short in named:
+            short = f"{short[: _LONGEST_LAS_NAME - 8]}_further"[:_LONGEST_LAS_NAME]
+        named[short] = values
+    further = _fitted(named, _WHOLE | {"i8", "u8"}, location, losses)
     with LasFile(path, positions, step, further, colored=columns.colors is not None) as file:
-        dimensions = {**further, **colors_16(columns.colors), **intensities}
+        dimensions = {**further, **colors_16(columns.colors), **dimensions}
         error = file.add(positions, {name: values[finite] for name, values in dimensions.items()})
-    reported = f"rounded to steps of {step:g} m"
-    notify(Loss(field=f"{location}.positions", what=reported, support=Support.APPROXIMATED, largest_error=error))
+    losses.approximated(f"{location}.positions", f"rounded to steps of {step:g} m", error=error)
 
 
-def _intensities_16(columns: FrameColumns, location: str, notify: LossTaker) -> dict[str, AnyArray]:
-    """Brightness of 16 bits, 0 to the full scale."""
-    if columns.intensities is None:
-        return {}
-    scaled = columns.intensities.astype(np.float64) * (65535.0 / columns.brightest)
-    whole = np.clip(np.rint(np.nan_to_num(scaled)), 0, 65535)
-    error = float(np.abs(whole - scaled).max(initial=0.0)) * columns.brightest / 65535.0
-    if error > 1e-9 * columns.brightest:
-        reported = f"brightness of 0 to {columns.brightest:g} rounded to 65536 steps"
-        field = f"{location}.intensities"
-        notify(Loss(field=field, what=reported, support=Support.APPROXIMATED, largest_error=error))
-    return {"intensity": whole.astype(np.uint16)}
-
-
-def write_npz(path: Path, columns: FrameColumns, location: str, notify: LossTaker) -> None:
+def _write_npz(path: Path, columns: FrameColumns, _: str, __: Losses) -> None:
     """Write an NPZ file, one array per column."""
-    del location, notify
-    found: dict[str, Any] = {"positions": columns.positions, **_brightness(columns), **columns.further}
+    found: dict[str, Any] = {"positions": columns.positions, **columns.named}
     if columns.colors is not None:
         found["colors"] = columns.colors
     with path.open("xb") as file:
         np.savez(file, **found)
 
 
+_MODEL_NAMES = {"offset_ns": "timestamps_ns", "ring": "rings", "camera_index": "camera_index"}
+
+
 def _write_bin(
-    path: Path,
-    columns: FrameColumns,
-    location: str,
-    notify: LossTaker,
-    *,
-    brightest: float,
-    further: tuple[str, ...],
+    path: Path, columns: FrameColumns, location: str, losses: Losses, *, brightest: float, further: tuple[str, ...]
 ) -> None:
-    """Write packed float32: x, y, z, brightness on a scale, then some further columns, 0 where they are missing."""
+    """Write packed float32: x, y, z, intensity on a scale, then some further columns, 0 where they are missing."""
     count = len(columns.positions)
-    found: dict[str, UInt8Array | AnyArray] = {**axis_columns(columns.positions)}
+    found = axis_columns(columns.positions)
+    if columns.intensities is None:
+        losses.converted(f"{location}.intensities", "there are none; written as 0")
     values = np.zeros(count, np.float32) if columns.intensities is None else columns.intensities
     found["intensity"] = (values * (brightest / columns.brightest)).astype(np.float32)
     for name in further:
         found[name] = columns.further.get(name, np.zeros(count)).astype(np.float32)
-    if columns.intensities is None:
-        reported = "there are none; written as 0"
-        notify(Loss(field=f"{location}.intensities", what=reported, support=Support.CONVERTED))
     for name in columns.further:
         if name not in further:
-            reported = f"left out: such files have x y z {' '.join(['intensity', *further])} only"
-            notify(Loss(field=f"{location}.{_MODEL_NAMES.get(name, f'extras.{name}')}", what=reported))
+            what = f"left out: such files have x y z {' '.join(['intensity', *further])} only"
+            losses.dropped(f"{location}.{_MODEL_NAMES.get(name, f'extras.{name}')}", what)
     if columns.colors is not None:
-        notify(Loss(field=f"{location}.colors", what="left out: such files have none"))
-    path.write_bytes(pack_records(found, count)[_finite(columns, location, notify)].tobytes())
-
-
-_MODEL_NAMES = {"offset_ns": "timestamps_ns", "ring": "rings", "camera_index": "camera_index"}
-
-
-def write_kitti_bin(path: Path, columns: FrameColumns, location: str, notify: LossTaker) -> None:
-    """Write a file as KITTI has them: brightness from 0 to 1."""
-    _write_bin(path, columns, location, notify, brightest=1.0, further=())
-
-
-def write_nuscenes_bin(path: Path, columns: FrameColumns, location: str, notify: LossTaker) -> None:
-    """Write a file as nuScenes has them: brightness from 0 to 255, and the number of the laser."""
-    _write_bin(path, columns, location, notify, brightest=255.0, further=("ring",))
+        losses.dropped(f"{location}.colors", "left out: such files have none")
+    path.write_bytes(pack_records(found, count)[_finite(columns, location, losses)].tobytes())
 
 
 FRAME_WRITERS: Mapping[str, Callable[..., None]] = MappingProxyType(
     {
-        "pcd": write_pcd,
+        "pcd": _write_pcd,
         "ply": write_ply,
-        "las": write_las,
-        "laz": write_las,
-        "kitti-bin": write_kitti_bin,
-        "nuscenes-bin": write_nuscenes_bin,
-        "npz": write_npz,
+        "las": _write_las,
+        "laz": _write_las,
+        "kitti-bin": partial(_write_bin, brightest=1.0, further=()),
+        "nuscenes-bin": partial(_write_bin, brightest=255.0, further=("ring",)),
+        "npz": _write_npz,
     }
 )
 """What writes a frame, by the name of the kind; that of `pcd` takes an encoding."""

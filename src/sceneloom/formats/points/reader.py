@@ -1,7 +1,7 @@
 """Open files of points as a scene with a lidar for each folder of them."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.text_tables import UNITS_NS
+from sceneloom.formats.base.text_tables import UNITS_NS, line_timestamps
 from sceneloom.formats.points.cloud import Cloud, FieldLayout, find_roles
 from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.points.mapping import (
@@ -24,6 +24,8 @@ from sceneloom.formats.points.mapping import (
     SweepClock,
     detect_scale,
     points_of,
+    positions_of,
+    returns_of,
 )
 from sceneloom.formats.points.npz import default_layout
 from sceneloom.formats.points.spec import (
@@ -44,26 +46,8 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import PointsFrame
 from sceneloom.warnings import WarningKind
 
-
-@dataclass(frozen=True, slots=True)
-class _CloudFolder:
-    """The files of one lidar, in the order of their names.
-
-    Attributes:
-        sensor_id: what the lidar is called.
-        location: the folder, or the only file.
-        files: at least one.
-        beside: files that state more about them, by name.
-    """
-
-    sensor_id: str
-    location: Path
-    files: tuple[Path, ...]
-    beside: dict[str, Path]
-
-
 _LOOKED_AT = 10
-"""Files that are looked through for one that is bright enough to report the scale of brightness."""
+"""Files that are looked through for one that is bright enough to show the scale of intensity."""
 
 _FARTHEST_EXACT = 4000.0
 """Farther from 0 than this [m], float32 is coarser than a quarter of a millimetre: points count from an origin."""
@@ -71,20 +55,140 @@ _FARTHEST_EXACT = 4000.0
 _RELATIVE = ("offset_ns", "nanoseconds")
 """The column of times that our files have, from the frame's time on, and its unit."""
 
-_TRAJECTORIES: Mapping[str, tuple[PointTimes, ...]] = MappingProxyType(
+_MEANINGS: Mapping[str, tuple[PointTimes, ...]] = MappingProxyType(
     {
         "f": (PointTimes("seconds"), PointTimes("seconds", "clock"), PointTimes("microseconds")),
         "u": (PointTimes("nanoseconds"), PointTimes("nanoseconds", "clock"), PointTimes("microseconds", "clock")),
         "i": (PointTimes("nanoseconds"), PointTimes("nanoseconds", "clock"), PointTimes("microseconds", "clock")),
     }
 )  # fmt: skip
-"""What columns of times can mean, by the kind of their numbers, the likeliest first."""
+"""Meanings of columns of times, by the kind of their numbers, the likeliest first."""
 
 _NEAR_NS = 2e9
 _NOTHING_STATED = PointMapping()
 
 _FIRST_NS, _LAST_NS = 631_152_000e9, 4_102_444_800e9
 """The beginnings of the years 1990 and 2100."""
+
+_DEFAULT_RATE_HZ = 10.0
+"""How fast most lidars rotate: taken for files whose names are plain numbers."""
+
+_EGO_TRAJECTORY = "pose"
+
+
+def open_clouds(path: Path, *, kind: CloudKind, options: CloudReading) -> Scene:
+    """Open a file, a folder of files, or a folder of folders of files; the first file of each is read.
+
+    Raises:
+        DataError: there are none, one is damaged, or their times are.
+    """
+    ledger = Ledger(lenient=options.lenient)
+    trajectories: dict[str, Trajectory] = {}
+    with ledger.telling():
+        folders = _find_folders(path, kind, options, ledger)
+        sensors = tuple(_build_lidar(folder, trajectories) for folder in folders)
+    return Scene(sensors, trajectories=trajectories, source=str(path), format=kind.name, warnings=ledger.warnings)
+
+
+@dataclass(frozen=True, slots=True)
+class _CloudFolder:
+    """The files of one lidar, in the order of their names.
+
+    Attributes:
+        location: the folder, or the only file.
+        files: at least one.
+        beside: files that state more about them, by name.
+    """
+
+    kind: CloudKind
+    options: CloudReading
+    ledger: Ledger
+    location: Path
+    files: tuple[Path, ...]
+    beside: dict[str, Path]
+    sensor_id: str = DEFAULT_ID
+
+    def note(self, kind: WarningKind, code: str, message: str, *, of_first: bool = False, count: int = 1) -> None:
+        """Note something about the folder, or about its first file."""
+        self.ledger.note(kind, code, str(self.files[0] if of_first else self.location), message, count=count)
+
+
+def _find_folders(path: Path, kind: CloudKind, options: CloudReading, ledger: Ledger) -> list[_CloudFolder]:
+    """Find the files of each lidar."""
+    if path.is_file():
+        return [_CloudFolder(kind, options, ledger, path, (path,), {})]
+
+    def folder_of(location: Path) -> _CloudFolder | None:
+        found = sorted((entry for entry in entries(location) if entry.is_file()), key=lambda entry: entry.name)
+        files = tuple(location / entry.name for entry in found if kind.has_name(entry.name))
+        beside = {entry.name: location / entry.name for entry in found if entry.name in BESIDE}
+        if location.name == "data" and not beside:
+            # KITTI's raw data have the times beside the folder of the files
+            beside = {name: there for name in TIME_FILES if (there := location.parent / name).is_file()}
+        return _CloudFolder(kind, options, ledger, location, files, beside) if files else None
+
+    try:
+        own = folder_of(path)
+        if own is not None:
+            return [own]
+        folders = sorted(path / entry.name for entry in entries(path) if entry.is_dir())
+        found = [folder for folder in map(folder_of, folders) if folder is not None]
+    except OSError as error:
+        raise DataError(path, "", f"cannot be read: {error.strerror or error}") from error
+    if not found:
+        raise DataError(path, "", f"has no files of points; expected {kind.reported}")
+    return [replace(folder, sensor_id=unquote(folder.location.name)) for folder in found]
+
+
+def _build_lidar(folder: _CloudFolder, trajectories: dict[str, Trajectory]) -> LidarSensor:
+    layout = default_layout(folder.files[0]) if folder.kind.layout else None
+    frames = replace(_frames(folder), layout=layout)
+    if folder.options.lenient:
+        frames = _readable(frames, folder.ledger)
+    first = frames.cloud(0)
+    if len(frames.files) == 1 and not frames.timestamps_ns[0]:
+        frames = replace(frames, timestamps_ns=np.array([_first_time_ns(first) or 0], np.int64))
+    frames = _with_mapping(folder, replace(frames, origin=_origin_of(first)))
+    _note_first(folder, frames)
+    scale, origin = frames.mapping.scale, frames.origin
+    sensor = LidarSensor(
+        folder.sensor_id,
+        LazyFrames(frames.timestamps_ns, frames),
+        extras=MappingProxyType({} if scale is None else {"intensity_max": scale.maximum}),
+    )
+    if origin is None:
+        return _placed(sensor, folder, trajectories)
+    distance = np.linalg.norm(origin)
+    message = f"points lie {distance:.0f} m from 0: the sensor is put there, the points count from it"
+    folder.note(WarningKind.ASSUMED, "cloud-origin", message, of_first=True)
+    at_origin = Poses(np.zeros(1, np.int64), read_only(origin[None]), np.array([[0.0, 0.0, 0.0, 1.0]]), static=True)
+    return replace(sensor, poses=at_origin)
+
+
+def _placed(sensor: LidarSensor, folder: _CloudFolder, trajectories: dict[str, Trajectory]) -> LidarSensor:
+    """The sensor with the poses that stand beside its files, and the frame of its points."""
+    stated = folder.options.points_frame
+    frame = None if stated is None else PointsFrame(stated)
+    if EGO_POSES in folder.beside and frame in {None, PointsFrame.EGO}:
+        if _EGO_TRAJECTORY not in trajectories:
+            trajectories[_EGO_TRAJECTORY] = _read_trajectory(folder, EGO_POSES)
+        poses = trajectories[_EGO_TRAJECTORY].poses
+        return replace(sensor, poses=poses, points_frame=PointsFrame.EGO, mount=RigidTransform.identity())
+    if SENSOR_POSES in folder.beside and frame in {None, PointsFrame.SENSOR}:
+        return replace(sensor, poses=_read_trajectory(folder, SENSOR_POSES).poses)
+    if frame is None:
+        message = "the frame of the points is not stated; taken as on the ego, `--points-frame` sets another"
+        folder.note(WarningKind.ASSUMED, "cloud-frame-assumed", message)
+    if frame is PointsFrame.WORLD:
+        return replace(sensor, points_frame=frame)
+    return replace(sensor, points_frame=frame or PointsFrame.SENSOR, mount=RigidTransform.identity())
+
+
+def _read_trajectory(folder: _CloudFolder, name: str) -> Trajectory:
+    from sceneloom.formats.trajectories.text_formats import TUM
+    from sceneloom.formats.trajectories.trajectory_file import Reading
+
+    return TUM.read(folder.beside[name], Reading(name=_EGO_TRAJECTORY), folder.ledger).trajectory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,8 +199,8 @@ class _CloudFrames:
         files: of each frame.
         timestamps_ns: (N,) int64 [ns].
         layout: columns of files that do not state them.
-        mapping: what the columns mean.
-        origin: (3,) float64 [m], taken off the locations in the files; None for nothing.
+        mapping: meaning of the columns.
+        origin: (3,) float64 [m], subtracted from the positions in the files; None for nothing.
     """
 
     files: tuple[Path, ...]
@@ -113,7 +217,6 @@ class _CloudFrames:
         """
         cloud, timestamp_ns = self.cloud(k), int(self.timestamps_ns[k])
         read = points_of(cloud, self.mapping, SweepClock(timestamp_ns, timestamp_ns, 0))
-        kept = _kept_brightness(cloud, self.mapping, read.dropped)
         extras = {name: column for name, column in read.points.extras.items() if name != "camera_index"}
         cameras = read.points.extras.get("camera_index")
         if cameras is not None and (cameras.dtype != np.uint8 or cameras.ndim != 1):
@@ -123,37 +226,28 @@ class _CloudFrames:
             read.points,
             colors=None if colors is None else white_where_unseen(colors, cameras),
             camera_index=cameras,
-            extras=MappingProxyType({**extras, **kept}),
+            extras=MappingProxyType({**extras, **_kept_intensities(cloud, self.mapping, read.dropped)}),
         )
-        reported: dict[str, Any] = {
-            "file": self.files[k].name,
-            **({"head": dict(cloud.head)} if cloud.head else {}),
-        }
+        reported: dict[str, Any] = {"file": self.files[k].name, **({"head": dict(cloud.head)} if cloud.head else {})}
         counts = {"dropped_points": read.dropped, "clipped_intensities": read.clipped}
-        reported.update({name: count for name, count in counts.items() if count})
+        reported |= {name: count for name, count in counts.items() if count}
         return LidarFrame(timestamp_ns, points, MappingProxyType(reported))
 
     def cloud(self, k: int) -> Cloud:
-        """Read the columns of frame `k`, locations from the origin on."""
+        """Read the columns of frame `k`, positions from the origin on.
+
+        Absolute times beside our own exact ones, and dimensions that state nothing, are left out.
+        """
         cloud = read_cloud(self.files[k], layout=self.layout)
-        columns = _without_redundant(cloud.columns)
+        columns = dict(cloud.columns)
+        if _RELATIVE[0] in columns:
+            columns.pop("time", None)
+        columns = {name: column for name, column in columns.items() if name not in _LAS_DIMENSIONS or column.any()}
         if self.origin is not None:
-            columns.update(
-                {
-                    axis: columns[axis].astype(np.float64) - start
-                    for axis, start in zip("xyz", self.origin.tolist(), strict=True)
-                    if axis in columns
-                }
-            )
+            for axis, start in zip("xyz", self.origin.tolist(), strict=True):
+                if axis in columns:
+                    columns[axis] = columns[axis].astype(np.float64) - start
         return replace(cloud, columns=columns)
-
-
-def _without_redundant(columns: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
-    """Leave out the absolute times beside our own exact ones, and dimensions that state nothing."""
-    found = dict(columns)
-    if _RELATIVE[0] in found:
-        found.pop("time", None)
-    return {name: column for name, column in found.items() if name not in _LAS_DIMENSIONS or column.any()}
 
 
 _LAS_DIMENSIONS = frozenset(
@@ -166,31 +260,20 @@ _LAS_DIMENSIONS = frozenset(
 """Dimensions that every point of a LAS file has; all zero where the writer did not fill them in."""
 
 
-def _kept_brightness(cloud: Cloud, mapping: PointMapping, dropped: int) -> dict[str, AnyArray]:
-    """The brightness as the file has it, where 0 to 255 do not state it all."""
-    name = find_roles(cloud.columns, mapping.named).get("intensity")
+def _kept_intensities(cloud: Cloud, mapping: PointMapping, dropped: int) -> dict[str, AnyArray]:
+    """The intensities as the file has them, where 0 to 255 do not state them all."""
+    roles = find_roles(cloud.columns, mapping.named)
+    name = roles.get("intensity")
     if name is None or mapping.scale is None:
         return {}
     values = cloud.columns[name]
     if dropped:
-        values = values[_returns(cloud)]
+        values = values[returns_of(positions_of(cloud, roles))]
     bytes_, clipped = mapping.scale.apply(values)
     back = bytes_ * (mapping.scale.maximum / 255.0)
     back = np.rint(back) if values.dtype.kind in "iu" else back
-    same = np.array_equal(back.astype(values.dtype), values) if not clipped else False
+    same = not clipped and np.array_equal(back.astype(values.dtype), values)
     return {} if same else {name: read_only(values)}
-
-
-def _returns(cloud: Cloud) -> AnyArray:
-    """Which points are returns, as `points_of` has it."""
-    roles = find_roles(cloud.columns, {})
-    if "positions" in roles and any(axis not in roles for axis in "xyz"):
-        locations = cloud.columns[roles["positions"]].astype(np.float32)
-    else:
-        with np.errstate(over="ignore"):
-            locations = np.stack([cloud.columns[roles[axis]].astype(np.float32) for axis in "xyz"], axis=1)
-    kept: AnyArray = np.isfinite(locations).all(axis=1) & (locations != 0).any(axis=1)
-    return kept
 
 
 def _origin_of(cloud: Cloud) -> Float64Array | None:
@@ -198,16 +281,94 @@ def _origin_of(cloud: Cloud) -> Float64Array | None:
     columns = [cloud.columns.get(axis) for axis in "xyz"]
     if any(column is None or column.dtype != np.float64 for column in columns):
         return None
-    locations = np.stack([column for column in columns if column is not None], axis=1)
-    finite = locations[np.isfinite(locations).all(axis=1)]
+    positions = np.stack([column for column in columns if column is not None], axis=1)
+    finite = positions[np.isfinite(positions).all(axis=1)]
     if not len(finite) or np.abs(finite).max() <= _FARTHEST_EXACT:
         return None
     origin: Float64Array = np.floor(finite.mean(axis=0))
     return origin
 
 
+def _readable(frames: _CloudFrames, ledger: Ledger) -> _CloudFrames:
+    """Leave out the files that cannot be read."""
+    kept, first_error = [], None
+    for k, path in enumerate(frames.files):
+        try:
+            read_cloud(path, layout=frames.layout)
+            kept.append(k)
+        except DataError as error:
+            first_error = first_error or error
+            ledger.fault("unreadable-files", error)
+    if not kept and first_error is not None:
+        raise first_error
+    timestamps_ns = read_only(frames.timestamps_ns[kept])
+    return replace(frames, files=tuple(frames.files[k] for k in kept), timestamps_ns=timestamps_ns)
+
+
+def _frames(folder: _CloudFolder) -> _CloudFrames:
+    """The files in the order of their times."""
+    times, files = _times(folder)
+    order = np.argsort(times, kind="stable")
+    times = times[order]
+    repeated = np.flatnonzero(np.diff(times) == 0) + 1
+    if len(repeated):
+        k = int(repeated[0])
+        before, after = (files[int(order[row])].name for row in (k - 1, k))
+        problem = f"{before!r} and {after!r} have the same time, {times[k] / 1e9:.9f} s; expected one file per time"
+        folder.ledger.fault("repeated-times", DataError(folder.location, "", problem), count=len(repeated))
+        order, times = np.delete(order, repeated), np.delete(times, repeated)
+    return _CloudFrames(tuple(files[k] for k in order.tolist()), read_only(times))
+
+
+def _times(folder: _CloudFolder) -> tuple[Int64Array, tuple[Path, ...]]:
+    """The times of the files: of a list beside them, of their names, or at an even rate."""
+    files, stems = folder.files, [stem_of(path.name) for path in folder.files]
+    listed = next((folder.beside[name] for name in TIME_FILES if name in folder.beside), None)
+    numbers = numbers_of_names(stems)
+    if listed is not None:
+        # lists count in the order of numbers, which is not that of names of different length
+        rank = range(len(files)) if numbers is None else np.argsort(np.array(numbers)).tolist()
+        listed_ns = line_timestamps(listed, None)
+        if len(listed_ns) != len(files):
+            problem, apart = f"{len(listed_ns)} times for {len(files)} files; expected as many", len(files)
+            folder.ledger.fault("counts-disagree", DataError(listed, "", problem), count=abs(len(listed_ns) - apart))
+        used = min(len(listed_ns), len(files))
+        if not used:
+            raise DataError(listed, "", f"no times for {len(files)} files")
+        return listed_ns[:used], tuple(files[k] for k in rank)[:used]
+    times = times_of_names(stems)
+    if times is not None:
+        return np.array(times, np.int64), files
+    if len(files) == 1:
+        return np.zeros(1, np.int64), files
+    rate_hz = folder.options.rate_hz or _DEFAULT_RATE_HZ
+    counted = range(len(files)) if numbers is None else numbers
+    if folder.options.rate_hz is None:
+        message = f"names have no times: number k is taken as {1 / rate_hz:g} k s, "
+        message += "`--input-option rate_hz=HZ` sets another rate"
+        folder.note(WarningKind.ASSUMED, "cloud-times-assumed", message, count=len(files))
+    if max(counted) / rate_hz > 9e9:
+        raise DataError(folder.location, "", f"number {max(counted)} at {rate_hz:g} Hz is a time beyond the year 2255")
+    return np.array([round(number * 1e9 / rate_hz) for number in counted], np.int64), files
+
+
+def _with_mapping(folder: _CloudFolder, frames: _CloudFrames) -> _CloudFrames:
+    """Settle the meaning of intensities and times, by the first files."""
+    scale, name = _scale_of(frames)
+    if name is not None and scale is None:
+        message = f"column {name!r} fits no scale of intensity; kept as it is among the extra values"
+        folder.note(WarningKind.SKIPPED, "intensity-not-used", message)
+    if scale is not None and folder.kind.name == "nuscenes-bin":
+        scale = IntensityScale(max(scale.maximum, 255.0))
+    times = _times_of(frames.cloud(0), int(frames.timestamps_ns[0]))
+    if times is not None and times.field != _RELATIVE[0]:
+        message = f"column {times.field!r} is taken for point times: {times.unit} relative to the {times.relative_to}"
+        folder.note(WarningKind.ASSUMED, "point-times-assumed", message)
+    return replace(frames, mapping=PointMapping(scale=scale, times=times))
+
+
 def _scale_of(frames: _CloudFrames) -> tuple[IntensityScale | None, str | None]:
-    """The scale of brightness, by the first file that has any, and the column; None where there is none."""
+    """The scale of intensity, by the first file that has any, and the column; None where there is none."""
     for k in range(min(len(frames.files), _LOOKED_AT)):
         columns = frames.cloud(k).columns
         name = find_roles(columns, {}).get("intensity")
@@ -218,13 +379,8 @@ def _scale_of(frames: _CloudFrames) -> tuple[IntensityScale | None, str | None]:
     return None, None
 
 
-def _times_of(cloud: Cloud, timestamp_ns: int | None) -> PointTimes | None:
-    """What the times of a file's points mean, where they are reported by a column and lie around its time.
-
-    Args:
-        cloud: the file.
-        timestamp_ns: its time [ns], or None where it is not known.
-    """
+def _times_of(cloud: Cloud, timestamp_ns: int) -> PointTimes | None:
+    """The meaning of the times of a file's points, where a column has them and they lie around its time [ns]."""
     name = find_roles(cloud.columns, {}).get("time")
     if name is None or cloud.columns[name].ndim != 1 or not cloud.count:
         return None
@@ -233,39 +389,44 @@ def _times_of(cloud: Cloud, timestamp_ns: int | None) -> PointTimes | None:
     values = cloud.columns[name].astype(np.float64)
     if not np.isfinite(values).all():
         return None
-    for trajectory in _TRAJECTORIES.get(cloud.columns[name].dtype.kind, ()):
-        if timestamp_ns is None and trajectory.relative_to == "clock":
-            continue
-        base_ns = float(timestamp_ns or 0) if trajectory.relative_to == "clock" else 0.0
-        if np.abs(values * UNITS_NS[trajectory.unit] - base_ns).max() < _NEAR_NS:
-            return replace(trajectory, field=name)
+    for meaning in _MEANINGS.get(cloud.columns[name].dtype.kind, ()):
+        base_ns = float(timestamp_ns) if meaning.relative_to == "clock" else 0.0
+        if np.abs(values * UNITS_NS[meaning.unit] - base_ns).max() < _NEAR_NS:
+            return replace(meaning, field=name)
     return None
 
 
 def _first_time_ns(cloud: Cloud) -> int | None:
-    """The time of the first point of a file [ns], where a column reports times of day; None where none does."""
+    """The time of the first point of a file [ns], where a column has dates; None where none does."""
     name = find_roles(cloud.columns, {}).get("time")
     if name is None or name == _RELATIVE[0] or cloud.columns[name].ndim != 1 or not cloud.count:
         return None
-    first = float(cloud.columns[name].min())
+    first = cloud.columns[name].min()
     for unit_ns in UNITS_NS.values():
-        if _FIRST_NS <= first * unit_ns <= _LAST_NS:
-            whole = cloud.columns[name].dtype.kind in "iu"
-            return int(cloud.columns[name].min()) * unit_ns if whole else round(first * unit_ns)
+        if _FIRST_NS <= float(first) * unit_ns <= _LAST_NS:
+            return int(first) * unit_ns if first.dtype.kind in "iu" else round(float(first) * unit_ns)
     return None
 
 
-def _readable(files: Sequence[Path], layout: FieldLayout | None) -> list[DataError | None]:
-    """Read every file, and give what is wrong with each."""
-    found: list[DataError | None] = []
-    for path in files:
-        try:
-            read_cloud(path, layout=layout)
-        except DataError as error:
-            found.append(error)
-        else:
-            found.append(None)
-    return found
+def _note_first(folder: _CloudFolder, frames: _CloudFrames) -> None:
+    """Check the first frame, and note what was left out of it."""
+    extras = frames(0).extras
+    for name, message in (
+        ("dropped_points", "points that are not finite, or exactly at the origin, are no returns and are left out"),
+        ("clipped_intensities", "intensities beyond their scale are clipped to it"),
+    ):
+        if name in extras:
+            code, location = name.replace("_", "-"), str(frames.files[0])
+            folder.ledger.note(WarningKind.SKIPPED, code, location, message, count=int(extras[name]))
+    head = extras.get("head", {})
+    if head.get("other_bounds"):
+        found = f"the bounds in the header are not those of the points ({head['other_bounds']} off)"
+        message = f"{found}; the points are read as they are"
+        folder.ledger.note(WarningKind.ASSUMED, "other-bounds", str(frames.files[0]), message)
+    if head.get("elements_left_out"):
+        listed = ", ".join(f"{count} {name}" for name, count in head["elements_left_out"].items())
+        message = f"only vertices are points: {listed} left out of the first file"
+        folder.note(WarningKind.SKIPPED, "elements-left-out", message)
 
 
 _NANOSECOND_DIGITS = 19
@@ -334,252 +495,3 @@ def _unit_ns(numbers: Sequence[str]) -> int | None:
         if all(_FIRST_S <= value // per_second <= _LAST_S for value in values):
             return unit_ns
     return None
-
-
-def name_of_time(timestamp_ns: int) -> str:
-    """The name of a file of a time [ns], which is read back as that time."""
-    return f"{timestamp_ns:020d}" if timestamp_ns < 0 else f"{timestamp_ns:019d}"
-
-
-_DEFAULT_RATE_HZ = 10.0
-"""How fast most lidars rotate: taken for files whose names are plain numbers."""
-
-_EGO_TRAJECTORY = "pose"
-
-
-def open_clouds(path: Path, *, kind: CloudKind, options: CloudReading) -> Scene:
-    """Open a file, a folder of files, or a folder of folders of files; the first file of each is read.
-
-    Raises:
-        DataError: there are none, one is damaged, or their times are.
-    """
-    ledger = Ledger(lenient=options.lenient)
-    trajectories: dict[str, Trajectory] = {}
-    with ledger.telling():
-        sensors = tuple(_lidar(folder, kind, options, ledger, trajectories) for folder in _find_folders(path, kind))
-    return Scene(sensors, trajectories=trajectories, source=str(path), format=kind.name, warnings=ledger.warnings)
-
-
-def _lidar(
-    folder: _CloudFolder,
-    kind: CloudKind,
-    reading: CloudReading,
-    ledger: Ledger,
-    trajectories: dict[str, Trajectory],
-) -> LidarSensor:
-    layout = default_layout(folder.files[0]) if kind.layout else None
-    frames = _frames(folder, reading, ledger)
-    frames = replace(frames, layout=layout)
-    if reading.lenient:
-        frames = _sound(frames, ledger)
-    first = frames.cloud(0)
-    if len(frames.files) == 1 and not frames.timestamps_ns[0]:
-        frames = replace(frames, timestamps_ns=np.array([_first_time_ns(first) or 0], np.int64))
-    origin = _origin_of(first)
-    frames = replace(frames, origin=origin)
-    frames, maximum = _with_mapping(folder, kind, frames, ledger)
-    _note_first(folder, frames, ledger)
-    sensor = LidarSensor(
-        folder.sensor_id,
-        LazyFrames(frames.timestamps_ns, frames),
-        extras=MappingProxyType({} if maximum is None else {"intensity_max": maximum}),
-    )
-    if origin is not None:
-        reported = (
-            f"points lie {np.linalg.norm(origin):.0f} m from 0: the sensor is put there, the points count from it"
-        )
-        ledger.note(WarningKind.ASSUMED, "cloud-origin", str(folder.files[0]), reported)
-        at_origin = Poses(np.zeros(1, np.int64), read_only(origin[None]), np.array([[0.0, 0.0, 0.0, 1.0]]), static=True)
-        return replace(sensor, poses=at_origin)
-    return _placed(sensor, folder, reading, ledger, trajectories)
-
-
-def _placed(
-    sensor: LidarSensor,
-    folder: _CloudFolder,
-    reading: CloudReading,
-    ledger: Ledger,
-    trajectories: dict[str, Trajectory],
-) -> LidarSensor:
-    """The sensor with the poses that stand beside its files, and the frame of its points."""
-    frame = None if reading.points_frame is None else PointsFrame(reading.points_frame)
-    if EGO_POSES in folder.beside and frame in {None, PointsFrame.EGO}:
-        trajectory = trajectories.setdefault(_EGO_TRAJECTORY, _trajectory(folder.beside[EGO_POSES], ledger))
-        return replace(sensor, poses=trajectory.poses, points_frame=PointsFrame.EGO, mount=RigidTransform.identity())
-    if SENSOR_POSES in folder.beside and frame in {None, PointsFrame.SENSOR}:
-        return replace(sensor, poses=_trajectory(folder.beside[SENSOR_POSES], ledger).poses)
-    if frame is None:
-        reported = "the frame of the points is not stated; taken as on the ego, `--points-frame` sets another"
-        ledger.note(WarningKind.ASSUMED, "cloud-frame-assumed", str(folder.location), reported)
-    if frame is PointsFrame.WORLD:
-        return replace(sensor, points_frame=frame)
-    return replace(sensor, points_frame=frame or PointsFrame.SENSOR, mount=RigidTransform.identity())
-
-
-def _trajectory(path: Path, ledger: Ledger) -> Trajectory:
-    from sceneloom.formats.trajectories.text_formats import TUM
-    from sceneloom.formats.trajectories.trajectory_file import Reading
-
-    return TUM.read(path, Reading(name=_EGO_TRAJECTORY), ledger).trajectory
-
-
-def _sound(frames: _CloudFrames, ledger: Ledger) -> _CloudFrames:
-    """Leave out the files that cannot be read."""
-    errors = _readable(frames.files, frames.layout)
-    for error in filter(None, errors):
-        ledger.fault("unreadable-files", error)
-    kept = [k for k, error in enumerate(errors) if error is None]
-    if not kept:
-        raise next(error for error in errors if error is not None)
-    return replace(
-        frames,
-        files=tuple(frames.files[k] for k in kept),
-        timestamps_ns=read_only(frames.timestamps_ns[kept]),
-    )
-
-
-def _frames(folder: _CloudFolder, reading: CloudReading, ledger: Ledger) -> _CloudFrames:
-    """The files in the order of their times."""
-    times, files = _times(folder, reading, ledger)
-    order = np.argsort(times, kind="stable")
-    times = times[order]
-    repeated = np.flatnonzero(np.diff(times) == 0) + 1
-    if len(repeated):
-        k = int(repeated[0])
-        names = [files[int(order[row])].name for row in (k - 1, k)]
-        reported = f"{names[0]!r} and {names[1]!r} have the same time"
-        problem = f"{reported}, {times[k] / 1e9:.9f} s; expected one file per time"
-        ledger.fault("repeated-times", DataError(folder.location, "", problem), count=len(repeated))
-        order, times = np.delete(order, repeated), np.delete(times, repeated)
-    return _CloudFrames(tuple(files[k] for k in order.tolist()), read_only(times))
-
-
-def _times(folder: _CloudFolder, reading: CloudReading, ledger: Ledger) -> tuple[Int64Array, tuple[Path, ...]]:
-    stems = [stem_of(path.name) for path in folder.files]
-    listed = next((folder.beside[name] for name in TIME_FILES if name in folder.beside), None)
-    numbers = numbers_of_names(stems)
-    files = folder.files
-    if listed is not None:
-        # lists count in the order of numbers, which is not that of names of different length
-        rank = range(len(files)) if numbers is None else np.argsort(np.array(numbers)).tolist()
-        return _listed_times(listed, tuple(files[k] for k in rank), ledger)
-    times = times_of_names(stems)
-    if times is not None:
-        return np.array(times, np.int64), files
-    if len(files) > 1:
-        rate_hz = reading.rate_hz or _DEFAULT_RATE_HZ
-        counted = numbers if numbers is not None else list(range(len(files)))
-        if reading.rate_hz is None:
-            reported = (
-                f"names report no times: number k is taken as {1 / rate_hz:g} k s, "
-                "`--input-option rate_hz=HZ` sets another rate"
-            )
-            ledger.note(WarningKind.ASSUMED, "cloud-times-assumed", str(folder.location), reported, count=len(files))
-        return _counted_times(folder, counted, rate_hz), files
-    return np.zeros(1, np.int64), files
-
-
-def _counted_times(folder: _CloudFolder, numbers: list[int], rate_hz: float) -> Int64Array:
-    if max(numbers) / rate_hz > 9e9:
-        raise DataError(folder.location, "", f"number {max(numbers)} at {rate_hz:g} Hz is a time beyond the year 2255")
-    return np.array([round(number * 1e9 / rate_hz) for number in numbers], np.int64)
-
-
-def _listed_times(listed: Path, files: tuple[Path, ...], ledger: Ledger) -> tuple[Int64Array, tuple[Path, ...]]:
-    from sceneloom.formats.base.text_tables import line_timestamps
-
-    times = line_timestamps(listed, None)
-    if len(times) != len(files):
-        problem = f"{len(times)} times for {len(files)} files; expected as many"
-        ledger.fault("counts-disagree", DataError(listed, "", problem), count=abs(len(times) - len(files)))
-    used = min(len(times), len(files))
-    if not used:
-        raise DataError(listed, "", f"no times for {len(files)} files")
-    return times[:used], files[:used]
-
-
-def _with_mapping(
-    folder: _CloudFolder, kind: CloudKind, frames: _CloudFrames, ledger: Ledger
-) -> tuple[_CloudFrames, float | None]:
-    """Settle what brightness and times mean, by the first files."""
-    scale, name = _scale_of(frames)
-    if name is not None and scale is None:
-        reported = f"column {name!r} fits no scale of brightness; kept as it is among the further values"
-        ledger.note(WarningKind.SKIPPED, "intensity-not-used", str(folder.location), reported)
-    if kind.layout and scale is not None and kind.name == "nuscenes-bin":
-        scale = IntensityScale(max(scale.maximum, 255.0))
-    first = frames.cloud(0)
-    times = _times_of(first, int(frames.timestamps_ns[0]))
-    if times is not None and times.field != "offset_ns":
-        reported = (
-            f"column {times.field!r} is taken for times of points: {times.unit} relative to the {times.relative_to}"
-        )
-        ledger.note(WarningKind.ASSUMED, "point-times-assumed", str(folder.location), reported)
-    settled = replace(frames, mapping=PointMapping(scale=scale, times=times))
-    return settled, None if scale is None else scale.maximum
-
-
-def _note_first(folder: _CloudFolder, frames: _CloudFrames, ledger: Ledger) -> None:
-    """Look at the first frame, and state what was left out of it."""
-    frame = frames(0)
-    notes: dict[str, tuple[str, Callable[[Any], int]]] = {
-        "dropped_points": (
-            "points that are not finite, or exactly at the origin, are no returns and are left out",
-            int,
-        ),
-        "clipped_intensities": ("brightness beyond its scale is cut to it", int),
-    }
-    for name, (message, count) in notes.items():
-        if name in frame.extras:
-            location = str(frames.files[0])
-            ledger.note(
-                WarningKind.SKIPPED,
-                name.replace("_", "-"),
-                location,
-                message,
-                count=count(frame.extras[name]),
-            )
-    apart = frame.extras.get("head", {}).get("other_bounds")
-    if apart:
-        reported = (
-            f"the bounds in the header are not those of the points ({apart} off); the points are read as they are"
-        )
-        ledger.note(WarningKind.ASSUMED, "other-bounds", str(frames.files[0]), reported)
-    others = frame.extras.get("head", {}).get("elements_left_out")
-    if others:
-        listed = ", ".join(f"{count} {name}" for name, count in others.items())
-        reported = f"only vertices are points: {listed} left out of the first file"
-        ledger.note(WarningKind.SKIPPED, "elements-left-out", str(folder.location), reported)
-
-
-def _find_folders(path: Path, kind: CloudKind) -> list[_CloudFolder]:
-    """Find the files of each lidar.
-
-    Raises:
-        DataError: there are none.
-    """
-    if path.is_file():
-        return [_CloudFolder(DEFAULT_ID, path, (path,), {})]
-    try:
-        folders = sorted(path / entry.name for entry in entries(path) if entry.is_dir())
-        own = _files(path, kind)
-        found = [] if own is None else [own]
-        if own is None:
-            found = [one for folder in folders if (one := _files(folder, kind)) is not None]
-    except OSError as error:
-        raise DataError(path, "", f"cannot be read: {error.strerror or error}") from error
-    if not found:
-        raise DataError(path, "", f"has no files of points; expected {kind.reported}")
-    if len(found) == 1 and found[0].location == path:
-        return found
-    return [_CloudFolder(unquote(one.location.name), one.location, one.files, one.beside) for one in found]
-
-
-def _files(folder: Path, kind: CloudKind) -> _CloudFolder | None:
-    found = [entry for entry in entries(folder) if entry.is_file()]
-    files = tuple(folder / entry.name for entry in sorted(found, key=lambda one: one.name) if kind.has_name(entry.name))
-    beside = {entry.name: folder / entry.name for entry in found if entry.name in BESIDE}
-    if folder.name == "data" and not beside:
-        # KITTI's raw data have the times beside the folder of the files
-        beside = {name: there for name in TIME_FILES if (there := folder.parent / name).is_file()}
-    return _CloudFolder(DEFAULT_ID, folder, files, beside) if files else None

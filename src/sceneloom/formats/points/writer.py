@@ -1,9 +1,8 @@
 """Write the lidar frames of a scene as files of points."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -12,11 +11,11 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.editing.move_world import points_change, to_ego, to_sensor, to_world
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.formats.base.losses import Loss, LossReport, Support, field_losses
+from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.losses import LossReport, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stems, replacing
 from sceneloom.formats.base.poses import ego_in_world
-from sceneloom.formats.points.files import FRAME_WRITERS, LossTaker, frame_columns, left_out
-from sceneloom.formats.points.reader import name_of_time
+from sceneloom.formats.points.files import FRAME_WRITERS, frame_columns, left_out
 from sceneloom.formats.points.spec import (
     DEFAULT_ID,
     EGO_POSES,
@@ -29,7 +28,7 @@ from sceneloom.motion.ego_trajectory import IDENTITY, is_computed, with_trajecto
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.ego import EgoMotion, is_on_ego, named_odometry, sensor_source
 from sceneloom.scene.motion import OdometrySensor
-from sceneloom.scene.poses import Poses
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.types import Coordinates, PointsFrame
 
@@ -38,11 +37,11 @@ _MOVES: Mapping[PointsFrame, Callable[..., Scene]] = MappingProxyType(
 )
 
 _WRITTEN = {"file", "dropped_points", "clipped_intensities"}
-"""Further fields of frames that only state from which file they were read, and how."""
+"""Extra fields of frames that only state from which file they were read, and how."""
 
 
 @dataclass(frozen=True, slots=True)
-class CloudSaving:
+class _Saving:
     """How clouds are to be written.
 
     Attributes:
@@ -72,36 +71,33 @@ def write_clouds(scene: Scene, path: Path, *, kind: CloudKind, overwrite: bool =
         PoseError: the poses that another frame of the points needs are not known.
         OutputError: the output exists, or cannot be written.
     """
-    saving = CloudSaving(**options)
-    losses = list(_of_fields(scene, kind))
+    saving, losses = _Saving(**options), Losses()
+    _note_fields(scene, kind, losses)
     asked = _chosen(scene, saving.lidar)
     if saving.frame is not None and any(lidar.points_frame != saving.frame for lidar in asked):
-        scene, reported = _in_frame(scene, asked, PointsFrame(saving.frame), saving.trajectory)
-        losses += reported
+        scene = _in_frame(scene, asked, PointsFrame(saving.frame), saving.trajectory, losses)
     elif saving.trajectory is not None:
         raise OptionError(
             f"trajectory {saving.trajectory!r}: the points stay in the frame that they are in, which needs none; "
             "expected another frame, such as `frame=world`"
         )
     lidars = _chosen(scene, saving.lidar)
-    losses += [
-        Loss(field=f"sensors[{lidar.id}]", what="left out: another lidar was asked for")
-        for lidar in scene.lidars
-        if lidar not in lidars
-    ]
-    write = partial(_write_frame, kind=kind, saving=saving, notify=losses.append)
+    for lidar in scene.lidars:
+        if lidar not in lidars:
+            losses.dropped(f"sensors[{lidar.id}]", "left out: another lidar was asked for")
     if path.name.lower().endswith(kind.endings[1:]):
         raise OptionError(f"{path}: written as {kind.endings[0]} only; {path.suffix} has one array and no names")
+    files = _FrameFiles(kind, saving.encoding, losses)
     if kind.has_name(path.name):
-        _write_file(lidars, path, write, overwrite=overwrite, losses=losses)
+        _write_file(lidars, path, files, overwrite=overwrite)
     else:
-        _write_folder(scene, lidars, path, kind, write, overwrite=overwrite, losses=losses)
+        _write_folder(scene, lidars, path, files, overwrite=overwrite)
     return LossReport.of(losses)
 
 
 def _in_frame(
-    scene: Scene, lidars: list[LidarSensor], frame: PointsFrame, trajectory: str | None
-) -> tuple[Scene, list[Loss]]:
+    scene: Scene, lidars: list[LidarSensor], frame: PointsFrame, trajectory: str | None, losses: Losses
+) -> Scene:
     """Bring the points of lidars into a frame, along a trajectory where that needs one.
 
     Raises:
@@ -109,20 +105,25 @@ def _in_frame(
     """
     odometries = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
     others = [lidar for lidar in scene.lidars if lidar not in lidars]
-    part = replace(scene, sensors=(*lidars, *odometries), annotations=())
-    move, losses = _MOVES[frame], list[Loss]()
+    part, move = replace(scene, sensors=(*lidars, *odometries), annotations=()), _MOVES[frame]
     known = any(trajectory.quaternions_xyzw is not None for trajectory in scene.trajectories.values())
     if trajectory is not None or known or any(_needs_trajectory(part, lidar, frame) for lidar in lidars):
-        ego, losses = ego_in_world(scene, name=trajectory)
+        ego, found = ego_in_world(scene, name=trajectory)
+        losses.extend(found)
         part = with_trajectory_estimated(part, ego) if is_computed(scene, ego.name) else part
         by_default = trajectory is None and next(iter(part.trajectories), None) == ego.name
         part = move(part, trajectory=None if by_default else ego.name)
     else:
         # nothing says where the ego was, nor need it be known: no poses of it are made up
-        placed = (_by_own_poses(lidar, frame) for lidar in lidars)
+        in_world = [PointsFrame.WORLD in {frame, lidar.points_frame} for lidar in lidars]
+        # the mounting does not count where the lidar's own poses in the world state more
+        placed = [
+            replace(lidar, mount=None) if world and lidar.poses is not None else lidar
+            for lidar, world in zip(lidars, in_world, strict=True)
+        ]
         moved = move(replace(part, sensors=(*placed, *odometries)), trajectory=IDENTITY)
         part = replace(part, sensors=(*moved.lidars, *odometries))
-    return replace(part, sensors=(*part.sensors, *others)), losses
+    return replace(part, sensors=(*part.sensors, *others))
 
 
 def _needs_trajectory(scene: Scene, lidar: LidarSensor, frame: PointsFrame) -> bool:
@@ -139,20 +140,20 @@ def _by_own_poses(lidar: LidarSensor, frame: PointsFrame) -> LidarSensor:
     return replace(lidar, mount=None) if in_world and lidar.poses is not None else lidar
 
 
-def _of_fields(scene: Scene, kind: CloudKind) -> Iterator[Loss]:
-    """What becomes of the scene, but for what depends on the frames, and for what this scene does not have."""
+def _note_fields(scene: Scene, kind: CloudKind, losses: Losses) -> None:
+    """Report what becomes of the scene, but for what depends on the frames, and for what this scene does not have."""
     table = dict(supports_of(kind.name))
     for name in ("id", "coordinates", "points_frame", "poses", "mount", "extras"):
         table.pop(f"sensors.lidar.{name}", None)
-    yield from field_losses(scene, table)
+    losses.extend(field_losses(scene, table))
     for lidar in scene.lidars:
         if lidar.mount is not None and not np.array_equal(lidar.mount.matrix, np.eye(4)):
             what = "left out: the poses beside the clouds state where they are in the world"
-            yield Loss(field=f"sensors[{lidar.id}].mount", what=what)
+            losses.dropped(f"sensors[{lidar.id}].mount", what)
         further = [name for name in lidar.extras if name != "intensity_max"]
         if further:
             what = f"left out: files of points state nothing of the device: {', '.join(further)}"
-            yield Loss(field=f"sensors[{lidar.id}].extras", what=what)
+            losses.dropped(f"sensors[{lidar.id}].extras", what)
 
 
 def _chosen(scene: Scene, lidar: str | None) -> list[LidarSensor]:
@@ -164,12 +165,32 @@ def _chosen(scene: Scene, lidar: str | None) -> list[LidarSensor]:
     return found
 
 
-_FrameWriter = Callable[[LidarSensor, int, Path], None]
+@dataclass(frozen=True, slots=True)
+class _FrameFiles:
+    """Writes frames to files of a kind."""
+
+    kind: CloudKind
+    encoding: str
+    losses: Losses
+
+    def write(self, lidar: LidarSensor, k: int, path: Path) -> None:
+        """Write frame `k` of a lidar."""
+        frame = lidar.frames[k]
+        reported = {name: value for name, value in frame.extras.items() if name not in _WRITTEN}
+        left_out(replace(frame, extras=reported), str(lidar.id), self.losses)
+        columns = frame_columns(frame, lidar.extras.get("intensity_max"))
+        options = {"encoding": self.encoding} if self.kind.name == "pcd" else {}
+        FRAME_WRITERS[self.kind.name](path, columns, f"sensors[{lidar.id}].frames.points", self.losses, **options)
+
+    def note_ids(self, lidars: list[LidarSensor]) -> None:
+        """Report ids that reading gives another value."""
+        for lidar in lidars:
+            found = DEFAULT_ID if len(lidars) == 1 else str(lidar.id)
+            if lidar.id != found:
+                self.losses.converted(f"sensors[{lidar.id}].id", f"read back as {found!r}")
 
 
-def _write_file(
-    lidars: list[LidarSensor], path: Path, write: _FrameWriter, *, overwrite: bool, losses: list[Loss]
-) -> None:
+def _write_file(lidars: list[LidarSensor], path: Path, files: _FrameFiles, *, overwrite: bool) -> None:
     count = sum(len(lidar.frames) for lidar in lidars)
     if count != 1:
         raise OptionError(
@@ -177,40 +198,35 @@ def _write_file(
         )
     lidar = next(one for one in lidars if len(one.frames))
     with replacing(path, overwrite=overwrite) as draft:
-        write(lidar, 0, draft)
-    timestamp_ns, location = int(lidar.frames.timestamps_ns[0]), f"sensors[{lidar.id}]"
-    if timestamp_ns:
-        losses.append(
-            Loss(field=f"{location}.frames.timestamp_ns", what="left out: a single file has a name of its own")
-        )
+        files.write(lidar, 0, draft)
+    if lidar.frames.timestamps_ns[0]:
+        what = "left out: a single file has a name of its own"
+        files.losses.dropped(f"sensors[{lidar.id}].frames.timestamp_ns", what)
     if lidar.poses is not None:
-        losses.append(Loss(field=f"{location}.poses", what="left out: a single file has no file of poses beside it"))
-    losses += _of_names([lidar], alone=True)
+        what = "left out: a single file has no file of poses beside it"
+        files.losses.dropped(f"sensors[{lidar.id}].poses", what)
+    files.note_ids([lidar])
 
 
-def _write_folder(
-    scene: Scene,
-    lidars: list[LidarSensor],
-    path: Path,
-    kind: CloudKind,
-    write: _FrameWriter,
-    *,
-    overwrite: bool,
-    losses: list[Loss],
-) -> None:
+def _write_folder(scene: Scene, lidars: list[LidarSensor], path: Path, files: _FrameFiles, *, overwrite: bool) -> None:
     written = [lidar for lidar in lidars if len(lidar.frames)]
-    losses += [
-        Loss(field=f"sensors[{one.id}]", what="left out: it has no frames") for one in lidars if one not in written
-    ]
-    losses += _of_names(written, alone=len(written) == 1)
-    with replacing(path, overwrite=overwrite, folder=_folder_kind(kind)) as draft:
+    for lidar in lidars:
+        if lidar not in written:
+            files.losses.dropped(f"sensors[{lidar.id}]", "left out: it has no frames")
+    files.note_ids(written)
+    with replacing(path, overwrite=overwrite, folder=_folder_kind(files.kind)) as draft:
         for lidar, stem in zip(written, file_stems(one.id for one in written), strict=True):
             folder = draft if len(written) == 1 else draft / stem
             folder.mkdir(exist_ok=True)
-            times = _distinct_times(lidar, losses)
+            times = _distinct_times(lidar, files.losses)
             for k, time_ns in enumerate(times.tolist()):
-                write(lidar, k, folder / f"{name_of_time(time_ns)}{kind.endings[0]}")
-            losses += _write_poses(scene, lidar, times, folder)
+                files.write(lidar, k, folder / f"{_name_of_time(time_ns)}{files.kind.endings[0]}")
+            _write_poses(scene, lidar, times, folder, files.losses)
+
+
+def _name_of_time(timestamp_ns: int) -> str:
+    """The name of a file of a time [ns], which is read back as that time."""
+    return f"{timestamp_ns:020d}" if timestamp_ns < 0 else f"{timestamp_ns:019d}"
 
 
 def _folder_kind(kind: CloudKind) -> FolderKind:
@@ -222,72 +238,46 @@ def _folder_kind(kind: CloudKind) -> FolderKind:
     )
 
 
-def _of_names(lidars: list[LidarSensor], *, alone: bool) -> list[Loss]:
-    """The ids that reading gives differ from the scene's."""
-    return [
-        Loss(field=f"sensors[{one.id}].id", what=f"read back as {found!r}", support=Support.CONVERTED)
-        for one in lidars
-        if one.id != (found := DEFAULT_ID if alone else str(one.id))
-    ]
-
-
-def _distinct_times(lidar: LidarSensor, losses: list[Loss]) -> Int64Array:
+def _distinct_times(lidar: LidarSensor, losses: Losses) -> Int64Array:
     """The times of the frames, which names can be made of: equal ones are put a nanosecond apart."""
     times = lidar.frames.timestamps_ns
     later = np.arange(len(times))
     distinct = np.maximum.accumulate(times - later) + later
-    moved = np.flatnonzero(distinct != times)
-    if len(moved):
-        losses.append(
-            Loss(
-                field=f"sensors[{lidar.id}].frames.timestamp_ns",
-                what="frames of one time put 1 ns apart, which their names need",
-                count=len(moved),
-                support=Support.APPROXIMATED,
-                largest_error=float((distinct - times).max()),
-            )
-        )
+    error, count = float((distinct - times).max(initial=0)), int((distinct != times).sum())
+    what = "frames of one time put 1 ns apart, which their names need"
+    losses.approximated(f"sensors[{lidar.id}].frames.timestamp_ns", what, count=count, error=error)
     return np.asarray(distinct, np.int64)
 
 
-def _write_frame(
-    lidar: LidarSensor, k: int, path: Path, *, kind: CloudKind, saving: CloudSaving, notify: LossTaker
-) -> None:
-    frame = lidar.frames[k]
-    reported = replace(frame, extras={name: value for name, value in frame.extras.items() if name not in _WRITTEN})
-    left_out(reported, str(lidar.id), notify)
-    columns = frame_columns(frame, lidar.extras.get("intensity_max"))
-    options = {"encoding": saving.encoding} if kind.name == "pcd" else {}
-    FRAME_WRITERS[kind.name](path, columns, f"sensors[{lidar.id}].frames.points", notify, **options)
-
-
-def _write_poses(scene: Scene, lidar: LidarSensor, times: Int64Array, folder: Path) -> list[Loss]:
-    """Write where the frame of the points was in the world at the times of the frames, where that is known."""
+def _write_poses(scene: Scene, lidar: LidarSensor, times: Int64Array, folder: Path, losses: Losses) -> None:
+    """Write the poses of the frame of the points at the times of the frames, where they are known."""
     field = f"sensors[{lidar.id}].poses"
     if lidar.points_frame is PointsFrame.WORLD:
-        return [Loss(field=field, what="left out: the points are in the world")] if lidar.poses is not None else []
+        if lidar.poses is not None:
+            losses.dropped(field, "left out: the points are in the world")
+        return
     path = _path(scene, lidar)
     if path is None:
-        return []
+        return
     samples = path.interpolate(times, reach_ns=scene_period_ns(scene))
     known = np.isfinite(samples.positions).all(axis=1)
     name = EGO_POSES if lidar.points_frame is PointsFrame.EGO else SENSOR_POSES
     if known.any():
-        _write_tum(folder / name, Poses(times[known], samples.positions[known], samples.quaternions_xyzw[known]))
+        from sceneloom.formats.trajectories.text_formats import TUM
+        from sceneloom.formats.trajectories.trajectory_file import TrajectoryFile
+
+        trajectory = Trajectory("poses", times[known], samples.positions[known], samples.quaternions_xyzw[known])
+        list(TUM.write(TrajectoryFile(trajectory), folder / name, folder / name))
     if path.static or not np.array_equal(path.timestamps_ns, times[known]) or not known.all():
-        what = f"written in {name} at the times of the frames"
-        lost = int((~known).sum())
+        what, lost = f"written in {name} at the times of the frames", int((~known).sum())
         what = f"{what}; {lost} frames lie beyond them" if lost else what
-        return [Loss(field=field, what=what, count=len(path.timestamps_ns), support=Support.CONVERTED)]
-    return []
+        losses.converted(field, what, count=len(path.timestamps_ns))
 
 
 def _path(scene: Scene, lidar: LidarSensor) -> Poses | None:
     """Where the frame of the points was over time; None where nothing says it."""
-    trajectory = next(
-        (trajectory for trajectory in scene.trajectories.values() if trajectory.quaternions_xyzw is not None),
-        None,
-    )
+    oriented = (trajectory for trajectory in scene.trajectories.values() if trajectory.quaternions_xyzw is not None)
+    trajectory = next(oriented, None)
     if lidar.points_frame is PointsFrame.EGO:
         odometry = named_odometry(scene, lidar)
         return odometry.poses if odometry is not None else None if trajectory is None else trajectory.poses
@@ -303,12 +293,3 @@ def _path(scene: Scene, lidar: LidarSensor) -> Poses | None:
     times = source.path.timestamps_ns
     samples = source.at(times)
     return Poses(times, samples.positions, samples.quaternions_xyzw, static=source.path.static)
-
-
-def _write_tum(path: Path, poses: Poses) -> None:
-    from sceneloom.formats.trajectories.text_formats import TUM
-    from sceneloom.formats.trajectories.trajectory_file import TrajectoryFile
-    from sceneloom.scene.poses import Trajectory
-
-    trajectory = Trajectory("poses", poses.timestamps_ns, poses.positions, poses.quaternions_xyzw)
-    list(TUM.write(TrajectoryFile(trajectory), path, path))

@@ -166,17 +166,11 @@ def a_drive():
     lazy = LazyFrames.of(images, times)
     row = np.array([[4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 270.0]])
     timestamps, two = np.array(times[:1]), np.array(times[:2])
-    attributes = (
-        AttributePath("speed", (1.5, -2.25), two),
-        AttributePath("colour", ("red", "red"), two, static=True),
-    )
+    attributes = (AttributePath("speed", (1.5, -2.25), two), AttributePath("colour", ("red", "red"), two, static=True))
     flat, solid = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[1.0, 2.0, 3.0]])
     shapes = [
         ShapeAnnotation(
-            kind.value,
-            kind,
-            VertexPath(timestamps, (flat if kind.value.endswith("_2d") else solid,)),
-            "front",
+            kind.value, kind, VertexPath(timestamps, (flat if kind.value.endswith("_2d") else solid,)), "front"
         )
         for kind in ShapeType
         if kind is not ShapeType.POINT_TOPDOWN

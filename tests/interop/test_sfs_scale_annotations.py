@@ -159,10 +159,7 @@ def test_every_annotation_that_scales_library_writes_is_read_with_its_values(sca
     assert shapes["p"].path.vertices[0].tolist() == [[1, 2], [3, 4], [5, 6]]
     for name in "tl":
         assert shapes[name].path.timestamps_ns.tolist() == [1_000_000, 1_009_000]
-        assert [v.tolist() for v in shapes[name].path.vertices] == [
-            [[1, 2, 3], [4, 5, 6]],
-            [[1.5, 2.5, 3.5]],
-        ]
+        assert [v.tolist() for v in shapes[name].path.vertices] == [[[1, 2, 3], [4, 5, 6]], [[1.5, 2.5, 3.5]]]
     assert (shapes["l"].is_closed, shapes["l"].label) == (True, "lane")
     event = by_id["e"]
     assert (event.start_ns, event.duration_ns, event.sensor_id) == (1_005_000, 3_000, 7)
@@ -212,10 +209,7 @@ def every_annotation():
         )
         for kind in ShapeType
     ]
-    parts = (
-        LabeledPoints("top", np.array([1, 3], np.uint32), 2),
-        LabeledPoints("map", np.array([0], np.uint32)),
-    )
+    parts = (LabeledPoints("top", np.array([1, 3], np.uint32), 2), LabeledPoints("map", np.array([0], np.uint32)))
     camera_model = Camera("fisheye", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1, 0.2, 0.3, 0.4))
     return (
         CuboidAnnotation(
@@ -276,13 +270,7 @@ def test_every_annotation_that_scales_library_loads_has_its_values_there(scale, 
             "sensor_id": "top",
             "static": False,
         },
-        {
-            "name": "speed",
-            "timestamps": timestamps(0),
-            "values": [1500],
-            "sensor_id": None,
-            "static": False,
-        },
+        {"name": "speed", "timestamps": timestamps(0), "values": [1500], "sensor_id": None, "static": False},
     ]
     assert there["attributes"] == attributes
     for identifier in ("cuboid", "box_2d", "polygon_2d", "polygon_topdown", "polyline", "event", "o"):
@@ -296,12 +284,7 @@ def test_every_annotation_that_scales_library_loads_has_its_values_there(scale, 
         {"sensor_id": "top", "timestamps": timestamps(0, 5), "durations": [10, 2.5], "cuboids": [ROW, ROW]}
     ]
     assert cuboid["projections"] == [
-        {
-            "sensor_id": "front",
-            "timestamps": timestamps(0, 5),
-            "boxes": [[1, 2, 3, 4.5], None],
-            "cuboids": [ROW, ROW],
-        }
+        {"sensor_id": "front", "timestamps": timestamps(0, 5), "boxes": [[1, 2, 3, 4.5], None], "cuboids": [ROW, ROW]}
     ]
     assert found["box_2d"]["path"] == {"timestamps": timestamps(0), "values": [[1, 2, 3, 4.5]]}
     assert found["polygon_2d"]["path"] == {"timestamps": timestamps(0, 9), "values": [[1, 2, 3, 4], [1, 2]]}
@@ -339,12 +322,7 @@ def test_durations_and_nulls_that_scales_library_refuses_stand_aside(scale, tmp_
     assert there["valid"]
     assert set(there["annotations"]) == {"whole", "static"}
     back = {annotation.id: annotation for annotation in FORMAT.open(path).annotations}
-    assert [back[name].duration_ns for name in ("whole", "part", "less", "static")] == [
-        3 * MS,
-        3 * MS + 1,
-        0.5,
-        None,
-    ]
+    assert [back[name].duration_ns for name in ("whole", "part", "less", "static")] == [3 * MS, 3 * MS + 1, 0.5, None]
     np.testing.assert_array_equal(back["null"].projections[0].cuboids, seen.cuboids)
 
 

@@ -25,37 +25,8 @@ with atheris.instrument_imports(include=["sceneloom.formats.sfs", "sceneloom.sce
     from sceneloom.formats.sfs.spec import FORMAT
 
 LONGEST = 1 << 14
-STRANGE = [
-    None,
-    True,
-    -1,
-    0,
-    7,
-    2**31,
-    2**63,
-    -(2**63),
-    10**30,
-    1e300,
-    0.5,
-    float("nan"),
-    float("inf"),
-    "",
-    "x",
-    "0",
-]
-STRANGE += [
-    "sonar",
-    "lidar",
-    "camera",
-    "cuboid",
-    [],
-    [None],
-    [[]],
-    [[0.5] * 7],
-    {},
-    {"id": 1},
-    {"timestamps": [1]},
-]
+STRANGE = [None, True, -1, 0, 7, 2**31, 2**63, -(2**63), 10**30, 1e300, 0.5, float("nan"), float("inf"), "", "x", "0"]
+STRANGE += ["sonar", "lidar", "camera", "cuboid", [], [None], [[]], [[0.5] * 7], {}, {"id": 1}, {"timestamps": [1]}]
 """What takes the position of values of a header."""
 
 TWO = [[1.0, 2, 3], [4, 5, 6]]
@@ -63,10 +34,7 @@ POSES = {"timestamps": [0, 100], "values": [[1, 2, 3, 0, 0, 0, 1], [1, 2, 3, 0, 
 CAMERA_MODEL = {"fx": 9.5, "fy": 9, "cx": 3.5, "cy": 3.5, "width": 8, "height": 8}
 PATH = {"timestamps": [0, 10], "values": [[1.0] * 9] * 2}
 PROJECTIONS = [{"sensor_id": "c", "timestamps": [0], "boxes": [[1, 2, 3, 4]], "confirmed": [True]}]
-ATTRIBUTES = [
-    {"name": "n", "timestamps": [0, 5], "values": ["a", 1.5]},
-    {"name": "s", "static": True, "values": [1]},
-]
+ATTRIBUTES = [{"name": "n", "timestamps": [0, 5], "values": ["a", 1.5]}, {"name": "s", "static": True, "values": [1]}]
 FLAT = {"sensor_id": "c", "stationary": False, "attributes": ATTRIBUTES}
 
 ANNOTATIONS = {
@@ -235,12 +203,7 @@ def main() -> None:
             path.write_bytes(content)
             look_at_everything(path)
 
-        limits = [
-            f"-max_total_time={asked.seconds}",
-            f"-max_len={LONGEST}",
-            "-timeout=20",
-            "-rss_limit_mb=2048",
-        ]
+        limits = [f"-max_total_time={asked.seconds}", f"-max_len={LONGEST}", "-timeout=20", "-rss_limit_mb=2048"]
         arguments = [sys.argv[0], *limits, f"-artifact_prefix={folder}/", str(folder)]
         atheris.Setup(arguments, try_one, custom_mutator=changed)
         atheris.Fuzz()

@@ -193,10 +193,7 @@ def test_a_las_header_that_does_not_agree_with_the_content_is_refused(tmp_path, 
     whole = las(tmp_path / "whole.las", version)
     assert read_cloud(tmp_path / "whole.las").count == 300
     kind, location = ("<Q", 247) if version == "1.4" else ("<I", 107)
-    faults = [
-        *LAS_FAULTS.values(),
-        *((kind, location, value, reported) for value, reported in COUNTS.values()),
-    ]
+    faults = [*LAS_FAULTS.values(), *((kind, location, value, reported) for value, reported in COUNTS.values())]
     for form, at, value, reported in faults:
         content = bytearray(whole)
         struct.pack_into(form, content, at, value)

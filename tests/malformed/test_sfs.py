@@ -19,19 +19,10 @@ CAMERA_MODEL = {"fx": 9.5, "fy": 9, "cx": 3.5, "cy": 3.5, "width": 8, "height": 
 
 
 def clouds():
-    points = {
-        "positions": TWO,
-        "timestamps": np.array([5, 9], np.uint32),
-        "ring": np.array([1, 2], np.uint16),
-    }
+    points = {"positions": TWO, "timestamps": np.array([5, 9], np.uint32), "ring": np.array([1, 2], np.uint16)}
     sensors = [
         {"id": "l", "type": "lidar", "poses": POSES, "frames": [{"timestamp": 5, "points": points}]},
-        {
-            "id": 2,
-            "type": "radar",
-            "poses": POSES,
-            "frames": [{"timestamp": 5, "points": {"positions": TWO}}],
-        },
+        {"id": 2, "type": "radar", "poses": POSES, "frames": [{"timestamp": 5, "points": {"positions": TWO}}]},
         {"id": "m", "type": "points", "points": {"positions": TWO}},
     ]
     return {"version": "1.0", "time_offset": 10**15, "time_unit": "microseconds", "sensors": sensors}
@@ -100,10 +91,7 @@ def our_metadata():
         "id": "c",
         "mount": [[1.0, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3]],
         "camera": {"model": "pinhole", "coefficients": [], **CAMERA_MODEL},
-        "images": {
-            "cameras": [{"model": "fisheye", "coefficients": [1.0], **CAMERA_MODEL}],
-            "camera_of_image": [0],
-        },
+        "images": {"cameras": [{"model": "fisheye", "coefficients": [1.0], **CAMERA_MODEL}], "camera_of_image": [0]},
     }
     ours = {
         "sensor_notes": [note],

@@ -13,20 +13,9 @@ from sceneloom.formats.sfs.writer import write_scene
 UNKNOWN = {"id": "p", "type": "x", "paths": [[{"timestamps": [1]}]], "projections": [[1]]}
 STREAMS = {"id": "i", "type": "imu", "streams": {"gyroscope": {"values": 1}}}
 
-STRANGER = {
-    "id": "c",
-    "type": "x",
-    "images": [{"timestamp": "x", "content": ""}],
-    "video": {"timestamps": "yz"},
-}
+STRANGER = {"id": "c", "type": "x", "images": [{"timestamp": "x", "content": ""}], "video": {"timestamps": "yz"}}
 
-MAP = {
-    "id": "m",
-    "type": "points",
-    "points": 1,
-    "poses": {"timestamps": [{}], "values": [[]]},
-    "frames": [{}],
-}
+MAP = {"id": "m", "type": "points", "points": 1, "poses": {"timestamps": [{}], "values": [[]]}, "frames": [{}]}
 
 FOUND = {
     "a map at fault with poses, which a map does not have": {"version": "1.0", "sensors": [MAP]},
@@ -36,10 +25,7 @@ FOUND = {
         "annotations": [UNKNOWN],
     },
     "the same beside damage": {"version": "lidar", "time_unit": 1, "annotations": [UNKNOWN]},
-    "a stream of an IMU without its times": {
-        "version": "1.0",
-        "metadata": {"sceneloom": {"sensors": [STREAMS]}},
-    },
+    "a stream of an IMU without its times": {"version": "1.0", "metadata": {"sceneloom": {"sensors": [STREAMS]}}},
     "sensors that are an object": {"version": "1.0", "sensors": {"lidar": {"type": "lidar"}}},
 }
 

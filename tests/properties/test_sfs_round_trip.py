@@ -58,16 +58,7 @@ def extras_beside(*taken):
         "label",
         *taken,
     }
-    known |= {
-        "stationary",
-        "attributes",
-        "activations",
-        "projections",
-        "images",
-        "video",
-        "intrinsics",
-        "streams",
-    }
+    known |= {"stationary", "attributes", "activations", "projections", "images", "video", "intrinsics", "streams"}
     return st.dictionaries(NAMES.filter(lambda name: name not in known), JSON, max_size=2)
 
 
@@ -142,11 +133,7 @@ def scenes(draw):
     )
     attributes = (AttributePath(draw(NAMES), (draw(NUMBERS),), np.array([start_ns + 1])),)
     cuboid = CuboidAnnotation(
-        draw(IDS),
-        path,
-        draw(st.none() | NAMES),
-        draw(st.none() | st.booleans()),
-        attributes=attributes,
+        draw(IDS), path, draw(st.none() | NAMES), draw(st.none() | st.booleans()), attributes=attributes
     )
     other = EventAnnotation("event", start_ns + 9, extras=draw(extras_beside("start", "duration", "sensor_id")))
     trajectory = Trajectory("truth", np.array([start_ns]), np.ones((1, 3)), None, np.array([0.1]))

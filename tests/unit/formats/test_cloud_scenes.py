@@ -320,10 +320,7 @@ def test_two_kinds_of_clouds_in_one_folder_are_named(tmp_path, scene):
 
 @pytest.mark.parametrize(
     ("content", "reported"),
-    [
-        (b"", "it is empty"),
-        *((c, "does not begin so") for c in (bytes(17), np.arange(64, dtype="<i4").tobytes())),
-    ],
+    [(b"", "it is empty"), *((c, "does not begin so") for c in (bytes(17), np.arange(64, dtype="<i4").tobytes()))],
 )
 def test_other_bin_files_are_no_clouds(tmp_path, content, reported):
     (tmp_path / "a.bin").write_bytes(content)

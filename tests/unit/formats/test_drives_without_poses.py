@@ -130,11 +130,7 @@ def test_the_drives_own_trajectory_comes_first_and_another_can_be_named(name, op
     scene = replace(moving(), trajectories=trajectories)
     for estimated_trajectory, end in ((None, 5.0), ("second", 10.0)):
         losses = write_scene(
-            scene,
-            tmp_path / str(estimated_trajectory),
-            format=name,
-            trajectory=estimated_trajectory,
-            **options,
+            scene, tmp_path / str(estimated_trajectory), format=name, trajectory=estimated_trajectory, **options
         )
         assert not [loss for loss in reported(losses) if "not known" in loss.what]
         assert last_ego(name, tmp_path / str(estimated_trajectory)) == pytest.approx(end, abs=1e-3)
@@ -183,9 +179,7 @@ def test_targets_that_hold_data_where_the_sensors_are_need_no_poses(name, tmp_pa
 def test_cuboids_in_the_world_are_seen_from_a_stationary_ego_which_is_reported(name, tmp_path):
     path = CuboidPath(TIMES[:1], np.array([[4.0, 2.0, 1.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))
     losses = write_scene(
-        replace(drive(), annotations=(CuboidAnnotation("box", path, "car"),)),
-        tmp_path / "out",
-        format=name,
+        replace(drive(), annotations=(CuboidAnnotation("box", path, "car"),)), tmp_path / "out", format=name
     )
     assert [loss for loss in losses if loss.field == "trajectories.positions"] == [stationary_ego()]
 

@@ -14,12 +14,7 @@ def test_locations_are_distinguished_from_the_folder_on():
     ledger = FaultLedger("/drive")
     ledger.fault("broken", line(3))
     [fault] = ledger.faults
-    assert (fault.path, fault.problem, fault.code, fault.vital) == (
-        "data.jsonl: line 3",
-        "3 is odd",
-        "broken",
-        False,
-    )
+    assert (fault.path, fault.problem, fault.code, fault.vital) == ("data.jsonl: line 3", "3 is odd", "broken", False)
 
 
 def test_of_very_many_faults_those_beyond_are_counted_with_the_position_of_the_last():

@@ -202,8 +202,7 @@ def scenes(locations):
         "cut video": cut_scene(opened["video"], start=0.1, stop=0.3),
         "moved": moved_scene(opened["fused.sfs"], np.array([1.0, 2.0, 3.0])),
         "replaced": replace(
-            opened["video"],
-            sensors=tuple(replace(camera, id=f"my {camera.id}") for camera in opened["video"].cameras),
+            opened["video"], sensors=tuple(replace(camera, id=f"my {camera.id}") for camera in opened["video"].cameras)
         ),
         "map": Scene((PointsSensor("map", np.ones((5, 3), np.float32)),)),
     }

@@ -60,10 +60,7 @@ def test_a_missing_parent_is_named(tmp_path: Path) -> None:
 
 def test_a_file_where_a_folder_is_expected_is_called_a_file(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("mine")
-    with (
-        pytest.raises(OutputError, match=r"taken is a file"),
-        replacing(tmp_path / "taken" / "a", overwrite=False),
-    ):
+    with pytest.raises(OutputError, match=r"taken is a file"), replacing(tmp_path / "taken" / "a", overwrite=False):
         pytest.fail("must not be entered")
 
 
@@ -162,10 +159,7 @@ def test_a_link_in_a_folder_is_foreign(tmp_path: Path) -> None:
     (tmp_path / "home").mkdir()
     (tmp_path / "real").write_text("mine")
     (tmp_path / "home" / "data.jsonl").symlink_to(tmp_path / "real")
-    with (
-        pytest.raises(OutputError, match=r"data\.jsonl"),
-        replacing(tmp_path / "home", overwrite=True, folder=KIND),
-    ):
+    with pytest.raises(OutputError, match=r"data\.jsonl"), replacing(tmp_path / "home", overwrite=True, folder=KIND):
         pytest.fail("must not be entered")
 
 
@@ -173,10 +167,7 @@ def test_what_appears_in_a_folder_while_its_successor_is_written_is_not_lost(tmp
     target = tmp_path / "home"
     target.mkdir()
     (target / "data.jsonl").write_text("old")
-    with (
-        pytest.raises(OutputError, match=r"mine\.txt"),
-        replacing(target, overwrite=True, folder=KIND) as draft,
-    ):
+    with pytest.raises(OutputError, match=r"mine\.txt"), replacing(target, overwrite=True, folder=KIND) as draft:
         (draft / "data.jsonl").write_text("new")
         (target / "mine.txt").write_text("mine")
     assert _tree(tmp_path) == {"home/data.jsonl": "old", "home/mine.txt": "mine"}
@@ -204,10 +195,7 @@ def test_a_file_that_is_read_is_not_replaced_by_any_name_of_it(tmp_path: Path) -
     source = Source(tmp_path / "link")
     with pytest.raises(OutputError, match="is read"):
         check_output(tmp_path / "drive.sfs", overwrite=True)
-    with (
-        pytest.raises(OutputError, match="is read"),
-        filling(tmp_path, overwrite=True) as draft,
-    ):
+    with pytest.raises(OutputError, match="is read"), filling(tmp_path, overwrite=True) as draft:
         (draft / "drive.sfs").write_text("new")
     assert source.path.read_text() == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.sfs", "link"]
@@ -316,10 +304,7 @@ print(deaths)
 @pytest.mark.few(4)
 def test_old_or_new_survives_a_kill_between_any_two_system_calls(tmp_path: Path, job: str, exchange: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", _KILLED, job, str(tmp_path), exchange],
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-c", _KILLED, job, str(tmp_path), exchange], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) >= 20

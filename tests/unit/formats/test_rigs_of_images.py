@@ -67,11 +67,7 @@ def recording(tmp_path):
         for k in range(COUNT):
             Image.new("RGB", SIZE, (10 * k, 0, 0)).save(folder / "frames1" / f"{k:08d}.png")
             camera_model = CAMERA_MODEL | {"focalLengthX": CAMERA_MODEL["focalLengthX"] + (k if different else 0)}
-            entry = {
-                "cameraInd": 0,
-                "cameraParameters": camera_model,
-                "imuToCamera": rotated(k if different else 0),
-            }
+            entry = {"cameraInd": 0, "cameraParameters": camera_model, "imuToCamera": rotated(k if different else 0)}
             lines.append({"frames": [entry], "number": k, "time": 0.25 + 0.2 * k})
         lines.sort(key=lambda line: line["time"])
         (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))

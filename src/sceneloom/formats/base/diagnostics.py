@@ -81,11 +81,7 @@ class Ledger:
         """All warnings, in the order in which they first came up."""
         return tuple(
             DataWarning(
-                kind=entry.kind,
-                code=entry.code,
-                location=entry.location,
-                message=entry.message,
-                count=entry.count,
+                kind=entry.kind, code=entry.code, location=entry.location, message=entry.message, count=entry.count
             )
             for entry in self._entries.values()
         )

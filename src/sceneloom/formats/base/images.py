@@ -183,11 +183,7 @@ def is_jpeg(path: Path) -> bool:
 
 
 def _open_image_file(path: Path) -> "Image.Image":
-    """Read the head of an image.
-
-    Raises:
-        DataError: it is no PNG and no JPEG, or cannot be read.
-    """
+    """Read the head of an image."""
     from PIL import UnidentifiedImageError
 
     try:
@@ -305,20 +301,7 @@ class ImageReader:
 _JPEG_START, PNG_START = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
 
 _KEPT_CHUNKS = frozenset(
-    {
-        b"IHDR",
-        b"PLTE",
-        b"IDAT",
-        b"IEND",
-        b"tRNS",
-        b"gAMA",
-        b"cHRM",
-        b"sRGB",
-        b"iCCP",
-        b"sBIT",
-        b"bKGD",
-        b"cICP",
-    }
+    {b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"sBIT", b"bKGD", b"cICP"}
 )
 """What a PNG file needs to show its image in its colours. Source: PNG, 3rd edition, 11.2 and 11.3."""
 
@@ -482,11 +465,7 @@ def read_depth_png(path: Path) -> Float32Array:
 
 
 def write_depth_npz(
-    depth_image: Float32Array,
-    path: Path,
-    *,
-    confidence: Float32Array | None = None,
-    overwrite: bool = False,
+    depth_image: Float32Array, path: Path, *, confidence: Float32Array | None = None, overwrite: bool = False
 ) -> None:
     """Write a depth image losslessly, as array `depth` of a compressed NPZ file.
 

@@ -23,11 +23,7 @@ _COMPRESSION = 3
 
 
 def _read_label_png(path: Path) -> UInt16Array:
-    """Read the numbers of the classes, (H, W); of a palette its indices, whatever their colours are.
-
-    Raises:
-        DataError: the file cannot be read, or its pixels are colours and not numbers.
-    """
+    """Read the numbers of the classes, (H, W); of a palette its indices, whatever their colours are."""
     from PIL import Image, UnidentifiedImageError
 
     try:

@@ -199,9 +199,7 @@ def _of_trajectories(scene: Scene, supports: Supports) -> Iterator[Loss]:
             values = getattr(trajectory, field)
             if values is not None:
                 yield from _reported(
-                    f"trajectories[{name}].{field}",
-                    holding_of(supports, f"trajectories.{field}"),
-                    len(values),
+                    f"trajectories[{name}].{field}", holding_of(supports, f"trajectories.{field}"), len(values)
                 )
 
 

@@ -156,11 +156,7 @@ def check_output(target: Path, *, overwrite: bool) -> None:
 
 
 def _check_not_read(target: Path, *, whole: bool = False) -> None:
-    """Refuse to replace what is being read; `whole`: with all that is in a folder.
-
-    Raises:
-        OutputError: naming what is read.
-    """
+    """Refuse to replace what is being read; `whole`: with all that is in a folder."""
     if _read_by(target, whole=whole) is not None:
         gc.collect()  # scenes that nobody has any more read nothing
         path = _read_by(target, whole=whole)
@@ -486,11 +482,7 @@ def _machine() -> bytes:
 
 
 def _recover(target: Path) -> None:
-    """Put right, and take away, what dead processes left of an output.
-
-    Raises:
-        OutputError: what one had begun cannot be completed.
-    """
+    """Put right, and take away, what dead processes left of an output."""
     for workplace in _workplaces(target) if target.name else ():
         if not os.path.lexists(workplace):
             continue
@@ -519,11 +511,7 @@ def _is_dead(workplace: Path, machine: bytes) -> bool:
 
 
 def _clear(workplace: Path, target: Path) -> None:
-    """Complete what was begun in a workplace, and take it away.
-
-    Raises:
-        OutputError: it cannot be completed, and stays.
-    """
+    """Complete what was begun in a workplace, and take it away."""
     try:
         if os.path.lexists(workplace / _REPLACED) and not os.path.lexists(target):
             (workplace / _REPLACED).rename(target)

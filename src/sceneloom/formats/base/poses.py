@@ -13,12 +13,7 @@ from sceneloom.errors import CalibrationError, PoseError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
-    angle_between,
-    conjugate_quaternion,
-    multiply_quaternions,
-    rotate_vectors,
-)
+from sceneloom.geometry.rotations import angle_between, conjugate_quaternion, multiply_quaternions, rotate_vectors
 from sceneloom.motion.ego_trajectory import (
     GNSS,
     IDENTITY,
@@ -164,10 +159,8 @@ def field_of(sensor: ShootingSensor) -> str:
 _RIGID_WITHIN_M, _RIGID_WITHIN_DEG = 0.001, 0.05
 """How far a sensor may move on the vehicle before it is reported that one mounting does not describe it."""
 
-
 _EACH_BEYOND_M, _EACH_BEYOND_DEG = 0.01, 0.1
 """Beyond this, images get mountings of their own where the target holds them."""
-
 
 _REFUSED_M, _REFUSED_DEG = 0.1, 1.0
 """Mountings of single images that are further apart than this are not replaced by one for all."""
@@ -270,11 +263,7 @@ def _moved(mount: RigidTransform, positions: Float64Array, quaternions_xyzw: Flo
 
 
 def _one_for_all(sensor: Any, mount: RigidTransform, own: Sequence[RigidTransform]) -> list[Loss]:
-    """What is lost where one mounting stands for those of all images.
-
-    Raises:
-        CalibrationError: they are too far apart.
-    """
+    """What is lost where one mounting stands for those of all images."""
     moved, rotated = _moved(
         mount, np.array([one.translation for one in own]), np.array([one.quaternion_xyzw for one in own])
     )

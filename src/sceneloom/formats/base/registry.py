@@ -101,24 +101,17 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
     {
         "sfs": FormatRow("sceneloom.formats.sfs.spec:FORMAT", file=(_JSON,)),
         "recording": FormatRow(
-            "sceneloom.formats.recording.spec:FORMAT",
-            file=(_JSON, _ZIP, "data.jsonl"),
-            folder=("data.jsonl",),
+            "sceneloom.formats.recording.spec:FORMAT", file=(_JSON, _ZIP, "data.jsonl"), folder=("data.jsonl",)
         ),
         "rig": FormatRow("sceneloom.formats.rig.spec:FORMAT", file=(".toml",), folder=("rig.toml",)),
         "mcap": FormatRow(f"{_MESSAGES}:MCAP", file=(_MCAP,)),
         "ros1": FormatRow(f"{_MESSAGES}:ROS1", file=(b"#ROSBAG V",)),
         "ros2": FormatRow(
-            f"{_MESSAGES}:ROS2",
-            file=(b"SQLite format 3\0", _MCAP),
-            folder=("metadata.yaml", "*.db3", "*.mcap"),
+            f"{_MESSAGES}:ROS2", file=(b"SQLite format 3\0", _MCAP), folder=("metadata.yaml", "*.db3", "*.mcap")
         ),
         "kitti-raw": FormatRow(
             f"{_KITTI}:RAW",
-            folder=(
-                *("velodyne_points", "oxts/data", "image_0[0-3]"),
-                *("*_drive_*", "????_??_??/*_drive_*"),
-            ),
+            folder=(*("velodyne_points", "oxts/data", "image_0[0-3]"), *("*_drive_*", "????_??_??/*_drive_*")),
         ),
         "kitti-object": FormatRow(f"{_KITTI}:OBJECT", folder=("calib", "training/calib", "testing/calib")),
         "kitti-tracking": FormatRow(f"{_KITTI}:TRACKING", folder=("calib", "training/calib", "testing/calib")),
@@ -150,8 +143,7 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "nuscenes-bin": FormatRow(f"{_POINTS}:NUSCENES_BIN", file=(".pcd.bin",), folder=("*.pcd.bin", "*/*.pcd.bin")),
         "npz": FormatRow(f"{_POINTS}:NPZ", file=(".npz", ".npy"), folder=("*.npz", "*.npy", "*/*.npz", "*/*.npy")),
         "euroc-mav": FormatRow(
-            "sceneloom.formats.euroc_mav.spec:FORMAT",
-            folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv"),
+            "sceneloom.formats.euroc_mav.spec:FORMAT", folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv")
         ),
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
         "colmap": FormatRow("sceneloom.formats.colmap.spec:FORMAT"),
@@ -272,11 +264,7 @@ def _known() -> str:
 
 
 def _format_of_url(url: str) -> FormatSpec:
-    """Find the format that reads files behind URLs; those of another suffix have to be fetched first.
-
-    Raises:
-        UnknownFormatError: no format reads such a URL.
-    """
+    """Find the format that reads files behind URLs; those of another suffix have to be fetched first."""
     suffix = Path(urlsplit(url).path).suffix.lower()
     forms = [form for form in all_formats() if form.reads_urls]
     for form in forms:
@@ -354,10 +342,7 @@ def write_in(form: FormatSpec, scene: Scene, path: Path, **options: Any) -> Loss
     keys = {key_of(annotation.id) for annotation in lost}
     left = tuple(annotation for annotation in written.annotations if key_of(annotation.id) not in keys)
     losses = [
-        Loss(
-            field=f"annotations.{correction.type}",
-            what="left out: not applied, and the format has no field for it",
-        )
+        Loss(field=f"annotations.{correction.type}", what="left out: not applied, and the format has no field for it")
         for correction in lost
     ]
     return LossReport.of([*form.write(replace(written, annotations=left), path, **options), *losses])
@@ -420,12 +405,7 @@ def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Sce
         if isinstance(error, SceneloomError):
             error.rename(str(fetched.path), url.rstrip("/"))
         raise
-    reported = DataWarning(
-        kind=WarningKind.ASSUMED,
-        code="fetched",
-        location=redacted(url),
-        message=fetched.reported(),
-    )
+    reported = DataWarning(kind=WarningKind.ASSUMED, code="fetched", location=redacted(url), message=fetched.reported())
     return replace(
         scene,
         source=redacted(url),

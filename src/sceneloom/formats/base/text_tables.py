@@ -35,12 +35,7 @@ _DATE = re.compile(
 
 _LONGEST = 60
 
-PLACEHOLDERS: Mapping[str, str] = {
-    "s": "seconds",
-    "ms": "milliseconds",
-    "us": "microseconds",
-    "ns": "nanoseconds",
-}
+PLACEHOLDERS: Mapping[str, str] = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 """What may stand between braces in a pattern of names, and its unit."""
 
 
@@ -141,7 +136,6 @@ GNSS_COLUMNS: Mapping[str, Sequence[str]] = {
     "accuracy": ("accuracy", "horizontal_accuracy", "hacc", "accuracy_m"),
     "vertical_accuracy": ("vertical_accuracy", "vacc", "vertical_accuracy_m"),
 }
-
 
 _PARTS_OF_SECONDS = (
     *("nanoseconds", "nanosecs", "nanosec", "nsecs", "nsec"),

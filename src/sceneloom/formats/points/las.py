@@ -36,8 +36,6 @@ _LARGEST_CLASS = 255
 MOST_STEPS = 2**31 - 1
 """Steps between a position and the offset at most."""
 
-_LOCATIONS = ("x", "y", "z")
-
 _FARTHEST_M = 1e10
 """Limit of coordinates [m]; 70 times the distance to the sun."""
 
@@ -63,13 +61,7 @@ class LasFile:
     """A LAS file that is being written, or LAZ, by the ending of its name."""
 
     def __init__(
-        self,
-        path: Path,
-        positions: Float64Array,
-        step: float,
-        further: Mapping[str, AnyArray],
-        *,
-        colored: bool,
+        self, path: Path, positions: Float64Array, step: float, further: Mapping[str, AnyArray], *, colored: bool
     ) -> None:
         """Begin a file.
 
@@ -133,7 +125,7 @@ def las_dimensions(colors: AnyArray | None) -> frozenset[str]:
     import laspy
 
     known = laspy.PointFormat(_PLAIN if colors is None else _COLORED).dimension_names
-    return frozenset({*known, *_LOCATIONS})
+    return frozenset({*known, "x", "y", "z"})
 
 
 def colors_16(colors: AnyArray | None) -> dict[str, AnyArray]:
@@ -221,26 +213,19 @@ def read_las(path: Path) -> Cloud:
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What a header declares of the file's layout.
+    """What a header declares of the file's layout; starts are bytes of the file, lengths are bytes.
 
     Source: section 2.4, "Public Header Block".
 
     Attributes:
-        path: the file.
         version: minor one.
-        length: of the header [bytes].
-        points_start: where the points begin [byte].
         records: records of variable length before the points.
         compressed: whether the points are LAZ.
-        point_format: number of the point format.
-        point_length: of each point [bytes].
-        count: of the points.
         legacy_count: of the points, as versions before 1.4 state it.
         scales, offsets: x, y, z [m].
         bounds: largest and smallest x, y, z, each axis for itself [m].
-        waveforms_start: where packets of waveforms begin, 0 for none in this file [byte].
-        extended_start: where records of variable length behind the points begin [byte].
-        extended: how many these are.
+        waveforms_start: where packets of waveforms begin, 0 for none in this file.
+        extended_start, extended: where records of variable length behind the points begin, and how many these are.
     """
 
     path: Path
@@ -262,11 +247,7 @@ class _Header:
 
     @classmethod
     def of(cls, path: Path, content: bytes) -> "_Header":
-        """Take a header apart.
-
-        Raises:
-            DataError: it is none, of another version, or cut off.
-        """
+        """Take a header apart."""
         if not content.startswith(b"LASF"):
             raise DataError(path, "byte 0", f"{content[:4]!r}; expected b'LASF', a LAS file")
         if len(content) < _HEADER_LENGTHS[0]:
@@ -291,27 +272,26 @@ class _Header:
             numbers[:3], numbers[3:6], numbers[6:], waveforms, extended_start, extended,
         )  # fmt: skip
 
-    def check(self, size: int) -> None:
-        """Hold what is declared against the length of the file.
+    def points_end(self, size: int) -> int:
+        """Where the points end at the latest: at what stands behind them, or at the end of the file."""
+        return min([size, *filter(None, (self.waveforms_start, self.extended_start * bool(self.extended)))])
 
-        Raises:
-            DataError: it does not fit.
-        """
-        path = self.path
+    def check(self, size: int) -> None:
+        """Compare what is declared with the length of the file."""
+        path, start, content = self.path, self.points_start, self.count * self.point_length
         if self.point_format >= len(_POINT_LENGTHS):
             raise DataError(path, "byte 104", f"point format {self.point_format}; expected 0 to 10")
         if self.point_length < _POINT_LENGTHS[self.point_format]:
             problem = f"points of {self.point_length} bytes; expected {_POINT_LENGTHS[self.point_format]} or more"
             raise DataError(path, "byte 105", f"{problem} in point format {self.point_format}")
-        if not self.length <= self.points_start <= size:
-            problem = f"points begin at byte {self.points_start}; expected {self.length} to {size}, in the file"
+        if not self.length <= start <= size:
+            problem = f"points begin at byte {start}; expected {self.length} to {size}, in the file"
             raise DataError(path, "byte 96", problem)
-        if self.records * _RECORD_HEAD > self.points_start - self.length:
-            problem = f"{self.records} records of variable length in the {self.points_start - self.length} bytes"
+        if self.records * _RECORD_HEAD > start - self.length:
+            problem = f"{self.records} records of variable length in the {start - self.length} bytes"
             raise DataError(path, "byte 100", f"{problem} between header and points")
-        if self.extended and (
-            self.extended_start < self.points_start or self.extended * _EXTENDED_HEAD > size - self.extended_start
-        ):
+        too_many = self.extended * _EXTENDED_HEAD > size - self.extended_start
+        if self.extended and (self.extended_start < start or too_many):
             problem = f"{self.extended} extended records from byte {self.extended_start} on"
             raise DataError(path, "byte 243", f"{problem}; the file has {size} bytes")
         check_count(path, "header", self.count)
@@ -322,28 +302,20 @@ class _Header:
             ("scale", self.scales, _SMALLEST_SCALE, _LARGEST_SCALE),
             ("offset", self.offsets, 0.0, _FARTHEST_M),
         ):
-            for axis, value in zip(_LOCATIONS, values, strict=True):
+            for axis, value in zip("xyz", values, strict=True):
                 if not least <= abs(value) <= most:
                     problem = f"{name} of {axis} is {value}; expected a number from {least:g} to {most:g}"
                     raise DataError(path, "header", problem)
-        self._check_length(size)
-
-    def _check_length(self, size: int) -> None:
-        content = self.count * self.point_length
         if self.compressed:
-            check_unpacked(self.path, "points", size - self.points_start, content)
-            return
-        behind = [
-            location for location in (self.waveforms_start, self.extended_start * bool(self.extended)) if location
-        ]
-        there = min([size, *behind]) - self.points_start
-        if content > there:
-            problem = f"{self.count} points of {self.point_length} bytes; expected {content} bytes, found {there}"
-            raise DataError(self.path, f"byte {self.points_start}", f"{problem}: is the file cut off?")
+            check_unpacked(path, "points", size - start, content)
+        elif content > self.points_end(size) - start:
+            problem = f"{self.count} points of {self.point_length} bytes; expected {content} bytes"
+            found = f"found {self.points_end(size) - start}: is the file cut off?"
+            raise DataError(path, f"byte {start}", f"{problem}, {found}")
 
 
 def _check_records(path: Path, stream: BinaryIO, header: _Header, size: int) -> None:
-    """Walk over the records before and behind the points, and look at what stands behind the last point."""
+    """Walk over the records before and behind the points, and check what stands behind the last point."""
     location = header.length
     for number in range(header.records):
         location += _RECORD_HEAD + _number(stream, location + 20, "<H")
@@ -355,17 +327,15 @@ def _check_records(path: Path, stream: BinaryIO, header: _Header, size: int) -> 
         location += _EXTENDED_HEAD + _number(stream, location + 20, "<Q") if location + 28 <= size else size
         if location > size:
             raise DataError(path, f"extended record {number}", f"ends at byte {location}; the file has {size}")
-    if header.compressed:
-        return
-    stop = header.points_start + header.count * header.point_length
-    behind = [at for at in (header.waveforms_start, header.extended_start * bool(header.extended)) if at]
-    stream.seek(stop)
-    left = stream.read(max(min([size, *behind]) - stop, 0))
-    check_end(path, left, stop, f"{header.count} points of {header.point_length} bytes")
+    if not header.compressed:
+        stop = header.points_start + header.count * header.point_length
+        stream.seek(stop)
+        left = stream.read(max(header.points_end(size) - stop, 0))
+        check_end(path, left, stop, f"{header.count} points of {header.point_length} bytes")
 
 
 def _check_positions(path: Path, columns: dict[str, AnyArray], count: int) -> None:
-    for axis in _LOCATIONS:
+    for axis in "xyz":
         if len(columns[axis]) != count:
             raise DataError(path, axis, f"{len(columns[axis])} points were read; the header declares {count}")
         far = np.flatnonzero(~(np.abs(columns[axis]) <= _FARTHEST_M))
@@ -379,7 +349,7 @@ def _bounds(columns: dict[str, AnyArray], header: _Header) -> dict[str, Any]:
     if not header.count:
         return {}
     reported = []
-    for k, axis in enumerate(_LOCATIONS):
+    for k, axis in enumerate("xyz"):
         found = float(columns[axis].max()), float(columns[axis].min())
         apart = max(abs(there - declared) for there, declared in zip(found, header.bounds[2 * k :], strict=False))
         if not apart <= 2 * abs(header.scales[k]) + 1e-9 * abs(header.offsets[k]):
@@ -388,13 +358,12 @@ def _bounds(columns: dict[str, AnyArray], header: _Header) -> dict[str, Any]:
 
 
 def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
-    """Refuse a table of chunks that says more than a file can hold: what unpacks LAZ ends the process over it.
+    """Refuse a table of chunks that declares more than a file can hold: what unpacks LAZ ends the process over it.
 
     Source: "LASzip: lossless compression of LiDAR data", Isenburg 2013: point data begin with the position of the
-        table,
-    -1 where that stands in the last bytes of the file; the table with its version and the number of chunks, each of
-    which begins with a point as it is. Chunks have as many points each, but for the last one, or state how many they
-    have.
+    table, -1 where that stands in the last bytes of the file; the table with its version and the number of chunks, each
+    of which begins with an uncompressed point. Chunks have as many points each, but for the last one, or state how many
+    they have.
     """
     import lazrs
 
@@ -452,7 +421,7 @@ def _head(header: Any) -> dict[str, Any]:
 
 def _columns(points: Any) -> dict[str, AnyArray]:
     """Every dimension by its name, positions in metres; bits of one byte are columns of their own."""
-    columns = {name: np.asarray(getattr(points, name), np.float64) for name in _LOCATIONS}
+    columns = {name: np.asarray(getattr(points, name), np.float64) for name in "xyz"}
     for name in points.point_format.dimension_names:
         if name not in {"X", "Y", "Z"}:
             columns["time" if name == "gps_time" else name] = np.ascontiguousarray(np.asarray(points[name]))

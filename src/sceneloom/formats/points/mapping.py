@@ -216,11 +216,7 @@ def _colors(columns: Mapping[str, AnyArray], roles: Mapping[str, str]) -> tuple[
     """Colours of one byte each, and the roles that they came from; others are left as they are."""
     channels = [columns.get(roles.get(name, "")) for name in ("red", "green", "blue")]
     if all(channel is not None and channel.dtype == np.uint8 for channel in channels):
-        return np.stack([channel for channel in channels if channel is not None], axis=1), (
-            "red",
-            "green",
-            "blue",
-        )
+        return np.stack([channel for channel in channels if channel is not None], axis=1), ("red", "green", "blue")
     if all(channel is not None and channel.dtype == np.uint16 for channel in channels):
         return _bytes_of(np.stack([channel for channel in channels if channel is not None], axis=1)), (
             "red",
@@ -245,11 +241,7 @@ def _bytes_of(colors: AnyArray) -> UInt8Array:
 
 
 def _times(
-    cloud: Cloud,
-    columns: Mapping[str, AnyArray],
-    roles: Mapping[str, str],
-    times: PointTimes,
-    clock: SweepClock,
+    cloud: Cloud, columns: Mapping[str, AnyArray], roles: Mapping[str, str], times: PointTimes, clock: SweepClock
 ) -> Int64Array | None:
     name = roles.get("time")
     if name is None:

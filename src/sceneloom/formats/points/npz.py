@@ -122,16 +122,6 @@ def _check_size(path: Path, location: str, head: bytes, size: int) -> None:
     """Refuse an array that is not as long as the bytes behind its head.
 
     Source: "NPY format", numpy.lib.format: magic, version, length of the head, the head as a dictionary of Python.
-
-    Args:
-        path: for messages.
-        location: the array, for messages.
-        head: how the array's bytes begin.
-        size: how many bytes it has with its head.
-
-    Raises:
-        DataError: its shape says otherwise.
-        ValueError, KeyError, TypeError, SyntaxError: it has no head that can be read.
     """
     if not head.startswith(_MAGIC) or len(head) < 12:
         return

@@ -1,7 +1,6 @@
 """PCD, the files of the Point Cloud Library: read, and written chunk by chunk."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -32,9 +31,22 @@ _MOST_VALUES = 1 << 16
 _NO_VIEWPOINT = ["0", "0", "0", "1", "0", "0", "0"]
 
 
-@dataclass(frozen=True, slots=True)
-class PcdHeader:
-    """The head of a PCD file.
+def read_pcd(path: Path) -> Cloud:
+    """Read a PCD file; points that are not finite stay in it, `VIEWPOINT` is not applied.
+
+    Raises:
+        DataError: the head is wrong, or the points are not as many bytes or lines as it says.
+    """
+    file = _PcdFile(path, read_bytes(path))
+    if file.count == 0 or file.dtype.itemsize == 0:
+        # a compressed file of no points still says that it is 0 bytes
+        check_end(path, file.content[file.start :], file.start, f"{file.count} points")
+        return Cloud(path, file.count, columns_of(np.zeros(file.count, file.dtype)), file.further)
+    return Cloud(path, file.count, _READERS[file.data](file), file.further)
+
+
+class _PcdFile:
+    """A PCD file in memory, its head parsed.
 
     Attributes:
         dtype: one point, packed, little-endian.
@@ -45,185 +57,146 @@ class PcdHeader:
         further: the viewpoint, and the width of rows where there are several, in the words of the head.
     """
 
-    dtype: np.dtype[np.void]
-    count: int
-    data: str
-    start: int
-    lines: int
-    further: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    def __init__(self, path: Path, content: bytes) -> None:
+        self.path, self.content = path, content
+        self.start, self.lines, self._entries = 0, 0, dict[str, list[str]]()
+        self._read_entries()
+        names = self._entries["FIELDS"]
+        sizes = [self._integer("SIZE", word) for word in self._words("SIZE")]
+        counts = [1] * len(names)
+        if "COUNT" in self._entries:
+            counts = [self._integer("COUNT", word) for word in self._words("COUNT")]
+        fields = []
+        for name, size, kind, count in zip(unique_names(names), sizes, self._words("TYPE"), counts, strict=True):
+            if kind not in _LETTERS or size not in _SIZES[kind]:
+                problem = f"{kind}{size} for {name!r}; expected F4 F8 I1 I2 I4 I8 U1 U2 U4 U8"
+                raise DataError(path, "TYPE, SIZE", problem)
+            if not 1 <= count <= _MOST_VALUES:
+                raise DataError(path, "COUNT", f"{count} for {name!r}; expected 1 to {_MOST_VALUES}")
+            fields.append((name, f"<{_LETTERS[kind]}{size}", () if count == 1 else (count,)))
+        self.dtype = np.dtype(fields)
+        self.data = " ".join(self._entries["DATA"]).lower()
+        if self.data not in _READERS:
+            raise DataError(path, "DATA", f"{self.data!r}; expected {', '.join(_READERS)}")
+        self.count, self.further = self._count(), self._further()
+
+    def _read_entries(self) -> None:
+        """Cut the head into its lines, up to and with `DATA`."""
+        while "DATA" not in self._entries:
+            stop = self.content.find(b"\n", self.start, _LONGEST_HEADER)
+            if stop < 0:
+                broken = "the head breaks off without a line `DATA`"
+                problem = broken if self._entries else "does not begin as a PCD file does"
+                raise DataError(self.path, f"byte {self.start}", f"{problem}; expected lines {' '.join(_KEYS)}")
+            words = self.content[self.start : stop].decode("latin-1").split()
+            self.start, self.lines = stop + 1, self.lines + 1
+            if not words or words[0].startswith("#"):
+                continue
+            if words[0] not in (*_KEYS, "COLUMNS"):
+                problem = f"{words[0][:40]!r}; expected one of {' '.join(_KEYS)}"
+                raise DataError(self.path, f"line {self.lines}", problem)
+            self._entries["FIELDS" if words[0] == "COLUMNS" else words[0]] = words[1:]
+        for key in ("FIELDS", "SIZE", "TYPE"):
+            if key not in self._entries:
+                raise DataError(self.path, key, "missing in the head")
+
+    def _words(self, key: str) -> list[str]:
+        found, count = self._entries[key], len(self._entries["FIELDS"])
+        if len(found) != count:
+            raise DataError(self.path, key, f"{len(found)} entries; expected {count}, one for each of FIELDS")
+        return found
+
+    def _integer(self, key: str, word: str) -> int:
+        if not (word.isascii() and word.isdigit() and len(word) < 20):
+            raise DataError(self.path, key, f"{word[:40]!r}; expected a whole number")
+        return int(word)
+
+    def _count(self) -> int:
+        """The number of points: `POINTS`, else width times height; both where they are given must agree."""
+        keys = [key for key in ("WIDTH", "HEIGHT", "POINTS") if key in self._entries]
+        numbers = {key: self._integer(key, " ".join(self._entries[key])) for key in keys}
+        area = numbers["WIDTH"] * numbers.get("HEIGHT", 1) if "WIDTH" in numbers else None
+        count = numbers.get("POINTS", area)
+        if count is None:
+            raise DataError(self.path, "POINTS", "missing in the head, as is WIDTH")
+        if area is not None and area != count:
+            raise DataError(self.path, "POINTS", f"{count}; WIDTH times HEIGHT is {area}")
+        check_count(self.path, "POINTS", count)
+        return count
+
+    def _further(self) -> Mapping[str, Any]:
+        """The pose of the sensor that is not the identity, and the order of the points."""
+        further: dict[str, Any] = {}
+        viewpoint = self._entries.get("VIEWPOINT", _NO_VIEWPOINT)
+        try:
+            numbers = [float(word) for word in viewpoint]
+        except ValueError:
+            numbers = []
+        if len(numbers) != len(_NO_VIEWPOINT):
+            problem = f"{' '.join(viewpoint)[:60]!r}; expected 7 numbers: x y z and a quaternion w x y z"
+            raise DataError(self.path, "VIEWPOINT", problem)
+        if numbers != [float(word) for word in _NO_VIEWPOINT]:
+            further["viewpoint"] = numbers
+        if self._integer("HEIGHT", " ".join(self._entries.get("HEIGHT", ["1"]))) > 1:
+            further["width"] = self._integer("WIDTH", " ".join(self._entries.get("WIDTH", ["0"])))
+        return MappingProxyType(further)
+
+    def read_text(self) -> dict[str, AnyArray]:
+        """Read one line per point."""
+        numbered = enumerate(self.content[self.start :].decode("latin-1").split("\n"), self.lines + 1)
+        lines = [(number, line) for number, line in numbered if line.strip()]
+        if len(lines) != self.count:
+            raise DataError(self.path, "", f"{len(lines)} lines of points; the head says {self.count}")
+        # latin-1 knows spaces that are none in ASCII; what is left of them does not parse
+        return columns_of(parse_rows(self.path, [line for _, line in lines], self.dtype, lines[0][0]))
+
+    def read_binary(self) -> dict[str, AnyArray]:
+        """Read packed points."""
+        points = f"{self.count} points of {self.dtype.itemsize} bytes"
+        expected, found = self.count * self.dtype.itemsize, len(self.content) - self.start
+        if found < expected:
+            problem = f"{found} bytes of points; expected {expected}: {points}; the file breaks off"
+            raise DataError(self.path, f"byte {self.start}", problem)
+        stop = self.start + expected
+        check_end(self.path, self.content[stop:], stop, points)
+        return columns_of(np.frombuffer(self.content, self.dtype, self.count, self.start))
+
+    def read_compressed(self) -> dict[str, AnyArray]:
+        """Unfold the columns, which stand one after another where they are compressed."""
+        from sceneloom.kernels.packed import LARGEST_RATIO, unfold
+
+        path, content, location, body = self.path, self.content, f"byte {self.start}", self.start + 8
+        if len(content) < body:
+            raise DataError(path, location, f"{len(content) - self.start} bytes of points; the file breaks off")
+        packed_size, size = np.frombuffer(content, "<u4", 2, self.start).tolist()
+        if len(content) - body < packed_size:
+            problem = f"{len(content) - body} compressed bytes; expected {packed_size}; the file breaks off"
+            raise DataError(path, location, problem)
+        expected = self.count * self.dtype.itemsize
+        if size != expected or size > packed_size * LARGEST_RATIO:
+            problem = f"{packed_size} bytes that unfold to {size}; expected {expected} from {self.count} points"
+            raise DataError(path, location, problem)
+        check_end(path, content[body + packed_size :], body + packed_size, f"{self.count} points")
+        unpacked = np.empty(size, np.uint8)
+        if unfold(np.frombuffer(content, np.uint8, packed_size, body), unpacked) != size:
+            problem = "the compressed points are damaged: they do not unfold to what the head says"
+            raise DataError(path, location, problem)
+        columns, start = {}, 0
+        for name in self.dtype.names or ():
+            kind = self.dtype[name]
+            stop = start + self.count * kind.itemsize
+            column = unpacked[start:stop].view(kind.base).reshape(self.count, *kind.shape)
+            if not name.startswith("_"):
+                columns[name] = column.astype(kind.base.newbyteorder("="))
+            start = stop
+        return columns
 
 
-def read_pcd(path: Path) -> Cloud:
-    """Read a PCD file; points that are not finite stay in it, `VIEWPOINT` is not applied.
-
-    Raises:
-        DataError: the head is wrong, or the points are not as many bytes or lines as it says.
-    """
-    content = read_bytes(path)
-    header = _parse_header(path, content)
-    if header.count == 0 or header.dtype.itemsize == 0:
-        # a compressed file of no points still says that it is 0 bytes
-        check_end(path, content[header.start :], header.start, f"{header.count} points")
-        return Cloud(path, header.count, columns_of(np.zeros(header.count, header.dtype)), header.further)
-    return Cloud(path, header.count, _READERS[header.data](path, content, header), header.further)
-
-
-def _parse_header(path: Path, content: bytes) -> PcdHeader:
-    """Parse the head of a PCD file.
-
-    Raises:
-        DataError: a line is missing or wrong.
-    """
-    entries, start, lines = _entries(path, content)
-    names = entries["FIELDS"]
-    sizes = _integers(path, entries, "SIZE", len(names))
-    counts = _integers(path, entries, "COUNT", len(names)) if "COUNT" in entries else [1] * len(names)
-    types = _sized(path, entries, "TYPE", len(names))
-    fields = []
-    for k, name in enumerate(unique_names(names)):
-        if types[k] not in _LETTERS or sizes[k] not in _SIZES[types[k]]:
-            problem = f"{types[k]}{sizes[k]} for {name!r}; expected F4 F8 I1 I2 I4 I8 U1 U2 U4 U8"
-            raise DataError(path, "TYPE, SIZE", problem)
-        if not 1 <= counts[k] <= _MOST_VALUES:
-            raise DataError(path, "COUNT", f"{counts[k]} for {name!r}; expected 1 to {_MOST_VALUES}")
-        shape = () if counts[k] == 1 else (counts[k],)
-        fields.append((name, f"<{_LETTERS[types[k]]}{sizes[k]}", shape))
-    data = " ".join(entries["DATA"]).lower()
-    if data not in _READERS:
-        raise DataError(path, "DATA", f"{data!r}; expected {', '.join(_READERS)}")
-    return PcdHeader(np.dtype(fields), _count(path, entries), data, start, lines, _further(path, entries))
-
-
-def _entries(path: Path, content: bytes) -> tuple[dict[str, list[str]], int, int]:
-    """Cut the head into its lines, up to and with `DATA`."""
-    entries: dict[str, list[str]] = {}
-    start, number = 0, 0
-    while "DATA" not in entries:
-        stop = content.find(b"\n", start, _LONGEST_HEADER)
-        if stop < 0:
-            problem = "the head breaks off without a line `DATA`" if entries else "does not begin as a PCD file does"
-            raise DataError(path, f"byte {start}", f"{problem}; expected lines {' '.join(_KEYS)}")
-        number += 1
-        words = content[start:stop].decode("latin-1").split()
-        start = stop + 1
-        if not words or words[0].startswith("#"):
-            continue
-        if words[0] not in (*_KEYS, "COLUMNS"):
-            raise DataError(path, f"line {number}", f"{words[0][:40]!r}; expected one of {' '.join(_KEYS)}")
-        entries["FIELDS" if words[0] == "COLUMNS" else words[0]] = words[1:]
-    for key in ("FIELDS", "SIZE", "TYPE"):
-        if key not in entries:
-            raise DataError(path, key, "missing in the head")
-    return entries, start, number
-
-
-def _sized(path: Path, entries: dict[str, list[str]], key: str, count: int) -> list[str]:
-    if len(entries[key]) != count:
-        raise DataError(path, key, f"{len(entries[key])} entries; expected {count}, one for each of FIELDS")
-    return entries[key]
-
-
-def _integers(path: Path, entries: dict[str, list[str]], key: str, count: int) -> list[int]:
-    return [_integer(path, key, word) for word in _sized(path, entries, key, count)]
-
-
-def _integer(path: Path, key: str, word: str) -> int:
-    if not (word.isascii() and word.isdigit() and len(word) < 20):
-        raise DataError(path, key, f"{word[:40]!r}; expected a whole number")
-    return int(word)
-
-
-def _count(path: Path, entries: dict[str, list[str]]) -> int:
-    """The number of points: `POINTS`, else width times height; both where they are given must agree."""
-    numbers = {
-        key: _integer(path, key, " ".join(entries[key])) for key in ("WIDTH", "HEIGHT", "POINTS") if key in entries
-    }
-    area = numbers["WIDTH"] * numbers.get("HEIGHT", 1) if "WIDTH" in numbers else None
-    count = numbers.get("POINTS", area)
-    if count is None:
-        raise DataError(path, "POINTS", "missing in the head, as is WIDTH")
-    if area is not None and area != count:
-        raise DataError(path, "POINTS", f"{count}; WIDTH times HEIGHT is {area}")
-    check_count(path, "POINTS", count)
-    return count
-
-
-def _further(path: Path, entries: dict[str, list[str]]) -> Mapping[str, Any]:
-    """What the head says besides: the pose of the sensor that is not the identity, and the order of the points."""
-    further: dict[str, Any] = {}
-    viewpoint = entries.get("VIEWPOINT", _NO_VIEWPOINT)
-    try:
-        numbers = [float(word) for word in viewpoint]
-    except ValueError:
-        numbers = []
-    if len(numbers) != len(_NO_VIEWPOINT):
-        problem = f"{' '.join(viewpoint)[:60]!r}; expected 7 numbers: x y z and a quaternion w x y z"
-        raise DataError(path, "VIEWPOINT", problem)
-    if numbers != [float(word) for word in _NO_VIEWPOINT]:
-        further["viewpoint"] = numbers
-    if "HEIGHT" in entries and _integer(path, "HEIGHT", " ".join(entries["HEIGHT"])) > 1:
-        further["width"] = _integer(path, "WIDTH", " ".join(entries.get("WIDTH", ["0"])))
-    return MappingProxyType(further)
-
-
-def _read_text(path: Path, content: bytes, header: PcdHeader) -> dict[str, AnyArray]:
-    numbered = enumerate(content[header.start :].decode("latin-1").split("\n"), header.lines + 1)
-    lines = [(number, line) for number, line in numbered if line.strip()]
-    if len(lines) != header.count:
-        raise DataError(path, "", f"{len(lines)} lines of points; the head says {header.count}")
-    # latin-1 knows spaces that are none in ASCII; what is left of them does not parse
-    return columns_of(parse_rows(path, [line for _, line in lines], header.dtype, lines[0][0]))
-
-
-def _read_binary(path: Path, content: bytes, header: PcdHeader) -> dict[str, AnyArray]:
-    expected, found = header.count * header.dtype.itemsize, len(content) - header.start
-    if found < expected:
-        problem = (
-            f"{found} bytes of points; expected {expected}: "
-            f"{header.count} points of {header.dtype.itemsize} bytes; the file breaks off"
-        )
-        raise DataError(path, f"byte {header.start}", problem)
-    stop = header.start + expected
-    check_end(path, content[stop:], stop, f"{header.count} points of {header.dtype.itemsize} bytes")
-    return columns_of(np.frombuffer(content, header.dtype, header.count, header.start))
-
-
-def _read_compressed(path: Path, content: bytes, header: PcdHeader) -> dict[str, AnyArray]:
-    """Unfold the columns, which stand one after another where they are compressed."""
-    from sceneloom.kernels.packed import LARGEST_RATIO, unfold
-
-    location, body = f"byte {header.start}", header.start + 8
-    if len(content) < body:
-        raise DataError(path, location, f"{len(content) - header.start} bytes of points; the file breaks off")
-    packed_size, size = np.frombuffer(content, "<u4", 2, header.start).tolist()
-    if len(content) - body < packed_size:
-        problem = f"{len(content) - body} compressed bytes; expected {packed_size}; the file breaks off"
-        raise DataError(path, location, problem)
-    expected = header.count * header.dtype.itemsize
-    if size != expected or size > packed_size * LARGEST_RATIO:
-        problem = f"{packed_size} bytes that unfold to {size}; expected {expected} from {header.count} points"
-        raise DataError(path, location, problem)
-    check_end(path, content[body + packed_size :], body + packed_size, f"{header.count} points")
-    unpacked = np.empty(size, np.uint8)
-    done = unfold(np.frombuffer(content, np.uint8, packed_size, body), unpacked)
-    if done != size:
-        raise DataError(path, location, "the compressed points are damaged: they do not unfold to what the head says")
-    return _cut_columns(unpacked, header)
-
-
-def _cut_columns(unpacked: AnyArray, header: PcdHeader) -> dict[str, AnyArray]:
-    columns, start = {}, 0
-    for name in header.dtype.names or ():
-        kind = header.dtype[name]
-        stop = start + header.count * kind.itemsize
-        column = unpacked[start:stop].view(kind.base).reshape(header.count, *kind.shape)
-        if not name.startswith("_"):
-            columns[name] = column.astype(kind.base.newbyteorder("="))
-        start = stop
-    return columns
-
-
-_READERS = {"ascii": _read_text, "binary": _read_binary, "binary_compressed": _read_compressed}
+_READERS: Mapping[str, Callable[[_PcdFile], dict[str, AnyArray]]] = {
+    "ascii": _PcdFile.read_text,
+    "binary": _PcdFile.read_binary,
+    "binary_compressed": _PcdFile.read_compressed,
+}
 
 _FARTHEST_EXACT = 4000.0
 """Farther from 0 than this [m], float32 is coarser than a quarter of a millimetre: positions count from an origin."""
@@ -287,20 +260,13 @@ def pcd_body(records: AnyArray, encoding: str) -> bytes:
     """Records as the bytes behind a head: "binary", "ascii" or "binary_compressed"."""
     if encoding == "binary":
         return bytes(records.tobytes())
-    return _text(records) if encoding == "ascii" else _compressed(records)
-
-
-def _text(records: AnyArray) -> bytes:
-    """Numbers with all their digits; packed colours as their float, which is what readers of text expect."""
-    names = records.dtype.names or ()
-    columns: list[list[str]] = []
-    for name in names:
-        values = records[name].reshape(len(records), -1)
-        columns += [[str(value) for value in values[:, k]] for k in range(values.shape[1])]
-    return "".join(" ".join(row) + "\n" for row in zip(*columns, strict=True)).encode()
-
-
-def _compressed(records: AnyArray) -> bytes:
+    if encoding == "ascii":
+        # numbers with all their digits; packed colours as their float, which is what readers of text expect
+        columns: list[list[str]] = []
+        for name in records.dtype.names or ():
+            values = records[name].reshape(len(records), -1)
+            columns += [[str(value) for value in values[:, k]] for k in range(values.shape[1])]
+        return "".join(" ".join(row) + "\n" for row in zip(*columns, strict=True)).encode()
     from sceneloom.kernels.packed import fold, longest_fold
 
     plain = b"".join(np.ascontiguousarray(records[name]).tobytes() for name in records.dtype.names or ())

@@ -35,14 +35,8 @@ _LONGEST_HEADER = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
-class Property:
-    """One property of an element.
-
-    Attributes:
-        name: as in the file.
-        dtype: of its value, or of the values of a list.
-        length_dtype: of the length of a list; "" for a single value.
-    """
+class _Property:
+    """One property of an element; `length_dtype` is that of the length of a list, "" for a single value."""
 
     name: str
     dtype: str
@@ -50,12 +44,12 @@ class Property:
 
 
 @dataclass(frozen=True, slots=True)
-class Element:
+class _Element:
     """One element of a PLY file: `count` rows of the same properties."""
 
     name: str
     count: int
-    properties: tuple[Property, ...]
+    properties: list[_Property]
 
     @property
     def has_lists(self) -> bool:
@@ -69,205 +63,158 @@ class Element:
         return np.dtype([(n, order + prop.dtype) for n, prop in zip(names, single, strict=True)])
 
 
-@dataclass(frozen=True, slots=True)
-class PlyHeader:
-    """The head of a PLY file: byte order ("" for text), elements in order, where the rows begin, and the comments."""
-
-    order: str
-    elements: tuple[Element, ...]
-    start: int
-    lines: int
-    comments: tuple[str, ...] = ()
-
-    @property
-    def further(self) -> dict[str, Any]:
-        """What the file says besides its vertices: comments, and how many there are of each other element."""
-        others = {one.name: one.count for one in self.elements if one.name != "vertex" and one.count}
-        return {
-            **({"comments": list(self.comments)} if self.comments else {}),
-            **({"elements_left_out": others} if others else {}),
-        }
-
-
 def read_ply(path: Path) -> Cloud:
     """Read the vertices of a PLY file; lists and other elements are passed over.
 
     Raises:
         DataError: the head is wrong, or the file breaks off before its last vertex.
     """
-    content = read_bytes(path)
-    header = _parse_header(path, content)
-    read = _read_binary if header.order else _read_text
-    rows = read(path, content, header)
-    return Cloud(path, len(rows), columns_of(rows), MappingProxyType(header.further))
+    file = _PlyFile(path, read_bytes(path))
+    rows = file.read_binary() if file.order else file.read_text()
+    others = {one.name: one.count for one in file.elements if one.name != "vertex" and one.count}
+    head: dict[str, Any] = {"comments": file.comments, "elements_left_out": others}
+    return Cloud(path, len(rows), columns_of(rows), MappingProxyType({k: v for k, v in head.items() if v}))
 
 
-def _parse_header(path: Path, content: bytes) -> PlyHeader:
-    """Parse the head of a PLY file.
+class _PlyFile:
+    """A PLY file in memory, its head parsed.
 
-    Raises:
-        DataError: a line is wrong, or there is no element `vertex`.
+    Attributes:
+        order: byte order; "" for text.
+        elements: in their order; `vertex` is one of them.
+        start: byte at which the rows begin.
+        lines: lines of the head.
     """
-    if not content.startswith(b"ply") or content[3:4] not in {b"\n", b"\r", b" "}:
-        raise DataError(path, "byte 0", "does not begin with `ply`")
-    stop = content.find(b"\nend_header", 0, _LONGEST_HEADER)
-    end = content.find(b"\n", stop + 1) if stop >= 0 else -1
-    if end < 0:
-        raise DataError(path, "", "the head breaks off without `end_header`")
-    lines = content[:end].decode("latin-1").split("\n")
-    order: str | None = None
-    drafts: list[tuple[str, int, list[Property]]] = []
-    comments: list[str] = []
-    for number, line in enumerate(lines[1:-1], 2):
-        words, location = line.split(), f"line {number}"
-        if not words or words[0] in {"comment", "obj_info"}:
-            comments += [" ".join(words[1:])] if words[1:] else []
-            continue
-        if words[0] == "format" and len(words) > 1 and words[1] in _ORDERS:
-            order = _ORDERS[words[1]]
-        elif words[0] == "element" and len(words) == 3 and words[2].isascii() and words[2].isdigit():
-            drafts.append((words[1], int(words[2][:20]), []))
-        elif words[0] == "property" and drafts:
-            drafts[-1][2].append(_property(path, location, words))
-        else:
-            raise DataError(path, location, f"{line.strip()[:60]!r}; expected format, element or property")
-    if order is None:
-        raise DataError(path, "", f"the head names no format; expected one of {', '.join(_ORDERS)}")
-    elements = tuple(Element(name, count, tuple(properties)) for name, count, properties in drafts)
-    _check_elements(path, elements)
-    return PlyHeader(order, elements, end + 1, len(lines), tuple(comments))
 
+    def __init__(self, path: Path, content: bytes) -> None:
+        self.path, self.content = path, content
+        if not content.startswith(b"ply") or content[3:4] not in {b"\n", b"\r", b" "}:
+            raise DataError(path, "byte 0", "does not begin with `ply`")
+        stop = content.find(b"\nend_header", 0, _LONGEST_HEADER)
+        end = content.find(b"\n", stop + 1) if stop >= 0 else -1
+        if end < 0:
+            raise DataError(path, "", "the head breaks off without `end_header`")
+        lines = content[:end].decode("latin-1").split("\n")
+        order: str | None = None
+        self.elements: list[_Element] = []
+        self.comments: list[str] = []
+        for number, line in enumerate(lines[1:-1], 2):
+            words = line.split()
+            if not words or words[0] in {"comment", "obj_info"}:
+                self.comments += [" ".join(words[1:])] if words[1:] else []
+            elif words[0] == "format" and len(words) > 1 and words[1] in _ORDERS:
+                order = _ORDERS[words[1]]
+            elif words[0] == "element" and len(words) == 3 and words[2].isascii() and words[2].isdigit():
+                self.elements.append(_Element(words[1], int(words[2][:20]), []))
+            elif words[0] == "property" and self.elements:
+                self.elements[-1].properties.append(self._property(f"line {number}", words))
+            else:
+                problem = f"{line.strip()[:60]!r}; expected format, element or property"
+                raise DataError(path, f"line {number}", problem)
+        if order is None:
+            raise DataError(path, "", f"the head names no format; expected one of {', '.join(_ORDERS)}")
+        names = [element.name for element in self.elements]
+        if names.count("vertex") != 1:
+            raise DataError(path, "", f"elements: {', '.join(names) or 'none'}; expected one that is called vertex")
+        for element in self.elements:
+            check_count(path, f"element {element.name}", element.count)
+        self.order, self.start, self.lines = order, end + 1, len(lines)
+        self._number = names.index("vertex")
+        self._vertex = self.elements[self._number]
 
-def _property(path: Path, location: str, words: list[str]) -> Property:
-    if len(words) == 3 and words[1] in _TYPES:
-        return Property(words[2], _TYPES[words[1]])
-    if len(words) == 5 and words[1] == "list" and {words[2], words[3]} <= set(_TYPES) and _TYPES[words[2]][0] != "f":
-        return Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
-    problem = f"{' '.join(words)[:60]!r}; expected `property TYPE NAME` or `property list TYPE TYPE NAME`"
-    raise DataError(path, location, f"{problem} with types out of {', '.join(_TYPES)}")
+    def _property(self, location: str, words: list[str]) -> _Property:
+        if len(words) == 3 and words[1] in _TYPES:
+            return _Property(words[2], _TYPES[words[1]])
+        is_list = len(words) == 5 and words[1] == "list" and {words[2], words[3]} <= set(_TYPES)
+        if is_list and _TYPES[words[2]][0] != "f":
+            return _Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
+        problem = f"{' '.join(words)[:60]!r}; expected `property TYPE NAME` or `property list TYPE TYPE NAME`"
+        raise DataError(self.path, location, f"{problem} with types out of {', '.join(_TYPES)}")
 
-
-def _check_elements(path: Path, elements: tuple[Element, ...]) -> None:
-    if [element.name for element in elements].count("vertex") != 1:
-        names = ", ".join(element.name for element in elements) or "none"
-        raise DataError(path, "", f"elements: {names}; expected one that is called vertex")
-    for element in elements:
-        check_count(path, f"element {element.name}", element.count)
-
-
-def _read_binary(path: Path, content: bytes, header: PlyHeader) -> AnyArray:
-    start, rows = header.start, np.zeros(0)
-    for element in header.elements:
-        if element.has_lists:
-            start, rows = _walk(path, content, start, element, header.order)
-        else:
-            dtype = element.dtype(header.order)
-            if element.name == "vertex":
-                _check_bytes(path, content, start, element, dtype.itemsize)
-                rows = np.frombuffer(content, dtype, element.count, start)
+    def read_binary(self) -> AnyArray:
+        """Read the vertices; bytes behind the last element are refused, unless lists stand behind the vertices."""
+        start, rows = self.start, np.zeros(0)
+        for element in self.elements[: self._number + 1]:
+            if element.has_lists:
+                start, rows = self._walk(start, element)
+                continue
+            dtype = element.dtype(self.order)
+            if element is self._vertex:
+                self._check_bytes(start, element, dtype.itemsize)
+                rows = np.frombuffer(self.content, dtype, element.count, start)
             start += element.count * dtype.itemsize
-        if element.name == "vertex":
-            break
-    _check_rest(path, content, start, header)
-    return rows
+        others = self.elements[self._number + 1 :]
+        if not any(element.has_lists for element in others):
+            stop = start + sum(element.count * element.dtype(self.order).itemsize for element in others)
+            reported = f"{self._vertex.count} vertices" + (" and of what follows them" if others else "")
+            check_end(self.path, self.content[stop:], stop, reported)
+        return rows
 
+    def _check_bytes(self, start: int, element: _Element, size: int) -> None:
+        found, expected = max(len(self.content) - start, 0), element.count * size
+        if found < expected:
+            problem = f"{found} bytes of {element.name}; expected {expected}: {element.count} of {size} bytes"
+            raise DataError(self.path, f"byte {start}", f"{problem}; the file breaks off")
 
-def _check_rest(path: Path, content: bytes, start: int, header: PlyHeader) -> None:
-    """Refuse bytes behind the last element; rows of lists behind the vertices are not walked through."""
-    vertex = [element.name for element in header.elements].index("vertex")
-    others = header.elements[vertex + 1 :]
-    if not any(element.has_lists for element in others):
-        stop = start + sum(element.count * element.dtype(header.order).itemsize for element in others)
-        reported = f"{header.elements[vertex].count} vertices"
-        check_end(path, content[stop:], stop, reported if not others else f"{reported} and of what follows them")
+    def _walk(self, start: int, element: _Element) -> tuple[int, AnyArray]:
+        """Go through rows that hold lists, one by one; give where they end, and the rows without their lists."""
+        kinds = [
+            (np.dtype(self.order + prop.dtype), np.dtype(self.order + prop.length_dtype) if prop.length_dtype else None)
+            for prop in element.properties
+        ]
+        dtype = element.dtype(self.order)
+        self._check_bytes(start, element, sum((length or kind).itemsize for kind, length in kinds))
+        singles = bytearray()
+        for row in range(element.count):
+            for kind, length in kinds:
+                size, location, name = kind.itemsize, f"byte {start}", f"{element.name} {row}"
+                if length is not None:
+                    if start + length.itemsize > len(self.content):
+                        raise DataError(self.path, location, f"{name}: the file breaks off")
+                    count = int(np.frombuffer(self.content, length, 1, start)[0])
+                    if count < 0:
+                        raise DataError(self.path, location, f"{name}: a list of {count} values")
+                    size = length.itemsize + count * kind.itemsize
+                if start + size > len(self.content):
+                    raise DataError(self.path, location, f"{name}: the file breaks off")
+                if length is None:
+                    singles += self.content[start : start + size]
+                start += size
+        return start, np.frombuffer(bytes(singles), dtype) if dtype.itemsize else np.zeros(element.count, dtype)
 
+    def read_text(self) -> AnyArray:
+        """Read the lines of the vertices; their number must be that of the head."""
+        numbered = enumerate(self.content[self.start :].decode("latin-1").split("\n"), self.lines + 1)
+        lines = [(number, line) for number, line in numbered if line.strip()]
+        vertex = self._vertex
+        first = sum(element.count for element in self.elements[: self._number] if element.properties)
+        rows = lines[first : first + vertex.count]
+        if len(rows) < vertex.count:
+            problem = f"{len(rows)} lines of vertex; expected {vertex.count}; the file breaks off"
+            raise DataError(self.path, "", problem)
+        known = sum(one.count for one in self.elements if one.properties)
+        if len(lines) > known:
+            problem = f"{len(lines)} lines; expected {known} by the counts of the head"
+            raise DataError(self.path, f"line {lines[known][0]}", problem)
+        texts = [self._without_lists(number, line) if vertex.has_lists else line for number, line in rows]
+        return parse_rows(self.path, texts, vertex.dtype("="), rows[0][0] if rows else 0)
 
-def _check_bytes(path: Path, content: bytes, start: int, element: Element, size: int) -> None:
-    found, expected = len(content) - start, element.count * size
-    if found < expected:
-        problem = (
-            f"{max(found, 0)} bytes of {element.name}; expected {expected}: {element.count} of {size} bytes; "
-            "the file breaks off"
-        )
-        raise DataError(path, f"byte {start}", problem)
-
-
-def _walk(path: Path, content: bytes, start: int, element: Element, order: str) -> tuple[int, AnyArray]:
-    """Go through rows that hold lists, one by one; give where they end, and the rows without their lists."""
-    kinds = [
-        (np.dtype(order + prop.dtype), np.dtype(order + prop.length_dtype) if prop.length_dtype else None)
-        for prop in element.properties
-    ]
-    dtype = element.dtype(order)
-    _check_bytes(path, content, start, element, sum((length or kind).itemsize for kind, length in kinds))
-    singles: list[bytes] = []
-    for row in range(element.count):
-        parts = []
-        for kind, length in kinds:
-            size = kind.itemsize
-            if length is not None:
-                size = _list_size(path, content, start, f"{element.name} {row}", kind, length)
-            if start + size > len(content):
-                raise DataError(path, f"byte {start}", f"{element.name} {row}: the file breaks off")
-            if length is None:
-                parts.append(content[start : start + size])
-            start += size
-        singles.append(b"".join(parts))
-    return start, np.frombuffer(b"".join(singles), dtype) if dtype.itemsize else np.zeros(element.count, dtype)
-
-
-def _list_size(
-    path: Path, content: bytes, start: int, row: str, kind: np.dtype[np.generic], length: np.dtype[np.generic]
-) -> int:
-    if start + length.itemsize > len(content):
-        raise DataError(path, f"byte {start}", f"{row}: the file breaks off")
-    count = int(np.frombuffer(content, length, 1, start)[0])
-    if count < 0:
-        raise DataError(path, f"byte {start}", f"{row}: a list of {count} values")
-    return length.itemsize + count * kind.itemsize
-
-
-def _read_text(path: Path, content: bytes, header: PlyHeader) -> AnyArray:
-    numbered = enumerate(content[header.start :].decode("latin-1").split("\n"), header.lines + 1)
-    lines = [(number, line) for number, line in numbered if line.strip()]
-    first = 0
-    for element in header.elements:
-        if element.name == "vertex":
-            break
-        first += element.count if element.properties else 0
-    rows = lines[first : first + element.count]
-    if len(rows) < element.count:
-        problem = f"{len(rows)} lines of vertex; expected {element.count}; the file breaks off"
-        raise DataError(path, "", problem)
-    known = sum(one.count for one in header.elements if one.properties)
-    if len(lines) > known:
-        problem = f"{len(lines)} lines; expected {known} by the counts of the head"
-        raise DataError(path, f"line {lines[known][0]}", problem)
-    return _parse_vertices(path, rows, element)
-
-
-def _parse_vertices(path: Path, rows: list[tuple[int, str]], element: Element) -> AnyArray:
-    texts = [line for _, line in rows]
-    if element.has_lists:
-        texts = [_without_lists(path, number, line, element) for number, line in rows]
-    return parse_rows(path, texts, element.dtype("="), rows[0][0] if rows else 0)
-
-
-def _without_lists(path: Path, number: int, line: str, element: Element) -> str:
-    words, kept, k = line.split(), [], 0
-    for prop in element.properties:
-        if k >= len(words):
-            raise DataError(path, f"line {number}", f"{len(words)} values; expected {prop.name!r}, too")
-        if prop.length_dtype:
-            if not (words[k].isascii() and words[k].isdigit()):
-                raise DataError(path, f"line {number}", f"{words[k][:20]!r} for the length of list {prop.name!r}")
-            k += int(words[k][:10])
-        else:
-            kept.append(words[k])
-        k += 1
-    if k != len(words):
-        raise DataError(path, f"line {number}", f"{len(words)} values; expected {k}")
-    return " ".join(kept)
+    def _without_lists(self, number: int, line: str) -> str:
+        words, kept, k = line.split(), [], 0
+        for prop in self._vertex.properties:
+            if k >= len(words):
+                raise DataError(self.path, f"line {number}", f"{len(words)} values; expected {prop.name!r}, too")
+            if not prop.length_dtype:
+                kept.append(words[k])
+            elif words[k].isascii() and words[k].isdigit():
+                k += int(words[k][:10])
+            else:
+                problem = f"{words[k][:20]!r} for the length of list {prop.name!r}"
+                raise DataError(self.path, f"line {number}", problem)
+            k += 1
+        if k != len(words):
+            raise DataError(self.path, f"line {number}", f"{len(words)} values; expected {k}")
+        return " ".join(kept)
 
 
 class PlyLayout:
@@ -275,11 +222,7 @@ class PlyLayout:
 
     def columns(self, points: WrittenPoints) -> dict[str, AnyArray]:
         """All columns in their own types."""
-        return {
-            **axis_columns(points.positions_world),
-            **color_columns(points.colors),
-            **measured_columns(points),
-        }
+        return {**axis_columns(points.positions_world), **color_columns(points.colors), **measured_columns(points)}
 
     def head(self, dtype: np.dtype[np.void], count: str) -> bytes:
         """A head that says what the numbers are."""

@@ -210,11 +210,7 @@ class _CloudFrames:
     origin: Float64Array | None = None
 
     def __call__(self, k: int) -> LidarFrame:
-        """Read frame `k`.
-
-        Raises:
-            DataError: its file is missing or wrong.
-        """
+        """Read frame `k`."""
         cloud, timestamp_ns = self.cloud(k), int(self.timestamps_ns[k])
         read = points_of(cloud, self.mapping, SweepClock(timestamp_ns, timestamp_ns, 0))
         extras = {name: column for name, column in read.points.extras.items() if name != "camera_index"}

@@ -16,14 +16,7 @@ from sceneloom.formats.base.losses import LossReport, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stems, replacing
 from sceneloom.formats.base.poses import ego_in_world
 from sceneloom.formats.points.files import FRAME_WRITERS, frame_columns, left_out
-from sceneloom.formats.points.spec import (
-    DEFAULT_ID,
-    EGO_POSES,
-    ENCODINGS,
-    SENSOR_POSES,
-    CloudKind,
-    supports_of,
-)
+from sceneloom.formats.points.spec import DEFAULT_ID, EGO_POSES, ENCODINGS, SENSOR_POSES, CloudKind, supports_of
 from sceneloom.motion.ego_trajectory import IDENTITY, is_computed, with_trajectory_estimated
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.ego import EgoMotion, is_on_ego, named_odometry, sensor_source
@@ -98,11 +91,7 @@ def write_clouds(scene: Scene, path: Path, *, kind: CloudKind, overwrite: bool =
 def _in_frame(
     scene: Scene, lidars: list[LidarSensor], frame: PointsFrame, trajectory: str | None, losses: Losses
 ) -> Scene:
-    """Bring the points of lidars into a frame, along a trajectory where that needs one.
-
-    Raises:
-        PoseError: the poses that this needs are not known.
-    """
+    """Bring the points of lidars into a frame, along a trajectory where that needs one."""
     odometries = [sensor for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
     others = [lidar for lidar in scene.lidars if lidar not in lidars]
     part, move = replace(scene, sensors=(*lidars, *odometries), annotations=()), _MOVES[frame]
@@ -233,8 +222,7 @@ def _folder_kind(kind: CloudKind) -> FolderKind:
     """What a folder of such files holds that was written here: one for each time, and where their frame was."""
     names = (rf"-?\d{{19}}{re.escape(kind.endings[0])}", *map(re.escape, (EGO_POSES, SENSOR_POSES)))
     return FolderKind(
-        f"folder of {kind.endings[0]} files named by their times",
-        (*names, *(rf".+/{name}" for name in names)),
+        f"folder of {kind.endings[0]} files named by their times", (*names, *(rf".+/{name}" for name in names))
     )
 
 

@@ -687,11 +687,7 @@ def frame_from_optical(axes: tuple[str, ...]) -> RigidTransform:
 
 
 def _frame_tree(manifest: Manifest, faults: Faults, ledger: Ledger) -> "FrameTree":
-    """Read all transforms; nothing else can be checked without a sound tree.
-
-    Raises:
-        DataError: naming all transforms that are at fault.
-    """
+    """Read all transforms; nothing else can be checked without a sound tree."""
     tables = [(location, record, record["from"], record["to"]) for location, record in manifest.records("transforms")]
     for location, sensor in manifest.records("sensors"):
         if "extrinsic" not in sensor:
@@ -1375,7 +1371,6 @@ _BUILDERS: Mapping[str, Callable[[_Part], Sensor]] = {
     "imu": _build_imu,
     "gnss": _build_gnss,
 }
-
 
 _FARTHEST_MOUNT = 30.0
 """A sensor that is mounted farther than this from the ego [m] is reported: no vehicle is as long."""

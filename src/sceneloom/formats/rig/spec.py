@@ -8,7 +8,6 @@ from sceneloom.formats.base.spec import FormatSpec
 MANIFEST = "rig.toml"
 """Name of the manifest in a folder."""
 
-
 _DIGITS = re.compile(r"(\d+)")
 
 

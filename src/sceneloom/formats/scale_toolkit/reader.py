@@ -37,11 +37,7 @@ _SECOND = 1_000_000_000
 
 
 def _frame_names(folder: Path, suffixes: Sequence[str]) -> dict[str, Path]:
-    """The files of a folder by their names without ending: whole numbers in their order, else as texts.
-
-    Raises:
-        DataError: two files share a name.
-    """
+    """The files of a folder by their names without ending: whole numbers in their order, else as texts."""
     found: dict[str, Path] = {}
     files = [file for file in folder.iterdir() if file.suffix.lower() in suffixes] if folder.is_dir() else []
     for file in sorted(files):
@@ -67,9 +63,6 @@ def _times_of(names: Sequence[str], rate_hz: float | None, location: Path, ledge
         rate_hz: frames a second; None: 10, unless the names are times.
         location: the folder, for messages.
         ledger: takes what is assumed.
-
-    Raises:
-        DataError: two names stand for one time.
     """
     lengths = {len(name) for name in names}
     numbers = all(map(_is_number, names))
@@ -108,11 +101,7 @@ _LARGEST = 1e9
 
 
 def _read_pose(path: Path) -> RigidTransform:
-    """Read `heading` [w, x, y, z] and `position` [x, y, z].
-
-    Raises:
-        DataError: the file is missing, a value is missing, or the heading is no rotation.
-    """
+    """Read `heading` [w, x, y, z] and `position` [x, y, z]."""
     record = read_json(path, dict[str, Any])
     heading, position = (_numbers(path, record, name, count) for name, count in (("heading", 4), ("position", 3)))
     norms, is_off = lengths_of(heading[None])
@@ -130,11 +119,7 @@ def _numbers(path: Path, record: dict[str, Any], name: str, count: int) -> Float
 
 
 def _build_lidar(clouds: dict[str, Path], timestamps_ns: Int64Array, trajectory: Poses | None) -> LidarSensor:
-    """Build the lidar; its points are in the ego's frame. The first file is read, to see how bright it is.
-
-    Raises:
-        DataError: the first cloud is wrong.
-    """
+    """Build the lidar; its points are in the ego's frame. The first file is read, to see how bright it is."""
     files = tuple(clouds.values())
     first = read_cloud(files[0])
     name = find_roles(first.columns, {}).get("intensity")
@@ -163,11 +148,7 @@ def _placed(trajectory: Poses | None, mount: RigidTransform, timestamps_ns: Int6
 
 
 def _build_camera(folder: Path, times: dict[str, int], trajectory: Poses | None, ledger: Ledger) -> CameraSensor:
-    """Build a camera; images of frames without a cloud are left out and reported.
-
-    Raises:
-        DataError: calibration or images are missing or wrong.
-    """
+    """Build a camera; images of frames without a cloud are left out and reported."""
     found = _frame_names(folder, IMAGE_SUFFIXES)
     kept = {name: file for name, file in found.items() if name in times}
     _note_without(ledger, folder, "images", len(found) - len(kept))

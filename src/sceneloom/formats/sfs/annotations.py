@@ -258,10 +258,6 @@ def _read_times(_: _Record, __: str, raw: Any) -> Int64Array:
     return read_only(times_of(raw))
 
 
-def _read_tuple(_: _Record, __: str, raw: Any) -> tuple[Any, ...]:
-    return tuple(raw)
-
-
 def _check_counts(record: _Record, values: Sized, name: str = "values") -> None:
     """Refuse more or fewer values than timestamps."""
     times = record.fields["timestamps"]
@@ -517,16 +513,12 @@ _AS_IS = _Column()
 _TIMESTAMPS = _Column("timestamps_ns", _read_times)
 
 
-def _rows(columns: int) -> _Column:
-    return _Column(read=partial(_read_rows, columns=columns), write=_write_rows)
-
-
 def _nullable_rows(columns: int) -> _Column:
     return _Column(read=partial(_read_nullable_rows, columns=columns), write=_write_nullable_rows)
 
 
-def _path(values: _Column) -> Mapping[str, _Column]:
-    return {"timestamps": _TIMESTAMPS, "values": values}
+def _path(read: Callable[..., Any], write: Callable[..., Any] = _write_rows) -> Mapping[str, _Column]:
+    return {"timestamps": _TIMESTAMPS, "values": _Column(read=read, write=write)}
 
 
 _ATTRIBUTE: Mapping[str, _Column] = {
@@ -541,6 +533,7 @@ _ATTRIBUTE: Mapping[str, _Column] = {
 _SEEN = {"sensor_id": _AS_IS, "timestamps": _TIMESTAMPS}
 """What activations and projections begin with."""
 
+_VERTEX_PATH = {"timestamps": _TIMESTAMPS, "values": _Column("vertices", _read_vertices, _write_vertices)}
 _CONFIRMED = _Column(read=_read_confirmed)
 _CUBOIDS = _nullable_rows(9)
 _POSES = _Column(read=_read_poses, write=_write_poses, extras=extras_of_poses)
@@ -552,22 +545,22 @@ _OBJECT = {**_ANY, "label": _AS_IS, "stationary": _AS_IS, "attributes": _ATTRIBU
 _COLUMNS: Mapping[type, Mapping[str, _Column]] = {
     CuboidAnnotation: {
         **_OBJECT,
-        "path": _record(CuboidPath, _path(_rows(9))),
+        "path": _record(CuboidPath, _path(partial(_read_rows, columns=9))),
         "activations": _records(
-            Activation,
-            {**_SEEN, "durations": _Column("durations_ns", _read_durations), "cuboids": _CUBOIDS},
+            Activation, {**_SEEN, "durations": _Column("durations_ns", _read_durations), "cuboids": _CUBOIDS}
         ),
         "projections": _records(
-            Projection,
-            {**_SEEN, "boxes": _nullable_rows(4), "confirmed": _CONFIRMED, "cuboids": _CUBOIDS},
+            Projection, {**_SEEN, "boxes": _nullable_rows(4), "confirmed": _CONFIRMED, "cuboids": _CUBOIDS}
         ),
     },
-    Box2DAnnotation: {**_OBJECT, "sensor_id": _AS_IS, "path": _record(BoxPath, _path(_rows(4)))},
+    Box2DAnnotation: {**_OBJECT, "sensor_id": _AS_IS, "path": _record(BoxPath, _path(partial(_read_rows, columns=4)))},
     ShapeAnnotation: {
         **_OBJECT,
         "sensor_id": _AS_IS,
         "is_closed": _AS_IS,
-        "path": _record(VertexPath, _path(_Column("vertices", _read_vertices, _write_vertices))),
+        "path": _record(
+            VertexPath, {"timestamps": _TIMESTAMPS, "values": _Column("vertices", _read_vertices, _write_vertices)}
+        ),
     },
     PointsAnnotation: {
         **_ANY,
@@ -575,19 +568,10 @@ _COLUMNS: Mapping[type, Mapping[str, _Column]] = {
         "attributes": _ATTRIBUTES,
         "sensor_id": _AS_IS,
         "labels": _Column(read=_read_labels),
-        "paths": _records(
-            PointPath,
-            {"id": _AS_IS, **_path(_Column(read=_read_points, write=_write_rows))},
-            required=True,
-        ),
+        "paths": _records(PointPath, {"id": _AS_IS, **_path(_read_points)}, required=True),
         "projections": _records(
             PointProjection,
-            {
-                **_SEEN,
-                "points": _nullable_rows(2),
-                "confirmed": _CONFIRMED,
-                "positions": _nullable_rows(3),
-            },
+            {**_SEEN, "points": _nullable_rows(2), "confirmed": _CONFIRMED, "positions": _nullable_rows(3)},
             depth=2,
         ),
     },
@@ -595,9 +579,7 @@ _COLUMNS: Mapping[type, Mapping[str, _Column]] = {
         **_LABELLED,
         "is_instance": _AS_IS,
         "labeled_points": _records(
-            LabeledPoints,
-            {"sensor_id": _AS_IS, "sensor_frame": _AS_IS, "point_ids": _AS_IS},
-            required=True,
+            LabeledPoints, {"sensor_id": _AS_IS, "sensor_frame": _AS_IS, "point_ids": _AS_IS}, required=True
         ),
     },
     EventAnnotation: {
@@ -606,13 +588,7 @@ _COLUMNS: Mapping[type, Mapping[str, _Column]] = {
         "start": _Column("start_ns"),
         "duration": _Column("duration_ns"),
     },
-    LinkAnnotation: {
-        **_LABELLED,
-        "sensor_id": _AS_IS,
-        "from_id": _AS_IS,
-        "to_id": _AS_IS,
-        "is_bidirectional": _AS_IS,
-    },
+    LinkAnnotation: {**_LABELLED, "sensor_id": _AS_IS, "from_id": _AS_IS, "to_id": _AS_IS, "is_bidirectional": _AS_IS},
     LocalizationAdjustment: {**_ANY, "poses": _POSES},
     CameraCalibration: {
         **_ANY,
@@ -650,7 +626,6 @@ _MODELS: Mapping[str, type] = {
 _TYPED = frozenset({ShapeAnnotation, LabeledPointsAnnotation, ObjectAnnotation})
 """Models of several types, which hold theirs."""
 
-
 _CUBOID_COLUMNS = 9
 
 
@@ -677,99 +652,52 @@ class _Cuboid(msgspec.Struct, forbid_unknown_fields=True, gc=False):
     attributes: list[_Attribute] | None = None
 
 
-class _UnusualError(ValueError):
-    """Something is not as usual."""
-
-
-_UNUSUAL = (_UnusualError, msgspec.ValidationError, struct.error, TypeError, OverflowError)
+_UNUSUAL = (msgspec.ValidationError, struct.error, TypeError, OverflowError)
 
 
 def _read_usual_cuboids(annotations: list[Any], clock: FileClock) -> dict[int, CuboidAnnotation]:
-    """Make the cuboids that have nothing unusual.
-
-    Args:
-        annotations: the file's list of annotations.
-        clock: turns timestamps into nanoseconds.
-
-    Returns:
-        The cuboids by their number in the list.
-    """
+    """Make the cuboids that have nothing unusual, many at once; by their number in the file's list."""
     found: dict[int, _Cuboid] = {}
-    timestamps: list[bytes] = []
-    rows: list[bytes] = []
-    stated: list[bytes] = []
+    timestamps, rows, stated = list[bytes](), list[bytes](), list[bytes]()
     for index, annotation in enumerate(annotations):
         try:
             cuboid = msgspec.convert(annotation, _Cuboid)
-            packed = _packed_timestamps(cuboid.path.timestamps), _packed_rows(cuboid.path)
-            stated_at = [_packed_timestamps(attribute.timestamps) for attribute in cuboid.attributes or ()]
+            count, values = len(cuboid.path.timestamps), cuboid.path.values
+            if len(values) != count or set(map(len, values)) != {_CUBOID_COLUMNS}:
+                continue
+            packed = _packer("q", count)(*cuboid.path.timestamps)
+            packed_rows = _packer("d", count * _CUBOID_COLUMNS)(*chain.from_iterable(values))
+            attributes = cuboid.attributes or ()
+            stated_at = [_packer("q", len(one.timestamps))(*one.timestamps) for one in attributes]
         except _UNUSUAL:
             continue
         found[index] = cuboid
-        timestamps.append(packed[0])
-        rows.append(packed[1])
+        timestamps.append(packed)
+        rows.append(packed_rows)
         stated += stated_at
     try:
-        times_ns, stated_ns = _times(timestamps, clock), _times(stated, clock)
+        times_ns, stated_ns = (
+            read_only(clock.absolute_array(np.frombuffer(b"".join(packed), np.int64)))
+            for packed in (timestamps, stated)
+        )
     except TimeRangeError:
         return {}
-    values = np.frombuffer(b"".join(rows), np.float64).reshape(-1, _CUBOID_COLUMNS)
-    counts = [len(cuboid.path.timestamps) for cuboid in found.values()]
-    paths = cut_cuboid_paths(times_ns, values, counts)
-    attributes = _UsualAttributes(stated_ns)
-    return {
-        index: _cuboid(cuboid, path, attributes) for (index, cuboid), path in zip(found.items(), paths, strict=True)
-    }
-
-
-def _packed_timestamps(timestamps: list[int]) -> bytes:
-    return _packer("q", len(timestamps))(*timestamps)
-
-
-def _packed_rows(path: _Path) -> bytes:
-    count = len(path.timestamps)
-    if len(path.values) != count or set(map(len, path.values)) != {_CUBOID_COLUMNS}:
-        raise _UnusualError
-    return _packer("d", count * _CUBOID_COLUMNS)(*chain.from_iterable(path.values))
+    all_rows = np.frombuffer(b"".join(rows), np.float64).reshape(-1, _CUBOID_COLUMNS)
+    paths = cut_cuboid_paths(times_ns, all_rows, [len(cuboid.path.timestamps) for cuboid in found.values()])
+    position, cuboids = 0, dict[int, CuboidAnnotation]()
+    for (index, cuboid), path in zip(found.items(), paths, strict=True):
+        made = []
+        for one in cuboid.attributes or ():
+            stop, listed = position + len(one.timestamps), one.values
+            attribute = attribute_values(listed) if list in map(type, listed) else tuple(listed)
+            made.append(AttributePath(one.name, attribute, stated_ns[position:stop], one.sensor_id, one.static))
+            position = stop
+        cuboids[index] = CuboidAnnotation(
+            cuboid.id, path, cuboid.label, cuboid.stationary, cuboid.parent_id, tuple(made)
+        )
+    return cuboids
 
 
 @lru_cache(maxsize=256)
 def _packer(code: str, count: int) -> Callable[..., bytes]:
     return struct.Struct(f"{count}{code}").pack
-
-
-def _times(packed: list[bytes], clock: FileClock) -> Int64Array:
-    times_ns = clock.absolute_array(np.frombuffer(b"".join(packed), np.int64))
-    times_ns.flags.writeable = False
-    return times_ns
-
-
-def _cuboid(cuboid: _Cuboid, path: CuboidPath, attributes: "_UsualAttributes") -> CuboidAnnotation:
-    return CuboidAnnotation(
-        cuboid.id,
-        path,
-        cuboid.label,
-        cuboid.stationary,
-        cuboid.parent_id,
-        tuple(map(attributes.make, cuboid.attributes)) if cuboid.attributes else (),
-    )
-
-
-class _UsualAttributes:
-    """Makes attributes one after another, each with its part of the times of all."""
-
-    def __init__(self, times_ns: Int64Array) -> None:
-        self._times_ns = times_ns
-        self._next = 0
-
-    def make(self, attribute: _Attribute) -> AttributePath:
-        """Make the next one."""
-        values, first = attribute.values, self._next
-        self._next += len(attribute.timestamps)
-        return AttributePath(
-            attribute.name,
-            attribute_values(values) if list in map(type, values) else tuple(values),
-            self._times_ns[first : self._next],
-            attribute.sensor_id,
-            attribute.static,
-        )

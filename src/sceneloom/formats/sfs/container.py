@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, BinaryIO, NoReturn, Protocol, Self, cast
+from typing import Any, BinaryIO, NoReturn, Self, cast
 
 import msgspec
 import numpy as np
@@ -25,27 +25,12 @@ from sceneloom.formats.remote.stores import Range, RangedFile, RemoteIdentity, c
 
 ITEMS = "$items"
 
-
-_DTYPE_NAMES = [
+_DTYPE_NAMES = (
     "bool",
-    "int8",
-    "int16",
-    "int32",
-    "int64",
-    "uint8",
-    "uint16",
-    "uint32",
-    "uint64",
-    "float16",
-    "float32",
-    "float64",
-    "complex64",
-    "complex128",
-]
-
-
+    *(f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)),
+    *("float16", "float32", "float64", "complex64", "complex128"),
+)
 _LITTLE_ENDIAN = {name: np.dtype(name).newbyteorder("<") for name in _DTYPE_NAMES}
-
 
 DTYPES: Mapping[str, np.dtype[Any]] = MappingProxyType(
     {
@@ -55,7 +40,6 @@ DTYPES: Mapping[str, np.dtype[Any]] = MappingProxyType(
     }
 )
 """The dtypes that an item may name: NumPy's names, and its codes with a byte order."""
-
 
 _MOST_AXES = 64
 """Source: NPY_MAXDIMS of NumPy 2."""
@@ -103,20 +87,28 @@ def put_items(header: dict[str, Any], items: list[Any], content: mmap.mmap, star
     problems: dict[int, str] = {}
     for number, item in enumerate(items):
         try:
-            offset, length = _location_item(header, item, content, start)
+            offset, length = _put_item(header, item, content, start)
         except _TakenError as error:
             problems[number] = str(error)
-            continue
         except _ItemError as error:
             problems[number] = str(error)
             _clear(header, item, placed=False)
-            continue
-        if length:
-            extents.append((offset, offset + length, number))
-    for number, problem in _overlaps(extents).items():
-        problems[number] = problem
-        _clear(header, items[number], placed=True)
-    return [_fault(number, items[number], problems[number], header) for number in sorted(problems)]
+        else:
+            extents += [(offset, offset + length, number)] if length else []
+    reached, holder = 0, 0
+    for first, stop, number in sorted(extents):
+        if first < reached:
+            problems[number] = f"starts at byte {first}, inside item {holder}, which ends at {reached}"
+            _clear(header, items[number], placed=True)
+        if stop > reached:
+            reached, holder = stop, number
+    faults = []
+    for number in sorted(problems):
+        keys: Any = items[number].get("keys") if isinstance(items[number], dict) else None
+        known = isinstance(keys, list)
+        path = format_keys(keys, header) if known else ""
+        faults.append(ItemFault(number, tuple(keys) if known else None, path, problems[number]))
+    return faults
 
 
 def item_locations(header: dict[str, Any], items: list[Any]) -> dict[str, int]:
@@ -165,7 +157,7 @@ class _TakenError(_ItemError):
     """The item is well, but its location is not free."""
 
 
-def _location_item(header: dict[str, Any], item: Any, content: mmap.mmap, start: int) -> tuple[int, int]:
+def _put_item(header: dict[str, Any], item: Any, content: mmap.mmap, start: int) -> tuple[int, int]:
     if not isinstance(item, dict):
         raise _ItemError(f"a {type(item).__name__}; expected an object with keys, length and offset")
     offset, length = item.get("offset"), item.get("length")
@@ -197,31 +189,8 @@ def _array(item: dict[str, Any], content: mmap.mmap, start: int, length: int) ->
     return array.view(RawBytes) if name is None and shape is None else array
 
 
-def _overlaps(extents: list[tuple[int, int, int]]) -> dict[int, str]:
-    """Report of each item that starts inside an earlier one what is wrong; extents are (start, stop, number)."""
-    problems: dict[int, str] = {}
-    reached, holder = 0, 0
-    for start, stop, number in sorted(extents):
-        if start < reached:
-            problems[number] = f"starts at byte {start}, inside item {holder}, which ends at {reached}"
-        if stop > reached:
-            reached, holder = stop, number
-    return problems
-
-
-def _fault(number: int, item: Any, problem: str, header: dict[str, Any]) -> ItemFault:
-    keys = item.get("keys") if isinstance(item, dict) else None
-    if not isinstance(keys, list):
-        return ItemFault(number, None, "", problem)
-    return ItemFault(number, tuple(keys), format_keys(keys, header), problem)
-
-
 def _clear(header: dict[str, Any], item: Any, *, placed: bool) -> None:
-    """Put None in the position of an item at fault; what is not its own there stays.
-
-    Args:
-        placed: whether its array stands there already.
-    """
+    """Put None in the location of an item at fault, unless something else stands there; `placed`: its array does."""
     keys = item.get("keys") if isinstance(item, dict) else None
     location = _find(header, keys) if isinstance(keys, list) and keys else None
     if location is not None and (placed or _is_free(location)):
@@ -296,7 +265,6 @@ def _is_free(location: _Slot) -> bool:
 
 
 _MAPPED_AT_MOST = 128 << 20
-
 
 _DONT_NEED: int | None = getattr(mmap, "MADV_DONTNEED", None)
 """Not on every system."""
@@ -496,16 +464,12 @@ def replaced(value: Any, filled: dict[int, AnyArray]) -> Any:
 
 _FIRST_BLOCK, _LARGEST_BLOCK = 64 << 10, 16 << 20
 
-
 _PIECE = 256 << 10
-
 
 _NO_RESERVE = 0x4000
 """Source: MAP_NORESERVE of Linux; the placeholder takes addresses, not memory."""
 
-
 _OF_FRAMES = {"lidar": "frames", "radar": "frames"}
-
 
 _PLAYED = {"images", "video"}
 
@@ -666,43 +630,8 @@ def _placeholder(size: int) -> mmap.mmap:
 
 __all__ = ["DTYPES", "ITEMS", "Container", "ItemFault", "RawBytes", "format_keys"]
 
-
 HEADER_LIMIT = 1 << 30
 """Longest header that is read [bytes]: beyond it the text alone would fill the memory of a large machine."""
-
-
-class StoredFile(Protocol):
-    """A file on disk or behind a URL."""
-
-    @property
-    def content(self) -> mmap.mmap:
-        """Its bytes, or what has as many."""
-        ...
-
-    @property
-    def identity(self) -> Identity:
-        """How to report it from a file that takes its location."""
-        ...
-
-    def header(self, limit: int) -> memoryview:
-        """Give the bytes before the first NUL."""
-        ...
-
-    def fill(self, header: dict[str, Any]) -> None:
-        """Give values to the arrays of a header that readers look into."""
-        ...
-
-    def fetch(self, value: Any) -> Any:
-        """Give a value with all arrays in it filled."""
-        ...
-
-    def bytes_of(self, array: AnyArray) -> MappedContent | RemoteContent:
-        """Give the bytes of an array, which may be read piece by piece."""
-        ...
-
-    def close(self) -> None:
-        """Let go of it."""
-        ...
 
 
 class Container:
@@ -738,10 +667,9 @@ class Container:
             decode: makes a value of the header's text and the file's name, instead of the strict decoder.
         """
         self.file = redacted(path) if is_url(path) else str(path)
-        self._stored: StoredFile = (
-            RemoteFile.of(str(path), storage_options) if is_url(path) else LocalFile.of(Path(path))
-        )
-        self.identity = self._stored.identity
+        self._stored: LocalFile | RemoteFile
+        self._stored = RemoteFile.of(str(path), storage_options) if is_url(path) else LocalFile.of(Path(path))
+        self.identity: Identity = self._stored.identity
         self.size = len(self._stored.content)
         self.closed = False
         self._on_close: list[Callable[[], None]] = [self._stored.close]

@@ -36,15 +36,11 @@ _CODECS: Mapping[bytes, str] = MappingProxyType(
     }
 )
 
-
 """Sample entry of the video track, and what FFmpeg calls its codec. Source: the registry at mp4ra.org."""
-
 
 _UNKNOWN_CODEC = "unknown"
 
-
 _LONG_SIZE, _TO_THE_END = 1, 0
-
 
 _MOST_BOXES = 10_000
 
@@ -233,16 +229,9 @@ class _CutBytes:
 def _rescue_video(there: memoryview, length: int) -> tuple[bytes, list[int], int]:
     """Keep the packets that are whole, up to the first one that is not.
 
-    Args:
-        there: the bytes that are left.
-        length: how many there were.
-
     Returns:
         A video of these packets, which images of the original it holds, in the order of their times, and how many
         the original had.
-
-    Raises:
-        DataError: its tables are lost, or no image is whole.
     """
     from sceneloom.formats.video.index import (
         BY_TABLES,

@@ -7,9 +7,7 @@ from typing import Any, Protocol
 
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import MALFORMED, PlacedFault
-from sceneloom.formats.sfs.clock import (
-    FileClock,
-)
+from sceneloom.formats.sfs.clock import FileClock
 from sceneloom.formats.sfs.container import ITEMS, Container, ItemFault, format_keys
 from sceneloom.formats.sfs.records import Fault, Faults, Location, RecordReader
 from sceneloom.formats.sfs.spec import ReadingOptions

@@ -36,6 +36,8 @@ from sceneloom.scene.scene import Scene, Sensor, with_assumed_models
 from sceneloom.scene.types import Identifier, key_of
 from sceneloom.warnings import DataWarning, WarningKind
 
+_OURS_AT = ("metadata", OURS)
+
 _REPORTED = 4
 """So many locations of further faults stand in an error."""
 
@@ -86,12 +88,12 @@ class Examination:
 
     @property
     def sensor_paths(self) -> tuple[str, ...]:
-        """The locations of the sensors in words."""
+        """The locations of the sensors as text."""
         return tuple(map(format_keys, self.sensor_positions))
 
     @property
     def annotation_paths(self) -> tuple[str, ...]:
-        """The locations of the annotations in words."""
+        """The locations of the annotations as text."""
         return tuple(map(format_keys, self.annotation_positions))
 
 
@@ -135,47 +137,43 @@ def read_scene(path: Path | str, options: ReadingOptions) -> Scene:
     """
     # the header goes while the collector is still paused, which would otherwise walk through all of it
     with collector_paused():
-        return _sound_scene(path, options)
+        examination = _read_all(path, options, whole=options.lenient)
+        refused = [fault for fault in examination.faults if fault.vital or not options.lenient]
+        scene = examination.scene
+        if refused or scene is None:
+            raise _error_of(str(path), refused)
+        if examination.header is not None:
+            examination.header.pop("annotations", None)
+        del examination
+        return scene
 
 
-def _sound_scene(path: Path | str, options: ReadingOptions) -> Scene:
-    examination = _read_all(path, options, whole=options.lenient)
-    refused = [fault for fault in examination.faults if fault.vital or not options.lenient]
-    if refused or examination.scene is None:
-        raise _error_of(str(path), refused)
-    if examination.header is not None:
-        examination.header.pop("annotations", None)
-    return examination.scene
+def examine(path: Path | str, options: ReadingOptions | None = None) -> Examination:
+    """Read a file as far as it is sound, and give every fault of it with its location; nothing is raised for them.
+
+    Args:
+        path: the file, or the URL of one; only its header is read.
+        options: what the file does not state itself; `lenient` plays no part.
+    """
+    try:
+        return _read_all(path, replace(options or ReadingOptions(), lenient=False), whole=True)
+    except DataError as error:
+        return Examination(None, (PlacedFault(error.location, error.problem, "unreadable", vital=True),))
 
 
 def _read_all(path: Path | str, options: ReadingOptions, *, whole: bool) -> Examination:
-    """Read a file, or a URL, and note every fault.
-
-    Args:
-        path: the file.
-        options: what the file does not state itself.
-        whole: take what is at fault out of sensors and annotations, so that the rest of them is in the scene; without,
-            a sensor or annotation with a fault is left out.
-
-    Raises:
-        DataError: not even the header can be read.
-    """
+    """Read a file, or a URL, and note every fault, as `read_container` does."""
+    items: list[ItemFault] = []
     try:
         with collector_paused():
-            items: list[ItemFault] = []
-            container = _opened(path, options, items)
+            container = Container(path, faults=items, storage_options=options.storage_options)
     except RecursionError:
         raise DataError(path, "header", "nested too deeply") from None
     return read_container(container, items, options, whole=whole)
 
 
 def read_container(
-    container: Container,
-    items: list[ItemFault],
-    options: ReadingOptions,
-    *,
-    whole: bool,
-    vital: bool = False,
+    container: Container, items: list[ItemFault], options: ReadingOptions, *, whole: bool, vital: bool = False
 ) -> Examination:
     """Read an open file, and note every fault.
 
@@ -183,7 +181,8 @@ def read_container(
         container: the file; what is at fault is not in its header afterwards.
         items: what is wrong with its arrays.
         options: what the file does not state itself.
-        whole: take what is at fault out of sensors and annotations, as in `_read_all`.
+        whole: take what is at fault out of sensors and annotations, so that the rest of them is in the scene; else a
+            sensor or annotation with a fault is left out.
         vital: take out what no scene can do without, too, and read the rest as if the file had never stated it.
 
     Raises:
@@ -218,12 +217,7 @@ _ROUNDS = 4
 
 
 def _whole_parts(
-    container: Container,
-    items: list[ItemFault],
-    options: ReadingOptions,
-    first: Examination,
-    *,
-    vital: bool,
+    container: Container, items: list[ItemFault], options: ReadingOptions, first: Examination, *, vital: bool
 ) -> Examination:
     """Take what is at fault out of the header, the least that has to go, and read the rest."""
     is_local = not is_url(container.file)
@@ -258,7 +252,9 @@ def _whole_parts(
             placed = replace(fault, path=path, item=container.item_number(path, original))
             if lost is not None:
                 words = _in_words(original, numbering.before(lost))
-                loss = _Loss(numbering.before(lost), words, _problem(lost, keys, fault))
+                inner = format_keys(keys[len(lost) :])
+                problem = f"{inner}: {fault.problem}" if inner else fault.problem
+                loss = _Loss(numbering.before(lost), words, problem)
                 losses.setdefault(loss.keys, loss)
                 placed = replace(placed, costs=words)
             elif keys in cut:
@@ -266,11 +262,11 @@ def _whole_parts(
             elif vital:
                 losses.setdefault(location, _Loss(location, fault.path, fault.problem))
             faults[placed.path, placed.problem] = placed
-        inner = tuple(victim for victim in victims if not _is_listed_thing(victim))
-        if not inner and not (cut and examination is first):
+        parts = tuple(victim for victim in victims if not _is_listed_thing(victim))
+        if not parts and not (cut and examination is first):
             break
-        numbering.follow(take_out(container.header, inner))
-        removed = replace(removed, rounds=(*removed.rounds, inner))
+        numbering.follow(take_out(container.header, parts))
+        removed = replace(removed, rounds=(*removed.rounds, parts))
         examination = _examination(container, [], options, removed)
     scene = examination.scene
     warnings = _loss_warnings(losses.values(), faults.values()) if options.lenient else ()
@@ -285,11 +281,6 @@ def _whole_parts(
         losses=tuple(losses.values()),
         frame_numbers={format_keys(keys): numbers for keys, numbers in numbering.frames().items()},
     )
-
-
-def _problem(lost: Location, keys: Location, fault: PlacedFault) -> str:
-    inner = format_keys(keys[len(lost) :])
-    return f"{inner}: {fault.problem}" if inner else fault.problem
 
 
 def _loss_warnings(losses: Iterable[_Loss], faults: Iterable[PlacedFault]) -> tuple[DataWarning, ...]:
@@ -318,21 +309,17 @@ def _rescue_videos(container: Container, items: list[ItemFault]) -> Mapping[Loca
     return videos
 
 
-def _opened(path: Path | str, options: ReadingOptions, items: list[ItemFault]) -> Container:
-    return Container(path, faults=items, storage_options=options.storage_options)
-
-
 def _parts_again(options: ReadingOptions, removed: _Removed, path: Path | str) -> FileParts:
     """Open a file again for what a scene of it reads; annotations and the like are in the scene already."""
     with collector_paused():
         items: list[ItemFault] = []
-        container = _opened(path, options, items)
+        container = Container(path, faults=items, storage_options=options.storage_options)
         if removed.videos:
             _rescue_videos(container, items)
         for victims in removed.rounds:
             take_out(container.header, victims)
         source, ours, _ = _source(container, options, removed)
-        _all_sensors(source, ours)
+        _all_of(source, ours, "sensors", read_sensors)
     return source.parts
 
 
@@ -348,18 +335,11 @@ def _source(
     return source, _read_ours(source, raw), metadata
 
 
-def _all_annotations(source: Source, ours: dict[str, Any]) -> tuple[Annotation, ...]:
-    return (
-        *read_annotations(source, source.container.header.get("annotations"), ("annotations",)),
-        *read_annotations(source, ours.get("annotations"), ("metadata", OURS, "annotations")),
-    )
-
-
-def _all_sensors(source: Source, ours: dict[str, Any]) -> tuple[Sensor, ...]:
-    return (
-        *read_sensors(source, source.container.header.get("sensors"), ("sensors",)),
-        *read_sensors(source, ours.get("sensors"), ("metadata", OURS, "sensors")),
-    )
+def _all_of(
+    source: Source, ours: dict[str, Any], kind: str, read: Callable[[Source, Any, Location], tuple[_Thing, ...]]
+) -> tuple[_Thing, ...]:
+    """The sensors or annotations of the file, and those of our metadata."""
+    return read(source, source.container.header.get(kind), (kind,)) + read(source, ours.get(kind), (*_OURS_AT, kind))
 
 
 def _examination(
@@ -368,18 +348,21 @@ def _examination(
     header = container.header
     source, ours, metadata = _source(container, options, removed)
     source.collect_items(items)
-    sensors, sensor_positions = _unique(source, _all_sensors(source, ours), "sensors", ours)
-    annotations, annotation_positions = _unique(source, _all_annotations(source, ours), "annotations", ours)
+    sensors, sensor_positions = _unique(source, ours, "sensors", read_sensors)
+    annotations, annotation_positions = _unique(source, ours, "annotations", read_annotations)
     attributes = _attributes(source, header.get("attributes"))
     faults = Faults()
     aside = read_attributes(source, ours.get("attributes"), faults)
-    trajectories = read_trajectories(ours.get("trajectories"), sensors, ("metadata", OURS, "trajectories"), faults)
+    trajectories = read_trajectories(ours.get("trajectories"), sensors, (*_OURS_AT, "trajectories"), faults)
     source.collect(faults, ())
     annotations, attributes = restore_exact_attributes(
         ours.get("exact_attributes") or [], annotations, (*attributes, *aside)
     )
     kept = {name: value for name, value in ours.items() if name not in _ABSORBED}
-    kept |= _euler(source, ours, annotations) | _camera_model_records(source)
+    kept |= _euler(source, ours, annotations)
+    stated = source.tangential or options.tangential
+    if stated is not None:  # what p1 and p2 mean from now on
+        kept |= {"tangential": OPENCV, **({"tangential_before": BROWN} if stated == BROWN else {})}
     scene = Scene(
         sensors,
         annotations,
@@ -393,7 +376,8 @@ def _examination(
         extras={name: value for name, value in header.items() if name not in _ROOT},
         on_close=source.parts.close,
     )
-    scene = _with_camera_model_readings(scene, source)
+    if options.assume_model:
+        scene = with_assumed_models(scene)
     noticed = tuple(source.noticed_now)
     return Examination(
         scene, source.found_faults(), header, sensor_positions, annotation_positions, noticed, container.fetch
@@ -401,12 +385,13 @@ def _examination(
 
 
 def _unique(
-    source: Source, things: tuple[_Thing, ...], kind: str, ours: Any
+    source: Source, ours: dict[str, Any], kind: str, read: Callable[[Source, Any, Location], tuple[_Thing, ...]]
 ) -> tuple[tuple[_Thing, ...], tuple[Location, ...]]:
-    """Leave out those whose id another had before; give the others with their locations in the file."""
+    """Read sensors or annotations, and leave out those whose id another had before; give them with their locations."""
+    things = _all_of(source, ours, kind, read)
     locations = (
         *_kept_locations(source, source.container.header.get(kind), (kind,)),
-        *_kept_locations(source, ours.get(kind), ("metadata", OURS, kind)),
+        *_kept_locations(source, ours.get(kind), (*_OURS_AT, kind)),
     )
     first: dict[tuple[type, Identifier], Location] = {}
     kept: list[_Thing] = []
@@ -450,19 +435,6 @@ def _euler(source: Source, ours: Mapping[str, Any], annotations: tuple[Annotatio
     return {name: value or DEFAULT_EULER[name] for name, value in stated.items()}
 
 
-def examine(path: Path | str, options: ReadingOptions | None = None) -> Examination:
-    """Read a file as far as it is sound, and give every fault of it with its location; nothing is raised for them.
-
-    Args:
-        path: the file, or the URL of one; only its header is read.
-        options: what the file does not state itself; `lenient` plays no part.
-    """
-    try:
-        return _read_all(path, replace(options or ReadingOptions(), lenient=False), whole=True)
-    except DataError as error:
-        return Examination(None, (PlacedFault(error.location, error.problem, "unreadable", vital=True),))
-
-
 _VERSIONS = ("1.0", "5.1")
 """Beginnings of the versions that we read."""
 
@@ -504,80 +476,44 @@ def _read_clock(source: Source, ours: Any) -> FileClock:
         offset = None
     shift_ns = ours.get("time_shift_ns") if isinstance(ours, dict) else None
     if shift_ns is not None and type(shift_ns) is not int:
-        root_fault(source, ("metadata", OURS, "time_shift_ns"), f"{shift_ns!r}; expected an integer")
+        root_fault(source, (*_OURS_AT, "time_shift_ns"), f"{shift_ns!r}; expected an integer")
         shift_ns = None
-    return FileClock(tick_ns, _offset_ns(source, offset or 0, tick_ns, shift_ns or 0))
-
-
-def _offset_ns(source: Source, offset: float, tick_ns: int, shift_ns: int) -> int:
     try:
-        offset_ns = scaled(offset, tick_ns) - shift_ns
+        offset_ns = scaled(offset or 0, tick_ns) - (shift_ns or 0)
     except TimeRangeError as error:
         root_fault(source, ("time_offset",), str(error))
-        return 0
+        return FileClock(tick_ns, 0)
     if not EARLIEST_OFFSET_NS <= offset_ns <= INT64_MAX:
-        root_fault(source, ("time_offset",), f"{offset}; expected a time of at most 292 years")
-        return 0
-    return offset_ns
+        root_fault(source, ("time_offset",), f"{offset or 0}; expected a time of at most 292 years")
+        return FileClock(tick_ns, 0)
+    return FileClock(tick_ns, offset_ns)
 
 
 def _read_ours(source: Source, raw: Any) -> dict[str, Any]:
     """Read our metadata; a fault in it is a fault of the file."""
     faults = Faults()
     ours = RecordReader(source.clock).read(raw, OURS, faults)
-    source.collect(faults, ("metadata", OURS))
-    ours = _without_faulty(ours, faults)
-    _note_tangential(source, ours)
+    source.collect(faults, _OURS_AT)
+    wrong = {fault.location[:2] for fault in faults}
+    for name, value in ours.items():
+        if isinstance(value, list):
+            ours[name] = [item for k, item in enumerate(value) if (name, k) not in wrong]
+    recorded = ours.get("tangential")
+    source.tangential = recorded if recorded in TANGENTIALS else None
+    if source.tangential is not None and source.options.tangential not in (None, source.tangential):
+        message = f"p1 and p2 are recorded to be as in {source.tangential}; they are not exchanged again"
+        source.warning(WarningKind.ASSUMED, "tangential-recorded", (*_OURS_AT, "tangential"), message)
     for note in ours.get("sensor_notes") or []:
         source.notes[type(note["id"]), note["id"]] = note
     for record in ours.get("warnings") or []:
         try:
             source.remember(msgspec.convert(record, DataWarning))
         except msgspec.ValidationError as error:
-            root_fault(source, ("metadata", OURS, "warnings"), str(error))
+            root_fault(source, (*_OURS_AT, "warnings"), str(error))
     return ours
 
 
-def _without_faulty(ours: dict[str, Any], faults: Faults) -> dict[str, Any]:
-    """A record without the entries of its lists that are at fault."""
-    wrong = {fault.location[:2] for fault in faults}
-    return {
-        name: [item for k, item in enumerate(value) if (name, k) not in wrong] if isinstance(value, list) else value
-        for name, value in ours.items()
-    }
-
-
-def _note_tangential(source: Source, ours: Mapping[str, Any]) -> None:
-    """Take what our metadata state of p1 and p2, and report a caller who says otherwise that it counts."""
-    recorded = ours.get("tangential")
-    source.tangential = recorded if recorded in TANGENTIALS else None
-    if source.tangential is not None and source.options.tangential not in (None, source.tangential):
-        message = f"p1 and p2 are recorded to be as in {source.tangential}; they are not exchanged again"
-        source.warning(WarningKind.ASSUMED, "tangential-recorded", ("metadata", "sceneloom", "tangential"), message)
-
-
-def _camera_model_records(source: Source) -> dict[str, str]:
-    """What our metadata are to state of p1 and p2 from now on."""
-    stated = source.tangential or source.options.tangential
-    if stated is None:
-        return {}
-    return {"tangential": OPENCV, **({"tangential_before": BROWN} if stated == BROWN else {})}
-
-
-def _with_camera_model_readings(scene: Scene, source: Source) -> Scene:
-    """The scene that may be computed with as the caller stated."""
-    return with_assumed_models(scene) if source.options.assume_model else scene
-
-
-_OURS_AT = ("metadata", OURS)
-
-_RECORD_KINDS = {
-    Kind.RECORD,
-    Kind.RECORDS,
-    Kind.RECORD_OR_RECORDS,
-    Kind.RECORD_LISTS,
-    Kind.RECORD_MAP,
-}
+_RECORD_KINDS = {Kind.RECORD, Kind.RECORDS, Kind.RECORD_OR_RECORDS, Kind.RECORD_LISTS, Kind.RECORD_MAP}
 
 _TYPED_LISTS = {"sensors": sensor_record, "annotations": annotation_record}
 _OF_FRAMES = {"frames": ("lengths",), "images": ("camera_of_image", "mounts", "extras")}
@@ -616,12 +552,12 @@ def what_goes(header: Mapping[str, Any], keys: Location) -> Location | None:
     for depth, key in enumerate(keys):
         if isinstance(node, dict):
             if key not in node:
-                needed = _field_of(record, key)
+                needed = RECORDS.get(record or "", {}).get(str(key))
                 return removable if needed is not None and needed.required else None
             if record is not None and record.startswith(_MAP):
                 record, removable, node = record.removeprefix(_MAP), keys[: depth + 1], node[key]
                 continue
-            field = _field_of(record, key)
+            field = RECORDS.get(record or "", {}).get(str(key))
             if field is None or not (field.required or key in _NEEDED_ALL_THE_SAME.get(record or "", ())):
                 removable = keys[: depth + 1]
             if record in _TIMED_ROWS and _is_timed_row(node, keys[depth:]):
@@ -637,10 +573,6 @@ def what_goes(header: Mapping[str, Any], keys: Location) -> Location | None:
             break
         node = node[key]
     return removable
-
-
-def _field_of(record: str | None, key: str | int) -> Field | None:
-    return RECORDS.get(record or "", {}).get(str(key))
 
 
 def _record_below(record: str | None, name: str, field: Field | None, above: Location) -> str | None:
@@ -685,7 +617,7 @@ def _what_goes_with(header: Mapping[str, Any], locations: Iterable[Location]) ->
     goes = {keys: victim for keys in locations if (victim := what_goes(header, keys)) is not None}
     rows: dict[Location, set[Location]] = defaultdict(set)
     for victim in goes.values():
-        if _removal_is_timed_row(victim):
+        if len(victim) > 2 and victim[-2] == "values" and isinstance(victim[-1], int):
             rows[victim[:-1]].add(victim)
     for parent, lost in rows.items():
         if len(lost) == len(_at(header, parent)):
@@ -694,11 +626,6 @@ def _what_goes_with(header: Mapping[str, Any], locations: Iterable[Location]) ->
                 if victim in lost and instead is not None:
                     goes[keys] = instead
     return goes
-
-
-def _removal_is_timed_row(keys: Location) -> bool:
-    """Whether a victim is a row of a path, which goes with its timestamp."""
-    return len(keys) > 2 and keys[-2] == "values" and isinstance(keys[-1], int)
 
 
 def _outermost(locations: Iterable[Location]) -> list[Location]:
@@ -782,7 +709,8 @@ def take_out(header: dict[str, Any], victims: Iterable[Location]) -> Mapping[Loc
             for name in names:
                 gone_with = node.pop(str(name), None)
                 if name == "video" and isinstance(gone_with, dict):
-                    counted.append((node.get("id"), "images", [], _count_of(gone_with.get("timestamps"))))
+                    times = gone_with.get("timestamps")
+                    counted.append((node.get("id"), "images", [], len(times) if isinstance(times, list) else 0))
             continue
         gone = set(names)
         kept = [k for k in range(len(node)) if k not in gone]
@@ -805,43 +733,19 @@ def take_out(header: dict[str, Any], victims: Iterable[Location]) -> Mapping[Loc
 def _keep_points_in_step(annotation: dict[str, Any], kept: list[int], count: int) -> None:
     """Follow points that were taken out of a points annotation in its labels, projections and attributes."""
     _choose(annotation, ("labels", "projections"), kept, count)
-    locations = {old: new for new, old in enumerate(kept)}
-    attributes = annotation.get("attributes")
-    if isinstance(attributes, list):
-        annotation["attributes"] = [
-            {**entry, "point_index": locations[entry["point_index"]]} if _is_of_point(entry) else entry
-            for entry in attributes
-            if not _is_of_point(entry) or entry["point_index"] in locations
-        ]
-
-
-def _is_of_point(attribute: Any) -> bool:
-    return isinstance(attribute, dict) and type(attribute.get("point_index")) is int
+    _renumber(annotation, "attributes", "point_index", kept, {})
 
 
 def _keep_in_step(header: dict[str, Any], sensor_id: Any, name: str, kept: Sequence[int], count: int) -> None:
-    """Follow frames or images that were taken out in our notes, and in labelled points.
-
-    Args:
-        header: the header, which is changed.
-        sensor_id: the sensor that they belong to.
-        name: "frames" or "images".
-        kept: which of them stay.
-        count: how many there were.
-    """
+    """Follow frames or images that were taken out in our notes, and in labelled points."""
     for note in _records(header, (*_OURS_AT, "sensor_notes")):
         if note.get("id") == sensor_id:
             for holder in (note, note.get("images")):
                 _choose(holder, _OF_FRAMES[name], kept, count)
     if name == "frames":
-        locations = {old: new for new, old in enumerate(kept)}
         for root in ((), _OURS_AT):
             for annotation in _records(header, (*root, "annotations")):
-                _renumber(annotation, sensor_id, locations)
-
-
-def _count_of(values: Any) -> int:
-    return len(values) if isinstance(values, list) else 0
+                _renumber(annotation, "labeled_points", "sensor_frame", kept, {"sensor_id": sensor_id})
 
 
 def _at(header: Mapping[str, Any], keys: Location) -> Any:
@@ -858,20 +762,22 @@ def _choose(holder: Any, names: tuple[str, ...], kept: Sequence[int], count: int
             holder[name] = [values[k] for k in kept]
 
 
-def _renumber(annotation: dict[str, Any], sensor_id: Any, locations: Mapping[int, int]) -> None:
-    entries = annotation.get("labeled_points")
+def _renumber(
+    annotation: dict[str, Any], name: str, field: str, kept: Sequence[int], wanted: Mapping[str, Any]
+) -> None:
+    """Give the entries of a list that count something by a field new numbers; those of what is gone go, too."""
+    entries = annotation.get(name)
     if not isinstance(entries, list):
         return
-    annotation["labeled_points"] = [
-        {**entry, "sensor_frame": locations[entry["sensor_frame"]]} if _counts(entry, sensor_id) else entry
-        for entry in entries
-        if not _counts(entry, sensor_id) or entry["sensor_frame"] in locations
-    ]
-
-
-def _counts(entry: Any, sensor_id: Any) -> bool:
-    """Whether labelled points name a frame of this sensor by its number."""
-    return isinstance(entry, dict) and entry.get("sensor_id") == sensor_id and type(entry.get("sensor_frame")) is int
+    new_numbers = {old: new for new, old in enumerate(kept)}
+    renumbered = []
+    for entry in entries:
+        counts = isinstance(entry, dict) and type(entry.get(field)) is int
+        if not counts or any(entry.get(key) != value for key, value in wanted.items()):
+            renumbered.append(entry)
+        elif entry[field] in new_numbers:
+            renumbered.append({**entry, field: new_numbers[entry[field]]})
+    annotation[name] = renumbered
 
 
 def _records(header: Mapping[str, Any], keys: Location) -> list[dict[str, Any]]:

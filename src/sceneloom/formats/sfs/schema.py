@@ -197,12 +197,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _expects(Field("timestamps", Kind.TIMES, unit="file")),
         _expects(Field("values", Kind.LIST)),
     ),
-    "activation": (
-        _OF_SENSOR,
-        _TIMESTAMPS,
-        _expects(Field("durations", Kind.DURATIONS, unit="file")),
-        _CUBOIDS,
-    ),
+    "activation": (_OF_SENSOR, _TIMESTAMPS, _expects(Field("durations", Kind.DURATIONS, unit="file")), _CUBOIDS),
     "projection": (
         _OF_SENSOR,
         _TIMESTAMPS,
@@ -223,10 +218,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _array("point_ids", "uint32", required=True),
     ),
     "map_points": (_POSITIONS, _array("colors", "uint8", 3)),
-    "lidar_frame": (
-        _needs("timestamp", Kind.TIME, "file"),
-        _needs("points", Kind.RECORD, record="lidar_points"),
-    ),
+    "lidar_frame": (_needs("timestamp", Kind.TIME, "file"), _needs("points", Kind.RECORD, record="lidar_points")),
     "lidar_points": (
         _POSITIONS,
         _array("colors", "uint8", 3),
@@ -235,10 +227,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _ours(_array("ring", "uint16")),
         _ours(_array("camera_index", "uint8")),
     ),
-    "radar_frame": (
-        _needs("timestamp", Kind.TIME, "file"),
-        _needs("points", Kind.RECORD, record="radar_points"),
-    ),
+    "radar_frame": (_needs("timestamp", Kind.TIME, "file"), _needs("points", Kind.RECORD, record="radar_points")),
     "radar_points": (
         _POSITIONS,
         _array("directions", "float32", 3),
@@ -255,11 +244,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         Field("distortion", Kind.RECORD, record="distortion"),
     ),
     "distortion": (_expects(Field("model", Kind.TEXT)), _expects(Field("params", Kind.LIST))),
-    "video": (
-        _TIMESTAMPS,
-        _array("content", "uint8", required=True),
-        _expects(Field("fps", Kind.NUMBER, unit="1/s")),
-    ),
+    "video": (_TIMESTAMPS, _array("content", "uint8", required=True), _expects(Field("fps", Kind.NUMBER, unit="1/s"))),
     "image": (_needs("timestamp", Kind.TIME, "file"), _array("content", "uint8", required=True)),
     "unknown_frame": (Field("timestamp", Kind.TIME, unit="file"),),
     "unknown_sensor": (

@@ -27,13 +27,7 @@ from sceneloom.formats.sfs.records import (
     times_of,
     with_extras,
 )
-from sceneloom.formats.sfs.schema import (
-    COEFFICIENT_COUNTS,
-    RECORDS,
-    SENSOR_ALIASES,
-    SENSOR_RECORDS,
-    sensor_record,
-)
+from sceneloom.formats.sfs.schema import COEFFICIENT_COUNTS, RECORDS, SENSOR_ALIASES, SENSOR_RECORDS, sensor_record
 from sceneloom.formats.sfs.spec import BROWN
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraImage, CameraSensor, VideoContent
@@ -664,12 +658,7 @@ class _ImageNotes:
 
     @classmethod
     def of(cls, note: Mapping[str, Any], camera_model: Camera, count: int) -> Self:
-        """Read the note of a camera with so many images.
-
-        Raises:
-            FieldError: the note does not fit.
-            CalibrationError: it holds an impossible camera model.
-        """
+        """Read the note of a camera with so many images."""
 
         def listed(name: str) -> list[Any]:
             values = note.get(name)

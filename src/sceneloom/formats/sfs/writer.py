@@ -40,14 +40,7 @@ from sceneloom.formats.sfs.metadata import OURS
 from sceneloom.formats.sfs.profiles import Profile
 from sceneloom.formats.sfs.reader import DEFAULT_EULER
 from sceneloom.formats.sfs.records import Location, mount_rows, with_extras
-from sceneloom.formats.sfs.schema import (
-    COEFFICIENT_COUNTS,
-    RECORDS,
-    Field,
-    Kind,
-    annotation_record,
-    sensor_record,
-)
+from sceneloom.formats.sfs.schema import COEFFICIENT_COUNTS, RECORDS, Field, Kind, annotation_record, sensor_record
 from sceneloom.formats.sfs.sensors import (
     GNSS_ARRAYS,
     LIDAR_ARRAYS,
@@ -593,13 +586,7 @@ _MERGED = frozenset({"intrinsics", "video", "points", "poses"})
 
 
 def _draft_of(sensor: Sensor, losses: Losses, *, any_distortion: bool) -> _SensorDraft:  # noqa: PLR0912 - one a kind
-    """Make the draft of a sensor, still without frames.
-
-    Args:
-        sensor: the sensor.
-        losses: collects what the format cannot hold.
-        any_distortion: whether distortion models that the format does not list may be written by name.
-    """
+    """Make the draft of a sensor, still without frames."""
     if isinstance(sensor, PlainSensor):
         return _SensorDraft(sensor.id, sensor.type, dict(sensor.fields), streamed=False)
     if isinstance(sensor, DepthCameraSensor):
@@ -649,10 +636,6 @@ _STAND_INS = ("brown_conrady", "fisheye", "fisheye_rad_tan_prism", "omnidirectio
 def _written_camera_model(camera: Camera, *, any_model: bool) -> tuple[Camera, str | None]:
     """The camera model that an `intrinsics` record can hold: the same, or the nearest one of a model of the format.
 
-    Args:
-        camera: the exact camera model.
-        any_model: whether a model that the format does not list may stand there by its own name.
-
     Returns:
         The camera model, and in words how far it is off; None where it is the same.
     """
@@ -699,11 +682,7 @@ class _ClockKeeper:
         return FileClock(self.tick_ns, self.offset_ns or 0)
 
     def clock_for(self, first_ns: int) -> FileClock:
-        """Give the clock, which after this call can hold times from `first_ns` on.
-
-        Raises:
-            OptionError: the caller's offset is later, or point times written before do not fit any more.
-        """
+        """Give the clock, which after this call can hold times from `first_ns` on."""
         if self.offset_ns is None:
             self.offset_ns = chosen_offset_ns(first_ns)
         elif first_ns < self.offset_ns:
@@ -772,12 +751,7 @@ class _OpenFile:
     verbatim: bool
 
     def add_points(self, draft: _SensorDraft, frame: LidarFrame | RadarFrame) -> None:
-        """Spool one sweep or cycle.
-
-        Raises:
-            DataError: positions too far away.
-            OptionError: times that the file cannot hold.
-        """
+        """Spool one sweep or cycle."""
         points = frame.points
         self._check_reach(draft, points.positions)
         names = LIDAR_ARRAYS if isinstance(frame, LidarFrame) else RADAR_ARRAYS
@@ -1019,11 +993,7 @@ class _RecordWriter:
         return written
 
     def plain(self, value: Any) -> Any:  # noqa: PLR0911 - one a kind
-        """Write any value that JSON and the container can hold.
-
-        Raises:
-            OptionError: it is something else.
-        """
+        """Write any value that JSON and the container can hold."""
         if value is None or type(value) in _JSON_TYPES:
             return value
         if isinstance(value, Blob | np.ndarray):
@@ -1189,11 +1159,7 @@ class _Contents:
 
 
 def _make_header(contents: _Contents, profile: Profile, keeper: _ClockKeeper, losses: Losses) -> bytes:
-    """Make the header's bytes; `$items` comes last.
-
-    Raises:
-        OptionError: something cannot be held by the format, nests too deeply, or is no Unicode.
-    """
+    """Make the header's bytes; `$items` comes last."""
     firsts = [first for draft in contents.drafts.values() if (first := draft.first_ns()) is not None]
     if firsts:
         keeper.clock_for(min(firsts))

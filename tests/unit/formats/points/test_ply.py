@@ -38,13 +38,7 @@ def columns(tmp_path, content: bytes) -> dict[str, list[float]]:
     return {name: column.tolist() for name, column in read_cloud(tmp_path / "a.ply").columns.items()}
 
 
-EXPECTED = {
-    "x": [1.5, 4.0],
-    "y": [-2.0, 5.0],
-    "z": [0.25, -6.0],
-    "intensity": [200, 0],
-    "t": [123456789, -7],
-}
+EXPECTED = {"x": [1.5, 4.0], "y": [-2.0, 5.0], "z": [0.25, -6.0], "intensity": [200, 0], "t": [123456789, -7]}
 
 
 def test_vertices_come_with_their_names_and_exact_values(tmp_path, form):

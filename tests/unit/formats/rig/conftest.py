@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sceneloom.errors import DataError
 from sceneloom.formats.rig.spec import FORMAT
 from sceneloom.scene import Scene
 
@@ -41,6 +42,14 @@ extrinsic = { to = "top", translation = [0.5, 0.0, -0.5] }
 file = "poses.txt"
 form = "tum"
 """
+LIDAR_FILES = 'files = "top/*.bin"'
+FIELDS = 'fields = ["x", "y", "z", "intensity"]'
+SCALE = "intensity_max = 255"
+BY_NAME = 'times = { pattern = "{ns}" }'
+BY_RATE = "times = { rate_hz = 10, start_s = 1532402927.65 }"
+CAMERA_MODEL = "cy = 2.5 }"
+TUM = 'file = "poses.txt"\nform = "tum"'
+FIRST_SENSOR = '[[sensors]]\nid = "top"'
 POSES = """\
 # timestamp tx ty tz qx qy qz qw
 1532402927.5 0 0 0 0 0 0 1
@@ -91,3 +100,19 @@ def opened(changed: Callable[..., Path]) -> Callable[..., Scene]:
         return FORMAT.open(changed(*pairs), **options)
 
     return open_changed
+
+
+@pytest.fixture
+def refused(opened: Callable[..., Scene]) -> Callable[..., None]:
+    """Check that the folder with parts of its manifest replaced is refused, with a problem."""
+
+    def check(problem: str, *pairs: tuple[str, str]) -> None:
+        with pytest.raises(DataError, match=problem):
+            opened(*pairs)
+
+    return check
+
+
+def codes(scene: Scene) -> list[str]:
+    """The codes of a scene's warnings."""
+    return [warning.code for warning in scene.warnings]

@@ -15,10 +15,11 @@ from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.rig.reader import frame_from_camera, read_camera_model
 from sceneloom.scene.cameras import Shutter
 
+from .conftest import BY_RATE, codes
+
 SIZE = (640, 480)
 POINTS = np.random.default_rng(0).uniform([-1, -1, 3], [1, 1, 9], (50, 3))
 K = np.array([[500.0, 0, 320], [0, 510.0, 240], [0, 0, 1]])
-BY_RATE = "times = { rate_hz = 10, start_s = 1532402927.65 }"
 
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
@@ -83,10 +84,7 @@ def test_coefficients_of_rectified_images_are_not_used():
         ({"fx": 5.0, "cx": 3.0}, "cy missing"),
         ({"K": K.T}, r"expected \[fx 0 cx; 0 fy cy; 0 0 1\]"),
         ({"K": K, "model": "pinhol"}, "'pinhol'; expected one of pinhole, .*did you mean 'pinhole'"),
-        (
-            {"K": K, "coefficients": [0.1] * 3},
-            "3 coefficients; expected 0, 4, 5, 8, 12, 14 in OpenCV's order",
-        ),
+        ({"K": K, "coefficients": [0.1] * 3}, "3 coefficients; expected 0, 4, 5, 8, 12, 14 in OpenCV's order"),
         ({"K": K, "coefficients": {"q1": 0.1}}, "coefficients q1; brown_conrady has k1"),
         ({"K": K, "model": "fisheye", "coefficients": [0.1] * 5}, "5 distortion coefficients; fisheye has 4"),
         ({"K": -K}, "expected"),
@@ -102,20 +100,13 @@ def test_a_camera_model_for_another_size_is_scaled_with_a_warning(opened):
     scene = opened(("cy = 2.5 }", "cy = 2.5, width = 4, height = 3 }"))
     camera_model = scene.cameras[0].camera
     assert (camera_model.width, camera_model.fx, camera_model.cx) == (8, 12.0, (3.5 + 0.5) * 2 - 0.5)
-    assert [warning.code for warning in scene.warnings] == ["camera-model-scaled"]
-
-
-def test_a_camera_model_for_another_shape_is_refused(opened):
-    with pytest.raises(DataError, match=r"for 8x8, the images are 8x6, another shape"):
-        opened(("cy = 2.5 }", "cy = 2.5, width = 8, height = 8 }"))
+    assert codes(scene) == ["camera-model-scaled"]
 
 
 def test_rolling_shutters_are_kept_as_recordings_state_them(opened):
     rolling = ("cy = 2.5 }", "cy = 2.5 }\nshutter_roll_s = 0.033\nshutter_left_to_right = true")
     assert Shutter.of(opened(rolling).cameras[0]) == Shutter(0.033, over_columns=True)
     assert Shutter.of(opened().cameras[0]) == Shutter()
-    with pytest.raises(DataError, match=r"shutter_roll_s: 33 s; expected at most 1 s"):
-        opened(("cy = 2.5 }", "cy = 2.5 }\nshutter_roll_s = 33"))
 
 
 def test_jpeg_images_are_decoded_and_their_bytes_are_at_hand(opened, folder):
@@ -159,16 +150,14 @@ def test_an_image_of_another_size_is_reported(opened, folder):
         _ = scene.cameras[0].images[1].rgb
 
 
-def test_a_pipe_among_the_images_is_named_and_not_passed_over(opened, folder):
+def test_a_pipe_among_the_images_is_named_and_not_passed_over(refused, folder):
     os.mkfifo(folder / "front" / "9.png")
-    with pytest.raises(DataError, match=r"'front/9\.png': is a named pipe; expected a regular file"):
-        opened()
+    refused(r"'front/9\.png': is a named pipe; expected a regular file")
 
 
-def test_a_file_of_another_kind_among_the_images_is_refused(opened, folder):
+def test_a_file_of_another_kind_among_the_images_is_refused(refused, folder):
     (folder / "front" / "t.txt").write_text("1")
-    with pytest.raises(DataError, match=r"'t.txt'; expected files that end with .png .jpg .jpeg"):
-        opened(("front/*.png", "front/*"))
+    refused(r"'t.txt'; expected files that end with .png .jpg .jpeg", ("front/*.png", "front/*"))
 
 
 @pytest.fixture
@@ -212,13 +201,12 @@ def test_videos_are_images_with_times(opened, folder, video, times, expected_ms)
         _ = camera.images[0].rgb
 
 
-def test_of_a_video_that_breaks_off_a_lenient_reading_keeps_the_images_before_the_cut(opened, folder, video):
+def test_of_a_video_that_breaks_off_a_lenient_reading_keeps_the_images_before_the_cut(refused, opened, folder, video):
     content = video.read_bytes()
     video.write_bytes(content[: len(content) * 3 // 5])
     (folder / "t.txt").write_text("5\n7\n11\n13\n17\n")
     changes = (AS_VIDEO, (BY_RATE, 'times = { lines = "t.txt", unit = "milliseconds" }'))
-    with pytest.raises(DataError, match="cut off"):
-        opened(*changes)
+    refused("cut off", *changes)
     with opened(*changes, lenient=True) as scene:
         camera = scene.cameras[0]
         count = len(camera.images)
@@ -231,35 +219,19 @@ def test_of_a_video_that_breaks_off_a_lenient_reading_keeps_the_images_before_th
         assert counts["counts-disagree"] == 5 - count
 
 
-def test_times_and_images_of_a_video_have_to_be_as_many(opened, folder, video):
+def test_times_and_images_of_a_video_have_to_be_as_many(refused, folder, video):
     (folder / "t.txt").write_text("1\n2\n")
-    with pytest.raises(DataError, match="2 times for 5 files or images"):
-        opened(AS_VIDEO, (BY_RATE, 'times = { lines = "t.txt" }'))
+    refused("2 times for 5 files or images", AS_VIDEO, (BY_RATE, 'times = { lines = "t.txt" }'))
 
 
-def test_files_and_video_exclude_each_other(opened, video):
-    with pytest.raises(DataError, match="files and video; expected one"):
-        opened(('files = "front/*.png"', 'files = "front/*.png"\nvideo = "front.mkv"'))
-    with pytest.raises(DataError, match="neither files nor video"):
-        opened(('files = "front/*.png"\n', ""))
-
-
-def test_a_video_that_is_none_is_reported(opened, folder):
+def test_a_video_that_is_none_is_reported(refused, folder):
     (folder / "front.mkv").write_bytes(b"no video")
-    with pytest.raises(DataError, match="cannot be read as video"):
-        opened(AS_VIDEO)
+    refused("cannot be read as video", AS_VIDEO)
 
 
-def test_a_lenient_reading_takes_the_size_of_the_first_image_that_can_be_read(opened, folder):
+def test_a_lenient_reading_takes_the_size_of_the_first_image_that_can_be_read(refused, opened, folder):
     (folder / "front" / "0.png").write_bytes(b"torn")
     scene = opened(lenient=True)
     assert len(scene.cameras[0].images) == 2
-    assert [warning.code for warning in scene.warnings] == ["unreadable-files"]
-    with pytest.raises(DataError, match=r"0\.png: is no PNG and no JPEG image"):
-        opened()
-
-
-def test_a_camera_model_with_width_and_height_exchanged_is_reported_so(opened):
-    camera_model = "camera_model = { fx = 6.0, cx = 3.5, cy = 2.5"
-    with pytest.raises(DataError, match=r"for 6x8, the images are 8x6, another shape; .* exchanged\?"):
-        opened((camera_model, f"{camera_model}, width = 6, height = 8"))
+    assert codes(scene) == ["unreadable-files"]
+    refused(r"0\.png: is no PNG and no JPEG image")

@@ -6,15 +6,9 @@ import pytest
 from sceneloom.errors import DataError
 from sceneloom.scene import PointsFrame
 
-from .conftest import START_NS
+from .conftest import FIELDS, FIRST_SENSOR, SCALE, START_NS, codes
 
-FIELDS = 'fields = ["x", "y", "z", "intensity"]'
-SCALE = "intensity_max = 255"
 TIMED = 'fields = ["x", "y", "z", "t"]'
-
-
-def codes(scene):
-    return {warning.code for warning in scene.warnings}
 
 
 @pytest.fixture
@@ -66,15 +60,13 @@ def test_the_length_of_a_sweep_is_distinguished_from_the_intervals_with_a_warnin
     assert "sweep-length" in codes(opened((SCALE, f'{SCALE}\ntimestamp = "end"')))
 
 
-def test_the_length_of_a_sweep_is_in_seconds(opened):
-    with pytest.raises(DataError, match=r"sweep_s: 100; expected the duration of a sweep, at most 60 s"):
-        opened((SCALE, f"{SCALE}\nsweep_s = 100"))
-
-
-def test_the_length_of_a_single_sweep_has_to_be_stated(opened):
+def test_the_length_of_a_single_sweep_has_to_be_stated(refused):
     single = ("top/*.bin", f"top/{START_NS}.bin")
-    with pytest.raises(DataError, match="a single sweep has no interval; expected the duration of a sweep"):
-        opened(single, (SCALE, f'{SCALE}\ntimestamp = "end"'))
+    refused(
+        "a single sweep has no interval; expected the duration of a sweep",
+        single,
+        (SCALE, f'{SCALE}\ntimestamp = "end"'),
+    )
 
 
 def test_times_of_points_that_were_used_for_deskewing_are_not_used_again(opened, timed):
@@ -115,9 +107,9 @@ def test_the_scale_of_brightness_is_seen_in_the_first_file_that_has_any(opened, 
     assert opened((SCALE, "")).lidars[0].extras["intensity_max"] == 255.0
 
 
-def test_times_of_the_wrong_unit_are_reported_when_the_drive_is_opened(opened, timed):
-    with pytest.raises(DataError, match=r't\[1\]: 0\.03.*expected within 10 s|unit = "seconds"'):
-        opened((FIELDS, TIMED), (SCALE, POINT_TIMES.replace('seconds"', 'seconds", relative_to = "clock"')))
+def test_times_of_the_wrong_unit_are_reported_when_the_drive_is_opened(refused, timed):
+    of_clock = POINT_TIMES.replace('seconds"', 'seconds", relative_to = "clock"')
+    refused(r't\[1\]: 0\.03.*expected within 10 s|unit = "seconds"', (FIELDS, TIMED), (SCALE, of_clock))
 
 
 def test_points_in_the_frame_of_the_ego_stay_there(opened):
@@ -130,33 +122,31 @@ def test_points_in_the_frame_of_the_ego_stay_there(opened):
 
 def test_points_in_another_frame_are_brought_to_the_sensor(opened):
     matrix = "[[0, -1, 0, 5], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
-    frame = f'[[transforms]]\nfrom = "odd"\nto = "base"\nmatrix = {matrix}\n\n[[sensors]]\nid = "top"'
-    scene = opened((SCALE, f'{SCALE}\npoints_in = "odd"'), ('[[sensors]]\nid = "top"', frame))
+    frame = f'[[transforms]]\nfrom = "odd"\nto = "base"\nmatrix = {matrix}\n\n{FIRST_SENSOR}'
+    scene = opened((SCALE, f'{SCALE}\npoints_in = "odd"'), (FIRST_SENSOR, frame))
     # (0, 1, 2) of odd is (-1 + 5, 0, 2) of base, and (3, 0, 0) of the lidar at (1, 0, 2)
     assert scene.lidars[0].frames[0].points.positions[0].tolist() == [3.0, 0.0, 0.0]
 
 
-def test_points_in_the_world_stay_there_unless_they_are_too_far_for_float32(opened, folder):
+def test_points_in_the_world_stay_there_unless_they_are_too_far_for_float32(refused, opened, folder):
     scene = opened((SCALE, f'{SCALE}\npoints_in = "world"'))
     assert scene.lidars[0].points_frame is PointsFrame.WORLD
     first = min((folder / "top").iterdir())
     first.write_bytes(np.full((1, 4), 4e5, "<f4").tobytes())
-    with pytest.raises(DataError, match="400000 m from the world's origin"):
-        opened((SCALE, f'{SCALE}\npoints_in = "world"'))
+    refused("400000 m from the world's origin", (SCALE, f'{SCALE}\npoints_in = "world"'))
 
 
 def test_what_was_taken_for_granted_is_stated(opened):
     scene = opened((SCALE, ""), (FIELDS, ""))
-    assert codes(scene) == {"fields-assumed", "intensity-scale"}
+    assert set(codes(scene)) == {"fields-assumed", "intensity-scale"}
     assert scene.lidars[0].extras["intensity_max"] == 255.0
     assert opened().lidars[0].extras["intensity_max"] == 255.0
 
 
-def test_brightness_beyond_all_scales_asks_for_one(opened, folder):
+def test_brightness_beyond_all_scales_asks_for_one(refused, folder):
     first = min((folder / "top").iterdir())
     first.write_bytes(np.full((1, 4), 1e6, "<f4").tobytes())
-    with pytest.raises(DataError, match=r"state what becomes 255 with sensors\[0\]\.intensity_max"):
-        opened((SCALE, ""))
+    refused(r"state what becomes 255 with sensors\[0\]\.intensity_max", (SCALE, ""))
 
 
 def test_points_that_are_dropped_are_counted(opened, folder):
@@ -173,28 +163,9 @@ def test_columns_may_be_named(opened):
     assert scene.lidars[0].frames[0].points.intensities.tolist() == [3, 7, 11, 15]
 
 
-@pytest.mark.parametrize(
-    ("new", "problem"),
-    [
-        ('fields = ["x:int99"]', "'x:int99'; expected a name, or name:type"),
-        ('dtype = "float64"', "has no effect without `fields`"),
-        ('use = { brightness = "a" }', r"use\.brightness: unknown; expected some of x, y, z"),
-        (
-            f'{FIELDS}\nuse = {{ ring = "line" }}',
-            "line: no such column for ring; the file has x y z intensity",
-        ),
-        ('fields = ["x", "y", "z"]', "64 bytes are 5 points of 12 bytes"),
-    ],
-)
-def test_columns_that_do_not_fit_are_reported(opened, new, problem):
-    with pytest.raises(DataError, match=problem):
-        opened((FIELDS, new))
-
-
-def test_files_of_another_kind_are_refused(opened, folder):
+def test_files_of_another_kind_are_refused(refused, folder):
     (folder / "top" / "1.txt").write_text("1")
-    with pytest.raises(DataError, match=r"'1.txt'; expected files that end with \.pcd"):
-        opened(("top/*.bin", "top/*"))
+    refused(r"'1.txt'; expected files that end with \.pcd", ("top/*.bin", "top/*"))
 
 
 @pytest.mark.parametrize("suffix", ["pcd", "npz"])

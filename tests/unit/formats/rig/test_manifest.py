@@ -8,7 +8,11 @@ import pytest
 
 from sceneloom.errors import DataError
 from sceneloom.formats.rig.manifest import RECORDS, Faults, Kind, read_record
+from sceneloom.formats.rig.spec import FORMAT
 
+from .conftest import BY_RATE, CAMERA_MODEL, FIELDS, SCALE, TUM
+
+AS_CSV = 'file = "poses.txt"\nform = "csv"'
 PAGE = Path(__file__).parents[4] / "docs" / "formats" / "rig.md"
 
 
@@ -33,37 +37,71 @@ PAGE = Path(__file__).parents[4] / "docs" / "formats" / "rig.md"
         ('files = "top/*.bin"', "files = [3]", r"sensors\[0\] \(top\)\.files: 3; expected text"),
         ("start_s = 1532402927.65", "start_s = 1e12", r"times\.start_s: 1E\+12; expected seconds"),
         ("[[transforms]]", "[transforms]", r"transforms: a table of 4; expected a list of tables: one `"),
+        ('id = "front"', 'id = "top"', r"sensors\[1\] \(top\)\.id: 'top' is also that of sensors\[0\]"),
+        ('form = "tum"', 'form = "tum"\nname = "lidar"', "'lidar' stands for a computed trajectory"),
+        ('ego = "base"', 'ego = "base"\nroot = "raw"', "root: 'raw': no such folder"),
+        (CAMERA_MODEL, "cy = 2.5, width = 8, height = 8 }", "for 8x8, the images are 8x6, another shape"),
+        (CAMERA_MODEL, "cy = 2.5, width = 6, height = 8 }", r"for 6x8, the images are 8x6, .* exchanged\?"),
+        (CAMERA_MODEL, "cy = 2.5 }\nshutter_roll_s = 33", "shutter_roll_s: 33 s; expected at most 1 s"),
+        ('files = "front/*.png"', 'files = "front/*.png"\nvideo = "front.mkv"', "files and video; expected one"),
+        ('files = "front/*.png"\n', "", "neither files nor video"),
+        ('{ to = "top", ', "{ ", "neither to nor from; expected `to`"),
+        (SCALE, "intensity_max = 255\nsweep_s = 100", "sweep_s: 100; expected the duration of a sweep, at most 60 s"),
+        (FIELDS, 'fields = ["x:int99"]', "'x:int99'; expected a name, or name:type"),
+        (FIELDS, 'dtype = "float64"', "has no effect without `fields`"),
+        (FIELDS, 'use = { brightness = "a" }', r"use\.brightness: unknown; expected some of x, y, z"),
+        (SCALE, 'use = { ring = "line" }', "no such column for ring; the file has x y z intensity"),
+        (FIELDS, 'fields = ["x", "y", "z"]', "64 bytes are 5 points of 12 bytes"),
+        (BY_RATE, "times = {}", "none of them; expected exactly one of pattern, csv, lines, rate_hz"),
+        (BY_RATE, 'times = { rate_hz = 10, lines = "t.txt" }', "lines, rate_hz; expected exactly one"),
+        (BY_RATE, 'times = { pattern = "{index}" }', "expected `rate_hz` beside {index}"),
+        (BY_RATE, 'times = { pattern = "{ns}", rate_hz = 10 }', "expected {index} in the pattern beside `rate_hz`"),
+        (BY_RATE, "times = { container = true }", "container; expected one of pattern, csv, lines, rate_hz here"),
+        (BY_RATE, 'times = { pattern = "a{ns}" }', "'0.png' does not fit the pattern 'a{ns}'"),
+        (BY_RATE, 'times = { csv = "none.csv" }', "times.csv: 'none.csv': no such file"),
+        (BY_RATE, 'times = { csv = "poses.txt", column = "tim" }', "it has timestamp, .*did you mean 'timestamp'"),
+        (BY_RATE, "times = { rate_hz = 1e-12 }", "beyond the year 2261"),
+        (BY_RATE, "times = { rate_hz = 10, start_s = 9.1e9 }\ntime_offset_s = 9e9", "are beyond the year 2261"),
+        (TUM, 'file = "poses.txt"\nform = "kitti"', "times: missing; a kitti file has no times"),
+        (TUM, f'{AS_CSV}\ncolumns = {{ w = "tx" }}', "columns.w: unknown; expected some of time, x"),
+        (TUM, f'{AS_CSV}\ncolumns = {{ x = "t_x" }}', "no column 't_x'.*did you mean 'tx'"),
+        (TUM, 'file = "poses.txt"\nform = "tum"\nframe = "imu"', "no transforms lead from frame 'imu'"),
     ],
 )  # fmt: skip
-def test_a_fault_is_reported_with_location_value_and_what_was_expected(opened, old, new, problem):
+def test_a_fault_is_reported_with_location_value_and_what_was_expected(refused, old, new, problem):
+    refused(problem, (old, new))
+
+
+def test_all_faults_are_reported_at_once(refused, opened):
+    refused(r"2 faults", ('ego = "base"', 'egoo = "base"'), ("rate_hz = 10", "rate_hz = -1"))
+    refused(
+        r"transforms\[0\](.|\n)*sensors\[1\] \(front\)\.extrinsic", ("0.0, 1.0]", "0.0, 9.0]"), ("[0.5, 0", "[1e7, 0")
+    )
+    with pytest.raises(DataError) as caught:
+        opened(("top/*.bin", "tip/*.bin"), ("fx = 6.0,", ""), ('file = "poses.txt"', 'file = "path.txt"'))
+    for reported in (
+        "3 faults",
+        "sensors[0] (top).files: 'tip/*.bin': no such files",
+        "has the folders front, top",
+        "sensors[1] (front): no focal length",
+        "trajectories[0].file: 'path.txt': no such file",
+    ):
+        assert reported in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"ego = base\n", r"is no TOML: .*line 1"),
+        (b"ego = '\xff'", "byte 7: is no UTF-8 text"),
+        (b"a = " + b"[" * 5000, "is no TOML"),
+        (b"", "sensors: missing; expected a list of tables: the sensors"),
+        (b"sensors = []", "an empty list; expected at least one"),
+    ],
+)
+def test_a_file_that_is_no_manifest_is_reported(folder, content, problem):
+    (folder / "rig.toml").write_bytes(content)
     with pytest.raises(DataError, match=problem):
-        opened((old, new))
-    with pytest.raises(DataError, match=r"[23] faults"):
-        opened((old, new), ("rate_hz = 10", "rate_hz = -1"))
-
-
-def test_a_file_that_is_no_toml_is_reported_with_its_line(folder, opened):
-    (folder / "rig.toml").write_text("ego = base\n")
-    from sceneloom.formats.rig.spec import FORMAT
-
-    with pytest.raises(DataError, match=r"is no TOML: .*line 1"):
-        FORMAT.open(folder)
-    (folder / "rig.toml").write_bytes(b"ego = '\xff'")
-    with pytest.raises(DataError, match="byte 7: is no UTF-8 text"):
-        FORMAT.open(folder)
-    (folder / "rig.toml").write_text("a = " + "[" * 5000)
-    with pytest.raises(DataError, match="is no TOML"):
-        FORMAT.open(folder)
-
-
-def test_an_empty_manifest_says_what_is_missing(folder):
-    from sceneloom.formats.rig.spec import FORMAT
-
-    (folder / "rig.toml").write_text("")
-    with pytest.raises(DataError, match="sensors: missing; expected a list of tables: the sensors"):
-        FORMAT.open(folder)
-    (folder / "rig.toml").write_text("sensors = []")
-    with pytest.raises(DataError, match="an empty list; expected at least one"):
         FORMAT.open(folder)
 
 

@@ -77,10 +77,7 @@ def test_a_look_into_a_folder_gives_a_manifest_that_opens_once_it_is_filled_in(
     write_template(path, folder=clouds_and_images)
     path.write_text(filled(path.read_text()))
     scene = FORMAT.open(path)
-    assert [(sensor.id, sensor.type) for sensor in scene.sensors] == [
-        ("lidar_top", "lidar"),
-        ("cam_front", "camera"),
-    ]
+    assert [(sensor.id, sensor.type) for sensor in scene.sensors] == [("lidar_top", "lidar"), ("cam_front", "camera")]
     assert scene.cameras[0].images.timestamps_ns.tolist() == [START_NS, START_NS + 1]
     assert ("root" in tomllib.loads(path.read_text())) == (location != "inside")
 
@@ -219,16 +216,7 @@ def test_motion_sensors_and_videos_are_found(clouds_and_images):
 
 
 def test_strange_names_are_written_as_toml_reads_them():
-    for text in (
-        "plain",
-        'with "quotes"',
-        "back\\slash",
-        "it's",
-        "new\nline",
-        "ümlaut",
-        "both ' and \"",
-        "del\x7f",
-    ):
+    for text in ("plain", 'with "quotes"', "back\\slash", "it's", "new\nline", "ümlaut", "both ' and \"", "del\x7f"):
         assert tomllib.loads(f"x = {quoted(text)}")["x"] == text
 
 

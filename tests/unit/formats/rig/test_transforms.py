@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.errors import CalibrationError, DataError
+from sceneloom.errors import CalibrationError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.rig.reader import Edge, FrameTree, frame_from_optical, read_transform
 from sceneloom.geometry.rigid import RigidTransform
+
+from .conftest import codes
 
 ROTATION = Rotation.from_euler("ZYX", [30.0, -20.0, 10.0], degrees=True)
 SHIFT = np.array([1.0, -2.0, 3.0])
@@ -42,10 +44,7 @@ def test_all_ways_to_write_a_rotation_mean_the_same(rotation):
     [
         ({}, "no transform; expected matrix, or translation and one of"),
         ({"matrix": MATRIX, "translation": SHIFT}, "matrix beside translation"),
-        (
-            {"quaternion_xyzw": [0, 0, 0, 1], "euler_deg": [0, 0, 0]},
-            "quaternion_xyzw and euler_deg; expected one",
-        ),
+        ({"quaternion_xyzw": [0, 0, 0, 1], "euler_deg": [0, 0, 0]}, "quaternion_xyzw and euler_deg; expected one"),
         ({"euler_deg": [0, 0, 0]}, "euler_deg and euler_order; expected both"),
         ({"quaternion_xyzw": [0, 0, 0, 2.0]}, "length 2.0000; expected 1"),
         ({"rotation_matrix": np.diag([1.0, 1.0, -1.0])}, "mirrored or singular"),
@@ -89,8 +88,7 @@ def test_a_loop_that_agrees_is_taken_and_one_that_contradicts_is_refused():
     np.testing.assert_allclose(FrameTree("base", [one, two, loop]).ego_from("b").matrix, closing.matrix, atol=1e-12)
     wrong = Edge("base", "b", closing, "transforms[2]")
     with pytest.raises(
-        CalibrationError,
-        match=r"contradicts the chain 'b' - 'base' - 'a' by .* m and .*°; is one of these",
+        CalibrationError, match=r"contradicts the chain 'b' - 'base' - 'a' by .* m and .*°; is one of these"
     ):
         FrameTree("base", [one, two, wrong])
 
@@ -136,26 +134,12 @@ def test_both_directions_of_an_extrinsic_mean_the_same(opened):
     as_it_is = opened().cameras[0].mount.matrix
     inverse = opened(('to = "top", translation = [0.5, 0.0, -0.5]', 'from = "top", translation = [-0.5, 0.0, 0.5]'))
     np.testing.assert_allclose(inverse.cameras[0].mount.matrix, as_it_is, atol=1e-12)
-    with pytest.raises(DataError, match="neither to nor from; expected `to`"):
-        opened(('{ to = "top", ', "{ "))
-
-
-def test_all_transforms_at_fault_are_reported_at_once(opened):
-    with pytest.raises(DataError) as caught:
-        opened(("[0.0, 0.0, 0.0, 1.0]", "[0.0, 0.0, 0.0, 9.0]"), ("[0.5, 0.0, -0.5]", "[1e7, 0.0, 0.0]"))
-    assert "transforms[0]" in str(caught.value)
-    assert "sensors[1] (front).extrinsic" in str(caught.value)
 
 
 @pytest.mark.parametrize(
     ("euler", "remarked"),
-    [
-        ("[-1.5708, 0, -1.5708]", True),
-        ("[0, 0, 3.14]", True),
-        ("[1.5, 0.2, -0.8]", False),
-        ("[0, 0, 0]", False),
-    ],
+    [("[-1.5708, 0, -1.5708]", True), ("[0, 0, 3.14]", True), ("[1.5, 0.2, -0.8]", False), ("[0, 0, 0]", False)],
 )
 def test_angles_that_look_like_radians_are_remarked(opened, euler, remarked):
     scene = opened(("quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]", f'euler_deg = {euler}\neuler_order = "zyx"'))
-    assert [warning.code for warning in scene.warnings] == ["angles-in-radians"] * remarked
+    assert codes(scene) == ["angles-in-radians"] * remarked

@@ -195,21 +195,14 @@ def test_calibrations(read_one):
         "skew": 0,
     }
     calibration = read_one(
-        "camera_calibration",
-        sensor_id="front",
-        poses=path_of(POSE, POSE, x=1),
-        intrinsics=camera_model,
-        time_offset=-4,
+        "camera_calibration", sensor_id="front", poses=path_of(POSE, POSE, x=1), intrinsics=camera_model, time_offset=-4
     )
     assert isinstance(calibration, CameraCalibration)
     camera = calibration.intrinsics
     assert (camera.model, camera.coefficients) == ("fisheye", (0.1, 0.2, 0.3, 0.4))
     assert (camera.fx, camera.width) == (10.0, 8)
     assert calibration.time_offset_ns == -4000
-    assert calibration.extras == {
-        "poses": {"x": 1},
-        "intrinsics": {"skew": 0, "distortion": {"fit": 1}},
-    }
+    assert calibration.extras == {"poses": {"x": 1}, "intrinsics": {"skew": 0, "distortion": {"fit": 1}}}
     bare = read_one("camera_calibration", sensor_id="front")
     assert (bare.poses, bare.intrinsics, bare.time_offset_ns) == (None, None, None)
 
@@ -250,14 +243,7 @@ def test_objects_groups_and_links(read):
 
 def test_attributes_hold_text_numbers_and_lists_of_text(open_header, make):
     values = ["a", 1, 2.5, ["x", "y"], [], True, None, ["x", 1], {"odd": 1}]
-    raw = {
-        "name": "n",
-        "sensor_id": 7,
-        "static": False,
-        "timestamps": list(range(9)),
-        "values": values,
-        "by": "hand",
-    }
+    raw = {"name": "n", "sensor_id": 7, "static": False, "timestamps": list(range(9)), "values": values, "by": "hand"}
     (attribute,) = open_header(make.scene(attributes=[raw])).attributes
     assert isinstance(attribute, AttributePath)
     assert attribute.values == ("a", 1, 2.5, ("x", "y"), (), True, None, ["x", 1], {"odd": 1})
@@ -318,11 +304,7 @@ def test_cuboids_of_different_lengths_share_their_arrays_and_keep_their_own_rows
     parts = (rows[:1], rows[1:3], rows[3:])
     scene = read(*({"id": k, "type": "cuboid", "path": path_of(*part)} for k, part in enumerate(parts)))
     assert [c.path.values[:, 0].tolist() for c in scene.annotations] == [[0], [1, 2], [3, 4, 5]]
-    assert [c.path.timestamps_ns.tolist() for c in scene.annotations] == [
-        [2000],
-        [2000, 3000],
-        [2000, 3000, 4000],
-    ]
+    assert [c.path.timestamps_ns.tolist() for c in scene.annotations] == [[2000], [2000, 3000], [2000, 3000, 4000]]
 
 
 CUBOID = {"type": "cuboid", "path": path_of(ROW)}
@@ -353,11 +335,7 @@ SEEN = {"sensor_id": "c", "timestamps": [1, 2]}
             "1 timestamps and 2 values; expected as many of both",
         ),
         ({**CUBOID, "path": {"timestamps": [2**62], "values": [ROW]}}, "path.timestamps", "64 bits"),
-        (
-            projected(boxes=[None, [1, 2, 3]]),
-            "projections[2].boxes[1]",
-            "3 numbers; expected 4 numbers",
-        ),
+        (projected(boxes=[None, [1, 2, 3]]), "projections[2].boxes[1]", "3 numbers; expected 4 numbers"),
         (projected(boxes=[None]), "projections[2].boxes", "2 timestamps and 1 boxes"),
         (projected(confirmed=[True, 1]), "projections[2].confirmed[1]", "1; expected true, false or null"),
         (projected(cuboids=[None, ROW[:3]]), "projections[2].cuboids[1]", "3 numbers; expected 9"),
@@ -433,18 +411,12 @@ def test_lenient_reading_leaves_out_only_the_annotation_at_fault(read):
 @pytest.mark.parametrize(
     ("annotation", "location"),
     [
-        (
-            Box2DAnnotation("a", "c", BoxPath(np.zeros(1, np.int64), np.full((1, 4), np.inf))),
-            "path.values[0]",
-        ),
+        (Box2DAnnotation("a", "c", BoxPath(np.zeros(1, np.int64), np.full((1, 4), np.inf))), "path.values[0]"),
         (
             ShapeAnnotation("a", ShapeType.POINT, VertexPath(np.zeros(1, np.int64), (np.full((1, 3), np.nan),))),
             "path.values[0], vertices[0]",
         ),
-        (
-            PointsAnnotation("a", (PointPath(np.zeros(1, np.int64), np.full((1, 3), np.nan)),)),
-            "paths[0].values[0]",
-        ),
+        (PointsAnnotation("a", (PointPath(np.zeros(1, np.int64), np.full((1, 3), np.nan)),)), "paths[0].values[0]"),
         (
             CuboidAnnotation(
                 "a",

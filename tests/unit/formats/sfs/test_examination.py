@@ -118,10 +118,7 @@ def test_of_two_with_one_id_the_first_is_kept(examined, make):
         annotations=[{"id": 1, "type": "group"}, {"id": 1, "type": "object"}],
     )
     examination = examined(header)
-    assert placed(examination) == [
-        ("sensors[1].id", "duplicate-id"),
-        ("annotations[1].id", "duplicate-id"),
-    ]
+    assert placed(examination) == [("sensors[1].id", "duplicate-id"), ("annotations[1].id", "duplicate-id")]
     assert [len(sensor.frames) for sensor in examination.scene.sensors] == [1, 1, 1]
     assert examination.scene.annotations[0].type == "group"
     assert examination.sensor_paths == ("sensors[0]", "sensors[2]", "sensors[3]")
@@ -186,11 +183,7 @@ def test_arrays_at_fault_are_all_reported_and_once(tmp_path, encode_sfs, make):
         ("sensors[1].frames[0].points.positions ($items[1])", "item"),
         ("sensors[2].frames[0].points.positions ($items[2])", "item"),
     ]
-    assert [(sensor.id, len(sensor.frames)) for sensor in examination.scene.sensors] == [
-        ("top", 1),
-        ("b", 0),
-        ("c", 0),
-    ]
+    assert [(sensor.id, len(sensor.frames)) for sensor in examination.scene.sensors] == [("top", 1), ("b", 0), ("c", 0)]
 
 
 def test_a_file_without_a_header_is_one_fault(tmp_path):
@@ -202,11 +195,7 @@ def test_a_file_without_a_header_is_one_fault(tmp_path):
 
 
 def test_faults_of_our_metadata_leave_the_rest_of_it(examined, make):
-    ours = {
-        "sensor_notes": [{"model": "x"}, {"id": "top", "model": "VLP-16"}],
-        "warnings": [{}],
-        "sensors": 5,
-    }
+    ours = {"sensor_notes": [{"model": "x"}, {"id": "top", "model": "VLP-16"}], "warnings": [{}], "sensors": 5}
     examination = examined(make.scene(make.lidar(), metadata={"sceneloom": ours, "mine": 1}))
     assert ("metadata.sceneloom.sensor_notes[0].id", "malformed") in placed(examination)
     assert examination.scene.sensors[0].model == "VLP-16"

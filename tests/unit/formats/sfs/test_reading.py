@@ -56,10 +56,7 @@ def test_point_times_may_be_any_wide_integers(open_header, make, dtype):
 
 def test_point_times_counted_from_the_frame_are_recognised(open_header, make):
     frames = [
-        {
-            "timestamp": start,
-            "points": {"positions": TWO, "timestamps": np.array([0, 99_000], np.uint32)},
-        }
+        {"timestamp": start, "points": {"positions": TWO, "timestamps": np.array([0, 99_000], np.uint32)}}
         for start in (0, 100_000, 200_000)
     ]
     scene = open_header(make.scene(make.lidar(frames=frames)))
@@ -217,13 +214,7 @@ def test_radar_points_and_maps_are_read(open_header, make):
 
 
 def test_sensors_of_unknown_types_keep_all_their_fields(open_header, make):
-    sonar = {
-        "id": "s",
-        "type": "sonar",
-        "depths": TWO,
-        "frames": [{"timestamp": 7, "pings": [1, "a"]}],
-        "poses": "?",
-    }
+    sonar = {"id": "s", "type": "sonar", "depths": TWO, "frames": [{"timestamp": 7, "pings": [1, "a"]}], "poses": "?"}
     sensor = open_header(make.scene(sonar)).sensors[0]
     assert isinstance(sensor, PlainSensor)
     assert sensor.type == "sonar"
@@ -337,14 +328,7 @@ def test_camera_models_of_every_model_open(open_header, make, distortion, model,
     scene = open_header(make.scene(camera_header(intrinsics={**INTRINSICS, "distortion": distortion})))
     camera = scene.cameras[0].camera
     assert (camera.model, camera.coefficients) == (model, coefficients)
-    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height) == (
-        100,
-        101.5,
-        3.5,
-        2,
-        8,
-        6,
-    )
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height) == (100, 101.5, 3.5, 2, 8, 6)
 
 
 def test_a_camera_model_without_a_projection_says_so_only_when_it_is_used(open_header, make):
@@ -396,11 +380,7 @@ POINTS_U8 = {"positions": TWO, "intensities": np.zeros(3, np.uint8)}
         (faulty(frames=5), "sensors[0].frames", "5; expected a list of objects"),
         (faulty(frames=[5]), "sensors[0].frames[0]", "5; expected an object"),
         (faulty(frames=[{"points": {"positions": TWO}}]), "sensors[0].frames[0].timestamp", "missing"),
-        (
-            faulty(frames=[{"timestamp": "0", "points": {"positions": TWO}}]),
-            "sensors[0].frames[0].timestamp",
-            "'0'",
-        ),
+        (faulty(frames=[{"timestamp": "0", "points": {"positions": TWO}}]), "sensors[0].frames[0].timestamp", "'0'"),
         (faulty(frames=[{"timestamp": 0}]), "sensors[0].frames[0].points", "missing; expected an object"),
         (faulty(frames=[{"timestamp": 0, "points": {}}]), "sensors[0].frames[0].points.positions", "missing"),
         (
@@ -424,16 +404,8 @@ POINTS_U8 = {"positions": TWO, "intensities": np.zeros(3, np.uint8)}
             "an array of float64; expected uint32 or uint64",
         ),
         (faulty(coordinates="map"), "sensors[0].coordinates", "'map'; expected one of world, ego"),
-        (
-            faulty(poses={"timestamps": [0], "values": [[1, 2]]}),
-            "sensors[0].poses",
-            "expected rows of 7 numbers",
-        ),
-        (
-            faulty(poses={"timestamps": [0, 1], "values": [[0, 0, 0, 0, 0, 0, 1]]}),
-            "sensors[0].poses",
-            "2 timestamps",
-        ),
+        (faulty(poses={"timestamps": [0], "values": [[1, 2]]}), "sensors[0].poses", "expected rows of 7 numbers"),
+        (faulty(poses={"timestamps": [0, 1], "values": [[0, 0, 0, 0, 0, 0, 1]]}), "sensors[0].poses", "2 timestamps"),
         (
             faulty(poses={"timestamps": [1, 1], "values": [[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]]}),
             "sensors[0].poses.values[0]",
@@ -445,11 +417,7 @@ POINTS_U8 = {"positions": TWO, "intensities": np.zeros(3, np.uint8)}
             "norm 2; expected 1",
         ),
         (faulty(poses={"timestamps": [0], "values": [["0"] * 7]}), "sensors[0].poses", "something else"),
-        (
-            faulty(poses={"timestamps": [2**62], "values": []}),
-            "sensors[0].poses.timestamps",
-            "does not fit 64 bits",
-        ),
+        (faulty(poses={"timestamps": [2**62], "values": []}), "sensors[0].poses.timestamps", "does not fit 64 bits"),
         (annotated(type=5), "annotations[0].type", "5; expected one of cuboid"),
         (annotated(type="cuboid"), "annotations[0].path", "missing; expected an object"),
         (
@@ -457,23 +425,11 @@ POINTS_U8 = {"positions": TWO, "intensities": np.zeros(3, np.uint8)}
             "annotations[0].path.values[0]",
             "1 numbers; expected 9 numbers",
         ),
-        (
-            annotated(type="cuboid", path={**PATH, "timestamps": [1, "2"]}),
-            "annotations[0].path.timestamps",
-            "[1]: '2'",
-        ),
-        (
-            annotated(type="cuboid", path={**PATH, "timestamps": []}),
-            "annotations[0].path",
-            "expected as many of both",
-        ),
+        (annotated(type="cuboid", path={**PATH, "timestamps": [1, "2"]}), "annotations[0].path.timestamps", "[1]: '2'"),
+        (annotated(type="cuboid", path={**PATH, "timestamps": []}), "annotations[0].path", "expected as many of both"),
         (annotated(type="cuboid", path=PATH, label=5), "annotations[0].label", "5; expected text"),
         (annotated(type="link", from_id=1), "annotations[0].to_id", "missing; expected an id"),
-        (
-            annotated(type="polygon", path=PATH, attributes=[{}]),
-            "annotations[0].attributes[0].name",
-            "missing",
-        ),
+        (annotated(type="polygon", path=PATH, attributes=[{}]), "annotations[0].attributes[0].name", "missing"),
     ],
 )
 def test_a_fault_is_refused_with_its_location(open_header, make, header, location, problem):

@@ -228,15 +228,7 @@ def test_values_that_were_not_fetched_cannot_be_looked_at(served, encode_sfs):
     container = Container(served.url("drive.sfs"))
     positions = container.header["sensors"][0]["frames"][0]["points"]["positions"]
     assert positions.shape == (20_000, 3)
-    for look in (
-        np.sum,
-        np.array_equal,
-        lambda a: a[0],
-        lambda a: a + 1,
-        lambda a: a.max(),
-        list,
-        pickle.dumps,
-    ):
+    for look in (np.sum, np.array_equal, lambda a: a[0], lambda a: a + 1, lambda a: a.max(), list, pickle.dumps):
         with pytest.raises(DataError, match="not asked for"):
             look(positions) if look is not np.array_equal else look(positions, positions)
     assert container.fetch(positions).any()
@@ -278,14 +270,7 @@ def test_chunks_of_a_content_are_those_of_its_bytes(served):
     part = module.RemoteContent(file, 1000, 650_000)
     expected = content[1000:650_000]
     assert len(part) == len(expected)
-    for start, stop in (
-        (0, 4),
-        (300_000, 300_001),
-        (262_140, 262_150),
-        (649_990, 700_000),
-        (-4, None),
-        (5, 5),
-    ):
+    for start, stop in ((0, 4), (300_000, 300_001), (262_140, 262_150), (649_990, 700_000), (-4, None), (5, 5)):
         assert part[start:stop] == expected[start:stop]
     with part() as opened:
         opened.seek(-10, 2)
@@ -317,8 +302,7 @@ def test_file_urls_are_paths(tmp_path):
 def test_the_profile_of_scales_library_is_checked_behind_a_url(served, encode_sfs):
     served.files["drive.sfs"] = big_scene(encode_sfs, frames=2)
     done = CliRunner().invoke(
-        program,
-        ["validate", served.url("drive.sfs"), "--profile", "scale", "--rule", "scale-points", "--quick"],
+        program, ["validate", served.url("drive.sfs"), "--profile", "scale", "--rule", "scale-points", "--quick"]
     )
     assert done.exit_code == 0, done.output
     assert "nothing found" in done.output

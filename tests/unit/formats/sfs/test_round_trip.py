@@ -10,11 +10,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import GnssSensor, OdometrySensor, Scene, Trajectory
 
 TWO = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
-POSES = {
-    "timestamps": [5, 105],
-    "values": [[1.5, 2, 3, 0, 0, 0, 1], [1.5, 2, 3, 0, 0, 0.6, 0.8]],
-    "smoothed": True,
-}
+POSES = {"timestamps": [5, 105], "values": [[1.5, 2, 3, 0, 0, 0, 1], [1.5, 2, 3, 0, 0, 0.6, 0.8]], "smoothed": True}
 PATH = {"timestamps": [5, 6], "values": [[0.25, 1.5, 3], [3, 4, -5.5]], "closed": "no"}
 FLAT_PATH = {"timestamps": [5, 6], "values": [[0.25, 1.5, 3, 4], [3, 4, 5, 6]], "closed": "no"}
 ATTRIBUTES = [
@@ -27,11 +23,7 @@ ROW = [4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 270.0]
 
 
 def frame(timestamp, **points):
-    return {
-        "timestamp": timestamp,
-        "points": {"positions": TWO + timestamp, **points},
-        "quality": [1, None, "x"],
-    }
+    return {"timestamp": timestamp, "points": {"positions": TWO + timestamp, **points}, "quality": [1, None, "x"]}
 
 
 @pytest.fixture(scope="module")
@@ -62,11 +54,7 @@ def header():
             "coordinates": "ego",
             "frames": [frame(5, directions=TWO, lengths=np.array([1.5, 2], np.float32), rcs=np.array([3.0, 4.0]))],
         },
-        {
-            "id": "7",
-            "type": "points",
-            "points": {"positions": TWO * 20_000, "colors": points["colors"], "n": TWO},
-        },
+        {"id": "7", "type": "points", "points": {"positions": TWO * 20_000, "colors": points["colors"], "n": TWO}},
         {"id": "car", "type": "odometry", "poses": POSES, "maker": {"name": "x"}},
         {"id": "odd", "type": "sonar", "poses": POSES, "frames": [{"timestamp": 9, "pings": TWO}]},
         {
@@ -83,13 +71,7 @@ def header():
                 "distortion": {"model": "from_the_future", "params": [0.5], "fit": 0.1},
                 "skew": 0.0,
             },
-            "images": [
-                {
-                    "timestamp": 6,
-                    "content": np.frombuffer(b"\xff\xd8\xff\xe0 any bytes", np.uint8),
-                    "iso": 100,
-                }
-            ],
+            "images": [{"timestamp": 6, "content": np.frombuffer(b"\xff\xd8\xff\xe0 any bytes", np.uint8), "iso": 100}],
         },
     ]
     flat = {"label": "x", "stationary": True, "attributes": ATTRIBUTES, "parent_id": "o"}
@@ -101,12 +83,7 @@ def header():
             "path": {"timestamps": [5, 6], "values": [ROW, ROW], "smooth": 1},
             "activations": [{"sensor_id": "top", "timestamps": [5], "durations": [2.5], "cuboids": [ROW], "q": 1}],
             "projections": [
-                {
-                    "sensor_id": "front",
-                    "timestamps": [5, 6],
-                    "boxes": [[1, 2, 3, 4], None],
-                    "confirmed": [True, False],
-                }
+                {"sensor_id": "front", "timestamps": [5, 6], "boxes": [[1, 2, 3, 4], None], "confirmed": [True, False]}
             ],
             "meta": {"deep": [{"array": TWO}]},
         },

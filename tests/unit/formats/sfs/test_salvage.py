@@ -364,18 +364,10 @@ def test_the_command_reports_what_is_kept_and_lost(encode_sfs, tmp_path):
 @pytest.mark.parametrize(
     ("text", "header", "lost"),
     [
-        (
-            '{"version": "1.0", "sensors": [{"a": 1}, {"a"',
-            {"version": "1.0", "sensors": [{"a": 1}]},
-            "sensors[1]",
-        ),
+        ('{"version": "1.0", "sensors": [{"a": 1}, {"a"', {"version": "1.0", "sensors": [{"a": 1}]}, "sensors[1]"),
         ('{"version": "1.0", "time_offset": 12', {"version": "1.0"}, "…"),
         ('{"version": "1.0"', {"version": "1.0"}, "header"),
-        (
-            '{"version": "1.0", "metadata": {"a": 1, "b": [1',
-            {"version": "1.0", "metadata": {"a": 1}},
-            "metadata.…",
-        ),
+        ('{"version": "1.0", "metadata": {"a": 1, "b": [1', {"version": "1.0", "metadata": {"a": 1}}, "metadata.…"),
         (
             '{"version": "1.0", "metadata": {"sceneloom": {"layout": 1, "sensors": [{"id": "imu"}, 5',
             {"version": "1.0", "metadata": {"sceneloom": {"layout": 1, "sensors": [{"id": "imu"}]}}},
@@ -432,10 +424,7 @@ HEADER = {
         ("sensors[9].frames[0]", None),
         ("annotations[0].labeled_points[0].point_ids", "annotations[0].labeled_points[0]"),
         ("metadata.own.a", "metadata.own.a"),
-        (
-            "metadata.sceneloom.sensors[0].streams.gyroscope.values",
-            "metadata.sceneloom.sensors[0].streams.gyroscope",
-        ),
+        ("metadata.sceneloom.sensors[0].streams.gyroscope.values", "metadata.sceneloom.sensors[0].streams.gyroscope"),
         ("metadata.sceneloom.sensors[0].streams.absent", None),
         ("version", None),
         ("nothing", None),

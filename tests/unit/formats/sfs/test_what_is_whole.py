@@ -21,10 +21,7 @@ def poses():
 
 
 def cloud(kind, k):
-    points = {
-        "positions": np.full((4, 3), k, np.float32),
-        "timestamps": np.full(4, 100_000 * k, np.uint32),
-    }
+    points = {"positions": np.full((4, 3), k, np.float32), "timestamps": np.full(4, 100_000 * k, np.uint32)}
     if kind == "radar":
         return points | {"directions": np.ones((4, 3), np.float32), "lengths": np.ones(4, np.float32)}
     return points | {"colors": np.zeros((4, 3), np.uint8), "intensities": np.zeros(4, np.uint8)}

@@ -256,10 +256,7 @@ def test_positions_that_are_no_numbers_pass(written):
 
 
 def test_a_failure_leaves_nothing_behind(target):
-    with (
-        pytest.raises(OptionError, match="no sensor 'front' in the file; it has 'top'"),
-        SceneWriter(target) as writer,
-    ):
+    with pytest.raises(OptionError, match="no sensor 'front' in the file; it has 'top'"), SceneWriter(target) as writer:
         writer.add_sensor(lidar())
         writer.add_frame("front", sweep(0))
     assert list(target.parent.iterdir()) == []
@@ -308,10 +305,7 @@ def test_what_a_sensor_cannot_take_is_refused(target):
 
 def test_numbers_of_cuboids_must_be_finite(target):
     bad = CuboidAnnotation("a", CuboidPath(np.zeros(1, np.int64), np.full((1, 9), np.nan)))
-    with (
-        pytest.raises(OptionError, match=r"annotations\[a\].path.values\[0\]"),
-        SceneWriter(target) as writer,
-    ):
+    with pytest.raises(OptionError, match=r"annotations\[a\].path.values\[0\]"), SceneWriter(target) as writer:
         writer.add_annotation(bad)
 
 
@@ -411,11 +405,7 @@ def test_sweeps_that_could_not_be_fused_stand_under_our_metadata(target, decode_
     scene = FORMAT.open(target)
     assert len(scene.sensors[0].frames) == 1
     kept = scene.metadata["sceneloom"]["unfused"][0]
-    assert (kept["sensor_id"], kept["timestamp_ns"], kept["reason"]) == (
-        "top",
-        1_700_000_000 * SECOND + 1,
-        "no pose",
-    )
+    assert (kept["sensor_id"], kept["timestamp_ns"], kept["reason"]) == ("top", 1_700_000_000 * SECOND + 1, "no pose")
     assert kept["points"]["timestamps_ns"].tolist() == [1, 2]
     np.testing.assert_array_equal(kept["points"]["positions"], TWO)
     assert "no pose" in next(iter(writer.losses)).what

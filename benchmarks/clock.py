@@ -21,8 +21,8 @@ import numpy as np
 from sceneloom.cameras import Camera
 from sceneloom.editing.retime import ClockCorrection, retimed_scene
 from sceneloom.geometry.rotations import multiply_quaternions, quaternion_from_rotation_vector
-from sceneloom.motion.clock.signals import Fixes, RotationCurve
-from sceneloom.motion.clock.streams import Stream, StreamKind, TrajectoryCurve, compare_streams, streams_of
+from sceneloom.motion.clock.signals import Fixes, RotationCurve, TrajectoryCurve
+from sceneloom.motion.clock.streams import Stream, StreamKind, compare_streams, streams_of
 from sceneloom.scene import Scene
 from sceneloom.scene.types import key_of
 from sceneloom.simulate import CameraSpec, GnssSpec, LidarSpec, PathSpec, simulate_street
@@ -139,13 +139,15 @@ def bound(scene: Scene, row: Row) -> float:
 
 def peer(reference: Stream, stream: Stream) -> float:
     """The offset by plain cross-correlation [s]."""
-    reported = reference.reported(), stream.reported()
-    steps = [np.median(np.diff(t.rotating.timestamps_ns if t.rotating else t.fixes.timestamps_ns)) for t in reported]
+    reported = reference.motion(), stream.motion()
+    steps = [
+        np.median(np.diff(t.orientations.timestamps_ns if t.orientations else t.fixes.timestamps_ns)) for t in reported
+    ]
     step = max(steps) * 1e-9
     origin_ns = max(s.span_ns[0] for s in (reference, stream))
     length = min(s.span_ns[1] for s in (reference, stream)) - origin_ns
     edges = np.arange(0.0, length * 1e-9, step)
-    by_rotation = reported[0].rotating is not None and reported[1].rotating is not None
+    by_rotation = reported[0].orientations is not None and reported[1].orientations is not None
     a, b = (_rotating(t, origin_ns, edges) if by_rotation else _speeds(t, origin_ns, edges) for t in reported)
     known = np.isfinite(a) & np.isfinite(b)
     a, b = (np.where(known, x - x[known].mean(), 0.0) for x in (a, b))
@@ -158,7 +160,7 @@ def peer(reference: Stream, stream: Stream) -> float:
 
 
 def _rotating(reported: object, origin_ns: int, edges: np.ndarray) -> np.ndarray:
-    rotations = RotationCurve(reported.rotating, origin_ns).rotations(edges[:-1], edges[1:])
+    rotations = RotationCurve(reported.orientations, origin_ns).rotations(edges[:-1], edges[1:])
     return np.linalg.norm(rotations, axis=1)
 
 

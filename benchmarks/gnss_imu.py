@@ -22,8 +22,7 @@ from sceneloom.geometry.rotations import (
     multiply_quaternions,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.gnss_imu.measurements import SmootherSettings
-from sceneloom.motion.gnss_imu.smoother import GnssImuRun, gnss_imu_motion
+from sceneloom.motion.gnss_imu import GnssImuRun, SmootherSettings, gnss_imu_motion
 from sceneloom.scene import GnssSensor, ImuSensor, Scene, VectorSamples
 from sceneloom.simulate.drive import GRAVITY, GnssSpec, ImuSpec, ImuTruth, gnss_sensor, imu_sensor, imu_truth
 from sceneloom.simulate.trajectory import EgoPath, PathSpec, plan_path

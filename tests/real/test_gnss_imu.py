@@ -8,7 +8,7 @@ import pytest
 
 import sceneloom
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.motion.gnss_imu.smoother import gnss_imu_motion
+from sceneloom.motion.gnss_imu import gnss_imu_motion
 from sceneloom.scene import GnssSensor, ImuSensor, Scene
 
 

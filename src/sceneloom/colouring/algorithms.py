@@ -10,15 +10,7 @@ from typing import Protocol
 import numpy as np
 from numba import boolean, void
 
-from sceneloom.arrays import (
-    BoolArray,
-    Float32Array,
-    Float64Array,
-    Int32Array,
-    Int64Array,
-    UInt8Array,
-    check_array,
-)
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import PointsInImage, intrinsics_vector, projection_kernel
 from sceneloom.colouring.blending import blend_colours, colour_points, estimate_normals
@@ -28,12 +20,8 @@ from sceneloom.colouring.visibility import Looks, VisibilitySettings, find_visib
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.projection import draw_depths, pixel_numbers
-from sceneloom.kernels.signatures import (
-    IN_F32_1D,
-    IN_F32_2D,
-    IN_I32_1D,
-)
-from sceneloom.kernels.thread_pool import ThreadPool
+from sceneloom.kernels.signatures import IN_F32_1D, IN_F32_2D, IN_I32_1D
+from sceneloom.kernels.thread_pool import Phase, ThreadPool
 from sceneloom.scene.types import Identifier
 
 
@@ -49,18 +37,18 @@ def view_points(
     trajectory: LidarTrajectory | None = None,
     shutter: ShutterDirection | None = None,
 ) -> FusedView:
-    """Project a cloud into an image, report what is hidden, and draw the depth image of what is seen.
+    """Project a cloud into an image, find what is hidden, and draw the depth image of the visible points.
 
     Args:
         points_world: (N, 3) float64 [m]; points that are not finite are in no image.
         camera: the camera model of the image.
-        world_from_camera: where the camera was.
+        world_from_camera: pose of the camera.
         rgb: (H, W, 3) uint8, of the camera model's size.
         camera_id: the camera.
         timestamp_ns: the image's time [ns].
         visibility: what counts as hidden; None for the usual settings.
-        trajectory: from where the lidar measured the points; None where that is not known.
-        shutter: where the camera was while the lines were taken; None where they were taken at once.
+        trajectory: where the lidar was when it measured the points; None where unknown.
+        shutter: poses of the camera while the lines were taken; None where they were taken at once.
 
     Raises:
         ArrayError: an array has another shape or dtype.
@@ -72,115 +60,54 @@ def view_points(
     thread_pool = ThreadPool.of(settings.threads, len(points))
     seen = _see(points, camera, world_from_camera, shutter, thread_pool)
     point_ids, depths = seen.point_ids, seen.depths
-    visible = (
-        find_visible(
-            seen.cloud,
-            seen.rows,
-            seen.camera_from_cloud,
-            settings,
-            trajectory=seen.known(trajectory),
-            looks=seen.looks,
+    visible = np.ones(len(point_ids), np.bool_)
+    if settings.enabled:
+        if trajectory is not None and seen.world_from_cloud is not None:
+            ends = seen.world_from_cloud.inverse().apply(trajectory.ends_world)
+            trajectory = LidarTrajectory(ends, trajectory.fractions[point_ids])
+        visible = find_visible(
+            seen.cloud, seen.rows, seen.camera_from_cloud, settings, trajectory=trajectory, looks=seen.looks
         )
-        if settings.enabled
-        else np.ones(len(point_ids), np.bool_)
-    )
-    depth_image = _empty_image(camera, thread_pool)
+    depth_image = np.empty((camera.height, camera.width), np.float32)
+    thread_pool.share(Phase(camera.height, lambda _, top, bottom: depth_image[top:bottom].fill(0.0)))
     draw_depths(seen.pixel_numbers, depths, visible, depth_image, thread_pool=thread_pool)
     if not settings.enabled:
         mark_nearest(seen.pixel_numbers, depths, depth_image, visible)
     return FusedView(
-        camera_id,
-        camera,
-        timestamp_ns,
-        world_from_camera,
-        rgb,
-        point_ids,
-        seen.pixels,
-        seen.pixel_numbers,
-        depths,
-        visible,
-        depth_image,
-        points,
-        shutter is not None,
-        seen.unsettled,
-    )
-
-
-def _empty_image(camera: Camera, thread_pool: ThreadPool) -> Float32Array:
-    """Give an image of zeros, to which all threads of a thread pool put a hand."""
-    if thread_pool.size == 1:
-        return np.zeros((camera.height, camera.width), np.float32)
-    image = np.empty((camera.height, camera.width), np.float32)
-    thread_pool.share(camera.height, lambda _, top, bottom: image[top:bottom].fill(0.0))
-    return image
+        camera_id, camera, timestamp_ns, world_from_camera, rgb, point_ids, seen.pixels, seen.pixel_numbers, depths,
+        visible, depth_image, points, shutter is not None, seen.unsettled,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """The points in an image, and how the camera saw them.
+    """The points in an image."""
 
-    Attributes:
-        point_ids, pixels, pixel_numbers, depths: as in `FusedView`.
-        cloud: (C, 3) float64 [m], a frame in which the camera has one pose.
-        rows: (M,) int64, the points of the image in `cloud`.
-        camera_from_cloud: (4, 4) float64.
-        looks: as of `find_visible`.
-        world_from_cloud: None where `cloud` is the whole cloud in the world.
-        unsettled: as in `FusedView`.
-    """
-
-    point_ids: Int64Array
-    pixels: Float32Array
-    pixel_numbers: Int32Array
-    depths: Float32Array
-    cloud: Float64Array
-    rows: Int64Array
-    camera_from_cloud: Float64Array
-    looks: Looks | None = None
-    world_from_cloud: RigidTransform | None = None
-    unsettled: int = 0
-
-    def known(self, trajectory: LidarTrajectory | None) -> LidarTrajectory | None:
-        """The trajectory of the lidar as `cloud` needs it."""
-        if trajectory is None or self.world_from_cloud is None:
-            return trajectory
-        ends = self.world_from_cloud.inverse().apply(trajectory.ends_world)
-        return LidarTrajectory(ends, trajectory.fractions[self.point_ids])
+    point_ids: Int64Array  # as in `FusedView`
+    pixels: Float32Array  # as in `FusedView`
+    pixel_numbers: Int32Array  # as in `FusedView`
+    depths: Float32Array  # as in `FusedView`
+    cloud: Float64Array  # (C, 3) float64 [m], in a frame in which the camera has one pose
+    rows: Int64Array  # (M,) int64, the points of the image in `cloud`
+    camera_from_cloud: Float64Array  # (4, 4) float64
+    looks: Looks | None = None  # as of `find_visible`
+    world_from_cloud: RigidTransform | None = None  # None where `cloud` is the whole cloud in the world
+    unsettled: int = 0  # as in `FusedView`
 
 
 def _see(
-    points_world: Float64Array,
-    camera: Camera,
-    world_from_camera: RigidTransform,
-    shutter: ShutterDirection | None,
+    points_world: Float64Array, camera: Camera, world_from_camera: RigidTransform, shutter: ShutterDirection | None,
     thread_pool: ThreadPool,
-) -> _Seen:
-    if shutter is None:
-        camera_from_world = world_from_camera.inverse_matrix
-        own, looks = _project(points_world, camera, camera_from_world, thread_pool)
-        return _Seen(*own, points_world, own[0], camera_from_world, looks)
-    rolled = project_by_lines(points_world, camera, world_from_camera, shutter)
-    return _Seen(
-        rolled.point_ids,
-        rolled.pixels,
-        pixel_numbers(rolled.pixels, camera.width, camera.height),
-        rolled.points_camera[:, 2].astype(np.float32),
-        rolled.points_camera,
-        np.arange(len(rolled.point_ids)),
-        np.eye(4),
-        None,
-        world_from_camera,
-        rolled.unsettled,
-    )
-
-
-_Own = tuple[Int64Array, Float32Array, Int32Array, Float32Array]
-
-
-def _project(
-    points_world: Float64Array, camera: Camera, camera_from_world: Float64Array, thread_pool: ThreadPool
-) -> tuple[_Own, Looks]:
-    """Give ids, pixels, their numbers and depths of the points in the image, and where the camera sees them."""
+) -> _Seen:  # fmt: skip
+    if shutter is not None:
+        rolled = project_by_lines(points_world, camera, world_from_camera, shutter)
+        numbers = pixel_numbers(rolled.pixels, camera.width, camera.height)
+        depths, rows = rolled.points_camera[:, 2].astype(np.float32), np.arange(len(rolled.point_ids))
+        return _Seen(
+            rolled.point_ids, rolled.pixels, numbers, depths, rolled.points_camera, rows, np.eye(4), None,
+            world_from_camera, rolled.unsettled,
+        )  # fmt: skip
+    camera_from_world = world_from_camera.inverse_matrix
     count, directions = len(points_world), np.empty((2, len(points_world)), np.float32)
     room = PointsInImage.room(count)._replace(rightward=directions[0], downward=directions[1])
     kernel, camera_model = projection_kernel(camera.model), intrinsics_vector(camera)
@@ -190,21 +117,22 @@ def _project(
         part = room.part(a, b)
         found.append((a, kernel(points_world[a:b], camera_from_world, camera_model, camera.width, camera.height, part)))
 
-    thread_pool.share(count, project)
+    thread_pool.share(Phase(count, project))
     kept = 0
     for start, size in sorted(found):
         if start > 0:
             room.point_ids[start : start + size] += start
         if start > kept:
-            for rows in room:
-                rows[kept : kept + size] = rows[start : start + size]
+            for column in room:
+                column[kept : kept + size] = column[start : start + size]
         kept += size
     looks = np.ascontiguousarray(directions[:, :kept]), room.inverse_ranges[:kept]
-    own = room.point_ids[:kept], room.pixels[:kept], room.pixel_numbers[:kept], room.depths[:kept]
-    if 2 * kept > count:
-        return own, looks
-    # The view may live long, and must not hold the room that all points would have needed.
-    return (own[0].copy(), own[1].copy(), own[2].copy(), own[3].copy()), looks
+    ids, pixels, numbers = room.point_ids[:kept], room.pixels[:kept], room.pixel_numbers[:kept]
+    depths = room.depths[:kept]
+    if 2 * kept <= count:
+        # The view may live long, and must not hold the memory that all points would have needed.
+        ids, pixels, numbers, depths = ids.copy(), pixels.copy(), numbers.copy(), depths.copy()
+    return _Seen(ids, pixels, numbers, depths, points_world, ids, camera_from_world, looks)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -213,12 +141,12 @@ class ViewRequest:
 
     Attributes:
         camera_id: the camera.
-        camera_index: its number, which the points coloured from this image will bear, 0 to 254.
+        camera_index: its number, 0 to 254, which the points coloured from this image get.
         camera: the camera model of the image.
         timestamp_ns: the image's time [ns].
-        world_from_camera: where the camera was at that time.
+        world_from_camera: pose of the camera at that time.
         rgb: (H, W, 3) uint8, the image.
-        shutter: where the camera was while the image's lines were taken; None where they were taken at once.
+        shutter: poses of the camera while the image's lines were taken; None where they were taken at once.
     """
 
     camera_id: Identifier
@@ -232,7 +160,7 @@ class ViewRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColouredPoints:
-    """What an algorithm gives.
+    """The result of an algorithm.
 
     Attributes:
         views: the cloud in each image, in the order of the requests.
@@ -257,7 +185,7 @@ class FusionAlgorithm(Protocol):
         *,
         trajectory: LidarTrajectory | None = None,
     ) -> ColouredPoints:
-        """Fuse (N, 3) float64 points [m] with images; `trajectory` says from where they were measured."""
+        """Fuse (N, 3) float64 points [m] with images; `trajectory` is that of the lidar."""
         ...
 
 
@@ -268,13 +196,13 @@ def fuse_by_projection(
     *,
     trajectory: LidarTrajectory | None = None,
 ) -> ColouredPoints:
-    """Project the cloud into each image and take colours and depths where points are seen.
+    """Project the cloud into each image and take colours and depths of visible points.
 
     Args:
         points_world: (N, 3) float64 [m].
         requests: the images.
         visibility: what counts as hidden.
-        trajectory: from where the lidar measured the points; None where that is not known.
+        trajectory: where the lidar was when it measured the points; None where unknown.
 
     Raises:
         ArrayError: an array has another shape or dtype.
@@ -294,9 +222,9 @@ def fuse_by_blending(
     *,
     trajectory: LidarTrajectory | None = None,
 ) -> ColouredPoints:
-    """Do as `fuse_by_projection`, but with the weighted mean of the colours of all images that show a point.
+    """As `fuse_by_projection`, but with the weighted mean of the colours of all images that show a point.
 
-    Takes and raises what `fuse_by_projection` does. Points count as measured with the images.
+    Points count as measured with the images.
     """
     views = _views(points_world, requests, visibility, trajectory)
     indices = [request.camera_index for request in requests]
@@ -315,7 +243,7 @@ def _views(
     trajectory: LidarTrajectory | None,
 ) -> tuple[FusedView, ...]:
     """The cloud in each image."""
-    # Threads share the images where these are enough, which has them wait for one another once only.
+    # Threads share the images where there are enough: they then wait for one another only once.
     many = len(requests) >= visibility.threads
     settings = replace(visibility, threads=1) if many and visibility.threads > 1 else visibility
 
@@ -344,7 +272,6 @@ ALGORITHMS: Mapping[str, FusionAlgorithm] = MappingProxyType(
 Source: DB34/T 4101-2022, table 2, property `fusion_algorithm`.
 """
 
-
 _NOTHING, _STATIC = np.float32(0.0), np.float32(math.inf)
 
 
@@ -352,14 +279,11 @@ _NOTHING, _STATIC = np.float32(0.0), np.float32(math.inf)
 def mark_nearest(
     pixel_numbers: Int32Array, depths: Float32Array, depth_image: Float32Array, visible: BoolArray
 ) -> None:
-    """Mark the points that are the nearest of their pixel, as a z-buffer over all of them says.
+    """Mark the points that are the nearest of their pixel, by a z-buffer over all of them.
 
-    Args:
-        pixel_numbers: (M,), counted row by row; negative outside the image.
-        depths: (M,) [m].
-        depth_image: (H, W) [m], least depth of each pixel, 0 for nothing.
-        visible: (M,), written; equally near points are all visible, and so is a point of a very wide camera model that
-            lies beside or behind the camera (depth <= 0), with which no depth can be compared.
+    `pixel_numbers` (M,), counted row by row; negative outside the image; `depths` (M,) [m]; `depth_image` (H, W) [m],
+    least depth of each pixel, 0 for nothing; `visible` (M,), written; equally near points are all visible, and so is a
+    point of a very wide camera model beside or behind the camera (depth <= 0), with which no depth can be compared.
     """
     image = depth_image.reshape(depth_image.size)
     for i in range(depths.shape[0]):

@@ -1,11 +1,8 @@
-"""Colours of a cloud from all images that show it: nearest or blended by weight.
-
-With surface normals and the source of each colour.
-"""
+"""Colours of a cloud from all images that show it, nearest or blended by weight; surface normals; colour sources."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite, radians
 
 import numpy as np
@@ -37,11 +34,14 @@ from sceneloom.kernels.signatures import (
     IN_U8_3D,
     part,
 )
-from sceneloom.kernels.thread_pool import ThreadPool
+from sceneloom.kernels.thread_pool import Phase, ThreadPool
 from sceneloom.kernels.voxels import number_cubes
 
 NO_CAMERA = 255
 """In `camera_index`: no image shows the point; its colour is then 255, 255, 255."""
+
+NO_IMAGE_NS = np.iinfo(np.int64).min
+"""In `images_ns`: no image shows the point."""
 
 
 def colour_points(
@@ -49,15 +49,14 @@ def colour_points(
 ) -> tuple[UInt8Array, UInt8Array]:
     """Give each point the colour of its nearest pixel.
 
-    Among the images in which a point is visible, the one counts in which it is nearest to the image's centre,
-    in units of half the image's diagonal: camera models are sharpest and best calibrated there. Of equally near ones
-    the first.
+    Of the images in which a point is visible, that counts in which it is nearest to the image's centre, in units of
+    half the image's diagonal: camera models are sharpest and best calibrated there. Of equally near ones the first.
 
     Args:
         count: number of points of the cloud.
         views: the cloud in each image.
         camera_indices: what to write into `camera_index`, one for each view, 0 to 254.
-        threads: how many share the points.
+        threads: number of threads for the points.
 
     Returns:
         colors: (count, 3) uint8, red green blue; 255, 255, 255 where no image shows the point.
@@ -66,51 +65,42 @@ def colour_points(
     Raises:
         OptionError: the indices are not as many as the views, or out of range.
     """
-    if len(views) != len(camera_indices):
-        raise OptionError(f"{len(camera_indices)} camera indices for {len(views)} views; expected one each")
-    colors, camera_index = _blank(count, ThreadPool.of(threads, count))
-    eccentricities = np.full(count if len(views) > 1 else 0, np.inf)
-    for view, index in zip(views, camera_indices, strict=True):
-        if not 0 <= index < NO_CAMERA:
-            raise OptionError(f"camera {view.camera_id!r}: index {index}; expected 0 to {NO_CAMERA - 1}")
-        rgb = np.ascontiguousarray(view.rgb)
-        _paint(view, rgb, index, eccentricities, colors, camera_index, ThreadPool.of(threads, len(view.point_ids)))
-    return colors, camera_index
-
-
-def _blank(count: int, thread_pool: ThreadPool) -> tuple[UInt8Array, UInt8Array]:
-    """Give colours and cameras of points that no image shows."""
+    _check_indices(views, camera_indices)
     colors, camera_index = np.empty((count, 3), np.uint8), np.empty(count, np.uint8)
+    eccentricities = np.full(count if len(views) > 1 else 0, np.inf)
 
-    def fill(_: int, a: int, b: int) -> None:
+    def clear(_: int, a: int, b: int) -> None:
         colors[a:b].fill(255)
         camera_index[a:b].fill(NO_CAMERA)
 
-    thread_pool.share(count, fill)
+    ThreadPool.of(threads, count).share(Phase(count, clear))
+    for view, index in zip(views, camera_indices, strict=True):
+        _paint(view, index, eccentricities, colors, camera_index, ThreadPool.of(threads, len(view.point_ids)))
     return colors, camera_index
 
 
+def _check_indices(views: Sequence[FusedView], camera_indices: Sequence[int]) -> None:
+    if len(views) != len(camera_indices):
+        raise OptionError(f"{len(camera_indices)} camera indices for {len(views)} views; expected one each")
+    for view, index in zip(views, camera_indices, strict=True):
+        if not 0 <= index < NO_CAMERA:
+            raise OptionError(f"camera {view.camera_id!r}: index {index}; expected 0 to {NO_CAMERA - 1}")
+
+
 def _paint(
-    view: FusedView,
-    rgb: UInt8Array,
-    index: int,
-    eccentricities: Float64Array,
-    colors: UInt8Array,
-    camera_index: UInt8Array,
+    view: FusedView, index: int, eccentricities: Float64Array, colors: UInt8Array, camera_index: UInt8Array,
     thread_pool: ThreadPool,
-) -> None:
+) -> None:  # fmt: skip
     """Paint the points of one image, which are all different: threads write to different rows."""
+    rgb = np.ascontiguousarray(view.rgb)
 
     def paint(_: int, a: int, b: int) -> None:
-        ids, pixels, numbers = view.point_ids[a:b], view.pixels[a:b], view.pixel_numbers[a:b]
-        visible = view.visible[a:b]
-        paint_points(ids, pixels, numbers, visible, rgb, index, eccentricities, colors, camera_index)
+        paint_points(
+            view.point_ids[a:b], view.pixels[a:b], view.pixel_numbers[a:b], view.visible[a:b], rgb, index,
+            eccentricities, colors, camera_index,
+        )  # fmt: skip
 
-    thread_pool.share(len(view.point_ids), paint)
-
-
-NO_IMAGE_NS = np.iinfo(np.int64).min
-"""In `images_ns`: no image shows the point."""
+    thread_pool.share(Phase(len(view.point_ids), paint))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,8 +110,8 @@ class PointSources:
     Attributes:
         camera_index: (N,) uint8, the camera among the scene's, 255 for none.
         images_ns: (N,) int64 [ns], time of its image, `NO_IMAGE_NS` for none.
-        pixels: (N, 2) float32 [px], where the point falls in it, NaN for none.
-        weights: (N,) float32, how far the colour is to be trusted, 0 for none.
+        pixels: (N, 2) float32 [px], position of the point in it, NaN for none.
+        weights: (N,) float32, weight of the colour, 0 for none.
     """
 
     camera_index: UInt8Array
@@ -130,16 +120,8 @@ class PointSources:
     weights: Float32Array
 
     def __post_init__(self) -> None:
-        hold_arrays(
-            self,
-            "sources",
-            {
-                "camera_index": (np.uint8, "N"),
-                "images_ns": (np.int64, "N"),
-                "pixels": (np.float32, "N", 2),
-                "weights": (np.float32, "N"),
-            },
-        )
+        fields = {"images_ns": (np.int64, "N"), "pixels": (np.float32, "N", 2), "weights": (np.float32, "N")}
+        hold_arrays(self, "sources", {"camera_index": (np.uint8, "N"), **fields})
 
     @classmethod
     def none(cls, count: int) -> "PointSources":
@@ -153,22 +135,22 @@ class PointSources:
 
 
 _NEAR_SIDE, _NEAR = 0.4, 12.0
-"""Up to so far from the sensor cubes have the smallest side [m]; it doubles with the distance, as the gaps do."""
+"""Up to this distance from the sensor cubes have the smallest side [m]; it doubles with the distance, as gaps do."""
 
 _LEVELS = 4
 _FEWEST = 5
 
 _FLAT, _LINE = 0.1, 0.02
 """Of the eigenvalues of a plane's spread, the least is at most the first share of the middle one; and the middle one
-at least the second share of the greatest, or else the points lie on a line, as those of one scan line do."""
+at least the second share of the greatest, or else the points are on a line, as those of one scan line are."""
 
 
 def estimate_normals(points_world: Float64Array, eye_world: Float64Array) -> Float32Array:
-    """Estimate the normal of the surface that each point lies on, of either sign.
+    """Estimate the surface normal at each point, of either sign.
 
     Args:
         points_world: (N, 3) float64 [m].
-        eye_world: (3,) float64 [m], from where they were measured, nearly.
+        eye_world: (3,) float64 [m], approximate position of the sensor.
 
     Returns:
         (N, 3) float32 unit vectors; 0 where the points around one make no plane.
@@ -182,23 +164,19 @@ def estimate_normals(points_world: Float64Array, eye_world: Float64Array) -> Flo
     for level in range(_LEVELS):
         rows = np.flatnonzero(levels == level)
         if len(rows):
-            normals[rows] = _normals(points[rows], _NEAR_SIDE * 2.0**level)
+            numbers = np.empty(len(rows), np.int64)
+            count = number_cubes(points[rows], _NEAR_SIDE * 2.0**level, numbers)
+            # a point in no cube has the number -1, the last row
+            of_cubes = np.zeros((count + 1, 3), np.float32)
+            if count:
+                found, flat = _planes(points[rows], numbers, count)
+                of_cubes[:count][flat] = found[flat]
+            normals[rows] = of_cubes[numbers]
     return normals
 
 
-def _normals(points_world: Float64Array, side: float) -> Float32Array:
-    numbers = np.empty(len(points_world), np.int64)
-    count = number_cubes(points_world, side, numbers)
-    normals = np.zeros((count + 1, 3), np.float32)
-    if count:
-        found, flat = _planes(points_world, numbers, count)
-        normals[:count][flat] = found[flat]
-    # a point in no cube has the number -1, the last row
-    return normals[numbers]
-
-
 def _planes(points_world: Float64Array, numbers: Int64Array, count: int) -> tuple[Float64Array, BoolArray]:
-    """The least axis of the spread in each cube, (count, 3), and whether it is that of a plane."""
+    """The axis of the least spread in each cube, (count, 3), and whether it is that of a plane."""
     rows = np.flatnonzero(numbers >= 0)
     inside, cubes = points_world[rows], numbers[rows]
     held = np.bincount(cubes, minlength=count)
@@ -217,31 +195,38 @@ _OUTLINE_CELL_DEG = 0.25
 """Points beside an outline: their gap in the image is a few scan lines at most."""
 
 _SURFACE_DISTANCE = 1.2
-"""Surfaces pass the camera at this distance or more [m], nearly all: roads at the height of the camera."""
+"""Nearly all surfaces pass the camera at this distance or more [m]: roads at the height of the camera."""
 
 _REACH_CELLS = 2.0
+
+_OUTLINE_STEP = 0.3
+"""Least step in depth [m]."""
+
+_MODES = ("best", "weighted")
+
+_WEIGHTS = ("even_distance", "even_seconds", "border_share", "border_least", "least_cosine", "outline_factor")
+"""Fields of `BlendSettings` in the order of `weigh_samples`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlendSettings:
-    """How the colours of several images become one.
+    """How the colours of several images are combined.
 
-    A colour is off by what its point falls beside its true location: by noise of the lidar, which does not depend on
-        the
-    distance, and by angles of mountings, which do. Both are equal at `even_distance`: 3 cm and a tenth of a degree meet
-    at 17 m. With time they are off by what moves meanwhile, the ego trajectory included.
+    A point falls beside its true position in the image by noise of the lidar, which does not depend on the distance,
+    and by angles of mountings, whose effect does. Both are equal at `even_distance`: 3 cm and a tenth of a degree meet
+    at 17 m. With time colours are wrong by what moves meanwhile, the ego trajectory included.
 
     Attributes:
         mode: "best", the colour with the greatest weight, or "weighted", the mean of all that agree with it.
         even_distance: where a weight is half of what it is nearby [m].
         even_seconds: time between point and image at which it is half [s].
-        border_share: how wide the border of an image is in which weights fall, as a share of its shorter side.
-        border_least: what is left of a weight at the very border.
-        least_cosine: what is left of a weight where a surface is seen along itself.
-        outline_factor: what is left of a weight beside the outline of something nearer or farther, where a pixel's
-            colour may be that of the other.
-        agreement: colours that differ from the best one by more than so many levels in a channel are left out of the
-            mean: one of them is not of this surface.
+        border_share: width of the image border in which weights fall, as a share of its shorter side.
+        border_least: factor of a weight at the very border.
+        least_cosine: factor of a weight where a surface is seen at grazing angle.
+        outline_factor: factor of a weight beside the outline of something nearer or farther, to which a pixel's colour
+            may belong.
+        agreement: colours that differ from the best one by more levels in a channel are left out of the mean: one of
+            them is of another surface.
 
     Raises:
         OptionError: a number is out of bounds, or the mode is none of these.
@@ -269,10 +254,6 @@ class BlendSettings:
                 raise OptionError(f"{name} {value}; expected more than 0 and at most 1")
 
 
-_MODES = ("best", "weighted")
-"""How several colours become one."""
-
-
 def view_weights(
     points_world: Float64Array,
     view: FusedView,
@@ -281,68 +262,41 @@ def view_weights(
     normals_world: Float32Array | None = None,
     timestamps_ns: Int64Array | None = None,
 ) -> Float32Array:
-    """Report how far the colours of the points in an image are to be trusted.
+    """Weights of the colours of the points in an image.
 
     Args:
         points_world: (N, 3) float64 [m], contiguous.
         view: the points in the image.
-        settings: the numbers of the weights.
-        normals_world: (N, 3) float32 unit vectors, 0 where not known; None: of no point.
+        settings: of the weights.
+        normals_world: (N, 3) float32 unit vectors, 0 where unknown; None: of no point.
         timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the image.
 
     Returns:
         (M,) float32, one for each of `view.point_ids`; 0 for points that are not visible.
     """
     weights = np.empty(len(view.point_ids), np.float32)
-    numbers = np.array(
-        [
-            settings.even_distance,
-            settings.even_seconds,
-            settings.border_share,
-            settings.border_least,
-            settings.least_cosine,
-            settings.outline_factor,
-        ]
-    )
     weigh_samples(
-        points_world,
-        view.point_ids,
-        view.pixels,
-        view.visible,
-        near_outlines(view),
+        points_world, view.point_ids, view.pixels, view.visible, near_outlines(view),
         np.zeros((0, 3), np.float32) if normals_world is None else normals_world,
         np.zeros(0, np.int64) if timestamps_ns is None else timestamps_ns,
-        view.world_from_camera.matrix,
-        view.camera.width,
-        view.camera.height,
-        view.timestamp_ns,
-        numbers,
-        weights,
-    )
+        view.world_from_camera.matrix, view.camera.width, view.camera.height, view.timestamp_ns,
+        np.array([getattr(settings, name) for name in _WEIGHTS]), weights,
+    )  # fmt: skip
     return weights
 
 
 def near_outlines(view: FusedView) -> BoolArray:
-    """Which points of an image lie beside an outline of something nearer or farther, (M,) bool."""
+    """Which points of an image are beside an outline of something nearer or farther, (M,) bool."""
     found = np.empty(len(view.point_ids), np.bool_)
     focal_px = max(min(view.camera.fx, view.camera.fy), 1.0)
     cell_px = max(radians(_OUTLINE_CELL_DEG) * focal_px, 2.0)
+    slope = _REACH_CELLS * cell_px / focal_px / _SURFACE_DISTANCE
     mark_outlines(
-        view.pixels,
-        view.depths,
-        view.visible,
-        view.camera.width,
-        view.camera.height,
-        cell_px,
-        _REACH_CELLS * cell_px / focal_px / _SURFACE_DISTANCE,
-        _OUTLINE_STEP,
+        view.pixels, view.depths, view.visible, view.camera.width, view.camera.height, cell_px, slope, _OUTLINE_STEP,
         found,
-    )
+    )  # fmt: skip
     return found
 
-
-_OUTLINE_STEP = 0.3
-"""What counts as a step in depth [m]."""
 
 _Gains = Mapping[int, Float64Array]
 """(3,) factors of red, green and blue for the image of each camera, by the camera's index; 1 for those left out."""
@@ -363,29 +317,6 @@ class BlendedPoints:
     sources: PointSources
 
 
-@dataclass(slots=True)
-class _Samples:
-    """What one image gives to the points it shows."""
-
-    ids: Int64Array
-    weights: Float32Array
-    colors: Float32Array
-    pixels: Float32Array
-
-
-@dataclass(slots=True)
-class _Sum:
-    """The best colour so far, and the sum of those that agree with it."""
-
-    sources: PointSources
-    best: Float32Array
-    colors: Float32Array
-    weights: Float32Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.weights = np.zeros(len(self.best), np.float32)
-
-
 def blend_colours(
     points_world: Float64Array,
     views: Sequence[FusedView],
@@ -396,16 +327,16 @@ def blend_colours(
     timestamps_ns: Int64Array | None = None,
     gains: _Gains = _NO_GAINS,
 ) -> BlendedPoints:
-    """Give each point the best, or the weighted mean, of the colours that images give it between their pixels.
+    """Give each point the best, or the weighted mean, of the colours that images interpolate between their pixels.
 
     Args:
         points_world: (N, 3) float64 [m].
         views: the cloud in each image.
         camera_indices: of the camera of each view, 0 to 254.
         settings: mode and weights; None for the usual ones.
-        normals_world: (N, 3) float32 unit vectors, 0 where not known; None: the camera's axis stands for all of them.
+        normals_world: (N, 3) float32 unit vectors, 0 where unknown; None: the camera's axis is used for all of them.
         timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the images.
-        gains: what the colours of each camera's image are multiplied by.
+        gains: factors of the colours of each camera's image.
 
     Raises:
         ArrayError: the arrays do not fit together.
@@ -416,68 +347,31 @@ def blend_colours(
     check_array("timestamps_ns", timestamps_ns, (count,), np.int64, optional=True)
     _check_indices(views, camera_indices)
     chosen, points = settings or BlendSettings(), np.ascontiguousarray(points_world)
-    found = [
-        _sampled(
-            view,
-            view_weights(points, view, chosen, normals_world=normals_world, timestamps_ns=timestamps_ns),
-            gains.get(index),
-        )
-        for view, index in zip(views, camera_indices, strict=True)
-    ]
-    total = _Sum(PointSources.none(count), np.full((count, 3), 255, np.float32), np.zeros((count, 3), np.float32))
-    for samples, view, index in zip(found, views, camera_indices, strict=True):
-        _take_better(samples, view, index, total)
-    if chosen.mode == "best" or len(views) < 2:
-        return BlendedPoints(_levels(total.best), total.sources)
-    for samples in found:
-        _add_agreeing(samples, chosen.agreement, total)
-    seen = total.weights > 0
-    total.best[seen] = total.colors[seen] / total.weights[seen, None]
-    return BlendedPoints(_levels(total.best), total.sources)
-
-
-def _check_indices(views: Sequence[FusedView], camera_indices: Sequence[int]) -> None:
-    if len(views) != len(camera_indices):
-        raise OptionError(f"{len(camera_indices)} camera indices for {len(views)} views; expected one each")
+    best, sources = np.full((count, 3), 255, np.float32), PointSources.none(count)
+    found = []
     for view, index in zip(views, camera_indices, strict=True):
-        if not 0 <= index < NO_CAMERA:
-            raise OptionError(f"camera {view.camera_id!r}: index {index}; expected 0 to {NO_CAMERA - 1}")
-
-
-def _sampled(view: FusedView, weights: Float32Array, gain: Float64Array | None) -> _Samples:
-    """Colours between the pixels of the points that an image shows."""
-    rows = np.flatnonzero(weights > 0)
-    pixels = np.ascontiguousarray(view.pixels[rows])
-    colors = np.empty((len(rows), 3), np.float32)
-    sample_between_pixels(pixels, np.ascontiguousarray(view.rgb), colors)
-    if gain is not None:
-        colors *= gain.astype(np.float32)
-    return _Samples(view.point_ids[rows], weights[rows], colors, pixels)
-
-
-def _take_better(samples: _Samples, view: FusedView, index: int, total: _Sum) -> None:
-    """Note the colours that are trusted more than the best ones so far."""
-    sources = total.sources
-    better = samples.weights > sources.weights[samples.ids]
-    ids = samples.ids[better]
-    total.best[ids] = samples.colors[better]
-    sources.weights[ids] = samples.weights[better]
-    sources.camera_index[ids] = index
-    sources.images_ns[ids] = view.timestamp_ns
-    sources.pixels[ids] = samples.pixels[better]
-
-
-def _add_agreeing(samples: _Samples, agreement: float, total: _Sum) -> None:
-    """Add up the colours that are near the best one; those of another surface would be ghosts."""
-    agrees = (np.abs(samples.colors - total.best[samples.ids]) <= agreement).all(axis=1)
-    ids, weights = samples.ids[agrees], samples.weights[agrees]
-    total.colors[ids] += weights[:, None] * samples.colors[agrees]
-    total.weights[ids] += weights
-
-
-def _levels(colors: Float32Array) -> UInt8Array:
-    levels: UInt8Array = np.rint(np.clip(colors, 0.0, 255.0)).astype(np.uint8)
-    return levels
+        weights = view_weights(points, view, chosen, normals_world=normals_world, timestamps_ns=timestamps_ns)
+        rows = np.flatnonzero(weights > 0)
+        ids, weights, pixels = view.point_ids[rows], weights[rows], np.ascontiguousarray(view.pixels[rows])
+        colors = np.empty((len(rows), 3), np.float32)
+        sample_between_pixels(pixels, np.ascontiguousarray(view.rgb), colors)
+        if index in gains:
+            colors *= gains[index].astype(np.float32)
+        found.append((ids, weights, colors))
+        better = weights > sources.weights[ids]
+        ids = ids[better]
+        best[ids], sources.weights[ids], sources.pixels[ids] = colors[better], weights[better], pixels[better]
+        sources.camera_index[ids], sources.images_ns[ids] = index, view.timestamp_ns
+    if chosen.mode == "weighted" and len(views) > 1:
+        sums, total = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+        for ids, weights, colors in found:
+            # colours of another surface than the best one's would be ghosts
+            agrees = (np.abs(colors - best[ids]) <= chosen.agreement).all(axis=1)
+            sums[ids[agrees]] += weights[agrees, None] * colors[agrees]
+            total[ids[agrees]] += weights[agrees]
+        seen = total > 0
+        best[seen] = sums[seen] / total[seen, None]
+    return BlendedPoints(np.rint(np.clip(best, 0.0, 255.0)).astype(np.uint8), sources)
 
 
 _GREEN, _BLUE = np.uint64(1), np.uint64(2)
@@ -487,7 +381,7 @@ _GREEN, _BLUE = np.uint64(1), np.uint64(2)
 def _number_painted(
     pixel_numbers: Int32Array, size: int, visible: BoolArray, point_ids: Int64Array, count: int, numbers: AnyArray
 ) -> None:  # fmt: skip
-    """Write the points' pixels, of which there are `size`; -1 for points that are unseen or do not exist."""
+    """Write the points' pixels, of which there are `size`; -1 for points that are not visible or do not exist."""
     for i in range(numbers.shape[0]):
         inside = np.uint32(pixel_numbers[i]) < np.uint32(size)
         painted = inside & visible[i] & (np.uint64(point_ids[i]) < np.uint64(count))
@@ -530,22 +424,11 @@ def _paint_block(
             camera_index[k] = camera
 
 
-@kernel(
-    void(
-        IN_I64_1D, IN_F32_2D, IN_I32_1D, IN_BOOL_1D, IN_U8_3D, uint8, float64[::1], uint8[:, ::1], uint8[::1],
-    )
-)  # fmt: skip
+@kernel(void(IN_I64_1D, IN_F32_2D, IN_I32_1D, IN_BOOL_1D, IN_U8_3D, uint8, float64[::1], uint8[:, ::1], uint8[::1]))
 def paint_points(
-    point_ids: Int64Array,
-    pixels: Float32Array,
-    pixel_numbers: Int32Array,
-    visible: BoolArray,
-    rgb: UInt8Array,
-    camera: int,
-    eccentricities: Float64Array,
-    colors: UInt8Array,
-    camera_index: UInt8Array,
-) -> None:
+    point_ids: Int64Array, pixels: Float32Array, pixel_numbers: Int32Array, visible: BoolArray, rgb: UInt8Array,
+    camera: int, eccentricities: Float64Array, colors: UInt8Array, camera_index: UInt8Array,
+) -> None:  # fmt: skip
     """Give each visible point its nearest pixel's colour if this image shows it more centrally than those before.
 
     Args:
@@ -578,38 +461,22 @@ def paint_points(
 
 
 _LEAST_DEPTH = np.float32(0.05)
-"""Points beside the camera_model or behind it, which wide camera_models show, too.
-
-Have no inverse depth to compare [m].
-"""
+"""Points beside or behind the camera, which wide camera models show, too, have no inverse depth to compare [m]."""
 
 
 @kernel(void(IN_F32_2D, IN_F32_1D, IN_BOOL_1D, int64, int64, float64, float64, float64, boolean[::1]))
 def mark_outlines(
-    pixels: Float32Array,
-    depths: Float32Array,
-    visible: BoolArray,
-    width: int,
-    height: int,
-    cell_px: float,
-    slope: float,
-    margin: float,
-    near_outline: BoolArray,
-) -> None:
+    pixels: Float32Array, depths: Float32Array, visible: BoolArray, width: int, height: int, cell_px: float,
+    slope: float, margin: float, near_outline: BoolArray,
+) -> None:  # fmt: skip
     """Mark points that have a nearer surface, or behind them a farther visible one, beside them in the image.
 
     On one surface, the inverse depth changes by at most `slope` over the reach of three cells; `margin` [m] is what
     counts as a step besides.
 
-    Args:
-        pixels: (M, 2) [px].
-        depths: (M,) [m]; points that are not in front of the camera model are never marked.
-        visible: (M,).
-        width, height: of the image [px].
-        cell_px: side of the cells; neighbours are looked for in three by three of them.
-        slope: [1/m].
-        margin: [m].
-        near_outline: (M,), written.
+    `pixels` (M, 2) [px]; `depths` (M,) [m]; points that are not in front of the camera model are never marked;
+    `visible` (M,); `width`, `height`: of the image [px]; `cell_px`: side of the cells; neighbours are looked for in
+    three by three of them; `slope` [1/m]; `margin` [m]; `near_outline` (M,), written.
     """
     columns, rows = int(width / cell_px) + 3, int(height / cell_px) + 3
     nearest = np.zeros((rows, columns), np.float32)
@@ -639,27 +506,15 @@ def mark_outlines(
         near_outline[i] = (high - inverse > step) | (inverse - low > step)
 
 
-@kernel(
-    void(
-        IN_F64_2D, IN_I64_1D, IN_F32_2D, IN_BOOL_1D, IN_BOOL_1D, IN_F32_2D, IN_I64_1D, IN_F64_2D, int64, int64, int64,
-        IN_F64_1D, float32[::1],
-    )
-)  # fmt: skip
+@kernel(void(
+    IN_F64_2D, IN_I64_1D, IN_F32_2D, IN_BOOL_1D, IN_BOOL_1D, IN_F32_2D, IN_I64_1D, IN_F64_2D, int64, int64, int64,
+    IN_F64_1D, float32[::1]
+))  # fmt: skip
 def weigh_samples(
-    points_world: Float64Array,
-    point_ids: Int64Array,
-    pixels: Float32Array,
-    visible: BoolArray,
-    near_outline: BoolArray,
-    normals_world: Float32Array,
-    times_ns: Int64Array,
-    world_from_camera: Float64Array,
-    width: int,
-    height: int,
-    image_ns: int,
-    numbers: Float64Array,
-    weights: Float32Array,
-) -> None:
+    points_world: Float64Array, point_ids: Int64Array, pixels: Float32Array, visible: BoolArray,
+    near_outline: BoolArray, normals_world: Float32Array, times_ns: Int64Array, world_from_camera: Float64Array,
+    width: int, height: int, image_ns: int, numbers: Float64Array, weights: Float32Array,
+) -> None:  # fmt: skip
     """Report how far the colour of each point in an image is to be trusted, 0 for points that are not visible.
 
     The weight is the product of five: the cosine between the line of sight and the surface's normal, or the camera's

@@ -33,40 +33,31 @@ from sceneloom.warnings import DataWarning, WarningKind
 CENTRE_TO_CORNER = 0.5
 """Source: "pixels", READING in docs/CONVENTIONS.md: corner = centre + 0.5."""
 
-
 _EDGES: Int64Array = read_only(EDGES, np.int64)
 
 
 class _Steps(NamedTuple):
-    """How closely edges are followed.
+    """How finely edges are sampled."""
 
-    Attributes:
-        limits: (L,) float64 [rad], rising: of a box whose longest edge covers up to so much …
-        counts: (L,) int64, … each edge is cut in so many steps.
-    """
-
-    limits: Float64Array
-    counts: Int64Array
+    limits: Float64Array  # (L,) float64 [rad], rising: of a box whose longest edge covers up to so much …
+    counts: Int64Array  # (L,) int64, … each edge is divided into so many steps
 
 
 FINE = _Steps(read_only([0.05, 0.2, np.inf], np.float64), read_only([4, 12, 64], np.int64))
-"""Within 0.1 px for all but what stands right before a bent camera model."""
-
+"""Within 0.1 px for all but what is right before a camera with strong distortion."""
 
 COARSE = _Steps(read_only([0.1, 0.2, 0.4, 0.8, 1.6, np.inf], np.float64), read_only([3, 5, 8, 14, 32, 64], np.int64))
-"""Within 1 px, and three times as quick."""
-
+"""Within 1 px, and three times as fast."""
 
 _ROUNDS = 24
 """How often the step in which an edge leaves the camera model is halved."""
-
 
 _BORDER_STEPS = 33
 
 
 @lru_cache(maxsize=256)
 def widest_angle(camera: Camera) -> float:
-    """The largest angle off the axis that the image shows [rad]; π where its border lies beyond the camera model."""
+    """The largest angle off the axis that the image shows [rad]; π where its border is beyond the camera model."""
     along = np.linspace(0.0, 1.0, _BORDER_STEPS)
     u = np.concatenate([along, along, np.zeros_like(along), np.ones_like(along)]) * camera.width - 0.5
     v = np.concatenate([np.zeros_like(along), np.ones_like(along), along, along]) * camera.height - 0.5
@@ -76,16 +67,47 @@ def widest_angle(camera: Camera) -> float:
     return float(np.arccos(np.clip(rays[:, 2], -1.0, 1.0)).max())
 
 
+@lru_cache(maxsize=256)
+def _image_corner_rays(camera: Camera) -> tuple[Float64Array, Float64Array]:
+    """The corners of the image (4, 2) [px], corner convention, and their rays (4, 3)."""
+    corners = np.array([[0.0, 0.0], [camera.width, 0.0], [camera.width, camera.height], [0.0, camera.height]])
+    return read_only(corners), read_only(unproject(camera, corners - CENTRE_TO_CORNER))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rolling:
+    """The motion while the lines of an image were taken.
+
+    Attributes:
+        trajectory: of the camera.
+        drifts_world: (B, 8, 3) float64 [m], how far the corners of the boxes moved from the first line to the last.
+    """
+
+    trajectory: ShutterDirection
+    drifts_world: Float64Array
+
+    def __post_init__(self) -> None:
+        check_array("rolling.drifts_world", self.drifts_world, (None, 8, 3), np.float64)
+
+
 def box_extents(
-    camera: Camera, corners_camera: Float64Array, *, steps: _Steps = FINE
+    camera: Camera,
+    corners_camera: Float64Array,
+    *,
+    steps: _Steps = FINE,
+    drifts: Float64Array | None = None,
+    shutter: ShutterDirection | None = None,
 ) -> tuple[Float64Array, Float64Array]:
     """Bound what an image shows of boxes.
 
     Args:
         camera: the camera model.
-        corners_camera: (B, 8, 3) float64 [m], in the order of `geometry.boxes.CORNER_SIGNS`; none at the camera, no
-            edge through it.
-        steps: how closely edges are followed.
+        corners_camera: (B, 8, 3) float64 [m], in the order of `geometry.boxes.CORNER_SIGNS`, in the frame of the camera
+            at the image's time; none at the camera, no edge through it.
+        steps: how finely edges are sampled.
+        drifts: (B, 8, 3) float64 [m], how far the corners move in that frame from the first line to the last; needed
+            with a shutter.
+        shutter: poses of the camera, line by line; None where all lines were taken at once.
 
     Returns:
         extents: (B, 4) float64 [px], corner convention, left, top, right, bottom; infinities the wrong way round where
@@ -97,14 +119,32 @@ def box_extents(
     """
     corners = np.ascontiguousarray(corners_camera)
     directions, starts = sample_edges(corners, _EDGES, steps.limits, steps.counts)
-    pixels = project_unbounded(camera, directions)
-    pixels += CENTRE_TO_CORNER
     width, height = float(camera.width), float(camera.height)
-    extents, shares, leaving = bound_edges(pixels, starts, len(EDGES), width, height)
+    edges = None
+    if shutter is None or drifts is None:
+        pixels = project_unbounded(camera, directions)
+        pixels += CENTRE_TO_CORNER
+    else:
+        edges = _RolledEdges.of(corners, drifts, directions, starts, camera, shutter)
+        pixels = edges.pixels(edges.shares)
+    extents, shares, leaving = bound_edges(pixels, starts, len(_EDGES), width, height)
     if len(leaving):
-        ends = _limits(camera, directions[leaving[:, 1]], directions[leaving[:, 2]])
-        extend_bounds(extents, leaving, pixels[leaving[:, 1]], ends, width, height)
-    extend_to_corners(extents, corners, *_image_corner_rays(camera))
+        known, unknown = leaving[:, 1], leaving[:, 2]
+        ends = (
+            _limits(camera, directions[known], directions[unknown]) if edges is None else edges.limits(known, unknown)
+        )
+        extend_bounds(extents, leaving, pixels[known], ends, width, height)
+    positions, rays = _image_corner_rays(camera)
+    if shutter is None or drifts is None:
+        extend_to_corners(extents, corners, positions, rays)
+        return extents, shares
+    # two corners of the image belong to the first line, two to the last
+    at_end = positions[:, shutter.axis] > 0
+    for chosen, line, share in ((~at_end, 0, -0.5), (at_end, -1, 0.5)):
+        pose = shutter.lines_from_middle[line]
+        there = (corners + share * drifts) @ pose[:, :3].T + pose[:, 3]
+        some = np.flatnonzero(chosen)
+        extend_to_corners(extents, np.ascontiguousarray(there), positions[some], rays[some])
     return extents, shares
 
 
@@ -118,135 +158,57 @@ def _limits(camera: Camera, known: Float64Array, unknown: Float64Array) -> Float
     return project_unbounded(camera, known) + CENTRE_TO_CORNER
 
 
-@lru_cache(maxsize=256)
-def _image_corner_rays(camera: Camera) -> tuple[Float64Array, Float64Array]:
-    """Give the corners of the image (4, 2) [px], corner convention, and the rays (4, 3) that they look along."""
-    corners = np.array([[0.0, 0.0], [camera.width, 0.0], [camera.width, camera.height], [0.0, camera.height]])
-    return read_only(corners), read_only(unproject(camera, corners - CENTRE_TO_CORNER))
-
-
-_NOTHING = 1e-12
+_PARALLEL = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rolling:
-    """What happened while the lines of an image were taken.
+class _RolledEdges:
+    """Points on the edges of boxes as a rolling shutter sees them."""
 
-    Attributes:
-        trajectory: of the camera.
-        drifts_world: (B, 8, 3) float64 [m], how far the corners of the boxes went from the first line to the last.
-    """
-
-    trajectory: ShutterDirection
-    drifts_world: Float64Array
-
-    def __post_init__(self) -> None:
-        check_array("rolling.drifts_world", self.drifts_world, (None, 8, 3), np.float64)
-
-
-def rolled_extents(
-    camera: Camera,
-    corners_camera: Float64Array,
-    drifts: Float64Array,
-    trajectory: ShutterDirection,
-    *,
-    steps: _Steps = FINE,
-) -> tuple[Float64Array, Float64Array]:
-    """Bound what an image of a rolling shutter shows of boxes.
-
-    Args:
-        camera: the camera model.
-        corners_camera: (B, 8, 3) float64 [m], as of `box_extents`, in the frame of the camera at the image's time.
-        drifts: (B, 8, 3) float64 [m], how far they go in that frame from the first line to the last.
-        trajectory: of the camera, line by line.
-        steps: how closely edges are followed.
-
-    Returns:
-        extents, shares: as `box_extents`.
-
-    Raises:
-        CalibrationError: the camera model is unknown.
-    """
-    corners = np.ascontiguousarray(corners_camera)
-    directions, starts = sample_edges(corners, _EDGES, steps.limits, steps.counts)
-    edges = _Edges.of(corners, drifts, directions, starts)
-    pixels = edges.pixels(edges.shares, camera, trajectory)
-    width, height = float(camera.width), float(camera.height)
-    extents, shares, leaving = bound_edges(pixels, starts, len(_EDGES), width, height)
-    if len(leaving):
-        ends = _rolled_limits(edges, leaving, camera, trajectory)
-        extend_bounds(extents, leaving, pixels[leaving[:, 1]], ends, width, height)
-    _extend_to_corners(extents, corners, drifts, camera, trajectory)
-    return extents, shares
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Edges:
-    """Points on the edges of boxes: where each edge begins and where it leads, (P, 2, 3) [m], with its drift.
-
-    `shares` (P,) is how far along its edge each point lies.
-    """
-
-    ends: Float64Array
-    drifts: Float64Array
-    shares: Float64Array
+    ends: Float64Array  # (P, 2, 3) [m], where each point's edge begins and ends
+    drifts: Float64Array  # (P, 2, 3) [m], how far these move
+    shares: Float64Array  # (P,) how far along its edge each point is
+    camera: Camera
+    shutter: ShutterDirection
 
     @classmethod
-    def of(cls, corners: Float64Array, drifts: Float64Array, directions: Float64Array, starts: Int64Array) -> "_Edges":
+    def of(
+        cls, corners: Float64Array, drifts: Float64Array, directions: Float64Array, starts: Int64Array, camera: Camera,
+        shutter: ShutterDirection,
+    ) -> "_RolledEdges":  # fmt: skip
         """Put the directions of `sample_edges` on their edges."""
         counts = np.diff(starts)
         boxes = np.repeat(np.arange(len(corners)), counts)
         samples = counts[boxes] // len(_EDGES)
-        locations = np.arange(len(directions)) - starts[boxes]
-        joined = _EDGES[locations // np.maximum(samples, 1)]
+        numbers = np.arange(len(directions)) - starts[boxes]
+        joined = _EDGES[numbers // np.maximum(samples, 1)]
         ends, moves = corners[boxes[:, None], joined], drifts[boxes[:, None], joined]
-        return cls(ends, moves, _shares_along(ends, directions, locations % samples / np.maximum(samples - 1, 1)))
+        # where directions meet their edges; evenly spread where an edge points at the camera
+        even = numbers % samples / np.maximum(samples - 1, 1)
+        first, along = ends[:, 0], ends[:, 1] - ends[:, 0]
+        normals = np.cross(first, ends[:, 1])
+        above = (np.cross(first, directions) * normals).sum(axis=1)
+        below = -(np.cross(along, directions) * normals).sum(axis=1)
+        met = np.abs(below) > _PARALLEL * (first * first).sum(axis=1) * (along * along).sum(axis=1)
+        shares = np.clip(np.where(met, above / np.where(met, below, 1.0), even), 0.0, 1.0)
+        return cls(ends, moves, shares, camera, shutter)
 
-    def some(self, rows: Int64Array) -> "_Edges":
-        return _Edges(self.ends[rows], self.drifts[rows], self.shares[rows])
-
-    def pixels(self, shares: Float64Array, camera: Camera, trajectory: ShutterDirection) -> Float64Array:
-        """Where points so far along their edges lie, (P, 2) [px], corner convention."""
+    def pixels(self, shares: Float64Array) -> Float64Array:
+        """Pixels (P, 2) [px], corner convention, of points so far along their edges."""
         first, second = 1.0 - shares[:, None], shares[:, None]
         points = first * self.ends[:, 0] + second * self.ends[:, 1]
         drifts = first * self.drifts[:, 0] + second * self.drifts[:, 1]
-        return pixels_by_lines(points, drifts, camera, trajectory) + CENTRE_TO_CORNER
+        return pixels_by_lines(points, drifts, self.camera, self.shutter) + CENTRE_TO_CORNER
 
-
-def _shares_along(ends: Float64Array, directions: Float64Array, even: Float64Array) -> Float64Array:
-    """Report how far along edges directions meet them, (P,); evenly spread where an edge points at the camera."""
-    first, along = ends[:, 0], ends[:, 1] - ends[:, 0]
-    normals = np.cross(first, ends[:, 1])
-    above = (np.cross(first, directions) * normals).sum(axis=1)
-    below = -(np.cross(along, directions) * normals).sum(axis=1)
-    scale = (first * first).sum(axis=1) * (along * along).sum(axis=1)
-    met = np.abs(below) > _NOTHING * scale
-    shares: Float64Array = np.clip(np.where(met, above / np.where(met, below, 1.0), even), 0.0, 1.0)
-    return shares
-
-
-def _rolled_limits(edges: _Edges, leaving: Int64Array, camera: Camera, trajectory: ShutterDirection) -> Float64Array:
-    """Pixels (L, 2), corner convention, where steps leave the camera model between points within and beyond it."""
-    steps = edges.some(leaving[:, 1])
-    known, unknown = steps.shares.copy(), edges.shares[leaving[:, 2]].copy()
-    for _ in range(_ROUNDS):
-        middle = 0.5 * (known + unknown)
-        within = np.isfinite(steps.pixels(middle, camera, trajectory)[:, 0])
-        known, unknown = np.where(within, middle, known), np.where(within, unknown, middle)
-    return steps.pixels(known, camera, trajectory)
-
-
-def _extend_to_corners(
-    extents: Float64Array, corners: Float64Array, drifts: Float64Array, camera: Camera, trajectory: ShutterDirection
-) -> None:
-    """Let bounds hold those corners of the image that look at a box: two at the first line, two at the last."""
-    locations, rays = _image_corner_rays(camera)
-    at_end = locations[:, trajectory.axis] > 0
-    for chosen, line, share in ((~at_end, 0, -0.5), (at_end, -1, 0.5)):
-        pose = trajectory.lines_from_middle[line]
-        there = (corners + share * drifts) @ pose[:, :3].T + pose[:, 3]
-        some = np.flatnonzero(chosen)
-        extend_to_corners(extents, np.ascontiguousarray(there), locations[some], rays[some])
+    def limits(self, known: Int64Array, unknown: Int64Array) -> Float64Array:
+        """Pixels (L, 2), corner convention, where steps leave the camera model between points within and beyond it."""
+        steps = replace(self, ends=self.ends[known], drifts=self.drifts[known])
+        within, beyond = self.shares[known].copy(), self.shares[unknown].copy()
+        for _ in range(_ROUNDS):
+            middle = 0.5 * (within + beyond)
+            inside = np.isfinite(steps.pixels(middle)[:, 0])
+            within, beyond = np.where(inside, middle, within), np.where(inside, beyond, middle)
+        return steps.pixels(within)
 
 
 _FLAT = 1e-12
@@ -261,7 +223,7 @@ def _unit(x, y, z):  # type: ignore[no-untyped-def]
 
 @inlined
 def _arc(units, first, last):  # type: ignore[no-untyped-def]
-    """Where an edge heads at a right angle to its beginning, and how far [rad]."""
+    """Direction of an edge at a right angle to its beginning, and its angle [rad]."""
     ax, ay, az = units[first, 0], units[first, 1], units[first, 2]
     bx, by, bz = units[last, 0], units[last, 1], units[last, 2]
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -353,7 +315,7 @@ def _extend(extents, b, u0, v0, u1, v1, width, height):  # type: ignore[no-untyp
 
 @inlined
 def _bulge(before, middle, after):  # type: ignore[no-untyped-def]
-    """Where a parabola through three locations rotates; the middle one where it does not rotate near it."""
+    """The vertex of a parabola through three positions; the middle one where there is none near it."""
     bend, slope = before - 2.0 * middle + after, (after - before) / 2.0
     if bend != 0.0 and abs(slope) <= abs(bend):
         return middle - slope * slope / (2.0 * bend)
@@ -419,11 +381,8 @@ def extend_bounds(
 ) -> None:
     """Let bounds hold the last parts of edges that leave the camera model.
 
-    Args:
-        extents: (B, 4) [px], changed.
-        leaving: (L, 3) of `bound_edges`.
-        begin, end: (L, 2) [px], corner convention, where those parts begin and end.
-        width, height: of the image [px].
+    `extents` (B, 4) [px], changed; `leaving` (L, 3) of `bound_edges`; `begin`, `end` (L, 2) [px], corner convention,
+    where those parts begin and end; `width`, `height`: of the image [px].
     """
     for k in range(len(leaving)):
         _extend(extents, leaving[k, 0], begin[k, 0], begin[k, 1], end[k, 0], end[k, 1], width, height)
@@ -433,10 +392,8 @@ def extend_bounds(
 def halve_steps(known: Float64Array, unknown: Float64Array, middles: Float64Array, pixels: Float64Array) -> None:
     """Take the half of each step in which it leaves the camera model, and give the middle of that.
 
-    Args:
-        known, unknown: (L, 3), changed: directions within the camera model and beyond it.
-        middles: (L, 3), unit, between them; changed.
-        pixels: (L, 2), where those are in the image; NaN beyond the camera model.
+    `known`, `unknown` (L, 3), changed: directions within the camera model and beyond it; `middles` (L, 3), unit,
+    between them; changed; `pixels` (L, 2), where those are in the image; NaN beyond the camera model.
     """
     for k in range(len(known)):
         if np.isfinite(pixels[k, 0]):
@@ -456,11 +413,8 @@ def extend_to_corners(
 ) -> None:
     """Let bounds hold those corners of the image that look at a box.
 
-    Args:
-        extents: (B, 4) [px], changed.
-        corners: (B, 8, 3) [m], in the order of `geometry.boxes.CORNER_SIGNS`.
-        locations: (C, 2) [px], corner convention.
-        rays: (C, 3), along which they look; NaN for none.
+    `extents` (B, 4) [px], changed; `corners` (B, 8, 3) [m], in the order of `geometry.boxes.CORNER_SIGNS`; `locations`
+    (C, 2) [px], corner convention; `rays` (C, 3), along which they look; NaN for none.
 
     Source: Kay and Kajiya 1986, "Ray Tracing Complex Scenes": a ray is in a box while it is between all pairs of faces.
     """
@@ -494,19 +448,14 @@ _LATEST_PERIODS = 2
 
 @dataclass(slots=True)
 class _SweptPoints:
-    """Gives the points that a lidar measured about a time; the last sweep is kept, since images follow each other.
+    """The points of a lidar around a time; the last sweep is kept, since images follow each other."""
 
-    Attributes:
-        lidar: the lidar.
-        location: takes its points as stored into the world.
-    """
-
-    lidar: LidarSensor
-    location: PoseSource
+    lidar: LidarSensor  # the lidar
+    source: PoseSource  # transforms its points as stored into the world
     _kept: tuple[int, FloatArray | None] = field(default=(-1, None))
 
     def at(self, time_ns: int) -> FloatArray | None:
-        """Give the points (N, 3) [m] of the sweep that is under way at a time [ns]; None where there is none.
+        """The points (N, 3) [m] of the sweep that is under way at a time [ns]; None where there is none.
 
         Raises:
             DataError: the sweep cannot be read.
@@ -521,30 +470,27 @@ class _SweptPoints:
             times = frame.points.timestamps_ns
             if times is None:
                 times = np.full(len(frame.points), frame.timestamp_ns, np.int64)
-            self._kept = index, points_in_world(self.location, frame.points.positions, times)
+            self._kept = index, points_in_world(self.source, frame.points.positions, times)
         return self._kept[1]
 
 
 _NEAR = 0.05
-"""A box nearer to the camera than this holds the camera: it is not seen, and hides nothing [m]."""
+"""A box nearer to the camera than this contains the camera: it is not seen, and hides nothing [m]."""
 
 _FARTHEST = 1e8
 """Boxes farther away, or larger, are not seen [m]."""
 
 _ON_BOX = 0.2
-"""A point so near to a box is on it [m]: boxes are drawn tightly, and things move between sweep and image."""
+"""A point so near to a box is on it [m]: boxes are drawn tightly, and objects move between sweep and image."""
 
 _RAYS = ((8.0, 6), (32.0, 12), (np.inf, 24))
-"""Rays to a box along each side of its location in the image, to report how much of it others hide.
-
-So many where it is up
-to so many pixels long."""
+"""Rays along each side of a box in the image, by its length up to so many pixels, for the share that others hide."""
 
 _CELLS = 24
-"""Cells along each side of a face, to report how much of a box the image cuts off."""
+"""Cells along each side of a face, for the share of a box that the image cuts off."""
 
 _BOXES_AT_ONCE = 256
-"""Whose cells are looked at together: enough to be quick, few enough for little memory."""
+"""Boxes whose cells are processed together: enough to be fast, few enough for little memory."""
 
 _AT_ONCE = np.zeros((0, 4))
 """`lines` of images whose lines were taken at once."""
@@ -557,10 +503,10 @@ class Observations:
     Attributes:
         rows: (S,) int64, rising, which of the boxes they are.
         boxes_xyxy: (S, 4) float64 [px], left, top, right, bottom of what is in the image, corner convention.
-        truncations: (S,) float64, which share of the box, of what the camera would see of it with an static image,
-            lies outside the image: a share of the solid angle, so that it means the same with every camera model.
+        truncations: (S,) float64, which share of the box, of what the camera would see of it with an infinite image,
+            is outside the image: a share of the solid angle, so that it means the same with every camera model.
         occlusions: (S,) float64, which share of its area in the image nearer boxes hide.
-        evidences: (S, 2) int64, points of a lidar that lie before it, as the camera sees it, and on it; 0 without one.
+        evidences: (S, 2) int64, points of a lidar before it, as the camera sees it, and on it; 0 without one.
     """
 
     rows: Int64Array
@@ -570,17 +516,9 @@ class Observations:
     evidences: Int64Array
 
     def __post_init__(self) -> None:
-        hold_arrays(
-            self,
-            "",
-            {
-                "rows": (np.int64, "N"),
-                "boxes_xyxy": (np.float64, "N", 4),
-                "truncations": (np.float64, "N"),
-                "occlusions": (np.float64, "N"),
-                "evidences": (np.int64, "N", 2),
-            },
-        )
+        shares = dict.fromkeys(("truncations", "occlusions"), (np.float64, "N"))
+        boxes = {"rows": (np.int64, "N"), "boxes_xyxy": (np.float64, "N", 4)}
+        hold_arrays(self, "", {**boxes, **shares, "evidences": (np.int64, "N", 2)})
 
 
 @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
@@ -594,18 +532,18 @@ def observe_cuboids(
     points_world: FloatArray | None = None,
     rolling: Rolling | None = None,
 ) -> Observations:
-    """See boxes with a camera.
+    """Project boxes into a camera's image.
 
     Boxes with numbers that are not finite, without volume, or around the camera are not seen and hide nothing.
 
     Args:
         camera: the camera model; any model.
-        world_from_camera: where it is.
+        world_from_camera: its pose.
         boxes: in the world.
         hides: (B,) bool, which of the boxes hide what is behind them; None for all.
-        points_world: (N, 3) [m], what a lidar saw about then, as evidence of what hides the boxes; None for none.
+        points_world: (N, 3) [m], points of a lidar at about that time, as evidence of what hides the boxes; or None.
         min_pixels: what is narrower or lower than this in the image is not seen, but hides [px].
-        rolling: how camera and boxes moved while the lines were taken, `world_from_camera` and `boxes` being of the
+        rolling: motion of camera and boxes while the lines were taken, `world_from_camera` and `boxes` being of the
             image's time; None where all lines were taken at once.
 
     Raises:
@@ -613,24 +551,22 @@ def observe_cuboids(
     """
     rows, near = _in_view(camera, world_from_camera, boxes, rolling)
     corners = box_corners(near.centers, near.sizes, near.quaternions)
-    trajectory = None if rolling is None else rolling.trajectory
-    if rolling is None or trajectory is None:
-        extents, shares = box_extents(camera, corners)
-    else:
-        drifts = rolling.drifts_world[rows] @ world_from_camera.rotation
-        extents, shares = rolled_extents(camera, corners, drifts, trajectory)
+    shutter = None if rolling is None else rolling.trajectory
+    drifts = None if rolling is None else rolling.drifts_world[rows] @ world_from_camera.rotation
+    extents, shares = box_extents(camera, corners, drifts=drifts, shutter=shutter)
     whole = shares == 1.0
     there = np.flatnonzero((extents[:, 2:] > extents[:, :2]).all(axis=1))
     rows, near, extents, whole = rows[there], near.some(there), extents[there], whole[there]
     solid = np.ones(len(rows), np.bool_) if hides is None else hides[rows]
-    occlusions = _occlusions(camera, near, extents, solid, trajectory)
+    occlusions = _occlusions(camera, near, extents, solid, shutter)
     truncations = np.zeros(len(rows))
-    truncations[~whole] = _truncations(camera, near.some(np.flatnonzero(~whole)), trajectory)
+    truncations[~whole] = _truncations(camera, near.some(np.flatnonzero(~whole)), shutter)
     seen = np.flatnonzero((extents[:, 2:] - extents[:, :2] >= min_pixels).all(axis=1))
     evidences = np.zeros((len(rows), 2), np.int64)
     if points_world is not None:
         finite = points_world[np.isfinite(points_world).all(axis=1)].astype(np.float64)
-        evidences = _evidences(camera, world_from_camera, finite, near, extents, trajectory)
+        points, pixels, lines = _seen_points(camera, world_from_camera, finite, shutter)
+        count_evidence(points, pixels, extents, *near.arrays, lines, near.drifts, _ON_BOX, evidences)
     return Observations(rows[seen], extents[seen], truncations[seen], occlusions[seen], evidences[seen])
 
 
@@ -638,7 +574,7 @@ def observe_cuboids(
 class _Near:
     """Boxes in the camera's frame: centres (B, 3), sizes (B, 3) [m], quaternions (B, 4) and axes (B, 3, 3).
 
-    `drifts` (B, 3) [m]: how far they go while the image is taken.
+    `drifts` (B, 3) [m]: how far they move while the image is taken.
     """
 
     centers: Float64Array
@@ -657,75 +593,71 @@ class _Near:
 
     @property
     def cameras_box(self) -> Float64Array:
-        """Where the camera is in the frame of each box, (B, 3) [m]."""
-        location: Float64Array = -np.einsum("bij,bi->bj", self.axes, self.centers)
-        return location
+        """Position of the camera in the frame of each box, (B, 3) [m]."""
+        return np.asarray(-np.einsum("bij,bi->bj", self.axes, self.centers), np.float64)
 
 
 def _in_view(
     camera: Camera, world_from_camera: RigidTransform, boxes: Boxes, rolling: Rolling | None
 ) -> tuple[Int64Array, _Near]:
-    """The boxes that may be in the image, in the camera's frame, and which they are."""
-    locations = (np.abs(boxes.centers_world) < _FARTHEST).all(axis=1) & np.isfinite(boxes.quaternions_xyzw).all(axis=1)
+    """The boxes that may be in the image, in the camera's frame, and their rows."""
+    placed = (np.abs(boxes.centers_world) < _FARTHEST).all(axis=1) & np.isfinite(boxes.quaternions_xyzw).all(axis=1)
     sized = ((boxes.sizes_lwh > 0) & (boxes.sizes_lwh < _FARTHEST)).all(axis=1)
-    rows = np.flatnonzero(locations & sized)
-    camera_from_world = world_from_camera.inverse()
-    centers, sizes = camera_from_world.apply(boxes.centers_world[rows]), boxes.sizes_lwh[rows]
+    rows = np.flatnonzero(placed & sized)
+    centers, sizes = world_from_camera.inverse().apply(boxes.centers_world[rows]), boxes.sizes_lwh[rows]
     distances, reaches = np.linalg.norm(centers, axis=1), np.linalg.norm(sizes, axis=1) / 2.0
     drifts, widest = np.zeros_like(centers), widest_angle(camera)
     if rolling is not None:
-        drifts = rolling.drifts_world[rows].mean(axis=1) @ world_from_camera.rotation
-        reaches = (
-            reaches + rolling.trajectory.trajectory + np.linalg.norm(rolling.drifts_world[rows], axis=2).max(axis=1)
-        )
-        widest += rolling.trajectory.rotation
+        moves, shutter = rolling.drifts_world[rows], rolling.trajectory
+        drifts = moves.mean(axis=1) @ world_from_camera.rotation
+        reaches = reaches + shutter.trajectory + np.linalg.norm(moves, axis=2).max(axis=1)
+        widest += shutter.rotation
     off_axis = np.arccos(np.clip(centers[:, 2] / np.maximum(distances, _NEAR), -1.0, 1.0))
     spreads = np.arcsin(np.clip(reaches / np.maximum(distances, _NEAR), 0.0, 1.0))
     kept = np.flatnonzero((reaches >= distances) | (off_axis - spreads <= widest))
-    rotations = multiply_quaternions(
-        conjugate_quaternion(world_from_camera.quaternion_xyzw), boxes.quaternions_xyzw[rows[kept]]
-    )
-    axes = world_from_camera.rotation.T @ boxes.rotations_world[rows[kept]]
+    rows = rows[kept]
+    camera_from_world = conjugate_quaternion(world_from_camera.quaternion_xyzw)
+    rotations = multiply_quaternions(camera_from_world, boxes.quaternions_xyzw[rows])
+    axes = world_from_camera.rotation.T @ boxes.rotations_world[rows]
     near = _Near(centers[kept], sizes[kept], rotations, axes, drifts[kept])
     away = np.maximum(np.abs(near.cameras_box) - near.sizes / 2.0, 0.0)
     outside = np.flatnonzero(np.linalg.norm(away, axis=1) > _NEAR)
-    return rows[kept][outside], near.some(outside)
+    return rows[outside], near.some(outside)
 
 
 def _occlusions(
-    camera: Camera, near: _Near, extents: Float64Array, solid: BoolArray, trajectory: ShutterDirection | None
+    camera: Camera, near: _Near, extents: Float64Array, solid: BoolArray, shutter: ShutterDirection | None
 ) -> Float64Array:
-    """Which share of each box in the image others hide: rays through a grid over its location in the image."""
+    """Which share of each box in the image others hide: rays through a grid over its extent in the image."""
     count = len(extents)
     if count == 0:
         return np.zeros(0)
     pixels, starts = _grids(extents)
     rays, lines = unproject(camera, pixels), _AT_ONCE
-    if trajectory is not None:
-        rotations, lines = _eyes(camera, pixels, trajectory)
+    if shutter is not None:
+        rotations, lines = _eyes(camera, pixels, shutter)
         rays = np.einsum("nij,nj->ni", rotations, rays)
     rivals, rival_starts = _rivals(near, extents, solid)
     met, hidden = np.zeros(count, np.int64), np.zeros(count, np.int64)
     count_observations(rays, starts, *near.arrays, lines, near.drifts, rival_starts, rivals, met, hidden)
-    shares: Float64Array = hidden / np.maximum(met, 1)
-    return shares
+    return np.asarray(hidden / np.maximum(met, 1), np.float64)
 
 
-def _eyes(camera: Camera, pixels: Float64Array, trajectory: ShutterDirection) -> tuple[Float64Array, Float64Array]:
-    """How the camera was rotated at the lines of pixels, (R, 3, 3), and `lines` of `count_observations`, (R, 4).
+def _eyes(camera: Camera, pixels: Float64Array, shutter: ShutterDirection) -> tuple[Float64Array, Float64Array]:
+    """Rotations (R, 3, 3) of the camera at the lines of pixels, and `lines` of `count_observations`, (R, 4).
 
     Both are in the frame of the camera at the image's time.
     """
-    lines = pixels[:, trajectory.axis]
-    poses = trajectory.poses_at(lines, camera)
+    lines = pixels[:, shutter.axis]
+    poses = shutter.poses_at(lines, camera)
     rotations = np.ascontiguousarray(poses[:, :, :3].transpose(0, 2, 1))
-    locations = -np.einsum("nij,nj->ni", rotations, poses[:, :, 3])
-    shares = np.clip((lines + 0.5) / trajectory.line_count(camera) - 0.5, -0.5, 0.5)
-    return rotations, np.column_stack([locations, shares])
+    positions = -np.einsum("nij,nj->ni", rotations, poses[:, :, 3])
+    shares = np.clip((lines + 0.5) / shutter.line_count(camera) - 0.5, -0.5, 0.5)
+    return rotations, np.column_stack([positions, shares])
 
 
 def _grids(extents: Float64Array) -> tuple[Float64Array, Int64Array]:
-    """Pixels of a grid over each box's location in the image, (R, 2), and where those of each begin, (B + 1,)."""
+    """Pixels of a grid over each box's extent in the image, (R, 2), and where those of each begin, (B + 1,)."""
     spans = extents[:, 2:] - extents[:, :2]
     sides = np.array([side for _, side in _RAYS])[np.searchsorted([px for px, _ in _RAYS], spans.max(axis=1))]
     starts = np.concatenate([[0], np.cumsum(sides**2)])
@@ -735,47 +667,28 @@ def _grids(extents: Float64Array) -> tuple[Float64Array, Int64Array]:
         v, u = (grid.ravel() for grid in np.mgrid[0:side, 0:side])
         shares = (np.column_stack([u, v]) + 0.5) / side
         pixels = extents[rows, None, :2] + shares * spans[rows, None] - CENTRE_TO_CORNER
-        locations = starts[rows, None] + np.arange(side * side)
-        grids[locations.ravel()] = pixels.reshape(-1, 2)
+        grids[(starts[rows, None] + np.arange(side * side)).ravel()] = pixels.reshape(-1, 2)
     return grids, starts
 
 
-def _evidences(
-    camera: Camera,
-    world_from_camera: RigidTransform,
-    points_world: Float64Array,
-    near: _Near,
-    extents: Float64Array,
-    trajectory: ShutterDirection | None,
-) -> Int64Array:
-    """How many points lie before each box and on it."""
-    points, lines = world_from_camera.inverse().apply(points_world), _AT_ONCE
-    if trajectory is None:
+def _seen_points(
+    camera: Camera, world_from_camera: RigidTransform, points_world: Float64Array, shutter: ShutterDirection | None
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """`points`, `pixels` and `lines` of `count_evidence`."""
+    points = world_from_camera.inverse().apply(points_world)
+    if shutter is None:
         pixels, visible = project(camera, points)
-        points, pixels = points[visible], pixels[visible]
-    else:
-        rolled = project_by_lines(points_world, camera, world_from_camera, trajectory)
-        pixels = rolled.pixels.astype(np.float64)
-        lines = _eyes(camera, pixels, trajectory)[1]
-        points = points[rolled.point_ids] - lines[:, :3]
-    evidences = np.zeros((len(extents), 2), np.int64)
-    count_evidence(
-        np.ascontiguousarray(points),
-        pixels + CENTRE_TO_CORNER,
-        np.ascontiguousarray(extents),
-        *near.arrays,
-        lines,
-        near.drifts,
-        _ON_BOX,
-        evidences,
-    )
-    return evidences
+        return np.ascontiguousarray(points[visible]), pixels[visible] + CENTRE_TO_CORNER, _AT_ONCE
+    rolled = project_by_lines(points_world, camera, world_from_camera, shutter)
+    pixels = rolled.pixels.astype(np.float64)
+    lines = _eyes(camera, pixels, shutter)[1]
+    return np.ascontiguousarray(points[rolled.point_ids] - lines[:, :3]), pixels + CENTRE_TO_CORNER, lines
 
 
 def _rivals(near: _Near, extents: Float64Array, solid: BoolArray) -> tuple[Int64Array, Int64Array]:
-    """Of each box the solid others that overlap it in the image and begin before it ends, one box after another."""
+    """For each box the solid others that overlap it in the image and begin before it ends, one box after another."""
     distances, reaches = np.linalg.norm(near.centers, axis=1), np.linalg.norm(near.sizes, axis=1) / 2.0
-    # only solid boxes, as columns, from the one that begins nearest: each box then asks no more than those before it
+    # only solid boxes, as columns, from the one that begins nearest: each box then tests only those before it
     solids = np.flatnonzero(solid)
     solids = solids[np.argsort((distances - reaches)[solids], kind="stable")]
     begins = (distances - reaches)[solids]
@@ -791,8 +704,8 @@ def _rivals(near: _Near, extents: Float64Array, solid: BoolArray) -> tuple[Int64
     return np.concatenate(found), starts
 
 
-def _truncations(camera: Camera, near: _Near, trajectory: ShutterDirection | None) -> Float64Array:
-    """Which share of the solid angle of each box lies outside the image: of the faces that look at the camera."""
+def _truncations(camera: Camera, near: _Near, shutter: ShutterDirection | None) -> Float64Array:
+    """Which share of the solid angle of each box is outside the image: of the faces towards the camera."""
     all_of, inside_of = np.zeros(len(near.centers)), np.zeros(len(near.centers))
     sides = near.cameras_box / (near.sizes / 2.0)
     for axis in range(3):
@@ -803,34 +716,26 @@ def _truncations(camera: Camera, near: _Near, trajectory: ShutterDirection | Non
             corners = _face_grids(some, axis, np.sign(sides[rows, axis]))
             angles = _solid_angles(corners)
             middles = (corners[:, :-1, :-1] + corners[:, 1:, 1:]).reshape(-1, 3) / 2.0
-            inside = _shown(camera, middles, np.repeat(some.drifts, len(middles) // len(rows), axis=0), trajectory)
+            if shutter is None:
+                inside = project(camera, middles)[1]
+            else:
+                drifts = np.repeat(some.drifts, len(middles) // len(rows), axis=0)
+                pixels = pixels_by_lines(middles, drifts, camera, shutter) + CENTRE_TO_CORNER
+                inside = np.all((pixels >= 0.0) & (pixels <= (camera.width, camera.height)), axis=1)
             all_of[rows] += angles.sum(axis=1)
             inside_of[rows] += np.where(inside.reshape(angles.shape), angles, 0.0).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.clip(1.0 - inside_of / all_of, 0.0, 1.0)
 
 
-def _shown(
-    camera: Camera, points: Float64Array, drifts: Float64Array, trajectory: ShutterDirection | None
-) -> BoolArray:
-    """Report which points fall into the image."""
-    if trajectory is None:
-        return project(camera, points)[1]
-    pixels = pixels_by_lines(points, drifts, camera, trajectory) + CENTRE_TO_CORNER
-    shown: BoolArray = np.all((pixels >= 0.0) & (pixels <= (camera.width, camera.height)), axis=1)
-    return shown
-
-
 def _face_grids(near: _Near, axis: int, sides: Float64Array) -> Float64Array:
     """Corners of the cells of one face of each box, (B, C + 1, C + 1, 3) [m], in the camera's frame."""
     steps = np.linspace(-0.5, 0.5, _CELLS + 1)
-    first, second = (axis + 1) % 3, (axis + 2) % 3
     spans = near.axes * near.sizes[:, None]
     middles = near.centers + spans[:, :, axis] * (sides / 2.0)[:, None]
-    along = steps[:, None, None] * spans[:, None, None, :, first]
-    across = steps[:, None] * spans[:, None, None, :, second]
-    grids: Float64Array = middles[:, None, None] + along + across
-    return grids
+    along = steps[:, None, None] * spans[:, None, None, :, (axis + 1) % 3]
+    across = steps[:, None] * spans[:, None, None, :, (axis + 2) % 3]
+    return np.asarray(middles[:, None, None] + along + across, np.float64)
 
 
 def _solid_angles(corners: Float64Array) -> Float64Array:
@@ -851,20 +756,19 @@ def _solid_angle(a: Float64Array, b: Float64Array, c: Float64Array) -> Float64Ar
 
 
 _SHARES = ("truncation", "occlusion", "occlusion_by_points")
-"""Names of the attributes that report the shares."""
+"""Names of the attributes that hold the shares."""
 
 _LEAST_POINTS = 5
-"""Fewer points before and on a cuboid report no share."""
+"""Points before and on a cuboid that a share needs."""
 
-_STANDS = 1e-9
-"""What goes less far than this while a image is taken does not move [m]."""
+_STATIONARY = 1e-9
+"""What moves less far than this while an image is taken is stationary [m]."""
 
 _DECIMALS = 3
-"""Of shares and pixels that are written: far below what they are good for."""
+"""Of shares and pixels that are written: far below their accuracy."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Observation:
+class _Observation(NamedTuple):
     """One cuboid in one image; its shares in the order of `_SHARES`."""
 
     image: int
@@ -874,12 +778,30 @@ class _Observation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
-    """What one camera saw: observations by row of the table, and its images' times (F,) [ns]."""
+    """The observations of one camera by row of the table, its images' times (F,) [ns], and those without a pose."""
 
     camera_id: Identifier
     timestamps_ns: Int64Array
     observations: dict[int, list[_Observation]]
     unplaced: int
+
+    def add(self, image: int, found: Observations, rows: Int64Array) -> None:
+        """Add the observations of an image, `rows` being those of its boxes."""
+        for k, row in enumerate(rows[found.rows].tolist()):
+            before, on = found.evidences[k].tolist()
+            by_points = before / (before + on) if before + on >= _LEAST_POINTS else None
+            shares = (float(found.truncations[k]), float(found.occlusions[k]), by_points)
+            rounded = tuple(None if share is None else round(share, _DECIMALS) for share in shares)
+            observation = _Observation(image, tuple(found.boxes_xyxy[k].tolist()), rounded)
+            self.observations.setdefault(row, []).append(observation)
+
+    def attributes(self, row: int) -> Iterator[AttributePath]:
+        """The shares of a cuboid over time."""
+        for k, name in enumerate(_SHARES):
+            known = [found for found in self.observations[row] if found.shares[k] is not None]
+            if known:
+                times = self.timestamps_ns[[found.image for found in known]]
+                yield AttributePath(name, tuple(found.shares[k] for found in known), times, sensor_id=self.camera_id)
 
 
 def project_cuboids(
@@ -893,29 +815,30 @@ def project_cuboids(
     activations: bool = False,
     progress: Progress | None = None,
 ) -> Scene:
-    """See all cuboids with the cameras of a scene, and fill their `projections`.
+    """Project all cuboids into the images of a scene, and fill their `projections`.
 
     A cuboid gets a projection for each camera that ever sees it: one row per image while it is there, NaN where that
-    image does not show it. Attributes `truncation` and `occlusion` of the camera report which share of it lies outside
-    the image and which share of the rest nearer cuboids hide, 0 to 1, at the images that show it. What it had of
-    these cameras is replaced, but for boxes that a person confirmed.
+    image does not show it. Attributes `truncation` and `occlusion` of the camera give the share of it that is outside
+    the image and the share of the rest that nearer cuboids hide, 0 to 1, at the images that show it. Existing values of
+    these cameras are replaced, but for boxes that a person confirmed.
 
     Args:
         scene: with cuboids in its world. Images are not decoded.
-        cameras: whose images: "all", an id, or several. Of "all", a camera that is nowhere is passed over.
+        cameras: whose images: "all", an id, or several. With "all", cameras without poses are skipped.
         trajectory: name of the ego trajectory, as for `Scene.samples`.
         min_pixels: what is narrower or lower than this in an image is not seen in it [px].
         see_through: labels of what fills little of its box and shall hide nothing, such as trees.
-        lidar: id of a lidar whose points are asked, too: an attribute `occlusion_by_points` reports which share of its
-            points before and on a cuboid, as the camera sees it, lie before. They know of walls and trees without one.
-        activations: find anew when each camera sees it, by the paths; else only what is active for a camera is seen
-            by it, by its own computed cuboids.
-        progress: reported after each image how many are done, and of how many.
+        lidar: id of a lidar whose points are used, too: an attribute `occlusion_by_points` gives the share of its
+            points before and on a cuboid, as the camera sees it, that are before it. They also show walls and trees
+            without boxes.
+        activations: compute anew when each camera sees a cuboid, by the paths; else only what is active for a camera
+            is seen by it, by its own computed cuboids.
+        progress: called after each image with how many are done, and of how many.
 
     Raises:
         OptionError: there is no such camera, lidar or trajectory, or no camera at all.
-        CalibrationError: nothing confirms the formula of a camera model, and computing with it was not asked for.
-        PoseError: it is not known where a chosen camera was, or any.
+        CalibrationError: the formula of a camera model is unconfirmed, and using it was not asked for.
+        PoseError: the pose of a chosen camera, or of all cameras, is unknown.
         DataError: an image cannot be read.
     """
     scene = scene.corrected()
@@ -937,28 +860,33 @@ def project_cuboids(
     look = _Look(table, frozenset(see_through), min_pixels, swept, anew=activations)
     total = sum(len(camera.images) for camera, _ in placed)
     for camera, source in placed:
-        view = _View(camera.id, camera.images.timestamps_ns, {}, _unplaced(camera, source))
-        for k, found, rows in look.through(camera, source):
-            _keep(view, k, found, rows)
+        times = camera.images.timestamps_ns
+        unplaced = int((~np.isfinite(source.at(times).positions).all(axis=1)).sum())
+        view = _View(camera.id, times, {}, unplaced)
+        for k in range(len(times)):
+            look.through(camera, source, k, view)
             done += 1
             if progress is not None:
                 progress(done, total)
         views.append(view)
-    numbers = {key_of(annotation.id): row for row, annotation in enumerate(table.annotations)}
-    writer = _Writer(views, numbers, table, activations)
-    reported = [_lost(camera) for camera in lost] + [_beyond(view) for view in views if view.unplaced]
+    notes = [("camera-unplaced", f"camera {camera.id!r} sees nothing: its pose is unknown", 1) for camera in lost]
+    for view in views:
+        if view.unplaced:
+            message = f"images of camera {view.camera_id!r} see nothing: they are beyond the ends of its trajectory"
+            notes.append(("images-unplaced", message, view.unplaced))
+    warnings = (
+        DataWarning(kind=WarningKind.SKIPPED, code=code, location="sensors", message=message, count=count)
+        for code, message, count in notes
+    )
+    rows = {key_of(annotation.id): row for row, annotation in enumerate(table.annotations)}
+    writer = _Writer(views, rows, table, activations)
     annotations = tuple(writer.written(annotation) for annotation in scene.annotations)
-    return replace(scene, annotations=annotations, warnings=(*scene.warnings, *reported))
-
-
-def _unplaced(camera: CameraSensor, source: PoseSource) -> int:
-    poses = source.at(camera.images.timestamps_ns)
-    return int((~np.isfinite(poses.positions).all(axis=1)).sum())
+    return replace(scene, annotations=annotations, warnings=(*scene.warnings, *warnings))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Look:
-    """How images are looked at; arguments of `project_cuboids`."""
+    """Looks at images; arguments of `project_cuboids`."""
 
     table: BoxTable
     see_through: Collection[str | None]
@@ -966,66 +894,45 @@ class _Look:
     swept: _SweptPoints | None
     anew: bool
 
-    def query(self, camera: CameraSensor) -> Identifier | None:
-        """The sensor by whose activations cuboids are there; None where activations are found anew."""
-        return None if self.anew else camera.id
-
-    def through(
-        self, camera: CameraSensor, source: PoseSource
-    ) -> Iterator[tuple[int, Observations | None, Int64Array]]:
-        """What each image shows: its number, the observations (None where its pose is not known).
-
-        The rows of its boxes.
-        """
-        shutter = Shutter.of(camera)
-        for k, time_ns in enumerate(camera.images.timestamps_ns.tolist()):
-            image = camera.images[k]
-            location = source.mounted(image.mount)
-            pose = location.at(np.array([time_ns], np.int64))
-            rows, boxes = self.table.find(time_ns, sensor_id=self.query(camera))
-            if not np.isfinite(pose.positions).all():
-                yield k, None, rows
-                continue
-            observations = observe_cuboids(
-                image.camera,
-                RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
-                boxes,
-                hides=np.array([label not in self.see_through for label in boxes.labels], np.bool_),
-                min_pixels=self.min_pixels,
-                points_world=None if self.swept is None else self.swept.at(time_ns),
-                rolling=self._rolling(shutter, time_ns, location, rows, self.query(camera)),
-            )
-            yield k, observations, rows
+    def through(self, camera: CameraSensor, source: PoseSource, k: int, view: _View) -> None:
+        """Add the observations of image `k`, if its pose is known, to a view."""
+        image, time_ns = camera.images[k], int(camera.images.timestamps_ns[k])
+        location = source.mounted(image.mount)
+        pose = location.at(np.array([time_ns], np.int64))
+        # the sensor by whose activations cuboids are there
+        sensor_id = None if self.anew else camera.id
+        rows, boxes = self.table.find(time_ns, sensor_id=sensor_id)
+        if not np.isfinite(pose.positions).all():
+            return
+        observations = observe_cuboids(
+            image.camera,
+            RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
+            boxes,
+            hides=np.array([label not in self.see_through for label in boxes.labels], np.bool_),
+            min_pixels=self.min_pixels,
+            points_world=None if self.swept is None else self.swept.at(time_ns),
+            rolling=self._rolling(Shutter.of(camera), time_ns, location, rows, sensor_id),
+        )
+        view.add(k, observations, rows)
 
     def _rolling(
-        self, shutter: Shutter, time_ns: int, location: PoseSource, rows: Int64Array, query: Identifier | None
+        self, shutter: Shutter, time_ns: int, location: PoseSource, rows: Int64Array, sensor_id: Identifier | None
     ) -> Rolling | None:
-        """What moved while an image was taken; None where nothing did, or all lines were taken at once."""
+        """The motion while an image was taken; None where there is none, or all lines were taken at once."""
         if shutter.seconds == 0.0 or len(rows) == 0:
             return None
-        first, last = (self.table.placed(rows, end, sensor_id=query) for end in shutter.knots_ns(time_ns, 2).tolist())
+        ends_ns = shutter.knots_ns(time_ns, 2).tolist()
+        first, last = (self.table.placed(rows, end_ns, sensor_id=sensor_id) for end_ns in ends_ns)
         drifts = last.corners_world - first.corners_world
         trajectory = ShutterDirection.of(shutter, time_ns, location)
-        if trajectory is None and not (np.abs(drifts) > _STANDS).any():
+        if trajectory is None and not (np.abs(drifts) > _STATIONARY).any():
             return None
         return Rolling(trajectory or ShutterDirection.at_rest(shutter), drifts)
 
 
-def _keep(view: _View, image: int, found: Observations | None, rows: Int64Array) -> None:
-    if found is None:
-        return
-    for k, row in enumerate(rows[found.rows].tolist()):
-        before, on = found.evidences[k].tolist()
-        by_points = before / (before + on) if before + on >= _LEAST_POINTS else None
-        shares = (float(found.truncations[k]), float(found.occlusions[k]), by_points)
-        reported = tuple(None if share is None else round(share, _DECIMALS) for share in shares)
-        observation = _Observation(image, tuple(found.boxes_xyxy[k].tolist()), reported)
-        view.observations.setdefault(row, []).append(observation)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Writer:
-    """Writes what the cameras saw into annotations; `rows` gives the row of a cuboid in the table."""
+    """Writes the observations of the cameras into annotations; `rows` gives the row of a cuboid in the table."""
 
     views: Sequence[_View]
     rows: dict[tuple[type, Identifier], int]
@@ -1036,90 +943,58 @@ class _Writer:
         row = self.rows.get(key_of(annotation.id))
         if not isinstance(annotation, CuboidAnnotation) or row is None:
             return annotation
-        seeing = [view for view in self.views if row in view.observations]
         ids = [view.camera_id for view in self.views]
         keys = {key_of(camera_id) for camera_id in ids}
-        rows = [
-            cuboid_at(
-                annotation,
-                view.timestamps_ns,
-                angles=self.table.angles,
-                sensor_id=None if self.activations else view.camera_id,
-            )
-            for view in seeing
+        projections = [each for each in annotation.projections if key_of(each.sensor_id) not in keys]
+        activations: list[Activation | None] = [
+            each for each in annotation.activations if key_of(each.sensor_id) not in keys
         ]
-        projections = [
-            self._projection(annotation, row, view, *placed) for view, placed in zip(seeing, rows, strict=True)
-        ]
-        others = [each for each in annotation.projections if key_of(each.sensor_id) not in keys]
-        attributes = [path for view in seeing for path in _shares(view, view.observations[row])]
+        attributes: list[AttributePath] = []
+        for view in self.views:
+            if row not in view.observations:
+                continue
+            sensor_id = None if self.activations else view.camera_id
+            cuboids, there = cuboid_at(annotation, view.timestamps_ns, angles=self.table.angles, sensor_id=sensor_id)
+            projections.append(_projection(annotation, row, view, cuboids, there))
+            attributes += view.attributes(row)
+            if self.activations:
+                seen = np.zeros(len(view.timestamps_ns), np.bool_)
+                seen[[found.image for found in view.observations[row]]] = True
+                activations.append(activation_of(view.camera_id, view.timestamps_ns, seen, cuboids))
         written = with_attributes(annotation, attributes, names=_SHARES, sensor_ids=ids)
-        written = replace(written, projections=(*others, *projections))
-        if not self.activations:
-            return written
-        active = [each for each in annotation.activations if key_of(each.sensor_id) not in keys]
-        made = [self._activation(row, view, cuboids) for view, (cuboids, _) in zip(seeing, rows, strict=True)]
-        return replace(written, activations=(*active, *(each for each in made if each is not None)))
-
-    def _projection(
-        self, annotation: CuboidAnnotation, row: int, view: _View, cuboids: Float64Array, there: BoolArray
-    ) -> Projection:
-        boxes = np.full((len(there), 4), np.nan)
-        for found in view.observations[row]:
-            left, top, right, bottom = found.box_xyxy
-            boxes[found.image] = left, top, right - left, bottom - top
-        boxes = np.round(boxes, _DECIMALS)
-        confirmed = _keep_confirmed(annotation, view, boxes)
-        kept = there | confirmed
-        reported = tuple(confirmed[kept].tolist()) if confirmed.any() else None
-        return Projection(view.camera_id, view.timestamps_ns[kept], boxes[kept], reported, cuboids[kept])
-
-    def _activation(self, row: int, view: _View, cuboids: Float64Array) -> Activation | None:
-        seen = np.zeros(len(view.timestamps_ns), np.bool_)
-        seen[[found.image for found in view.observations[row]]] = True
-        return activation_of(view.camera_id, view.timestamps_ns, seen, cuboids)
+        if self.activations:
+            written = replace(written, activations=tuple(each for each in activations if each is not None))
+        return replace(written, projections=tuple(projections))
 
 
-def _keep_confirmed(annotation: CuboidAnnotation, view: _View, boxes: Float64Array) -> BoolArray:
-    """Put back the boxes that a person confirmed; says at which images."""
-    confirmed = np.zeros(len(boxes), np.bool_)
+def _projection(
+    annotation: CuboidAnnotation, row: int, view: _View, cuboids: Float64Array, there: BoolArray
+) -> Projection:
+    """The boxes of a cuboid in the images of a camera; those that a person confirmed are kept."""
+    boxes, confirmed = np.full((len(there), 4), np.nan), np.zeros(len(there), np.bool_)
+    for found in view.observations[row]:
+        left, top, right, bottom = found.box_xyxy
+        boxes[found.image] = left, top, right - left, bottom - top
+    boxes = np.round(boxes, _DECIMALS)
     for older in annotation.projections:
         if key_of(older.sensor_id) != key_of(view.camera_id) or older.boxes is None or older.confirmed is None:
             continue
         for time_ns, box, is_confirmed in zip(older.timestamps_ns.tolist(), older.boxes, older.confirmed, strict=True):
-            images = np.flatnonzero(view.timestamps_ns == time_ns) if is_confirmed else ()
-            for image in images:
-                boxes[image], confirmed[image] = box, True
-    return confirmed
-
-
-def _shares(view: _View, observations: Sequence[_Observation]) -> Iterator[AttributePath]:
-    for k, name in enumerate(_SHARES):
-        reported = [found for found in observations if found.shares[k] is not None]
-        if reported:
-            times = view.timestamps_ns[[found.image for found in reported]]
-            yield AttributePath(name, tuple(found.shares[k] for found in reported), times, sensor_id=view.camera_id)
-
-
-def _lost(camera: CameraSensor) -> DataWarning:
-    message = f"camera {camera.id!r} sees nothing: it is not known where it was"
-    return DataWarning(kind=WarningKind.SKIPPED, code="camera-unplaced", location="sensors", message=message)
-
-
-def _beyond(view: _View) -> DataWarning:
-    message = f"images of camera {view.camera_id!r} see nothing: they lie beyond the ends of its trajectory"
-    return DataWarning(
-        kind=WarningKind.SKIPPED, code="images-unplaced", location="sensors", message=message, count=view.unplaced
-    )
+            if is_confirmed:
+                images = view.timestamps_ns == time_ns
+                boxes[images], confirmed[images] = box, True
+    kept = there | confirmed
+    flags = tuple(confirmed[kept].tolist()) if confirmed.any() else None
+    return Projection(view.camera_id, view.timestamps_ns[kept], boxes[kept], flags, cuboids[kept])
 
 
 _BEHIND = 1e-9
-"""Of two boxes that begin at the same location, to this share of the distance, neither hides the other."""
+"""Of two boxes that begin at the same distance, up to this share of it, neither hides the other."""
 
 
 @inlined
 def _centre(k, b, centers, lines, drifts):  # type: ignore[no-untyped-def]
-    """Where a box is from where ray k begins, while the line of the ray was taken."""
+    """Position of a box relative to the origin of ray k, when the line of the ray was taken."""
     x, y, z = centers[b, 0], centers[b, 1], centers[b, 2]
     if len(lines):
         x += lines[k, 3] * drifts[b, 0] - lines[k, 0]
@@ -1160,18 +1035,10 @@ def _entry(x, y, z, centre, b, rotations, halves):  # type: ignore[no-untyped-de
     "float64[:,::1], int64[::1], int64[::1], int64[::1], int64[::1])"
 )
 def count_observations(
-    rays: Float64Array,
-    ray_starts: Int64Array,
-    centers: Float64Array,
-    rotations: Float64Array,
-    halves: Float64Array,
-    lines: Float64Array,
-    drifts: Float64Array,
-    rival_starts: Int64Array,
-    rivals: Int64Array,
-    met: Int64Array,
+    rays: Float64Array, ray_starts: Int64Array, centers: Float64Array, rotations: Float64Array, halves: Float64Array,
+    lines: Float64Array, drifts: Float64Array, rival_starts: Int64Array, rivals: Int64Array, met: Int64Array,
     hidden: Int64Array,
-) -> None:
+) -> None:  # fmt: skip
     """Count the rays that meet each box, and those of them that meet another one before.
 
     Args:
@@ -1211,17 +1078,9 @@ def count_observations(
     "float64[:,::1], float64[:,::1], float64, int64[:,::1])"
 )
 def count_evidence(
-    points: Float64Array,
-    pixels: Float64Array,
-    extents: Float64Array,
-    centers: Float64Array,
-    rotations: Float64Array,
-    halves: Float64Array,
-    lines: Float64Array,
-    drifts: Float64Array,
-    margin: float,
-    evidence: Int64Array,
-) -> None:
+    points: Float64Array, pixels: Float64Array, extents: Float64Array, centers: Float64Array, rotations: Float64Array,
+    halves: Float64Array, lines: Float64Array, drifts: Float64Array, margin: float, evidence: Int64Array,
+) -> None:  # fmt: skip
     """Count the points that lie before each box, as the camera sees them, and those that lie on or in it.
 
     Args:

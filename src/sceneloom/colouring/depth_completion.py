@@ -1,47 +1,37 @@
-"""Dense depth images from sparse ones, by gaps between scan lines or by triangulated surfaces.
-
-With a confidence for each pixel.
+"""Dense depth images from sparse ones, by gaps between scan lines or by triangulated surfaces, with a confidence.
 
 With x, y the direction of a pixel (x/z, y/z of the points in it), a plane n·p = d has 1/z = n·(x, y, 1) / d. So the
-inverse depth changes evenly over the image, by at most 1/d for each radian, however far away and however grazing the
+inverse depth changes linearly over the image, by at most 1/d for each radian, however far away and however grazing the
 plane is seen: a road 1.65 m below the camera has the slope 0.6 1/m everywhere. Steeper is only what passes the camera
-nearer than that, or a jump from one thing to another.
+nearer than that, or a jump from one object to another.
 
 How near surfaces pass the camera is measured: most of a street's image is ground and walls, so 0.7 of the image is
 no steeper than they are. What is 1.3 times as steep is half a jump.
 
-Morphology closes a gap by widening what is known and drawing the rim back; here the two rims are joined by what lies
-between them: evenly in inverse depth on one surface, evenly in depth across a jump, where that errs least. Samples are
-first widened along their row to their neighbours on the scan line, so that columns meet the lines.
+Morphology closes a gap by dilating what is known and eroding the rim again; here the two rims are joined by what is
+between them: linearly in inverse depth on one surface, linearly in depth across a jump, where that errs least. Samples
+are first widened along their row to their neighbours on the scan line, so that columns meet the lines.
 
 Triangles (Delaunay) hold inverse depth, in which planes are linear, so a plane comes out exactly; the slopes around
-their corners report how surfaces bend between scan lines. Across jumps they state little: there, depths flow in from
+their corners show how surfaces bend between scan lines. Across jumps they mean little: there, depths flow in from
 the surfaces on both sides, over pixels of one colour and hardly across edges of the image.
 
 A pixel's confidence is the share of pixels like it whose depth was less than 0.5 m, or 5 %, from the truth. Alike are
-pixels with the same doubt (how far apart the depths are between which the pixel lies, in units of that tolerance, of
-which a twentieth counts where they are of one surface) and the same gap (in spacings of the scan lines). Both tables
-fall along rows and columns. `python -m benchmarks.depth fit` makes them; the sky counts as wrong.
+pixels with the same doubt (how far apart the depths around the pixel are, in units of that tolerance, of which a
+twentieth counts where they are of one surface) and the same gap (in spacings of the scan lines). Both tables fall along
+rows and columns. `python -m benchmarks.depth fit` makes them; the sky counts as wrong.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numba import float32, int32, int64, void
 
-from sceneloom.arrays import (
-    AnyArray,
-    BoolArray,
-    Float32Array,
-    Float64Array,
-    Int64Array,
-    UInt8Array,
-    check_array,
-)
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
 from sceneloom.colouring.results import FusedView
@@ -83,11 +73,11 @@ class DenseDepth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """The measured points that an image shows.
+    """The measured points in an image.
 
     Attributes:
         image: (H, W) float32 [m], the nearest of each pixel, 0 for none.
-        pixels: (N, 2) float32 [px], where each is.
+        pixels: (N, 2) float32 [px], their positions.
         depths: (N,) float32 [m], all positive and finite.
     """
 
@@ -97,7 +87,7 @@ class Samples:
 
     @classmethod
     def of_view(cls, view: FusedView) -> "Samples":
-        """The visible points of a view, at their locations between the pixels."""
+        """The visible points of a view, at their positions between the pixels."""
         kept = view.visible & (view.depths > 0) & np.isfinite(view.depths)
         return cls(view.depth_image, view.pixels[kept], view.depths[kept])
 
@@ -116,13 +106,13 @@ class Samples:
                 f"sparse[{row}, {column}]: {sparse[row, column]}; expected metres, 0 where there is no depth"
             )
         image = np.ascontiguousarray(sparse)
-        locations = np.flatnonzero(image)
-        rows, columns = np.divmod(locations, camera.width)
-        return cls(image, np.stack([columns, rows], axis=1).astype(np.float32), image.ravel()[locations])
+        numbers = np.flatnonzero(image)
+        rows, columns = np.divmod(numbers, camera.width)
+        return cls(image, np.stack([columns, rows], axis=1).astype(np.float32), image.ravel()[numbers])
 
 
 def pixels_per_radian(camera: Camera) -> float:
-    """How many pixels a radian takes in the middle of the image, of any camera model.
+    """Pixels per radian in the middle of the image, of any camera model.
 
     Raises:
         CalibrationError: the camera's model is unknown or has other coefficients.
@@ -137,7 +127,7 @@ def pixels_per_radian(camera: Camera) -> float:
 
 
 def _weighted_quantile(values: AnyArray, weights: AnyArray, share: float) -> float:
-    """The value below which this share of the weight lies; 0 of nothing."""
+    """The value below which this share of the weight is; 0 of nothing."""
     if len(values) == 0:
         return 0.0
     order = np.argsort(values)
@@ -149,29 +139,21 @@ _SURFACES = 0.7
 _STEEPER = 1.2
 
 _LEAST, _MOST = 0.5, 10.0
-"""Bounds of what counts as steep [1/m/rad]: surfaces that pass the camera at 2 m are never cut apart."""
+"""Bounds of the steepest slope [1/m/rad]: surfaces that pass the camera at 2 m are never cut apart."""
 
 _EVEN, _SUDDEN = 0.85, 1.3
-"""Up to 0.85 of it there is one surface; from 1.3 on there are two."""
+"""Up to 0.85 of the steepest slope two samples are of one surface; from 1.3 on there is a jump between them."""
 
 
 def _steepest_slope(slopes: AnyArray, weights: AnyArray, per_radian: float) -> float:
-    """Give how much the inverse depth of one surface changes at most from pixel to pixel [1/m/px].
+    """The largest change of the inverse depth of one surface from pixel to pixel [1/m/px].
 
-    Args:
-        slopes: (N,) [1/m/px], measured ones.
-        weights: (N,), how much of the image each of them is of.
-        per_radian: pixels per radian.
+    `slopes` (N,) [1/m/px], measured ones; `weights` (N,), how much of the image each of them is of; `per_radian`:
+    pixels per radian.
     """
     finite = np.isfinite(slopes)
     usual = _weighted_quantile(slopes[finite], weights[finite], _SURFACES)
     return float(np.clip(_STEEPER * usual * per_radian, _LEAST, _MOST)) / per_radian
-
-
-def _trusts_of(slopes: AnyArray, steepest: float) -> Float32Array:
-    """Give 1 for slopes of one surface, 0 for jumps, and what is between for what is between."""
-    jumps = np.clip((slopes / steepest - _EVEN) / (_SUDDEN - _EVEN), 0.0, 1.0)
-    return (1.0 - jumps).astype(np.float32)
 
 
 _WIDENED_PER_STEP = 0.6
@@ -180,7 +162,7 @@ _WIDENED_PER_STEP = 0.6
 _USUAL_STEP_SHARE = 0.4
 
 _THIN = 2.0
-"""Up to so many rows apart samples are of one scan line, which is on its trajectory from row to row [px]."""
+"""Up to so many rows apart samples are of one scan line, which crosses from row to row [px]."""
 
 _LONGEST, _REACH = 3.0, 1.0
 """The longest gap that is closed, and how far the last scan line reaches, in spacings of the lines."""
@@ -188,37 +170,35 @@ _LONGEST, _REACH = 3.0, 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Filled:
-    """A dense depth image in the making.
+    """A dense depth image."""
 
-    Attributes:
-        depths: (H, W) float32 [m], 0 for none.
-        trusts: (H, W) float32, 1 on one surface, 0 across a jump.
-        spreads: (H, W) float32 [m], how far apart the depths are that a pixel lies between.
-        gaps: (H, W) float32 [px], how far apart they are in the image.
-        spacing: between scan lines [px]; 0 where there are no two.
-    """
-
-    depths: Float32Array
-    trusts: Float32Array
-    spreads: Float32Array
-    gaps: Float32Array
-    spacing: float
+    depths: Float32Array  # (H, W) float32 [m], 0 for none
+    trusts: Float32Array  # (H, W) float32, 1 on one surface, 0 across a jump
+    spreads: Float32Array  # (H, W) float32 [m], how far apart the depths around a pixel are
+    gaps: Float32Array  # (H, W) float32 [px], how far apart they are in the image
+    spacing: float  # between scan lines [px]; 0 where there are no two
 
 
 def _close_gaps(samples: Samples, per_radian: float) -> _Filled:
-    """Fill the gaps between samples.
-
-    Args:
-        samples: the measured points.
-        per_radian: pixels per radian.
-    """
+    """Fill the gaps between samples along columns and rows."""
     sparse = samples.image
-    locations = np.flatnonzero(sparse)
-    rows, columns = np.divmod(locations, sparse.shape[1])
+    rows, columns = np.divmod(np.flatnonzero(sparse), sparse.shape[1])
+    # how far a sample is widened [px]; 0 where no two are in one row
+    steps = np.diff(columns)[np.diff(rows) == 0]
+    slack = 0
+    if len(steps):
+        at = int(_USUAL_STEP_SHARE * (len(steps) - 1))
+        slack = max(1, round(_WIDENED_PER_STEP * float(np.partition(steps, at)[at])))
     widened, above, distances = (np.empty_like(sparse) for _ in range(3))
-    widen_samples(sparse, _widening(rows, columns), widened)
+    widen_samples(sparse, slack, widened)
     look_up(widened, above, distances)
-    spacing, steepest = _measure(sparse, rows, columns, above, distances, per_radian)
+    rows, columns = rows[rows > 0], columns[rows > 0]
+    apart = distances[rows - 1, columns] + 1.0
+    between = (apart > _THIN) & (apart < sparse.shape[0])
+    rows, columns, apart = rows[between], columns[between], apart[between]
+    changes = np.abs(1.0 / sparse[rows, columns] - 1.0 / above[rows - 1, columns])
+    spacing = float(np.median(apart)) if len(apart) else 0.0
+    steepest = _steepest_slope(changes / apart, apart, per_radian)
     depths, trusts, spreads, gaps = (np.empty_like(sparse) for _ in range(4))
     longest = _LONGEST * spacing
     fill_down(widened, above, distances, longest, _REACH * spacing, steepest, depths, trusts, spreads, gaps)
@@ -226,51 +206,16 @@ def _close_gaps(samples: Samples, per_radian: float) -> _Filled:
     return _Filled(depths, trusts, spreads, gaps, spacing)
 
 
-def _blend(depths: Float32Array) -> Float32Array:
-    """Average each pixel with its filled neighbours, over five pixels."""
-    blended = np.empty_like(depths)
-    blend_neighbours(depths, np.empty((2, depths.size), np.float32), blended)
-    return blended
-
-
-def _widening(rows: np.ndarray, columns: np.ndarray) -> int:
-    """How far a sample is widened [px]; 0 where no two are in one row."""
-    steps = np.diff(columns)[np.diff(rows) == 0]
-    if len(steps) == 0:
-        return 0
-    at = int(_USUAL_STEP_SHARE * (len(steps) - 1))
-    return max(1, round(_WIDENED_PER_STEP * float(np.partition(steps, at)[at])))
-
-
-def _measure(
-    sparse: Float32Array,
-    rows: np.ndarray,
-    columns: np.ndarray,
-    above: Float32Array,
-    distances: Float32Array,
-    per_radian: float,
-) -> tuple[float, float]:
-    """Give the spacing of the scan lines [px], and the steepest slope of one surface [1/m/px]."""
-    inner = rows > 0
-    rows, columns = rows[inner], columns[inner]
-    apart = distances[rows - 1, columns] + 1.0
-    between = (apart > _THIN) & (apart < sparse.shape[0])
-    rows, columns, apart = rows[between], columns[between], apart[between]
-    changes = np.abs(1.0 / sparse[rows, columns] - 1.0 / above[rows - 1, columns])
-    spacing = float(np.median(apart)) if len(apart) else 0.0
-    return spacing, _steepest_slope(changes / apart, apart, per_radian)
-
-
 _LONGEST_SURFACE, _LONGEST_JUMP = 12.0, 2.5
 """The longest side of a triangle that is filled, in spacings of the scan lines."""
 
 _SLIVER_PX2 = 0.05
-"""Triangles of less area report no slope."""
+"""Smaller triangles give no slope."""
 
 _TRUST_OF_JUMPS = 0.02
 
 _EDGE_LEVELS = 12.0
-"""A difference of so many levels, all three channels together, weakens what flows between two pixels by e."""
+"""A difference of so many levels, all three channels together, weakens the flow between two pixels by e."""
 
 _ROTATIONS = 2
 
@@ -278,19 +223,13 @@ _FLOW = 0.5
 """How far depths flow, as a share of the squared spacing of the scan lines."""
 
 _BELIEF_IN_EDGES = np.float32(0.85)
-"""Not every edge of an image is one of a thing: by so much jumps go to where the image has them."""
+"""Not every edge of an image is one of an object: by this share jumps move to the image's edges."""
 
 _UNDRAWN = 2.0
 
 
 def _cover_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) -> _Filled:
-    """Fill an image from triangles between its samples.
-
-    Args:
-        samples: the measured points.
-        rgb: (H, W, 3) uint8, the image; None: jumps are placed without one.
-        per_radian: pixels per radian.
-    """
+    """Fill an image from triangles between its samples, with jumps at the edges of the image (H, W, 3), if any."""
     filled = _close_gaps(samples, per_radian)
     triangles = triangles_between(samples.pixels, *samples.image.shape)
     inverse_depths, measures = np.reciprocal(samples.depths), np.empty((len(triangles), 3), np.float32)
@@ -300,12 +239,19 @@ def _cover_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float)
     broad = areas > _SLIVER_PX2
     spacing = _weighted_quantile(sides, areas, 0.5)
     steepest = _steepest_slope(slopes[broad], areas[broad], per_radian)
-    trusts = _trusts_of(slopes, steepest)
+    # 1 for slopes of one surface, 0 for jumps
+    trusts = (1.0 - np.clip((slopes / steepest - _EVEN) / (_SUDDEN - _EVEN), 0.0, 1.0)).astype(np.float32)
     bends = np.empty_like(samples.pixels)
     measure_slopes(samples.pixels, inverse_depths, triangles, trusts, bends, np.empty_like(samples.depths))
-    beyond = _fill(samples, bends, triangles, sides, trusts, spacing, filled)
-    depths = _guide(filled, beyond, rgb, spacing)
-    return _Filled(depths, filled.trusts, filled.spreads, filled.gaps, spacing)
+    # draw the triangles that are not too large over the closed gaps
+    small: BoolArray = sides <= np.where(trusts > 0.5, _LONGEST_SURFACE, _LONGEST_JUMP) * max(spacing, 2.0)
+    beside = filled.trusts.copy()
+    filled.trusts.fill(_UNDRAWN)
+    images = filled.depths, filled.trusts, filled.spreads, filled.gaps
+    fill_triangles(samples.pixels, samples.depths, bends, triangles, small, trusts, sides, *images)
+    beyond: BoolArray = filled.trusts == _UNDRAWN
+    np.copyto(filled.trusts, beside, where=beyond)
+    return replace(filled, depths=_guide(filled, beyond, rgb, spacing), spacing=spacing)
 
 
 def triangles_between(pixels: Float32Array, height: int, width: int) -> AnyArray:
@@ -322,40 +268,21 @@ def triangles_between(pixels: Float32Array, height: int, width: int) -> AnyArray
     inner = np.rint((pixels.astype(np.float64) + 0.5) * scale).astype(np.int64)
     most = int(np.ceil(extent * scale)) + 1
     corners = np.array([[-most, -most], [2 * most, -most], [2 * most, 2 * most], [-most, 2 * most]])
-    points = np.concatenate([corners, inner])
     codes = np.empty(len(inner), np.int64)
     hilbert_codes(np.ascontiguousarray(inner), codes)
     triangles = np.empty((2 * len(inner) + 2, 3), np.int32)
-    count = triangulate(points, np.argsort(codes) + CORNERS, triangles)
+    count = triangulate(np.concatenate([corners, inner]), np.argsort(codes) + CORNERS, triangles)
     triangles = triangles[:count]
     return np.ascontiguousarray(triangles[(triangles >= CORNERS).all(axis=1)] - np.int32(CORNERS))
-
-
-def _fill(
-    samples: Samples,
-    bends: Float32Array,
-    triangles: AnyArray,
-    sides: Float32Array,
-    trusts: Float32Array,
-    spacing: float,
-    filled: _Filled,
-) -> BoolArray:
-    """Draw the triangles that are not too large over what the gaps reported; report where there are none."""
-    longest = np.where(trusts > 0.5, _LONGEST_SURFACE, _LONGEST_JUMP) * max(spacing, 2.0)
-    small: BoolArray = sides <= longest
-    beside = filled.trusts.copy()
-    filled.trusts.fill(_UNDRAWN)
-    images = (filled.depths, filled.trusts, filled.spreads, filled.gaps)
-    fill_triangles(samples.pixels, samples.depths, bends, triangles, small, trusts, sides, *images)
-    beyond: BoolArray = filled.trusts == _UNDRAWN
-    np.copyto(filled.trusts, beside, where=beyond)
-    return beyond
 
 
 def _guide(filled: _Filled, beyond: BoolArray, rgb: UInt8Array | None, spacing: float) -> Float32Array:
     """Let depths flow from surfaces into jumps along the image; on surfaces and beyond triangles they stay."""
     depths, trusts = filled.depths, np.where(beyond, np.float32(0), filled.trusts)
-    rightward, downward = _links(rgb, depths)
+    # strength of the links between pixels, all equal without an image
+    image = np.zeros((*depths.shape, 3), np.uint8) if rgb is None else np.ascontiguousarray(rgb)
+    rightward, downward = np.empty_like(depths), np.empty_like(depths)
+    link_pixels(image, np.exp(-np.arange(766) / _EDGE_LEVELS).astype(np.float32), rightward, downward)
     weights = np.where(depths > 0, trusts + np.float32(_TRUST_OF_JUMPS), np.float32(0))
     flows, room = weights * depths, np.empty_like(depths)
     for rotation in range(1, _ROTATIONS + 1):
@@ -367,17 +294,8 @@ def _guide(filled: _Filled, beyond: BoolArray, rgb: UInt8Array | None, spacing: 
     return np.where(beyond, depths, guided)
 
 
-def _links(rgb: UInt8Array | None, depths: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """How freely depth flows from each pixel to the right and down; as over one colour where there is no image."""
-    image = np.zeros((*depths.shape, 3), np.uint8) if rgb is None else np.ascontiguousarray(rgb)
-    rightward, downward = np.empty_like(depths), np.empty_like(depths)
-    link_of_difference = np.exp(-np.arange(766) / _EDGE_LEVELS).astype(np.float32)
-    link_pixels(image, link_of_difference, rightward, downward)
-    return rightward, downward
-
-
 TOLERANCE, TOLERANCE_SHARE = 0.5, 0.05
-"""What counts as right: an error of less than 0.5 m, or of less than 5 % where that is more."""
+"""Depths count as right with an error of less than 0.5 m, or of less than 5 % where that is more."""
 
 SLOPE_SHARE = 0.05
 DOUBT_STEPS = (0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
@@ -410,31 +328,6 @@ _TABLES: Mapping[str, tuple[tuple[float, ...], ...]] = MappingProxyType(
 """Confidence by method, row by row of rising doubt, column by column of rising gaps."""
 
 
-def _grade(method: str, filled: _Filled) -> Float32Array:
-    """Give the confidence of each pixel, (H, W) float32, 0 to 1.
-
-    Args:
-        method: whose table counts.
-        filled: what the method made.
-    """
-    confidence = np.empty_like(filled.depths)
-    grade_depths(
-        filled.depths,
-        filled.trusts,
-        filled.spreads,
-        filled.gaps,
-        max(filled.spacing, 1.0),
-        TOLERANCE,
-        TOLERANCE_SHARE,
-        SLOPE_SHARE,
-        np.array(DOUBT_STEPS, np.float32),
-        np.array(GAP_STEPS, np.float32),
-        np.array(_TABLES[method], np.float32),
-        confidence,
-    )
-    return confidence
-
-
 def complete_depth(
     source: FusedView | Float32Array,
     camera: Camera | None = None,
@@ -442,22 +335,22 @@ def complete_depth(
     *,
     method: str = "quality",
 ) -> DenseDepth:
-    """Give a depth to every pixel near measured points, and state how far each can be trusted.
+    """Give a depth, and its confidence, to every pixel near measured points.
 
-    Points must be free of what the camera does not see: of a view the hidden ones are left out. What has no points near
-    it, as the sky, stays empty.
+    Points must be visible: of a view the hidden ones are left out. Where no points are near, as in the sky, there is
+    no depth.
 
     Args:
-        source: a sweep in an image, whose points count at their exact locations; or (H, W) float32 [m], the depths of
+        source: a sweep in an image, whose points count at their exact positions; or (H, W) float32 [m], the depths of
             some pixels, 0 for none.
         camera: the camera model of the image; a view has its own.
-        rgb: (H, W, 3) uint8, the image, by which `quality` locations jumps; None: that of the view, or none.
+        rgb: (H, W, 3) uint8, the image, by which `quality` places jumps; None: that of the view, or none.
         method: a name out of `METHODS`.
 
     Raises:
         ArrayError: an array is not of the camera's size, or a depth is NaN, infinite or negative.
         CalibrationError: the camera's model is unknown or has other coefficients.
-        OptionError: the method is not known.
+        OptionError: the method is unknown.
     """
     if method not in METHODS:
         raise OptionError(f"method {method!r}; expected one of {', '.join(METHODS)}")
@@ -470,30 +363,31 @@ def complete_depth(
         camera_model, samples, image = camera, Samples.of_image(source, camera), rgb
     check_array("rgb", image, (camera_model.height, camera_model.width, 3), np.uint8, optional=True)
     filled = METHODS[method](samples, image, pixels_per_radian(camera_model))
-    return DenseDepth(filled.depths, _grade(method, filled))
+    confidence = np.empty_like(filled.depths)
+    doubts, gaps, table = (np.array(one, np.float32) for one in (DOUBT_STEPS, GAP_STEPS, _TABLES[method]))
+    grade_depths(
+        filled.depths, filled.trusts, filled.spreads, filled.gaps, max(filled.spacing, 1.0), TOLERANCE,
+        TOLERANCE_SHARE, SLOPE_SHARE, doubts, gaps, table, confidence,
+    )  # fmt: skip
+    return DenseDepth(filled.depths, confidence)
 
 
 def _fill_fast(samples: Samples, _: UInt8Array | None, per_radian: float) -> _Filled:
     filled = _close_gaps(samples, per_radian)
-    return _Filled(_blend(filled.depths), filled.trusts, filled.spreads, filled.gaps, filled.spacing)
+    blended = np.empty_like(filled.depths)
+    blend_neighbours(filled.depths, np.empty((2, filled.depths.size), np.float32), blended)
+    return replace(filled, depths=blended)
 
 
 _Method = Callable[[Samples, UInt8Array | None, float], _Filled]
 """Fills an image: samples, the image or None, pixels per radian."""
 
 METHODS: Mapping[str, _Method] = MappingProxyType({"fast": _fill_fast, "quality": _cover_surfaces})
-"""Name of each method and what runs it."""
-
+"""The methods by name."""
 
 _FAR = np.float32(1e6)
-
-
 _NOTHING = np.float32(0)
-
-
 _EVEN_UP_TO, _PER_STEEPNESS = np.float32(_EVEN), np.float32(1.0 / (_SUDDEN - _EVEN))
-"""Up to 0.85 of the steepest slope two samples are of one surface; from 1.3 on there is a jump between them."""
-
 
 _BEYOND = np.float32(0.3)
 """How far another surface may be, as a share of the depth, where only one side is known."""
@@ -503,10 +397,7 @@ _BEYOND = np.float32(0.3)
 def widen_samples(sparse: Float32Array, slack: int, widened: Float32Array) -> None:
     """Widen each sample along its row, by at most `slack` pixels; what lies between two is shared out by halves.
 
-    Args:
-        sparse: (H, W) [m], 0 for nothing.
-        slack: [px].
-        widened: (H, W) [m], written.
+    `sparse` (H, W) [m], 0 for nothing; `slack` [px]; `widened` (H, W) [m], written.
     """
     height, width = sparse.shape
     for row in range(height):
@@ -529,10 +420,8 @@ def widen_samples(sparse: Float32Array, slack: int, widened: Float32Array) -> No
 def look_up(widened: Float32Array, depths: Float32Array, distances: Float32Array) -> None:
     """Give the next sample above each pixel, itself included, and how many rows it is away.
 
-    Args:
-        widened: (H, W) [m], 0 for nothing.
-        depths: (H, W) [m], written; 0 for none.
-        distances: (H, W) [px], written; very large for none.
+    `widened` (H, W) [m], 0 for nothing; `depths` (H, W) [m], written; 0 for none; `distances` (H, W) [px], written;
+    very large for none.
     """
     height, width = widened.shape
     for column in range(width):
@@ -548,7 +437,7 @@ def look_up(widened: Float32Array, depths: Float32Array, distances: Float32Array
 
 @inlined
 def _join(near: float, to_near: float, other: float, to_other: float, steepest: float) -> tuple[Any, Any]:
-    """Give depth and trust of a pixel between two samples that lie so many pixels from it."""
+    """Depth and trust of a pixel between two samples that are so many pixels away."""
     one = np.float32(1)
     gap = to_near + to_other
     share = to_other / gap
@@ -559,24 +448,15 @@ def _join(near: float, to_near: float, other: float, to_other: float, steepest: 
     return (one - jump) / inverse + jump * (share * near + (one - share) * other), one - jump
 
 
-@kernel(
-    void(
-        IN_F32_2D, IN_F32_2D, IN_F32_2D, float32, float32, float32, float32[:, ::1], float32[:, ::1], float32[:, ::1],
-        float32[:, ::1],
-    )
-)  # fmt: skip
+@kernel(void(
+    IN_F32_2D, IN_F32_2D, IN_F32_2D, float32, float32, float32, float32[:, ::1], float32[:, ::1], float32[:, ::1],
+    float32[:, ::1]
+))  # fmt: skip
 def fill_down(
-    widened: Float32Array,
-    depths_above: Float32Array,
-    distances_above: Float32Array,
-    longest: float,
-    reach: float,
-    steepest: float,
-    depth_image: Float32Array,
-    trust_image: Float32Array,
-    spread_image: Float32Array,
+    widened: Float32Array, depths_above: Float32Array, distances_above: Float32Array, longest: float, reach: float,
+    steepest: float, depth_image: Float32Array, trust_image: Float32Array, spread_image: Float32Array,
     gap_image: Float32Array,
-) -> None:
+) -> None:  # fmt: skip
     """Fill gaps along columns: between two samples by both, beyond the last one a little trajectory by this one.
 
     Args:
@@ -595,11 +475,7 @@ def fill_down(
     one = np.float32(1)
     for row in range(height - 1, -1, -1):
         for column in range(width):
-            here, above, to_above = (
-                widened[row, column],
-                depths_above[row, column],
-                distances_above[row, column],
-            )
+            here, above, to_above = (widened[row, column], depths_above[row, column], distances_above[row, column])
             known = here > 0
             other = here if known else below[column]
             to_other = _NOTHING if known else distances[column] + one
@@ -619,21 +495,14 @@ def fill_down(
 
 @kernel(void(IN_F32_2D, float32, float32, float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1]))
 def fill_across(
-    sparse: Float32Array,
-    longest: float,
-    steepest: float,
-    depth_image: Float32Array,
-    trust_image: Float32Array,
-    spread_image: Float32Array,
-    gap_image: Float32Array,
-) -> None:
+    sparse: Float32Array, longest: float, steepest: float, depth_image: Float32Array, trust_image: Float32Array,
+    spread_image: Float32Array, gap_image: Float32Array,
+) -> None:  # fmt: skip
     """Fill gaps along rows where that is the shorter arc, as `fill_down` does along columns.
 
-    Args:
-        sparse: (H, W) [m], the samples, 0 for nothing.
-        longest: the longest gap that is filled [px].
-        steepest: how much the inverse depth of one surface changes at most from pixel to pixel [1/m/px].
-        depth_image, trust_image, spread_image, gap_image: (H, W), what is known already; written.
+    `sparse` (H, W) [m], the samples, 0 for nothing; `longest`: the longest gap that is filled [px]; `steepest`: how
+    much the inverse depth of one surface changes at most from pixel to pixel [1/m/px]; `depth_image`, `trust_image`,
+    `spread_image`, `gap_image` (H, W), what is known already; written.
     """
     height, width = sparse.shape
     for row in range(height):
@@ -658,10 +527,8 @@ def fill_across(
 def blend_neighbours(depth_image: Float32Array, room: Float32Array, blended: Float32Array) -> None:
     """Average each filled pixel with the filled ones beside it, weighted 1 4 6 4 1 along both axes.
 
-    Args:
-        depth_image: (H, W) [m], 0 for nothing.
-        room: (2, H * W), overwritten.
-        blended: (H, W) [m], written; 0 where `depth_image` is.
+    `depth_image` (H, W) [m], 0 for nothing; `room` (2, H * W), overwritten; `blended` (H, W) [m], written; 0 where
+    `depth_image` is.
 
     Source: Burt 1981, Computer Graphics and Image Processing 16, the binomial kernel of five.
     """
@@ -700,13 +567,11 @@ def blend_neighbours(depth_image: Float32Array, room: Float32Array, blended: Flo
 
 _HALF = np.float32(0.5)
 
-
 _SLIVER = np.float32(0.1)
-"""Twice the least area of a triangle that reports a slope [px²]."""
-
+"""Twice the least area of a triangle that gives a slope [px²]."""
 
 _ROUNDING = np.float32(1e-4)
-"""How far outside a triangle a pixel may lie and still be filled by it, as a share of the triangle."""
+"""How far outside a triangle a pixel may be and still be filled by it, as a share of the triangle."""
 
 
 @kernel(void(IN_F32_2D, IN_F32_1D, IN_I32_2D, float32[:, ::1]))
@@ -715,12 +580,9 @@ def measure_triangles(
 ) -> None:
     """Measure each triangle.
 
-    Args:
-        pixels: (N, 2) [px].
-        inverse_depths: (N,) [1/m].
-        triangles: (T, 3).
-        measures: (T, 3), written: area [px²]; length of the longest side [px]; how much the inverse depth changes for
-            a pixel, the steepest trajectory [1/m/px], infinite for triangles without area.
+    `pixels` (N, 2) [px]; `inverse_depths` (N,) [1/m]; `triangles` (T, 3); `measures` (T, 3), written: area [px²];
+    length of the longest side [px]; how much the inverse depth changes for a pixel, the steepest trajectory [1/m/px],
+    infinite for triangles without area.
     """
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -737,22 +599,14 @@ def measure_triangles(
 
 @kernel(void(IN_F32_2D, IN_F32_1D, IN_I32_2D, IN_F32_1D, float32[:, ::1], float32[::1]))
 def measure_slopes(
-    pixels: Float32Array,
-    inverse_depths: Float32Array,
-    triangles: AnyArray,
-    trusts: Float32Array,
-    slopes: Float32Array,
+    pixels: Float32Array, inverse_depths: Float32Array, triangles: AnyArray, trusts: Float32Array, slopes: Float32Array,
     weights: Float32Array,
-) -> None:
+) -> None:  # fmt: skip
     """Measure how the inverse depth changes around each point: the mean of its triangles, the smallest before all.
 
-    Args:
-        pixels: (N, 2) [px].
-        inverse_depths: (N,) [1/m].
-        triangles: (T, 3).
-        trusts: (T,), 1 for one surface, 0 for a jump, which does not count.
-        slopes: (N, 2) [1/m/px], written: rightward and downward; 0 where no triangle reports.
-        weights: (N,), overwritten.
+    `pixels` (N, 2) [px]; `inverse_depths` (N,) [1/m]; `triangles` (T, 3); `trusts` (T,), 1 for one surface, 0 for a
+    jump, which does not count; `slopes` (N, 2) [1/m/px], written: rightward and downward; 0 where no triangle reports;
+    `weights` (N,), overwritten.
     """
     slopes[:], weights[:] = _NOTHING, _NOTHING
     for t in range(triangles.shape[0]):
@@ -789,13 +643,13 @@ def _span(value: float, step: float, columns: int) -> tuple[int, int]:
 
 @inlined
 def _rise(slopes: Float32Array, corner: int, across: float, down: float) -> Any:
-    """What a corner's slope adds so many pixels away."""
+    """What a corner's slope adds at a distance of so many pixels."""
     return slopes[corner, 0] * across + slopes[corner, 1] * down
 
 
 @inlined
 def _evenness(pixels: Float32Array, slopes: Float32Array, corners: tuple[Any, ...], inverses: tuple[Any, ...]) -> Any:
-    """Give how far depth itself counts as linear: where slopes miss the other corners, and depths are unlike."""
+    """How far depth itself counts as linear: where slopes miss the other corners, and depths are different."""
     least, most, off = min(inverses), max(inverses), _NOTHING
     for own in range(3):
         for other in range(3):
@@ -806,25 +660,15 @@ def _evenness(pixels: Float32Array, slopes: Float32Array, corners: tuple[Any, ..
     return min(one, most / least - one) * (min(one, off / (most - least)) if most > least else one)
 
 
-@kernel(
-    void(
-        IN_F32_2D, IN_F32_1D, IN_F32_2D, IN_I32_2D, IN_BOOL_1D, IN_F32_1D, IN_F32_1D, float32[:, ::1], float32[:, ::1],
-        float32[:, ::1], float32[:, ::1],
-    )
-)  # fmt: skip
+@kernel(void(
+    IN_F32_2D, IN_F32_1D, IN_F32_2D, IN_I32_2D, IN_BOOL_1D, IN_F32_1D, IN_F32_1D, float32[:, ::1], float32[:, ::1],
+    float32[:, ::1], float32[:, ::1]
+))  # fmt: skip
 def fill_triangles(
-    pixels: Float32Array,
-    depths: Float32Array,
-    slopes: Float32Array,
-    triangles: AnyArray,
-    filled: BoolArray,
-    trusts: Float32Array,
-    lengths: Float32Array,
-    depth_image: Float32Array,
-    trust_image: Float32Array,
-    spread_image: Float32Array,
-    length_image: Float32Array,
-) -> None:
+    pixels: Float32Array, depths: Float32Array, slopes: Float32Array, triangles: AnyArray, filled: BoolArray,
+    trusts: Float32Array, lengths: Float32Array, depth_image: Float32Array, trust_image: Float32Array,
+    spread_image: Float32Array, length_image: Float32Array,
+) -> None:  # fmt: skip
     """Fill the pixels of triangles: in inverse depth where these are trusted.
 
     On one surface, each corner reports its inverse depth and half of what its slope adds on the way to the pixel, and
@@ -895,14 +739,7 @@ def fill_triangles(
                 length_image[row, u] = lengths[t]
 
 
-_EDGE_AWARE_KERNEL: dict[str, Any] = {
-    "cache": True,
-    "nogil": True,
-    "error_model": "numpy",
-    "fastmath": {"contract", "arcp"},
-}
-
-
+_FASTMATH = {"contract", "arcp"}
 _LANES = 16
 
 
@@ -912,10 +749,8 @@ def link_pixels(
 ) -> None:
     """Give the strength of the links between neighbouring pixels.
 
-    Args:
-        rgb: (H, W, 3).
-        link_of_difference: (766,), by the sum of the differences of the three channels.
-        rightward, downward: (H, W), written: of each pixel to the next one; 0 in the last column or row.
+    `rgb` (H, W, 3); `link_of_difference` (766,), by the sum of the differences of the three channels; `rightward`,
+    `downward` (H, W), written: of each pixel to the next one; 0 in the last column or row.
     """
     height, width = rightward.shape
     for row in range(height):
@@ -935,17 +770,14 @@ def link_pixels(
                 downward[row, column] = 0
 
 
-@kernel(void(IN_F32_2D, float32, float32[:, ::1], float32[:, ::1], float32[:, ::1]), **_EDGE_AWARE_KERNEL)
+@kernel(void(IN_F32_2D, float32, float32[:, ::1], float32[:, ::1], float32[:, ::1]), fastmath=_FASTMATH)
 def smooth_downward(
     links: Float32Array, strength: float, first: Float32Array, second: Float32Array, room: Float32Array
 ) -> None:
     """Smooth two images along axis 0, all columns side by side.
 
-    Args:
-        links: (N, M), of each row to the next; 0 in the last.
-        strength: λ.
-        first, second: (N, M), smoothed in place.
-        room: (N, M), overwritten.
+    `links` (N, M), of each row to the next; 0 in the last; `strength`: λ; `first`, `second` (N, M), smoothed in place;
+    `room` (N, M), overwritten.
     """
     count, lanes = first.shape
     one = np.float32(1)
@@ -968,14 +800,12 @@ def smooth_downward(
             second[row, column] += room[row, column] * second[row + 1, column]
 
 
-@kernel(void(IN_F32_2D, float32, float32[:, ::1], float32[:, ::1]), **_EDGE_AWARE_KERNEL)
+@kernel(void(IN_F32_2D, float32, float32[:, ::1], float32[:, ::1]), fastmath=_FASTMATH)
 def smooth_rightward(links: Float32Array, strength: float, first: Float32Array, second: Float32Array) -> None:
     """Smooth two images along axis 1: some rows at a time are laid side by side.
 
-    Args:
-        links: (H, W), of each pixel to the next; 0 in the last column.
-        strength: λ.
-        first, second: (H, W), smoothed in place.
+    `links` (H, W), of each pixel to the next; 0 in the last column; `strength`: λ; `first`, `second` (H, W), smoothed
+    in place.
     """
     height, width = first.shape
     laid = np.zeros((4, width, _LANES), np.float32)
@@ -993,26 +823,15 @@ def smooth_rightward(links: Float32Array, strength: float, first: Float32Array, 
                 second[top + k, column] = laid[2, column, k]
 
 
-@kernel(
-    void(
-        IN_F32_2D, IN_F32_2D, IN_F32_2D, IN_F32_2D, float32, float32, float32, float32, IN_F32_1D, IN_F32_1D, IN_F32_2D,
-        float32[:, ::1],
-    )
-)  # fmt: skip
+@kernel(void(
+    IN_F32_2D, IN_F32_2D, IN_F32_2D, IN_F32_2D, float32, float32, float32, float32, IN_F32_1D, IN_F32_1D, IN_F32_2D,
+    float32[:, ::1]
+))  # fmt: skip
 def grade_depths(
-    depths: Float32Array,
-    trusts: Float32Array,
-    spreads: Float32Array,
-    gaps: Float32Array,
-    spacing: float,
-    tolerance: float,
-    tolerance_share: float,
-    slope_share: float,
-    doubt_steps: Float32Array,
-    gap_steps: Float32Array,
-    table: Float32Array,
-    confidence: Float32Array,
-) -> None:
+    depths: Float32Array, trusts: Float32Array, spreads: Float32Array, gaps: Float32Array, spacing: float,
+    tolerance: float, tolerance_share: float, slope_share: float, doubt_steps: Float32Array, gap_steps: Float32Array,
+    table: Float32Array, confidence: Float32Array,
+) -> None:  # fmt: skip
     """Look up the confidence of each pixel by its doubt and its gap.
 
     The doubt is the spread of the depths around the pixel, in tolerances; where these are of one surface, only
@@ -1054,9 +873,7 @@ def grade_depths(
 MOST_EXTENT = 29_000
 """Largest difference of two coordinates, corners included: 12 times its fourth power stays below 2⁶³."""
 
-
 _CURVE_SIDE = 1 << 15
-
 
 CORNERS = 4
 """The first points are the corners of a rectangle that holds all others."""
@@ -1064,7 +881,7 @@ CORNERS = 4
 
 @inlined
 def _rotation(points: Int64Array, a: int, b: int, p: int) -> int:
-    """Positive where p lies to the side of the line from a to b that inner points of triangles lie on."""
+    """Positive where p is on the side of the line from a to b on which inner points of triangles are."""
     beside: int = (points[b, 0] - points[a, 0]) * (points[p, 1] - points[a, 1]) - (points[b, 1] - points[a, 1]) * (
         points[p, 0] - points[a, 0]
     )
@@ -1082,7 +899,7 @@ def _in_circle(points: Int64Array, corners: AnyArray, p: int) -> bool:
 
 @inlined
 def _locate(points: Int64Array, triangles: AnyArray, beside: AnyArray, start: int, p: int) -> int:
-    """Walk to the triangle that holds the point."""
+    """Walk to the triangle that contains the point."""
     at, rotated = start, True
     while rotated:
         rotated = False
@@ -1096,15 +913,9 @@ def _locate(points: Int64Array, triangles: AnyArray, beside: AnyArray, start: in
 
 @inlined
 def _open_hole(
-    points: Int64Array,
-    triangles: AnyArray,
-    beside: AnyArray,
-    first: int,
-    p: int,
-    marks: AnyArray,
-    hole: AnyArray,
+    points: Int64Array, triangles: AnyArray, beside: AnyArray, first: int, p: int, marks: AnyArray, hole: AnyArray,
     rim: AnyArray,
-) -> tuple[int, int]:
+) -> tuple[int, int]:  # fmt: skip
     """List the triangles whose circle holds the point, and the rim: (from, to, triangle beyond) of each edge."""
     hole[0], marks[first], taken, edges, done = first, p, 1, 0, 0
     while done < taken:
@@ -1127,17 +938,9 @@ def _open_hole(
 
 @inlined
 def _close_hole(
-    triangles: AnyArray,
-    beside: AnyArray,
-    count: int,
-    p: int,
-    hole: AnyArray,
-    taken: int,
-    rim: AnyArray,
-    edges: int,
-    starting: AnyArray,
-    marks: AnyArray,
-) -> int:
+    triangles: AnyArray, beside: AnyArray, count: int, p: int, hole: AnyArray, taken: int, rim: AnyArray, edges: int,
+    starting: AnyArray, marks: AnyArray,
+) -> int:  # fmt: skip
     """Fill the hole with a fan around the point; triangle k of it stands on edge k of the rim."""
     for k in range(edges):
         new = hole[k] if k < taken else count + k - taken
@@ -1198,9 +1001,7 @@ def triangulate(points: Int64Array, order: Int64Array, triangles: AnyArray) -> i
 def hilbert_codes(points: Int64Array, codes: Int64Array) -> None:
     """Number points along a curve that fills the plane, so that neighbours in the order lie near each other.
 
-    Args:
-        points: (N, 2), 0 to 2¹⁵ - 1.
-        codes: (N,), written.
+    `points` (N, 2), 0 to 2¹⁵ - 1; `codes` (N,), written.
 
     Source: Hilbert 1891, Mathematische Annalen 38.
     """

@@ -1,15 +1,15 @@
 """Exposure differences between cameras from surfaces that two images show, and the gains that compensate them.
 
-Two images that show the same plain piece of a surface give it two colours; their ratio is that of the exposures,
+Two images that show the same plain part of a surface give it two colours; their ratio is that of the exposures,
 whatever the surface's own colour is. Images are linked in this way within a sweep (two cameras at once) and across
-sweeps (the same location some sweeps later, by the same camera or by another, which links cameras that never look at
-one thing at once). The median ratio of a link leaves out what moves, shines or is matched wrongly. All links together
-give each image three factors, one for each channel, by robust least squares with a gentle pull towards the image
-before. Levels near black and white are not used, since they are cut off.
+sweeps (the same position some sweeps later, by the same camera or by another, which links cameras whose images never
+overlap). The median ratio of a link leaves out what moves, shines or is matched wrongly. All links together give each
+image three factors, one for each channel, by robust least squares with a weak pull towards the image before. Levels
+near black and white are not used, since they are clipped.
 
-Only ratios can be seen. What stays free is settled for each group of linked cameras: the mean logarithm of its factors,
-weighted by the points that report them, is 0, so that the brightness as a whole stays. A camera that nothing links to
-another keeps its mean brightness; it is named as alone.
+Only ratios can be seen. The rest is fixed for each group of linked cameras: the mean logarithm of its factors, weighted
+by the points of its images, is 0, so that the overall brightness stays. A camera that nothing links to another keeps
+its mean brightness and is reported as alone.
 """
 
 import itertools
@@ -21,130 +21,95 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numba import float32, void
 
-from sceneloom.arrays import (
-    Float32Array,
-    Float64Array,
-    FloatArray,
-    Int64Array,
-    UInt8Array,
-)
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.colouring.blending import near_outlines
 from sceneloom.colouring.results import FusedView
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.projection import sample_between_pixels
-from sceneloom.kernels.signatures import (
-    IN_F32_2D,
-    IN_U8_3D,
-)
+from sceneloom.kernels.signatures import IN_F32_2D, IN_U8_3D
 
 _CUBE = 0.15
-"""Side of the cubes by which locations are found again in other sweeps [m]."""
+"""Side of the cubes by which positions are found again in other sweeps [m]."""
 
 _DARKEST, _LIGHTEST = 16.0, 240.0
-"""Levels beyond these are cut off, or nearly, in this image or its neighbours."""
+"""Levels beyond these are clipped, or nearly, in this image or its neighbours."""
 
 _PLAIN = 14.0
-"""Where a channel changes by more than so many levels around a point, which pixel is its own counts too much."""
+"""Where a channel changes by more levels around a point, its exact pixel matters too much."""
 
 _MOST_SAMPLES = 8000
 _FARTHEST = 60.0
 _BORDER_PX = 3.0
 _HALF_KEY = 1 << 20
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _SurfaceSamples:
-    """Chunks of surfaces in one image.
-
-    Attributes:
-        ids: (K,) int64, rows of the cloud, ascending.
-        cubes: (K,) int64, numbers of the cubes of space that they lie in.
-        colors: (K, 3) float32, 0 to 255.
-    """
-
-    ids: Int64Array
-    cubes: Int64Array
-    colors: Float32Array
-
-
-def _take_samples(points_world: Float64Array, view: FusedView) -> _SurfaceSamples:
-    """Take the points of an image that report its exposure: visible, on plain ground, neither dark nor light, no edge.
-
-    Args:
-        points_world: (N, 3) float64 [m].
-        view: the points in the image.
-    """
-    rows = np.flatnonzero(_usable(view))
-    pixels = np.ascontiguousarray(view.pixels[rows])
-    rgb, contrasts = np.ascontiguousarray(view.rgb), np.empty(len(rows), np.float32)
-    measure_contrasts(pixels, rgb, contrasts)
-    plain = contrasts <= _PLAIN
-    rows, pixels = rows[plain], np.ascontiguousarray(pixels[plain])
-    colors = np.empty((len(rows), 3), np.float32)
-    sample_between_pixels(pixels, rgb, colors)
-    inside = ((colors >= _DARKEST) & (colors <= _LIGHTEST)).all(axis=1)
-    rows, colors = rows[inside], colors[inside]
-    every = -(-len(rows) // _MOST_SAMPLES) if len(rows) else 1
-    ids = view.point_ids[rows]
-    # the same points are left out of every image, so that pairs stay whole
-    kept = ids % every == 0
-    ids = ids[kept]
-    return _SurfaceSamples(ids, _cube_numbers(points_world[ids]), colors[kept])
-
-
-def _usable(view: FusedView) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    u, v = view.pixels[:, 0], view.pixels[:, 1]
-    inside = (u >= _BORDER_PX) & (u <= view.camera.width - 1 - _BORDER_PX)
-    inside &= (v >= _BORDER_PX) & (v <= view.camera.height - 1 - _BORDER_PX)
-    usable: np.ndarray[tuple[int], np.dtype[np.bool_]] = (
-        view.visible & inside & (view.depths < _FARTHEST) & ~near_outlines(view)
-    )
-    return usable
-
-
-def _cube_numbers(points_world: Float64Array) -> Int64Array:
-    """One number for the cube of space of each point, the same in every sweep; (N,) int64 of (N, 3) finite points."""
-    cubes = np.floor(points_world / _CUBE).astype(np.int64) & (2 * _HALF_KEY - 1)
-    numbers: Int64Array = (cubes[:, 0] << 42) | (cubes[:, 1] << 21) | cubes[:, 2]
-    return numbers
-
-
 _LAGS = (1, 4, 12)
-"""Sweeps that are compared with one: so many before it."""
+"""Sweeps before one that are compared with it."""
 
 _FEWEST = 30
 """Pairs of colours that a link needs."""
 
 _MOST_PAIRS = 400
-"""More pairs do not make a link surer: what is wrong with them is wrong with all of them."""
+"""More pairs do not make a link more certain: they share their errors."""
 
 _NOISE = 0.01
-"""Of a link's median ratio, at least: light that depends on where it is seen from."""
+"""Least standard deviation of a link's median ratio: brightness that depends on the viewing direction."""
 
 _DRIFT = 0.5
-"""How far exposures wander, as a factor's logarithm, in a second; the pull towards the image before."""
+"""How far exposures drift, as a factor's logarithm, in a second; the pull towards the image before."""
 
 _UNCHANGED = 3.0
-"""The weak pull towards no change, as a factor's logarithm; it settles what no link reports."""
+"""The weak pull towards no change, as a factor's logarithm, for what no link determines."""
 
 _ROUNDS, _ROBUST = 6, 3.0
 
 _MOST_SEAM_PAIRS = 500
-"""Of each pair of cameras in each sweep, so many pairs of colours are kept to judge the outcome by."""
+"""Pairs of colours kept of each pair of cameras in each sweep, to judge the result by."""
 
 _Node = tuple[int, int]
 """An image: index of the camera, and time [ns]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _SurfaceSamples:
+    """Points of surfaces in one image."""
+
+    ids: Int64Array  # (K,), rows of the cloud, ascending
+    cubes: Int64Array  # (K,), numbers of the cubes of space that they are in, the same in every sweep
+    colors: Float32Array  # (K, 3), 0 to 255
+
+    @classmethod
+    def of(cls, points_world: Float64Array, view: FusedView) -> "_SurfaceSamples":
+        """Take the points (N, 3) [m] that show an image's exposure: visible, of plain and mid-level colour, no edge."""
+        u, v = view.pixels.T
+        inside = (u >= _BORDER_PX) & (u <= view.camera.width - 1 - _BORDER_PX)
+        inside &= (v >= _BORDER_PX) & (v <= view.camera.height - 1 - _BORDER_PX)
+        rows = np.flatnonzero(view.visible & inside & (view.depths < _FARTHEST) & ~near_outlines(view))
+        pixels = np.ascontiguousarray(view.pixels[rows])
+        rgb, contrasts = np.ascontiguousarray(view.rgb), np.empty(len(rows), np.float32)
+        measure_contrasts(pixels, rgb, contrasts)
+        plain = contrasts <= _PLAIN
+        rows, pixels = rows[plain], np.ascontiguousarray(pixels[plain])
+        colors = np.empty((len(rows), 3), np.float32)
+        sample_between_pixels(pixels, rgb, colors)
+        unclipped = ((colors >= _DARKEST) & (colors <= _LIGHTEST)).all(axis=1)
+        rows, colors = rows[unclipped], colors[unclipped]
+        ids = view.point_ids[rows]
+        # the same points are left out of every image, so that pairs stay whole
+        kept = ids % max(1, -(-len(rows) // _MOST_SAMPLES)) == 0
+        ids = ids[kept]
+        cubes = np.floor(points_world[ids] / _CUBE).astype(np.int64) & (2 * _HALF_KEY - 1)
+        return cls(ids, (cubes[:, 0] << 42) | (cubes[:, 1] << 21) | cubes[:, 2], colors[kept])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ExposureLink:
-    """What two images show both.
+    """A surface that two images show.
 
     Attributes:
         nodes: the two images.
         log_ratio: (3,) float64, median logarithm of the second one's colours over the first one's.
-        spread: how far single ratios are from it, as a standard deviation.
-        pairs: how many.
+        spread: standard deviation of single ratios.
+        pairs: number of ratios.
     """
 
     nodes: tuple[_Node, _Node]
@@ -155,10 +120,10 @@ class ExposureLink:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExposureGains:
-    """What evens out the exposures.
+    """Factors that compensate the exposures.
 
     Attributes:
-        timestamps_ns: of each camera's images that report something, by index: (K,) int64, ascending.
+        timestamps_ns: of each camera's linked images, by index: (K,) int64, ascending.
         log_gains: by the camera's index: (K, 3) float64, logarithm of the factors.
         alone: cameras that nothing links to another, by index.
         seam_before, seam_after: median difference of the colours [levels] of points that two cameras show at once,
@@ -174,15 +139,14 @@ class ExposureGains:
     seam_pairs: int = 0
 
     def at(self, camera_index: int, timestamp_ns: int) -> Float64Array | None:
-        """The (3,) factors for an image, between those of its neighbours; None for a camera without links."""
+        """The (3,) factors for an image, interpolated between its neighbours; None for a camera without links."""
         times = self.timestamps_ns.get(camera_index)
         if times is None or len(times) == 0:
             return None
         logs = self.log_gains[camera_index]
         seconds = (times - times[0]) * 1e-9
         now = (timestamp_ns - int(times[0])) * 1e-9
-        gains: Float64Array = np.exp(np.array([np.interp(now, seconds, logs[:, c]) for c in range(3)]))
-        return gains
+        return np.asarray(np.exp([np.interp(now, seconds, logs[:, c]) for c in range(3)]), np.float64)
 
     def for_views(self, views: Sequence[FusedView], camera_indices: Sequence[int]) -> dict[int, Float64Array]:
         """The factors of the images of one sweep, by the camera's index."""
@@ -192,7 +156,7 @@ class ExposureGains:
 
 @dataclass(slots=True)
 class ExposureLinks:
-    """Gathers what images show both, sweep after sweep; memory depends on a few sweeps and the number of links."""
+    """Links images, sweep after sweep; memory depends on a few sweeps and the number of links."""
 
     links: list[ExposureLink] = field(default_factory=list)
     _recent: deque[dict[_Node, _SurfaceSamples]] = field(default_factory=lambda: deque(maxlen=_LAGS[-1]))
@@ -202,22 +166,18 @@ class ExposureLinks:
     def add(self, points_world: Float64Array, views: Sequence[FusedView], camera_indices: Sequence[int]) -> None:
         """Take a sweep: its (N, 3) float64 points [m], and the images that show it."""
         now = {
-            (index, view.timestamp_ns): _take_samples(points_world, view)
+            (index, view.timestamp_ns): _SurfaceSamples.of(points_world, view)
             for view, index in zip(views, camera_indices, strict=True)
         }
         for node, samples in now.items():
             self._points[node] = self._points.get(node, 0) + len(samples.ids)
-        nodes = list(now)
-        for k, first in enumerate(nodes):
-            for second in nodes[k + 1 :]:
-                self._link(first, second, now[first], now[second], at_once=True)
+        for (first, a), (second, b) in itertools.combinations(now.items(), 2):
+            self._link(first, second, a, b, at_once=True)
         for lag in _LAGS:
             if lag <= len(self._recent):
-                before = self._recent[-lag]
-                for first, earlier in before.items():
-                    for second, later in now.items():
-                        if first != second:
-                            self._link(first, second, earlier, later, at_once=False)
+                for (first, a), (second, b) in itertools.product(self._recent[-lag].items(), now.items()):
+                    if first != second:
+                        self._link(first, second, a, b, at_once=False)
         self._recent.append(now)
 
     def _link(self, first: _Node, second: _Node, a: _SurfaceSamples, b: _SurfaceSamples, *, at_once: bool) -> None:
@@ -235,11 +195,11 @@ class ExposureLinks:
             self._seams.append((first, second, colors_a[::every], colors_b[::every]))
 
     def solve(self) -> ExposureGains:
-        """Find the factors that make all links agree best; without links there are none."""
-        linked = {node for link in self.links for node in link.nodes}
-        if not linked:
-            return ExposureGains({}, {}, alone=tuple(sorted({camera for camera, _ in self._points})))
-        nodes = sorted(linked)
+        """Find the factors by which all links agree best; without links there are none."""
+        cameras = {camera for camera, _ in self._points}
+        nodes = sorted({node for link in self.links for node in link.nodes})
+        if not nodes:
+            return ExposureGains({}, {}, alone=tuple(sorted(cameras)))
         logs = _solved(nodes, self.links)
         groups, alone = _groups(nodes, self.links)
         weights = np.array([self._points.get(node, 1) for node in nodes], np.float64)
@@ -252,33 +212,19 @@ class ExposureLinks:
         gains = ExposureGains(
             {camera: np.array([nodes[k][1] for k in rows], np.int64) for camera, rows in by_camera.items()},
             {camera: logs[rows] for camera, rows in by_camera.items()},
+            tuple(sorted({*alone, *(cameras - set(by_camera))})),
         )
-        unlinked = {camera for camera, _ in self._points} - set(by_camera)
-        return self._judged(gains, (*alone, *unlinked))
-
-    def _judged(self, gains: ExposureGains, alone: Sequence[int]) -> ExposureGains:
-        """Report how much two cameras differ at the same points before and after."""
+        # how much two cameras differ at the same points before and after
         before, after = [np.zeros(0)], [np.zeros(0)]
         for first, second, a, b in self._seams:
-            gain_a, gain_b = gains.at(*first), gains.at(*second)
+            one, other = (1.0 if gain is None else gain for gain in (gains.at(*first), gains.at(*second)))
             before.append(np.abs(a - b).ravel())
-            after.append(np.abs(_times(a, gain_a) - _times(b, gain_b)).ravel())
-        return replace(
-            gains,
-            alone=tuple(sorted(alone)),
-            seam_before=_median(before),
-            seam_after=_median(after),
-            seam_pairs=sum(map(len, before)) // 3,
-        )
-
-
-def _times(colors: Float32Array, gain: Float64Array | None) -> FloatArray:
-    return colors if gain is None else colors * gain
-
-
-def _median(parts: Sequence[FloatArray]) -> float:
-    found = np.concatenate(parts)
-    return float(np.median(found)) if len(found) else float("nan")
+            after.append(np.abs(a * one - b * other).ravel())
+        count = sum(map(len, before))
+        if not count:
+            return gains
+        medians = [float(np.median(np.concatenate(parts))) for parts in (before, after)]
+        return replace(gains, seam_before=medians[0], seam_after=medians[1], seam_pairs=count // 3)
 
 
 def _solved(nodes: Sequence[_Node], links: Sequence[ExposureLink]) -> Float64Array:
@@ -321,7 +267,7 @@ def _pulls(nodes: Sequence[_Node]) -> Float64Array:
 
 
 def _groups(nodes: Sequence[_Node], links: Sequence[ExposureLink]) -> tuple[list[set[int]], list[int]]:
-    """Cameras that links join, and those that no link joins to another."""
+    """Groups of cameras that links join, and cameras that no link joins to another."""
     groups = [{camera} for camera in sorted({camera for camera, _ in nodes})]
     for link in links:
         a, b = link.nodes[0][0], link.nodes[1][0]
@@ -333,17 +279,14 @@ def _groups(nodes: Sequence[_Node], links: Sequence[ExposureLink]) -> tuple[list
 
 
 _CONTRAST_STEP_PX = 2.0
-"""How far from a point's pixel the image is looked at to report how plain it is there [px]."""
+"""Distance from a point's pixel at which the contrast is measured [px]."""
 
 
 @kernel(void(IN_F32_2D, IN_U8_3D, float32[::1]))
 def measure_contrasts(pixels: Float32Array, rgb: UInt8Array, contrasts: Float32Array) -> None:
-    """Report by how much an image changes around locations: the greatest difference of a channel among five pixels.
+    """Measure the contrast of an image around positions: the greatest difference of a channel among five pixels.
 
-    Args:
-        pixels: (M, 2) [px], finite.
-        rgb: (H, W, 3).
-        contrasts: (M,), written, 0 to 255.
+    `pixels` (M, 2) [px], finite; `rgb` (H, W, 3); `contrasts` (M,), written, 0 to 255.
     """
     height, width = rgb.shape[0], rgb.shape[1]
     for i in range(pixels.shape[0]):

@@ -1,6 +1,6 @@
-"""Labels of images onto the points that they show, and of points into images, with one and the same visibility.
+"""Labels of images transferred to the visible points, and labels of points into images.
 
-A label is never mixed: a point takes that of its nearest pixel, several images vote, and of equally many votes those
+Labels are never mixed: a point takes that of its nearest pixel, several images vote, and of equally many votes those
 count more whose images show the point better. In an image, the nearest visible point of a pixel counts.
 """
 
@@ -11,26 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import float32, int64, types, uint16, void
 
-from sceneloom.arrays import (
-    BoolArray,
-    Float32Array,
-    Float64Array,
-    Int64Array,
-    UInt16Array,
-    check_array,
-)
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt16Array, check_array
 from sceneloom.colouring.blending import BlendSettings, view_weights
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.signatures import (
-    IN_BOOL_1D,
-    IN_F32_1D,
-    IN_F32_2D,
-    IN_I64_1D,
-    IN_U16_1D,
-    IN_U16_2D,
-)
+from sceneloom.kernels.signatures import IN_BOOL_1D, IN_F32_1D, IN_F32_2D, IN_I64_1D, IN_U16_1D, IN_U16_2D
 
 NO_LABEL = 65535
 """Of a point that no label image shows."""
@@ -44,17 +30,17 @@ def paint_labels(
     settings: BlendSettings | None = None,
     timestamps_ns: Int64Array | None = None,
 ) -> UInt16Array:
-    """Give each point the label that most of the images which show it have at its nearest pixel.
+    """Give each point the label at its nearest pixel in most of the images that show it.
 
     Args:
         points_world: (N, 3) float64 [m].
         views: the cloud in each image.
-        label_images: (H, W) uint16 for each view, of the size of its image; None where there is none.
+        label_images: (H, W) uint16 for each view, in the size of its image; None where there is none.
         settings: the weights that decide between equally many votes; None for the usual ones.
         timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the images.
 
     Returns:
-        (N,) uint16, `NO_LABEL` for points that no label image shows. A class of that number means the same.
+        (N,) uint16, `NO_LABEL` for points in no label image, and for a class of that number.
 
     Raises:
         ArrayError: the arrays do not fit together.
@@ -111,35 +97,20 @@ class LabelCanvas:
         check_array("labels", labels, (len(view.points_world),), np.uint16)
         check_array("view", view.depth_image, self.labels.shape, np.float32)
         draw_labels(
-            view.point_ids,
-            view.pixels,
-            view.depths,
-            view.visible,
-            labels,
-            NO_LABEL,
-            self.radius_px,
-            self._depths,
+            view.point_ids, view.pixels, view.depths, view.visible, labels, NO_LABEL, self.radius_px, self._depths,
             self.labels,
-        )
+        )  # fmt: skip
 
 
 @kernel(void(IN_I64_1D, IN_F32_2D, IN_F32_1D, IN_U16_2D, uint16[::1], float32[::1]))
 def take_labels(
-    point_ids: Int64Array,
-    pixels: Float32Array,
-    weights: Float32Array,
-    labels: UInt16Array,
-    votes: UInt16Array,
+    point_ids: Int64Array, pixels: Float32Array, weights: Float32Array, labels: UInt16Array, votes: UInt16Array,
     trust: Float32Array,
-) -> None:
+) -> None:  # fmt: skip
     """Give each point that an image shows the label of its nearest pixel.
 
-    Args:
-        point_ids: (M,), rows of the outputs.
-        pixels: (M, 2) [px].
-        weights: (M,), 0 for points that are not visible, which are passed over.
-        labels: (H, W).
-        votes, trust: (N,), written where the image shows the point.
+    `point_ids` (M,), rows of the outputs; `pixels` (M, 2) [px]; `weights` (M,), 0 for points that are not visible,
+    which are passed over; `labels` (H, W); `votes`, `trust` (N,), written where the image shows the point.
     """
     height, width = labels.shape
     for i in range(point_ids.shape[0]):
@@ -154,11 +125,8 @@ def take_labels(
 def count_votes(votes: UInt16Array, trust: Float32Array, none: int, labels: UInt16Array) -> None:
     """Give each point the label that most images give it; of equally many the one that is trusted more.
 
-    Args:
-        votes: (V, N), `none` where an image says nothing.
-        trust: (V, N).
-        none: what stands for no label.
-        labels: (N,), written.
+    `votes` (V, N), `none` where an image says nothing; `trust` (V, N); `none`: what stands for no label; `labels` (N,),
+    written.
     """
     for i in range(votes.shape[1]):
         labels[i] = none
@@ -175,22 +143,11 @@ def count_votes(votes: UInt16Array, trust: Float32Array, none: int, labels: UInt
                 most, surest, labels[i] = count, sure, votes[a, i]
 
 
-@kernel(
-    void(
-        IN_I64_1D, IN_F32_2D, IN_F32_1D, IN_BOOL_1D, IN_U16_1D, uint16, int64, float32[:, ::1], uint16[:, ::1],
-    )
-)  # fmt: skip
+@kernel(void(IN_I64_1D, IN_F32_2D, IN_F32_1D, IN_BOOL_1D, IN_U16_1D, uint16, int64, float32[:, ::1], uint16[:, ::1]))
 def draw_labels(
-    point_ids: Int64Array,
-    pixels: Float32Array,
-    depths: Float32Array,
-    visible: BoolArray,
-    labels: UInt16Array,
-    none: int,
-    radius_px: int,
-    depth_image: Float32Array,
-    label_image: UInt16Array,
-) -> None:
+    point_ids: Int64Array, pixels: Float32Array, depths: Float32Array, visible: BoolArray, labels: UInt16Array,
+    none: int, radius_px: int, depth_image: Float32Array, label_image: UInt16Array,
+) -> None:  # fmt: skip
     """Draw the labels of visible points into an image, each as a square; the nearest point of a pixel counts.
 
     Points without a label cover what is behind them, too, and leave their pixels as they are.

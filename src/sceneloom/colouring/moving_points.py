@@ -1,10 +1,9 @@
 """Points on moving objects: found by rays of other sweeps that pass through them, or by annotated boxes that move.
 
 A point is voted free by another sweep whose rays pass it closely, all of them on to something clearly farther, and met
-by one that measures something at its location. What was stationary is met again and again; what moved has left its
-location, or had not come there yet, when the others looked. A sweep is held against some before and some after it, so
-that little has to be kept. What moves later than the last of these stays: a parked car that leaves a minute after is
-not found.
+by one that measures something at its position. What is stationary is met again and again; what moves is elsewhere when
+the other sweeps look. A sweep is compared with some before and some after it, so that little has to be kept. What moves
+later than the last of these is not found, such as a parked car that leaves a minute after.
 
 Votes of single points are noisy at outlines and where scan lines are far apart; neighbours decide with them.
 """
@@ -18,15 +17,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numba import int32, uint8, void
 
-from sceneloom.arrays import (
-    AnyArray,
-    BoolArray,
-    Float32Array,
-    Float64Array,
-    Int64Array,
-    UInt8Array,
-    check_array,
-)
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, check_array
 from sceneloom.colouring.results import LidarTrajectory
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.kernels.cache import kernel
@@ -37,14 +28,14 @@ from sceneloom.scene.annotations_at import CuboidAngles, CuboidPoses, cuboid_pos
 from sceneloom.scene.scene import Scene
 
 LAGS = (2, 5, 10, 15)
-"""A sweep is held against those that came so many sweeps before and after it."""
+"""A sweep is compared with those so many sweeps before and after it."""
 
 _LONG_DRIVE = 21
 """Shorter drives are compared over shorter times."""
 
 
 def lags_for(sweeps: int) -> tuple[int, ...]:
-    """The lags for a drive of so many sweeps, so that each has others to be held against."""
+    """The lags for a drive of so many sweeps, so that each has others to be compared with."""
     share = min(1.0, max(sweeps - 1, 1) / (_LONG_DRIVE - 1))
     return tuple(sorted({max(1, round(lag * share)) for lag in LAGS}))
 
@@ -106,12 +97,12 @@ class _Waiting(Generic[_Load]):
 
 @dataclass(slots=True)
 class MovingPoints(Generic[_Load]):
-    """Finds moving points while sweeps pass, each of which is given on when those after it have been seen.
+    """Finds moving points in a stream of sweeps, each of which is returned once those after it have been seen.
 
     Memory depends on the sweeps in between, not on the drive.
 
     Attributes:
-        lags: how many sweeps before and after each one it is held against, ascending.
+        lags: so many sweeps before and after each one are compared with it, ascending.
     """
 
     lags: tuple[int, ...] = LAGS
@@ -121,15 +112,15 @@ class MovingPoints(Generic[_Load]):
     def add(
         self, load: _Load, points_world: Float32Array, trajectory: LidarTrajectory | None
     ) -> Iterator[tuple[_Load, BoolArray]]:
-        """Take a sweep of one lidar; give on those that are judged now.
+        """Add a sweep of one lidar; return those that are judged now.
 
         Args:
-            load: what belongs to the sweep and is given on with it.
+            load: what belongs to the sweep and is returned with it.
             points_world: (N, 3) float32 [m].
-            trajectory: from where it was measured; None where that is not known: then nothing of it is taken as moving.
+            trajectory: of the lidar; None where unknown: then no points of it count as moving.
 
         Yields:
-            What was given with a sweep, and which of its points move, (N,) bool.
+            The load of a sweep, and which of its points move, (N,) bool.
         """
         count = check_array("points_world", points_world, (None, 3), np.float32)
         sweep = None if trajectory is None else SeenSweep.of(points_world, trajectory)
@@ -148,7 +139,7 @@ class MovingPoints(Generic[_Load]):
             self._window.popleft()
 
     def flush(self) -> Iterator[tuple[_Load, BoolArray]]:
-        """Give on what still waits for sweeps that do not come any more."""
+        """Return the sweeps that still wait, at the end of the stream."""
         waiting = list(self._window)[len(self._window) - self._due :]
         self._window.clear()
         self._due = 0
@@ -156,11 +147,18 @@ class MovingPoints(Generic[_Load]):
             yield self._judged(each)
 
     def _judged(self, waiting: _Waiting[_Load]) -> tuple[_Load, BoolArray]:
-        points = np.zeros((0, 3), np.float32) if waiting.sweep is None else waiting.sweep.points_world
-        moving = np.zeros(len(waiting.free), np.bool_)
-        if waiting.sweep is not None:
-            moving = _judge_votes(points, waiting.free, waiting.met)
-        return waiting.load, moving
+        """Decide which points of a sweep move, by their own votes and those of their neighbours."""
+        free, met = waiting.free, waiting.met
+        if waiting.sweep is None:
+            return waiting.load, np.zeros(len(free), np.bool_)
+        own = (free >= _FEWEST_FREE) & (free > _FREE_PER_MET * met)
+        numbers = np.empty(len(free), np.int64)
+        count = number_cubes(waiting.sweep.points_world.astype(np.float64), _CUBE, numbers)
+        inside = numbers >= 0
+        held = np.bincount(numbers[inside], minlength=count)
+        share = np.bincount(numbers[inside], own[inside], count) / np.maximum(held, 1)
+        around = np.append(share, 0.0)[numbers]
+        return waiting.load, (own & (around >= _SPECK)) | ((around >= _MOSTLY) & (met <= free))
 
 
 def _vote(points: _Waiting[_Load], others: _Waiting[_Load]) -> None:
@@ -168,44 +166,19 @@ def _vote(points: _Waiting[_Load], others: _Waiting[_Load]) -> None:
         return
     other = others.sweep
     vote_free_space(
-        points.sweep.points_world,
-        other.points_world,
-        other.trajectory.fractions,
-        np.ascontiguousarray(other.trajectory.ends_world),
-        other.nearest,
-        _NUMBERS,
-        points.free,
-        points.met,
-    )
-
-
-def _judge_votes(points_world: Float32Array, free: UInt8Array, met: UInt8Array) -> BoolArray:
-    """Report which points move, by their own votes and those of their neighbours.
-
-    Args:
-        points_world: (N, 3) float32 [m].
-        free: (N,) uint8, how many other sweeps looked through each point.
-        met: (N,) uint8, how many met something there.
-    """
-    own = (free >= _FEWEST_FREE) & (free > _FREE_PER_MET * met)
-    numbers = np.empty(len(points_world), np.int64)
-    count = number_cubes(points_world.astype(np.float64), _CUBE, numbers)
-    inside = numbers >= 0
-    held = np.bincount(numbers[inside], minlength=count)
-    share = np.bincount(numbers[inside], own[inside], count) / np.maximum(held, 1)
-    around = np.append(share, 0.0)[numbers]
-    moving: BoolArray = (own & (around >= _SPECK)) | ((around >= _MOSTLY) & (met <= free))
-    return moving
+        points.sweep.points_world, other.points_world, other.trajectory.fractions,
+        np.ascontiguousarray(other.trajectory.ends_world), other.nearest, _NUMBERS, points.free, points.met,
+    )  # fmt: skip
 
 
 _MOVES = 1.0
-"""A box moves if its centre comes so far from its first location [m]; annotators' hands are steadier than that."""
+"""A box moves if its centre is ever so far from its first position [m]; annotations are more accurate than that."""
 
 _ROOM = 0.15
-"""Boxes are taken larger by this on all sides but below [m]: they are drawn around most points, not around all."""
+"""Boxes are enlarged by this on all sides but below [m]: they are drawn around most points, not around all."""
 
 _GROUND = 0.08
-"""Points so near to the bottom of a box are those of the road, which it stands on [m]."""
+"""Points so near to the bottom of a box belong to the road [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,7 +187,7 @@ class MovingBoxes:
 
     Attributes:
         cuboids: the annotations, centres in the world.
-        angles: how their angles are meant.
+        angles: convention of their angles.
     """
 
     cuboids: tuple[CuboidAnnotation, ...]
@@ -222,12 +195,12 @@ class MovingBoxes:
 
     @classmethod
     def of(cls, scene: Scene) -> "MovingBoxes":
-        """Choose the cuboids that leave their first location."""
+        """Choose the cuboids that leave their first position."""
         cuboids = (each for each in scene.annotations if isinstance(each, CuboidAnnotation))
         return cls(tuple(each for each in cuboids if _moves(each)), CuboidAngles.of(scene))
 
     def inside(self, points_world: Float64Array, timestamps_ns: Int64Array) -> BoolArray:
-        """Which points lie in one of them at their own time.
+        """Which points are in one of them at their own time.
 
         Args:
             points_world: (N, 3) float64 [m].
@@ -290,11 +263,8 @@ def fill_directions(
 ) -> None:
     """Sort a sweep by the directions in which it was measured: the nearest point of each cell.
 
-    Args:
-        points_world: (N, 3) [m].
-        fractions: (N,), how far along its trajectory the lidar was at each point.
-        ends_world: (2, 3) [m], the ends of that way.
-        nearest: (rows, columns), rows of points are written, -1 for none.
+    `points_world` (N, 3) [m]; `fractions` (N,), how far along its trajectory the lidar was at each point; `ends_world`
+    (2, 3) [m], the ends of that way; `nearest` (rows, columns), rows of points are written, -1 for none.
     """
     rows, columns = nearest.shape
     distances = np.full((rows, columns), np.inf)
@@ -359,26 +329,17 @@ def _vote_of(
 
 @kernel(void(IN_F32_2D, IN_F32_2D, IN_F32_1D, IN_F64_2D, IN_I32_2D, IN_F64_1D, uint8[::1], uint8[::1]))
 def vote_free_space(
-    points_world: Float32Array,
-    others_world: Float32Array,
-    fractions: Float32Array,
-    ends_world: Float64Array,
-    nearest: AnyArray,
-    numbers: Float64Array,
-    free: UInt8Array,
-    met: UInt8Array,
-) -> None:
+    points_world: Float32Array, others_world: Float32Array, fractions: Float32Array, ends_world: Float64Array,
+    nearest: AnyArray, numbers: Float64Array, free: UInt8Array, met: UInt8Array,
+) -> None:  # fmt: skip
     """Count for each point whether another sweep looked through its location, or met something there.
 
     Inverse range changes on a surface by at most the angle over the distance at which its plane passes the lidar; what
     changes by more lies before or behind it. Rays that pass a point too far aside state nothing.
 
-    Args:
-        points_world: (N, 3) [m].
-        others_world, fractions, ends_world, nearest: the other sweep, as for and from `fill_directions`.
-        numbers: distance at which surfaces pass the lidar [m], margin [m], margin as a share of the range, how far
-            aside a ray may pass a point [m], farthest range [m].
-        free, met: (N,), counted up by 1.
+    `points_world` (N, 3) [m]; `others_world`, `fractions`, `ends_world`, `nearest`: the other sweep, as for and from
+    `fill_directions`; `numbers`: distance at which surfaces pass the lidar [m], margin [m], margin as a share of the
+    range, how far aside a ray may pass a point [m], farthest range [m]; `free`, `met` (N,), counted up by 1.
     """
     rows, columns = nearest.shape
     for i in range(points_world.shape[0]):

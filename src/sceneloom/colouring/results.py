@@ -1,7 +1,4 @@
-"""What sensor-data fusion gives: coloured world points for each lidar frame, a depth image for each camera image.
-
-The lidar positions of a sweep.
-"""
+"""Results of sensor-data fusion: coloured points for each lidar frame, a depth image for each camera image."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,11 +19,11 @@ from sceneloom.scene.types import NO_FIELDS, Identifier
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarTrajectory:
-    """The short trajectory of a lidar during one sweep, taken as straight and even.
+    """The motion of a lidar during one sweep, taken as linear.
 
     Attributes:
-        ends_world: (2, 3) float64 [m], where it was at the first and at the last point.
-        fractions: (N,) float32, how far along it was at each point, 0 to 1.
+        ends_world: (2, 3) float64 [m], its positions at the first and at the last point.
+        fractions: (N,) float32, share of the motion at each point, 0 to 1.
     """
 
     ends_world: Float64Array
@@ -37,10 +34,10 @@ class LidarTrajectory:
 
     @classmethod
     def of(cls, frame: LidarFrame, location: PoseSource) -> "LidarTrajectory | None":
-        """Give the trajectory of the lidar during a sweep; None where its poses do not reach.
+        """The motion of the lidar during a sweep; None beyond its poses.
 
         Args:
-            frame: the sweep; points without times of their own all have the frame's.
+            frame: the sweep; points without times of their own have the frame's.
             location: `world_from_lidar`.
         """
         times = frame.points.timestamps_ns
@@ -55,16 +52,16 @@ class LidarTrajectory:
 
 
 class PointVisibility(IntEnum):
-    """How an image stands to a point."""
+    """Visibility of a point in an image."""
 
     VISIBLE = 0
     """It shows the point."""
     HIDDEN = 1
-    """The point would fall into it, but something nearer is in the way."""
+    """Something nearer hides the point."""
     OUTSIDE = 2
-    """The point lies in front of the camera model, beyond the edges of the image."""
+    """The point is in front of the camera, beyond the edges of the image."""
     BEHIND = 3
-    """The camera model has no pixel for the point: behind the camera, beyond the model's domain, or not finite."""
+    """No pixel for the point: behind the camera, beyond the model's domain, or not finite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,18 +72,18 @@ class FusedView:
         camera_id: the camera.
         camera: its camera model.
         timestamp_ns: the image's time [ns].
-        world_from_camera: where the camera was at that time.
+        world_from_camera: pose of the camera at that time.
         rgb: (H, W, 3) uint8, the image.
         point_ids: (M,) int64, which points of the frame fall into the image, ascending.
-        pixels: (M, 2) float32 [px], where (u, v), (0, 0) is the centre of the top-left pixel.
+        pixels: (M, 2) float32 [px], (u, v); (0, 0) is the centre of the top-left pixel.
         pixel_numbers: (M,) int32, the nearest pixel, counted row by row: `row * W + column`.
         depths: (M,) float32 [m], z in the camera frame.
         visible: (M,) bool, False for a point behind a nearer surface.
         depth_image: (H, W) float32 [m], z of the nearest visible point in each pixel, 0 for none.
-        points_world: (N, 3) float64 [m], the whole cloud, as the algorithm got it.
-        rolled: whether each point was projected from where the camera was when its own line was taken, and `depths`
-            are from there.
-        unsettled: points of which no line was found that sees them, though they may be in the image.
+        points_world: (N, 3) float64 [m], the whole cloud.
+        rolled: whether each point was projected, and its depth measured, with the camera's pose when its line was
+            taken.
+        unsettled: number of points that may be in the image, though no line was found for them.
     """
 
     camera_id: Identifier
@@ -105,27 +102,17 @@ class FusedView:
     unsettled: int = 0
 
     def __post_init__(self) -> None:
-        hold_arrays(
-            self,
-            "view",
-            {
-                "point_ids": (np.int64, "N"),
-                "pixels": (np.float32, "N", 2),
-                "pixel_numbers": (np.int32, "N"),
-                "depths": (np.float32, "N"),
-                "visible": (np.bool_, "N"),
-                "rgb": (np.uint8, self.camera.height, self.camera.width, 3),
-                "depth_image": (np.float32, self.camera.height, self.camera.width),
-                "points_world": (np.float64, None, 3),
-            },
-        )
+        height, width = self.camera.height, self.camera.width
+        in_image = {
+            "point_ids": (np.int64, "N"), "pixels": (np.float32, "N", 2), "pixel_numbers": (np.int32, "N"),
+            "depths": (np.float32, "N"), "visible": (np.bool_, "N"),
+        }  # fmt: skip
+        images = {"rgb": (np.uint8, height, width, 3), "depth_image": (np.float32, height, width)}
+        hold_arrays(self, "view", {**in_image, **images, "points_world": (np.float64, None, 3)})
 
     @property
     def observations(self) -> UInt8Array:
-        """How the image stands to each point of the cloud, (N,) uint8 of `PointVisibility`.
-
-        Worked out when asked for.
-        """
+        """Visibility of each point of the cloud, (N,) uint8 of `PointVisibility`; computed on access."""
         observations = np.full(len(self.points_world), PointVisibility.BEHIND, np.uint8)
         finite = np.flatnonzero(np.isfinite(self.points_world).all(axis=1))
         in_camera = self.world_from_camera.inverse().apply(self.points_world[finite])
@@ -148,15 +135,13 @@ class FusedFrame:
             in the frame of the source where `unfused` says why.
         views: one per image that it was paired with.
         unpaired: cameras without an image near enough in time.
-        unposed: cameras whose image lies beyond the reach of the trajectory.
+        unposed: cameras whose image is beyond the extrapolation limit of the trajectory.
         extrapolated: whether poses beyond the trajectory's ends were used.
         unfused: why the frame could not be fused, or None.
-        times: what the times of its points were; where they could not be taken as they are, `points` has them as they
-            were read, or none.
-        extras: further fields of the frame, by name.
-        stationary: whether it was fused as if the ego had not moved, because its trajectory did not reach or was not to
-            count.
-        image_extras: further fields of the images that it was paired with, by camera.
+        times: how the times of its points were read; `points` has them as they were read, or none.
+        extras: unknown fields of the frame, by name.
+        stationary: whether it was fused as if the ego were stationary, beyond its trajectory or by request.
+        image_extras: unknown fields of the images that it was paired with, by camera.
     """
 
     lidar_id: Identifier

@@ -1,12 +1,11 @@
 """Projection into images of a rolling shutter whose camera moves.
 
-A point is seen by the line in which it lies at that line's own time, so line and location must be found together. With
-s the line for whose time the point is projected, and v(s) the line in which it then lies, f(s) = v(s) - s has to
-vanish. From line to line an image moves by less than a line: dv/ds < 1, so that f falls everywhere, and its zero is
-the only one. The first step is s := v(s), then come secants; mostly three projections bring f under 0.01 px, and the
-point is off by that much times dv/ds. One that is beyond an edge even at the time of that edge is not in the image.
-Where the image moves with the shutter as fast as that, f may have no zero, or several: such points are looked for
-twelve times at most, then left out and counted.
+A point is seen by the line in which it is at that line's own time, so line and pixel must be found together. With s the
+line for whose time the point is projected, and v(s) the line in which it then is, f(s) = v(s) - s has to vanish. From
+line to line an image moves by less than a line: dv/ds < 1, so that f falls everywhere, and its zero is the only one.
+The first step is s := v(s), then come secants; mostly three projections bring f under 0.01 px, and the error is that
+times dv/ds. A point beyond an edge even at the time of that edge is not in the image. Where the image moves as fast as
+the shutter, f may have no zero, or several: such points are searched twelve times at most, then left out and counted.
 
 The camera's pose is taken at 65 times evenly spread over the image, relative to the image's own time, and linear
 between them: at 500 degrees a second and 33 ms that is within 0.01 mrad.
@@ -39,7 +38,7 @@ _STILL = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShutterDirection:
-    """Where a camera was while it took the lines of an image.
+    """Poses of a camera while it took the lines of an image.
 
     Attributes:
         over_columns: the lines are columns, from the left, instead of rows from the top.
@@ -55,7 +54,7 @@ class ShutterDirection:
 
     @classmethod
     def of(cls, shutter: Shutter, timestamp_ns: int, source: PoseSource) -> "ShutterDirection | None":
-        """Give the trajectory of a camera during one image.
+        """The trajectory of a camera during one image.
 
         Args:
             shutter: of the camera.
@@ -63,7 +62,7 @@ class ShutterDirection:
             source: `world_from_camera`.
 
         Returns:
-            None where all lines are taken at once, where the camera did not move, and where its poses do not reach.
+            None where all lines are taken at once, where the camera did not move, and beyond its poses.
         """
         if shutter.seconds == 0.0:
             return None
@@ -79,20 +78,20 @@ class ShutterDirection:
 
     @classmethod
     def at_rest(cls, shutter: Shutter) -> "ShutterDirection":
-        """Give the trajectory of a camera that stands: what moves by itself still depends on the line that sees it."""
+        """The trajectory of a stationary camera: moving objects still depend on the line that sees them."""
         return cls(shutter.over_columns, np.tile(np.eye(4)[:3], (2, 1, 1)))
 
     @property
     def axis(self) -> int:
-        """What of a pixel says in which line it is: 0, its column, or 1, its row."""
+        """Coordinate of a pixel that is its line: 0, its column, or 1, its row."""
         return 0 if self.over_columns else 1
 
     def line_count(self, camera: Camera) -> int:
-        """How many lines an image has."""
+        """Number of lines of an image."""
         return camera.width if self.over_columns else camera.height
 
     def poses_at(self, lines: FloatArray, camera: Camera) -> Float64Array:
-        """Give the camera at the time of lines, from where it was at the image's time.
+        """Poses of the camera at the time of lines, from that at the image's time.
 
         Args:
             lines: (N,) rows or columns [px], also between two; those beyond the edges count as at them.
@@ -105,18 +104,17 @@ class ShutterDirection:
         knots = np.minimum(at.astype(np.int64), last - 1)
         later = (at - knots)[:, None, None]
         first, second = self.lines_from_middle[knots], self.lines_from_middle[knots + 1]
-        poses: Float64Array = first + later * (second - first)
-        return poses
+        return np.asarray(first + later * (second - first), np.float64)
 
     @property
     def rotation(self) -> float:
-        """How far the camera rotates at most from its pose at the image's time [rad]."""
+        """Largest rotation from the camera's pose at the image's time [rad]."""
         traces = np.trace(self.lines_from_middle[:, :, :3], axis1=1, axis2=2)
         return float(np.arccos(np.clip((traces.min() - 1.0) / 2.0, -1.0, 1.0)))
 
     @property
     def trajectory(self) -> float:
-        """How far the camera moves at most from its location at the image's time [m]."""
+        """Largest distance from the camera's position at the image's time [m]."""
         return float(np.linalg.norm(self.lines_from_middle[:, :, 3], axis=1).max())
 
 
@@ -128,8 +126,8 @@ class RolledPoints:
         point_ids: (M,) int64, which points fall into the image, ascending.
         pixels: (M, 2) float32 [px].
         points_camera: (M, 3) float64 [m], each in the frame of the camera at the time of the line that sees it.
-        unsettled: how many more points may be in the image, since they were within an image's size of it when no
-            line had been found for them.
+        unsettled: number of further points that may be in the image: no line was found for them, and they were within
+            an image's size of it.
     """
 
     point_ids: Int64Array
@@ -146,8 +144,8 @@ def project_by_lines(
     Args:
         points_world: (N, 3) float64 [m], contiguous; points that are not finite are in no image.
         camera: the camera model, of any model.
-        world_from_camera: where the camera was at the image's time.
-        shutter: where it was from there, line by line.
+        world_from_camera: pose of the camera at the image's time.
+        shutter: its poses from there, line by line.
 
     Raises:
         CalibrationError: the camera's model is unknown or has other coefficients.
@@ -155,13 +153,7 @@ def project_by_lines(
     ids, in_middle = np.empty(len(points_world), np.int64), np.empty((len(points_world), 3))
     camera_from_world = world_from_camera.inverse_matrix
     count = keep_in_reach(
-        points_world,
-        camera_from_world,
-        domain_angle(camera),
-        shutter.rotation,
-        shutter.trajectory,
-        ids,
-        in_middle,
+        points_world, camera_from_world, domain_angle(camera), shutter.rotation, shutter.trajectory, ids, in_middle
     )
     parts = [
         _project_part(in_middle[start : min(start + _CHUNK, count)], camera, shutter)
@@ -186,9 +178,9 @@ def pixels_by_lines(
 
     Args:
         points_middle: (N, 3) float64 [m], at the image's time, in the frame of the camera at that time.
-        drifts: (N, 3) float64 [m], how far they go in that frame from the first line to the last, evenly.
+        drifts: (N, 3) float64 [m], how far they move in that frame from the first line to the last, linearly.
         camera: the camera model, of any model.
-        shutter: where the camera was, line by line.
+        shutter: poses of the camera, line by line.
 
     Returns:
         (N, 2) float64 [px]; beyond an edge by the time of that edge, NaN for what no line sees.
@@ -257,12 +249,7 @@ def _project_part(in_middle: Float64Array, camera: Camera, shutter: ShutterDirec
     rows = np.flatnonzero(_in_image(pixels, camera))
     there = np.empty((len(found.unsettled), 3))
     position_at_lines(
-        in_middle,
-        found.unsettled,
-        found.lines,
-        shutter.lines_from_middle,
-        shutter.line_count(camera),
-        there,
+        in_middle, found.unsettled, found.lines, shutter.lines_from_middle, shutter.line_count(camera), there
     )
     near = _in_image(project_unbounded(camera, there), camera, border=max(camera.width, camera.height))
     return RolledPoints(rows, pixels[rows], found.placed[rows], int(near.sum()))
@@ -281,14 +268,9 @@ _LEAST_NEARING = 0.05
 
 @kernel(int64(IN_F64_2D, IN_F64_2D, float64, float64, float64, int64[::1], float64[:, ::1]))
 def keep_in_reach(
-    points_world: Float64Array,
-    camera_from_world: Float64Array,
-    domain: float,
-    rotation: float,
-    trajectory: float,
-    point_ids: Int64Array,
-    points_camera: Float64Array,
-) -> int:
+    points_world: Float64Array, camera_from_world: Float64Array, domain: float, rotation: float, trajectory: float,
+    point_ids: Int64Array, points_camera: Float64Array,
+) -> int:  # fmt: skip
     """Keep the points that a camera model may see at some time while the camera moves.
 
     Args:
@@ -321,19 +303,11 @@ def keep_in_reach(
     return count
 
 
-@kernel(
-    void(
-        IN_F64_2D, types.Array(int64, 1, "C", readonly=True), IN_F64_1D, IN_F64_3D, float64, float64[:, ::1],
-    )
-)  # fmt: skip
+@kernel(void(IN_F64_2D, types.Array(int64, 1, "C", readonly=True), IN_F64_1D, IN_F64_3D, float64, float64[:, ::1]))
 def position_at_lines(
-    points_camera: Float64Array,
-    active: Int64Array,
-    lines: Float64Array,
-    lines_from_middle: Float64Array,
-    line_count: float,
-    placed: Float64Array,
-) -> None:
+    points_camera: Float64Array, active: Int64Array, lines: Float64Array, lines_from_middle: Float64Array,
+    line_count: float, placed: Float64Array,
+) -> None:  # fmt: skip
     """Give points in the frame of the camera at the time of a line, each at its own.
 
     Args:
@@ -364,23 +338,13 @@ def position_at_lines(
             )
 
 
-@kernel(
-    int64(
-        IN_F64_2D, int64, int64, float64, float64, int64[::1], float64[::1], float64[::1], float64[::1], int64[::1],
-    )
-)  # fmt: skip
+@kernel(int64(
+    IN_F64_2D, int64, int64, float64, float64, int64[::1], float64[::1], float64[::1], float64[::1], int64[::1]
+))  # fmt: skip
 def search_lines(
-    pixels: Float64Array,
-    axis: int,
-    attempt: int,
-    line_count: float,
-    tolerance: float,
-    active: Int64Array,
-    lines: Float64Array,
-    lines_before: Float64Array,
-    off_before: Float64Array,
-    settled: Int64Array,
-) -> int:
+    pixels: Float64Array, axis: int, attempt: int, line_count: float, tolerance: float, active: Int64Array,
+    lines: Float64Array, lines_before: Float64Array, off_before: Float64Array, settled: Int64Array,
+) -> int:  # fmt: skip
     """Compare the lines for which points were placed with those in which they then lie, and choose the next.
 
     A point is off by f(s) = v(s) - s, where v(s) is where it lies at the time of line s. Settled is one whose f is

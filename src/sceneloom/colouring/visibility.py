@@ -1,52 +1,51 @@
 """Which points of a sparse cloud a camera sees: occlusion that bridges the gaps between scan lines, even or uneven.
 
-Many have lines a sixth of a degree apart in the middle and a degree or more above and below; rosettes are dense in the
-middle. A reach for all of them would be too short for the sparse part, behind which everything shows through, or too
-long for the dense one. How far a surface may go on beyond its last sample is a matter of the lines that hit it, so each
-point hides with the reach of its own part of the lidar's view. There, spacings do not depend on what stands where: seen
-from the camera the lines on a near thing lie between those on things far behind it.
+A z-buffer over the pixels removes almost nothing: points are several pixels apart, so between two scan lines on a car
+the street behind it shows through. A gap between the samples of one surface must be told from a gap between two
+surfaces. The rule here rests on two facts.
 
-A z-buffer over the pixels removes almost nothing: points lie several pixels apart, so between two scan lines on a car
-the street behind it shows through. What must be reported is a gap between the samples of one surface from a gap between
-two surfaces. The rule here rests on two facts.
-
-**Inverse range is tame on a surface.** A plane at distance d from the camera, seen in the unit direction u, lies at
+**Inverse range is bounded on a surface.** A plane at distance d from the camera, seen in the unit direction u, is at
 range ρ with 1/ρ = n·u / d. Between two directions an angle α apart, 1/ρ therefore changes by at most α/d, however
 grazing the view. So a point Q can only hide a point P, α away, if
 
     1/ρ_Q - 1/ρ_P  >  α / surface_distance  +  m,      m = margin / ρ_P² + margin_share / ρ_P
 
-where m is what Q must be nearer (in metres and as a share of the range, for noise and calibration). No surface whose
-plane is at least `surface_distance` away from the camera hides itself: not the road seen at grazing angle, not the wall
-along it. The larger this distance may be, the more is found between scan lines that are far apart; the steepest changes
-from point to point in the cloud itself report how near its surfaces pass the camera, which mostly is its height.
+where m is how much nearer Q must be (in metres and as a share of the range, for noise and calibration). No surface
+whose plane is at least `surface_distance` away from the camera hides itself: not the road seen at grazing angle, not
+the wall along it. The larger this distance may be, the more is found between scan lines that are far apart; the
+steepest changes from point to point in the cloud itself show how near its surfaces pass the camera, which mostly is
+its height.
 
-**Hidden points lie within silhouettes.** P is hidden if one such Q is so near in direction that no other sample of
-Q's surface can be expected between them, or if two of them lie in opposite quadrants around P within a window. Q on
-one side only, and farther away, is a neighbour beyond a silhouette: P is the background beside it and stays. How near
-is near depends on the lidar: an ellipse of 0.95 spacings across the scan lines and 1.3 along them (between the last
-line on a roof and the next, which misses it, nothing reports where the roof ends; the point that is coloured wrongly is
-the worse loss), less 0.08 degrees, within which no calibration says on which side of an outline a point lies. The
-window reaches a little over one spacing of the scan lines. Since lidars differ, and mountings rotate and tilt them, the
-spacings and their axes are measured in the cloud, as the camera sees it. Where lines lie close together in one part of
-a lidar's view and far apart in another, each point hides with the reach of its own part (`uneven_lines`).
+**Hidden points are within silhouettes.** P is hidden if one such Q is so near in direction that no other sample of
+Q's surface can be expected between them, or if two of them are in opposite quadrants around P within a window. Q on
+one side only, and farther away, is a neighbour beyond a silhouette: P is the background beside it and stays visible.
+How near is near depends on the lidar: an ellipse of 0.95 spacings across the scan lines and 1.3 along them (between the
+last line on a roof and the next, which misses it, nothing shows where the roof ends; a wrong colour is the worse
+loss), less 0.08 degrees, within which no calibration tells on which side of an outline a point is. The window reaches
+a little over one spacing of the scan lines. Since lidars differ, and mountings rotate and tilt them, the spacings and
+their axes are measured in the cloud, as the camera sees it.
 
 **The lidar saw P.** So no edge of Q's surface reached P as the lidar saw the two: between them the edge may be
-anywhere. From the lidar to the camera Q shifts against P by the difference of their inverse ranges times the eye's
-trajectory across the line of sight. Only if P has come as near to Q as 0.85 of what they were apart, or gone behind it,
-can the edge cover it now; where lidar and camera look at a kerb or a ditch from nearly the same location, the road
-behind it stays. This is asked of one Q alone, where it is known from where the lidar measured; without that, surfaces
-must be taken to pass the camera at half a metre, since uneven ground would hide itself otherwise.
+anywhere. From the lidar to the camera Q shifts against P by the difference of their inverse ranges times the baseline
+across the line of sight. Only if P has come as near to Q as 0.85 of what they were apart, or gone behind it, can the
+edge cover it now; where lidar and camera look at a kerb or a ditch from nearly the same position, the road behind it
+stays visible. This is asked of one Q alone, where the lidar's position is known; without that, surfaces must be taken
+to pass the camera at half a metre, since uneven ground would hide itself otherwise.
+
+**Uneven lines.** Many lidars have lines a sixth of a degree apart in the middle and a degree or more above and below;
+rosettes are dense in the middle. One reach for all points would be too short for the sparse part or too long for the
+dense one, so each point hides with the reach of its own part of the lidar's view. There, spacings do not depend on
+what stands where: seen from the camera the lines on a near object lie between those on things far behind it.
 
 Directions are compared in Lambert's equal-area map around the optical axis, in which distances are nearly angles. The
 rule therefore holds for every camera model and resolution alike. To be fast, only the nearest point in each cell of a
 grid over that map can hide others; cells are 0.16 degrees wide, or a sixth of the reach.
 
-On simulated streets, 2 px from outlines and more, where it is known from where the lidar measured: of the hidden points
-whose concealing surface the lidar could see, lidars of 64 lines let at most 0.5 % pass, of 128 lines 1.2 %, of uneven
-lines 0.3 to 1.6 %, of 32 lines 1 to 3 %, of 16 lines (2 degrees apart) up to 12 %; of the visible ones 0.2 to 0.6 % are
-lost, 0.5 to 2.8 %, and 1 to 2 %. What the lidar could not see conceals nothing: high above the camera it looks over
-parked cars, and up to 33 % of what they hide pass. The figures stand in docs/fusion.md.
+On simulated streets, 2 px from outlines and more, with known positions of the lidar: of the hidden points whose hiding
+surface the lidar could see, lidars of 64 lines let at most 0.5 % pass, of 128 lines 1.2 %, of uneven lines 0.3 to
+1.6 %, of 32 lines 1 to 3 %, of 16 lines (2 degrees apart) up to 12 %; of the visible ones 0.2 to 0.6 % are lost, 0.5 to
+2.8 %, and 1 to 2 %. What the lidar could not see hides nothing: high above the camera it looks over parked cars, and up
+to 33 % of what they hide pass. The figures stand in docs/fusion.md.
 """
 
 import math
@@ -58,15 +57,7 @@ from typing import Any
 import numpy as np
 from numba import boolean, float32, float64, int32, int64, void
 
-from sceneloom.arrays import (
-    AnyArray,
-    BoolArray,
-    Float32Array,
-    Float64Array,
-    Int32Array,
-    Int64Array,
-    check_array,
-)
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int32Array, Int64Array, check_array
 from sceneloom.colouring.results import LidarTrajectory
 from sceneloom.errors import OptionError
 from sceneloom.kernels.cache import kernel
@@ -83,363 +74,7 @@ from sceneloom.kernels.signatures import (
     inlined,
     part,
 )
-from sceneloom.kernels.thread_pool import ALONE, ThreadPool
-
-_CELL = radians(0.1)
-_REACH_CELLS = 25
-
-_SPARSEST = _CELL * _REACH_CELLS
-"""Neighbours farther away are not found [rad]."""
-
-_SAMPLES = 256
-_SECTORS = 8
-_WINDOW_PER_SPACING = 1.15
-_NEAR_PER_SPACING_ACROSS, _NEAR_PER_SPACING_ALONG, _OUTLINE_DEG = 0.95, 1.3, 0.08
-_WINDOWS_DEG, _NEARS_DEG = (0.3, 3.0), (0.1, 2.4)
-_USUAL_WINDOW_DEG, _USUAL_NEAR_DEG = 0.5, 0.16
-
-_CELLS_PER_REACH = 6
-"""How fine the grid is in which points are compared."""
-
-_USUAL_SURFACE_DISTANCE = 0.5
-"""Where nothing was measured [m]: below the height of nearly all cameras."""
-
-_SURFACE_DISTANCES = (0.1, 1.5)
-_OF_SURFACE_DISTANCE, _STEEPER_THAN, _FEWEST_SURFACES = 0.8, 0.95, 32
-
-
-@dataclass(frozen=True, slots=True)
-class _Reach:
-    """How far occlusion reaches in the equal-area map of directions.
-
-    Attributes:
-        window: for two things on opposite sides [rad].
-        across, along: for one thing alone, across the scan lines and along them [rad].
-        angle: of the axis across the scan lines, from rightward to downward.
-    """
-
-    window: float
-    across: float
-    along: float
-    angle: float = 0.0
-
-    @property
-    def ellipse(self) -> tuple[float, float, float]:
-        """p, q, r of p x² + q x y + r y² <= 1, the directions in which one thing alone hides [1/rad²]."""
-        c, s, p, r = cos(self.angle), sin(self.angle), self.across**-2, self.along**-2
-        return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
-
-
-@dataclass(frozen=True, slots=True)
-class ScanLines:
-    """How the scan lines of a lidar lie in a view.
-
-    Attributes:
-        across: from line to line [rad].
-        along: from point to point on a line [rad].
-        angle: of the axis across the lines, from rightward to downward.
-    """
-
-    across: float
-    along: float
-    angle: float
-
-    @property
-    def reach(self) -> "_Reach":
-        """How far occlusion must reach to bridge them."""
-        across, along = degrees(self.across), degrees(self.along)
-        window = _bounded(_WINDOW_PER_SPACING * across, *_WINDOWS_DEG)
-        # Of the points of a cell only the nearest counts, so that what is near reaches a cell at least.
-        least = max(_NEARS_DEG[0], window / _CELLS_PER_REACH)
-        return _Reach(
-            radians(window),
-            radians(_bounded(_NEAR_PER_SPACING_ACROSS * across - _OUTLINE_DEG, *_NEARS_DEG)),
-            radians(_bounded(_NEAR_PER_SPACING_ALONG * along - _OUTLINE_DEG, least, _NEARS_DEG[1])),
-            self.angle,
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Neighbours:
-    """The next point in each of eight sectors around some points of a cloud; opposite sectors make an axis.
-
-    Attributes:
-        points: (S,) int64, the points that were looked around.
-        ids: (S, 8) int64, a point in the nearest occupied cell of each sector; -1 for none within reach.
-        distances: (S, 8) float64 [rad], how far that cell is; NaN for none.
-    """
-
-    points: Int64Array
-    ids: Int64Array
-    distances: Float64Array
-
-
-def look_around(
-    directions: Float32Array,
-    inverse_ranges: Float32Array,
-    *,
-    extent: Float32Array | None = None,
-    samples: int = _SAMPLES,
-    thread_pool: ThreadPool = ALONE,
-) -> _Neighbours:
-    """Find the neighbours of some points, evenly drawn from a cloud.
-
-    Args:
-        directions: (2, M) float32 in the equal-area map [rad].
-        inverse_ranges: (M,) float32 [1/m]; 0 for a point that takes no part.
-        extent: (4,) of the cloud, where it is known what `measure_extent` gives.
-        samples: how many points; of fewer each one.
-        thread_pool: the threads that share the cloud.
-    """
-    if extent is None:
-        extent = measure_extent(directions, inverse_ranges, thread_pool=thread_pool)
-    distances, ids = np.empty((samples, _SECTORS)), np.empty((samples, _SECTORS), np.int64)
-    find_neighbours(directions, inverse_ranges, extent, _CELL, *_disc(), distances, ids, thread_pool=thread_pool)
-    drawn = min(samples, len(inverse_ranges))
-    points = np.arange(drawn) * len(inverse_ranges) // max(drawn, 1)
-    return _Neighbours(points, ids[:drawn], distances[:drawn])
-
-
-def measure_spacings(neighbours: _Neighbours) -> Float64Array:
-    """Measure how far apart the points of a cloud appear along four axes.
-
-    Returns:
-        (4,) float64 [rad], mean of the middle half of the distances along the axes at 0, 45, 90 and 135 degrees from
-        rightward to downward, 0.1 to 2.5 degrees; NaN where fewer than half of the neighbours are so near.
-    """
-    spacings = np.empty(_SECTORS // 2)
-    measure_along_axes(neighbours.distances, _CELL, _REACH_CELLS, _SAMPLES, spacings)
-    return spacings
-
-
-def measure_surface_distance(
-    neighbours: _Neighbours,
-    directions: Float32Array,
-    inverse_ranges: Float32Array,
-    margin: float,
-    margin_share: float,
-) -> float:
-    """Measure how near the planes of the surfaces in a cloud pass the camera: mostly the height above the ground.
-
-    The inverse range changes along a plane by at most one over that distance for each radian. It is taken where a point
-    lies on one line with its neighbours on both sides, so that the three are of one surface.
-
-    Args:
-        neighbours: of some points.
-        directions: (2, M) float32 in the equal-area map [rad].
-        inverse_ranges: (M,) float32 [1/m].
-        margin: how far from the line a point may lie [m] …
-        margin_share: … plus this share of its range.
-
-    Returns:
-        Four fifths of the distance that 95 % of the surfaces keep, 0.1 to 1.5 m; 0.5 where too few were found.
-    """
-    slopes = np.empty(len(neighbours.points))
-    find_slopes(
-        directions,
-        inverse_ranges,
-        neighbours.points,
-        neighbours.ids,
-        _CELL * 1e-3,
-        margin,
-        margin_share,
-        slopes,
-    )
-    slopes.sort()
-    known = int(slopes.searchsorted(np.inf))
-    if known < _FEWEST_SURFACES:
-        return _USUAL_SURFACE_DISTANCE
-    steepest = max(float(slopes[int(_STEEPER_THAN * known)]), 1e-3)
-    return _bounded(_OF_SURFACE_DISTANCE / steepest, *_SURFACE_DISTANCES)
-
-
-def find_lines(spacings: Float64Array) -> ScanLines | None:
-    """Report the lines from spacings along the four axes: of the two upright pairs of axes.
-
-    The one that differs more.
-    """
-    along_axes = spacings.tolist()
-    ratios = {pair: abs(log(along_axes[pair] / along_axes[pair + 2])) for pair in range(2)}
-    reported = [pair for pair, ratio in ratios.items() if not isnan(ratio)]
-    if not reported:
-        return None
-    pair = max(reported, key=ratios.__getitem__)
-    axis = pair if along_axes[pair] > along_axes[pair + 2] else pair + 2
-    return ScanLines(along_axes[axis], along_axes[(axis + 2) % 4], axis * pi / 4)
-
-
-def fit_reach(lines: ScanLines | None) -> _Reach:
-    """Fit the reach to scan lines; a usual one where there are none."""
-    if lines is None:
-        return _Reach(radians(_USUAL_WINDOW_DEG), radians(_USUAL_NEAR_DEG), radians(_USUAL_NEAR_DEG))
-    return lines.reach
-
-
-def _bounded(value: float, least: float, most: float) -> float:
-    return min(max(value, least), most)
-
-
-@lru_cache(maxsize=1)
-def _disc() -> tuple[Int64Array, Int64Array, Int64Array, Float64Array]:
-    """Give columns, rows, sectors and distances [rad] of the cells around one, nearest first."""
-    down, right = np.mgrid[-_REACH_CELLS : _REACH_CELLS + 1, -_REACH_CELLS : _REACH_CELLS + 1].reshape(2, -1)
-    distances = np.hypot(right, down)
-    order = np.argsort(distances, kind="stable")
-    order = order[(distances[order] > 0) & (distances[order] <= _REACH_CELLS)]
-    sectors = np.floor(np.arctan2(down, right) * _SECTORS / (2 * pi) + 0.5).astype(np.int64) % _SECTORS
-    return right[order], down[order], sectors[order], distances[order] * _CELL
-
-
-_UNEVEN = 2.5
-"""How many times as far apart sparse neighbours are as dense ones. Where all lines lie alike, what stands before what
-and the bending of a fisheye make that up to 2.1; lidars as above have 4.1 and more (simulated streets, PandaSet)."""
-
-_DENSE, _SPARSE = 15.0, 93.0
-_FEWEST = 64
-_SPARSER_THAN = 1.5
-_SAMPLES_OF_PARTS = 2048
-_TILE_ACROSS, _TILE_ALONG = radians(1.0), radians(8.0)
-_LEAST_IN_TILE = 2
-_LEAST_KNOWN = 5
-_STEP = log(2.0)
-_LEAST_SHARE = 0.01
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """Points whose scan lines lie alike.
-
-    Attributes:
-        lines: how.
-        members: (M,) bool.
-    """
-
-    lines: ScanLines
-    members: BoolArray
-
-
-def are_uneven(neighbours: _Neighbours) -> bool:
-    """Report whether the lines around some points lie so differently that one reach does not fit all."""
-    spacings = _around(neighbours)
-    spacings.sort()
-    known = spacings[: int(spacings.searchsorted(np.inf))]
-    if len(known) < _FEWEST:
-        return False
-    return _percentile(known, _SPARSE) > _UNEVEN * _percentile(known, _DENSE)
-
-
-def split_by_spacing(directions: Float32Array, inverse_ranges: Float32Array, lines: ScanLines) -> list[_Part]:
-    """Split a cloud by how far apart its scan lines are where its points lie.
-
-    Args:
-        directions: (2, M) float32 [rad], where the lidar saw the points, in the equal-area map.
-        inverse_ranges: (M,) float32 [1/m]; 0 for a point that takes no part.
-        lines: of the cloud as a whole, in case that too few points report how its sparse lines lie.
-
-    Returns:
-        Parts in which spacings are alike within a factor of two; less than a hundredth of the points makes no part.
-    """
-    neighbours = look_around(directions, inverse_ranges, samples=_SAMPLES_OF_PARTS)
-    of_samples = _around(neighbours)
-    lines = _sparse_lines(neighbours, of_samples, lines)
-    tiles, columns = _tiles(directions, lines.angle)
-    spacings = _spread(of_samples, tiles[neighbours.points], int(tiles.max()) // columns + 1, columns)
-    # Tiles are few beside points: all is decided for them, each as often as it has points.
-    counts = np.bincount(tiles, minlength=len(spacings))
-    steps = np.rint(np.log(spacings / _median(spacings, counts)) / _STEP).astype(np.int64)
-    parts = []
-    for step in _filled(steps, counts):
-        inside = steps == step
-        across = _median(spacings[inside], counts[inside])
-        parts.append(_Part(ScanLines(across, lines.along, lines.angle), inside[tiles]))
-    return parts
-
-
-def _percentile(ordered: Float64Array, share: float) -> float:
-    """Give the value below which so many per cent lie, linearly between two."""
-    location = share / 100 * (len(ordered) - 1)
-    below = int(location)
-    above = min(below + 1, len(ordered) - 1)
-    least, most = float(ordered[below]), float(ordered[above])
-    return least + (location - below) * (most - least)
-
-
-def _median(values: Float64Array, counts: Int64Array) -> float:
-    """Give the median of values each of which is there so many times."""
-    order = np.argsort(values)
-    behind = np.cumsum(counts[order])
-    middle = np.searchsorted(behind, [(behind[-1] - 1) // 2, behind[-1] // 2], side="right")
-    return float(values[order][middle].mean())
-
-
-def _sparse_lines(neighbours: _Neighbours, spacings: Float64Array, lines: ScanLines) -> ScanLines:
-    """Report how lines lie from where they are far apart: dense ones look much the same across and along."""
-    known = spacings[np.isfinite(spacings)]
-    sparse = spacings > _SPARSER_THAN * (np.median(known) if len(known) else np.inf)
-    if np.count_nonzero(sparse) < _FEWEST:
-        return lines
-    found = neighbours.distances[sparse]
-    distances = np.where(np.isnan(found), _SPARSEST, found)
-    half = distances.shape[1] // 2
-    axes = np.median(np.concatenate([distances[:, :half], distances[:, half:]]), axis=0)
-    along = int(np.argmin(axes))
-    across = (along + half // 2) % half
-    return ScanLines(float(axes[across]), float(axes[along]), across * pi / half)
-
-
-def _filled(steps: Int64Array, counts: Int64Array) -> list[int]:
-    """Give the steps that have enough points, and let those of the others join the nearest of them, in place."""
-    found, which = np.unique(steps, return_inverse=True)
-    points = np.bincount(which, weights=counts)
-    kept = found[(points >= _LEAST_SHARE * counts.sum()) & (points > 0)]
-    nearest = kept[np.argmin(np.abs(found[:, None] - kept), axis=1)]
-    steps[:] = nearest[np.searchsorted(found, steps)]
-    filled: list[int] = kept.tolist()
-    return filled
-
-
-def _around(neighbours: _Neighbours) -> Float64Array:
-    """Give the spacing of the lines around each point [rad], whichever trajectory they lie; NaN where few are in reach.
-
-    Of eight sectors two look along the line, the others to the next lines: the upper quartile is across.
-    """
-    spacings = np.empty(len(neighbours.points))
-    measure_across(neighbours.distances, _LEAST_KNOWN, spacings)
-    return spacings
-
-
-def _tiles(directions: Float32Array, angle: float) -> tuple[Int64Array, int]:
-    """Number the tiles, long along the lines, that points lie in, (M,), and state how many lie side by side."""
-    c, s = cos(angle), sin(angle)
-    across = np.floor((c * directions[0] + s * directions[1]) / _TILE_ACROSS).astype(np.int64)
-    along = np.floor((c * directions[1] - s * directions[0]) / _TILE_ALONG).astype(np.int64)
-    columns = int(np.ptp(along)) + 1
-    return (across - across.min()) * columns + along - along.min(), columns
-
-
-def _spread(spacings: Float64Array, tiles: Int64Array, rows: int, columns: int) -> Float64Array:
-    """Give each tile the median spacing of the samples in it; without, that of the nearest row of tiles."""
-    field = np.full((rows, columns), np.nan)
-    reported, medians = _medians(tiles, np.where(np.isnan(spacings), _SPARSEST, spacings))
-    field.ravel()[reported] = medians
-    known = np.flatnonzero(np.isfinite(field).any(axis=1))
-    if len(known) == 0:
-        return np.full(field.size, _SPARSEST)
-    of_rows = np.nanmedian(field[known], axis=1)
-    nearest = np.argmin(np.abs(np.arange(rows)[:, None] - known), axis=1)
-    whole = np.where(np.isnan(field), of_rows[nearest][:, None], field)
-    spread: Float64Array = whole.ravel()
-    return spread
-
-
-def _medians(groups: Int64Array, values: Float64Array) -> tuple[Int64Array, Float64Array]:
-    """Give the groups that have enough values, rising, and their medians."""
-    order = np.lexsort((values, groups))
-    found, first, counts = np.unique(groups[order], return_index=True, return_counts=True)
-    medians = 0.5 * (values[order][first + (counts - 1) // 2] + values[order][first + counts // 2])
-    enough = counts >= _LEAST_IN_TILE
-    return found[enough], medians[enough]
-
+from sceneloom.kernels.thread_pool import ALONE, Phase, ThreadPool
 
 Looks = tuple[Float32Array, Float32Array]
 """Where a camera sees M points: directions (2, M) in the equal-area map [rad], inverse ranges (M,) [1/m]."""
@@ -448,7 +83,7 @@ _CELL_DEG = 0.16
 _NEARING = 0.85
 _STRAIGHTNESS = 0.5
 _MOST_THREADS = 256
-_NO_TRAJECTORY = (np.zeros((0, 3)), np.zeros(0, np.float32))
+_UNKNOWN_EYES = (np.zeros((0, 3)), np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -457,16 +92,16 @@ class VisibilitySettings:
 
     Attributes:
         enabled: False leaves a plain z-buffer over the pixels.
-        window_deg: how far things on opposite sides of a point may be from it to hide it [deg]; None for 1.15 times
+        window_deg: how far points on opposite sides of another may be from it to hide it [deg]; None for 1.15 times
             the spacing of the scan lines, measured from the cloud, between 0.3 and 3.
-        near_deg: within this one thing alone hides a point [deg]; None for 0.95 times the spacing of the scan lines
+        near_deg: within this one point alone hides another [deg]; None for 0.95 times the spacing of the scan lines
             across them and 1.3 times the spacing of the points along them, less 0.08, measured, between 0.1 and 2.4.
         surface_distance: surfaces whose plane passes the camera farther away than this never hide themselves [m];
-            less than the height of the camera above the ground. None: where it is known from where the lidar measured,
-            four fifths of what is measured in the cloud, between 0.1 and 1.5; 0.5 otherwise.
+            less than the height of the camera above the ground. None: with known positions of the lidar, four fifths
+            of what is measured in the cloud, between 0.1 and 1.5; 0.5 otherwise.
         margin: how much nearer than a point something must be to hide it [m] …
         margin_share: … plus this share of the point's range.
-        threads: how many share the work on one cloud; what they find is the same.
+        threads: number of threads for one cloud; the result is the same.
 
     Raises:
         OptionError: a number is negative, not finite, or 0 where it must not be.
@@ -504,15 +139,15 @@ def find_visible(
     trajectory: LidarTrajectory | None = None,
     looks: Looks | None = None,
 ) -> BoolArray:
-    """Report which of some points the camera sees, as far as these points themselves can state.
+    """Find the points that the camera sees, as far as the points themselves hide one another.
 
     Args:
         points_world: (N, 3) float64 [m], contiguous.
-        point_ids: (M,) int64, those that fall into the image; only they hide one another.
+        point_ids: (M,) int64, those in the image; only they hide one another.
         camera_from_world: (3, 4) or (4, 4) float64, contiguous.
-        settings: the rule's numbers; `enabled` is not looked at.
-        trajectory: from where the lidar measured the N points; None where that is not known.
-        looks: what `map_directions` gives for the M points, where it is known already.
+        settings: of the rule; `enabled` is ignored.
+        trajectory: where the lidar was when it measured the N points; None where unknown.
+        looks: the result of `map_directions` for the M points, where known.
 
     Returns:
         (M,) bool.
@@ -520,146 +155,382 @@ def find_visible(
     Raises:
         ArrayError: `trajectory` is that of another number of points.
     """
+    thread_pool = ThreadPool.of(settings.threads, len(point_ids))
+    directions, inverse_ranges = looks or _look(points_world, point_ids, camera_from_world, thread_pool)
+    eyes, fractions = _UNKNOWN_EYES
     if trajectory is not None:
         check_array("trajectory.fractions", trajectory.fractions, (len(points_world),), np.float32)
-    thread_pool = ThreadPool.of(settings.threads, len(point_ids))
-    directions, inverse_ranges = (
-        _look(points_world, point_ids, camera_from_world, thread_pool) if looks is None else looks
-    )
-    visible = np.zeros(len(point_ids), np.bool_)
-    eyes, fractions = (
-        _NO_TRAJECTORY
-        if trajectory is None
-        else (_in_camera(trajectory.ends_world, camera_from_world), trajectory.fractions)
-    )
-    from_lidar = _FromLidar(points_world, point_ids, camera_from_world, eyes, fractions)
+        eyes, fractions = _in_camera(trajectory.ends_world, camera_from_world), trajectory.fractions
+
+    def seen_by_lidar() -> Float32Array:
+        """Directions (2, M) in which the lidar saw the points, around the camera's axis."""
+        if trajectory is None:
+            return directions
+        share = fractions[point_ids, None].astype(np.float64)
+        from_eyes = _in_camera(points_world[point_ids], camera_from_world)
+        from_eyes -= eyes[0] + share * (eyes[1] - eyes[0])
+        return _look(from_eyes, np.arange(len(from_eyes)), np.eye(4), ALONE)[0]
+
     extent = measure_extent(directions, inverse_ranges, thread_pool=thread_pool)
-    passes, surface_distance = _measure(directions, inverse_ranges, extent, settings, from_lidar, thread_pool)
-    for number, (reach, hiding) in enumerate(passes):
+    window, near, distance = settings.window_deg, settings.near_deg, settings.surface_distance
+    if distance is None and trajectory is None:
+        distance = _USUAL_SURFACE_DISTANCE
+    # each reach, with the inverse ranges of the points that hide so far, 0 for the others
+    passes = [(fit_reach(None).given(window, near), inverse_ranges)]
+    if window is None or near is None or distance is None:
+        neighbours = look_around(directions, inverse_ranges, extent=extent, thread_pool=thread_pool)
+        if distance is None:
+            margins = _STRAIGHTNESS * settings.margin, _STRAIGHTNESS * settings.margin_share
+            distance = measure_surface_distance(neighbours, directions, inverse_ranges, *margins)
+        lines = find_lines(measure_spacings(neighbours))
+        passes = [(fit_reach(lines).given(window, near), inverse_ranges)]
+        if lines is not None and (window is None or near is None) and are_uneven(neighbours):
+            parts = split_by_spacing(seen_by_lidar(), inverse_ranges, lines)
+            if len(parts) > 1:
+                passes = [
+                    (own.reach.given(window, near), np.where(members, inverse_ranges, np.float32(0.0)))
+                    for own, members in parts
+                ]
+    visible = np.ones(len(point_ids), np.bool_)
+    for reach, hiding in passes:
         seen = np.empty(len(point_ids), np.bool_)
         mark_unhidden(
-            directions,
-            inverse_ranges,
-            hiding,
-            extent,
-            max(max(reach.window, reach.across, reach.along) / _CELLS_PER_REACH, radians(_CELL_DEG)),
-            reach.window,
-            *reach.ellipse,
-            1.0 / surface_distance,
-            settings.margin,
-            settings.margin_share,
-            eyes,
-            point_ids,
-            fractions,
-            _NEARING,
-            seen,
-            thread_pool=thread_pool,
-        )
-        visible = seen if number == 0 else visible & seen
+            directions, inverse_ranges, hiding, extent, reach.cell, reach.window, *reach.ellipse, 1.0 / distance,
+            settings.margin, settings.margin_share, eyes, point_ids, fractions, _NEARING, seen, thread_pool=thread_pool,
+        )  # fmt: skip
+        visible &= seen
     return visible
 
 
 def _look(
-    points_world: Float64Array,
-    point_ids: Int64Array,
-    camera_from_world: Float64Array,
-    thread_pool: ThreadPool,
+    points_world: Float64Array, point_ids: Int64Array, camera_from_world: Float64Array, thread_pool: ThreadPool
 ) -> Looks:
-    directions, inverse_ranges = (
-        np.empty((2, len(point_ids)), np.float32),
-        np.empty(len(point_ids), np.float32),
-    )
+    directions, inverse_ranges = np.empty((2, len(point_ids)), np.float32), np.empty(len(point_ids), np.float32)
     map_directions(points_world, point_ids, camera_from_world, directions, inverse_ranges, thread_pool=thread_pool)
     return directions, inverse_ranges
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _FromLidar:
-    """Points, and from where the lidar measured them; arguments of `find_visible`, eyes in the camera frame."""
+def _in_camera(points_world: Float64Array, camera_from_world: Float64Array) -> Float64Array:
+    return np.ascontiguousarray(points_world @ camera_from_world[:3, :3].T + camera_from_world[:3, 3])
 
-    points_world: Float64Array
-    point_ids: Int64Array
-    camera_from_world: Float64Array
-    eyes: Float64Array
-    fractions: Float32Array
+
+_CELL = radians(0.1)
+_REACH_CELLS = 25
+
+_SPARSEST = _CELL * _REACH_CELLS
+"""Neighbours farther away are not found [rad]."""
+
+_SAMPLES = 256
+_SECTORS = 8
+_WINDOW_PER_SPACING = 1.15
+_NEAR_PER_SPACING_ACROSS, _NEAR_PER_SPACING_ALONG, _OUTLINE_DEG = 0.95, 1.3, 0.08
+_WINDOWS_DEG, _NEARS_DEG = (0.3, 3.0), (0.1, 2.4)
+_USUAL_WINDOW_DEG, _USUAL_NEAR_DEG = 0.5, 0.16
+
+_CELLS_PER_REACH = 6
+"""Cells of the grid in which points are compared, per reach."""
+
+_USUAL_SURFACE_DISTANCE = 0.5
+"""Where nothing was measured [m]: below the height of nearly all cameras."""
+
+_SURFACE_DISTANCES = (0.1, 1.5)
+_OF_SURFACE_DISTANCE, _STEEPER_THAN, _FEWEST_SURFACES = 0.8, 0.95, 32
+
+
+@dataclass(frozen=True, slots=True)
+class _Reach:
+    """How far occlusion reaches in the equal-area map of directions."""
+
+    window: float  # for two points on opposite sides [rad]
+    across: float  # for one point alone, across the scan lines [rad]
+    along: float  # and along them [rad]
+    angle: float = 0.0  # of the axis across the scan lines, from rightward to downward
 
     @property
-    def known(self) -> bool:
-        """Whether it is known from where."""
-        return len(self.eyes) > 0
+    def ellipse(self) -> tuple[float, float, float]:
+        """p, q, r of p x² + q x y + r y² <= 1, the directions in which one point alone hides [1/rad²]."""
+        c, s, p, r = cos(self.angle), sin(self.angle), self.across**-2, self.along**-2
+        return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
 
-    def directions(self) -> Float32Array:
-        """Where the lidar saw the points, (2, M) in the equal-area map around the camera's axis [rad]."""
-        share = self.fractions[self.point_ids, None].astype(np.float64)
-        from_eyes = _in_camera(self.points_world[self.point_ids], self.camera_from_world)
-        from_eyes -= self.eyes[0] + share * (self.eyes[1] - self.eyes[0])
-        return _look(from_eyes, np.arange(len(from_eyes)), np.eye(4), ALONE)[0]
+    @property
+    def cell(self) -> float:
+        """Size of the grid's cells [rad]."""
+        return max(max(self.window, self.across, self.along) / _CELLS_PER_REACH, radians(_CELL_DEG))
+
+    def given(self, window_deg: float | None, near_deg: float | None) -> "_Reach":
+        """The same with what is given instead of what was measured."""
+        reach = self if near_deg is None else _Reach(self.window, radians(near_deg), radians(near_deg))
+        return reach if window_deg is None else replace(reach, window=radians(window_deg))
 
 
-def _in_camera(points_world: Float64Array, camera_from_world: Float64Array) -> Float64Array:
-    moved: Float64Array = points_world @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
-    return np.ascontiguousarray(moved)
+@dataclass(frozen=True, slots=True)
+class ScanLines:
+    """The scan lines of a lidar in a view.
+
+    Attributes:
+        across: from line to line [rad].
+        along: from point to point on a line [rad].
+        angle: of the axis across the lines, from rightward to downward.
+    """
+
+    across: float
+    along: float
+    angle: float
+
+    @property
+    def reach(self) -> _Reach:
+        """The reach of occlusion that bridges them."""
+        across, along = degrees(self.across), degrees(self.along)
+        window = _bounded(_WINDOW_PER_SPACING * across, *_WINDOWS_DEG)
+        # Of the points of a cell only the nearest counts, so that one point reaches a cell at least.
+        least = max(_NEARS_DEG[0], window / _CELLS_PER_REACH)
+        return _Reach(
+            radians(window),
+            radians(_bounded(_NEAR_PER_SPACING_ACROSS * across - _OUTLINE_DEG, *_NEARS_DEG)),
+            radians(_bounded(_NEAR_PER_SPACING_ALONG * along - _OUTLINE_DEG, least, _NEARS_DEG[1])),
+            self.angle,
+        )
 
 
-def _measure(
+@dataclass(frozen=True, slots=True, eq=False)
+class _Neighbours:
+    """The next point in each of eight sectors around some points of a cloud; opposite sectors make an axis."""
+
+    points: Int64Array  # (S,) int64, the points in the middle
+    ids: Int64Array  # (S, 8) int64, a point in the nearest occupied cell of each sector; -1 for none within reach
+    distances: Float64Array  # (S, 8) float64 [rad], how far that cell is; NaN for none
+
+
+def look_around(
     directions: Float32Array,
     inverse_ranges: Float32Array,
-    extent: Float32Array,
-    settings: VisibilitySettings,
-    from_lidar: _FromLidar,
-    thread_pool: ThreadPool,
-) -> tuple[list[tuple[_Reach, Float32Array]], float]:
-    """Take the settings' reach and surface distance, or measure in the cloud what they leave open.
+    *,
+    extent: Float32Array | None = None,
+    samples: int = _SAMPLES,
+    thread_pool: ThreadPool = ALONE,
+) -> _Neighbours:
+    """Find the neighbours of some points, evenly drawn from a cloud.
+
+    Args:
+        directions: (2, M) float32 in the equal-area map [rad].
+        inverse_ranges: (M,) float32 [1/m]; 0 for a point that is ignored.
+        extent: (4,) of the cloud, as of `measure_extent`, where known.
+        samples: how many points; all where there are fewer.
+        thread_pool: the threads that share the cloud.
+    """
+    if extent is None:
+        extent = measure_extent(directions, inverse_ranges, thread_pool=thread_pool)
+    distances, ids = np.empty((samples, _SECTORS)), np.empty((samples, _SECTORS), np.int64)
+    find_neighbours(directions, inverse_ranges, extent, _CELL, *_disc(), distances, ids, thread_pool=thread_pool)
+    drawn = min(samples, len(inverse_ranges))
+    points = np.arange(drawn) * len(inverse_ranges) // max(drawn, 1)
+    return _Neighbours(points, ids[:drawn], distances[:drawn])
+
+
+def measure_spacings(neighbours: _Neighbours) -> Float64Array:
+    """Measure how far apart the points of a cloud appear along four axes.
 
     Returns:
-        passes: each reach with the inverse ranges of the points that hide so far, (M,) float32, 0 for the others.
-        surface_distance: of all of them [m].
+        (4,) float64 [rad], mean of the middle half of the distances along the axes at 0, 45, 90 and 135 degrees from
+        rightward to downward, 0.1 to 2.5 degrees; NaN where fewer than half of the neighbours are so near.
     """
-    window, near, distance = settings.window_deg, settings.near_deg, settings.surface_distance
-    if distance is None and not from_lidar.known:
-        distance = _USUAL_SURFACE_DISTANCE
-    if window is not None and near is not None and distance is not None:
-        return [(_Reach(radians(window), radians(near), radians(near)), inverse_ranges)], distance
-    neighbours = look_around(directions, inverse_ranges, extent=extent, thread_pool=thread_pool)
-    if distance is None:
-        margins = _STRAIGHTNESS * settings.margin, _STRAIGHTNESS * settings.margin_share
-        distance = measure_surface_distance(neighbours, directions, inverse_ranges, *margins)
-    spacings = measure_spacings(neighbours)
-    lines = find_lines(spacings)
-    if lines is not None and (window is None or near is None) and are_uneven(neighbours):
-        seen = from_lidar.directions() if from_lidar.known else directions
-        parts = split_by_spacing(seen, inverse_ranges, lines)
-        if len(parts) > 1:
-            return [_pass(part, inverse_ranges, window, near) for part in parts], distance
-    return [(_with(fit_reach(lines), window, near), inverse_ranges)], distance
+    spacings = np.empty(_SECTORS // 2)
+    measure_along_axes(neighbours.distances, _CELL, _REACH_CELLS, _SAMPLES, spacings)
+    return spacings
 
 
-def _pass(
-    part: _Part, inverse_ranges: Float32Array, window_deg: float | None, near_deg: float | None
-) -> tuple[_Reach, Float32Array]:
-    hiding = np.where(part.members, inverse_ranges, np.float32(0.0))
-    return _with(part.lines.reach, window_deg, near_deg), hiding
+def measure_surface_distance(
+    neighbours: _Neighbours, directions: Float32Array, inverse_ranges: Float32Array, margin: float, margin_share: float
+) -> float:
+    """Measure how near the planes of the surfaces in a cloud pass the camera: mostly the height above the ground.
+
+    The inverse range changes along a plane by at most one over that distance for each radian. It is taken where a point
+    is on one line with its neighbours on both sides, so that the three are of one surface.
+
+    Args:
+        neighbours: of some points.
+        directions: (2, M) float32 in the equal-area map [rad].
+        inverse_ranges: (M,) float32 [1/m].
+        margin: how far from the line a point may be [m] …
+        margin_share: … plus this share of its range.
+
+    Returns:
+        Four fifths of the distance that 95 % of the surfaces keep, 0.1 to 1.5 m; 0.5 where too few were found.
+    """
+    slopes = np.empty(len(neighbours.points))
+    find_slopes(
+        directions, inverse_ranges, neighbours.points, neighbours.ids, _CELL * 1e-3, margin, margin_share, slopes
+    )
+    slopes.sort()
+    known = int(slopes.searchsorted(np.inf))
+    if known < _FEWEST_SURFACES:
+        return _USUAL_SURFACE_DISTANCE
+    steepest = max(float(slopes[int(_STEEPER_THAN * known)]), 1e-3)
+    return _bounded(_OF_SURFACE_DISTANCE / steepest, *_SURFACE_DISTANCES)
 
 
-def _with(measured: _Reach, window_deg: float | None, near_deg: float | None) -> _Reach:
-    """Take what is given instead of what was measured."""
-    if near_deg is not None:
-        measured = _Reach(measured.window, radians(near_deg), radians(near_deg))
-    return measured if window_deg is None else replace(measured, window=radians(window_deg))
+def find_lines(spacings: Float64Array) -> ScanLines | None:
+    """The scan lines from spacings along the four axes: of the two perpendicular pairs the one that differs more."""
+    along_axes = spacings.tolist()
+    ratios = {pair: abs(log(along_axes[pair] / along_axes[pair + 2])) for pair in range(2)}
+    known = [pair for pair, ratio in ratios.items() if not isnan(ratio)]
+    if not known:
+        return None
+    pair = max(known, key=ratios.__getitem__)
+    axis = pair if along_axes[pair] > along_axes[pair + 2] else pair + 2
+    return ScanLines(along_axes[axis], along_axes[(axis + 2) % 4], axis * pi / 4)
+
+
+def fit_reach(lines: ScanLines | None) -> _Reach:
+    """The reach for scan lines; a usual one where there are none."""
+    if lines is None:
+        return _Reach(radians(_USUAL_WINDOW_DEG), radians(_USUAL_NEAR_DEG), radians(_USUAL_NEAR_DEG))
+    return lines.reach
+
+
+def _bounded(value: float, least: float, most: float) -> float:
+    return min(max(value, least), most)
+
+
+@lru_cache(maxsize=1)
+def _disc() -> tuple[Int64Array, Int64Array, Int64Array, Float64Array]:
+    """Columns, rows, sectors and distances [rad] of the cells around one, nearest first."""
+    down, right = np.mgrid[-_REACH_CELLS : _REACH_CELLS + 1, -_REACH_CELLS : _REACH_CELLS + 1].reshape(2, -1)
+    distances = np.hypot(right, down)
+    order = np.argsort(distances, kind="stable")
+    order = order[(distances[order] > 0) & (distances[order] <= _REACH_CELLS)]
+    sectors = np.floor(np.arctan2(down, right) * _SECTORS / (2 * pi) + 0.5).astype(np.int64) % _SECTORS
+    return right[order], down[order], sectors[order], distances[order] * _CELL
+
+
+_UNEVEN = 2.5
+"""Least ratio of sparse to dense spacings of uneven lines. With even lines, occlusions and a fisheye's distortion make
+that up to 2.1; lidars as above have 4.1 and more (simulated streets, PandaSet)."""
+
+_DENSE, _SPARSE = 15.0, 93.0
+_FEWEST = 64
+_SPARSER_THAN = 1.5
+_SAMPLES_OF_PARTS = 2048
+_TILE_ACROSS, _TILE_ALONG = radians(1.0), radians(8.0)
+_LEAST_IN_TILE = 2
+_LEAST_KNOWN = 5
+_STEP = log(2.0)
+_LEAST_SHARE = 0.01
+
+
+def are_uneven(neighbours: _Neighbours) -> bool:
+    """Whether the lines around some points differ so much that one reach does not fit all."""
+    spacings = _around(neighbours)
+    spacings.sort()
+    known = spacings[: int(spacings.searchsorted(np.inf))]
+    if len(known) < _FEWEST:
+        return False
+    percentiles = np.array([_DENSE, _SPARSE]) / 100 * (len(known) - 1)
+    dense, sparse = np.interp(percentiles, np.arange(len(known)), known).tolist()
+    return bool(sparse > _UNEVEN * dense)
+
+
+def split_by_spacing(
+    directions: Float32Array, inverse_ranges: Float32Array, lines: ScanLines
+) -> list[tuple[ScanLines, BoolArray]]:
+    """Split a cloud by how far apart its scan lines are at its points.
+
+    Args:
+        directions: (2, M) float32 [rad], in which the lidar saw the points, in the equal-area map.
+        inverse_ranges: (M,) float32 [1/m]; 0 for a point that is ignored.
+        lines: of the cloud as a whole, in case that too few points show its sparse lines.
+
+    Returns:
+        Parts in which spacings are equal within a factor of two, with their members (M,); less than a hundredth of the
+        points makes no part.
+    """
+    neighbours = look_around(directions, inverse_ranges, samples=_SAMPLES_OF_PARTS)
+    of_samples = _around(neighbours)
+    lines = _sparse_lines(neighbours, of_samples, lines)
+    tiles, columns = _tiles(directions, lines.angle)
+    spacings = _spread(of_samples, tiles[neighbours.points], int(tiles.max()) // columns + 1, columns)
+    # There are few tiles: all is decided for them, each weighted by its points.
+    counts = np.bincount(tiles, minlength=len(spacings))
+    steps = np.rint(np.log(spacings / _median(spacings, counts)) / _STEP).astype(np.int64)
+    found, which = np.unique(steps, return_inverse=True)
+    points = np.bincount(which, weights=counts)
+    kept = found[(points >= _LEAST_SHARE * counts.sum()) & (points > 0)]
+    # steps with too few points join the nearest one
+    nearest = kept[np.argmin(np.abs(found[:, None] - kept), axis=1)][which]
+    parts = []
+    for step in kept.tolist():
+        inside = nearest == step
+        across = _median(spacings[inside], counts[inside])
+        parts.append((ScanLines(across, lines.along, lines.angle), inside[tiles]))
+    return parts
+
+
+def _median(values: Float64Array, counts: Int64Array) -> float:
+    """The median of values, each repeated so many times."""
+    order = np.argsort(values)
+    behind = np.cumsum(counts[order])
+    middle = np.searchsorted(behind, [(behind[-1] - 1) // 2, behind[-1] // 2], side="right")
+    return float(values[order][middle].mean())
+
+
+def _sparse_lines(neighbours: _Neighbours, spacings: Float64Array, lines: ScanLines) -> ScanLines:
+    """The lines where they are far apart: dense ones look much the same across and along."""
+    known = spacings[np.isfinite(spacings)]
+    sparse = spacings > _SPARSER_THAN * (np.median(known) if len(known) else np.inf)
+    if np.count_nonzero(sparse) < _FEWEST:
+        return lines
+    found = neighbours.distances[sparse]
+    distances = np.where(np.isnan(found), _SPARSEST, found)
+    half = distances.shape[1] // 2
+    axes = np.median(np.concatenate([distances[:, :half], distances[:, half:]]), axis=0)
+    along = int(np.argmin(axes))
+    across = (along + half // 2) % half
+    return ScanLines(float(axes[across]), float(axes[along]), across * pi / half)
+
+
+def _around(neighbours: _Neighbours) -> Float64Array:
+    """The spacing of the lines around each point [rad], in whatever direction; NaN where few neighbours are in reach.
+
+    Of eight sectors two look along the line, the others to the next lines: the upper quartile is across.
+    """
+    spacings = np.empty(len(neighbours.points))
+    measure_across(neighbours.distances, _LEAST_KNOWN, spacings)
+    return spacings
+
+
+def _tiles(directions: Float32Array, angle: float) -> tuple[Int64Array, int]:
+    """Numbers (M,) of the tiles, long along the lines, that points are in, and how many tiles are side by side."""
+    c, s = cos(angle), sin(angle)
+    across = np.floor((c * directions[0] + s * directions[1]) / _TILE_ACROSS).astype(np.int64)
+    along = np.floor((c * directions[1] - s * directions[0]) / _TILE_ALONG).astype(np.int64)
+    columns = int(np.ptp(along)) + 1
+    return (across - across.min()) * columns + along - along.min(), columns
+
+
+def _spread(spacings: Float64Array, tiles: Int64Array, rows: int, columns: int) -> Float64Array:
+    """For each tile the median spacing of the samples in it; without samples that of the nearest row of tiles."""
+    field = np.full((rows, columns), np.nan)
+    values = np.where(np.isnan(spacings), _SPARSEST, spacings)
+    order = np.lexsort((values, tiles))
+    found, first, counts = np.unique(tiles[order], return_index=True, return_counts=True)
+    medians = 0.5 * (values[order][first + (counts - 1) // 2] + values[order][first + counts // 2])
+    enough = counts >= _LEAST_IN_TILE
+    field.ravel()[found[enough]] = medians[enough]
+    known = np.flatnonzero(np.isfinite(field).any(axis=1))
+    if len(known) == 0:
+        return np.full(field.size, _SPARSEST)
+    of_rows = np.nanmedian(field[known], axis=1)
+    nearest = np.argmin(np.abs(np.arange(rows)[:, None] - known), axis=1)
+    return np.asarray(np.where(np.isnan(field), of_rows[nearest][:, None], field).ravel(), np.float64)
 
 
 _SLACK = np.float32(0.001)
 """Rounding may put a point a hair beyond the border of its cell; cells count as so much nearer to each other."""
 
-
 _CHUNK = 1024
-"""Cells whose bounds are made at once, in the nearest cache."""
+"""Cells whose bounds are computed at once, within the nearest cache."""
 
-
-_NOTHING, _STATIC = np.float32(0.0), np.float32(math.inf)
-
-
-_ONE = np.float32(1.0)
+_NOTHING, _ONE, _STATIC = np.float32(0.0), np.float32(1.0), np.float32(math.inf)
 
 
 @part
@@ -674,14 +545,14 @@ def _drop_upright(
 
 @part
 def _raise_to_three(target: Float32Array, source: Float32Array) -> None:
-    """Lift `target` to the largest of the three cells around its location, which lies one farther in `source`."""
+    """Raise `target` to the largest of the three cells around it, which are one farther in `source`."""
     for i in range(target.shape[0]):
         target[i] = max(target[i], source[i], source[i + 1], source[i + 2])
 
 
 @part
 def _raise_along(target: Float32Array, source: Float32Array, right: Float32Array, reach: Any, slope: Any) -> None:
-    """Lift `target` to its own cell, and to what the cells on both sides still have at its border."""
+    """Raise `target` to its own cell, and to what the cells on both sides still have at its border."""
     for i in range(target.shape[0]):
         from_left = max(_ONE - _SLACK - right[i], _NOTHING)
         from_right = max(right[i + 2] - _SLACK, _NOTHING)
@@ -695,25 +566,16 @@ def _raise_by_locations(
     target: Float32Array, start: int, columns: int, nearest: Float32Array, right: Float32Array,
     down: Float32Array, reach_x: Any, reach_y: Any, slope: Any, room: Float32Array,
 ) -> None:  # fmt: skip
-    """Lift the bounds of a run of cells to what hides alone in the same cell or the eight around it.
+    """Raise the bounds of a run of cells to what hides alone in the same cell or the eight around it.
 
-    What a surface gains on the way is taken along the rows or up and down alone, which is no more than all of it.
+    What a surface gains on the way is counted along rows or columns alone, which is no more than all of it.
     """
     size = target.shape[0] + 2
     first = start - 1
     _raise_along(target, nearest[first : first + size], right[first : first + size], reach_x, slope)
-    for first, from_y, sign in (
-        (start - 1 - columns, _ONE - _SLACK, -_ONE),
-        (start - 1 + columns, -_SLACK, _ONE),
-    ):
+    for first, from_y, sign in ((start - 1 - columns, _ONE - _SLACK, -_ONE), (start - 1 + columns, -_SLACK, _ONE)):
         _drop_upright(
-            room[:size],
-            nearest[first : first + size],
-            down[first : first + size],
-            from_y,
-            sign,
-            reach_y,
-            slope,
+            room[:size], nearest[first : first + size], down[first : first + size], from_y, sign, reach_y, slope
         )
         _raise_to_three(target, room[:size])
 
@@ -727,11 +589,7 @@ def _raise_to_pairs(joined: Float32Array, squares: Float32Array, below: Float32A
 
 @part
 def _join_squares(nearest: Float32Array, columns: int, border: int) -> Float32Array:
-    """Give the largest inverse range of all squares of cells.
-
-    Returns:
-        (border, cells) float32 [1/m]: of the squares of 2, 3, … border + 1 cells a side, right and down of each cell.
-    """
+    """The largest inverse range (border, cells) [1/m] of the squares of 2, 3, … cells right and down of each cell."""
     levels = np.empty((border, nearest.shape[0]), np.float32)
     last = nearest
     for k in range(border):
@@ -745,7 +603,7 @@ def _join_squares(nearest: Float32Array, columns: int, border: int) -> Float32Ar
 
 @part
 def _raise_to(target: Float32Array, source: Float32Array, drop: Any) -> None:
-    """Lift `target` to `source - drop` where that is larger."""
+    """Raise `target` to `source - drop` where that is larger."""
     for i in range(target.shape[0]):
         target[i] = max(source[i] - drop, target[i])
 
@@ -796,26 +654,19 @@ def _bound_cells(
         from_opposite: (cells,) float32 [1/m], written likewise: of what hides with another: the smaller of two
             opposite quadrants, the larger of the two pairs.
     """
-    levels, largest = (
-        _join_squares(nearest, columns, border),
-        np.empty((4, _CHUNK), np.float32),
-    )
+    levels, largest = (_join_squares(nearest, columns, border), np.empty((4, _CHUNK), np.float32))
     room = np.empty(_CHUNK + 2, np.float32)
     margin, above, size = border * (columns + 1), border * columns, math.ceil(max(reach_x, reach_y))
     # Rows are taken as one long line: what reaches over their ends meets empty cells only.
     for start in range(margin, nearest.shape[0] - margin, _CHUNK):
         stop = min(start + _CHUNK, nearest.shape[0] - margin)
-        bounded, opposite = (
-            from_any[start - above : stop - above],
-            from_opposite[start - above : stop - above],
-        )
+        bounded, opposite = (from_any[start - above : stop - above], from_opposite[start - above : stop - above])
         _raise_by_squares(levels, columns, size, slope, start, bounded, opposite, largest)
         _raise_by_locations(bounded, start, columns, nearest, right, down, reach_x, reach_y, slope, room)
 
 
 _POINTS_AT_ONCE = 2048
-"""Points that are picked from at once: few of them stay, and what is begun anew for each block is shared by many."""
-
+"""Points of a block: few of them need a search, whose fixed costs a block shares."""
 
 _QUARTER, _BEHIND = np.float32(0.25), np.float32(1e-3)
 
@@ -870,7 +721,7 @@ def _shift(
 
 @inlined
 def _threshold(inverse: Any, limits: tuple[Any, Any, Any, Any]) -> Any:
-    """Give the inverse range beyond which something is nearer than a point."""
+    """The inverse range beyond which something is nearer than a point."""
     return inverse + limits[2] * inverse * inverse + limits[3] * inverse
 
 
@@ -879,7 +730,7 @@ def _pick(
     inverse_ranges: Float32Array, numbers: AnyArray, from_any: Float32Array, limits: tuple[Any, Any, Any, Any],
     visible: BoolArray, picked: AnyArray, thresholds: Float32Array,
 ) -> int:  # fmt: skip
-    """List the points of a block that something may hide; let all others be seen that are in a cell."""
+    """List the points of a block that something may hide; mark all others in a cell as visible."""
     for i in range(numbers.shape[0]):
         visible[i] = numbers[i] > 0
         # Nothing exceeds what is static.
@@ -897,7 +748,7 @@ def _gather(
     picked: AnyArray, rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array,
     numbers: AnyArray, per_cell: Any, limits: tuple[Any, Any, Any, Any], cells: AnyArray, room: Float32Array,
 ) -> None:  # fmt: skip
-    """Put side by side what is asked of the listed points: cell, location in it, threshold, square of the slope."""
+    """Put side by side what the search needs of the listed points: cell, position in it, threshold, squared slope."""
     for k in range(picked.shape[0]):
         i = np.uint32(picked[k])
         a, b = rightward[i], downward[i]
@@ -909,7 +760,7 @@ def _gather(
 
 @inlined
 def _gains(excess: Any, x: Any, y: Any, slope_squared: Any) -> Any:
-    """Report whether something is nearer by more than a surface gains over so short a distance."""
+    """Whether something is nearer by more than a surface gains over so short a distance."""
     return excess * excess > slope_squared * (x * x + y * y)
 
 
@@ -925,7 +776,7 @@ def _search_beside(
     window: tuple[Int64Array, Float32Array, Float32Array], near: tuple[Any, Any, Any],
     alone: AnyArray, others: AnyArray,
 ) -> tuple[int, int]:  # fmt: skip
-    """List the points that anything in the ellipse around them hides, and the others; give how many each are."""
+    """List the points that anything in the ellipse around them hides, and the others; return their counts."""
     hidden, free = 0, 0
     for k in range(cells.shape[0]):
         found = False
@@ -951,7 +802,7 @@ def _search_nearing(
     inverse_ranges: Float32Array, shift_x: Float32Array, shift_y: Float32Array, nearing: Any,
     others: AnyArray, free: int,
 ) -> int:  # fmt: skip
-    """Add those of the listed points to `others` that nothing hides which came nearer from the lidar to the camera."""
+    """Add those listed points to `others` that nothing hides which came nearer from the lidar to the camera."""
     for n in range(listed.shape[0]):
         k = np.uint32(listed[n])
         found = False
@@ -978,7 +829,7 @@ def _search_between(
     down: Float32Array, window: tuple[Int64Array, Float32Array, Float32Array], window_squared: Any,
     visible: BoolArray,
 ) -> None:  # fmt: skip
-    """Write which of the listed points things in opposite quadrants around them do not hide."""
+    """Write which of the listed points are not hidden by points in opposite quadrants around them."""
     for n in range(listed.shape[0]):
         k = np.uint32(listed[n])
         # Each quadrant holds one of its two borders, so that opposite directions lie in opposite quadrants.
@@ -1004,7 +855,7 @@ def _keep_bounded(
     listed: AnyArray, picked: AnyArray, cells: AnyArray, thresholds: Float32Array, from_opposite: Float32Array,
     visible: BoolArray,
 ) -> int:  # fmt: skip
-    """Keep those listed that things in opposite quadrants may hide, and let the others be seen; give their count."""
+    """Keep those listed that points in opposite quadrants may hide, mark the others as visible; return the count."""
     count = 0
     for n in range(listed.shape[0]):
         k = np.uint32(listed[n])
@@ -1019,7 +870,7 @@ def _gather_trajectories(
     listed: AnyArray, picked: AnyArray, rightward: Float32Array, downward: Float32Array,
     inverse_ranges: Float32Array, point_ids: Int64Array, fractions: Float32Array, room: Float32Array,
 ) -> None:  # fmt: skip
-    """Put side by side inverse range, direction and how far along the lidar was, of the listed points."""
+    """Put side by side inverse range, direction and fraction of the lidar's trajectory of the listed points."""
     for n in range(listed.shape[0]):
         i = np.uint32(picked[listed[n]])
         room[0, n], room[1, n], room[2, n] = inverse_ranges[i], rightward[i], downward[i]
@@ -1058,12 +909,10 @@ def _decide(
     )
 
 
-@kernel(
-    void(
-        IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_I32_1D, float64, int64, IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_F32_1D,
-        IN_F32_1D, int64, int64, int64, IN_F32_1D, IN_F64_2D, IN_I64_1D, IN_F32_1D, boolean[::1],
-    )
-)  # fmt: skip
+@kernel(void(
+    IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_I32_1D, float64, int64, IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_F32_1D,
+    int64, int64, int64, IN_F32_1D, IN_F64_2D, IN_I64_1D, IN_F32_1D, boolean[::1]
+))  # fmt: skip
 def _search_hiding(
     rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, numbers: AnyArray,
     per_cell: float, columns: int, nearest: Float32Array, right: Float32Array, down: Float32Array,
@@ -1105,14 +954,10 @@ def _search_hiding(
 
 
 _ROUNDS = 4
-"""Some parts of a cloud hide much and others nothing: each thread takes so many chunks."""
+"""Chunks for each thread: some parts of a cloud hide much and others nothing."""
 
 
-@kernel(
-    void(
-        IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_F32_1D, float64, int64, int64, int64, int64, int32[::1], int64[::1],
-    )
-)  # fmt: skip
+@kernel(void(IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_F32_1D, float64, int64, int64, int64, int64, int32[::1], int64[::1]))
 def _keep_nearest(
     rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, hiding: Float32Array, cell: float,
     first_column: int, first_row: int, columns: int, rows: int, numbers: AnyArray, keys: AnyArray,
@@ -1128,7 +973,7 @@ def _keep_nearest(
 def _read_keys(
     keys: AnyArray, start: int, stop: int, nearest: Float32Array, right: Float32Array, down: Float32Array
 ) -> None:
-    """Take the largest keys of some cells apart, out of several tables."""
+    """Unpack the largest keys of some cells out of several tables."""
     whole = keys[0, start:stop]
     for part in range(1, keys.shape[0]):
         other = keys[part, start:stop]
@@ -1137,11 +982,7 @@ def _read_keys(
     read_keys(whole, nearest[start:stop], right[start:stop], down[start:stop])
 
 
-@kernel(
-    void(
-        IN_F32_1D, IN_F32_1D, IN_F32_1D, int64, int64, float64, float64, float64, float32[::1], float32[::1],
-    )
-)  # fmt: skip
+@kernel(void(IN_F32_1D, IN_F32_1D, IN_F32_1D, int64, int64, float64, float64, float64, float32[::1], float32[::1]))
 def _bound_hiding(
     nearest: Float32Array, right: Float32Array, down: Float32Array, columns: int, border: int, slope: float,
     reach_x: float, reach_y: float, from_any: Float32Array, from_opposite: Float32Array,
@@ -1154,49 +995,34 @@ def _bound_hiding(
 
 
 def mark_unhidden(
-    directions: Float32Array,
-    inverse_ranges: Float32Array,
-    hiding: Float32Array,
-    extent: Float32Array,
-    cell: float,
-    window: float,
-    near_xx: float,
-    near_xy: float,
-    near_yy: float,
-    slope: float,
-    margin: float,
-    margin_share: float,
-    eyes: Float64Array,
-    point_ids: Int64Array,
-    fractions: Float32Array,
-    nearing: float,
-    visible: BoolArray,
-    *,
+    directions: Float32Array, inverse_ranges: Float32Array, hiding: Float32Array, extent: Float32Array, cell: float,
+    window: float, near_xx: float, near_xy: float, near_yy: float, slope: float, margin: float, margin_share: float,
+    eyes: Float64Array, point_ids: Int64Array, fractions: Float32Array, nearing: float, visible: BoolArray, *,
     thread_pool: ThreadPool = ALONE,
-) -> None:
+) -> None:  # fmt: skip
     """Write which points no nearer points hide.
 
     Only the nearest point of each cell can hide others. Two bounds per cell let most points pass with one read each.
 
     Args:
         directions: (2, M) in the equal-area map [rad].
-        inverse_ranges: (M,) [1/m]; a point with 0 takes no part and is not visible.
+        inverse_ranges: (M,) [1/m]; a point with 0 is ignored and not visible.
         hiding: (M,) [1/m], the same for points that may hide others, 0 for those that shall not.
-        extent: (4,) of the points, as of `direction_grid.measure_extent`.
+        extent: (4,) of the points, as of `measure_extent`.
         cell: size of a cell [rad], at least 0.001, which bounds the memory.
-        window: within it two things on opposite sides of a point hide it [rad].
-        near_xx, near_xy, near_yy: p, q, r of the ellipse p x² + q x y + r y² <= 1 in which a single thing hides
+        window: within it two points on opposite sides of another hide it [rad].
+        near_xx, near_xy, near_yy: p, q, r of the ellipse p x² + q x y + r y² <= 1 in which a single point hides
             [1/rad²].
         slope: largest gradient of the inverse range on a surface that does not hide itself [1/m/rad].
         margin: how much nearer than a point something must be to hide it [m] …
         margin_share: … plus this share of the point's range.
-        eyes: (2, 3) [m], camera frame, where the lidar was first and last; (0, 3) where that is not known.
+        eyes: (2, 3) [m], camera frame, first and last position of the lidar; (0, 3) where unknown.
         point_ids: (M,), each point's row in `fractions`.
-        fractions: (N,), how far between its two locations the lidar was, 0 to 1.
-        nearing: to what share of its distance in the lidar's eyes a single thing must have come to hide; of no account
-            where `eyes` are not known.
+        fractions: (N,), how far between its two positions the lidar was, 0 to 1.
+        nearing: to what share of its distance as the lidar saw it a single point must have come to hide; ignored
+            without `eyes`.
         visible: (M,), written.
-        thread_pool: the threads that share the work; what comes out is the same.
+        thread_pool: the threads that share the work; the result is the same.
     """
     # From here on lengths are in cells.
     xx, xy, yy = near_xx * cell * cell, near_xy * cell * cell, near_yy * cell * cell
@@ -1204,67 +1030,61 @@ def mark_unhidden(
     reach_x, reach_y, radius = math.sqrt(yy / area), math.sqrt(xx / area), window / cell
     size_x, size_y = math.ceil(reach_x), math.ceil(reach_y)
     border = max(math.ceil(radius), size_x, size_y)
-    points = directions[0], directions[1], inverse_ranges
+    right, down = directions
     first_column, first_row, columns, rows = position_grid(extent, cell, border)
     cells, numbers = columns * rows, np.empty(len(inverse_ranges), np.int32)
     keys = np.empty((thread_pool.size, cells), np.int64)
-
-    def keep(part: int, a: int, b: int) -> None:
-        some, corner = _some(points, a, b), (cell, first_column, first_row)
-        _keep_nearest(*some, hiding[a:b], *corner, columns, rows, numbers[a:b], keys[part])
-
-    thread_pool.share(len(numbers), keep)
-    held, bounds = np.empty((3, cells), np.float32), np.empty((2, cells), np.float32)
-    thread_pool.share(cells, lambda _, a, b: _read_keys(keys, a, b, held[0], held[1], held[2]))
-
-    def bound(_: int, first: int, last: int) -> None:
-        # Each has the rows around its own as well.
-        around = _some((held[0], held[1], held[2]), first * columns, (last + 2 * border) * columns)
-        own = slice((first + border) * columns, (last + border) * columns)
-        reach = (slope * cell, reach_x, reach_y)
-        _bound_hiding(*around, columns, border, *reach, bounds[0, own], bounds[1, own])
-
-    thread_pool.share(rows - 2 * border, bound)
+    held, (from_any, from_opposite) = np.empty((3, cells), np.float32), np.empty((2, cells), np.float32)
     limits = (radius * radius, (slope * cell) ** 2, margin, margin_share, xx, xy, yy, nearing)
     rule = np.array(limits, np.float32)
 
-    def search(_: int, a: int, b: int) -> None:
-        _search_hiding(
-            *_some(points, a, b), numbers[a:b], 1.0 / cell, columns, held[0], held[1], held[2],
-            bounds[0], bounds[1], size_x, size_y, border, rule, eyes, point_ids[a:b], fractions, visible[a:b],
+    def keep(part: int, a: int, b: int) -> None:
+        _keep_nearest(
+            right[a:b], down[a:b], inverse_ranges[a:b], hiding[a:b], cell, first_column, first_row, columns, rows,
+            numbers[a:b], keys[part],
         )  # fmt: skip
 
-    thread_pool.share(len(numbers), search, rounds=_ROUNDS)
+    def read(_: int, a: int, b: int) -> None:
+        _read_keys(keys, a, b, held[0], held[1], held[2])
 
+    def bound(_: int, first: int, last: int) -> None:
+        # Each needs the rows around its own as well.
+        around = slice(first * columns, (last + 2 * border) * columns)
+        own = slice((first + border) * columns, (last + border) * columns)
+        _bound_hiding(
+            held[0, around], held[1, around], held[2, around], columns, border, slope * cell, reach_x, reach_y,
+            from_any[own], from_opposite[own],
+        )  # fmt: skip
 
-_Rows = tuple[Float32Array, Float32Array, Float32Array]
+    def search(_: int, a: int, b: int) -> None:
+        _search_hiding(
+            right[a:b], down[a:b], inverse_ranges[a:b], numbers[a:b], 1.0 / cell, columns, held[0], held[1], held[2],
+            from_any, from_opposite, size_x, size_y, border, rule, eyes, point_ids[a:b], fractions, visible[a:b],
+        )  # fmt: skip
 
-
-def _some(rows: _Rows, start: int, stop: int) -> _Rows:
-    return rows[0][start:stop], rows[1][start:stop], rows[2][start:stop]
+    count = len(numbers)
+    thread_pool.share(
+        Phase(count, keep), Phase(cells, read), Phase(rows - 2 * border, bound), Phase(count, search, rounds=_ROUNDS)
+    )
 
 
 _BLOCK = 512
-"""Points whose cells are numbered at once, by vector instructions."""
-
+"""Points whose cells are numbered at once, by SIMD."""
 
 _EDGE = np.float32(2.1)
-"""No direction lies farther than this from the axis in the equal-area map."""
-
+"""No direction is farther than this from the axis in the equal-area map."""
 
 _LEAST, _GREATEST, _SIGN = np.int32(-(2**31)), np.int32(2**31 - 1), np.int32(31)
 
-
 _PARTS, _LAST_PART = np.float32(65536.0), np.int32(0xFFFF)
 
-
 _PART = np.float32(1.0 / 65536.0)
-"""How finely the location in a cell is kept: float32 knows it no better, but at the far edge of the map."""
+"""Resolution of the position in a cell: that of float32, but for the far edge of the map."""
 
 
 @part
 def _is_placed(a: Any, b: Any, inverse_range: Any) -> Any:
-    """Report whether a point takes part; NaN does not."""
+    """Whether a point counts; NaN does not."""
     return (inverse_range > _NOTHING) & (inverse_range < _STATIC) & (abs(a) <= _EDGE) & (abs(b) <= _EDGE)
 
 
@@ -1276,14 +1096,14 @@ def _step(value: Any, placed: Any, per_cell: Any) -> Any:
 
 @part
 def fraction(value: Any, per_cell: Any) -> Any:
-    """Give how far into its cell a direction lies, 0 to 1."""
+    """How far into its cell a direction is, 0 to 1."""
     steps = value * per_cell + _EDGE * per_cell
     return steps - np.float32(np.int32(steps))
 
 
 @part
 def _number(column: Any, row: Any, grid: tuple[Any, Any, Any, int, int]) -> Any:
-    """Give the number of a cell; in 32 bits at each step, as Numba would go on in 64, of which vectors hold half."""
+    """The number of a cell; in 32 bits at each step, as Numba would go on in 64, of which vectors hold half."""
     _, first_column, first_row, columns, _ = grid
     before = np.int32(np.int32(row - first_row) * np.int32(columns))
     return np.int32(before + np.int32(column - first_column))
@@ -1291,7 +1111,7 @@ def _number(column: Any, row: Any, grid: tuple[Any, Any, Any, int, int]) -> Any:
 
 @part
 def _order(bits: Any) -> Any:
-    """Rotate the bits of a float into an integer that is ordered as the floats are, and back."""
+    """Turn the bits of a float into an integer that is ordered as the floats are, and back."""
     return np.int32(bits ^ np.int32(np.int32(bits >> _SIGN) & _GREATEST))
 
 
@@ -1299,7 +1119,7 @@ def _order(bits: Any) -> Any:
 def _measure_extent(
     rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, extent: Float32Array
 ) -> None:
-    """Write the extent of some points; by integers, since vectors find no least of floats that may be NaN."""
+    """Write the extent of some points; by integers, since SIMD finds no least of floats that may be NaN."""
     a_bits, b_bits, found = rightward.view(np.int32), downward.view(np.int32), extent.view(np.int32)
     left, right, top, bottom = _GREATEST, _LEAST, _GREATEST, _LEAST
     for i in range(inverse_ranges.shape[0]):
@@ -1317,23 +1137,23 @@ def _measure_extent(
 def measure_extent(
     directions: Float32Array, inverse_ranges: Float32Array, *, thread_pool: ThreadPool = ALONE
 ) -> Float32Array:
-    """Give how far points reach in the equal-area map.
+    """Measure the extent of points in the equal-area map.
 
     Args:
         directions: (2, M) in the equal-area map [rad].
-        inverse_ranges: (M,) [1/m]; only points between zero and infinity take part.
+        inverse_ranges: (M,) [1/m]; only points between zero and infinity count.
         thread_pool: the threads that share the points.
 
     Returns:
         (4,) float32 [rad]: the least and the greatest rightward, the least and the greatest downward; infinity and
-        minus infinity where no point takes part.
+        minus infinity where no point counts.
     """
     found = np.empty((thread_pool.size, 4), np.float32)
 
     def measure(part: int, a: int, b: int) -> None:
         _measure_extent(directions[0, a:b], directions[1, a:b], inverse_ranges[a:b], found[part])
 
-    thread_pool.share(len(inverse_ranges), measure)
+    thread_pool.share(Phase(len(inverse_ranges), measure))
     extent: Float32Array = found.min(axis=0)
     extent[1::2] = found[:, 1::2].max(axis=0)
     return extent
@@ -1343,15 +1163,9 @@ def measure_extent(
 def _fit_grid(extent: Float32Array, cell: float, border: int) -> tuple[Any, Any, Any, int, int]:
     """Fit the smallest grid around some points that has `border` empty cells on each side.
 
-    Args:
-        extent: what `measure_extent` gives for them.
-        cell: size of a cell [rad].
-        border: cells, at least 1.
-
-    Returns:
-        per_cell: 1 / cell.
-        first_column, first_row: of the grid, counted from the edge of the map.
-        columns, rows: of the grid, border included.
+    `extent`: what `measure_extent` gives for them; `cell`: size of a cell [rad]; `border`: cells, at least 1. Returns
+    per_cell: 1 / cell. first_column, first_row: of the grid, counted from the edge of the map. columns, rows: of the
+    grid, border included.
     """
     per_cell, some = np.float32(1.0 / cell), extent[0] <= extent[1]
     left, right = _step(extent[0], some, per_cell), _step(extent[1], some, per_cell)
@@ -1366,11 +1180,10 @@ def _position_grid(extent: Float32Array, cell: float, border: int, grid: AnyArra
 
 
 def position_grid(extent: Float32Array, cell: float, border: int) -> list[int]:
-    """Give what `_fit_grid` gives but for the first: first column and row, columns and rows."""
+    """First column and row, columns and rows of the grid that `_fit_grid` fits."""
     grid = np.empty(4, np.int64)
     _position_grid(extent, cell, border, grid)
-    first_and_sizes: list[int] = grid.tolist()
-    return first_and_sizes
+    return list(grid.tolist())
 
 
 @part
@@ -1378,7 +1191,7 @@ def _number_cells(
     rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array,
     grid: tuple[Any, Any, Any, int, int], numbers: AnyArray,
 ) -> None:  # fmt: skip
-    """Write each point's cell, int32 row * columns + column; 0, where no other point is, if it takes no part."""
+    """Write each point's cell, row * columns + column; 0, where no other point is, for one that does not count."""
     per_cell = grid[0]
     for i in range(numbers.shape[0]):
         a, b = rightward[i], downward[i]
@@ -1418,12 +1231,9 @@ def keep_nearest(
 ) -> None:  # fmt: skip
     """Write each point's cell, and raise the key of each cell to that of its nearest point.
 
-    Args:
-        rightward, downward, inverse_ranges: (M,) float32, as of `measure_extent`.
-        counting: (M,) float32 [1/m], by what they count as near; 0 for a point that is nearer than none.
-        grid: what `_fit_grid` gives.
-        numbers: (M,) int32, written; 0, where no point is, for a point that takes no part.
-        keys: (cells,) int64, raised.
+    `rightward`, `downward`, `inverse_ranges` (M,) float32, as of `measure_extent`; `counting` (M,) float32 [1/m], by
+    what they count as near; 0 for a point that is nearer than none; `grid`: what `_fit_grid` gives; `numbers` (M,)
+    int32, written; 0, where no point is, for a point that takes no part; `keys` (cells,) int64, raised.
     """
     block_keys = np.empty(_BLOCK, np.int64)
     for start in range(0, numbers.shape[0], _BLOCK):
@@ -1442,10 +1252,8 @@ def keep_nearest(
 def read_keys(keys: AnyArray, nearest: Float32Array, right: Float32Array, down: Float32Array) -> None:
     """Take keys apart.
 
-    Args:
-        keys: (cells,) int64.
-        nearest: (cells,) float32 [1/m], written: inverse range of the nearest point, 0 where the cell is empty.
-        right, down: (cells,) float32, written: how far into the cell it lies, 0 to 1.
+    `keys` (cells,) int64; `nearest` (cells,) float32 [1/m], written: inverse range of the nearest point, 0 where the
+    cell is empty; `right`, `down` (cells,) float32, written: how far into the cell it lies, 0 to 1.
     """
     nearest_bits = nearest.view(np.int32)
     for c in range(keys.shape[0]):
@@ -1454,11 +1262,7 @@ def read_keys(keys: AnyArray, nearest: Float32Array, right: Float32Array, down: 
         down[c] = np.float32(np.int32(keys[c]) & _LAST_PART) * _PART
 
 
-@kernel(
-    void(
-        IN_F32_1D, IN_F32_1D, IN_F32_1D, int64, int64, IN_F32_1D, float64, int64, int32[::1], int32[::1],
-    )
-)  # fmt: skip
+@kernel(void(IN_F32_1D, IN_F32_1D, IN_F32_1D, int64, int64, IN_F32_1D, float64, int64, int32[::1], int32[::1]))
 def _occupy(
     rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, first: int, count: int,
     extent: Float32Array, cell: float, border: int, sampled: AnyArray, holders: AnyArray,
@@ -1484,16 +1288,12 @@ def _occupy(
     holders[0] = 0
 
 
-@kernel(
-    void(
-        IN_I32_2D, int64, IN_I32_1D, IN_I64_1D, IN_I64_1D, IN_I64_1D, IN_F64_1D, float64[:, ::1], int64[:, ::1],
-    )
-)  # fmt: skip
+@kernel(void(IN_I32_2D, int64, IN_I32_1D, IN_I64_1D, IN_I64_1D, IN_I64_1D, IN_F64_1D, float64[:, ::1], int64[:, ::1]))
 def _find_holders(
     holders: Int32Array, columns: int, sampled: Int32Array, right: Int64Array, down: Int64Array, sectors: Int64Array,
     distances: Float64Array, found: Float64Array, neighbours: Int64Array,
 ) -> None:  # fmt: skip
-    """Look around the sampled cells for those that any of the threads found to be held."""
+    """Search around the sampled cells for those that any of the threads found occupied."""
     found[:], neighbours[:] = math.nan, -1
     offsets = np.empty(right.shape[0], np.int32)
     for k in range(offsets.shape[0]):
@@ -1513,34 +1313,25 @@ def _find_holders(
 
 
 def find_neighbours(
-    directions: Float32Array,
-    inverse_ranges: Float32Array,
-    extent: Float32Array,
-    cell: float,
-    right: Int64Array,
-    down: Int64Array,
-    sectors: Int64Array,
-    distances: Float64Array,
-    found: Float64Array,
-    neighbours: Int64Array,
-    *,
+    directions: Float32Array, inverse_ranges: Float32Array, extent: Float32Array, cell: float, right: Int64Array,
+    down: Int64Array, sectors: Int64Array, distances: Float64Array, found: Float64Array, neighbours: Int64Array, *,
     thread_pool: ThreadPool = ALONE,
-) -> None:
+) -> None:  # fmt: skip
     """Write how far it is from some points, evenly drawn from the cloud, to the next point in each sector.
 
     Sample s of S is point s * M // S; of fewer points than S, every one is drawn once.
 
     Args:
         directions: (2, M) in the equal-area map [rad].
-        inverse_ranges: (M,) [1/m]; 0 for a point that takes no part.
-        extent: (4,) of the points, as of `direction_grid.measure_extent`.
-        cell: resolution [rad]; what lies in one cell is not distinguished.
-        right, down: (K,) columns and rows to the cells that are looked at, the nearest first.
-        sectors: (K,) number of the sector in which such a cell lies.
+        inverse_ranges: (M,) [1/m]; 0 for a point that is ignored.
+        extent: (4,) of the points, as of `measure_extent`.
+        cell: resolution [rad]; points in one cell are not distinguished.
+        right, down: (K,) columns and rows to the cells that are searched, the nearest first.
+        sectors: (K,) number of the sector of such a cell.
         distances: (K,) how far such a cell is, in any unit.
         found: (samples, sectors), written: the distance of the first occupied cell; NaN for none.
         neighbours: (samples, sectors), written: a point in that cell; -1 for none.
-        thread_pool: the threads that share the points; what comes out is the same.
+        thread_pool: the threads that share the points; the result is the same.
     """
     reach, count = int(max(1, np.abs(right).max(), np.abs(down).max())), len(inverse_ranges)
     _, _, columns, rows = position_grid(extent, cell, reach)
@@ -1550,7 +1341,7 @@ def find_neighbours(
         some = directions[0, a:b], directions[1, a:b], inverse_ranges[a:b]
         _occupy(*some, a, count, extent, cell, reach, sampled, holders[part])
 
-    thread_pool.share(count, occupy)
+    thread_pool.share(Phase(count, occupy))
     _find_holders(holders, columns, sampled, right, down, sectors, distances, found, neighbours)
 
 
@@ -1559,12 +1350,8 @@ def _slope(
     directions: Float32Array, inverse_ranges: Float32Array, own: int, one: int, other: int, nothing: float,
     margin: float, margin_share: float,
 ) -> float:  # fmt: skip
-    """Give how the inverse range changes from one neighbour to the other, NaN where the point is not on their line."""
-    x, y, inverse = (
-        float64(directions[0, own]),
-        float64(directions[1, own]),
-        float64(inverse_ranges[own]),
-    )
+    """The slope of the inverse range from one neighbour to the other, NaN where the point is not on their line."""
+    x, y, inverse = (float64(directions[0, own]), float64(directions[1, own]), float64(inverse_ranges[own]))
     to_one = math.hypot(directions[0, one] - x, directions[1, one] - y)
     to_other = math.hypot(directions[0, other] - x, directions[1, other] - y)
     apart = max(to_one + to_other, nothing)
@@ -1578,15 +1365,9 @@ def _slope(
 
 @kernel(void(IN_F32_2D, IN_F32_1D, IN_I64_1D, IN_I64_2D, float64, float64, float64, float64[::1]))
 def find_slopes(
-    directions: Float32Array,
-    inverse_ranges: Float32Array,
-    points: Int64Array,
-    neighbours: Int64Array,
-    nothing: float,
-    margin: float,
-    margin_share: float,
-    slopes: Float64Array,
-) -> None:
+    directions: Float32Array, inverse_ranges: Float32Array, points: Int64Array, neighbours: Int64Array, nothing: float,
+    margin: float, margin_share: float, slopes: Float64Array,
+) -> None:  # fmt: skip
     """Write how fast the inverse range changes around some points, along the straightest steepest line there.
 
     Args:
@@ -1611,7 +1392,7 @@ def find_slopes(
 
 @part
 def _count_steps(distances: Float64Array, axis: int, cell: float, counts: AnyArray) -> int:
-    """Count how often neighbours on an axis are so far away, by the square of the distance in cells; give their sum."""
+    """Count the distances of neighbours on an axis by their squares in cells; return their number."""
     half, last, known = distances.shape[1] // 2, counts.shape[0] - 1, 0
     counts[:] = 0
     for s in range(distances.shape[0]):
@@ -1625,7 +1406,7 @@ def _count_steps(distances: Float64Array, axis: int, cell: float, counts: AnyArr
 
 @part
 def _mean_of_middle(counts: AnyArray, known: int) -> float:
-    """Average the middle half of roots of which each is there so many times."""
+    """The mean of the middle half of roots, each repeated so many times."""
     first, last, before, total = known // 4, known - known // 4, 0, 0.0
     for square in range(counts.shape[0]):
         behind = before + counts[square]
@@ -1638,12 +1419,9 @@ def _mean_of_middle(counts: AnyArray, known: int) -> float:
 def measure_along_axes(distances: Float64Array, cell: float, reach: int, fewest: int, spacings: Float64Array) -> None:
     """Write how far apart neighbours are along each axis: robust as the median, but not bound to whole cells.
 
-    Args:
-        distances: (S, sectors) [rad], between middles of cells; NaN for none. Opposite sectors make an axis.
-        cell: size of a cell [rad].
-        reach: how many cells away neighbours are at most.
-        fewest: known distances along an axis.
-        spacings: (sectors / 2,) [rad], written: mean of the middle half of the distances; NaN for too few.
+    `distances` (S, sectors) [rad], between middles of cells; NaN for none. Opposite sectors make an axis; `cell`: size
+    of a cell [rad]; `reach`: how many cells away neighbours are at most; `fewest`: known distances along an axis;
+    `spacings` (sectors / 2,) [rad], written: mean of the middle half of the distances; NaN for too few.
     """
     counts = np.empty(reach * reach + 1, np.int64)
     for axis in range(spacings.shape[0]):
@@ -1655,10 +1433,8 @@ def measure_along_axes(distances: Float64Array, cell: float, reach: int, fewest:
 def measure_across(distances: Float64Array, fewest: int, spacings: Float64Array) -> None:
     """Write the upper quartile of each point's distances to its neighbours.
 
-    Args:
-        distances: (S, sectors), in any unit; NaN for none.
-        fewest: known distances of a point, at least 1.
-        spacings: (S,), written; NaN for too few.
+    `distances` (S, sectors), in any unit; NaN for none; `fewest`: known distances of a point, at least 1; `spacings`
+    (S,), written; NaN for too few.
     """
     ordered = np.empty(distances.shape[1])
     for s in range(distances.shape[0]):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Int64Array
+from sceneloom.arrays import AnyArray, Int64Array
 from sceneloom.errors import OptionError
 
 _POINT = np.dtype(
@@ -25,8 +25,8 @@ _POINT = np.dtype(
         ("label", "u2"),
     ]
 )
-"""One point: world position [m], colour (0 to 255), how far that is trusted (0 for none), brightness, time [ns], camera
-and number of the image that counts most (255 and -1 for none), where it falls in it [px], label (65535 for none)."""
+"""One point: world position [m], colour (0 to 255), its weight (0 for none), brightness, time [ns], camera and number
+of the image that counts most (255 and -1 for none), position in it [px], label (65535 for none)."""
 
 _CELL = np.dtype(
     [
@@ -39,8 +39,8 @@ _CELL = np.dtype(
         ("best", _POINT),
     ]
 )
-"""One cube: its number in the tile, how many points fell into it, sums of their positions, of their colours by weight,
-of the weights, of the brightness; and the point with the greatest weight."""
+"""One cube: its number in the tile, number of points in it, sums of their positions, of their colours by weight, of the
+weights, of the brightness; and the point with the greatest weight."""
 
 _VOTE = np.dtype([("cube", "i8"), ("label", "u2"), ("count", "u4")])
 """How many points of a cube have a label."""
@@ -49,7 +49,7 @@ _NO_LABEL = 65535
 
 
 def _cells_of(points: AnyArray, cubes: Int64Array, *, agreement: float) -> AnyArray:
-    """Make a cell of each cube that points (N,) of dtype `_POINT` fall into, (C,) ascending by `cube`."""
+    """A cell for each cube that points (N,) of dtype `_POINT` fall into, (C,) ascending by `cube`."""
     cells = np.zeros(len(points), _CELL)
     cells["cube"], cells["count"], cells["best"] = cubes, 1, points
     for name in ("position", "weight", "intensity"):
@@ -70,9 +70,12 @@ def _merged(parts: Iterable[AnyArray], *, agreement: float) -> AnyArray:
     cells = cells[order]
     starts = np.flatnonzero(np.append(True, cells["cube"][1:] != cells["cube"][:-1]))
     group = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(cells))))
-    best = _best_rows(cells["best"]["weight"], starts, group)
-    joined = cells[best]
-    agrees = _agrees(cells, joined["best"]["color"][group], agreement)
+    # the row with the greatest weight of each group, the first of equals
+    weights = cells["best"]["weight"]
+    rows = np.flatnonzero(weights == np.maximum.reduceat(weights, starts)[group])
+    joined = cells[rows[np.unique(group[rows], return_index=True)[1]]]
+    means = cells["color"] / np.maximum(cells["weight"], np.float32(1e-20))[:, None]
+    agrees = (np.abs(means - joined["best"]["color"][group]) <= agreement).all(axis=1)
     for name in ("count", "position", "intensity"):
         joined[name] = np.add.reduceat(cells[name], starts, axis=0)
     joined["weight"] = np.add.reduceat(np.where(agrees, cells["weight"], np.float32(0)), starts)
@@ -80,25 +83,11 @@ def _merged(parts: Iterable[AnyArray], *, agreement: float) -> AnyArray:
     return joined
 
 
-def _best_rows(weights: AnyArray, starts: Int64Array, group: Int64Array) -> Int64Array:
-    """The row with the greatest weight of each group, the first of equals."""
-    is_best = weights == np.maximum.reduceat(weights, starts)[group]
-    rows = np.flatnonzero(is_best)
-    first: Int64Array = rows[np.unique(group[rows], return_index=True)[1]]
-    return first
-
-
-def _agrees(cells: AnyArray, colors: AnyArray, agreement: float) -> BoolArray:
-    weights = np.maximum(cells["weight"], np.float32(1e-20))[:, None]
-    near: BoolArray = (np.abs(cells["color"] / weights - colors) <= agreement).all(axis=1)
-    return near
-
-
 def _votes_of(points: AnyArray, cubes: Int64Array) -> AnyArray:
     """Count the labels of points (N,) in each cube, ascending by cube and label."""
-    stated = points["label"] != _NO_LABEL
-    votes = np.zeros(int(stated.sum()), _VOTE)
-    votes["cube"], votes["label"], votes["count"] = cubes[stated], points["label"][stated], 1
+    labelled = points["label"] != _NO_LABEL
+    votes = np.zeros(int(labelled.sum()), _VOTE)
+    votes["cube"], votes["label"], votes["count"] = cubes[labelled], points["label"][labelled], 1
     return _added_votes([votes])
 
 
@@ -116,7 +105,7 @@ def _added_votes(parts: Iterable[AnyArray]) -> AnyArray:
 
 
 def _points_of_cells(cells: AnyArray, votes: AnyArray, *, mean: bool) -> AnyArray:
-    """One point for each cell: at the mean location, with the mean or the best colour and the label with most votes."""
+    """One point for each cell: at the mean position, with the mean or the best colour and the label with most votes."""
     points: Any = cells["best"].copy()
     points["position"] = cells["position"] / cells["count"][:, None]
     points["intensity"] = cells["intensity"] / cells["count"]
@@ -138,12 +127,12 @@ TILE_CUBES = 256
 """A tile is a square column of so many cubes along x and y."""
 
 _MOST_CELLS = 2_000_000
-"""Cubes that are held in memory at most, some 250 MB, but for those of one tile; others rest on the disk."""
+"""Largest number of cubes in memory, some 250 MB, but for those of one tile; others are kept on disk."""
 
 _PENDING_SHARE, _LEAST_PENDING = 0.5, 50_000
 
 _ROOM_SHARE = 0.75
-"""What is left in memory once tiles are put onto the disk."""
+"""Share that is left in memory once tiles are moved to the disk."""
 
 _HEIGHT_CUBES = 1 << 24
 _FARTHEST_TILE = 1 << 30
@@ -157,20 +146,13 @@ Tile = tuple[int, int]
 
 @dataclass(slots=True, eq=False)
 class _Tile:
-    """A tile: its cells, in memory or on the disk, and points that are not in cells yet, likewise.
+    """A tile: its cells, in memory or on the disk, and points that are not in cells yet, likewise."""
 
-    Attributes:
-        cells, votes: None where they rest on the disk.
-        known: how many cells there are.
-        pending: points in memory that are not in cells yet.
-        waiting: how many points are not in cells yet, those on the disk included.
-    """
-
-    cells: AnyArray | None = field(default_factory=lambda: np.zeros(0, _CELL))
-    votes: AnyArray = field(default_factory=lambda: np.zeros(0, _VOTE))
-    known: int = 0
-    pending: list[AnyArray] = field(default_factory=list)
-    waiting: int = 0
+    cells: AnyArray | None = field(default_factory=lambda: np.zeros(0, _CELL))  # None where they rest on the disk
+    votes: AnyArray = field(default_factory=lambda: np.zeros(0, _VOTE))  # None where they rest on the disk
+    known: int = 0  # how many cells there are
+    pending: list[AnyArray] = field(default_factory=list)  # points in memory that are not in cells yet
+    waiting: int = 0  # how many points are not in cells yet, those on the disk included
 
     @property
     def size(self) -> int:
@@ -180,14 +162,14 @@ class _Tile:
 
 @dataclass(slots=True)
 class WorldMap:
-    """Gathers points and gives one for each cube of space.
+    """Collects points and gives one for each cube of space.
 
     Attributes:
         voxel: side of the cubes [m].
         folder: an empty folder for tiles that do not fit into the memory.
         mean: whether a cube's colour is the mean of its points' by weight, or that with the greatest weight.
-        most_cells: how many cubes are held in memory.
-        added: points so far.
+        most_cells: largest number of cubes in memory.
+        added: number of points so far.
 
     Raises:
         OptionError: the side is not a positive number.
@@ -206,7 +188,7 @@ class WorldMap:
             raise OptionError(f"voxel {self.voxel}; expected 0.001 to 1000 m")
 
     def add(self, points: AnyArray) -> None:
-        """Take points (N,) of dtype `_POINT`; those that are not finite, or beyond all bounds, are left out."""
+        """Add points (N,) of dtype `_POINT`; those that are not finite, or out of bounds, are left out."""
         cubes = np.floor(points["position"] / self.voxel)
         inside = (np.abs(cubes) < _BOUNDS).all(axis=1)
         points, cubes = points[inside], cubes[inside].astype(np.int64)
@@ -215,20 +197,18 @@ class WorldMap:
         codes = tiles[:, 0] * _FARTHEST_TILE + tiles[:, 1]
         order = np.argsort(codes, kind="stable")
         for rows in np.split(order, np.flatnonzero(np.diff(codes[order])) + 1) if len(codes) else ():
-            self._take((int(tiles[rows[0], 0]), int(tiles[rows[0], 1])), points[rows])
+            key = int(tiles[rows[0], 0]), int(tiles[rows[0], 1])
+            tile = self._tiles.setdefault(key, _Tile())
+            self._tiles.move_to_end(key)
+            tile.pending.append(points[rows])
+            tile.waiting += len(rows)
+            self._size += len(rows)
+            if tile.waiting > max(_LEAST_PENDING, _PENDING_SHARE * tile.known):
+                self._settle(key, tile)
         self._rest()
 
-    def _take(self, key: Tile, points: AnyArray) -> None:
-        tile = self._tiles.setdefault(key, _Tile())
-        self._tiles.move_to_end(key)
-        tile.pending.append(points)
-        tile.waiting += len(points)
-        self._size += len(points)
-        if tile.waiting > max(_LEAST_PENDING, _PENDING_SHARE * tile.known):
-            self._settle(key, tile)
-
     def _settle(self, key: Tile, tile: _Tile) -> None:
-        """Put the points that wait into cells."""
+        """Put the waiting points into cells."""
         before = tile.size
         resting = self._file(key, "pending")
         if resting.exists():
@@ -240,23 +220,17 @@ class WorldMap:
         if tile.pending:
             points = np.concatenate(tile.pending)
             tile.pending, tile.waiting = [], 0
-            cubes = self._numbers(points)
+            cubes = np.floor(points["position"] / self.voxel).astype(np.int64)
+            columns = (cubes[:, 0] % TILE_CUBES) * TILE_CUBES + cubes[:, 1] % TILE_CUBES
+            cubes = columns * _HEIGHT_CUBES + (cubes[:, 2] + _HEIGHT_CUBES // 2)
             made = _cells_of(points, cubes, agreement=_AGREEMENT)
             tile.cells = _merged([tile.cells, made], agreement=_AGREEMENT)
             tile.votes = _added_votes([tile.votes, _votes_of(points, cubes)])
             tile.known = len(tile.cells)
         self._size += tile.size - before
 
-    def _numbers(self, points: AnyArray) -> Int64Array:
-        """The number of each point's cube in its tile."""
-        cubes = np.floor(points["position"] / self.voxel).astype(np.int64)
-        numbers: Int64Array = ((cubes[:, 0] % TILE_CUBES) * TILE_CUBES + cubes[:, 1] % TILE_CUBES) * _HEIGHT_CUBES + (
-            cubes[:, 2] + _HEIGHT_CUBES // 2
-        )
-        return numbers
-
     def _rest(self) -> None:
-        """Put the tiles that were not touched for longest onto the disk, until the others fit."""
+        """Move the least recently used tiles to the disk, until the others fit."""
         for key, tile in [*self._tiles.items()] if self._size > self.most_cells else ():
             if self._size <= self.most_cells * _ROOM_SHARE:
                 break
@@ -274,7 +248,7 @@ class WorldMap:
         return self.folder / f"{key[0]}_{key[1]}_{what}.npy"
 
     def points(self) -> Iterator[AnyArray]:
-        """Give the map tile by tile, (C,) of dtype `_POINT` each; nothing can be added afterwards."""
+        """The map tile by tile, (C,) of dtype `_POINT` each; nothing can be added afterwards."""
         for key in sorted(self._tiles):
             tile = self._tiles.pop(key)
             self._settle(key, tile)
@@ -285,7 +259,7 @@ class WorldMap:
 
 
 def empty_points(count: int) -> AnyArray:
-    """Points (N,) of dtype `_POINT` at 0 that nothing is stated for."""
+    """Points (N,) of dtype `_POINT` at 0 without colour, image and label."""
     points = np.zeros(count, _POINT)
     points["color"], points["camera"], points["image"], points["label"] = 255, 255, -1, 65535
     points["pixel"] = np.nan

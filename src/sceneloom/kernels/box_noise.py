@@ -1,7 +1,4 @@
-"""Uncertainty of detected boxes: covariances by score and range.
-
-The update of a 3D box by the sides of an image box, and positions of objects that only an image shows.
-"""
+"""The update of a detected 3D box by the sides of its box in an image."""
 
 import numpy as np
 
@@ -32,15 +29,9 @@ def _find_sides(pixels, n, box, limits, border, sides, m):  # type: ignore[no-un
     "float64[:,::1], float64, float64, float64, float64)"
 )
 def shifted_sides(
-    corners: Float64Array,
-    pixels: Float64Array,
-    partners: Int64Array,
-    boxes_xyxy: Float64Array,
-    width: float,
-    height: float,
-    border: float,
-    step: float,
-) -> tuple[Int64Array, Int64Array, Float64Array]:
+    corners: Float64Array, pixels: Float64Array, partners: Int64Array, boxes_xyxy: Float64Array, width: float,
+    height: float, border: float, step: float,
+) -> tuple[Int64Array, Int64Array, Float64Array]:  # fmt: skip
     """Find the corners that bound boxes in an image, where it cuts neither them nor their partners, and move them.
 
     Args:
@@ -114,22 +105,10 @@ def _deviation(box, number, sigmas, n):  # type: ignore[no-untyped-def]
     "int64[::1], float64[:,::1], float64[:,::1], float64, float64)"
 )
 def update_by_sides(
-    states: Float64Array,
-    covariances: Float64Array,
-    rotation: Float64Array,
-    axes: Float64Array,
-    signs: Float64Array,
-    pixels: Float64Array,
-    rows: Int64Array,
-    sides: Int64Array,
-    shifted: Float64Array,
-    step: float,
-    partners: Int64Array,
-    boxes_xyxy: Float64Array,
-    sigmas: Float64Array,
-    farthest: float,
-    least_share: float,
-) -> None:
+    states: Float64Array, covariances: Float64Array, rotation: Float64Array, axes: Float64Array, signs: Float64Array,
+    pixels: Float64Array, rows: Int64Array, sides: Int64Array, shifted: Float64Array, step: float, partners: Int64Array,
+    boxes_xyxy: Float64Array, sigmas: Float64Array, farthest: float, least_share: float,
+) -> None:  # fmt: skip
     """Update boxes by the middle of their partners in the image, and by the height of those.
 
     Each of the three numbers z = h(state) + noise is taken by itself, one after the other, with the slopes H of h where

@@ -1,7 +1,4 @@
-"""Boxes in space: their outlines in an image, corners in another frame, points inside boxes and viewing cones.
-
-And occlusion by other boxes.
-"""
+"""Points inside boxes that may move, and inside viewing cones."""
 
 import math
 
@@ -84,10 +81,7 @@ def _grid(bounds: Float64Array) -> tuple[float, float, float, int, int, Int64Arr
 def _in_box(  # type: ignore[no-untyped-def]
     x, y, z, b, knot, share, centers, rotations, halves
 ):
-    """Report whether a point lies in a box, its faces included.
-
-    At a share of the trajectory from one knot to the next.
-    """
+    """Whether a point is in a box, its faces included, at a share of the time from one knot to the next."""
     after = min(knot + 1, centers.shape[0] - 1)
     dx = x - (centers[knot, b, 0] + share * (centers[after, b, 0] - centers[knot, b, 0]))
     dy = y - (centers[knot, b, 1] + share * (centers[after, b, 1] - centers[knot, b, 1]))
@@ -109,14 +103,9 @@ _REST = (float64[::1], float64[:, :, ::1], float64[:, :, :, ::1], float64[:, :, 
 
 @kernel([void(IN_F32_2D, *_REST), void(IN_F64_2D, *_REST)])
 def find_points_in_boxes(
-    points: FloatArray,
-    locations: Float64Array,
-    centers: Float64Array,
-    rotations: Float64Array,
-    halves: Float64Array,
-    stops: Int64Array,
-    point_ids: Int64Array,
-) -> None:
+    points: FloatArray, locations: Float64Array, centers: Float64Array, rotations: Float64Array, halves: Float64Array,
+    stops: Int64Array, point_ids: Int64Array,
+) -> None:  # fmt: skip
     """Count the points in each box, and list them if there is room.
 
     Args:

@@ -155,13 +155,9 @@ def _overlap(one, i, other, j):  # type: ignore[no-untyped-def]
     f"{_TABLE})"
 )
 def reported_odds(
-    scores: Float64Array,
-    rows: Int64Array,
-    is_logit: bool,  # noqa: FBT001 - compiled functions take no keywords
-    of_image: bool,  # noqa: FBT001
-    kinds: Int64Array,
-    table: Float64Array,
-) -> tuple[Float64Array, Float64Array, Float64Array]:
+    scores: Float64Array, rows: Int64Array, is_logit: bool, of_image: bool,  # noqa: FBT001 - kernels take no keywords
+    kinds: Int64Array, table: Float64Array,
+) -> tuple[Float64Array, Float64Array, Float64Array]:  # fmt: skip
     """Give what the scores of one detector state.
 
     Args:
@@ -190,16 +186,10 @@ def reported_odds(
     f"int64[::1], {_TABLE})"
 )
 def scores_of_sweep(
-    outlines_xyxy: Float64Array,
-    seen_shares: Float64Array,
-    partners: Int64Array,
-    reported_3d: Float64Array,
-    odds_3d: Float64Array,
-    corners_xyxy: Float64Array,
-    reported_2d: Float64Array,
-    kinds: Int64Array,
+    outlines_xyxy: Float64Array, seen_shares: Float64Array, partners: Int64Array, reported_3d: Float64Array,
+    odds_3d: Float64Array, corners_xyxy: Float64Array, reported_2d: Float64Array, kinds: Int64Array,
     table: Float64Array,
-) -> Float64Array:
+) -> Float64Array:  # fmt: skip
     """Give how likely the objects of the boxes of a sweep are.
 
     Args:
@@ -238,23 +228,12 @@ def scores_of_sweep(
 
 @kernel(f"float64[::1](int64[::1], float64[::1], float64[::1], int64[::1], {_TABLE})")
 def scores_of_image(
-    rows: Int64Array,
-    distances: Float64Array,
-    odds_2d: Float64Array,
-    kinds: Int64Array,
-    table: Float64Array,
+    rows: Int64Array, distances: Float64Array, odds_2d: Float64Array, kinds: Int64Array, table: Float64Array
 ) -> Float64Array:
     """Give how likely the objects of boxes of an image alone are.
 
-    Args:
-        rows: (L,), which boxes of the image are alone.
-        distances: (L,) [m], how far those may be.
-        odds_2d: (M,), logarithms of odds.
-        kinds: (M,), rows of the table.
-        table: (K, COLUMNS).
-
-    Returns:
-        (L,) float64, probabilities.
+    `rows` (L,), which boxes of the image are alone; `distances` (L,) [m], how far those may be; `odds_2d` (M,),
+    logarithms of odds; `kinds` (M,), rows of the table; `table` (K, COLUMNS). Returns (L,) float64, probabilities.
     """
     scores = np.empty(len(rows))
     for n in range(len(rows)):

@@ -1,7 +1,4 @@
-"""How well projected points agree with an image: sums over edges and shared grey levels.
-
-And over maps with their derivatives.
-"""
+"""How well projected points agree with an image: sums over edges, grey levels, and maps with their derivatives."""
 
 from numba import float64, int16, types, void
 
@@ -37,15 +34,9 @@ def _between(image, u, v):  # type: ignore[no-untyped-def]
 
 @kernel(void(IN_I64_1D, IN_F32_2D, IN_U8_1D, IN_F32_1D, _CELLS, IN_F32_3D, float64[::1], float64[::1]))  # fmt: skip
 def sum_edges(
-    point_ids: Int64Array,
-    pixels: Float32Array,
-    kinds: UInt8Array,
-    weights: Float32Array,
-    cells: Int64Array,
-    edges: Float32Array,
-    sums: Float64Array,
-    totals: Float64Array,
-) -> None:
+    point_ids: Int64Array, pixels: Float32Array, kinds: UInt8Array, weights: Float32Array, cells: Int64Array,
+    edges: Float32Array, sums: Float64Array, totals: Float64Array,
+) -> None:  # fmt: skip
     """Add up how strong an image's edges are where edges of a cloud fall.
 
     Args:
@@ -67,11 +58,7 @@ def sum_edges(
 
 @kernel(void(IN_I64_1D, IN_F32_2D, IN_F32_1D, IN_F32_2D, float64[:, ::1]))
 def fill_histogram(
-    point_ids: Int64Array,
-    pixels: Float32Array,
-    levels: Float32Array,
-    image: Float32Array,
-    histogram: Float64Array,
+    point_ids: Int64Array, pixels: Float32Array, levels: Float32Array, image: Float32Array, histogram: Float64Array
 ) -> None:
     """Count points by their level and that of the image where they fall, each shared among the four nearest bins.
 
@@ -96,15 +83,9 @@ def fill_histogram(
 
 @kernel(void(IN_I64_1D, IN_F32_2D, IN_F32_1D, _CELLS, IN_F32_2D, IN_F64_2D, float64[::1], float64[::1]))  # fmt: skip
 def sum_by_table(
-    point_ids: Int64Array,
-    pixels: Float32Array,
-    levels: Float32Array,
-    cells: Int64Array,
-    image: Float32Array,
-    table: Float64Array,
-    sums: Float64Array,
-    totals: Float64Array,
-) -> None:
+    point_ids: Int64Array, pixels: Float32Array, levels: Float32Array, cells: Int64Array, image: Float32Array,
+    table: Float64Array, sums: Float64Array, totals: Float64Array,
+) -> None:  # fmt: skip
     """Add up what a table says of points by their level and that of the image where they fall.
 
     Args:
@@ -124,24 +105,14 @@ def sum_by_table(
         totals[cells[point]] += 1.0
 
 
-@kernel(
-    void(
-        IN_F32_2D, IN_F32_3D, IN_F64_1D, IN_F32_1D, IN_I32_1D, IN_I32_1D, IN_F32_3D, float64[::1], float64[::1],
-        float64[:, ::1],
-    )
-)  # fmt: skip
+@kernel(void(
+    IN_F32_2D, IN_F32_3D, IN_F64_1D, IN_F32_1D, IN_I32_1D, IN_I32_1D, IN_F32_3D, float64[::1], float64[::1],
+    float64[:, ::1]
+))  # fmt: skip
 def sum_maps(
-    pixels: Float32Array,
-    slopes: Float32Array,
-    step: Float64Array,
-    weights: Float32Array,
-    rows: AnyArray,
-    groups: AnyArray,
-    maps: Float32Array,
-    sums: Float64Array,
-    squares: Float64Array,
-    gradients: Float64Array,
-) -> None:
+    pixels: Float32Array, slopes: Float32Array, step: Float64Array, weights: Float32Array, rows: AnyArray,
+    groups: AnyArray, maps: Float32Array, sums: Float64Array, squares: Float64Array, gradients: Float64Array,
+) -> None:  # fmt: skip
     """Add up weighted values of maps at moved pixels, by group; beyond a map's outer pixels it says nothing.
 
     Args:

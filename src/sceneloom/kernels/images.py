@@ -95,12 +95,7 @@ def _paint(luma, near, far, factors, line):  # type: ignore[no-untyped-def]
 
 @kernel(void(IN_U8_2D, IN_U8_2D, IN_U8_2D, int64[::1], int64, uint8[:, ::1]))
 def rgb_from_halved_chroma(
-    luma: UInt8Array,
-    blue: UInt8Array,
-    red: UInt8Array,
-    factors: Int64Array,
-    half_columns: int,
-    rgb: UInt8Array,
+    luma: UInt8Array, blue: UInt8Array, red: UInt8Array, factors: Int64Array, half_columns: int, rgb: UInt8Array
 ) -> None:
     """Rotate brightness and halved colours into red, green and blue; colours are linearly interpolated.
 
@@ -255,14 +250,9 @@ def _holds(grey: Float32Array, u: float, v: float, half: int) -> bool:
 
 @kernel(void(IN_F32_2D, IN_F32_2D, IN_F32_2D, int64, int64, float32[:, ::1], boolean[::1]))
 def follow_corners(
-    first: Float32Array,
-    second: Float32Array,
-    pixels: Float32Array,
-    half: int,
-    rounds: int,
-    followed: Float32Array,
+    first: Float32Array, second: Float32Array, pixels: Float32Array, half: int, rounds: int, followed: Float32Array,
     found: BoolArray,
-) -> None:
+) -> None:  # fmt: skip
     """Find what windows of one image show in another one.
 
     What the windows differ in by brightness as a whole does not count.

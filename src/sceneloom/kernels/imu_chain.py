@@ -1,9 +1,7 @@
-"""The GNSS/IMU smoother: IMU preintegration, normal equations of a chain of motion states.
+"""Kernels of the GNSS/IMU smoother: IMU preintegration, and normal equations of a chain of motion states.
 
-And their solution in linear time.
-
-A state is a small rotation about the body's axes, then position, velocity along the world's axes, bias of the
-gyroscope, bias of the accelerometer: 15 numbers.
+The equations are solved in linear time. A state is a small rotation about the body's axes, then position and velocity
+along the world's axes, bias of the gyroscope, bias of the accelerometer: 15 numbers.
 """
 
 import math
@@ -16,15 +14,19 @@ from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.poses import rotation_of_vector
 from sceneloom.kernels.signatures import IN_F64_1D, IN_F64_2D, IN_F64_3D, IN_I64_1D
 
-DELTA_ROTATION, _DELTA_VELOCITY, DELTA_POSITION = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Rows of what is summed up: rotation vector [rad], velocity [m/s], position [m]."""
+SIZE = 15
+ROTATION, POSITION, VELOCITY, GYROSCOPE, ACCELEROMETER = (slice(k, k + 3) for k in range(0, SIZE, 3))
+"""Rows of a state."""
 
-_V, _M = float64[::1], float64[:, ::1]
+DELTA_ROTATION, DELTA_POSITION = slice(0, 3), slice(6, 9)
+"""Rows of what is preintegrated: rotation vector [rad], velocity [m/s], position [m]."""
+
+_V, _M, _T = float64[::1], float64[:, ::1], float64[:, :, ::1]
 
 
 @kernel(types.void(_V, _V, float64, _V, _M))
 def _rotation_between(before: Float64Array, after: Float64Array, h: float, v: Float64Array, m: Float64Array) -> None:
-    """Write the rotation over h seconds in which the rate changes evenly. Source: Magnus 1954, second term."""
+    """Write the rotation over h seconds in which the rate changes linearly. Source: Magnus 1954, second term."""
     c = h * h / 12.0
     v[0] = 0.5 * h * (before[0] + after[0]) + c * (before[1] * after[2] - before[2] * after[1])
     v[1] = 0.5 * h * (before[1] + after[1]) + c * (before[2] * after[0] - before[0] * after[2])
@@ -34,20 +36,14 @@ def _rotation_between(before: Float64Array, after: Float64Array, h: float, v: Fl
 
 @kernel(types.void(_M, float64, _M, _M, _V, _V))
 def _step(
-    readings: Float64Array,
-    h: float,
-    work: Float64Array,
-    rotation: Float64Array,
-    velocity: Float64Array,
+    readings: Float64Array, h: float, work: Float64Array, rotation: Float64Array, velocity: Float64Array,
     position: Float64Array,
-) -> None:
-    """Go on by h seconds in which rate and force change evenly: Simpson's rule over the rotating force.
+) -> None:  # fmt: skip
+    """Go on by h seconds in which rate and force change linearly: Simpson's rule over the rotating force.
 
-    Args:
-        readings: (4, 3) rate and force at the beginning, rate and force at the end, without biases.
-        work: (14, 3): rows 0-2 the rotation of the first half, 3-5 of the whole, 6-8 the rotation at half-time, 9-11
-            that at the end, 12 the mean force, 13 scratch; written here.
-        rotation, velocity, position: changed in place.
+    `readings` (4, 3) rate and force at the beginning, rate and force at the end, without biases; `work` (14, 3): rows
+    0-2 the rotation of the first half, 3-5 of the whole, 6-8 the rotation at half-time, 9-11 that at the end, 12 the
+    mean force, 13 scratch; written here; `rotation`, `velocity`, `position`: changed in place.
     """
     half, whole, at_half, at_end = work[0:3], work[3:6], work[6:9], work[9:12]
     middle, v = work[12], work[13]
@@ -55,8 +51,8 @@ def _step(
         middle[k] = 0.5 * (readings[0, k] + readings[2, k])
     _rotation_between(readings[0], middle, 0.5 * h, v, half)
     _rotation_between(readings[0], readings[2], h, v, whole)
-    times(rotation, half, at_half)
-    times(rotation, whole, at_end)
+    _times(rotation, half, at_half)
+    _times(rotation, whole, at_end)
     for k in range(3):
         middle[k] = 0.5 * (readings[1, k] + readings[3, k])
     for i in range(3):
@@ -74,18 +70,16 @@ def _step(
 
 @kernel(types.void(_M, float64, _M, _M))
 def _carry_slopes(work: Float64Array, h: float, slopes: Float64Array, pull: Float64Array) -> None:
-    """Carry the slopes by the biases, (9, 6), over one step; `pull` is written: how a rotation rotates the force.
-
-    (3, 3).
+    """Carry the slopes by the biases, (9, 6), over one step; write `pull`, (3, 3): the force's slope by a rotation.
 
     Source: Forster, Carlone, Dellaert and Scaramuzza 2017, "On-Manifold Preintegration for Real-Time Visual-Inertial
     Odometry", appendix B, with the force at half-time.
     """
     half, whole, at_half = work[0:3], work[3:6], work[6:9]
     by_rotation, rotated = np.empty((3, 3)), np.empty((3, 3))
-    times_cross(at_half, work[12], pull)
+    _times_cross(at_half, work[12], pull)
     by_rotation[:] = slopes[0:3, 0:3]
-    transposed_times(half, by_rotation, rotated)
+    _transposed_times(half, by_rotation, rotated)
     for i in range(3):
         rotated[i, i] -= 0.5 * h
     for i in range(3):
@@ -95,7 +89,7 @@ def _carry_slopes(work: Float64Array, h: float, slopes: Float64Array, pull: Floa
             slopes[3 + i, k] -= h * pulled
             slopes[6 + i, 3 + k] += h * slopes[3 + i, 3 + k] - 0.5 * h * h * at_half[i, k]
             slopes[3 + i, 3 + k] -= h * at_half[i, k]
-    transposed_times(whole, by_rotation, rotated)
+    _transposed_times(whole, by_rotation, rotated)
     for i in range(3):
         for k in range(3):
             slopes[i, k] = rotated[i, k] - (h if i == k else 0.0)
@@ -103,12 +97,7 @@ def _carry_slopes(work: Float64Array, h: float, slopes: Float64Array, pull: Floa
 
 @kernel(types.void(_M, float64, _M, _M, float64, float64))
 def _carry_covariance(
-    work: Float64Array,
-    h: float,
-    pull: Float64Array,
-    covariance: Float64Array,
-    gyroscope: float,
-    accelerometer: float,
+    work: Float64Array, h: float, pull: Float64Array, covariance: Float64Array, gyroscope: float, accelerometer: float
 ) -> None:
     """Carry the covariance, (9, 9), over one step; noise densities in (rad/s)²/Hz and (m/s²)²/Hz.
 
@@ -149,7 +138,7 @@ def _reading_at(
     times_ns: Int64Array, samples: Float64Array, after: int, time_ns: int, bias: Float64Array,
     rate: Float64Array, force: Float64Array,
 ) -> None:  # fmt: skip
-    """Write what the IMU reported at a time, without biases: between the samples before `after` and at it, evenly."""
+    """Write the IMU's values at a time, without biases: linearly between the samples before `after` and at it."""
     last = times_ns.shape[0] - 1
     one = min(max(after, 1), last)
     share = (time_ns - times_ns[one - 1]) / (times_ns[one] - times_ns[one - 1])
@@ -159,96 +148,31 @@ def _reading_at(
         force[k] = samples[one - 1, 3 + k] + share * (samples[one, 3 + k] - samples[one - 1, 3 + k]) - bias[3 + k]
 
 
-@kernel(
-    types.void(
-        IN_I64_1D, IN_F64_2D, IN_I64_1D, IN_F64_2D, IN_F64_2D, float64[:, :, ::1], _M, _M, float64[:, :, ::1],
-        float64[:, :, ::1],
-    )
-)  # fmt: skip
+@kernel(types.void(IN_I64_1D, IN_F64_2D, IN_I64_1D, IN_F64_2D, IN_F64_2D, IN_I64_1D, IN_I64_1D, _T, _M, _M, _T, _T))
 def preintegrate(
-    times_ns: Int64Array,
-    samples: Float64Array,
-    knots_ns: Int64Array,
-    biases: Float64Array,
-    densities: Float64Array,
-    rotations: Float64Array,
-    velocities: Float64Array,
-    positions: Float64Array,
-    slopes: Float64Array,
-    covariances: Float64Array,
-) -> None:
-    """Sum up what an IMU measured from each knot to the next.
+    times_ns: Int64Array, samples: Float64Array, knots_ns: Int64Array, biases: Float64Array, densities: Float64Array,
+    wanted_ns: Int64Array, knots: Int64Array, rotations: Float64Array, velocities: Float64Array,
+    positions: Float64Array, slopes: Float64Array, covariances: Float64Array,
+) -> None:  # fmt: skip
+    """Preintegrate IMU samples from knots to times between them and the next.
 
     Args:
         times_ns: (N,) [ns], strictly increasing, N >= 2.
-        samples: (N, 6) yaw rate [rad/s] and specific force [m/s²].
+        samples: (N, 6) angular velocity [rad/s] and specific force [m/s²].
         knots_ns: (K,) [ns], strictly increasing; beyond the first and the last sample these hold.
-        biases: (K - 1, 6) to take off, as the samples.
+        biases: (K - 1, 6) to subtract from the samples.
         densities: (K - 1, 2) white noise of the rate, (rad/s)²/Hz, and of the force, (m/s²)²/Hz.
-        rotations: (K - 1, 3, 3), `first_from_second`, written here, as all further ones.
-        velocities, positions: (K - 1, 3), gain of speed [m/s] and trajectory [m] without gravity and without the speed
-            at the first knot, in the axes of the first knot.
-        slopes: (K - 1, 9, 6) by the biases: of rotation (on the right side), velocity and position.
-        covariances: (K - 1, 9, 9) of the same.
-    """
-    readings, work, pull = np.empty((4, 3)), np.empty((14, 3)), np.empty((3, 3))
-    after = 0
-    for i in range(knots_ns.shape[0] - 1):
-        start, stop, bias = knots_ns[i], knots_ns[i + 1], biases[i]
-        for j in range(3):
-            for k in range(3):
-                rotations[i, j, k] = 1.0 if j == k else 0.0
-        velocities[i, :] = 0.0
-        positions[i, :] = 0.0
-        slopes[i, :, :] = 0.0
-        covariances[i, :, :] = 0.0
-        while after < times_ns.shape[0] and times_ns[after] <= start:
-            after += 1
-        _reading_at(times_ns, samples, after, start, bias, readings[0], readings[1])
-        now = start
-        while now < stop:
-            here = stop if after >= times_ns.shape[0] else min(stop, times_ns[after])
-            _reading_at(times_ns, samples, after, here, bias, readings[2], readings[3])
-            h = (here - now) * 1e-9
-            _step(readings, h, work, rotations[i], velocities[i], positions[i])
-            _carry_slopes(work, h, slopes[i], pull)
-            _carry_covariance(work, h, pull, covariances[i], densities[i, 0], densities[i, 1])
-            for k in range(3):
-                readings[0, k], readings[1, k] = readings[2, k], readings[3, k]
-            now = here
-            if after < times_ns.shape[0] and times_ns[after] <= now:
-                after += 1
-
-
-@kernel(
-    types.void(
-        IN_I64_1D, IN_F64_2D, IN_I64_1D, IN_F64_2D, IN_I64_1D, IN_I64_1D, float64[:, :, ::1], _M, _M,
-        float64[:, :, ::1],
-    )
-)  # fmt: skip
-def preintegrate_until(
-    times_ns: Int64Array,
-    samples: Float64Array,
-    knots_ns: Int64Array,
-    biases: Float64Array,
-    wanted_ns: Int64Array,
-    knots: Int64Array,
-    rotations: Float64Array,
-    velocities: Float64Array,
-    positions: Float64Array,
-    slopes: Float64Array,
-) -> None:
-    """Sum up what an IMU measured from knots to moments between them and the next.
-
-    Args:
-        times_ns, samples, knots_ns, biases: as in `preintegrate`.
         wanted_ns: (W,) [ns], ascending.
-        knots: (W,) the last knot at or before each, at most K - 2.
-        rotations, velocities, positions: (W, 3, 3) and (W, 3), written here as in `preintegrate`.
-        slopes: (W, 9, 6) by the biases, written here as there; (0, 9, 6) where they are not wanted.
+        knots: (W,) the last knot before each, at most K - 2.
+        rotations: (W, 3, 3), `first_from_second`, written here, as all further ones.
+        velocities, positions: (W, 3), gain of velocity [m/s] and distance [m] without gravity and without the velocity
+            at the knot, in the body axes there.
+        slopes: (W, 9, 6) by the biases: of rotation (on the right side), velocity and position; (0, 9, 6) for none.
+        covariances: (W, 9, 9) of the same; (0, 9, 9) for none.
     """
     readings, work, pull = np.empty((4, 3)), np.empty((14, 3)), np.empty((3, 3))
     slope, sloping = np.zeros((9, 6)), slopes.shape[0] > 0
+    covariance, spreading = np.zeros((9, 9)), covariances.shape[0] > 0
     rotation, velocity, position = np.empty((3, 3)), np.empty(3), np.empty(3)
     after, now, knot = 0, int64(0), int64(-1)
     for w in range(wanted_ns.shape[0]):
@@ -259,6 +183,7 @@ def preintegrate_until(
             velocity[:] = 0.0
             position[:] = 0.0
             slope[:, :] = 0.0
+            covariance[:, :] = 0.0
             while after < times_ns.shape[0] and times_ns[after] <= now:
                 after += 1
             while after > 0 and times_ns[after - 1] > now:
@@ -271,6 +196,8 @@ def preintegrate_until(
             _step(readings, h, work, rotation, velocity, position)
             if sloping:
                 _carry_slopes(work, h, slope, pull)
+            if spreading:
+                _carry_covariance(work, h, pull, covariance, densities[knot, 0], densities[knot, 1])
             for k in range(3):
                 readings[0, k], readings[1, k] = readings[2, k], readings[3, k]
             now = here
@@ -279,32 +206,16 @@ def preintegrate_until(
         rotations[w], velocities[w], positions[w] = rotation, velocity, position
         if sloping:
             slopes[w] = slope
+        if spreading:
+            covariances[w] = covariance
 
 
-SIZE = 15
-
-ROTATION, POSITION, VELOCITY, GYROSCOPE, ACCELEROMETER = (
-    slice(0, 3),
-    slice(3, 6),
-    slice(6, 9),
-    slice(9, 12),
-    slice(12, 15),
-)
-"""Where what stands in a state."""
-
-_T = float64[:, :, ::1]
-
-
-@kernel(
-    types.void(
-        _M, _M, IN_F64_2D, _V, _T, _T, _M, int64,
-    )
-)  # fmt: skip
+@kernel(types.void(_M, _M, IN_F64_2D, _V, _T, _T, _M, int64))
 def _add_pair(
     first: Float64Array, second: Float64Array, information: Float64Array, residual: Float64Array,
     blocks: Float64Array, couplings: Float64Array, right: Float64Array, i: int,
 ) -> None:  # fmt: skip
-    """Add what a measurement between states i and i + 1 says: slopes (m, 15) each, information (m, m), residual."""
+    """Add a measurement between states i and i + 1: slopes (m, 15) each, information (m, m), residual (m,)."""
     m, n = first.shape
     weighted_first, weighted_second, weighted = np.zeros((m, n)), np.zeros((m, n)), np.zeros(m)
     for a in range(m):
@@ -330,11 +241,7 @@ def _add_pair(
                     blocks[i + 1, r, c] += other * weighted_second[a, c]
 
 
-@kernel(
-    types.void(
-        IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_F64_1D, _V, _M, _M,
-    )
-)  # fmt: skip
+@kernel(types.void(IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_F64_1D, _V, _M, _M))
 def _rotation_residual(
     rotation: Float64Array, after: Float64Array, measured: Float64Array, slope: Float64Array, change: Float64Array,
     residual: Float64Array, first: Float64Array, second: Float64Array,
@@ -350,15 +257,15 @@ def _rotation_residual(
         small[k] = slope[k, 0] * change[0] + slope[k, 1] * change[1] + slope[k, 2] * change[2]
     rotation_of_vector(small, correction)
     expected[:] = measured
-    times(expected, correction, work)
+    _times(expected, correction, work)
     expected[:] = work
     for a in range(3):
         for b in range(3):
             relative[a, b] = rotation[0, a] * after[0, b] + rotation[1, a] * after[1, b] + rotation[2, a] * after[2, b]
-    transposed_times(expected, relative, rest)
-    rotation_vector(rest, residual)
-    right_slope(residual[0:3], -1.0, inverse)
-    right_slope(small, 1.0, forward)
+    _transposed_times(expected, relative, rest)
+    _rotation_vector(rest, residual)
+    _right_slope(residual[0:3], -1.0, inverse)
+    _right_slope(small, 1.0, forward)
     for a in range(3):
         for b in range(3):
             first[a, b] = -(
@@ -369,7 +276,7 @@ def _rotation_residual(
     for a in range(3):
         for b in range(3):
             work[a, b] = inverse[a, 0] * rest[b, 0] + inverse[a, 1] * rest[b, 1] + inverse[a, 2] * rest[b, 2]
-    times(work, forward, correction)
+    _times(work, forward, correction)
     for a in range(3):
         for b in range(3):
             first[a, 9 + b] = -(
@@ -379,17 +286,12 @@ def _rotation_residual(
 
 @kernel(float64(IN_F64_2D, IN_F64_2D, _T, _T, _M))
 def add_walk(
-    biases: Float64Array,
-    walk: Float64Array,
-    blocks: Float64Array,
-    couplings: Float64Array,
-    right: Float64Array,
+    biases: Float64Array, walk: Float64Array, blocks: Float64Array, couplings: Float64Array, right: Float64Array
 ) -> float:
-    """Add that the biases of neighbouring states are alike.
+    """Add the random walk of the biases.
 
-    Args:
-        biases: (K, 6); walk: (K - 1, 6) inverse variances of their changes.
-        blocks, couplings, right: normal equations, added to.
+    `biases` (K, 6); walk: (K - 1, 6) inverse variances of their changes; `blocks`, `couplings`, `right`: normal
+    equations, added to.
     """
     cost = 0.0
     for i in range(walk.shape[0]):
@@ -404,25 +306,24 @@ def add_walk(
     return cost
 
 
-@kernel(
-    float64(
-        IN_F64_3D, IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_F64_1D, float64, IN_I64_1D, IN_F64_3D, IN_F64_2D, IN_F64_2D,
-        IN_F64_3D, IN_F64_3D, IN_F64_2D, _T, _T, _M,
-    )
-)  # fmt: skip
+@kernel(float64(
+    IN_F64_3D, IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_F64_1D, float64, IN_I64_1D, IN_F64_3D, IN_F64_2D, IN_F64_2D,
+    IN_F64_3D, IN_F64_3D, IN_F64_2D, _T, _T, _M
+))  # fmt: skip
 def add_inertial(
     rotations: Float64Array, positions: Float64Array, velocities: Float64Array, biases: Float64Array,
     seconds: Float64Array, gravity: float, locations: Int64Array, delta_rotations: Float64Array, gains: Float64Array,
-    trajectories: Float64Array, slopes: Float64Array, information: Float64Array, linearised: Float64Array,
+    distances: Float64Array, slopes: Float64Array, information: Float64Array, linearised: Float64Array,
     blocks: Float64Array, couplings: Float64Array, right: Float64Array,
 ) -> float:  # fmt: skip
-    """Add what an IMU measured between neighbouring states.
+    """Add preintegrated samples between neighbouring states.
 
     Args:
         rotations: (K, 3, 3) `world_from_body`; positions, velocities: (K, 3); biases: (K, 6).
         seconds: (K - 1,) between the states; gravity: down the world's z axis [m/s²].
         locations: (F,) numbers of the states at which measured intervals begin.
-        rotates, gains, ways, slopes: (K - 1, …) as `preintegrate` gives them for biases `linearised`, (K - 1, 6).
+        delta_rotations, gains, distances, slopes: (K - 1, …) as `preintegrate` gives them for biases `linearised`,
+            (K - 1, 6).
         information: (K - 1, 9, 9) of rotation, velocity, position.
         blocks, couplings, right: normal equations, added to.
 
@@ -445,19 +346,19 @@ def add_inertial(
             rotation, rotations[i + 1], delta_rotations[i], slopes[i, 0:3], change, residual, first, second
         )
         for a in range(3):
-            speed, trajectory = 0.0, 0.0
+            speed, distance = 0.0, 0.0
             for k in range(3):
                 down = -gravity if k == 2 else 0.0
                 dv = velocities[i + 1, k] - velocities[i, k] - dt * down
                 dp = positions[i + 1, k] - positions[i, k] - dt * velocities[i, k] - 0.5 * dt * dt * down
                 speed += rotation[k, a] * dv
-                trajectory += rotation[k, a] * dp
+                distance += rotation[k, a] * dp
                 second[3 + a, 6 + k] = rotation[k, a]
                 first[3 + a, 6 + k] = -rotation[k, a]
                 second[6 + a, 3 + k] = rotation[k, a]
                 first[6 + a, 3 + k] = -rotation[k, a]
                 first[6 + a, 6 + k] = -dt * rotation[k, a]
-            residual[3 + a], residual[6 + a] = speed, trajectory
+            residual[3 + a], residual[6 + a] = speed, distance
         # by the rotation at i: [Rᵀ d]×
         for row in (3, 6):
             x, y, z = residual[row], residual[row + 1], residual[row + 2]
@@ -466,7 +367,7 @@ def add_inertial(
             first[row + 2, 0], first[row + 2, 1] = -y, x
         for a in range(3):
             residual[3 + a] -= gains[i, a]
-            residual[6 + a] -= trajectories[i, a]
+            residual[6 + a] -= distances[i, a]
             for k in range(6):
                 residual[3 + a] -= slopes[i, 3 + a, k] * change[k]
                 residual[6 + a] -= slopes[i, 6 + a, k] * change[k]
@@ -479,25 +380,20 @@ def add_inertial(
     return cost
 
 
-@kernel(
-    float64(
-        IN_F64_3D, IN_F64_2D, IN_I64_1D, IN_F64_3D, IN_F64_2D, IN_F64_3D, _T, _T, _M, _M,
-    )
-)  # fmt: skip
+@kernel(float64(IN_F64_3D, IN_F64_2D, IN_I64_1D, IN_F64_3D, IN_F64_2D, IN_F64_3D, _T, _T, _M))
 def add_relative_poses(
     rotations: Float64Array, positions: Float64Array, locations: Int64Array, delta_rotations: Float64Array,
-    trajectories: Float64Array,
-    information: Float64Array, blocks: Float64Array, couplings: Float64Array, right: Float64Array,
-    residuals: Float64Array,
+    translations: Float64Array, information: Float64Array, blocks: Float64Array, couplings: Float64Array,
+    right: Float64Array,
 ) -> float:  # fmt: skip
-    """Add measured poses of states as seen from those before.
+    """Add measured poses of states relative to those before.
 
     Args:
         rotations, positions: (K, 3, 3) and (K, 3) of the states.
-        locations: (F,) numbers of the earlier states; rotates: (F, 3, 3), ways: (F, 3) [m]: `earlier_from_later`.
-        information: (F, 6, 6) of rotation [rad] and trajectory.
+        locations: (F,) numbers of the earlier states; delta_rotations: (F, 3, 3), translations: (F, 3) [m]:
+            `earlier_from_later`.
+        information: (F, 6, 6) of rotation [rad] and translation.
         blocks, couplings, right: normal equations, added to.
-        residuals: (F, 6), written here: rotate, trajectory.
 
     Returns:
         The sum of squares of the residuals, weighted.
@@ -512,21 +408,20 @@ def add_relative_poses(
         second[:, :] = 0.0
         _rotation_residual(rotation, rotations[i + 1], delta_rotations[f], no_slope, no_change, residual, first, second)
         for a in range(3):
-            trajectory = 0.0
+            distance = 0.0
             for k in range(3):
-                trajectory += rotation[k, a] * (positions[i + 1, k] - positions[i, k])
+                distance += rotation[k, a] * (positions[i + 1, k] - positions[i, k])
                 second[3 + a, 3 + k] = rotation[k, a]
                 first[3 + a, 3 + k] = -rotation[k, a]
-            residual[3 + a] = trajectory
+            residual[3 + a] = distance
         x, y, z = residual[3], residual[4], residual[5]
         first[3, 1], first[3, 2] = -z, y
         first[4, 0], first[4, 2] = z, -x
         first[5, 0], first[5, 1] = -y, x
         for a in range(3):
-            residual[3 + a] -= trajectories[f, a]
+            residual[3 + a] -= translations[f, a]
         _add_pair(first, second, information[f], residual, blocks, couplings, right, i)
         for a in range(6):
-            residuals[f, a] = residual[a]
             for b in range(6):
                 cost += residual[a] * information[f, a, b] * residual[b]
     return cost
@@ -539,9 +434,8 @@ def add_coasting(
 ) -> float:  # fmt: skip
     """Add, where no IMU measured, that the velocity changes by white acceleration only.
 
-    Args:
-        locations: (F,) numbers of the states at which such intervals begin.
-        density: of the acceleration, (m/s²)²/Hz; the others as in `add_inertial`.
+    `locations` (F,) numbers of the states at which such intervals begin; `density`: of the acceleration, (m/s²)²/Hz;
+    the others as in `add_inertial`.
 
     Source: Bar-Shalom, Li and Kirubarajan 2001, "Estimation with Applications to Tracking and Navigation", 6.2.2.
     """
@@ -552,10 +446,10 @@ def add_coasting(
         pp, pv, vv = 12.0 / (density * dt**3), -6.0 / (density * dt**2), 4.0 / (density * dt)
         for k in range(3):
             p, v = 3 + k, 6 + k
-            trajectory = positions[i + 1, k] - positions[i, k] - dt * velocities[i, k]
+            distance = positions[i + 1, k] - positions[i, k] - dt * velocities[i, k]
             speed = velocities[i + 1, k] - velocities[i, k]
-            wp, wv = pp * trajectory + pv * speed, pv * trajectory + vv * speed
-            cost += trajectory * wp + speed * wv
+            wp, wv = pp * distance + pv * speed, pv * distance + vv * speed
+            cost += distance * wp + speed * wv
             blocks[i, p, p] += pp
             blocks[i, p, v] += pp * dt + pv
             blocks[i, v, p] += pp * dt + pv
@@ -575,12 +469,10 @@ def add_coasting(
     return cost
 
 
-@kernel(
-    float64(
-        IN_F64_3D, IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_I64_1D, IN_F64_1D, IN_F64_2D, IN_F64_2D, IN_F64_1D, IN_F64_3D,
-        IN_F64_2D, IN_F64_2D, _T, _M, _M,
-    )
-)  # fmt: skip
+@kernel(float64(
+    IN_F64_3D, IN_F64_2D, IN_F64_2D, IN_F64_2D, IN_I64_1D, IN_F64_1D, IN_F64_2D, IN_F64_2D, IN_F64_1D, IN_F64_3D,
+    IN_F64_2D, IN_F64_2D, _T, _M, _M
+))  # fmt: skip
 def add_fixes(
     rotations: Float64Array, positions: Float64Array, velocities: Float64Array, biases: Float64Array,
     locations: Int64Array, seconds: Float64Array, fixes: Float64Array, levers: Float64Array, falls: Float64Array,
@@ -637,22 +529,15 @@ def add_fixes(
     return cost
 
 
-@kernel(
-    float64(
-        IN_F64_3D, IN_F64_2D, IN_I64_1D, IN_F64_2D, IN_F64_1D, IN_F64_1D, _T, _M, _V,
-    )
-)  # fmt: skip
+@kernel(float64(IN_F64_3D, IN_F64_2D, IN_I64_1D, IN_F64_2D, IN_F64_1D, IN_F64_1D, _T, _M))
 def add_body_speeds(
     rotations: Float64Array, velocities: Float64Array, locations: Int64Array, axes: Float64Array,
     speeds: Float64Array, information: Float64Array, blocks: Float64Array, right: Float64Array,
-    residuals: Float64Array,
 ) -> float:  # fmt: skip
     """Add known speeds along axes of the body.
 
-    Args:
-        locations: (F,) numbers of the states; axes: (F, 3) unit vectors in the body; speeds: (F,) [m/s].
-        information: (F,) inverse variances.
-        residuals: (F,), written here.
+    `locations` (F,) numbers of the states; axes: (F, 3) unit vectors in the body; speeds: (F,) [m/s]; `information`
+    (F,) inverse variances.
     """
     cost = 0.0
     slope, inside = np.empty(9), np.empty(3)
@@ -673,7 +558,6 @@ def add_body_speeds(
         slope[1] = z * inside[0] - x * inside[2]
         slope[2] = x * inside[1] - y * inside[0]
         residual = x * inside[0] + y * inside[1] + z * inside[2] - speeds[f]
-        residuals[f] = residual
         cost += w * residual * residual
         for r in range(9):
             right[i, r] -= w * slope[r] * residual
@@ -684,7 +568,7 @@ def add_body_speeds(
 
 @kernel(boolean(_M))
 def _factor(matrix: Float64Array) -> bool:
-    """Put the Cholesky factor into the lower half; False where the matrix is not positive definite."""
+    """Overwrite the lower half by the Cholesky factor; False where the matrix is not positive definite."""
     n = matrix.shape[0]
     for j in range(n):
         pivot = matrix[j, j]
@@ -704,7 +588,7 @@ def _factor(matrix: Float64Array) -> bool:
 
 @kernel(types.void(_M, _M))
 def _solve_columns(factor: Float64Array, right: Float64Array) -> None:
-    """Put the solution of L Lᵀ X = B instead of B, (n, m)."""
+    """Overwrite B, (n, m), by the solution of L Lᵀ X = B."""
     n, m = right.shape
     for i in range(n):
         for k in range(i):
@@ -724,20 +608,11 @@ def _solve_columns(factor: Float64Array, right: Float64Array) -> None:
             right[i, j] *= scale
 
 
-@kernel(
-    int64(
-        IN_F64_3D, IN_F64_3D, IN_F64_2D, float64, float64[:, :, ::1], float64[:, :, ::1], _M,
-    )
-)  # fmt: skip
+@kernel(int64(IN_F64_3D, IN_F64_3D, IN_F64_2D, float64, _T, _T, _M))
 def solve_chain(
-    blocks: Float64Array,
-    couplings: Float64Array,
-    right: Float64Array,
-    damping: float,
-    factors: Float64Array,
-    gains: Float64Array,
-    solution: Float64Array,
-) -> int:
+    blocks: Float64Array, couplings: Float64Array, right: Float64Array, damping: float, factors: Float64Array,
+    gains: Float64Array, solution: Float64Array,
+) -> int:  # fmt: skip
     """Solve H x = b for a symmetric H of blocks on the diagonal and beside it.
 
     Args:
@@ -786,7 +661,7 @@ def solve_chain(
     return -1
 
 
-@kernel(types.void(IN_F64_3D, IN_F64_3D, float64[:, :, ::1], float64[:, :, ::1]))
+@kernel(types.void(IN_F64_3D, IN_F64_3D, _T, _T))
 def chain_covariances(
     factors: Float64Array, gains: Float64Array, covariances: Float64Array, between: Float64Array
 ) -> None:
@@ -830,7 +705,7 @@ _SMALL = 1e-5
 
 
 @kernel(types.void(_M, _V))
-def rotation_vector(matrix: Float64Array, vector: Float64Array) -> None:
+def _rotation_vector(matrix: Float64Array, vector: Float64Array) -> None:
     """Write the rotation vector of a rotation matrix, its angle at most π."""
     x, y, z = matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]
     sine2, cosine2 = math.sqrt(x * x + y * y + z * z), matrix[0, 0] + matrix[1, 1] + matrix[2, 2] - 1.0
@@ -857,7 +732,7 @@ def rotation_vector(matrix: Float64Array, vector: Float64Array) -> None:
 
 
 @kernel(types.void(_V, float64, _M))
-def right_slope(vector: Float64Array, sign: float, matrix: Float64Array) -> None:
+def _right_slope(vector: Float64Array, sign: float, matrix: Float64Array) -> None:
     """Write J with Exp(v + δ) ≈ Exp(v) Exp(J δ) for sign 1, and for sign -1 the inverse of it.
 
     Source: Chirikjian 2012, "Stochastic Models, Information Theory, and Lie Groups 2", section 10.6.
@@ -882,7 +757,7 @@ def right_slope(vector: Float64Array, sign: float, matrix: Float64Array) -> None
 
 
 @kernel(types.void(_M, _M, _M))
-def times(first: Float64Array, second: Float64Array, product: Float64Array) -> None:
+def _times(first: Float64Array, second: Float64Array, product: Float64Array) -> None:
     """Write the product of two (3, 3) matrices into a third."""
     for i in range(3):
         for j in range(3):
@@ -890,7 +765,7 @@ def times(first: Float64Array, second: Float64Array, product: Float64Array) -> N
 
 
 @kernel(types.void(_M, _M, _M))
-def transposed_times(first: Float64Array, second: Float64Array, product: Float64Array) -> None:
+def _transposed_times(first: Float64Array, second: Float64Array, product: Float64Array) -> None:
     """Write the product of the transposed first and the second (3, 3) matrix into a third."""
     for i in range(3):
         for j in range(3):
@@ -898,7 +773,7 @@ def transposed_times(first: Float64Array, second: Float64Array, product: Float64
 
 
 @kernel(types.void(_M, _V, _M))
-def times_cross(matrix: Float64Array, vector: Float64Array, product: Float64Array) -> None:
+def _times_cross(matrix: Float64Array, vector: Float64Array, product: Float64Array) -> None:
     """Write matrix · [vector]×, (3, 3), where [v]× w = v × w."""
     x, y, z = vector[0], vector[1], vector[2]
     for i in range(3):

@@ -1,9 +1,9 @@
 """Overlaps (IoU) of boxes: in an image, from above and in space, between two lists or frame by frame.
 
-Lists are sorted by frame; `starts` (F + 1,) reports where the boxes of each frame begin. What is stated for pairs
-stands in one flat array: frame after frame, and in each the first list's boxes as rows and the second's as columns.
-
-Boxes, `starts` and flat pairs are laid out as in `frame_overlaps`.
+Lists are sorted by frame; `first_starts`, `second_starts` (F + 1,) are the rows where the boxes of each frame begin.
+Values of pairs are in one flat array (P,): frame after frame, and in each the first list's boxes as rows and the
+second's as columns; `starts` (F + 1,) is where the pairs of each frame begin. Boxes of an image are (N, 4) [px], left,
+top, right, bottom; boxes in space (N, 7), centre, length, width, height [m] and heading about z [rad], finite.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from sceneloom.kernels.signatures import inlined
 
 @inlined
 def _common(a, i, b, j):  # type: ignore[no-untyped-def]
-    """The area that two boxes share [px²]."""
+    """The common area of two boxes [px²]."""
     wide = min(a[i, 2], b[j, 2]) - max(a[i, 0], b[j, 0])
     high = min(a[i, 3], b[j, 3]) - max(a[i, 1], b[j, 1])
     return wide * high if wide > 0.0 and high > 0.0 else 0.0
@@ -31,29 +31,20 @@ def _area(a, i):  # type: ignore[no-untyped-def]
     "float64[::1], float64[::1], float64, float64, float64, float64)"
 )
 def pair_gains(
-    first: Float64Array,
-    second: Float64Array,
-    first_classes: Int64Array,
-    second_classes: Int64Array,
-    families: Int64Array,
-    first_shares: Float64Array,
-    second_shares: Float64Array,
-    least_iou: float,
-    same_family: float,
-    one_unknown: float,
-    surer: float,
-) -> Float64Array:
-    """Report what it is worth to take a box of one list and one of another for the same object.
+    first: Float64Array, second: Float64Array, first_classes: Int64Array, second_classes: Int64Array,
+    families: Int64Array, first_shares: Float64Array, second_shares: Float64Array, least_iou: float, same_family: float,
+    one_unknown: float, surer: float,
+) -> Float64Array:  # fmt: skip
+    """The gain (N, M) of matching boxes of two lists as the same object.
 
     Args:
-        first, second: (N, 4) and (M, 4) [px], left, top, right, bottom; finite.
+        first, second: (N, 4) and (M, 4) [px], finite.
         first_classes, second_classes: (N,) and (M,), numbers of classes; those beyond the families have the last.
         families: (K,), of classes; -1 for none.
-        first_shares, second_shares: (N,) and (M,), 0 to 1, how sure each box is.
-        least_iou: boxes that overlap less are worth nothing, nor are those without an area in common.
-        same_family: factor for boxes of different classes of one family.
-        one_unknown: factor for boxes one of which has no family.
-        surer: two boxes that are quite sure are worth this share more.
+        first_shares, second_shares: (N,) and (M,), 0 to 1, confidence of each box.
+        least_iou: boxes that overlap less, or not at all, have no gain.
+        same_family, one_unknown: factors for different classes of one family, and where one has no family.
+        surer: two boxes of full confidence gain this share more.
 
     Returns:
         (N, M) float64: (1 + GIoU) / 2 times those factors, 0 for boxes of classes that are never the same.
@@ -89,15 +80,10 @@ def pair_gains(
 
 @kernel("void(float64[:,::1], float64[::1], float64[::1], float64[::1], float64[::1], float64, float64)")
 def hide_covered(
-    boxes: Float64Array,
-    shares: Float64Array,
-    distances: Float64Array,
-    gaps: Float64Array,
-    likely: Float64Array,
-    near: float,
-    margin: float,
-) -> None:
-    """Take from the share of each box that is seen what another one is likely to cover: of the nearer ones the most.
+    boxes: Float64Array, shares: Float64Array, distances: Float64Array, gaps: Float64Array, likely: Float64Array,
+    near: float, margin: float,
+) -> None:  # fmt: skip
+    """Subtract from the visible share of each box what another one is likely to cover: the most of the nearer ones.
 
     Args:
         boxes: (N, 4) [px], left, top, right, bottom; those the wrong way round, or around the eye, become 0.
@@ -132,7 +118,7 @@ _NOTHING = float(np.finfo(np.float64).eps)
 
 @kernel("int64[::1](int64[::1], int64[::1])")
 def pair_starts(first_starts: Int64Array, second_starts: Int64Array) -> Int64Array:
-    """Report where the pairs of each frame begin, (F + 1,) int64."""
+    """Where the pairs of each frame begin, (F + 1,) int64."""
     starts = np.zeros(len(first_starts), np.int64)
     for f in range(len(first_starts) - 1):
         rows = first_starts[f + 1] - first_starts[f]
@@ -140,39 +126,17 @@ def pair_starts(first_starts: Int64Array, second_starts: Int64Array) -> Int64Arr
     return starts
 
 
-@inlined
-def _areas(first, i, second, j):  # type: ignore[no-untyped-def]
-    """The areas of two boxes, and what they share [px²]."""
-    own = (first[i, 2] - first[i, 0]) * (first[i, 3] - first[i, 1])
-    other = (second[j, 2] - second[j, 0]) * (second[j, 3] - second[j, 1])
-    wide = min(first[i, 2], second[j, 2]) - max(first[i, 0], second[j, 0])
-    high = min(first[i, 3], second[j, 3]) - max(first[i, 1], second[j, 1])
-    return own, other, wide * high if wide > 0.0 and high > 0.0 else 0.0
-
-
 @kernel("float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1])")
 def image_overlaps(
-    first: Float64Array,
-    second: Float64Array,
-    first_starts: Int64Array,
-    second_starts: Int64Array,
-    starts: Int64Array,
+    first: Float64Array, second: Float64Array, first_starts: Int64Array, second_starts: Int64Array, starts: Int64Array
 ) -> Float64Array:
-    """Give the intersection over the union of boxes of an image.
-
-    Args:
-        first, second: (N, 4) and (M, 4) [px], left, top, right, bottom.
-        first_starts, second_starts, starts: (F + 1,), of the boxes and of the pairs.
-
-    Returns:
-        (P,) float64, 0 to 1; 0 where a box has no area.
-    """
+    """Intersection over union (P,) of boxes of an image, 0 to 1; 0 where a box has no area."""
     overlaps = np.zeros(starts[-1])
     for f in range(len(starts) - 1):
         k = starts[f]
         for i in range(first_starts[f], first_starts[f + 1]):
             for j in range(second_starts[f], second_starts[f + 1]):
-                own, other, common = _areas(first, i, second, j)
+                own, other, common = _area(first, i), _area(second, j), _common(first, i, second, j)
                 if own > _NOTHING and other > _NOTHING:
                     overlaps[k] = common / (own + other - common)
                 k += 1
@@ -181,52 +145,27 @@ def image_overlaps(
 
 @kernel("float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1])")
 def image_shares(
-    regions: Float64Array,
-    boxes: Float64Array,
-    region_starts: Int64Array,
-    box_starts: Int64Array,
-    starts: Int64Array,
+    regions: Float64Array, boxes: Float64Array, region_starts: Int64Array, box_starts: Int64Array, starts: Int64Array
 ) -> Float64Array:
-    """Give the share of each box of an image that lies in each region.
-
-    Args:
-        regions, boxes: (N, 4) and (M, 4) [px], left, top, right, bottom.
-        region_starts, box_starts, starts: (F + 1,), of regions, boxes and pairs.
-
-    Returns:
-        (P,) float64, 0 to 1; 0 where a box has no area.
-    """
+    """The share (P,) of each box of an image that is in each region, 0 to 1; 0 where a box has no area."""
     shares = np.zeros(starts[-1])
     for f in range(len(starts) - 1):
         k = starts[f]
         for i in range(region_starts[f], region_starts[f + 1]):
             for j in range(box_starts[f], box_starts[f + 1]):
-                _, area, common = _areas(regions, i, boxes, j)
+                area = _area(boxes, j)
                 if area > _NOTHING:
-                    shares[k] = common / area
+                    shares[k] = _common(regions, i, boxes, j) / area
                 k += 1
     return shares
 
 
 @kernel("float64[::1](float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1], float64)")
 def nearnesses(
-    first: Float64Array,
-    second: Float64Array,
-    first_starts: Int64Array,
-    second_starts: Int64Array,
-    starts: Int64Array,
+    first: Float64Array, second: Float64Array, first_starts: Int64Array, second_starts: Int64Array, starts: Int64Array,
     reach: float,
-) -> Float64Array:
-    """Report how near locations are: 1 for the same location, falling with the distance to 0 at `reach` [m].
-
-    Args:
-        first, second: (N, D) and (M, D) [m].
-        first_starts, second_starts, starts: (F + 1,), of the locations and of the pairs.
-        reach: where it is 0 [m].
-
-    Returns:
-        (P,) float64, 0 to 1.
-    """
+) -> Float64Array:  # fmt: skip
+    """Nearness (P,) of positions (N, D) and (M, D) [m]: 1 for equal ones, falling with the distance to 0 at `reach`."""
     near = np.zeros(starts[-1])
     for f in range(len(starts) - 1):
         k = starts[f]
@@ -267,17 +206,11 @@ def _cut(outline: Float64Array, count: int, kept: Float64Array, axis: int, side:
 
 @kernel("float64(float64[:,::1], int64, float64[:,::1], int64, float64[:,::1], float64[:,::1])")
 def _shared_ground(
-    first: Float64Array,
-    i: int,
-    second: Float64Array,
-    j: int,
-    outline: Float64Array,
-    kept: Float64Array,
+    first: Float64Array, i: int, second: Float64Array, j: int, outline: Float64Array, kept: Float64Array
 ) -> float:
     """The area that two boxes share as seen from above [m²].
 
-    Args:
-        outline, kept: (16, 2), scratch.
+    `outline`, `kept` (16, 2), scratch.
 
     Source: Sutherland and Hodgman 1974 for the cuts, the shoelace formula for the area.
     """
@@ -307,21 +240,9 @@ def _shared_ground(
 
 @kernel(f"float64[::1]({_LOCATIONS})")
 def overlaps_from_above(
-    first: Float64Array,
-    second: Float64Array,
-    first_starts: Int64Array,
-    second_starts: Int64Array,
-    starts: Int64Array,
+    first: Float64Array, second: Float64Array, first_starts: Int64Array, second_starts: Int64Array, starts: Int64Array
 ) -> Float64Array:
-    """Give the intersection over the union of the ground that boxes stand on.
-
-    Args:
-        first, second: (N, 7) and (M, 7), middle, length, width, height [m] and heading about z [rad]; finite.
-        first_starts, second_starts, starts: (F + 1,), of the boxes and of the pairs.
-
-    Returns:
-        (P,) float64, 0 to 1; 0 where a length or width is not above 0.
-    """
+    """Intersection over union (P,) of boxes seen from above, 0 to 1; 0 where a length or width is not above 0."""
     overlaps = np.zeros(starts[-1])
     outline, kept = np.empty((2 * _MOST_CORNERS, 2)), np.empty((2 * _MOST_CORNERS, 2))
     for f in range(len(starts) - 1):
@@ -338,20 +259,9 @@ def overlaps_from_above(
 
 @kernel(f"float64[::1]({_LOCATIONS})")
 def overlaps_in_space(
-    first: Float64Array,
-    second: Float64Array,
-    first_starts: Int64Array,
-    second_starts: Int64Array,
-    starts: Int64Array,
+    first: Float64Array, second: Float64Array, first_starts: Int64Array, second_starts: Int64Array, starts: Int64Array
 ) -> Float64Array:
-    """Give the intersection over the union of the room that boxes take.
-
-    Args:
-        first, second, first_starts, second_starts, starts: as above.
-
-    Returns:
-        (P,) float64, 0 to 1; 0 where a size is not above 0.
-    """
+    """Intersection over union (P,) of boxes in space, 0 to 1; 0 where a size is not above 0."""
     overlaps = np.zeros(starts[-1])
     outline, kept = np.empty((2 * _MOST_CORNERS, 2)), np.empty((2 * _MOST_CORNERS, 2))
     for f in range(len(starts) - 1):

@@ -1,9 +1,7 @@
 """Packed bytes: LZF of PCD files, 23-byte lidar records, and lists of protobuf records in both directions.
 
-Unusual is all that a writer need not write: fields that are not known or come twice, lists in chunks, numbers of more
-than 32 bits, and records that do not agree with the list about its number and time.
-
-Source: protobuf.dev, "Encoding".
+Unusual is all that a writer need not write: fields that are unknown or come twice, lists in parts, numbers of more than
+32 bits, and records that do not agree with the list about its number and time.
 
 Source: protobuf.dev, "Encoding"; numbers that are 0 and empty texts are left out, vectors are packed.
 """
@@ -147,13 +145,9 @@ _RECORDS = types.Array(_RECORD, 1, "C", readonly=True)
 
 @kernel(void(_RECORDS, float32[:, ::1], uint8[::1], uint16[::1], float64[::1], int64[::1]))
 def unpack(
-    records: AnyArray,
-    positions: Float32Array,
-    intensities: UInt8Array,
-    rings: UInt16Array,
-    seconds: Float64Array,
+    records: AnyArray, positions: Float32Array, intensities: UInt8Array, rings: UInt16Array, seconds: Float64Array,
     timestamps_ns: Int64Array,
-) -> None:
+) -> None:  # fmt: skip
     """Take N records apart in one pass, which memory bounds.
 
     Args:
@@ -326,12 +320,7 @@ def _head(content, start, stop, heads):  # type: ignore[no-untyped-def]
     "Array(int64, 2, 'C', readonly=True), int64)"
 )
 def read_list(
-    content: UInt8Array,
-    start: int,
-    stop: int,
-    heads: tuple[int, int, int, int],
-    fields: Int64Array,
-    width: int,
+    content: UInt8Array, start: int, stop: int, heads: tuple[int, int, int, int], fields: Int64Array, width: int
 ) -> tuple[tuple[int, int, int, int, int], UInt32Array, Int64Array, Int64Array]:
     """Read a list of records.
 
@@ -479,15 +468,9 @@ def _put_record(out, at, n, count, fields, words, texts, letters, given, common)
     "Array(uint8, 1, 'C', readonly=True), boolean[:,::1], UniTuple(int64, 3))"
 )
 def write_list(
-    group: int,
-    count: int,
-    fields: Int64Array,
-    words: UInt32Array,
-    texts: Int64Array,
-    letters: UInt8Array,
-    given: BoolArray,
-    common: tuple[int, int, int],
-) -> UInt8Array:
+    group: int, count: int, fields: Int64Array, words: UInt32Array, texts: Int64Array, letters: UInt8Array,
+    given: BoolArray, common: tuple[int, int, int],
+) -> UInt8Array:  # fmt: skip
     """Write records as a repeated field of a message.
 
     Args:

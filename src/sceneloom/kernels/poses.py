@@ -11,7 +11,6 @@ from sceneloom.kernels.signatures import IN_F32_2D, IN_F64_2D, IN_I64_1D
 
 _V, _M = float64[::1], float64[:, ::1]
 
-
 _SMALL = 1e-5
 """Angles [rad] below which the next term of the series is below rounding."""
 
@@ -36,14 +35,9 @@ _OUT_F64_2D = types.Array(types.float64, 2, "C")
 
 @kernel(types.void(IN_F32_2D, IN_I64_1D, IN_F64_2D, IN_I64_1D, IN_F64_2D, IN_F64_2D, _OUT_F64_2D))
 def transform_by_path(
-    positions: Float32Array,
-    timestamps_ns: Int64Array,
-    body_from_sensor: Float64Array,
-    knots_ns: Int64Array,
-    knot_positions: Float64Array,
-    knot_quaternions_xyzw: Float64Array,
-    positions_world: Float64Array,
-) -> None:
+    positions: Float32Array, timestamps_ns: Int64Array, body_from_sensor: Float64Array, knots_ns: Int64Array,
+    knot_positions: Float64Array, knot_quaternions_xyzw: Float64Array, positions_world: Float64Array,
+) -> None:  # fmt: skip
     """Write `world_from_body(t_i) ∘ body_from_sensor` applied to each point into `positions_world`.
 
     Args:

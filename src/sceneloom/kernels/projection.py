@@ -1,7 +1,4 @@
-"""Projected points: the pixel index that each falls into.
-
-And its direction and inverse range as seen from the camera.
-"""
+"""Projected points: the pixel that each falls into, its direction and inverse range, depth images, sampled colours."""
 
 import math
 from typing import Any
@@ -9,15 +6,7 @@ from typing import Any
 import numpy as np
 from numba import float32, int32, int64, void
 
-from sceneloom.arrays import (
-    AnyArray,
-    BoolArray,
-    Float32Array,
-    Float64Array,
-    Int32Array,
-    Int64Array,
-    UInt8Array,
-)
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import (
     IN_BOOL_1D,
@@ -30,11 +19,10 @@ from sceneloom.kernels.signatures import (
     inlined,
     part,
 )
-from sceneloom.kernels.thread_pool import ALONE, ThreadPool
+from sceneloom.kernels.thread_pool import ALONE, Phase, ThreadPool
 
 BLOCK = 256
-"""Points whose pixels are picked at once, by SIMD."""
-
+"""Points whose pixels are found at once, by SIMD."""
 
 _NOTHING = np.float32(0.0)
 _LOW, _HALF = np.float32(-0.5), np.float32(0.5)
@@ -153,13 +141,9 @@ def rotation_to_directions(
 
 @kernel(void(IN_F64_2D, IN_I64_1D, IN_F64_2D, float32[::1], float32[::1], float32[::1]))
 def _map_all(
-    points_world: Float64Array,
-    point_ids: Int64Array,
-    camera_from_world: Float64Array,
-    rightward: Float32Array,
-    downward: Float32Array,
-    inverse_ranges: Float32Array,
-) -> None:
+    points_world: Float64Array, point_ids: Int64Array, camera_from_world: Float64Array, rightward: Float32Array,
+    downward: Float32Array, inverse_ranges: Float32Array,
+) -> None:  # fmt: skip
     """Map the points with the given ids."""
     m = camera_from_world
     pose = (
@@ -202,17 +186,12 @@ def map_directions(
 
     Source: J. P. Snyder, Map Projections - A Working Manual, 1987, eq. 24-1 and 24-2.
     """
-    thread_pool.share(
-        len(point_ids),
-        lambda _, a, b: _map_all(
-            points_world,
-            point_ids[a:b],
-            camera_from_world,
-            directions[0, a:b],
-            directions[1, a:b],
-            inverse_ranges[a:b],
-        ),
-    )
+
+    def project(_: int, a: int, b: int) -> None:
+        right, down = directions[0, a:b], directions[1, a:b]
+        _map_all(points_world, point_ids[a:b], camera_from_world, right, down, inverse_ranges[a:b])
+
+    thread_pool.share(Phase(len(point_ids), project))
 
 
 _STATIC = np.float32(math.inf)
@@ -240,12 +219,7 @@ def _draw(locations: AnyArray, depths: Float32Array, rows: Float32Array) -> None
 
 @kernel(void(IN_I32_1D, IN_F32_1D, IN_BOOL_1D, int64, int64, float32[:, ::1]))
 def _draw_rows(
-    numbers: Int32Array,
-    depths: Float32Array,
-    visible: BoolArray,
-    top: int,
-    bottom: int,
-    depth_image: AnyArray,
+    numbers: Int32Array, depths: Float32Array, visible: BoolArray, top: int, bottom: int, depth_image: AnyArray
 ) -> None:
     """Draw what falls into some rows of the image."""
     width, count = depth_image.shape[1], depths.shape[0]
@@ -275,8 +249,11 @@ def draw_depths(
         depth_image: (H, W) [m], 0 for nothing; written.
         thread_pool: the threads that share the rows of the image.
     """
-    rows = len(depth_image)
-    thread_pool.share(rows, lambda _, top, bottom: _draw_rows(pixel_numbers, depths, visible, top, bottom, depth_image))
+
+    def draw(_: int, top: int, bottom: int) -> None:
+        _draw_rows(pixel_numbers, depths, visible, top, bottom, depth_image)
+
+    thread_pool.share(Phase(len(depth_image), draw))
 
 
 @kernel(void(IN_F32_2D, IN_U8_3D, float32[:, ::1]))

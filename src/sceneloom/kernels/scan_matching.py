@@ -15,53 +15,11 @@ SUPPORT = 0.25
 """A surface has a quarter of its weight 2 standard deviations from its middle, along the surface."""
 
 
-@kernel(int64(IN_F64_2D, float64, int64[::1]))
-def thin_points(points: Float64Array, leaf: float, chosen: Int64Array) -> int:
-    """Choose one point of each cube of side `leaf` [m]: the first that fell into it.
-
-    Args:
-        points: (N, 3) [m], finite.
-        chosen: (N,) the chosen points' numbers are written here, ascending.
-
-    Returns:
-        How many were chosen.
-    """
-    length = 1024
-    while length < 2 * points.shape[0]:
-        length *= 2
-    mask, count = length - 1, 0
-    taken = np.full(length, -1, np.int64)
-    for i in range(points.shape[0]):
-        key = pack_key(
-            math.floor(points[i, 0] / leaf),
-            math.floor(points[i, 1] / leaf),
-            math.floor(points[i, 2] / leaf),
-        )
-        location = first_location(key, mask)
-        while taken[location] >= 0 and taken[location] != key:
-            location = (location + 1) & mask
-        if taken[location] < 0:
-            taken[location] = key
-            chosen[count] = i
-            count += 1
-    return count
-
-
-@kernel(
-    types.void(
-        IN_F64_2D, IN_F64_1D, IN_F64_2D, IN_F64_1D, IN_F64_1D, IN_F64_1D, float64[:, ::1], float64[:, ::1],
-    )
-)  # fmt: skip
+@kernel(types.void(IN_F64_2D, IN_F64_1D, IN_F64_2D, IN_F64_1D, IN_F64_1D, IN_F64_1D, float64[:, ::1], float64[:, ::1]))
 def move_points(
-    points_ego: Float64Array,
-    seconds: Float64Array,
-    rotation: Float64Array,
-    position: Float64Array,
-    yaw_rate: Float64Array,
-    velocity: Float64Array,
-    points_world: Float64Array,
-    arms: Float64Array,
-) -> None:
+    points_ego: Float64Array, seconds: Float64Array, rotation: Float64Array, position: Float64Array,
+    yaw_rate: Float64Array, velocity: Float64Array, points_world: Float64Array, arms: Float64Array,
+) -> None:  # fmt: skip
     """Take points of a rotating, moving ego into the world, each at its own time.
 
     p_world(t) = position + t v + t²/2 (ω × v) + Exp(t ω) R p_ego: a constant velocity in the ego's own frame, to the
@@ -101,29 +59,16 @@ def move_points(
         points_world[i, 2] = position[2] + t * velocity[2] + half * cz + az
 
 
-@kernel(
-    types.void(
-        float64, float64, float64, float64, float64, int32[::1], int64[::1], float64[:, ::1], float64[::1],
-    )
-)  # fmt: skip
+@kernel(types.void(float64, float64, float64, float64, float64, int32[::1], int64[::1], float64[:, ::1], float64[::1]))
 def _meet_surfaces(
-    x: float,
-    y: float,
-    z: float,
-    leaf: float,
-    inverse2: float,
-    table: AnyArray,
-    keys: Int64Array,
-    surfaces: Float64Array,
-    met: Float64Array,
-) -> None:
+    x: float, y: float, z: float, leaf: float, inverse2: float, table: AnyArray, keys: Int64Array,
+    surfaces: Float64Array, met: Float64Array,
+) -> None:  # fmt: skip
     """Sum what the surfaces of the eight cubes around a location state about a point there.
 
     A surface counts where its own points lie: the weight falls with the distance along it, in standard deviations.
 
-    Args:
-        inverse2: 1 / scale², of the robust weight.
-        met: (12,) written here: Σ w W r (3), Σ w W (6), Σ w, Σ w s², Σ a.
+    `inverse2`: 1 / scale², of the robust weight; `met` (12,) written here: Σ w W r (3), Σ w W (6), Σ w, Σ w s², Σ a.
     """
     met[:] = 0.0
     ix, iy, iz = math.floor(x / leaf - 0.5), math.floor(y / leaf - 0.5), math.floor(z / leaf - 0.5)
@@ -166,20 +111,13 @@ def _mirror(matrices: Float64Array) -> None:
                 matrices[k, r, c] = matrices[k, c, r]
 
 
-@kernel(
-    types.void(
-        IN_F64_1D, float64, float64[::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1],
-    )
-)  # fmt: skip
+@kernel(types.void(
+    IN_F64_1D, float64, float64[::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1]
+))  # fmt: skip
 def _add_point(
-    arm: Float64Array,
-    t: float,
-    met: Float64Array,
-    j: Float64Array,
-    wj: Float64Array,
-    information: Float64Array,
+    arm: Float64Array, t: float, met: Float64Array, j: Float64Array, wj: Float64Array, information: Float64Array,
     gradient: Float64Array,
-) -> None:
+) -> None:  # fmt: skip
     """Add what surfaces state about one point: `met` as `_meet_surfaces` gives it; `j` and `wj` are room for work."""
     # -[arm]x, so that a rotation about the world's axes moves the point by rotation x arm
     j[0, 1], j[0, 2] = arm[2], -arm[1]
@@ -200,29 +138,16 @@ def _add_point(
             information[2, r, c] += t * t * h
 
 
-@kernel(
-    types.void(
-        IN_F64_2D, IN_F64_2D, IN_F64_1D, float64, float64, int32[::1], int64[::1], float64[:, ::1], float64, int32[::1],
-        int64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[::1],
-    )
-)  # fmt: skip
+@kernel(types.void(
+    IN_F64_2D, IN_F64_2D, IN_F64_1D, float64, float64, int32[::1], int64[::1], float64[:, ::1], float64, int32[::1],
+    int64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[::1]
+))  # fmt: skip
 def accumulate_normal_equations(
-    points_world: Float64Array,
-    arms: Float64Array,
-    seconds: Float64Array,
-    scale: float,
-    fine_leaf: float,
-    fine_table: AnyArray,
-    fine_keys: Int64Array,
-    fine_surfaces: Float64Array,
-    coarse_leaf: float,
-    coarse_table: AnyArray,
-    coarse_keys: Int64Array,
-    coarse_surfaces: Float64Array,
-    information: Float64Array,
-    gradient: Float64Array,
-    sums: Float64Array,
-) -> None:
+    points_world: Float64Array, arms: Float64Array, seconds: Float64Array, scale: float, fine_leaf: float,
+    fine_table: AnyArray, fine_keys: Int64Array, fine_surfaces: Float64Array, coarse_leaf: float,
+    coarse_table: AnyArray, coarse_keys: Int64Array, coarse_surfaces: Float64Array, information: Float64Array,
+    gradient: Float64Array, sums: Float64Array,
+) -> None:  # fmt: skip
     """Sum what each point says about a small rotation and shift of the ego, and about their rates.
 
     What the fine surfaces around a point do not cover is left to the coarse ones.
@@ -268,14 +193,11 @@ SIDE = 4
 """A cube is cut into this many parts along each axis; each part takes a few points, so that near scan lines, which
 are dense, do not outweigh the rest."""
 
-
 _LINE_SHARE, _THIN_SHARE = 0.04, 0.1
 """Of the largest eigenvalue: a middle one below the first is that of a line; one above the second states nothing."""
 
-
 _STEEP = 0.7
 """A line is steep where its direction has at least this z."""
-
 
 _HALF_KEY = 1 << 20
 
@@ -311,22 +233,13 @@ def fill_table(count: int, keys: Int64Array, table: AnyArray) -> None:
         table[location] = cube
 
 
-@kernel(
-    types.void(
-        IN_F64_2D, int64[::1], float64, int64, int32[::1], int64[::1], float64[:, ::1], uint8[:, ::1], uint8[::1],
-    )
-)  # fmt: skip
+@kernel(types.void(
+    IN_F64_2D, int64[::1], float64, int64, int32[::1], int64[::1], float64[:, ::1], uint8[:, ::1], uint8[::1]
+))  # fmt: skip
 def insert_points(
-    points_world: Float64Array,
-    progress: Int64Array,
-    leaf: float,
-    most_hits: int,
-    table: AnyArray,
-    keys: Int64Array,
-    moments: Float64Array,
-    hits: AnyArray,
-    touched: AnyArray,
-) -> None:
+    points_world: Float64Array, progress: Int64Array, leaf: float, most_hits: int, table: AnyArray, keys: Int64Array,
+    moments: Float64Array, hits: AnyArray, touched: AnyArray,
+) -> None:  # fmt: skip
     """Add points to the cubes that they fall into, until the room for new cubes is used up.
 
     Args:
@@ -450,21 +363,11 @@ def _inform(a: Float64Array, v: Float64Array, noise: float, surface: Float64Arra
         _add_square(weight, v[0, axis], v[1, axis], v[2, axis], surface[9:15])
 
 
-@kernel(
-    types.void(
-        int64, float64, float64, float64, int64[::1], float64[:, ::1], uint8[::1], float64[:, ::1],
-    )
-)  # fmt: skip
+@kernel(types.void(int64, float64, float64, float64, int64[::1], float64[:, ::1], uint8[::1], float64[:, ::1]))
 def describe_surfaces(
-    count: int,
-    leaf: float,
-    noise: float,
-    least_points: float,
-    keys: Int64Array,
-    moments: Float64Array,
-    touched: AnyArray,
-    surfaces: Float64Array,
-) -> None:
+    count: int, leaf: float, noise: float, least_points: float, keys: Int64Array, moments: Float64Array,
+    touched: AnyArray, surfaces: Float64Array,
+) -> None:  # fmt: skip
     """Find mean and information of the points of every touched cube, and take its mark off.
 
     A cube informs across its surface alone: the direction of least spread counts as much as that spread is small

@@ -1,12 +1,7 @@
-"""Scores of detections and tracks against the truth, frame by frame, from any confidence on.
+"""Scores of detections and tracks against the truth, frame by frame, and the optimal assignment that they need.
 
-And the optimal assignment that they need.
-
-Rows are sorted by frame, `starts` and flat pairs are those of `frame_overlaps`; the true objects are the rows of each
-frame's pairs.
-
-Rows are sorted by frame, `starts` and flat pairs are those of `frame_overlaps`; the true objects are the rows of each
-frame's pairs. Ids are numbers from 0 without gaps.
+Rows are sorted by frame, `true_starts`, `found_starts`, `starts` (F + 1,) and flat pairs (P,) are as in
+`kernels.overlaps`; the true objects are the rows of each frame's pairs. Ids are numbers from 0 without gaps.
 """
 
 import numpy as np
@@ -21,18 +16,10 @@ from sceneloom.kernels.signatures import inlined
     "boolean[::1], int64[::1])"
 )
 def _shortest_path(
-    costs: Float64Array,
-    row: int,
-    row_prices: Float64Array,
-    column_prices: Float64Array,
-    owners: Int64Array,
-    before: Int64Array,
-    lengths: Float64Array,
-    seen_rows: BoolArray,
-    seen_columns: BoolArray,
-    open_columns: Int64Array,
-) -> int:
-    """Find the column without an owner that is nearest to a row over reduced costs; `before` reports the way back."""
+    costs: Float64Array, row: int, row_prices: Float64Array, column_prices: Float64Array, owners: Int64Array,
+    before: Int64Array, lengths: Float64Array, seen_rows: BoolArray, seen_columns: BoolArray, open_columns: Int64Array,
+) -> int:  # fmt: skip
+    """Find the column without an owner that is nearest to a row over reduced costs; `before` gives the path back."""
     count = costs.shape[1]
     for j in range(count):
         # from the last to the first, so that equal costs end in the first columns
@@ -64,7 +51,7 @@ def _shortest_path(
 
 @kernel("int64[::1](float64[:,::1])")
 def _cheapest(costs: Float64Array) -> Int64Array:
-    """Give each row its column; there are at least as many columns as rows."""
+    """The column of each row; there are at least as many columns as rows."""
     rows, columns = costs.shape
     row_prices, column_prices = np.zeros(rows), np.zeros(columns)
     owners, owned = np.full(columns, -1, np.int64), np.full(rows, -1, np.int64)
@@ -73,16 +60,7 @@ def _cheapest(costs: Float64Array) -> Int64Array:
     seen_rows, seen_columns = np.empty(rows, np.bool_), np.empty(columns, np.bool_)
     for row in range(rows):
         column = _shortest_path(
-            costs,
-            row,
-            row_prices,
-            column_prices,
-            owners,
-            before,
-            lengths,
-            seen_rows,
-            seen_columns,
-            open_columns,
+            costs, row, row_prices, column_prices, owners, before, lengths, seen_rows, seen_columns, open_columns
         )
         reached = lengths[column]
         for i in range(rows):
@@ -104,11 +82,8 @@ def _cheapest(costs: Float64Array) -> Int64Array:
 def best_columns(gains: Float64Array) -> Int64Array:
     """Pair rows with columns so that the sum of their gains is the largest, as many pairs as can be.
 
-    Args:
-        gains: (N, M), finite.
-
-    Returns:
-        (N,) int64, the column of each row, -1 for rows without one (where there are more rows than columns).
+    `gains` (N, M), finite. Returns (N,) int64, the column of each row, -1 for rows without one (where there are more
+    rows than columns).
 
     Source: Crouse 2016, "On implementing 2D rectangular assignment algorithms", with ties broken as by
     `scipy.optimize.linear_sum_assignment`.
@@ -134,7 +109,7 @@ _NONE = -1
 
 @inlined
 def _most_overlapping(overlaps, i, chosen, taken, ignored, least):  # type: ignore[no-untyped-def]
-    """Give the detection that overlaps a true object most; one that is ignored only if there is no other."""
+    """The detection that overlaps a true object most; one that is ignored only if there is no other."""
     best, most, spare = -1, least, -1
     for j in range(overlaps.shape[1]):
         if not chosen[j] or taken[j] or overlaps[i, j] <= least:
@@ -152,14 +127,9 @@ def _most_overlapping(overlaps, i, chosen, taken, ignored, least):  # type: igno
     "boolean[::1])"
 )
 def _counted(
-    overlaps: Float64Array,
-    chosen: BoolArray,
-    true_ignored: BoolArray,
-    found_ignored: BoolArray,
-    excused: BoolArray,
-    least: float,
-    taken: BoolArray,
-) -> tuple[int, int, int]:
+    overlaps: Float64Array, chosen: BoolArray, true_ignored: BoolArray, found_ignored: BoolArray, excused: BoolArray,
+    least: float, taken: BoolArray,
+) -> tuple[int, int, int]:  # fmt: skip
     """Count in one frame, of the chosen detections: true ones, false ones, and true objects found by ignored ones."""
     taken[:] = False
     right, wrong, passed = 0, 0, 0
@@ -178,7 +148,7 @@ def _counted(
 
 @kernel("boolean[::1](float64[:,::1], float64)")
 def _near_something(overlaps: Float64Array, least: float) -> BoolArray:
-    """Report which detections of a frame overlap a true object by more than `least`."""
+    """Which detections of a frame overlap a true object by more than `least`."""
     near = np.zeros(overlaps.shape[1], np.bool_)
     for i in range(overlaps.shape[0]):
         for j in range(overlaps.shape[1]):
@@ -191,15 +161,9 @@ def _near_something(overlaps: Float64Array, least: float) -> BoolArray:
     "void(int64[:,::1], int64[::1], float64[:,::1], boolean[::1], boolean[::1], boolean[::1], float64[::1], float64)"
 )
 def _step_through(
-    steps: Int64Array,
-    rows: Int64Array,
-    overlaps: Float64Array,
-    true_ignored: BoolArray,
-    found_ignored: BoolArray,
-    excused: BoolArray,
-    scores: Float64Array,
-    least: float,
-) -> None:
+    steps: Int64Array, rows: Int64Array, overlaps: Float64Array, true_ignored: BoolArray, found_ignored: BoolArray,
+    excused: BoolArray, scores: Float64Array, least: float,
+) -> None:  # fmt: skip
     """Let the detections `rows` of a frame come in by their scores, and write how the counts change."""
     own_scores, ignored, forgiven = scores[rows], found_ignored[rows], excused[rows]
     order = np.argsort(-own_scores, kind="mergesort")
@@ -222,24 +186,16 @@ def _step_through(
     "float64[::1], float64)"
 )
 def score_steps(
-    overlaps: Float64Array,
-    true_starts: Int64Array,
-    found_starts: Int64Array,
-    starts: Int64Array,
-    true_ignored: BoolArray,
-    found_ignored: BoolArray,
-    excused: BoolArray,
-    scores: Float64Array,
-    least: float,
-) -> Int64Array:
-    """Report by how much counts change when the least score of detections that count falls to that of each.
+    overlaps: Float64Array, true_starts: Int64Array, found_starts: Int64Array, starts: Int64Array,
+    true_ignored: BoolArray, found_ignored: BoolArray, excused: BoolArray, scores: Float64Array, least: float,
+) -> Int64Array:  # fmt: skip
+    """Changes of the counts when the threshold of the score falls to that of each detection.
 
-    With each least score the objects are paired anew: each true one, in their order, with the detection that overlaps
-    it most.
+    With each threshold the objects are paired anew: each true one, in their order, with the detection that overlaps it
+    most.
 
     Args:
         overlaps: (P,), of the pairs.
-        true_starts, found_starts, starts: (F + 1,), of true objects, detections and pairs.
         true_ignored: (T,), true objects that need not be found.
         found_ignored: (N,), detections that are neither right nor wrong.
         excused: (N,), detections that are not wrong where they are no true object.
@@ -247,8 +203,8 @@ def score_steps(
         least: pairs must overlap more.
 
     Returns:
-        (N, 3) int64: steps of right and of wrong detections, and of true objects found by ignored ones. Where several
-        of a frame have one score, the last of them has the step of all.
+        (N, 3) int64: changes of right and of wrong detections, and of true objects found by ignored ones. Where several
+        of a frame have one score, the last of them has the change of all.
 
     Source: Geiger et al. 2012, the development kit of KITTI's object benchmark, `computeStatistics`.
     """
@@ -268,14 +224,10 @@ def score_steps(
 
 @kernel("int64[::1](float64[::1], int64[::1], int64[::1], int64[::1], float64[::1], float64)")
 def surest_matches(
-    overlaps: Float64Array,
-    true_starts: Int64Array,
-    found_starts: Int64Array,
-    starts: Int64Array,
-    scores: Float64Array,
+    overlaps: Float64Array, true_starts: Int64Array, found_starts: Int64Array, starts: Int64Array, scores: Float64Array,
     least: float,
-) -> Int64Array:
-    """Pair each true object, in their order, with the surest detection that overlaps it by more than `least`.
+) -> Int64Array:  # fmt: skip
+    """Pair each true object, in their order, with the most confident detection that overlaps it by more than `least`.
 
     Returns:
         (N,) int64, the true object of each detection, -1 for none.
@@ -308,21 +260,13 @@ def _block(flat, starts, frame, rows, columns):  # type: ignore[no-untyped-def]
 
 @kernel("Tuple((int64[::1], int64[::1]))(float64[::1], int64[::1], int64[::1], int64[::1], float64)")
 def most_similar_pairs(
-    similarities: Float64Array,
-    true_starts: Int64Array,
-    found_starts: Int64Array,
-    starts: Int64Array,
-    least: float,
+    similarities: Float64Array, true_starts: Int64Array, found_starts: Int64Array, starts: Int64Array, least: float
 ) -> tuple[Int64Array, Int64Array]:
     """Pair objects of each frame so that the sum of similarities is the largest.
 
-    Args:
-        similarities: (P,), of the pairs.
-        true_starts, found_starts, starts: (F + 1,), of true objects, found ones and pairs.
-        least: pairs that are less similar are none.
-
-    Returns:
-        (N,) int64, the true object of each found one, -1 for none; (M,) int64, the found one of each true one.
+    `similarities` (P,), of the pairs; `true_starts`, `found_starts`, `starts` (F + 1,), of true objects, found ones and
+    pairs; `least`: pairs that are less similar are none. Returns (N,) int64, the true object of each found one, -1 for
+    none; (M,) int64, the found one of each true one.
     """
     of_found = np.full(found_starts[-1], -1, np.int64)
     of_true = np.full(true_starts[-1], -1, np.int64)
@@ -346,14 +290,10 @@ def most_similar_pairs(
 
 @kernel("float64[::1](float64[::1], int64[::1], int64[::1], int64[::1], boolean[::1], boolean[::1])")
 def kept_pairs(
-    values: Float64Array,
-    true_starts: Int64Array,
-    found_starts: Int64Array,
-    starts: Int64Array,
-    true_kept: BoolArray,
+    values: Float64Array, true_starts: Int64Array, found_starts: Int64Array, starts: Int64Array, true_kept: BoolArray,
     found_kept: BoolArray,
-) -> Float64Array:
-    """Give the values of those pairs both of whose objects are kept, in the order in which they stood."""
+) -> Float64Array:  # fmt: skip
+    """The values of those pairs both of whose objects are kept, in their order."""
     kept = np.empty(len(values))
     count = 0
     for f in range(len(starts) - 1):
@@ -369,16 +309,10 @@ def kept_pairs(
 
 @kernel("float64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64, int64)")
 def shared_frames(
-    similarities: Float64Array,
-    true_starts: Int64Array,
-    found_starts: Int64Array,
-    starts: Int64Array,
-    true_ids: Int64Array,
-    found_ids: Int64Array,
-    true_count: int,
-    found_count: int,
-) -> Float64Array:
-    """Report in how many frames a true and a found object may be the same one.
+    similarities: Float64Array, true_starts: Int64Array, found_starts: Int64Array, starts: Int64Array,
+    true_ids: Int64Array, found_ids: Int64Array, true_count: int, found_count: int,
+) -> Float64Array:  # fmt: skip
+    """The number of frames in which a true and a found object may be the same one.
 
     Returns:
         (G, E) float64: the sum over frames of similarity / (sums over row and column - similarity).
@@ -409,21 +343,13 @@ def shared_frames(
     "int64[::1], float64[:,::1])"
 )
 def aligned_pairs(
-    similarities: Float64Array,
-    true_starts: Int64Array,
-    found_starts: Int64Array,
-    starts: Int64Array,
-    true_ids: Int64Array,
-    found_ids: Int64Array,
-    alignments: Float64Array,
-) -> tuple[Int64Array, Int64Array, Float64Array]:
+    similarities: Float64Array, true_starts: Int64Array, found_starts: Int64Array, starts: Int64Array,
+    true_ids: Int64Array, found_ids: Int64Array, alignments: Float64Array,
+) -> tuple[Int64Array, Int64Array, Float64Array]:  # fmt: skip
     """Pair objects of each frame so that the sum of similarity times alignment of their ids is the largest.
 
-    Args:
-        alignments: (G, E), how well a true and a found object fit over the whole sequence.
-
-    Returns:
-        (K,) int64 ids of the true objects, those of the found ones, and (K,) float64 similarities, all above 0.
+    `alignments` (G, E), how well a true and a found object fit over the whole sequence. Returns (K,) int64 ids of the
+    true objects, those of the found ones, and (K,) float64 similarities, all above 0.
     """
     most = min(len(true_ids), len(found_ids))
     firsts, seconds, values = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
@@ -455,26 +381,16 @@ def aligned_pairs(
     "int64[::1], int64[::1], int64, float64)"
 )
 def followed_pairs(
-    similarities: Float64Array,
-    true_starts: Int64Array,
-    found_starts: Int64Array,
-    starts: Int64Array,
-    true_ids: Int64Array,
-    found_ids: Int64Array,
-    true_count: int,
-    least: float,
-) -> tuple[int, int, float, Int64Array, Int64Array]:
-    """Pair objects of each frame, those of the frame before first, and count what becomes of each true one.
+    similarities: Float64Array, true_starts: Int64Array, found_starts: Int64Array, starts: Int64Array,
+    true_ids: Int64Array, found_ids: Int64Array, true_count: int, least: float,
+) -> tuple[int, int, float, Int64Array, Int64Array]:  # fmt: skip
+    """Pair objects of each frame, continuing the pairs of the frame before, and count what becomes of each true one.
 
     Frames in which one side is empty end nothing: the pairs before them go on.
 
-    Args:
-        true_count: of ids.
-        least: pairs that are less similar are none.
-
-    Returns:
-        How many were paired, how often a true object changed the found one it is paired with, the sum of the pairs'
-        similarities, (G,) int64 in how many frames each true object was paired, and how often it began to be.
+    `true_count`: of ids; `least`: pairs that are less similar are none. Returns how many were paired, how often a true
+    object changed the found one it is paired with, the sum of the pairs' similarities, (G,) int64 in how many frames
+    each true object was paired, and how often it began to be.
 
     Source: Bernardin and Stiefelhagen 2008, "CLEAR MOT", as TrackEval computes it.
     """
@@ -516,16 +432,9 @@ def followed_pairs(
     "float64[:,::1](float64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64[::1], int64, int64, float64)"
 )
 def similar_frames(
-    similarities: Float64Array,
-    true_starts: Int64Array,
-    found_starts: Int64Array,
-    starts: Int64Array,
-    true_ids: Int64Array,
-    found_ids: Int64Array,
-    true_count: int,
-    found_count: int,
-    least: float,
-) -> Float64Array:
+    similarities: Float64Array, true_starts: Int64Array, found_starts: Int64Array, starts: Int64Array,
+    true_ids: Int64Array, found_ids: Int64Array, true_count: int, found_count: int, least: float,
+) -> Float64Array:  # fmt: skip
     """Count the frames in which a true and a found object are similar, (G, E) float64 of whole numbers."""
     counts = np.zeros((true_count, found_count))
     for f in range(len(starts) - 1):
@@ -540,13 +449,9 @@ def similar_frames(
 
 @kernel("boolean[::1](float64[::1], int64[::1], int64[::1], int64[::1], float64)")
 def reached_columns(
-    values: Float64Array,
-    row_starts: Int64Array,
-    column_starts: Int64Array,
-    starts: Int64Array,
-    least: float,
+    values: Float64Array, row_starts: Int64Array, column_starts: Int64Array, starts: Int64Array, least: float
 ) -> BoolArray:
-    """Report of which columns a pair has a value above `least`, (N,) bool."""
+    """Which columns have a pair with a value above `least`, (N,) bool."""
     reached = np.zeros(column_starts[-1], np.bool_)
     for f in range(len(starts) - 1):
         k = starts[f]

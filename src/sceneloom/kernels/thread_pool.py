@@ -6,10 +6,21 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import count as count_up
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 _Result = TypeVar("_Result")
 _FEWEST_POINTS = 20_000
+
+
+class Phase(NamedTuple):
+    """Work that a pool shares: `work(part, start, stop)` for all of 0 to `length`, each part in a thread of its own.
+
+    A part takes `rounds` chunks, spread over the whole: what is uneven there evens out.
+    """
+
+    length: int
+    work: Callable[[int, int, int], None]
+    rounds: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,37 +30,30 @@ class ThreadPool:
     Several threads may call one thread pool. What is called must not call it again.
 
     Attributes:
-        size: how many they are.
+        size: number of threads.
     """
 
     size: int = 1
 
     @classmethod
     def of(cls, threads: int, count: int) -> "ThreadPool":
-        """Give so many threads for so many points, or the calling one where waking others would take longer."""
+        """A pool of so many threads for so many points; the calling thread alone where waking others takes longer."""
         return cls(threads) if count >= _FEWEST_POINTS else ALONE
 
-    def share(self, count: int, work: Callable[[int, int, int], None], *, rounds: int = 1) -> None:
-        """Call `work(part, start, stop)` for all of 0 to `count`, each part by a thread of its own, side by side.
-
-        A part takes as many chunks as there are rounds, spread over the whole: what is unlike here and there evens out.
-        """
-        if self.size == 1:
-            work(0, 0, count)
-            return
-        chunks = self.size * rounds
-        ends = [count * piece // chunks for piece in range(chunks + 1)]
-
-        def take(part: int) -> None:
-            for piece in range(part, chunks, self.size):
-                work(part, ends[piece], ends[piece + 1])
-
-        self.gather([partial(take, part) for part in range(self.size)])
+    def share(self, *phases: Phase) -> None:
+        """Do one phase after another, the parts of each side by side."""
+        for length, work, rounds in phases:
+            if self.size == 1:
+                work(0, 0, length)
+                continue
+            chunks = self.size * rounds
+            ends = [length * chunk // chunks for chunk in range(chunks + 1)]
+            self.gather([partial(_take, work, ends, part, self.size) for part in range(self.size)])
 
     def gather(self, tasks: Sequence[Callable[[], _Result]]) -> list[_Result]:
-        """Call all of these side by side, each by the next thread that is free, and give what each gives.
+        """Call all tasks side by side, each in the next free thread, and return their results.
 
-        What one of them raises is raised once no thread is at work on them.
+        An exception of one of them is raised once no thread is at work on them.
         """
         if self.size == 1 or len(tasks) < 2:
             return [task() for task in tasks]
@@ -70,6 +74,11 @@ class ThreadPool:
             if fault is not None:
                 raise fault
         return cast("list[_Result]", results)
+
+
+def _take(work: Callable[[int, int, int], None], ends: Sequence[int], part: int, size: int) -> None:
+    for chunk in range(part, len(ends) - 1, size):
+        work(part, ends[chunk], ends[chunk + 1])
 
 
 @lru_cache(maxsize=4)

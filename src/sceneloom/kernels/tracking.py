@@ -1,6 +1,4 @@
-"""Tracking: Kalman prediction and updates of many objects, association gains, suppression of duplicate tracks.
-
-And the fewest keyframes of a track.
+"""Tracking: Kalman prediction and updates of many objects, association gains, duplicate tracks, keyframes of a track.
 
 A state is x = (middle 3, size 3, heading, velocity 3, yaw rate).
 """
@@ -79,13 +77,9 @@ def _shake(covariance, heading, seconds, variances):  # type: ignore[no-untyped-
     "float64, float64, float64[:,::1])"
 )
 def predict(
-    means: Float64Array,
-    covariances: Float64Array,
-    vehicles: BoolArray,
-    seconds: float,
-    rotation_time: float,
+    means: Float64Array, covariances: Float64Array, vehicles: BoolArray, seconds: float, rotation_time: float,
     variances: Float64Array,
-) -> tuple[Float64Array, Float64Array, Float64Array]:
+) -> tuple[Float64Array, Float64Array, Float64Array]:  # fmt: skip
     """Move states on, with the noise of so long.
 
     Args:
@@ -190,25 +184,16 @@ def _read(mean, covariance, apart, root, crossed, gain):  # type: ignore[no-unty
 
 @kernel("void(float64[:,::1], float64[:,:,::1], int64[::1], float64[:,::1], float64[:,:,::1], int64[::1], float64)")
 def read_boxes(
-    means: Float64Array,
-    covariances: Float64Array,
-    rows: Int64Array,
-    measures: Float64Array,
-    noises: Float64Array,
-    columns: Int64Array,
-    freedom: float,
-) -> None:
+    means: Float64Array, covariances: Float64Array, rows: Int64Array, measures: Float64Array, noises: Float64Array,
+    columns: Int64Array, freedom: float,
+) -> None:  # fmt: skip
     """Read a box of each of some states, in place.
 
     Headings that are off by more than a right angle are taken the other way round; boxes that are further off than
     their covariances state are taken for less sure, as under Student's distribution.
 
-    Args:
-        means, covariances: (N, 11) and (N, 11, 11), are changed.
-        rows: (K,), which of them.
-        measures, noises: (M, 7) and (M, 7, 7).
-        columns: (K,), the box of each.
-        freedom: degrees of freedom.
+    `means`, `covariances` (N, 11) and (N, 11, 11), are changed; `rows` (K,), which of them; `measures`, `noises` (M, 7)
+    and (M, 7, 7); `columns` (K,), the box of each; `freedom`: degrees of freedom.
     """
     root, spread = np.zeros((MEASURED, MEASURED)), np.empty((MEASURED, MEASURED))
     apart, solved = np.empty(MEASURED), np.empty(MEASURED)
@@ -227,10 +212,7 @@ def read_boxes(
 def read_no_slip(means: Float64Array, covariances: Float64Array, vehicles: BoolArray, variance: float) -> None:
     """Read of vehicles that their velocity across their heading is 0, in place.
 
-    Args:
-        means, covariances: (N, 11) and (N, 11, 11), are changed.
-        vehicles: (N,).
-        variance: of that velocity [m²/s²].
+    `means`, `covariances` (N, 11) and (N, 11, 11), are changed; `vehicles` (N,); `variance`: of that velocity [m²/s²].
     """
     spread = np.empty(SIZE)
     for n in range(len(means)):
@@ -283,18 +265,10 @@ def _with_room(column, room):  # type: ignore[no-untyped-def]
     "float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], float64, float64, float64)"
 )
 def gains_in_space(
-    locations: Float64Array,
-    spreads: Float64Array,
-    codes: Int64Array,
-    expected: Float64Array,
-    seen_positions: Float64Array,
-    seen_spreads: Float64Array,
-    seen_codes: Int64Array,
-    seen_doubts: Float64Array,
-    least_variance: float,
-    freedom: float,
-    most: float,
-) -> tuple[Int64Array, Int64Array, Float64Array]:
+    locations: Float64Array, spreads: Float64Array, codes: Int64Array, expected: Float64Array,
+    seen_positions: Float64Array, seen_spreads: Float64Array, seen_codes: Int64Array, seen_doubts: Float64Array,
+    least_variance: float, freedom: float, most: float,
+) -> tuple[Int64Array, Int64Array, Float64Array]:  # fmt: skip
     """Compare where objects are expected with where boxes are.
 
     Args:
@@ -363,17 +337,9 @@ def gains_in_space(
     "float64, float64)"
 )
 def add_gains_in_image(
-    rows: Int64Array,
-    columns: Int64Array,
-    gains: Float64Array,
-    foreseen: Float64Array,
-    corners: Float64Array,
-    measured: BoolArray,
-    sigma: float,
-    usual: float,
-    least: float,
-    freedom: float,
-) -> None:
+    rows: Int64Array, columns: Int64Array, gains: Float64Array, foreseen: Float64Array, corners: Float64Array,
+    measured: BoolArray, sigma: float, usual: float, least: float, freedom: float,
+) -> None:  # fmt: skip
     """Add to gains what boxes in an image state.
 
     Args:
@@ -420,16 +386,9 @@ def _overlap_more(a, i, b, j, least):  # type: ignore[no-untyped-def]
     "float64[:,:,::1], float64, float64)"
 )
 def without_twins(
-    rows: Int64Array,
-    locations: Float64Array,
-    measured: BoolArray,
-    corners: Float64Array,
-    known_locations: Float64Array,
-    known_measured: BoolArray,
-    known_corners: Float64Array,
-    share: float,
-    overlap: float,
-) -> Int64Array:
+    rows: Int64Array, locations: Float64Array, measured: BoolArray, corners: Float64Array,
+    known_locations: Float64Array, known_measured: BoolArray, known_corners: Float64Array, share: float, overlap: float,
+) -> Int64Array:  # fmt: skip
     """Leave out boxes that are second boxes of a thing that is known, or of a box before them that was kept.
 
     A box that a sweep placed is one of a thing if their middles are nearer to each other on the ground than a share of

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,11 +17,14 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates, PointsFrame, Progress
 from sceneloom.warnings import DataWarning, WarningKind
 
-if TYPE_CHECKING:
-    from sceneloom.motion.odometry import OdometryRun
+IDENTITY, GNSS, LIDAR, IMU = "identity", "gnss", "lidar", "imu"
+RESERVED = (GNSS, LIDAR, IMU)
 
 _HIGHEST = 1e6
-"""Heights beyond it [m] no receiver reports that is carried by an ego; NaN stands for one that is not reported."""
+"""Larger heights are invalid [m]; NaN stands for one that is not reported."""
+
+_CHORD = 0.5
+"""Length [m] of the chord that gives a direction: well above the noise of a smoothed position."""
 
 
 def gnss_receivers(scene: Scene) -> tuple[GnssSensor, ...]:
@@ -31,7 +33,7 @@ def gnss_receivers(scene: Scene) -> tuple[GnssSensor, ...]:
 
 
 def usable_fixes(receiver: GnssSensor) -> BoolArray:
-    """(N,) fixes that are locations; a receiver without reception reports 0, 0."""
+    """(N,) whether each fix is a valid position; a receiver without reception reports 0, 0."""
     latitude, longitude, height = receiver.positions_lla.T
     usable: BoolArray = (np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 360.0)
     usable &= (latitude != 0.0) | (longitude != 0.0)
@@ -40,26 +42,22 @@ def usable_fixes(receiver: GnssSensor) -> BoolArray:
 
 
 def usable_positions(receiver: GnssSensor) -> tuple[Int64Array, Float64Array]:
-    """The rows (M,) of usable fixes, and their locations (M, 3): latitude, longitude [deg] and height [m].
+    """The rows (M,) of usable fixes, and their positions (M, 3): latitude, longitude [deg] and height [m].
 
     A height that is not reported is the median of those that are, 0 where none is.
     """
     rows = np.flatnonzero(usable_fixes(receiver))
-    locations = receiver.positions_lla[rows]
-    untold = np.isnan(locations[:, 2])
-    locations[untold, 2] = 0.0 if untold.all() else np.median(locations[~untold, 2])
-    return rows, locations
-
-
-_CHORD = 0.5
-"""Length [m] of the chord that gives a direction: well above the noise of a smoothed position."""
+    positions = receiver.positions_lla[rows]
+    unknown = np.isnan(positions[:, 2])
+    positions[unknown, 2] = 0.0 if unknown.all() else np.median(positions[~unknown, 2])
+    return rows, positions
 
 
 def headed_poses(trajectory: Trajectory) -> Poses:
     """Give each position the yaw and pitch of the trajectory around it, without roll.
 
     The direction is the chord from the last position at least `_CHORD` behind to the first at least that far ahead;
-    a stationary ego keeps the direction that it came with.
+    a stationary ego keeps its last direction.
 
     Raises:
         PoseError: the ego never moves `_CHORD`.
@@ -73,61 +71,47 @@ def headed_poses(trajectory: Trajectory) -> Poses:
         )
     behind = np.maximum(np.searchsorted(travelled, travelled - _CHORD, side="right") - 1, 0)
     ahead = np.minimum(np.searchsorted(travelled, travelled + _CHORD, side="left"), len(travelled) - 1)
-    directions = positions[ahead] - positions[behind]
-    return Poses(trajectory.timestamps_ns, positions, _quaternions_along(directions))
-
-
-def _quaternions_along(directions: Float64Array) -> Float64Array:
-    """(N, 4) xyzw: x axis along (N, 3) directions, y axis level."""
-    half_yaw = 0.5 * np.unwrap(np.arctan2(directions[:, 1], directions[:, 0]))
-    half_pitch = -0.5 * np.arctan2(directions[:, 2], np.hypot(directions[:, 0], directions[:, 1]))
+    x, y, z = (positions[ahead] - positions[behind]).T
+    # x axis along the direction, y axis level
+    half_yaw, half_pitch = 0.5 * np.unwrap(np.arctan2(y, x)), -0.5 * np.arctan2(z, np.hypot(x, y))
     sin_y, cos_y, sin_p, cos_p = np.sin(half_yaw), np.cos(half_yaw), np.sin(half_pitch), np.cos(half_pitch)
-    return np.stack([-sin_y * sin_p, cos_y * sin_p, sin_y * cos_p, cos_y * cos_p], axis=1)
-
-
-IDENTITY = "identity"
-GNSS = "gnss"
-LIDAR = "lidar"
-IMU = "imu"
-RESERVED = (GNSS, LIDAR, IMU)
+    quaternions = np.stack([-sin_y * sin_p, cos_y * sin_p, sin_y * cos_p, cos_y * cos_p], axis=1)
+    return Poses(trajectory.timestamps_ns, positions, quaternions)
 
 
 def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | None = None) -> EgoMotion:
     """Take the trajectory of that name, or the scene's default one.
 
     Args:
-        name: a name out of `scene.trajectories`, "identity" for an ego that is stationary, None for the default.
+        name: a name out of `scene.trajectories`, "identity" for a stationary ego, None for the default.
         heading: "motion" to derive orientations from positions where a trajectory has none.
 
     Raises:
         OptionError: the name or the heading is unknown.
         PoseError: the scene has no trajectory, or one without orientations.
     """
-    if heading not in {None, "motion"}:
-        raise OptionError(f"heading {heading!r}; expected 'motion'")
+    _check_heading(heading)
     if name == IDENTITY:
         return EgoMotion(IDENTITY, Poses.identity())
     if name in RESERVED and name not in scene.trajectories:
-        raise PoseError(
-            f"{scene.source}: nothing in it reports the trajectory by {name!r}; choose one of: {_choices(scene)}"
-        )
-    if name is None and not scene.trajectories and not scene.lidars:
-        raise PoseError(
-            f"{scene.source}: no trajectory in it, and no lidar to find one from; "
-            "state `--trajectory identity` for an ego that was stationary"
-        )
+        raise PoseError(f"{scene.source}: no data for the trajectory {name!r}; choose one of: {_choices(scene)}")
     if name is None and not scene.trajectories:
+        why = "so the ego's poses are unknown" if scene.lidars else "and no lidar to estimate one from"
         raise PoseError(
-            f"{scene.source}: no trajectory in it, so where the ego was at each time is unknown; "
-            "state `--trajectory identity` for an ego that was stationary"
+            f"{scene.source}: no trajectory in it, {why}; state `--trajectory identity` for a stationary ego"
         )
     chosen = next(iter(scene.trajectories)) if name is None else name
     if chosen not in scene.trajectories:
         raise OptionError(f"{scene.source}: no trajectory {chosen!r}; there are: {_choices(scene)}")
-    return _ego_motion(scene.trajectories[chosen], heading)
+    return _oriented(scene.trajectories[chosen], heading)
 
 
-def _ego_motion(trajectory: Trajectory, heading: str | None) -> EgoMotion:
+def _check_heading(heading: str | None) -> None:
+    if heading not in {None, "motion"}:
+        raise OptionError(f"heading {heading!r}; expected 'motion'")
+
+
+def _oriented(trajectory: Trajectory, heading: str | None) -> EgoMotion:
     if trajectory.quaternions_xyzw is None and heading == "motion":
         return EgoMotion(trajectory.name, headed_poses(trajectory), heading)
     return EgoMotion.of(trajectory)
@@ -148,7 +132,7 @@ def find_ego_motion(
     progress: Progress | None = None,
     lenient: bool = False,
 ) -> EgoMotion:
-    """Take a recorded ego trajectory, or find it from satellite fixes, IMU and lidar; corrections are applied first.
+    """Take a recorded ego trajectory, or estimate it from GNSS, IMU and lidar; corrections are applied first.
 
     The arguments and errors are those of `ego_motion_as_given`.
     """
@@ -163,43 +147,42 @@ def ego_motion_as_given(
     progress: Progress | None = None,
     lenient: bool = False,
 ) -> EgoMotion:
-    """Take a recorded ego trajectory, or find it, in the world of a scene whose corrections stay as they are.
+    """Take a recorded ego trajectory, or estimate it, in the world of a scene whose corrections are not applied.
 
     Args:
-        name: a name out of `scene.trajectories`; "identity" for an ego that is stationary; "gnss" to find the
-            trajectory from satellite fixes, with IMU and lidar sweeps as far as there are; "lidar" to find it from the
-            sweeps alone; None for the scene's default trajectory, and where it has none for "gnss", then "lidar".
+        name: a name out of `scene.trajectories`; "identity" for a stationary ego; "gnss" for GNSS fixes smoothed with
+            IMU and lidar sweeps as far as there are; "lidar" for lidar odometry; None for the scene's default
+            trajectory, and where it has none for "gnss", then "lidar".
         heading: "motion" to derive orientations from positions where a trajectory has none.
-        progress: reported after each sweep, where the trajectory is found from the sweeps.
-        lenient: pass over sweeps that cannot be read.
+        progress: called after each sweep of lidar odometry.
+        lenient: leave out sweeps that cannot be read.
 
     Raises:
         OptionError: the name or the heading is unknown.
-        PoseError: the scene has neither a trajectory nor a lidar to find one from, or the trajectory has no
-            orientations, or the trajectory cannot be found from what is named.
+        PoseError: the scene has neither a trajectory nor a lidar to estimate one from, or the trajectory has no
+            orientations, or cannot be estimated from what is named.
         DataError: a sweep cannot be read.
     """
     if name == IMU and name not in scene.trajectories:
         raise PoseError(
-            f"{scene.source}: an IMU alone reports how the ego rotated, but not where it was; it serves "
+            f"{scene.source}: an IMU alone measures the ego's rotation, not its position; it serves "
             "`sceneloom edit deskew --trajectory imu` only"
         )
     if name is None and not scene.trajectories:
         check_odometry(scene)
-    match computed_name(scene, name):
-        case "gnss":
-            return _from_gnss(scene, heading, progress=progress, lenient=lenient)
-        case "lidar":
-            run = _followed(scene, progress, lenient=lenient)
-            return _from_lidar(scene, run, by_default=name is None)
+    source = computed_name(scene, name)
+    if source == GNSS:
+        return _from_gnss(scene, heading, progress=progress, lenient=lenient)
+    if source == LIDAR:
+        return _from_lidar(scene, progress, lenient=lenient, by_default=name is None)
     return choose_trajectory(scene, name=name, heading=heading)
 
 
 def check_odometry(scene: Scene) -> None:
-    """Refuse to choose what stands in for the ego that poses lead into.
+    """Refuse to estimate the trajectory of an ego in whose frame poses are given.
 
     Raises:
-        PoseError: poses are in ego coordinates, and nothing recorded says where the ego was.
+        PoseError: poses are in ego coordinates, and the ego's own poses are not recorded.
     """
     for sensor in scene.sensors:
         on_ego = getattr(sensor, "coordinates", None) is Coordinates.EGO and getattr(sensor, "mount", None) is None
@@ -208,15 +191,12 @@ def check_odometry(scene: Scene) -> None:
 
 
 def is_computed(scene: Scene, name: str | None) -> bool:
-    """Whether the trajectory of that name is found from the scene's measurements, rather than recorded in it."""
+    """Whether the trajectory of that name is estimated from the scene's measurements, rather than recorded in it."""
     return computed_name(scene, name) is not None
 
 
 def computed_name(scene: Scene, name: str | None) -> str | None:
-    """What the trajectory of that name is found from, "gnss" or "lidar"; None where it is recorded.
-
-    Or cannot be found.
-    """
+    """From what the trajectory of that name is estimated, "gnss" or "lidar"; None where it is recorded, or unknown."""
     if name is not None:
         return name if name in {GNSS, LIDAR} and name not in scene.trajectories else None
     if scene.trajectories:
@@ -227,9 +207,9 @@ def computed_name(scene: Scene, name: str | None) -> str | None:
 
 
 def with_trajectory_estimated(scene: Scene, ego: EgoMotion) -> Scene:
-    """The scene with its estimated trajectory as the default one, and the warnings that go with it.
+    """The scene with its estimated trajectory as the default one, and the warnings about it.
 
-    Where the world's axes are east, north and up at a known location, `metadata.sceneloom.enu_origin` reports it. A
+    Where the world's axes are east, north and up at a known position, `metadata.sceneloom.enu_origin` gives it. A
     fusion shifts the world; `world_from_file`, which it adds, leads back into this one.
     """
     path = ego.path
@@ -242,106 +222,69 @@ def with_trajectory_estimated(scene: Scene, ego: EgoMotion) -> Scene:
         return found
     origin = dict(zip(("latitude", "longitude", "altitude"), ego.enu_origin_lla, strict=True))
     ours = scene.metadata.get("sceneloom")
-    reported = {**(ours if isinstance(ours, Mapping) else {}), "enu_origin": origin}
-    return replace(found, metadata={**scene.metadata, "sceneloom": reported})
+    ours = {**(ours if isinstance(ours, Mapping) else {}), "enu_origin": origin}
+    return replace(found, metadata={**scene.metadata, "sceneloom": ours})
 
 
 def placeable_lidars(scene: Scene) -> tuple[LidarSensor, ...]:
-    """The lidars whose points are not in the world yet, so that they report how the ego moved."""
+    """The lidars whose points are not in world coordinates yet, so that they show the ego's motion."""
     return tuple(
         lidar for lidar in scene.lidars if lidar.points_frame is not PointsFrame.WORLD and len(lidar.frames) > 0
     )
 
 
-def _followed(scene: Scene, progress: Progress | None, *, lenient: bool) -> "OdometryRun":
+def _from_lidar(scene: Scene, progress: Progress | None, *, lenient: bool, by_default: bool) -> EgoMotion:
     from sceneloom.motion.odometry import lidar_odometry
 
-    return lidar_odometry(scene, progress=progress, lenient=lenient)
-
-
-def _from_lidar(scene: Scene, run: "OdometryRun", *, by_default: bool) -> EgoMotion:
-    warnings = (_assumed(scene), *run.warnings) if by_default else tuple(run.warnings)
-    return _in_known_world(replace(EgoMotion.of(run.trajectory), warnings=warnings), scene)
-
-
-def _from_gnss(
-    scene: Scene,
-    heading: str | None,
-    *,
-    progress: Progress | None,
-    lenient: bool,
-) -> EgoMotion:
-    from sceneloom.motion.gnss_imu.smoother import gnss_imu_motion
-
-    if heading not in {None, "motion"}:
-        raise OptionError(f"heading {heading!r}; expected 'motion'")
-    lidar, reported = _lidar_beside_gnss(scene, progress, lenient=lenient)
-    run = gnss_imu_motion(scene, lidar=lidar)
-    latitude, longitude, height = run.origin_lla.tolist()
-    trajectory = run.trajectory
-    if trajectory.quaternions_xyzw is None and heading == "motion":
-        ego = EgoMotion(trajectory.name, headed_poses(trajectory), heading)
-    elif trajectory.quaternions_xyzw is None:
-        raise PoseError(
-            f"{scene.source}: GNSS fixes report positions without orientations, and there is no IMU; derive the "
-            f"heading "
-            "from the motion with `--orientation-from motion`, or choose another with `--trajectory NAME`"
-        )
-    else:
-        ego = EgoMotion.of(trajectory)
-    warnings = (*reported, *run.warnings, *_left_behind(scene))
-    return replace(ego, warnings=warnings, enu_origin_lla=(latitude, longitude, height))
-
-
-def _lidar_beside_gnss(
-    scene: Scene, progress: Progress | None, *, lenient: bool
-) -> tuple[Trajectory | None, tuple[DataWarning, ...]]:
-    """The trajectory by lidar odometry to be taken in with the fixes, where there is one."""
-    if not gnss_receivers(scene) or not placeable_lidars(scene):
-        return None, ()
-    try:
-        run = _followed(scene, progress, lenient=lenient)
-    except PoseError as error:
-        message = f"the lidar could not be taken in with the fixes: {error}"
-        return None, (
-            DataWarning(kind=WarningKind.SKIPPED, code="gnss-without-lidar", location=scene.source, message=message),
-        )
-    return run.trajectory, run.warnings
-
-
-def _in_known_world(ego: EgoMotion, scene: Scene) -> EgoMotion:
-    """Begin where a recorded trajectory says that the ego was then, so that what stands in its world stays right."""
+    run = lidar_odometry(scene, progress=progress, lenient=lenient)
+    warnings: tuple[DataWarning, ...] = run.warnings
+    if by_default:
+        message = "no trajectory in it; the ego trajectory was estimated by lidar odometry (`--trajectory lidar`)"
+        warnings = (_warning(WarningKind.ASSUMED, "trajectory-from-lidar", scene.source, message), *warnings)
+    ego = replace(EgoMotion.of(run.trajectory), warnings=warnings)
+    # begin at a recorded pose, where there is one, so that what is in its world stays right
     first_ns = ego.path.timestamps_ns[:1]
     for trajectory in scene.trajectories.values():
-        if trajectory.quaternions_xyzw is None:
-            continue
-        known = trajectory.poses.interpolate(first_ns)
-        if known.coverage[0] == 0:
-            return ego.seen_from(RigidTransform.from_quaternion(known.positions[0], known.quaternions_xyzw[0]))
+        if trajectory.quaternions_xyzw is not None:
+            known = trajectory.poses.interpolate(first_ns)
+            if known.coverage[0] == 0:
+                return ego.seen_from(RigidTransform.from_quaternion(known.positions[0], known.quaternions_xyzw[0]))
     return ego
 
 
-def _left_behind(scene: Scene) -> tuple[DataWarning, ...]:
-    """Report that annotations stand in the world of a recorded trajectory, which is not that of the fixes."""
-    if not (scene.annotations and scene.trajectories) or annotations_frame(scene) is not Coordinates.WORLD:
-        return ()
-    names = ", ".join(scene.trajectories)
-    message = (
-        f"annotations stand in the world of the recorded trajectory ({names}) and were left there; the world of the "
-        "fixes has its axes east, north and up at the first of them, so that they may be misplaced"
-    )
-    location, count = f"{scene.source}: annotations", len(scene.annotations)
-    return (
-        DataWarning(
-            kind=WarningKind.ASSUMED,
-            code="annotations-not-moved",
-            location=location,
-            message=message,
-            count=count,
-        ),
-    )
+def _from_gnss(scene: Scene, heading: str | None, *, progress: Progress | None, lenient: bool) -> EgoMotion:
+    from sceneloom.motion.gnss_imu import gnss_imu_motion
+
+    _check_heading(heading)
+    lidar, warnings = None, tuple[DataWarning, ...]()
+    if gnss_receivers(scene) and placeable_lidars(scene):
+        from sceneloom.motion.odometry import lidar_odometry
+
+        try:
+            odometry = lidar_odometry(scene, progress=progress, lenient=lenient)
+            lidar, warnings = odometry.trajectory, odometry.warnings
+        except PoseError as error:
+            message = f"lidar odometry failed and was not used with the fixes: {error}"
+            warnings = (_warning(WarningKind.SKIPPED, "gnss-without-lidar", scene.source, message),)
+    run = gnss_imu_motion(scene, lidar=lidar)
+    if run.trajectory.quaternions_xyzw is None and heading is None:
+        raise PoseError(
+            f"{scene.source}: GNSS fixes give positions without orientations, and there is no IMU; derive the heading "
+            "from the motion with `--orientation-from motion`, or choose another with `--trajectory NAME`"
+        )
+    warnings = (*warnings, *run.warnings)
+    if scene.annotations and scene.trajectories and annotations_frame(scene) is Coordinates.WORLD:
+        message = (
+            f"annotations are in the world of the recorded trajectory ({', '.join(scene.trajectories)}) and were not "
+            "moved; the world of the fixes has its axes east, north and up at the first of them, so that they may be "
+            "misplaced"
+        )
+        location, count = f"{scene.source}: annotations", len(scene.annotations)
+        warnings = (*warnings, _warning(WarningKind.ASSUMED, "annotations-not-moved", location, message, count))
+    latitude, longitude, height = run.origin_lla.tolist()
+    ego = _oriented(run.trajectory, heading)
+    return replace(ego, warnings=warnings, enu_origin_lla=(latitude, longitude, height))
 
 
-def _assumed(scene: Scene) -> DataWarning:
-    message = "no trajectory in it; the ego trajectory was found from the lidar's sweeps (`--trajectory lidar`)"
-    return DataWarning(kind=WarningKind.ASSUMED, code="trajectory-from-lidar", location=scene.source, message=message)
+def _warning(kind: WarningKind, code: str, location: str, message: str, count: int = 1) -> DataWarning:
+    return DataWarning(kind=kind, code=code, location=location, message=message, count=count)

@@ -6,11 +6,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import PoseError
-from sceneloom.geometry.rotations import (
-    multiply_quaternions,
-    normalise_quaternion,
-    quaternion_from_rotation_vector,
-)
+from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, quaternion_from_rotation_vector
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.motion import ImuSensor, VectorSamples
 from sceneloom.scene.poses import Poses
@@ -21,24 +17,24 @@ GYROSCOPE, ACCELEROMETER = "gyroscope", "accelerometer"
 """Streams of an IMU, in the words of the recording format."""
 
 _MISSING_SAMPLES = 5
-"""So many sample intervals without a sample are a gap: what the ego did then is not known."""
+"""So many sample intervals without a sample are a gap, in which the motion is unknown."""
 
 _LARGEST_SAMPLE = 1e5
-"""What is beyond it was never measured, in whatever unit [rad/s, m/s²]: it stems from a torn line."""
+"""No IMU measures more, in whatever unit [rad/s, m/s²]: larger values stem from a torn line."""
 
 
 def measured_rows(values: Float64Array) -> BoolArray:
-    """Which rows of (N, K) samples are numbers that a sensor may report, (N,) bool."""
+    """Which rows of (N, K) samples are plausible numbers, (N,) bool."""
     return np.asarray((np.abs(values) <= _LARGEST_SAMPLE).all(axis=1), np.bool_)
 
 
 def usable_samples(samples: VectorSamples) -> tuple[Int64Array, Float64Array, int]:
-    """Take the samples that can be computed with.
+    """The samples that can be used.
 
     Returns:
         timestamps_ns: (N,) int64 [ns], strictly increasing.
         values: (N, 3) float64, in the stream's unit.
-        left_out: samples that are no measurement, or of a time that was there before.
+        left_out: number of samples that are implausible or repeat a timestamp.
     """
     measured = np.flatnonzero(measured_rows(samples.values[:, :3]))
     times, first = np.unique(samples.timestamps_ns[measured], return_index=True)
@@ -53,36 +49,32 @@ def gaps_between(timestamps_ns: Int64Array) -> Int64Array:
 
 
 _WINDOW_NS = 1_000_000_000
-"""Judged as one: long enough that the body of a car that drives has swung [ns]."""
+"""Length of the windows that are judged: long enough for the body of a moving car to swing [ns]."""
 
 _LEAST_SAMPLES = 20
 """Samples of either kind that a window needs."""
 
 QUIET_RATE = 0.005
-"""Angular velocities of a stationary ego deviate by less on each axis: the noise of a consumer's gyroscope [rad/s]."""
+"""Largest standard deviation of a stationary ego's angular velocity on each axis: noise of a consumer's gyroscope
+[rad/s]."""
 
 QUIET_FORCE = 0.2
-"""Its specific forces deviate by less on each axis, with the engine running [m/s²]."""
+"""The same of the specific force, with the engine running [m/s²]."""
 
 WHITE = 1.5
-"""A stationary ego's samples differ from one to the next as from their mean: the ratio of the two variances is 1, with
-200 samples within 0.1. A car that rolls, however smoothly, sways slowly: neighbouring samples are alike."""
+"""Largest ratio of the variance to that of successive differences for white noise, which has 1, with 200 samples within
+0.1. A car that rolls, however smoothly, sways slowly: neighbouring samples are alike."""
 
 _ROUNDING = 1e-20
-"""Variance of samples that are all the same, as computed."""
+"""Computed variance of samples that are all equal."""
 
 _LARGEST_BIAS = 0.06
-"""A mean rate beyond it is a rotation, however even [rad/s]."""
+"""A larger mean rate is a rotation, however even [rad/s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stationary:
-    """The times in which the ego stood.
-
-    Attributes:
-        rate: (3,) float64 [rad/s], mean of the gyroscope.
-        seconds: how long.
-    """
+    """Mean (3,) of the gyroscope [rad/s] while the ego was stationary, and for how many seconds it was."""
 
     rate: Float64Array
     seconds: float
@@ -93,7 +85,7 @@ def find_stationary(
 ) -> _Stationary | None:
     """Find the windows of a second in which both sensors are quiet; None where there is none.
 
-    Quiet is what deviates little, and by noise alone: an even drive on a smooth road deviates little, too.
+    Quiet means a small deviation by white noise alone: an even drive on a smooth road deviates little, too.
 
     Args:
         rate_times_ns: (N,) int64 [ns], ascending.
@@ -107,7 +99,7 @@ def find_stationary(
     """
     if len(rate_times_ns) == 0:
         return None
-    # numbered as they come: a wrong time would else make windows by the million
+    # numbered in order: a wrong timestamp would make windows by the million
     seconds, rate_windows = np.unique((rate_times_ns - rate_times_ns[0]) // _WINDOW_NS, return_inverse=True)
     count = len(seconds)
     of_forces = (force_times_ns - rate_times_ns[0]) // _WINDOW_NS
@@ -116,10 +108,9 @@ def find_stationary(
     inside = seconds[force_windows] == of_forces
     _, quiet_forces = _statistics(force_windows[inside], forces[inside], count, QUIET_FORCE)
     stood = quiet & quiet_forces & (np.abs(mean) < _LARGEST_BIAS).all(axis=1)
-    if not stood.any():
-        return None
-    # a bias is the same each time, a rotation so even that it looks like one is not
-    stood &= (np.abs(mean - np.median(mean[stood], axis=0)) < QUIET_RATE).all(axis=1)
+    if stood.any():
+        # a bias is the same each time, a very even rotation is not
+        stood &= (np.abs(mean - np.median(mean[stood], axis=0)) < QUIET_RATE).all(axis=1)
     if not stood.any():
         return None
     return _Stationary(rates[stood[rate_windows]].mean(axis=0), float(stood.sum()) * _WINDOW_NS * 1e-9)
@@ -142,13 +133,13 @@ def _sums(windows: Int64Array, values: Float64Array, count: int) -> Float64Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialMotion:
-    """The rotating of the ego.
+    """The rotation of the ego.
 
     Attributes:
         ego: `world_from_ego` under the name "imu": its axes at the first sample are the world's, and its position
-            stays at the origin, since an IMU does not report it.
+            stays at the origin, since an IMU does not measure it.
         gaps_ns: (G, 2) int64 [ns], between which samples are missing.
-        bias: (3,) float64 [rad/s], what the gyroscope reported while the ego stood, taken off; None where it never did.
+        bias: (3,) float64 [rad/s] of the gyroscope while the ego was stationary, subtracted; None where it never was.
     """
 
     ego: EgoMotion
@@ -156,7 +147,7 @@ class InertialMotion:
     bias: Float64Array | None
 
     def is_known(self, first_ns: int, last_ns: int) -> bool:
-        """Whether no gap lies between two times."""
+        """Whether there is no gap between two times."""
         return not bool(((self.gaps_ns[:, 0] < last_ns) & (self.gaps_ns[:, 1] > first_ns)).any())
 
 
@@ -166,23 +157,45 @@ def imu_motion(scene: Scene) -> InertialMotion:
     Raises:
         PoseError: there is no IMU, or none with two angular velocities or more.
     """
-    imu, rates = _rates_of(scene)
-    times, values, left_out = usable_samples(rates)
+    imus = [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)]
+    if not imus:
+        raise PoseError(f"{scene.source}: no IMU in it; expected one for the ego's rotation")
+    imu = next((imu for imu in imus if GYROSCOPE in imu.streams), None)
+    if imu is None:
+        streams = ", ".join(name for imu in imus for name in imu.streams)
+        raise PoseError(f"{scene.source}: the IMU has no {GYROSCOPE}; it has: {streams or 'nothing'}")
+    times, values, left_out = usable_samples(imu.streams[GYROSCOPE])
     location = f"{scene.source}: sensors[{imu.id}].streams.{GYROSCOPE}"
     if len(times) < 2:
-        raise PoseError(f"{location}: {len(times)} usable samples; expected two or more to report how the ego rotated")
-    stationary = _stationary(imu, times, values)
+        raise PoseError(f"{location}: {len(times)} usable samples; expected two or more for the ego's rotation")
+    stationary = None
+    if ACCELEROMETER in imu.streams:
+        force_times, forces, _ = usable_samples(imu.streams[ACCELEROMETER])
+        stationary = find_stationary(times, values, force_times, forces)
     bias = None if stationary is None else stationary.rate
-    rotating = integrate_rates(times, values if bias is None else values - bias)
     gaps_ns = gaps_between(times)
-    warnings = [_rotation_only(location), _bias_warning(location, stationary)]
+    warnings: list[DataWarning] = []
+
+    def warn(kind: WarningKind, code: str, message: str, count: int = 1) -> None:
+        warnings.append(DataWarning(kind=kind, code=code, location=location, message=message, count=count))
+
+    message = "an IMU alone measures rotation, not speed: of the motion during a sweep only the rotation is corrected"
+    warn(WarningKind.ASSUMED, "rotation-only", message)
+    if stationary is None:
+        message = "the ego was never seen to be stationary, so the gyroscope's bias is unknown and was not subtracted"
+        warn(WarningKind.ASSUMED, "gyroscope-bias-unknown", message)
+    else:
+        rate = ", ".join(f"{value:.5f}" for value in stationary.rate)
+        message = f"stationary for {stationary.seconds:.1f} s; the mean rate then, {rate} rad/s, was subtracted as bias"
+        warn(WarningKind.REPAIRED, "gyroscope-bias", message)
     if left_out:
-        message = "samples that are no numbers, or not later than the one before, were left out"
-        warnings.append(_warning(WarningKind.REPAIRED, "imu-samples", location, message, left_out))
+        message = "samples that are not finite, or not later than the one before, were left out"
+        warn(WarningKind.REPAIRED, "imu-samples", message, left_out)
     if len(gaps_ns):
         message = f"at least {_MISSING_SAMPLES} samples in a row are missing; sweeps in such a gap stay as they are"
-        warnings.append(_warning(WarningKind.SKIPPED, "imu-gaps", location, message, len(gaps_ns)))
-    path = Poses(times, np.zeros((len(times), 3)), rotating)
+        warn(WarningKind.SKIPPED, "imu-gaps", message, len(gaps_ns))
+    rotations = integrate_rates(times, values if bias is None else values - bias)
+    path = Poses(times, np.zeros((len(times), 3)), rotations)
     return InertialMotion(EgoMotion("imu", path, warnings=tuple(warnings)), gaps_ns, bias)
 
 
@@ -220,43 +233,3 @@ def running_product(rotations: Float64Array) -> Float64Array:
     for row in range(1, len(blocks)):
         blocks[row] = multiply_quaternions(blocks[row - 1, -1], blocks[row])
     return normalise_quaternion(blocks.reshape(-1, 4)[: len(rotations)])
-
-
-def _rates_of(scene: Scene) -> tuple[ImuSensor, VectorSamples]:
-    imus = [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)]
-    for imu in imus:
-        if GYROSCOPE in imu.streams:
-            return imu, imu.streams[GYROSCOPE]
-    if not imus:
-        raise PoseError(f"{scene.source}: no IMU in it; expected one to report how the ego rotated")
-    streams = [name for imu in imus for name in imu.streams]
-    raise PoseError(f"{scene.source}: the IMU has no {GYROSCOPE}; it has: {', '.join(streams) or 'nothing'}")
-
-
-def _stationary(imu: ImuSensor, times_ns: Int64Array, rates: Float64Array) -> _Stationary | None:
-    if ACCELEROMETER not in imu.streams:
-        return None
-    force_times, forces, _ = usable_samples(imu.streams[ACCELEROMETER])
-    return find_stationary(times_ns, rates, force_times, forces)
-
-
-def _rotation_only(location: str) -> DataWarning:
-    message = (
-        "an IMU alone reports how the ego rotated, not how fast it went: of the motion during a sweep only the "
-        "rotating "
-        "is undone"
-    )
-    return _warning(WarningKind.ASSUMED, "rotation-only", location, message)
-
-
-def _bias_warning(location: str, stationary: _Stationary | None) -> DataWarning:
-    if stationary is None:
-        message = "the ego was never seen to stand, so the gyroscope's bias is not known and was left in"
-        return _warning(WarningKind.ASSUMED, "gyroscope-bias-unknown", location, message)
-    rate = ", ".join(f"{value:.5f}" for value in stationary.rate)
-    message = f"the ego stood for {stationary.seconds:.1f} s; the rate then, {rate} rad/s, was taken off as the bias"
-    return _warning(WarningKind.REPAIRED, "gyroscope-bias", location, message)
-
-
-def _warning(kind: WarningKind, code: str, location: str, message: str, count: int = 1) -> DataWarning:
-    return DataWarning(kind=kind, code=code, location=location, message=message, count=count)

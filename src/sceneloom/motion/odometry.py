@@ -4,12 +4,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from itertools import pairwise, product
 from types import MappingProxyType
 
 import numpy as np
 import small_gicp
 
-from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array
+from sceneloom.arrays import AnyArray, Float64Array, FloatArray, Int64Array
 from sceneloom.errors import ArrayError, DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import (
@@ -27,8 +28,8 @@ from sceneloom.kernels.scan_matching import (
     fill_table,
     insert_points,
     move_points,
-    thin_points,
 )
+from sceneloom.kernels.voxels import first_of_cubes, number_cubes
 from sceneloom.motion.deskew import PointTimesStatistics
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.point_times import RawTimes, timed_frame
@@ -36,6 +37,9 @@ from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, sweep_period_ns
 from sceneloom.scene.types import PointsFrame
 from sceneloom.warnings import DataWarning, WarningKind
+
+NAME = "lidar"
+"""Name of the trajectory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +79,7 @@ class OdometryConfiguration:
 
 
 _ROTATION, _SHIFT, _YAW_RATE, _VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
-"""Locations of the four errors in a covariance of the state."""
+"""Rows of the state's covariance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,85 +87,49 @@ class _MotionState:
     """The ego's pose and motion at one time.
 
     Attributes:
-        timestamp_ns: [ns].
-        rotation: (3, 3) `world_from_ego`.
-        position: (3,) [m], world frame.
-        yaw_rate: (3,) [rad/s], world axes.
-        velocity: (3,) [m/s], world axes.
-        covariance: (12, 12) of a small rotation, a small shift, and changes of the angular velocity and the velocity,
+        covariance: (12, 12) of a small rotation, a small translation, and changes of angular velocity and velocity,
             all along the world's axes.
     """
 
-    timestamp_ns: int
-    rotation: Float64Array
-    position: Float64Array
-    yaw_rate: Float64Array
-    velocity: Float64Array
+    timestamp_ns: int  # [ns]
+    rotation: Float64Array  # (3, 3) `world_from_ego`
+    position: Float64Array  # (3,) [m], world frame
+    yaw_rate: Float64Array  # (3,) angular velocity [rad/s], world axes
+    velocity: Float64Array  # (3,) [m/s], world axes
     covariance: Float64Array
 
     def at(self, timestamp_ns: int) -> tuple[Float64Array, Float64Array]:
-        """Rotation and position at another time, at constant velocity and angular velocity in the ego's own frame."""
+        """Rotation and position at another time, at constant velocity and angular velocity in the ego frame."""
         dt = (timestamp_ns - self.timestamp_ns) * 1e-9
-        rotated = _rotation_matrix(self.yaw_rate * dt)
         bend = 0.5 * dt * dt * np.cross(self.yaw_rate, self.velocity)
-        return rotated @ self.rotation, self.position + dt * self.velocity + bend
+        return _rotation_matrix(self.yaw_rate * dt) @ self.rotation, self.position + dt * self.velocity + bend
 
-    def move(
-        self, points_ego: Float64Array, seconds: Float64Array, points_world: Float64Array, arms: Float64Array
-    ) -> None:
-        """Take points into the world, each at its own time.
-
-        Args:
-            points_ego: (N, 3) float64 [m].
-            seconds: (N,) float64, times after the state's.
-            points_world: (N, 3) float64 [m], written.
-            arms: (N, 3) float64 [m], written: from the ego to each point, along the world's axes.
-        """
-        move_points(
-            points_ego,
-            seconds,
-            self.rotation,
-            self.position,
-            self.yaw_rate,
-            self.velocity,
-            points_world,
-            arms,
-        )
-
-    def predicted(self, timestamp_ns: int, acceleration: float, yaw_acceleration: float) -> "_MotionState":
-        """The state at a later time, with what accelerations of the given size add to its uncertainty.
+    def predicted(self, timestamp_ns: int, configuration: OdometryConfiguration) -> "_MotionState":
+        """The state at a later time; accelerations add to its uncertainty.
 
         Source: Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2, piecewise constant white acceleration.
         """
         dt = (timestamp_ns - self.timestamp_ns) * 1e-9
         rotation, position = self.at(timestamp_ns)
-        rotated = _rotation_matrix(self.yaw_rate * dt)
         step = np.eye(12)
         step[_ROTATION, _YAW_RATE] = step[_SHIFT, _VELOCITY] = dt * np.eye(3)
         noise = np.zeros((12, 12))
         for value, rate, size in (
-            (_ROTATION, _YAW_RATE, yaw_acceleration),
-            (_SHIFT, _VELOCITY, acceleration),
+            (_ROTATION, _YAW_RATE, configuration.yaw_acceleration),
+            (_SHIFT, _VELOCITY, configuration.acceleration),
         ):
-            gain = np.array([0.5 * dt * dt, dt])[:, None] * size
-            for a, first in enumerate((value, rate)):
-                for b, second in enumerate((value, rate)):
-                    noise[first, second] = float(gain[a, 0] * gain[b, 0]) * np.eye(3)
-        return _MotionState(
-            timestamp_ns,
-            rotation,
-            position,
-            self.yaw_rate,
-            rotated @ self.velocity,
-            step @ self.covariance @ step.T + noise,
-        )
+            gains = (value, 0.5 * dt * dt * size), (rate, dt * size)
+            for (first, a), (second, b) in product(gains, gains):
+                noise[first, second] = a * b * np.eye(3)
+        velocity = _rotation_matrix(self.yaw_rate * dt) @ self.velocity
+        covariance = step @ self.covariance @ step.T + noise
+        return _MotionState(timestamp_ns, rotation, position, self.yaw_rate, velocity, covariance)
 
     def changed(self, step: Float64Array) -> "_MotionState":
         """The state after small changes, (12,)."""
-        rotation = _rotation_matrix(step[_ROTATION]) @ self.rotation
         return replace(
             self,
-            rotation=rotation,
+            rotation=_rotation_matrix(step[_ROTATION]) @ self.rotation,
             position=self.position + step[_SHIFT],
             yaw_rate=self.yaw_rate + step[_YAW_RATE],
             velocity=self.velocity + step[_VELOCITY],
@@ -169,14 +137,14 @@ class _MotionState:
 
     def minus(self, other: "_MotionState") -> Float64Array:
         """The changes, (12,), that lead from another state to this one."""
-        return np.concatenate(
-            [
-                _rotation_vector(self.rotation @ other.rotation.T),
-                self.position - other.position,
-                self.yaw_rate - other.yaw_rate,
-                self.velocity - other.velocity,
-            ]
-        )
+        rotation = _rotation_vector(self.rotation @ other.rotation.T)
+        position, yaw_rate = self.position - other.position, self.yaw_rate - other.yaw_rate
+        return np.concatenate([rotation, position, yaw_rate, self.velocity - other.velocity])
+
+    def moved(self, rotation: Float64Array, translation: Float64Array) -> "_MotionState":
+        """The state with its pose changed by a motion in the ego frame."""
+        position = self.position + self.rotation @ translation
+        return replace(self, rotation=self.rotation @ rotation, position=position)
 
 
 def _rotation_matrix(rotation_vector: Float64Array) -> Float64Array:
@@ -191,54 +159,65 @@ def _rotation_vector(rotation: Float64Array) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sweep:
-    """The usable points of a sweep.
+    """The usable points of a sweep."""
 
-    Attributes:
-        timestamp_ns: the middle of its time, to which its pose refers [ns].
-        first_ns, last_ns: of all its points [ns].
-        points_ego: (N, 3) float64 [m], each as measured at its own time.
-        seconds: (N,) float64, after `timestamp_ns`.
-        chosen: (M,) int64, the points to register, evenly spread.
-    """
+    timestamp_ns: int  # the middle of its time, to which its pose refers [ns]
+    first_ns: int  # first of all its points [ns]
+    last_ns: int  # last of them [ns]
+    points_ego: Float64Array  # (N, 3) float64 [m], each as measured at its own time
+    seconds: Float64Array  # (N,) float64, after `timestamp_ns`
+    chosen: Int64Array  # (M,) int64, the points to register, evenly spread
 
-    timestamp_ns: int
-    first_ns: int
-    last_ns: int
-    points_ego: Float64Array
-    seconds: Float64Array
-    chosen: Int64Array
-
-
-def _usable_sweep(
-    timestamp_ns: int,
-    positions_ego: FloatArray,
-    timestamps_ns: Int64Array | None,
-    configuration: OdometryConfiguration,
-) -> _Sweep:
-    """Leave out what is no number, too near or too far, and choose the points to register."""
-    if timestamps_ns is None or len(timestamps_ns) == 0:
+    @classmethod
+    def of(
+        cls,
+        timestamp_ns: int,
+        positions_ego: FloatArray,
+        timestamps_ns: Int64Array | None,
+        configuration: OdometryConfiguration,
+    ) -> "_Sweep":
+        """Leave out points that are not finite, too near or too far, and choose those to register."""
         first_ns = last_ns = timestamp_ns
-    else:
-        first_ns, last_ns = int(timestamps_ns.min()), int(timestamps_ns.max())
-    middle_ns = (first_ns + last_ns) // 2
-    with np.errstate(over="ignore", invalid="ignore"):
-        squared = np.einsum("ij,ij->i", positions_ego, positions_ego)
-    usable = np.flatnonzero((squared > configuration.nearest**2) & (squared < configuration.farthest**2))
-    points = np.asarray(positions_ego[usable], np.float64)
-    offsets_ns = np.zeros(len(points), np.int64) if timestamps_ns is None else timestamps_ns[usable] - middle_ns
-    chosen = np.empty(len(points), np.int64)
-    count = thin_points(points, configuration.spacing, chosen)
-    return _Sweep(middle_ns, first_ns, last_ns, points, np.asarray(offsets_ns * 1e-9), chosen[:count])
+        if timestamps_ns is not None and len(timestamps_ns):
+            first_ns, last_ns = int(timestamps_ns.min()), int(timestamps_ns.max())
+        middle_ns = (first_ns + last_ns) // 2
+        with np.errstate(over="ignore", invalid="ignore"):
+            squared = np.einsum("ij,ij->i", positions_ego, positions_ego)
+        usable = np.flatnonzero((squared > configuration.nearest**2) & (squared < configuration.farthest**2))
+        points = np.asarray(positions_ego[usable], np.float64)
+        offsets_ns = np.zeros(len(points), np.int64) if timestamps_ns is None else timestamps_ns[usable] - middle_ns
+        numbers = np.empty(len(points), np.int64)
+        chosen = np.empty(number_cubes(points, configuration.spacing, numbers), np.int64)
+        first_of_cubes(numbers, chosen)
+        return cls(middle_ns, first_ns, last_ns, points, np.asarray(offsets_ns * 1e-9), chosen)
+
+    @property
+    def chosen_points(self) -> Float64Array:
+        """(M, 3) [m], ego frame."""
+        return self.points_ego[self.chosen]
+
+    def to_world(self, state: _MotionState) -> Float64Array:
+        """The points (N, 3) [m], each by the pose at its own time."""
+        return _to_world(state, self.points_ego, self.seconds)[0]
 
 
-_FIRST_ROOM = 1 << 15
+def _to_world(
+    state: _MotionState, points_ego: Float64Array, seconds: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Points (N, 3) [m] in the world, each (N,) seconds after the state; the arms from the ego to them, world axes."""
+    points_world, arms = np.empty_like(points_ego), np.empty_like(points_ego)
+    move_points(points_ego, seconds, state.rotation, state.position, state.yaw_rate, state.velocity, points_world, arms)
+    return points_world, arms
+
+
+_INITIAL_CAPACITY = 1 << 15
 
 _LEAST_POINTS = 5.0
-"""Points that a cube needs before it says where its surface is."""
+"""Points that a cube needs for a surface."""
 
 _MOST_HITS = 3
-"""Points that each part of a cube takes: what is full stays as it was measured first, so a stationary ego changes
-nothing, and the map does not follow the poses that were found with it."""
+"""Points that each part of a cube takes: a full part stays as it was measured first, so that a stationary ego changes
+nothing, and the map does not follow the poses that were estimated with it."""
 
 
 class SurfaceLevel:
@@ -248,62 +227,53 @@ class SurfaceLevel:
         """Start empty, with cubes of side `leaf` [m] for points with a standard deviation `noise` [m]."""
         self.leaf, self._noise = leaf, noise
         self.count = 0
-        self.keys = np.zeros(_FIRST_ROOM, np.int64)
-        self.table = np.full(4 * _FIRST_ROOM, -1, np.int32)
-        self.surfaces = np.zeros((_FIRST_ROOM, 15))
-        self._moments = np.zeros((_FIRST_ROOM, 10))
-        self._hits = np.zeros((_FIRST_ROOM, SIDE**3), np.uint8)
-        self._touched = np.zeros(_FIRST_ROOM, np.uint8)
+        self.keys = np.zeros(_INITIAL_CAPACITY, np.int64)
+        self.table = np.full(4 * _INITIAL_CAPACITY, -1, np.int32)
+        self.surfaces = np.zeros((_INITIAL_CAPACITY, 15))
+        self._moments = np.zeros((_INITIAL_CAPACITY, 10))
+        self._hits = np.zeros((_INITIAL_CAPACITY, SIDE**3), np.uint8)
+        self._touched = np.zeros(_INITIAL_CAPACITY, np.uint8)
 
     def insert(self, points_world: Float64Array) -> None:
         """Add (N, 3) finite points [m]."""
         progress = np.array([0, self.count], np.int64)
         while True:
             insert_points(
-                points_world,
-                progress,
-                self.leaf,
-                _MOST_HITS,
-                self.table,
-                self.keys,
-                self._moments,
-                self._hits,
+                points_world, progress, self.leaf, _MOST_HITS, self.table, self.keys, self._moments, self._hits,
                 self._touched,
-            )
+            )  # fmt: skip
             self.count = int(progress[1])
             if progress[0] == len(points_world):
                 break
             self._resize(np.arange(self.count), 2 * len(self.keys))
         describe_surfaces(
-            self.count,
-            self.leaf,
-            self._noise,
-            _LEAST_POINTS,
-            self.keys,
-            self._moments,
-            self._touched,
-            self.surfaces,
+            self.count, self.leaf, self._noise, _LEAST_POINTS, self.keys, self._moments, self._touched, self.surfaces
         )
 
+    @property
+    def lookup(self) -> tuple[float, AnyArray, Int64Array, Float64Array]:
+        """Side of the cubes, hash table, keys and surfaces, as kernels take them."""
+        return self.leaf, self.table, self.keys, self.surfaces
+
     def drop_beyond(self, position_world: Float64Array, reach: float) -> None:
-        """Forget the cubes farther than `reach` [m] from a location, and return the memory they took."""
+        """Drop the cubes farther than `reach` [m] from a position, and free their memory."""
         keys = self.keys[: self.count]
         parts = np.stack([(keys >> 42), (keys >> 21), keys], axis=1) & ((1 << 21) - 1)
         centers = (parts - (1 << 20) + 0.5) * self.leaf
         kept = np.flatnonzero(((centers - position_world) ** 2).sum(axis=1) <= reach * reach)
-        room = _FIRST_ROOM
-        while room < 1.5 * len(kept):
-            room *= 2
-        self._resize(kept, room)
+        capacity = _INITIAL_CAPACITY
+        while capacity < 1.5 * len(kept):
+            capacity *= 2
+        self._resize(kept, capacity)
 
-    def _resize(self, kept: Int64Array, room: int) -> None:
+    def _resize(self, kept: Int64Array, capacity: int) -> None:
         for name in ("keys", "surfaces", "_moments", "_hits", "_touched"):
             old = getattr(self, name)
-            new = np.zeros((room, *old.shape[1:]), old.dtype)
+            new = np.zeros((capacity, *old.shape[1:]), old.dtype)
             new[: len(kept)] = old[kept]
             setattr(self, name, new)
         self.count = len(kept)
-        self.table = np.full(4 * room, -1, np.int32)
+        self.table = np.full(4 * capacity, -1, np.int32)
         fill_table(self.count, self.keys, self.table)
 
 
@@ -312,25 +282,25 @@ _COARSE = 4.0
 
 
 class LocalMap:
-    """Two levels of surfaces: small cubes for what is measured densely, large ones for the rest."""
+    """Two levels of surfaces: small cubes of side `cube` [m] for dense points, large ones for the rest."""
 
     def __init__(self, cube: float, noise: float) -> None:
-        """Start empty, with small cubes of side `cube` [m]."""
-        self.fine, self.coarse = SurfaceLevel(cube, noise), SurfaceLevel(_COARSE * cube, noise)
+        """Start empty."""
+        self.levels = SurfaceLevel(cube, noise), SurfaceLevel(_COARSE * cube, noise)
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing was inserted yet."""
-        return self.fine.count == 0
+        return self.levels[0].count == 0
 
     def insert(self, points_world: Float64Array) -> None:
         """Add (N, 3) finite points [m]."""
-        for level in (self.fine, self.coarse):
+        for level in self.levels:
             level.insert(points_world)
 
     def drop_beyond(self, position_world: Float64Array, reach: float) -> None:
-        """Forget what lies farther than `reach` [m] from a location."""
-        for level in (self.fine, self.coarse):
+        """Drop what is farther than `reach` [m] from a position."""
+        for level in self.levels:
             level.drop_beyond(position_world, reach)
 
 
@@ -345,78 +315,53 @@ _ROTATION_DONE, _SHIFT_DONE = 2e-5, 5e-4
 _POINTS_PER_MEASUREMENT = 10.0
 """Neighbouring points share the errors of the surface they lie on; so many count as one."""
 
+_LEAST_MATCHED, _LEAST_AGREEING = 0.3, 0.5
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """What fitting a sweep gave.
+    """A sweep fitted onto the map."""
 
-    Attributes:
-        state: pose and motion, with their covariance given the map.
-        information: (6, 6) of the pose by the sweep alone.
-        matched: share of the points that met a surface.
-        agreeing: share of those that lie on it, within 3 standard deviations.
-        steps: how many were made.
-    """
+    state: _MotionState  # pose and motion, with their covariance given the map
+    matched: float  # share of the points that met a surface
+    agreeing: float  # share of those that lie on it, within 3 standard deviations
 
-    state: _MotionState
-    information: Float64Array
-    matched: float
-    agreeing: float
-    steps: int
+    @property
+    def is_good(self) -> bool:
+        """Whether it can be trusted."""
+        return self.matched >= _LEAST_MATCHED and self.agreeing >= _LEAST_AGREEING
+
+    @property
+    def score(self) -> float:
+        """Share of the points that lie on a surface."""
+        return self.matched * self.agreeing
 
 
-def _fit_sweep(points_ego: Float64Array, seconds: Float64Array, prior: _MotionState, local_map: LocalMap) -> _Fit:
-    """Find the state that agrees best with the prior and with the map.
-
-    Args:
-        points_ego: (N, 3) float64 [m], each as measured at its own time.
-        seconds: (N,) float64, times after the prior's.
+def _fit_sweep(sweep: _Sweep, prior: _MotionState, local_map: LocalMap) -> _Fit:
+    """Find the state that agrees best with the prior, which is at the sweep's time, and with the map.
 
     Source: Bell and Cathey 1993: the iterated Kalman filter's update is this Gauss-Newton optimisation.
     """
+    points_ego, seconds = sweep.chosen_points, sweep.seconds[sweep.chosen]
     prior_information = np.linalg.inv(prior.covariance)
-    state, count = prior, len(points_ego)
-    fine, coarse = local_map.fine, local_map.coarse
-    points_world, arms = np.empty((count, 3)), np.empty((count, 3))
+    state = prior
+    fine, coarse = (level.lookup for level in local_map.levels)
     information, gradient, sums = np.empty((3, 6, 6)), np.empty((2, 6)), np.empty(4)
     for step in range(_MOST_STEPS):
-        state.move(points_ego, seconds, points_world, arms)
-        accumulate_normal_equations(
-            points_world,
-            arms,
-            seconds,
-            _SCALES[min(step, len(_SCALES) - 1)],
-            fine.leaf,
-            fine.table,
-            fine.keys,
-            fine.surfaces,
-            coarse.leaf,
-            coarse.table,
-            coarse.keys,
-            coarse.surfaces,
-            information,
-            gradient,
-            sums,
-        )
+        points_world, arms = _to_world(state, points_ego, seconds)
+        scale = _SCALES[min(step, len(_SCALES) - 1)]
+        accumulate_normal_equations(points_world, arms, seconds, scale, *fine, *coarse, information, gradient, sums)
         measured = np.block([[information[0], information[1]], [information[1], information[2]]])
         total = measured / _POINTS_PER_MEASUREMENT + prior_information
         slope = gradient.ravel() / _POINTS_PER_MEASUREMENT + prior_information @ state.minus(prior)
         change = np.asarray(-np.linalg.solve(total, slope), np.float64)
         state = state.changed(change)
-        if (
-            step >= len(_SCALES) - 1
-            and np.linalg.norm(change[:3]) < _ROTATION_DONE
-            and np.linalg.norm(change[3:6]) < _SHIFT_DONE
-        ):
+        small = np.linalg.norm(change[:3]) < _ROTATION_DONE and np.linalg.norm(change[3:6]) < _SHIFT_DONE
+        if step >= len(_SCALES) - 1 and small:
             break
     covariance = np.linalg.inv(total)
-    return _Fit(
-        replace(state, covariance=0.5 * (covariance + covariance.T)),
-        information[0] / _POINTS_PER_MEASUREMENT,
-        sums[0] / max(count, 1),
-        sums[3] / max(sums[0], 1.0),
-        step + 1,
-    )
+    state = replace(state, covariance=0.5 * (covariance + covariance.T))
+    return _Fit(state, sums[0] / max(len(points_ego), 1), sums[3] / max(sums[0], 1.0))
 
 
 _SPACING = 0.5
@@ -426,54 +371,37 @@ _REACHES = (5.0, 1.5)
 """Points farther apart than this [m] do not belong together: first roughly, then closely."""
 
 _SPEEDS = (0.0, 10.0, 20.0, 30.0, -5.0)
-"""Speeds along the ego's x axis [m/s] to begin from where nothing is known: matching alone finds a few metres."""
+"""Speeds along the ego's x axis [m/s] to begin from where nothing is known: matching alone converges over a few
+metres."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Guess:
-    """A motion that may be the right one.
+def _match(
+    earlier: _Sweep, later: _Sweep, seconds: float, speeds: Sequence[float]
+) -> tuple[Float64Array, Float64Array] | None:
+    """Match two sweeps from several speeds: `earlier_from_later`, rotation (3, 3) and translation (3,) [m].
 
-    Attributes:
-        rotation, translation: (3, 3) and (3,) [m], `earlier_from_later`.
-        misfit: mean squared distance of the points that found a partner, larger where fewer did.
-    """
-
-    rotation: Float64Array
-    translation: Float64Array
-    misfit: float
-
-
-def _guess_motion(
-    earlier: Float64Array, later: Float64Array, seconds: float, *, speeds: Sequence[float]
-) -> list[Guess]:
-    """Match two sweeps, (N, 3) and (M, 3) [m] in the ego frame, from several speeds; the best guess comes first.
-
-    One thread, so that equal sweeps give equal guesses.
+    The best result has the least mean squared distance of the points that found a partner, larger where fewer did.
+    One thread, so that equal sweeps give equal results.
 
     Source: Segal, Haehnel and Thrun 2009, "Generalized-ICP"; Koide 2024, "small_gicp".
     """
-    target, tree = small_gicp.preprocess_points(earlier, _SPACING, _NEIGHBOURS, 1)
-    source, _ = small_gicp.preprocess_points(later, _SPACING, _NEIGHBOURS, 1)
-    guesses = []
+    target, tree = small_gicp.preprocess_points(earlier.chosen_points, _SPACING, _NEIGHBOURS, 1)
+    source, _ = small_gicp.preprocess_points(later.chosen_points, _SPACING, _NEIGHBOURS, 1)
+    least, best = np.inf, None
     for speed in speeds:
         pose = np.eye(4)
         pose[0, 3] = speed * seconds
         for reach in _REACHES:
             result = small_gicp.align(
-                target,
-                source,
-                tree,
-                pose,
-                registration_type="GICP",
-                max_correspondence_distance=reach,
-                num_threads=1,
+                target, source, tree, pose, registration_type="GICP", max_correspondence_distance=reach, num_threads=1
             )
             pose = np.asarray(result.T_target_source)
         share = result.num_inliers / max(source.size(), 1)
         if share > 0:
             misfit = float(result.error) / max(result.num_inliers, 1) / share**2
-            guesses.append(Guess(pose[:3, :3].copy(), pose[:3, 3].copy(), misfit))
-    return sorted(guesses, key=lambda guess: guess.misfit)
+            if misfit < least:
+                least, best = misfit, (pose[:3, :3].copy(), pose[:3, 3].copy())
+    return best
 
 
 _UNKNOWN_ROTATION_RATE, _UNKNOWN_SPEED = 0.5, 20.0
@@ -481,43 +409,46 @@ _UNKNOWN_ROTATION_RATE, _UNKNOWN_SPEED = 0.5, 20.0
 _GUESSED_ROTATION_RATE, _GUESSED_SPEED = 0.1, 1.0
 """Standard deviations [rad/s], [m/s] before and after a first guess."""
 
-_STANDSTILL_ROTATION, _STANDSTILL_SHIFT = 1e-4, 1e-3
-"""How well a pose is known that is so by definition [rad], [m]."""
+_ORIGIN_ROTATION, _ORIGIN_SHIFT = 1e-4, 1e-3
+"""Standard deviations of a pose that is known by definition [rad], [m]."""
 
 _STARTING_ROUNDS = 3
-_LEAST_MATCHED, _LEAST_AGREEING = 0.3, 0.5
 _GAP_PERIODS, _LEAST_GAP = 5.0, 0.5
 _LONGEST_PREDICTION = 2.0
 _MOST_FAILURES = 5
 _DROP_EVERY = 10.0
-_RENEWAL_TRAJECTORY = 15.0
+_RENEWAL_DISTANCE = 15.0
 
 
 class Outcome(StrEnum):
-    """How a pose came about."""
+    """How a pose was found."""
 
     STARTED = "started"
     """The first sweep of a map."""
     FITTED = "fitted"
     """The sweep was fitted onto the map."""
     TOO_FEW = "too-few-points"
-    """The sweep holds too few usable points: predicted."""
+    """The sweep has too few usable points: predicted."""
     MISFIT = "misfit"
     """The sweep does not fit onto the map: predicted."""
     RESTARTED = "restarted"
-    """A new map was begun at the predicted pose: after a gap in time, or where sweeps kept misfitting."""
+    """A new map was begun at the predicted pose: after a gap in time, or after repeated misfits."""
+
+
+_BEGINNINGS = (Outcome.STARTED, Outcome.RESTARTED)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEstimate:
-    """What one sweep reported.
+    """The estimate from one sweep.
 
     Attributes:
         state: pose and motion in the middle of the sweep, in a world that is the ego's pose at the first sweep.
-        covariance: (6, 6) of a small rotation, then a small shift along the world's axes, relative to the first pose.
-        outcome: how it came about.
+        covariance: (6, 6) of a small rotation, then a small translation along the world's axes, relative to the first
+            pose.
+        outcome: how it was found.
         first_ns, last_ns: the span of the sweep's points [ns].
-        first_state: pose and motion of the sweep that the map began with, where this sweep reported it; else None.
+        first_state: pose and motion of the sweep that the map began with, where this sweep determined it; else None.
     """
 
     state: _MotionState
@@ -526,6 +457,11 @@ class PoseEstimate:
     first_ns: int
     last_ns: int
     first_state: _MotionState | None = None
+
+    def knot(self, timestamp_ns: int) -> "_Knot":
+        """The pose at a time near the sweep."""
+        rotation, position = self.state.at(timestamp_ns)
+        return _Knot(timestamp_ns, position, quaternion_from_matrix(rotation), self.covariance)
 
 
 class LidarOdometry:
@@ -537,7 +473,7 @@ class LidarOdometry:
         self._map = self._new_map()
         self._state: _MotionState | None = None
         self._anchor: _Sweep | None = None
-        """The sweep that the map began with, until a second one reports how the ego moved during it."""
+        """The sweep that the map began with, until a second one determines how the ego moved during it."""
         self._last_good: tuple[_Sweep, _MotionState] | None = None
         self._drift = np.zeros((6, 6))
         self._periods: list[float] = []
@@ -551,9 +487,9 @@ class LidarOdometry:
 
         Args:
             timestamp_ns: start of the sweep [ns].
-            positions_ego: (N, 3) float [m], ego frame, each point as measured at its own time; what is not finite is
+            positions_ego: (N, 3) float [m], ego frame, each point as measured at its own time; non-finite ones are
                 left out.
-            timestamps_ns: (N,) int64 [ns], or None where not known: then all are taken as measured at once.
+            timestamps_ns: (N,) int64 [ns], or None where unknown: then all are taken as measured at once.
 
         Returns:
             The ego's pose in the middle of the sweep; None for a sweep whose middle is not later than that of the one
@@ -566,58 +502,56 @@ class LidarOdometry:
             raise ArrayError(f"positions_ego: {positions_ego.shape}; expected (N, 3)")
         if timestamps_ns is not None and timestamps_ns.shape != positions_ego.shape[:1]:
             raise ArrayError(f"timestamps_ns: {timestamps_ns.shape}; expected ({len(positions_ego)},)")
-        sweep = _usable_sweep(timestamp_ns, positions_ego, timestamps_ns, self.configuration)
-        if self._state is not None and sweep.timestamp_ns <= self._state.timestamp_ns:
+        sweep = _Sweep.of(timestamp_ns, positions_ego, timestamps_ns, self.configuration)
+        state = self._state
+        if state is not None and sweep.timestamp_ns <= state.timestamp_ns:
             return None
-        if self._state is None or self._map.is_empty:
-            return self._begin(sweep)
-        seconds = (sweep.timestamp_ns - self._state.timestamp_ns) * 1e-9
-        gap = self._is_gap(seconds)
-        prior = self._predict(self._state, sweep.timestamp_ns)
-        if not gap:
+        has_few = len(sweep.chosen) < self.configuration.least_points
+        if state is None or self._map.is_empty:
+            return self._begin(sweep, has_few=has_few)
+        seconds = (sweep.timestamp_ns - state.timestamp_ns) * 1e-9
+        usual = float(np.median(self._periods)) if self._periods else seconds
+        is_gap = seconds > max(_GAP_PERIODS * usual, _LEAST_GAP)
+        prior = self._predict(state, sweep.timestamp_ns)
+        if not is_gap:
             self._periods = [*self._periods[-20:], seconds]
-        if len(sweep.chosen) < self.configuration.least_points:
+        if has_few:
             return self._predicted(sweep, prior, Outcome.TOO_FEW)
-        if gap:
+        if is_gap:
             return self._restart(sweep, prior)
         if self._anchor is not None:
-            return self._second(sweep, self._state, self._anchor)
+            return self._second(sweep, state, self._anchor)
         return self._follow(sweep, prior)
 
     def _new_map(self) -> LocalMap:
         return LocalMap(self.configuration.cube, self.configuration.range_noise)
 
-    def _is_gap(self, seconds: float) -> bool:
-        usual = float(np.median(self._periods)) if self._periods else seconds
-        return seconds > max(_GAP_PERIODS * usual, _LEAST_GAP)
-
     def _predict(self, state: _MotionState, timestamp_ns: int) -> _MotionState:
-        """Go on with the last motion; over long gaps the ego stays where it was after two seconds."""
-        settings = self.configuration
-        reach_ns = state.timestamp_ns + int(_LONGEST_PREDICTION * 1e9)
-        if timestamp_ns <= reach_ns:
-            return state.predicted(timestamp_ns, settings.acceleration, settings.yaw_acceleration)
-        stopped = state.predicted(reach_ns, settings.acceleration, settings.yaw_acceleration)
-        grown = state.predicted(timestamp_ns, settings.acceleration, settings.yaw_acceleration).covariance
-        return replace(stopped, timestamp_ns=timestamp_ns, covariance=grown)
+        """Continue the last motion; over long gaps the ego stays where it was after two seconds."""
+        limit_ns = state.timestamp_ns + int(_LONGEST_PREDICTION * 1e9)
+        predicted = state.predicted(timestamp_ns, self.configuration)
+        if timestamp_ns <= limit_ns:
+            return predicted
+        stopped = state.predicted(limit_ns, self.configuration)
+        return replace(stopped, timestamp_ns=timestamp_ns, covariance=predicted.covariance)
 
-    def _begin(self, sweep: _Sweep) -> PoseEstimate:
+    def _begin(self, sweep: _Sweep, *, has_few: bool) -> PoseEstimate:
         """The first sweep with enough points defines the world; until it comes, all poses are the identity."""
         state = _MotionState(sweep.timestamp_ns, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), _unknown_motion())
         self._state = state
-        if len(sweep.chosen) < self.configuration.least_points:
-            return PoseEstimate(state, self._drift.copy(), Outcome.TOO_FEW, sweep.first_ns, sweep.last_ns)
-        self._start_map(sweep, state)
-        return PoseEstimate(state, self._drift.copy(), Outcome.STARTED, sweep.first_ns, sweep.last_ns)
+        if not has_few:
+            self._start_map(sweep, state)
+        outcome = Outcome.TOO_FEW if has_few else Outcome.STARTED
+        return PoseEstimate(state, self._drift.copy(), outcome, sweep.first_ns, sweep.last_ns)
 
     def _start_map(self, sweep: _Sweep, state: _MotionState) -> None:
         self._map = self._new_map()
-        self._map.insert(_to_world(sweep, state))
+        self._map.insert(sweep.to_world(state))
         self._anchor, self._last_good, self._failures = sweep, (sweep, state), 0
         self._cleaned_at = state.position
 
     def _restart(self, sweep: _Sweep, prior: _MotionState) -> PoseEstimate:
-        """Begin a new map where the ego should be by now; all that is not known of that is drift from here on."""
+        """Begin a new map at the predicted pose, whose uncertainty is drift from here on."""
         self._drift = self._carried_drift(prior) + prior.covariance[:6, :6]
         state = replace(prior, covariance=_unknown_motion())
         self._start_map(sweep, state)
@@ -631,14 +565,18 @@ class LidarOdometry:
         return PoseEstimate(prior, covariance, outcome, sweep.first_ns, sweep.last_ns)
 
     def _second(self, sweep: _Sweep, state: _MotionState, anchor: _Sweep) -> PoseEstimate:
-        """Find the motion by the first two sweeps; deskew the first by it, begin the map anew, and find it again."""
+        """Estimate the motion from the first two sweeps; deskew the first with it, begin the map anew, and repeat."""
         before = self._last_good[1] if self._last_good else state
         seconds = (sweep.timestamp_ns - before.timestamp_ns) * 1e-9
-        motions = self._first_motions(anchor, sweep, before, seconds)
+        # the motion as it was before the start, and that by which the two sweeps match
+        motions = [before]
+        match = _match(anchor, sweep, seconds, _SPEEDS)
+        if match is not None:
+            motions.append(_moved_between(before, replace(before.moved(*match), timestamp_ns=sweep.timestamp_ns)))
         fits = [self._fit_first(anchor, sweep, before, motion) for motion in motions]
-        fit, first = max(fits, key=lambda entry: entry[0].matched * entry[0].agreeing)
+        fit, first = max(fits, key=lambda entry: entry[0].score)
         self._map = self._new_map()
-        self._map.insert(_to_world(anchor, first))
+        self._map.insert(anchor.to_world(first))
         self._anchor = None
         self._drift = self._drift + fit.state.covariance[:6, :6]
         return replace(self._accept(sweep, fit), first_state=first)
@@ -648,67 +586,39 @@ class LidarOdometry:
     ) -> tuple[_Fit, _MotionState]:
         """Fit the second sweep onto the first, which is deskewed better each time."""
         for _ in range(_STARTING_ROUNDS):
-            self._map = self._new_map()
-            self._map.insert(_to_world(anchor, first))
-            fit = self._fit(sweep, self._predict(first, sweep.timestamp_ns))
+            local_map = self._new_map()
+            local_map.insert(anchor.to_world(first))
+            fit = _fit_sweep(sweep, self._predict(first, sweep.timestamp_ns), local_map)
             first = _moved_between(before, fit.state)
         return fit, first
 
-    def _first_motions(self, anchor: _Sweep, sweep: _Sweep, before: _MotionState, seconds: float) -> list[_MotionState]:
-        """What the motion may be: as it was before the start, and what matching the two sweeps says."""
-        motions = [before]
-        guesses = _guess_motion(
-            anchor.points_ego[anchor.chosen], sweep.points_ego[sweep.chosen], seconds, speeds=_SPEEDS
-        )
-        for guess in guesses[:1]:
-            later = replace(
-                before,
-                timestamp_ns=sweep.timestamp_ns,
-                rotation=before.rotation @ guess.rotation,
-                position=before.position + before.rotation @ guess.translation,
-            )
-            motions.append(_moved_between(before, later))
-        return motions
-
-    def _fit(self, sweep: _Sweep, prior: _MotionState) -> _Fit:
-        return _fit_sweep(sweep.points_ego[sweep.chosen], sweep.seconds[sweep.chosen], prior, self._map)
-
     def _follow(self, sweep: _Sweep, prior: _MotionState) -> PoseEstimate:
-        fit = self._fit(sweep, prior)
-        if not _is_good(fit) and self._last_good is not None:
-            fit = self._fit_from_guess(sweep, prior, fit, *self._last_good)
-        if _is_good(fit):
+        fit = _fit_sweep(sweep, prior, self._map)
+        if not fit.is_good and self._last_good is not None:
+            # again from where matching with the last good sweep puts the ego
+            last, state = self._last_good
+            seconds = (sweep.timestamp_ns - state.timestamp_ns) * 1e-9
+            match = _match(last, sweep, seconds, (float(prior.rotation[:, 0] @ prior.velocity),))
+            if match is not None:
+                moved = state.moved(*match)
+                other = _fit_sweep(sweep, replace(prior, rotation=moved.rotation, position=moved.position), self._map)
+                fit = max(fit, other, key=lambda one: one.score)
+        if fit.is_good:
             return self._accept(sweep, fit)
         self._failures += 1
         if self._failures > _MOST_FAILURES:
             return self._restart(sweep, prior)
         return self._predicted(sweep, prior, Outcome.MISFIT)
 
-    def _fit_from_guess(self, sweep: _Sweep, prior: _MotionState, fit: _Fit, last: _Sweep, state: _MotionState) -> _Fit:
-        """Fit again from where matching with the last good sweep puts the ego, if that is better."""
-        seconds = (sweep.timestamp_ns - state.timestamp_ns) * 1e-9
-        speed = float(prior.rotation[:, 0] @ prior.velocity)
-        guesses = _guess_motion(last.points_ego[last.chosen], sweep.points_ego[sweep.chosen], seconds, speeds=(speed,))
-        for guess in guesses[:1]:
-            moved = replace(
-                prior,
-                rotation=state.rotation @ guess.rotation,
-                position=state.position + state.rotation @ guess.translation,
-            )
-            other = self._fit(sweep, moved)
-            if other.matched * other.agreeing > fit.matched * fit.agreeing:
-                return other
-        return fit
-
     def _accept(self, sweep: _Sweep, fit: _Fit) -> PoseEstimate:
-        """Go on from a good fit, and add the sweep to the map."""
+        """Continue from a good fit, and add the sweep to the map."""
         state = fit.state
         before = self._state or state
-        trajectory = float(np.linalg.norm(state.position - before.position))
+        distance = float(np.linalg.norm(state.position - before.position))
         self._drift = self._carried_drift(state)
-        self._drift += fit.state.covariance[:6, :6] * min(1.0, trajectory / _RENEWAL_TRAJECTORY)
+        self._drift += state.covariance[:6, :6] * min(1.0, distance / _RENEWAL_DISTANCE)
         self._state, self._last_good, self._failures = state, (sweep, state), 0
-        self._map.insert(_to_world(sweep, state))
+        self._map.insert(sweep.to_world(state))
         if np.linalg.norm(state.position - self._cleaned_at) > _DROP_EVERY:
             self._map.drop_beyond(state.position, self.configuration.map_reach)
             self._cleaned_at = state.position
@@ -718,26 +628,10 @@ class LidarOdometry:
     def _carried_drift(self, state: _MotionState) -> Float64Array:
         """The drift so far, seen from a new position: an error of the orientation moves what lies farther on."""
         before = self._state.position if self._state is not None else state.position
-        return carried_covariance(self._drift, state.position - before)
-
-
-def carried_covariance(covariance: Float64Array, trajectory: Float64Array) -> Float64Array:
-    """The covariance (6, 6) of a rotation and a shift, seen from a location that lies (3,) [m] farther on."""
-    x, y, z = trajectory
-    lever = np.eye(6)
-    lever[_SHIFT, _ROTATION] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-    carried: Float64Array = lever @ covariance @ lever.T
-    return carried
-
-
-def _to_world(sweep: _Sweep, state: _MotionState) -> Float64Array:
-    points_world, arms = np.empty_like(sweep.points_ego), np.empty_like(sweep.points_ego)
-    state.move(sweep.points_ego, sweep.seconds, points_world, arms)
-    return points_world
-
-
-def _is_good(fit: _Fit) -> bool:
-    return fit.matched >= _LEAST_MATCHED and fit.agreeing >= _LEAST_AGREEING
+        x, y, z = state.position - before
+        lever = np.eye(6)
+        lever[_SHIFT, _ROTATION] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        return np.asarray(lever @ self._drift @ lever.T, np.float64)
 
 
 def _unknown_motion() -> Float64Array:
@@ -745,16 +639,13 @@ def _unknown_motion() -> Float64Array:
 
 
 def _motion_covariance(yaw_rate: float, speed: float) -> Float64Array:
-    deviations = np.empty(12)
-    deviations[_ROTATION], deviations[_SHIFT] = _STANDSTILL_ROTATION, _STANDSTILL_SHIFT
-    deviations[_YAW_RATE], deviations[_VELOCITY] = yaw_rate, speed
-    return np.diag(deviations**2)
+    return np.diag(np.repeat([_ORIGIN_ROTATION, _ORIGIN_SHIFT, yaw_rate, speed], 3) ** 2)
 
 
 def _moved_between(first: _MotionState, second: _MotionState) -> _MotionState:
     """The first state with the constant motion that leads to the second one's pose.
 
-    What the skew of the sweeps says is left aside: two sweeps that are skewed alike fit well.
+    The skew of the sweeps is ignored: two sweeps that are skewed alike fit well.
     """
     seconds = (second.timestamp_ns - first.timestamp_ns) * 1e-9
     yaw_rate = _rotation_vector(second.rotation @ first.rotation.T) / seconds
@@ -768,9 +659,13 @@ _SAME_PERIOD = 0.75
 """Sweeps that begin within this part of a period of one another belong together."""
 
 
+def _warning(kind: WarningKind, code: str, location: str, message: str, count: int = 1) -> DataWarning:
+    return DataWarning(kind=kind, code=code, location=location, message=message, count=count)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class EgoCloud:
-    """What the lidars measured in one period.
+    """The points of all lidars in one period.
 
     Attributes:
         timestamp_ns: start of the first of its sweeps [ns].
@@ -783,62 +678,65 @@ class EgoCloud:
     timestamps_ns: Int64Array | None
 
 
+_SWEEP_NOTES = {
+    "odometry-sweep-unreadable": "of {} sweeps these cannot be read",
+    "sweeps-without-returns": "of {} sweeps these have no returns; was the lidar blind?",
+    "repeated-sweeps": "of {} sweeps these repeat the points of the one before, as if stationary; was the lidar stuck?",
+}
+
+
 @dataclass(slots=True)
 class _Source:
-    """A lidar that odometry can use."""
+    """A lidar that odometry can use, and the counts of `_SWEEP_NOTES`."""
 
     lidar: LidarSensor
     ego_from_points: RigidTransform
     period_ns: int
     raw: RawTimes | None = None
     statistics: PointTimesStatistics = field(default_factory=PointTimesStatistics)
-    unreadable: int = 0
-    empty: int = 0
-    repeated: int = 0
+    counts: Counter[str] = field(default_factory=Counter)
     _latest: FloatArray | None = None
 
-    def note(self, frame: LidarFrame) -> None:
-        """Count sweeps without returns, and those that are the one before over again."""
+    def read(self, index: int, *, lenient: bool) -> LidarFrame | None:
+        """Read a sweep, with point times as far as they are known; None where it cannot be read.
+
+        Raises:
+            DataError: it cannot be read, and this is not lenient.
+        """
+        try:
+            frame = self.lidar.frames[index]
+        except DataError:
+            if not lenient:
+                raise
+            self.counts["odometry-sweep-unreadable"] += 1
+            return None
         positions = frame.points.positions
         if len(positions) == 0:
-            self.empty += 1
+            self.counts["sweeps-without-returns"] += 1
         elif self._latest is not None and np.array_equal(positions, self._latest, equal_nan=True):
-            self.repeated += 1
+            self.counts["repeated-sweeps"] += 1
         self._latest = positions
+        timed = timed_frame(frame, self.period_ns, previous=self.raw)
+        self.raw = timed.raw or self.raw
+        self.statistics.add(timed.found)
+        return timed.frame
 
-    def warnings(self) -> list[DataWarning]:
-        """What there is to state of the lidar's sweeps."""
+    def warnings(self) -> Iterator[DataWarning]:
+        """The warnings about the sweeps that were read."""
         location, count = f"sensors[{self.lidar.id}].frames", len(self.lidar.frames)
-        notes = (
-            ("odometry-sweep-unreadable", self.unreadable, f"of {count} sweeps these cannot be read"),
-            (
-                "sweeps-without-returns",
-                self.empty,
-                f"of {count} sweeps these have no returns; was the lidar blind?",
-            ),
-            (
-                "repeated-sweeps",
-                self.repeated,
-                f"of {count} sweeps these hold exactly the points of the one before, as if it stood; was it stuck?",
-            ),
-        )
-        return [
-            *self.statistics.warnings(f"{location}[].points.timestamps"),
-            *(
-                DataWarning(kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=found)
-                for code, found, message in notes
-                if found
-            ),
-        ]
+        yield from self.statistics.warnings(f"{location}[].points.timestamps")
+        for code, message in _SWEEP_NOTES.items():
+            if self.counts[code]:
+                yield _warning(WarningKind.ASSUMED, code, location, message.format(count), self.counts[code])
 
 
 @dataclass(slots=True)
 class SceneSweeps:
-    """Gives the clouds of a scene one after another and remembers what had to be stated about them.
+    """The clouds of a scene one after another, and the warnings about them.
 
     Attributes:
-        groups: the sweeps that make each cloud: number of the lidar, number of the frame.
-        warnings: what was assumed, repaired or left out of the whole scene.
+        groups: the sweeps of each cloud: number of the lidar, number of the frame.
+        warnings: about the whole scene.
     """
 
     scene: Scene
@@ -869,62 +767,32 @@ class SceneSweeps:
             DataError: a sweep cannot be read, and this is not lenient.
         """
         for row, group in enumerate(self.groups):
-            cloud = self._cloud(group)
-            if cloud is not None:
-                yield row, cloud
+            parts = []
+            for number, index in group:
+                source = self.sources[number]
+                frame = source.read(index, lenient=self.lenient)
+                if frame is not None:
+                    self.untimed += frame.points.timestamps_ns is None and len(frame.points) > 0
+                    parts.append((frame, source.ego_from_points.apply(frame.points.positions)))
+            if not parts:
+                continue
+            start_ns = min(frame.timestamp_ns for frame, _ in parts)
+            positions, times = np.concatenate([points for _, points in parts]), None
+            if not len(positions) or any(frame.points.timestamps_ns is not None for frame, _ in parts):
+                times = np.concatenate([_times(frame) for frame, _ in parts])
+            yield row, EgoCloud(start_ns, positions, times)
 
-    def counted_warnings(self) -> tuple[DataWarning, ...]:
-        """Notes on the clouds that were read; `warnings` are those on the whole scene."""
-        of_lidars = [warning for source in self.sources for warning in source.warnings()]
-        return (*of_lidars, *self._untimed_warning())
-
-    def _untimed_warning(self) -> list[DataWarning]:
-        if not self.untimed:
-            return []
-        message = (
-            "points without times of their own were taken as measured at once, at their sweep's time: "
-            "what the ego moved during a sweep stays in its points and in the poses"
-        )
-        return [
-            DataWarning(
-                kind=WarningKind.ASSUMED,
-                code="odometry-without-point-times",
-                location=self.scene.source,
-                message=message,
-                count=self.untimed,
+    def counted_warnings(self) -> Iterator[DataWarning]:
+        """The warnings about the clouds that were read."""
+        for source in self.sources:
+            yield from source.warnings()
+        if self.untimed:
+            message = (
+                "points without times of their own were taken as measured at once, at their sweep's time: "
+                "the ego's motion during a sweep remains in its points and in the poses"
             )
-        ]
-
-    def _cloud(self, group: list[tuple[int, int]]) -> EgoCloud | None:
-        parts = []
-        for number, index in group:
-            source = self.sources[number]
-            frame = self._read(source, index)
-            if frame is not None:
-                parts.append((frame, source.ego_from_points.apply(frame.points.positions)))
-        if not parts:
-            return None
-        start_ns = min(frame.timestamp_ns for frame, _ in parts)
-        positions = np.concatenate([points for _, points in parts])
-        if len(positions) and all(frame.points.timestamps_ns is None for frame, _ in parts):
-            return EgoCloud(start_ns, positions, None)
-        return EgoCloud(start_ns, positions, np.concatenate([_times(frame) for frame, _ in parts]))
-
-    def _read(self, source: _Source, index: int) -> LidarFrame | None:
-        try:
-            frame = source.lidar.frames[index]
-        except DataError:
-            if not self.lenient:
-                raise
-            source.unreadable += 1
-            return None
-        source.note(frame)
-        timed = timed_frame(frame, source.period_ns, previous=source.raw)
-        source.raw = timed.raw or source.raw
-        source.statistics.add(timed.found)
-        if timed.frame.points.timestamps_ns is None and len(frame.points):
-            self.untimed += 1
-        return timed.frame
+            code = "odometry-without-point-times"
+            yield _warning(WarningKind.ASSUMED, code, self.scene.source, message, self.untimed)
 
 
 def _times(frame: LidarFrame) -> Int64Array:
@@ -932,12 +800,8 @@ def _times(frame: LidarFrame) -> Int64Array:
     return np.full(len(frame.points), frame.timestamp_ns, np.int64) if times is None else times
 
 
-def _skipped(code: str, location: str, message: str, count: int = 1) -> DataWarning:
-    return DataWarning(kind=WarningKind.SKIPPED, code=code, location=location, message=message, count=count)
-
-
 def _usable_sources(scene: Scene, warnings: list[DataWarning]) -> list[_Source]:
-    """The lidars whose points can be brought into the ego frame.
+    """The lidars whose points can be transformed into the ego frame.
 
     Raises:
         PoseError: there is none.
@@ -945,38 +809,31 @@ def _usable_sources(scene: Scene, warnings: list[DataWarning]) -> list[_Source]:
     lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
     if not lidars:
         raise PoseError(
-            f"{scene.source}: no lidar sweeps in it, so lidar odometry has nothing to go by; "
+            f"{scene.source}: no lidar sweeps in it for lidar odometry; "
             "choose another trajectory with `--trajectory NAME`"
         )
     raw = [lidar for lidar in lidars if lidar.points_frame is not PointsFrame.WORLD]
     if not raw:
         raise PoseError(
-            f"{scene.source}: the lidar points are in the world already, so their motion is known and taken out; "
+            f"{scene.source}: the lidar points are in world coordinates already, without the ego's motion; "
             "use the scene's own trajectory, or state `--points-frame sensor` if they are not"
         )
-    mounted = [(lidar, mount) for lidar in raw if (mount := _ego_from_points(lidar)) is not None]
+    identity = RigidTransform.identity()
+    mounts = [identity if lidar.points_frame is PointsFrame.EGO else lidar.mount for lidar in raw]
+    mounted = [(lidar, mount) for lidar, mount in zip(raw, mounts, strict=True) if mount is not None]
     if not mounted:
-        mounted = [(raw[0], RigidTransform.identity())]
+        mounted = [(raw[0], identity)]
         message = f"lidar {raw[0].id!r} has no mounting on the ego; the lidar was taken as the ego"
-        warnings.append(
-            DataWarning(
-                kind=WarningKind.ASSUMED,
-                code="lidar-is-the-ego",
-                location=f"sensors[{raw[0].id}]",
-                message=message,
-            )
-        )
+        warnings.append(_warning(WarningKind.ASSUMED, "lidar-is-the-ego", f"sensors[{raw[0].id}]", message))
     used = {id(lidar) for lidar, _ in mounted}
     for lidar in lidars:
         if id(lidar) not in used:
-            why = "its points are in the world already" if lidar not in raw else "its mounting is not known"
+            why = "its points are in world coordinates already" if lidar not in raw else "its mounting is unknown"
             message = f"lidar {lidar.id!r} was left out of the odometry: {why}"
-            warnings.append(_skipped("lidar-left-out-of-odometry", f"sensors[{lidar.id}]", message))
+            warnings.append(
+                _warning(WarningKind.SKIPPED, "lidar-left-out-of-odometry", f"sensors[{lidar.id}]", message)
+            )
     return [_Source(lidar, mount, sweep_period_ns(lidar)) for lidar, mount in mounted]
-
-
-def _ego_from_points(lidar: LidarSensor) -> RigidTransform | None:
-    return RigidTransform.identity() if lidar.points_frame is PointsFrame.EGO else lidar.mount
 
 
 def _grouped(sources: list[_Source], warnings: list[DataWarning]) -> list[list[tuple[int, int]]]:
@@ -988,106 +845,79 @@ def _grouped(sources: list[_Source], warnings: list[DataWarning]) -> list[list[t
         order = np.argsort(timestamps, kind="stable")
         location = f"sensors[{source.lidar.id}].frames"
         if (order != np.arange(len(order))).any():
-            message = "sweeps were not in the order of their time; they were taken in that order"
-            warnings.append(
-                DataWarning(kind=WarningKind.REPAIRED, code="sweeps-sorted", location=location, message=message)
-            )
+            message = "sweeps were not in the order of their time; they were sorted"
+            warnings.append(_warning(WarningKind.REPAIRED, "sweeps-sorted", location, message))
         fresh = np.diff(timestamps[order], prepend=timestamps[order[0]] - 1) > 0
         if not fresh.all():
             message = "sweeps with the time of the one before were left out of the odometry"
-            warnings.append(_skipped("sweeps-of-one-time", location, message, int((~fresh).sum())))
+            warnings.append(_warning(WarningKind.SKIPPED, "sweeps-of-one-time", location, message, int((~fresh).sum())))
         entries += [(int(timestamps[k]), number, int(k)) for k in order[fresh]]
     groups: list[list[tuple[int, int]]] = []
-    start_ns, latest = 0, dict[int, int]()
+    start_ns, latest = 0, set[int]()
     for timestamp_ns, number, index in sorted(entries):
-        period_ns = sources[number].period_ns
-        is_slow = period_ns >= _SAME_PERIOD * longest_ns
+        is_slow = sources[number].period_ns >= _SAME_PERIOD * longest_ns
         if groups and timestamp_ns - start_ns < _SAME_PERIOD * longest_ns and not (is_slow and number in latest):
             groups[-1].append((number, index))
         else:
             groups.append([(number, index)])
-            start_ns, latest = timestamp_ns, {}
-        latest[number] = timestamp_ns
+            start_ns, latest = timestamp_ns, set()
+        latest.add(number)
     return groups
 
 
-def _trajectory_of(name: str, estimates: list[PoseEstimate]) -> Trajectory:
-    """Lay a path through the sweeps' poses, from the first point to the last, that begins with the identity.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Knot:
+    """A pose of the trajectory, with its covariance (6, 6)."""
+
+    timestamp_ns: int
+    position: Float64Array
+    quaternion_xyzw: Float64Array
+    covariance: Float64Array
+
+
+def _trajectory_of(estimates: list[PoseEstimate]) -> Trajectory:
+    """A trajectory through the sweeps' poses, from the first point to the last, that begins with the identity.
 
     There is a knot in the middle of every sweep, and one between two sweeps half-way in time, where both motions
     meet. Where the sweeps are far apart in time, each motion ends with its own points.
 
-    Args:
-        estimates: at least one, in the order of their time.
+    `estimates`: at least one, in the order of their time.
     """
-    knots: list[tuple[int, Float64Array, Float64Array, int]] = []
-    for k, estimate in enumerate(estimates):
-        before = estimates[k - 1] if k else None
-        if before is None:
-            knots.append(_own(estimate, estimate.first_ns, k))
-        else:
-            knots += _between(before, estimate, k)
-        knots.append(_own(estimate, estimate.state.timestamp_ns, k))
-    knots.append(_own(estimates[-1], estimates[-1].last_ns, len(estimates) - 1))
-    return _from_first_pose(name, knots, estimates)
+    first, last = estimates[0], estimates[-1]
+    knots = [first.knot(first.first_ns), first.knot(first.state.timestamp_ns)]
+    for before, after in pairwise(estimates):
+        knots += [*_between(before, after), after.knot(after.state.timestamp_ns)]
+    knots.append(last.knot(last.last_ns))
+    # overlapping sweeps may put a knot too early
+    times = np.array([knot.timestamp_ns for knot in knots], np.int64)
+    later = times[1:] > np.maximum.accumulate(times)[:-1]
+    knots = [knots[0], *(knot for knot, is_later in zip(knots[1:], later, strict=True) if is_later)]
+    origin = RigidTransform.from_quaternion(knots[0].position, knots[0].quaternion_xyzw).inverse()
+    axes = np.kron(np.eye(2), origin.rotation)
+    return Trajectory(
+        NAME,
+        np.array([knot.timestamp_ns for knot in knots], np.int64),
+        origin.apply(np.array([knot.position for knot in knots])),
+        multiply_quaternions(origin.quaternion_xyzw, np.array([knot.quaternion_xyzw for knot in knots])),
+        covariances=np.array([axes @ knot.covariance @ axes.T for knot in knots]),
+    )
 
 
-def _own(estimate: PoseEstimate, timestamp_ns: int, k: int) -> tuple[int, Float64Array, Float64Array, int]:
-    rotation, position = estimate.state.at(timestamp_ns)
-    return timestamp_ns, position, quaternion_from_matrix(rotation), k
-
-
-def _between(before: PoseEstimate, after: PoseEstimate, k: int) -> list[tuple[int, Float64Array, Float64Array, int]]:
+def _between(before: PoseEstimate, after: PoseEstimate) -> list[_Knot]:
     """The knots between the middles of two sweeps."""
     middles_ns = before.state.timestamp_ns, after.state.timestamp_ns
     longest_ns = 2 * max(before.last_ns - before.first_ns, after.last_ns - after.first_ns)
     if 0 < longest_ns < middles_ns[1] - middles_ns[0]:
-        return [_own(before, before.last_ns, k - 1), _own(after, after.first_ns, k)]
+        return [before.knot(before.last_ns), after.knot(after.first_ns)]
     halfway_ns = sum(middles_ns) // 2
-    _, first_position, first_rotation, _ = _own(before, halfway_ns, k - 1)
-    _, second_position, second_rotation, _ = _own(after, halfway_ns, k)
-    return [
-        (
-            halfway_ns,
-            0.5 * (first_position + second_position),
-            slerp(first_rotation, second_rotation, 0.5),
-            k - 1,
-        )
-    ]
-
-
-def _from_first_pose(
-    name: str, knots: list[tuple[int, Float64Array, Float64Array, int]], estimates: list[PoseEstimate]
-) -> Trajectory:
-    """Move the world's origin and axes to the first knot's pose."""
-    times = np.array([knot[0] for knot in knots], np.int64)
-    kept = np.concatenate([[0], 1 + np.flatnonzero(_rises(times))])
-    positions = np.array([knots[k][1] for k in kept])
-    quaternions = np.array([knots[k][2] for k in kept])
-    origin = RigidTransform.from_quaternion(positions[0], quaternions[0]).inverse()
-    axes = np.kron(np.eye(2), origin.rotation)
-    covariances = np.array([axes @ estimates[knots[k][3]].covariance @ axes.T for k in kept])
-    return Trajectory(
-        name,
-        times[kept],
-        origin.apply(positions),
-        multiply_quaternions(origin.quaternion_xyzw, quaternions),
-        covariances=covariances,
-    )
-
-
-def _rises(times: Int64Array) -> BoolArray:
-    """Which times are later than every one before, but for the first: overlapping sweeps may put a knot too early."""
-    return times[1:] > np.maximum.accumulate(times)[:-1]
-
-
-NAME = "lidar"
-"""The trajectory's name."""
+    first, second = before.knot(halfway_ns), after.knot(halfway_ns)
+    rotation = slerp(first.quaternion_xyzw, second.quaternion_xyzw, 0.5)
+    return [replace(first, position=0.5 * (first.position + second.position), quaternion_xyzw=rotation)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryRun:
-    """What lidar odometry made of a scene.
+    """The result of lidar odometry.
 
     Attributes:
         trajectory: `world_from_ego` under the name "lidar", from the first point's time to the last one's, with
@@ -1106,20 +936,20 @@ def lidar_odometry(
     progress: Callable[[int, int], None] | None = None,
     lenient: bool = False,
 ) -> OdometryRun:
-    """Find the ego trajectory through a scene from its lidar sweeps.
+    """Estimate the ego trajectory from the lidar sweeps of a scene.
 
     Args:
         configuration: settings; the defaults hold for everything.
-        progress: reported after each cloud how many are done and how many there are.
+        progress: called after each cloud with how many are done and how many there are.
         lenient: leave sweeps out that cannot be read, with a warning.
 
     Raises:
-        PoseError: the scene has no lidar sweeps, their points are in the world already, or none has returns.
+        PoseError: the scene has no lidar sweeps, their points are in world coordinates, or none has returns.
         DataError: a sweep cannot be read, and this is not lenient.
     """
     sweeps = SceneSweeps.of(scene, lenient=lenient)
-    settings = configuration or OdometryConfiguration()
-    odometry = LidarOdometry(settings)
+    odometry = LidarOdometry(configuration)
+    settings = odometry.configuration
     estimates: list[PoseEstimate] = []
     late = 0
     for row, cloud in sweeps.clouds():
@@ -1132,18 +962,18 @@ def lidar_odometry(
             progress(row + 1, len(sweeps))
     if not any(estimate.outcome in _BEGINNINGS for estimate in estimates):
         raise PoseError(
-            f"{scene.source}: none of {len(sweeps)} lidar sweeps has enough returns to go by; "
+            f"{scene.source}: none of {len(sweeps)} lidar sweeps has enough returns; "
             "choose another trajectory with `--trajectory NAME`"
         )
     counts = Counter(estimate.outcome for estimate in estimates)
     if not counts[Outcome.FITTED]:
         estimates = [_of_unknown_motion(estimate, settings) for estimate in estimates]
     warnings = (*sweeps.warnings, *sweeps.counted_warnings(), *_notes(counts, late, scene.source))
-    return OdometryRun(_trajectory_of(NAME, estimates), warnings)
+    return OdometryRun(_trajectory_of(estimates), warnings)
 
 
 def _append(estimates: list[PoseEstimate], estimate: PoseEstimate, settings: OdometryConfiguration) -> None:
-    """Add an estimate; what it reports about the sweep that the map began with replaces what was not known then.
+    """Add an estimate, and replace that of the sweep that the map began with, where this sweep determined it.
 
     Sweeps before the very first map get the poses from which its motion comes.
     """
@@ -1152,64 +982,44 @@ def _append(estimates: list[PoseEstimate], estimate: PoseEstimate, settings: Odo
         begun_at = max(k for k, earlier in enumerate(estimates) if earlier.outcome in _BEGINNINGS)
         estimates[begun_at] = replace(estimates[begun_at], state=first)
         if estimates[begun_at].outcome is Outcome.STARTED:
-            estimates[:begun_at] = [_led_back(earlier, first, settings) for earlier in estimates[:begun_at]]
+            for k, earlier in enumerate(estimates[:begun_at]):
+                state = first.predicted(earlier.state.timestamp_ns, settings)
+                estimates[k] = replace(earlier, state=state, covariance=state.covariance[:6, :6])
     estimates.append(estimate)
-
-
-def _led_back(earlier: PoseEstimate, first: _MotionState, settings: OdometryConfiguration) -> PoseEstimate:
-    state = first.predicted(earlier.state.timestamp_ns, settings.acceleration, settings.yaw_acceleration)
-    return replace(earlier, state=state, covariance=state.covariance[:6, :6])
 
 
 def _of_unknown_motion(estimate: PoseEstimate, settings: OdometryConfiguration) -> PoseEstimate:
     """Covariance of the ego pose at the end of a sweep that could not be compared with any other."""
-    later = estimate.state.predicted(
-        max(estimate.last_ns, estimate.state.timestamp_ns), settings.acceleration, settings.yaw_acceleration
-    )
+    later = estimate.state.predicted(max(estimate.last_ns, estimate.state.timestamp_ns), settings)
     return replace(estimate, covariance=estimate.covariance + later.covariance[:6, :6])
 
-
-_BEGINNINGS = (Outcome.STARTED, Outcome.RESTARTED)
 
 _NOTES: Mapping[Outcome, tuple[str, str]] = MappingProxyType(
     {
         Outcome.TOO_FEW: (
             "odometry-too-few-points",
-            "sweeps with too few usable points: their poses go on with the motion before, and their covariances grow",
+            "sweeps with too few usable points: their poses continue the motion before, with growing covariances",
         ),
         Outcome.MISFIT: (
             "odometry-misfit",
-            "sweeps that do not fit onto the map: their poses go on with the motion before, and their covariances grow",
+            "sweeps that do not fit onto the map: their poses continue the motion before, with growing covariances",
         ),
         Outcome.RESTARTED: (
             "odometry-restarted",
-            "a gap in time or many misfits: new map begun where the motion before leads, with grown covariances",
+            "a gap in time or many misfits: a new map was begun at the predicted pose, with larger covariances",
         ),
     }
 )
 """Code and message of the warning about each outcome that is not a fit."""
 
 
-def _notes(counts: Counter[Outcome], late: int, location: str) -> list[DataWarning]:
-    warnings = [
-        DataWarning(kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=counts[outcome])
-        for outcome, (code, message) in _NOTES.items()
-        if counts[outcome]
-    ]
+def _notes(counts: Counter[Outcome], late: int, location: str) -> Iterator[DataWarning]:
+    for outcome, (code, message) in _NOTES.items():
+        if counts[outcome]:
+            yield _warning(WarningKind.ASSUMED, code, location, message, counts[outcome])
     if not counts[Outcome.FITTED]:
-        message = "no two sweeps could be compared, so nothing is known of the motion; the ego was taken as stationary"
-        warnings.append(
-            DataWarning(kind=WarningKind.ASSUMED, code="odometry-without-motion", location=location, message=message)
-        )
+        message = "no two sweeps could be compared, so the motion is unknown; the ego was taken as stationary"
+        yield _warning(WarningKind.ASSUMED, "odometry-without-motion", location, message)
     if late:
         message = "sweeps whose middle is not later than that of the sweep before were left out of the odometry"
-        warnings.append(
-            DataWarning(
-                kind=WarningKind.SKIPPED,
-                code="odometry-late-sweep",
-                location=location,
-                message=message,
-                count=late,
-            )
-        )
-    return warnings
+        yield _warning(WarningKind.SKIPPED, "odometry-late-sweep", location, message, late)

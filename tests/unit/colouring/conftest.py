@@ -47,16 +47,8 @@ def street_bodies(seed: int) -> tuple[np.ndarray, np.ndarray]:
             if random.random() < 0.8:
                 y, yaw = side + 0.2 * random.normal(), 0.03 * random.normal()
                 boxes.append((x + random.normal(), y, 0.9, 4.2, 1.8, 1.35, yaw))
-    boxes += [
-        (18, 0.4, 1, 4.2, 1.8, 1.4, 0.1),
-        (34, -1.5, 1.8, 7, 2.4, 3.2, 0),
-        (12, -2.6, 0.9, 4, 1.8, 1.3, 0.5),
-    ]
-    boxes += [
-        (14, 8, 0.85, 0.6, 0.5, 1.7, 0),
-        (9, -7.5, 0.85, 0.5, 0.5, 1.7, 0),
-        (30, 0, 6.2, 0.3, 6, 1.5, 0),
-    ]
+    boxes += [(18, 0.4, 1, 4.2, 1.8, 1.4, 0.1), (34, -1.5, 1.8, 7, 2.4, 3.2, 0), (12, -2.6, 0.9, 4, 1.8, 1.3, 0.5)]
+    boxes += [(14, 8, 0.85, 0.6, 0.5, 1.7, 0), (9, -7.5, 0.85, 0.5, 0.5, 1.7, 0), (30, 0, 6.2, 0.3, 6, 1.5, 0)]
     cylinders = [(x, 7, 0.08, 6) for x in range(5, 80, 11)] + [(x, -7, 0.12, 6) for x in range(5, 80, 11)]
     cylinders += [(x, side, 0.25, 5) for x in range(8, 80, 13) for side in (9.5, -9.5)]
     return np.array(boxes, float), np.array(cylinders, float)
@@ -100,9 +92,7 @@ def cast(bodies: tuple[np.ndarray, np.ndarray], origin: np.ndarray, rays: np.nda
 def lidar_rays(elevations_deg: Sequence[float], azimuth_deg: float) -> np.ndarray:
     """Unit rays of a lidar that looks ahead, all azimuths of a beam after the other."""
     elevation, azimuth = np.meshgrid(
-        np.radians(elevations_deg),
-        np.radians(np.arange(-75, 75, azimuth_deg)),
-        indexing="ij",
+        np.radians(elevations_deg), np.radians(np.arange(-75, 75, azimuth_deg)), indexing="ij"
     )
     rays = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
     return np.stack(rays, axis=-1).reshape(-1, 3)

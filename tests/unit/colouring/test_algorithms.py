@@ -24,11 +24,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, simulate_street
 
 AHEAD = RigidTransform(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
-
-
 LEFT = RigidTransform(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), np.zeros(3))
-
-
 CAMERA_MODEL = Camera("pinhole", 20, 10, 10.0, 10.0, 9.5, 4.5)
 
 
@@ -98,11 +94,7 @@ def test_blending_takes_colours_of_all_images_that_agree():
 
 
 CAMERA = Camera("brown_conrady", 640, 480, 520.0, 530.0, 322.0, 237.0, (-0.15, 0.05, 1e-3, -5e-4, -0.01))
-
-
 POSE = RigidTransform.from_quaternion(np.array([4.0, -2.0, 1.5]), np.array([0.1, -0.7, 0.2, 0.4]))
-
-
 PLAIN = VisibilitySettings(enabled=False)
 
 
@@ -251,11 +243,7 @@ def test_an_unknown_camera_model_is_refused():
 
 
 PINHOLE = Camera("pinhole", 640, 480, 400.0, 400.0, 319.5, 239.5)
-
-
 BARREL = Camera("brown_conrady", 640, 480, 400.0, 400.0, 319.5, 239.5, (-0.3, 0.0))
-
-
 WIDE = Camera("fisheye", 640, 640, 150.0, 150.0, 319.5, 319.5)
 
 
@@ -284,11 +272,7 @@ def at_angle(degrees, distance=10.0):
         # The polynomial of this camera model folds where 1 - 0.9 r² is 0: 46.5 degrees off the axis.
         (BARREL, [at_angle(45), (0, 9, 9), at_angle(48), at_angle(100)], "VISIBLE OUTSIDE BEHIND BEHIND"),
         # 320 px from the centre are 122 degrees; the camera model has pixels for all directions.
-        (
-            WIDE,
-            [at_angle(60), at_angle(110), at_angle(130), at_angle(179)],
-            "VISIBLE VISIBLE OUTSIDE OUTSIDE",
-        ),
+        (WIDE, [at_angle(60), at_angle(110), at_angle(130), at_angle(179)], "VISIBLE VISIBLE OUTSIDE OUTSIDE"),
         (PINHOLE, [(math.nan, 0, 5), (0, math.inf, 5), (0, 0, 3)], "BEHIND BEHIND VISIBLE"),
         (PINHOLE, [], ""),
     ],
@@ -358,8 +342,6 @@ def test_fused_frames_agree_with_what_was_really_there(name):
 
 
 THREADS_CAMERA = Camera("brown_conrady", 320, 200, 200.0, 200.0, 159.5, 99.5, (-0.1, 0.02, 5e-4, -3e-4, 1e-3, 0.05))
-
-
 COUNT = 30_000  # enough for threads to share them
 
 

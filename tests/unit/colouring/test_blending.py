@@ -9,13 +9,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import (
-    BlendSettings,
-    VisibilitySettings,
-    blend_colours,
-    estimate_normals,
-    view_points,
-)
+from sceneloom.colouring import BlendSettings, VisibilitySettings, blend_colours, estimate_normals, view_points
 from sceneloom.colouring.blending import NO_IMAGE_NS, colour_points, near_outlines, paint_points, view_weights
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import OptionError
@@ -23,8 +17,6 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.projection import pixel_numbers
 
 CAMERA = Camera("pinhole", 101, 81, 100.0, 100.0, 50.0, 40.0)
-
-
 PLAIN = VisibilitySettings(enabled=False)
 
 
@@ -150,19 +142,12 @@ def make_view(point_ids, pixels, rgb, visible=None):
     height, width = rgb.shape[:2]
     count = len(point_ids)
     return FusedView(
-        "c",
-        Camera("pinhole", width, height, 100.0, 100.0, 0.0, 0.0),
-        0,
-        RigidTransform.identity(),
-        rgb,
-        np.array(point_ids, np.int64),
-        np.array(pixels, np.float32).reshape(count, 2),
-        pixel_numbers(np.array(pixels, np.float32).reshape(count, 2), width, height),
-        np.ones(count, np.float32),
-        np.ones(count, bool) if visible is None else np.array(visible, bool),
-        np.zeros((height, width), np.float32),
+        "c", Camera("pinhole", width, height, 100.0, 100.0, 0.0, 0.0), 0, RigidTransform.identity(), rgb,
+        np.array(point_ids, np.int64), np.array(pixels, np.float32).reshape(count, 2),
+        pixel_numbers(np.array(pixels, np.float32).reshape(count, 2), width, height), np.ones(count, np.float32),
+        np.ones(count, bool) if visible is None else np.array(visible, bool), np.zeros((height, width), np.float32),
         np.zeros((max(point_ids, default=-1) + 1, 3)),
-    )
+    )  # fmt: skip
 
 
 def plain(color, size=(4, 6)):

@@ -233,9 +233,5 @@ def test_frames_with_points_of_a_cuboid_become_activations():
     counts = count_points(scene)
     kept, reported = with_activations(scene, counts).annotations[0].activations
     assert kept is of_others
-    assert (reported.sensor_id, reported.timestamps_ns.tolist(), reported.durations_ns) == (
-        "lidar",
-        [0],
-        (400,),
-    )
+    assert (reported.sensor_id, reported.timestamps_ns.tolist(), reported.durations_ns) == ("lidar", [0], (400,))
     assert with_activations(scene, counts, min_points=3).annotations[0].activations == (of_others,)

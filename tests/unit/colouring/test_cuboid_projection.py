@@ -36,7 +36,6 @@ from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, camera_mount,
 
 CAMERA_MODEL = Camera("pinhole", 800, 600, 500.0, 500.0, 399.5, 299.5)
 
-
 LOOKS_ALONG_X = np.array([[-0.5, 0.5, -0.5, 0.5]])
 """`world_from_camera` of a camera that looks along the world's x, as a quaternion."""
 
@@ -288,17 +287,9 @@ def test_a_mounting_of_one_image_counts():
 
 
 SPEED, ROTATION, ROLL_S = 15.0, np.radians(30.0), 0.04
-
-
 MOUNT = camera_mount(position=(1.5, 0.3, 1.6), yaw_deg=20.0)
-
-
 PINHOLE = Camera("pinhole", 1280, 720, 600.0, 600.0, 639.5, 359.5)
-
-
 FISHEYE = Camera("fisheye", 1280, 960, 400.0, 400.0, 639.5, 479.5, (0.03, -0.008, 0.002, -0.0004))
-
-
 SECOND = 1_000_000_000
 
 
@@ -325,13 +316,7 @@ class Moving:
 
     def cuboid(self):
         values = [
-            [
-                *self.size,
-                *(self.first + self.velocity * t),
-                0.0,
-                0.0,
-                np.degrees(self.yaw + self.yaw_rate * t),
-            ]
+            [*self.size, *(self.first + self.velocity * t), 0.0, 0.0, np.degrees(self.yaw + self.yaw_rate * t)]
             for t in (-1.0, 1.0)
         ]
         return CuboidAnnotation(self.name, CuboidPath(np.array([-SECOND, SECOND]), np.array(values)))
@@ -389,8 +374,6 @@ def extent(pixels):
 
 
 CAR = Moving("car", (4.5, 1.9, 1.6), (9.0, 6.5, -0.8), velocity=(-14.0, 2.0, 0.0), yaw_rate=0.6)
-
-
 NEAR = Moving("near", (4.5, 1.9, 1.6), (6.5, 4.5, 1.2), yaw=1.2)
 
 
@@ -454,31 +437,14 @@ def test_a_shutter_over_a_scene_that_stands_changes_nothing():
 
 
 HERE = RigidTransform.identity()
-
-
 WIDE_PINHOLE = Camera("pinhole", 800, 600, 500.0, 500.0, 399.5, 299.5)
-
-
 BARREL = Camera("brown_conrady", 800, 600, 500.0, 500.0, 399.5, 299.5, (-0.3, 0.1, 0.001, -0.001, -0.01))
-
-
 WIDE_FISHEYE = Camera("fisheye", 800, 600, 260.0, 260.0, 399.5, 299.5, (0.03, -0.008, 0.002, -0.0004))
-
-
 CYLINDER = Camera("cylindrical", 800, 600, 220.0, 220.0, 399.5, 299.5)
-
-
-CAMERA_MODELS = {
-    "pinhole": WIDE_PINHOLE,
-    "barrel": BARREL,
-    "fisheye": WIDE_FISHEYE,
-    "cylinder": CYLINDER,
-}
-
+CAMERA_MODELS = {"pinhole": WIDE_PINHOLE, "barrel": BARREL, "fisheye": WIDE_FISHEYE, "cylinder": CYLINDER}
 
 AXES = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]).T
 """Columns: forward, left and up of a box that looks away from the camera, in the camera's frame."""
-
 
 ON_GRID = 0.03
 """Shares are reported by grids of 24 steps: what a border does in one row or column of cells.
@@ -648,8 +614,7 @@ def test_half_a_plate_before_another_hides_half_of_it():
 
 def test_what_is_hidden_behind_several_boxes_is_hidden_once():
     plates = some_boxes(
-        [[0.0, 0.0, 10.0], [0.5, 0.0, 5.0], [0.5, 0.0, 4.0]],
-        [[0.01, 2.0, 2.0], [0.01, 1.0, 1.0], [0.01, 2.0, 2.0]],
+        [[0.0, 0.0, 10.0], [0.5, 0.0, 5.0], [0.5, 0.0, 4.0]], [[0.01, 2.0, 2.0], [0.01, 1.0, 1.0], [0.01, 2.0, 2.0]]
     )
     seen = observe_cuboids(WIDE_PINHOLE, HERE, plates)
     # the nearest covers -0.5 to 1.5 m at 4 m: all that the middle one shows, and -1.25 to 3.75 m at 10 m
@@ -684,8 +649,7 @@ def test_hidden_shares_are_those_of_a_fine_image(name):
 
 def test_boxes_behind_the_camera_or_around_it_are_not_seen_and_hide_nothing():
     boxes = some_boxes(
-        [[0.0, 0.0, -10.0], [0.0, 0.0, 0.0], [0.0, 0.0, 20.0]],
-        [[2.0, 2.0, 2.0], [5.0, 2.0, 2.0], [4.0, 2.0, 2.0]],
+        [[0.0, 0.0, -10.0], [0.0, 0.0, 0.0], [0.0, 0.0, 20.0]], [[2.0, 2.0, 2.0], [5.0, 2.0, 2.0], [4.0, 2.0, 2.0]]
     )
     seen = observe_cuboids(WIDE_PINHOLE, HERE, boxes)
     assert seen.rows.tolist() == [2]
@@ -702,8 +666,7 @@ def test_a_fisheye_sees_what_stands_behind_the_plane_of_the_image():
 
 def test_boxes_of_no_volume_or_of_no_location_are_not_seen():
     boxes = some_boxes(
-        [[0.0, 0.0, 9.0], [0.0, np.nan, 9.0], [0.0, 0.0, 9.0]],
-        [[1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [1.0, -1.0, 1.0]],
+        [[0.0, 0.0, 9.0], [0.0, np.nan, 9.0], [0.0, 0.0, 9.0]], [[1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [1.0, -1.0, 1.0]]
     )
     assert len(observe_cuboids(WIDE_PINHOLE, HERE, boxes).rows) == 0
     assert len(observe_cuboids(WIDE_PINHOLE, HERE, some_boxes(np.zeros((0, 3)), np.zeros((0, 3)))).rows) == 0
@@ -711,10 +674,7 @@ def test_boxes_of_no_volume_or_of_no_location_are_not_seen():
 
 @pytest.mark.parametrize("strange", [np.inf, -np.inf, 1e300])
 def test_boxes_out_of_this_world_are_not_seen(strange):
-    centers, sizes = (
-        [[0.0, 0.0, strange], *[[0.0, 0.0, 9.0]] * 2],
-        [[1.0, 1, 1], [1, 1, abs(strange)], [1, 1, 1]],
-    )
+    centers, sizes = ([[0.0, 0.0, strange], *[[0.0, 0.0, 9.0]] * 2], [[1.0, 1, 1], [1, 1, abs(strange)], [1, 1, 1]])
     boxes = some_boxes(centers, sizes)
     assert observe_cuboids(WIDE_PINHOLE, HERE, boxes).rows.tolist() == [2]
 

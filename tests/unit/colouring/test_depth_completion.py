@@ -196,8 +196,6 @@ def test_depths_below_a_confidence_are_taken_away():
 
 
 SHAPE = (40, 30)
-
-
 STEEPEST = 0.002
 
 
@@ -345,10 +343,7 @@ def bent(pixels):
 def test_what_bends_evenly_comes_out_as_it_is(mesh):
     pixels, _, triangulation, triangles = mesh
     inverse, slopes = bent(pixels)
-    images, ones = (
-        [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)],
-        np.ones(len(triangles), np.float32),
-    )
+    images, ones = ([np.zeros(MESH_SHAPE, np.float32) for _ in range(4)], np.ones(len(triangles), np.float32))
     depths = (1 / inverse).astype(np.float32)
     fill_triangles(pixels, depths, slopes.astype(np.float32), triangles, ones.astype(bool), ones, ones, *images)
     rows, columns = np.nonzero(images[0])

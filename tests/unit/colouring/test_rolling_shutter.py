@@ -9,13 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, unproject
-from sceneloom.colouring import (
-    LidarTrajectory,
-    PointVisibility,
-    ShutterDirection,
-    VisibilitySettings,
-    view_points,
-)
+from sceneloom.colouring import LidarTrajectory, PointVisibility, ShutterDirection, VisibilitySettings, view_points
 from sceneloom.colouring.rolling_shutter import project_by_lines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import Shutter
@@ -23,10 +17,7 @@ from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.simulate import camera_mount
 
 SPEED, ROTATION, READOUT_S = 15.0, math.radians(30.0), 0.033
-
-
 MOUNT = camera_mount(position=(1.5, 0.3, 1.6), yaw_deg=40.0)
-
 
 CAMERA_MODELS = {
     "pinhole": Camera("pinhole", 1920, 1080, 1000.0, 1000.0, 959.5, 539.5),

@@ -34,19 +34,10 @@ from sceneloom.scene import LidarFrame, LidarPoints, Poses
 from sceneloom.scene.poses import PoseSource
 
 KITTI = Camera("pinhole", 1242, 375, 720.0, 720.0, 620.5, 187.0)
-
-
 TELE = Camera("pinhole", 1920, 1080, 1970.0, 1970.0, 959.5, 539.5)
-
-
 WIDE = Camera("pinhole", 1280, 720, 500.0, 500.0, 639.5, 359.5)
-
-
 BARREL = Camera("brown_conrady", 1280, 720, 640.0, 640.0, 639.5, 359.5, (-0.2, 0.03))
-
-
 FISHEYE = Camera("fisheye", 960, 720, 300.0, 300.0, 479.5, 359.5, (0.02, -0.003, 0.0, 0.0))
-
 
 SET_UPS = {
     "lidar above": (KITTI, {}),
@@ -68,21 +59,13 @@ SET_UPS = {
     "fisheye camera model": (FISHEYE, {}),
 }
 
-
 SPARSE = {
     "16 beams": (KITTI, {"beams": 16, "pitch_deg": 2.0, "top_deg": 5.0, "azimuth_deg": 0.12}),
-    "16 beams beside": (
-        KITTI,
-        {"beams": 16, "pitch_deg": 2.0, "top_deg": 5.0, "lidar_above": (0.0, 0.8, 0.1)},
-    ),
+    "16 beams beside": (KITTI, {"beams": 16, "pitch_deg": 2.0, "top_deg": 5.0, "lidar_above": (0.0, 0.8, 0.1)}),
     "32 beams, long camera model": (TELE, {"beams": 32, "pitch_deg": 1.25, "top_deg": 5.0}),
-    "32 beams beside": (
-        BARREL,
-        {"beams": 32, "pitch_deg": 1.25, "top_deg": 5.0, "lidar_above": (0.0, 0.8, 0.1)},
-    ),
+    "32 beams beside": (BARREL, {"beams": 32, "pitch_deg": 1.25, "top_deg": 5.0, "lidar_above": (0.0, 0.8, 0.1)}),
 }
 """Lidars that leave so much open that it takes their location to report what is hidden."""
-
 
 FINE_IN_THE_MIDDLE = (
     *np.arange(15.0, 2.0, -1.0),
@@ -91,7 +74,6 @@ FINE_IN_THE_MIDDLE = (
     *np.arange(-14.0, -26.0, -4.0),
 )
 """Elevations of a lidar of 72 lines [deg]."""
-
 
 UNEVEN = {
     "lidar above": (WIDE, {"lidar_above": (-0.3, 0.0, 1.2)}),
@@ -283,10 +265,7 @@ def scan_lines(across_deg, along_deg, angle_deg=0.0, jitter=0.02):
     right, down = np.meshgrid(np.arange(-15, 15, along_deg), np.arange(-12, 12, across_deg))
     right = right + random.normal(scale=jitter, size=right.shape)
     rotation = np.radians(angle_deg)
-    rotated = (
-        right * np.cos(rotation) - down * np.sin(rotation),
-        right * np.sin(rotation) + down * np.cos(rotation),
-    )
+    rotated = (right * np.cos(rotation) - down * np.sin(rotation), right * np.sin(rotation) + down * np.cos(rotation))
     return np.radians([axis.ravel() for axis in rotated]).astype(np.float32)
 
 
@@ -392,11 +371,7 @@ def test_a_cloud_that_shows_no_surface_gives_the_usual_distance():
 
 
 UNKNOWN = ScanLines(0.01, 0.01, 0.0)
-
-
 FINE = np.arange(-4.0, 4.0, 0.25)
-
-
 COARSE = np.concatenate([np.arange(-14.0, -4.0, 1.0), FINE, np.arange(4.0, 14.0, 1.0)])
 
 
@@ -422,25 +397,25 @@ def test_parts_have_the_spacing_and_the_axis_of_their_lines(angle_deg):
     directions, ones, across = lines_at(COARSE, angle_deg)
     assert are_uneven(look_around(directions, ones))
     parts = split_by_spacing(directions, ones, UNKNOWN)
-    assert np.sum([part.members for part in parts], axis=0).tolist() == [1] * len(ones)
+    assert np.sum([members for _, members in parts], axis=0).tolist() == [1] * len(ones)
     fine = np.abs(np.degrees(across)) < 3
     for spacing_deg, inside in ((0.25, fine), (1.0, np.abs(np.degrees(across)) > 5.5)):
-        held = max(parts, key=lambda part: part.members[inside].mean())
+        lines, members = max(parts, key=lambda part: part[1][inside].mean())
         # In tiles at the corners of the view too few points are drawn to report.
-        assert held.members[inside].mean() > 0.75
+        assert members[inside].mean() > 0.75
         # Cells of 0.1 degrees, and neighbours up to 45 degrees aside.
-        assert math.degrees(held.lines.across) == pytest.approx(spacing_deg, abs=0.25)
-        assert math.degrees(held.lines.along) == pytest.approx(0.2, abs=0.1)
-        assert math.degrees(held.lines.angle) == pytest.approx(angle_deg)
+        assert math.degrees(lines.across) == pytest.approx(spacing_deg, abs=0.25)
+        assert math.degrees(lines.along) == pytest.approx(0.2, abs=0.1)
+        assert math.degrees(lines.angle) == pytest.approx(angle_deg)
 
 
 def test_few_points_are_not_uneven_and_make_one_part():
     directions = np.random.default_rng(1).uniform(-0.3, 0.3, (2, 20)).astype(np.float32)
     ones = np.ones(20, np.float32)
     assert not are_uneven(look_around(directions, ones))
-    (part,) = split_by_spacing(directions, ones, UNKNOWN)
-    assert part.members.all()
-    assert math.degrees(part.lines.across) == pytest.approx(2.5)
+    ((lines, members),) = split_by_spacing(directions, ones, UNKNOWN)
+    assert members.all()
+    assert math.degrees(lines.across) == pytest.approx(2.5)
 
 
 def test_no_points_are_not_uneven():
@@ -448,8 +423,6 @@ def test_no_points_are_not_uneven():
 
 
 AHEAD = Poses(np.array([0, 1000], np.int64), np.array([[0.0, 0, 0], [10, 0, 0]]), np.array([[0.0, 0, 0, 1]] * 2))
-
-
 MOUNT = RigidTransform(np.eye(3), np.array([0.0, 1.0, 2.0]))
 
 
@@ -483,8 +456,7 @@ def test_a_sweep_beyond_the_poses_has_no_way() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ends", "fractions"),
-    [(np.zeros((3, 3)), np.zeros(2, np.float32)), (np.zeros((2, 3)), np.zeros(2))],
+    ("ends", "fractions"), [(np.zeros((3, 3)), np.zeros(2, np.float32)), (np.zeros((2, 3)), np.zeros(2))]
 )
 def test_arrays_of_another_kind_are_refused(ends: np.ndarray, fractions: np.ndarray) -> None:
     with pytest.raises(ArrayError, match="trajectory"):
@@ -492,18 +464,11 @@ def test_arrays_of_another_kind_are_refused(ends: np.ndarray, fractions: np.ndar
 
 
 CELL, WINDOW = math.radians(0.16), math.radians(0.5)
-
-
 MARGIN, SHARE, SLOPE, NEARING = 0.15, 0.01, 2.0, 0.85
 
 
 def ellipse(across_deg=0.38, along_deg=0.24, angle=math.pi / 2):
-    p, r, c, s = (
-        math.radians(across_deg) ** -2,
-        math.radians(along_deg) ** -2,
-        math.cos(angle),
-        math.sin(angle),
-    )
+    p, r, c, s = (math.radians(across_deg) ** -2, math.radians(along_deg) ** -2, math.cos(angle), math.sin(angle))
     return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
 
 
@@ -513,22 +478,11 @@ def marked(directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, s
     visible = np.zeros(len(inverse_ranges), bool)
     locations, nearness = (np.ascontiguousarray(rows, np.float32) for rows in (directions, inverse_ranges))
     mark_unhidden(
-        locations,
-        nearness,
-        nearness if hiding is None else np.ascontiguousarray(hiding, np.float32),
-        measure_extent(locations, nearness),
-        cell,
-        window,
-        *(ellipse() if near is None else near),
-        slope,
-        MARGIN,
-        SHARE,
-        np.zeros((0, 3)) if eyes is None else eyes,
-        np.arange(count),
-        np.linspace(0, 1, count, dtype=np.float32),
-        NEARING,
-        visible,
-    )
+        locations, nearness, nearness if hiding is None else np.ascontiguousarray(hiding, np.float32),
+        measure_extent(locations, nearness), cell, window, *(ellipse() if near is None else near), slope, MARGIN, SHARE,
+        np.zeros((0, 3)) if eyes is None else eyes, np.arange(count), np.linspace(0, 1, count, dtype=np.float32),
+        NEARING, visible,
+    )  # fmt: skip
     return visible
 
 
@@ -600,15 +554,7 @@ def random_cloud(seed, count, spread_deg, *, layers=(1 / 30, 1 / 8)):
         {"near": ellipse(0.5, 0.4), "eyes": np.array([[0.02, -0.06, -0.1], [-0.05, 0.01, 0.05]])},
         {"near": ellipse(1.2, 0.9), "eyes": np.array([[0.3, -0.6, -0.3], [0.3, -0.6, 0.4]])},
     ],
-    ids=[
-        "usual",
-        "sparse lidar",
-        "tilted",
-        "dense lidar",
-        "window smaller than near",
-        "lidar beside",
-        "lidar above",
-    ],
+    ids=["usual", "sparse lidar", "tilted", "dense lidar", "window smaller than near", "lidar beside", "lidar above"],
 )
 @pytest.mark.parametrize(("count", "spread_deg"), [(600, 1.5), (1500, 8.0), (700, 40.0)])
 @pytest.mark.few(6)
@@ -711,31 +657,17 @@ def test_points_that_shall_not_hide_others_are_hidden_themselves():
 
 
 SPACING_CELL = 0.002
-
-
 STEPS = [(dx, dy) for dx in range(-6, 7) for dy in range(-6, 7) if 0 < dx * dx + dy * dy <= 36]
-
-
 RIGHT, DOWN = np.array(sorted(STEPS, key=lambda step: (math.hypot(*step), step)), np.int64).T.copy()
-
-
 SECTORS, DISTANCES = (RIGHT > 0) + 2 * (DOWN > 0), np.hypot(RIGHT, DOWN)
 
 
 def found(directions, inverse_ranges, samples):
     distances, neighbours = np.zeros((samples, 4)), np.zeros((samples, 4), np.int64)
     find_neighbours(
-        directions,
-        inverse_ranges,
-        measure_extent(directions, inverse_ranges),
-        SPACING_CELL,
-        RIGHT,
-        DOWN,
-        SECTORS.astype(np.int64),
-        DISTANCES,
-        distances,
-        neighbours,
-    )
+        directions, inverse_ranges, measure_extent(directions, inverse_ranges), SPACING_CELL, RIGHT, DOWN,
+        SECTORS.astype(np.int64), DISTANCES, distances, neighbours,
+    )  # fmt: skip
     return distances, neighbours
 
 

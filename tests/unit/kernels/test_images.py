@@ -83,10 +83,7 @@ def slow_value(rgb, u, v):
 
 def resampled(rgb, locations):
     locations = np.asarray(locations, np.float32).reshape(1, -1, 2)
-    out, filled = (
-        np.full((1, locations.shape[1], rgb.shape[2]), 7, np.uint8),
-        np.empty((1, locations.shape[1]), bool),
-    )
+    out, filled = (np.full((1, locations.shape[1], rgb.shape[2]), 7, np.uint8), np.empty((1, locations.shape[1]), bool))
     resample_bilinear(rgb, locations, out, filled)
     return out[0], filled[0]
 
@@ -112,16 +109,7 @@ def test_centres_of_pixels_give_the_pixels_themselves():
 
 def test_what_lies_outside_the_image_or_nowhere_is_left_as_it_was():
     rgb = np.full((4, 6, 3), 200, np.uint8)
-    outside = [
-        (-0.51, 1),
-        (5.5, 1),
-        (2, -0.6),
-        (2, 3.5),
-        (np.nan, 1),
-        (1, np.nan),
-        (np.inf, 1),
-        (1e30, -1e30),
-    ]
+    outside = [(-0.51, 1), (5.5, 1), (2, -0.6), (2, 3.5), (np.nan, 1), (1, np.nan), (np.inf, 1), (1e30, -1e30)]
     out, filled = resampled(rgb, outside)
     assert not filled.any()
     assert (out == 7).all()

@@ -8,13 +8,11 @@ import pytest
 
 from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
 from sceneloom.kernels.imu_chain import chain_covariances, solve_chain
-from sceneloom.motion.gnss_imu.measurements import InertialSamples, Preintegrated
+from sceneloom.motion.gnss_imu import InertialSamples, Preintegrated
 from sceneloom.simulate.drive import GRAVITY, ImuSpec, imu_truth
 from sceneloom.simulate.trajectory import EgoPath, PathSpec, plan_path
 
 PATH = plan_path(np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0)))
-
-
 KNOTS = np.arange(9) * 1_000_000_000 + 333_333_333  # between samples of every rate below
 
 
@@ -27,16 +25,14 @@ def measured(rate_hz: float, path: EgoPath = PATH) -> tuple[np.ndarray, np.ndarr
 def summed(times: np.ndarray, values: np.ndarray, bias: np.ndarray, densities=(1e-8, 1e-6)) -> Preintegrated:
     count = len(KNOTS) - 1
     return InertialSamples(times, values, np.empty((0, 2), np.int64)).preintegrated(
-        KNOTS,
-        biases=np.tile(bias, (count, 1)),
-        densities=np.tile(np.array(densities), (count, 1)),
+        KNOTS, biases=np.tile(bias, (count, 1)), densities=np.tile(np.array(densities), (count, 1))
     )
 
 
 def vectors(found: Preintegrated, reference: Preintegrated) -> np.ndarray:
     apart = np.swapaxes(reference.rotations, 1, 2) @ found.rotations
     rotations = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
-    return np.hstack([rotations, found.gains - reference.gains, found.trajectories - reference.trajectories])
+    return np.hstack([rotations, found.velocities - reference.velocities, found.positions - reference.positions])
 
 
 @pytest.mark.parametrize(
@@ -52,8 +48,8 @@ def test_rotate_gain_and_trajectory_are_those_of_the_curve(rate_hz, rotation_of_
     gains = np.einsum("nji,nj->ni", before, np.diff(states.velocities, axis=0) - gravity)
     steps = np.diff(states.positions, axis=0) - states.velocities[:-1] - 0.5 * gravity
     assert np.abs(found.rotations - rotations).max() < rotation_of_vector
-    assert np.abs(found.gains - gains).max() < speed
-    assert np.abs(found.trajectories - np.einsum("nji,nj->ni", before, steps)).max() < trajectory
+    assert np.abs(found.velocities - gains).max() < speed
+    assert np.abs(found.positions - np.einsum("nji,nj->ni", before, steps)).max() < trajectory
 
 
 def test_slopes_are_what_small_biases_do():
@@ -90,7 +86,7 @@ def test_beyond_the_samples_the_last_one_holds():
     values = np.tile([0.0, 0.0, 0.1, 1.0, 0.0, 9.8], (2, 1))
     found = summed(times, values, np.zeros(6))
     assert np.allclose(found.rotations[5][:2, :2], [[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
-    assert np.allclose(found.gains[:, 2], 9.8)  # a second of that force, rotated about its own axis
+    assert np.allclose(found.velocities[:, 2], 9.8)  # a second of that force, rotated about its own axis
 
 
 def chain(count: int, n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

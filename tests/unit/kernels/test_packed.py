@@ -71,7 +71,6 @@ def test_any_bytes_unfold_as_the_description_says(packed):
 
 FLOAT32 = st.floats(width=32)
 
-
 RECORDS = st.lists(
     st.tuples(FLOAT32, FLOAT32, FLOAT32, st.integers(0, 255), st.integers(0, 65535), st.floats(-9.2e9, 9.2e9)),
     max_size=9,

@@ -96,8 +96,6 @@ def test_an_image_of_one_pixel_takes_the_nearest_point():
 
 
 ROTATION = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-
-
 CAMERA_FROM_WORLD = np.column_stack([ROTATION, [0.3, -0.2, 1.1]])
 
 

@@ -6,7 +6,7 @@ The map of surfaces against NumPy's own means, spreads and eigenvectors.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sceneloom.kernels.scan_matching import accumulate_normal_equations, move_points, thin_points
+from sceneloom.kernels.scan_matching import accumulate_normal_equations, move_points
 from sceneloom.motion.odometry import LocalMap, SurfaceLevel
 
 YAW_RATE, VELOCITY = np.array([0.05, -0.1, 0.8]), np.array([9.0, 2.0, -0.3])
@@ -35,23 +35,12 @@ def test_points_move_with_the_rotating_ego():
     np.testing.assert_allclose(arms, expected[1], atol=1e-9)
 
 
-def test_one_point_of_each_cube_is_chosen_the_first():
-    points, _ = random_sweep(2000)
-    points *= 0.2
-    chosen = np.empty(len(points), np.int64)
-    count = thin_points(points, 1.0, chosen)
-    _, first = np.unique(np.floor(points), axis=0, return_index=True)
-    np.testing.assert_array_equal(chosen[:count], np.sort(first))
-
-
 def equations(local_map, points, seconds, change, scale):
     """Information, gradient and Σ w s² after a small rotation and shift of the ego, and changes of their rates."""
     rotation = Rotation.from_rotvec(change[:3]).as_matrix()
     world, arms = moved(points, seconds, rotation, change[3:6], YAW_RATE + change[6:9], VELOCITY + change[9:])
     information, gradient, sums = np.empty((3, 6, 6)), np.empty((2, 6)), np.empty(4)
-    levels = [
-        x for level in (local_map.fine, local_map.coarse) for x in (level.leaf, level.table, level.keys, level.surfaces)
-    ]
+    levels = [x for level in local_map.levels for x in (level.leaf, level.table, level.keys, level.surfaces)]
     accumulate_normal_equations(world, arms, seconds, scale, *levels, information, gradient, sums)
     return information, gradient, sums
 

@@ -1,15 +1,16 @@
 import threading
 
+import numpy as np
 import pytest
 
-from sceneloom.kernels.thread_pool import ALONE, ThreadPool
+from sceneloom.kernels.thread_pool import ALONE, Phase, ThreadPool
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 5])
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 100])
 def test_all_is_shared_out_once_and_in_order(size, count):
     seen = {}
-    ThreadPool(size).share(count, lambda part, start, stop: seen.update({part: range(start, stop)}))
+    ThreadPool(size).share(Phase(count, lambda part, start, stop: seen.update({part: range(start, stop)})))
     assert [i for part in sorted(seen) for i in seen[part]] == list(range(count))
     assert max((len(part) for part in seen.values()), default=0) <= -(-count // size)
 
@@ -18,16 +19,24 @@ def test_all_is_shared_out_once_and_in_order(size, count):
 @pytest.mark.parametrize("count", [0, 1, 7, 100])
 def test_rounds_spread_the_chunks_of_each_part_over_the_whole(size, count):
     seen = []
-    ThreadPool(size).share(count, lambda part, start, stop: seen.append((start, stop, part)), rounds=4)
+    ThreadPool(size).share(Phase(count, lambda part, start, stop: seen.append((start, stop, part)), rounds=4))
     chunks = sorted(seen)
     assert [i for start, stop, _ in chunks for i in range(start, stop)] == list(range(count))
     if size > 1 and count == 100:
         assert [part for _, _, part in chunks] == [*range(size)] * 4
 
 
+def test_phases_follow_each_other():
+    seen, total = np.zeros(100, np.int64), []
+    ThreadPool(3).share(
+        Phase(100, lambda _, a, b: seen[a:b].fill(1)), Phase(1, lambda part, *_: total.append((part, seen.sum())))
+    )
+    assert {count for _, count in total} == {100}
+
+
 def test_parts_run_side_by_side():
     meeting = threading.Barrier(3, timeout=30)
-    ThreadPool(3).share(3, lambda *_: meeting.wait())
+    ThreadPool(3).share(Phase(3, lambda *_: meeting.wait()))
     assert not meeting.broken
 
 

@@ -67,8 +67,7 @@ def test_neighbouring_poses_of_opposite_sign_are_joined_on_the_shorter_arc() -> 
     flipped = Poses(times, np.zeros((2, 3)), rotations * [[1.0], [-1.0]])
     frame = frame_at(np.array([0, 50, 99], np.int64), np.ones((3, 3)))
     np.testing.assert_allclose(
-        points_to_world(frame, PoseSource(flipped, MOUNT))[0],
-        points_to_world(frame, PoseSource(plain, MOUNT))[0],
+        points_to_world(frame, PoseSource(flipped, MOUNT))[0], points_to_world(frame, PoseSource(plain, MOUNT))[0]
     )
 
 
@@ -83,9 +82,7 @@ def test_a_frame_without_point_times_moves_as_one_body_at_the_frames_time() -> N
 
 def test_points_beyond_the_path_follow_the_velocity_of_its_end_and_are_flagged() -> None:
     path = Poses(
-        np.array([0, 100_000_000], np.int64),
-        np.array([[0.0, 0, 0], [1.0, 0, 0]]),
-        np.tile([0.0, 0, 0, 1], (2, 1)),
+        np.array([0, 100_000_000], np.int64), np.array([[0.0, 0, 0], [1.0, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1))
     )
     source = PoseSource(path, RigidTransform.identity(), reach_ns=100_000_000)
     times = np.array([50_000_000, 150_000_000, 200_000_000], np.int64)

@@ -53,9 +53,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     return calls
 
 
-def test_a_drive_without_trajectory_is_placed_by_its_lidar_and_that_is_stated(
-    asked: list[dict[str, Any]],
-) -> None:
+def test_a_drive_without_trajectory_is_placed_by_its_lidar_and_that_is_stated(asked: list[dict[str, Any]]) -> None:
     ego = find_ego_motion(Scene((lidar(),)), lenient=True)
     assert (ego.name, len(ego.path.timestamps_ns)) == ("lidar", 2)
     assert [warning.code for warning in ego.warnings] == ["trajectory-from-lidar", "few-points"]
@@ -88,7 +86,7 @@ def test_without_a_lidar_to_ask_a_trajectory_is_missing(
 
 
 def test_an_imu_alone_gives_no_way() -> None:
-    with pytest.raises(PoseError, match="not where it was"):
+    with pytest.raises(PoseError, match="not its position"):
         find_ego_motion(Scene((lidar(),)), name="imu")
 
 

@@ -53,9 +53,7 @@ def test_frames_beyond_the_reach_get_no_pose() -> None:
     assert sensor_path(PoseSource(path, MOUNT), frames[2:]) is None
 
 
-def test_looking_piece_by_piece_gives_the_path_that_looking_at_once_gives(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_looking_piece_by_piece_gives_the_path_that_looking_at_once_gives(monkeypatch: pytest.MonkeyPatch) -> None:
     source = PoseSource(winding_path(), MOUNT)
     frames = np.arange(100_000_000, 3_800_000_000, 130_000_000, dtype=np.int64)
     whole = sensor_path(source, frames)

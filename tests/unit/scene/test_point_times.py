@@ -225,7 +225,7 @@ def test_everything_but_sound_and_absent_times_is_reported_once() -> None:
     }
     unit = next(warning.message for warning in statistics.warnings() if warning.code == "unit-of-point-times")
     assert "1000 times too large" in unit
-    assert "counted from the sweep's time" in unit
+    assert "relative to the sweep's time" in unit
 
 
 @pytest.mark.parametrize("recording", ["kitti_drive", "pandaset"])

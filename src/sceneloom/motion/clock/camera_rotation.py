@@ -18,25 +18,29 @@ from sceneloom.scene.cameras import CameraImage, CameraSensor, Shutter
 from sceneloom.scene.types import Progress
 
 _LEAST_BEARINGS = 16
-"""With fewer directions a rotation is not believed."""
+"""Fewer bearings do not determine a rotation."""
 
 _ROUNDS = 12
 
 _FINEST = 1e-6
-"""No direction is known better [rad]."""
+"""Least standard deviation of a bearing [rad]."""
 
 _WIDEST = 0.02
-"""Where directions agree no better than this, they are not of one rotation [rad]."""
+"""Bearings with larger residuals do not belong to one rotation [rad]."""
+
+_PRIOR = np.zeros((2, 9))
+_PRIOR[0, 3] = _PRIOR[1, 4] = 1.0 / 0.3
+"""Weak prior of the direction of motion, which nothing determines where nothing is near [1/rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BearingRotation:
-    """A rotation that directions report.
+    """A rotation estimated from bearings.
 
     Attributes:
         rotation: `second_from_first`, (3, 3).
-        agreeing: (N,), which directions agree with it.
-        influences: (N,), what share each direction has in the rotation about its own axis; they sum up to 1.
+        agreeing: (N,), which bearings agree with it.
+        influences: (N,), share of each bearing in the rotation about its own axis; they sum up to 1.
     """
 
     rotation: Float64Array
@@ -45,39 +49,40 @@ class BearingRotation:
 
 
 def rotation_between(first: Float64Array, second: Float64Array) -> BearingRotation | None:
-    """Find the rotation between two sets of directions to the same things, most of which are far away.
+    """Estimate the rotation between two sets of bearings to the same points, most of which are far away.
 
-    What is near moves towards or away from the point to which the camera goes; along that direction differences count
-    less, as much as they scatter there more. What fits neither has no weight.
+    Near points move towards or away from the direction of motion; along that direction residuals count less, as much
+    as they scatter there more. Outliers have no weight.
 
     Args:
         first, second: (N, 3) unit vectors in the camera's frame.
 
     Returns:
-        The rotation; None where too few directions agree with any.
+        The rotation; None where too few bearings agree with any.
 
-    Source: weights (1 + r²/c²)⁻² are those of Geman and McClure 1985; the direction of the trajectory is the
-        coplanarity
+    Source: weights (1 + r²/c²)⁻² are those of Geman and McClure 1985; the direction of motion is the coplanarity
     condition of Longuet-Higgins 1981 for small rotations.
     """
     if len(first) < _LEAST_BEARINGS:
         return None
     rotation, weights = _rotation_alone(first, second)
     rotated = first @ rotation.T
-    ahead = _trajectory(rotated, second - rotated, weights)
+    # the direction of motion, up to its sign: all residuals point to it or away from it
+    normals = np.cross(rotated, second - rotated) * weights[:, None]
+    ahead = np.asarray(np.linalg.eigh(normals.T @ normals)[1][:, 0], np.float64)
     scales, amounts = np.zeros(2), np.zeros(4)
     for _ in range(_ROUNDS):
-        view = _View.of(first @ rotation.T, second, ahead)
-        parts = view.parts.copy()
-        parts[:, 0] -= view.nearness @ amounts
+        parts, nearness, slopes, sideways = _compare(first @ rotation.T, second, ahead)
+        parts[:, 0] -= nearness @ amounts
         scales = np.maximum(1.4826 * np.median(np.abs(parts), axis=0), _FINEST)
         scales[0] = max(scales)
         weights = (1.0 + ((parts / (3.0 * scales)) ** 2).sum(axis=1)) ** -2
         root = np.sqrt(weights)[:, None] / scales
-        rows = np.vstack([(view.slopes * root[:, :, None]).reshape(-1, 9), _HELD])
+        rows = np.vstack([(slopes * root[:, :, None]).reshape(-1, 9), _PRIOR])
         solution = np.linalg.lstsq(rows, np.append(parts * root, np.zeros(2)), rcond=1e-6)[0]
         rotation = matrix_from_quaternion(quaternion_from_rotation_vector(solution[:3])) @ rotation
-        ahead = view.rotated_trajectory(solution[3:5])
+        ahead = ahead + np.clip(solution[3:5], -0.3, 0.3) @ sideways
+        ahead /= np.linalg.norm(ahead)
         amounts = amounts + solution[5:]
         if np.linalg.norm(solution[:3]) < 1e-7:
             break
@@ -87,78 +92,34 @@ def rotation_between(first: Float64Array, second: Float64Array) -> BearingRotati
     return BearingRotation(rotation, agreeing, _influences(rows, rotation))
 
 
-def _influences(rows: Float64Array, rotation: Float64Array) -> Float64Array:
-    """What share each direction has in a rotation about the axis of the rotation that was found.
+def _compare(
+    rotated: Float64Array, second: Float64Array, ahead: Float64Array
+) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
+    """Compare bearings (N, 3) that were rotated with those that were seen.
 
-    If a single direction saw a larger rotation, the solution's rotation would grow by its share of that.
-
-    Args:
-        rows: (2 N + 2, 9), of the least squares.
-        rotation: (3, 3).
+    Returns:
+        (N, 2) residuals along the great circle through `ahead`, and across it; (N, 4) columns of a plane of nearness:
+        what moves along is near; (N, 2, 9) slopes by the rotation, the direction of motion, and the nearness; (2, 3)
+        directions across `ahead`.
     """
-    vector = rotation_vector_from_quaternion(quaternion_from_matrix(rotation))
-    axis = vector / max(float(np.linalg.norm(vector)), 1e-12)
-    normal = rows.T @ rows
-    lengths = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    inverse = np.linalg.pinv(normal / np.outer(lengths, lengths), rcond=1e-10) / np.outer(lengths, lengths)
-    shares = (rows @ inverse[:, :3] @ axis) * (rows[:, :3] @ axis)
-    of_directions = shares[:-2].reshape(-1, 2).sum(axis=1)
-    total = float(of_directions.sum())
-    if not 0.5 < total < 2.0:
-        return np.full(len(of_directions), 1.0 / len(of_directions))
-    return np.asarray(of_directions / total, np.float64)
-
-
-_HELD = np.zeros((2, 9))
-
-_HELD[0, 3] = _HELD[1, 4] = 1.0 / 0.3
-"""The direction of the trajectory is held, weakly: where nothing is near, nothing reports it [1/rad]."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _View:
-    """How far directions differ, and how a small rotation and another direction of motion change that.
-
-    Attributes:
-        ahead: (3,), where the camera goes.
-        sideways: (2, 3), two directions across it.
-        parts: (N, 2): along the great circle through `ahead`, and across it.
-        nearness: (N, 4), columns of a plane of nearness: what moves along is near.
-        slopes: (N, 2, 9): by the rotation, the trajectory's direction, and the nearness.
-    """
-
-    ahead: Float64Array
-    sideways: Float64Array
-    parts: Float64Array
-    nearness: Float64Array
-    slopes: Float64Array
-
-    @classmethod
-    def of(cls, rotated: Float64Array, second: Float64Array, ahead: Float64Array) -> "_View":
-        """Compare directions (N, 3) that were rotated with those that were seen."""
-        apart = second - rotated
-        along = ahead - (rotated @ ahead)[:, None] * rotated
-        reach = np.maximum(np.linalg.norm(along, axis=1), 1e-3)[:, None]
-        along /= reach
-        across = np.cross(rotated, along)
-        sideways = np.linalg.svd(ahead[None])[2][1:]
-        nearness = reach * np.hstack([np.ones((len(rotated), 1)), rotated])
-        # apart changes by -δ × rotated, across the circle by the direction of motion, too
-        slopes = np.zeros((len(rotated), 2, 9))
-        slopes[:, 0, :3], slopes[:, 1, :3] = np.cross(rotated, along), np.cross(rotated, across)
-        slopes[:, 1, 3:5] = np.cross(rotated, second) @ sideways.T / reach
-        slopes[:, 0, 5:] = nearness
-        parts = np.stack([(apart * along).sum(axis=1), (apart * across).sum(axis=1)], axis=1)
-        return cls(ahead, sideways, parts, nearness, slopes)
-
-    def rotated_trajectory(self, steps: Float64Array) -> Float64Array:
-        """The trajectory's direction after small steps (2,) sideways."""
-        trajectory = self.ahead + np.clip(steps, -0.3, 0.3) @ self.sideways
-        return np.asarray(trajectory / np.linalg.norm(trajectory), np.float64)
+    apart = second - rotated
+    along = ahead - (rotated @ ahead)[:, None] * rotated
+    reach = np.maximum(np.linalg.norm(along, axis=1), 1e-3)[:, None]
+    along /= reach
+    across = np.cross(rotated, along)
+    sideways = np.linalg.svd(ahead[None])[2][1:]
+    nearness = reach * np.hstack([np.ones((len(rotated), 1)), rotated])
+    # apart changes by -δ x rotated, across the circle by the direction of motion, too
+    slopes = np.zeros((len(rotated), 2, 9))
+    slopes[:, 0, :3], slopes[:, 1, :3] = np.cross(rotated, along), np.cross(rotated, across)
+    slopes[:, 1, 3:5] = np.cross(rotated, second) @ sideways.T / reach
+    slopes[:, 0, 5:] = nearness
+    parts = np.stack([(apart * along).sum(axis=1), (apart * across).sum(axis=1)], axis=1)
+    return parts, nearness, slopes, sideways
 
 
 def _rotation_alone(first: Float64Array, second: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """The rotation that takes most of the directions near to where they are, by weights that fall with the distance.
+    """The rotation that brings most bearings together, and weights that fall with the distance.
 
     Source: Wahba 1965, solved by the singular values as in Markley 1988.
     """
@@ -173,76 +134,78 @@ def _rotation_alone(first: Float64Array, second: Float64Array) -> tuple[Float64A
     return rotation, weights
 
 
-def _trajectory(rotated: Float64Array, apart: Float64Array, weights: Float64Array) -> Float64Array:
-    """The direction in which the camera went, up to its sign: all differences point to it or away from it."""
-    normals = np.cross(rotated, apart) * weights[:, None]
-    _, vectors = np.linalg.eigh(normals.T @ normals)
-    return np.asarray(vectors[:, 0], np.float64)
+def _influences(rows: Float64Array, rotation: Float64Array) -> Float64Array:
+    """The share of each bearing in the rotation about the axis found, by the least squares' rows (2 N + 2, 9).
+
+    If a single bearing saw a larger rotation, the solution's rotation would grow by its share of that.
+    """
+    vector = rotation_vector_from_quaternion(quaternion_from_matrix(rotation))
+    axis = vector / max(float(np.linalg.norm(vector)), 1e-12)
+    normal = rows.T @ rows
+    lengths = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / np.outer(lengths, lengths), rcond=1e-10) / np.outer(lengths, lengths)
+    shares = (rows @ inverse[:, :3] @ axis) * (rows[:, :3] @ axis)
+    of_bearings = shares[:-2].reshape(-1, 2).sum(axis=1)
+    total = float(of_bearings.sum())
+    if not 0.5 < total < 2.0:
+        return np.full(len(of_bearings), 1.0 / len(of_bearings))
+    return np.asarray(of_bearings / total, np.float64)
 
 
 _LARGEST_WIDTH = 720
-"""Wider images are shrunk by a whole number: a tenth of a small pixel is enough, and they are quicker."""
+"""Wider images are reduced by a whole factor: a tenth of a small pixel is enough, and they are faster."""
 
 _CELLS = 500
 """About so many corners, one in each cell of a grid, so that they are spread over the image."""
 
 _HALF_WINDOW = 7
-_CORNERS_ROUNDS = 20
+_TRACKING_ROUNDS = 20
 
 _LEAST_STRENGTH = 4.0
 """Mean squared gradient along the weaker direction [grey levels²]: well above the noise of an image."""
 
 _FARTHEST_BACK = 0.25
-"""A corner that is followed back comes at most so far from where it was [px]. Source: Kalal, Mikolajczyk and Matas
-2010, "Forward-Backward Error"."""
+"""Largest distance of a corner that is tracked forth and back [px]. Source: Kalal, Mikolajczyk and Matas 2010,
+"Forward-Backward Error"."""
 
 _SMALLEST = 48
-"""No image of the pyramid is narrower or lower [px]."""
+"""Least width and height of an image of the pyramid [px]."""
 
 _BLUR = np.array([1.0, 4.0, 6.0, 4.0, 1.0], np.float32) / 16.0
 """Source: Burt and Adelson 1983, a = 0.375."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pyramid:
-    """An image in grey, and smaller and smaller.
-
-    Attributes:
-        levels: (h, w) float32 each, halved from one to the next.
-        shrunk: by how much the first is smaller than the image.
-    """
-
-    levels: tuple[Float32Array, ...]
-    shrunk: int
-
-    @classmethod
-    def of(cls, rgb: UInt8Array) -> "Pyramid":
-        """Make it of an image (H, W, 3)."""
-        shrunk = -(-rgb.shape[1] // _LARGEST_WIDTH)
-        height, width = rgb.shape[0] // shrunk, rgb.shape[1] // shrunk
-        small = rgb[: height * shrunk, : width * shrunk].astype(np.float32) @ _GREY
-        if shrunk > 1:
-            small = _shrunk(small, shrunk)
-        levels = [np.ascontiguousarray(small, np.float32)]
-        while min(levels[-1].shape) >= 2 * _SMALLEST:
-            levels.append(_halved(levels[-1]))
-        return cls(tuple(levels), shrunk)
-
-    def outer(self, pixels: Float64Array) -> Float64Array:
-        """Take locations (N, 2) of the first level into the image [px]."""
-        return (pixels + 0.5) * self.shrunk - 0.5
-
 
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)
 """Source: ITU-R BT.601, luma."""
 
 
-def _shrunk(grey: Float32Array, times: int) -> Float32Array:
-    """The means of squares of so many pixels a side."""
-    height, width = grey.shape
-    squares = grey.reshape(height // times, times, width // times, times)
-    means: Float32Array = squares.mean(axis=(1, 3), dtype=np.float32)
-    return means
+@dataclass(frozen=True, slots=True, eq=False)
+class Pyramid:
+    """A grey image in several resolutions.
+
+    Attributes:
+        levels: (h, w) float32 each, halved from one to the next.
+        factor: by how much the first is smaller than the image.
+    """
+
+    levels: tuple[Float32Array, ...]
+    factor: int
+
+    @classmethod
+    def of(cls, rgb: UInt8Array) -> "Pyramid":
+        """Make it of an image (H, W, 3)."""
+        factor = -(-rgb.shape[1] // _LARGEST_WIDTH)
+        height, width = rgb.shape[0] // factor, rgb.shape[1] // factor
+        grey = rgb[: height * factor, : width * factor].astype(np.float32) @ _GREY
+        if factor > 1:
+            grey = grey.reshape(height, factor, width, factor).mean(axis=(1, 3), dtype=np.float32)
+        levels = [np.ascontiguousarray(grey, np.float32)]
+        while min(levels[-1].shape) >= 2 * _SMALLEST:
+            levels.append(_halved(levels[-1]))
+        return cls(tuple(levels), factor)
+
+    def outer(self, pixels: Float64Array) -> Float64Array:
+        """Pixels (N, 2) of the image [px] from those of the first level."""
+        return (pixels + 0.5) * self.factor - 0.5
 
 
 def _halved(grey: Float32Array) -> Float32Array:
@@ -283,19 +246,19 @@ def find_corners(pyramid: Pyramid) -> Float32Array:
 
 
 def followed(first: Pyramid, second: Pyramid, corners: Float32Array) -> tuple[Float32Array, BoolArray]:
-    """Find corners (N, 2) of one image in the next one, there and back again.
+    """Track corners (N, 2) of one image to the next one, and back again.
 
     Returns:
         (N, 2) float32 [px] of the first level, and (N,) bool whether each was found.
     """
-    there, found = _through_levels(first, second, corners)
-    back, found_back = _through_levels(second, first, there)
+    there, found = _tracked(first, second, corners)
+    back, found_back = _tracked(second, first, there)
     near = np.linalg.norm(back - corners, axis=1) <= _FARTHEST_BACK
     return there, found & found_back & near
 
 
-def _through_levels(first: Pyramid, second: Pyramid, corners: Float32Array) -> tuple[Float32Array, BoolArray]:
-    """From the smallest image to the largest. Source: Bouguet 2000."""
+def _tracked(first: Pyramid, second: Pyramid, corners: Float32Array) -> tuple[Float32Array, BoolArray]:
+    """Track from the smallest image to the largest. Source: Bouguet 2000."""
     from sceneloom.kernels.images import follow_corners
 
     count = min(len(first.levels), len(second.levels))
@@ -305,7 +268,8 @@ def _through_levels(first: Pyramid, second: Pyramid, corners: Float32Array) -> t
         pixels = np.ascontiguousarray(corners / 2**level, np.float32)
         guesses = np.ascontiguousarray(guesses)
         before = guesses.copy()
-        follow_corners(first.levels[level], second.levels[level], pixels, _HALF_WINDOW, _CORNERS_ROUNDS, guesses, found)
+        images = first.levels[level], second.levels[level]
+        follow_corners(*images, pixels, _HALF_WINDOW, _TRACKING_ROUNDS, guesses, found)
         if level:
             # what is lost in a small image may be found in a larger one
             lost = ~found
@@ -314,21 +278,13 @@ def _through_levels(first: Pyramid, second: Pyramid, corners: Float32Array) -> t
     return guesses, found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """An image with its pyramid."""
-
-    image: CameraImage
-    pyramid: Pyramid
-
-
 def camera_rotation(camera: CameraSensor, *, progress: Progress | None = None) -> Orientations:
-    """Follow a camera's rotating from image to image; images that show nothing to follow break it.
+    """Estimate a camera's rotation from image to image; images without trackable corners interrupt it.
 
     With a rolling shutter the times are those at which the lines of the corners were taken.
 
     Args:
-        progress: reported after each image.
+        progress: called after each image.
 
     Raises:
         CalibrationError: the camera model cannot be used.
@@ -338,9 +294,14 @@ def camera_rotation(camera: CameraSensor, *, progress: Progress | None = None) -
     shutter = Shutter.of(camera)
     vectors = np.full((max(len(rows) - 1, 0), 3), np.nan)
     delays = np.zeros(len(rows))
-    before: _Seen | None = None
+    before: tuple[CameraImage, Pyramid] | None = None
     for number, row in enumerate(rows.tolist()):
-        seen = _seen(camera, row)
+        seen = None
+        try:
+            image = camera.images[row]
+            seen = image, Pyramid.of(image.rgb)
+        except DataError:
+            pass
         if before is not None and seen is not None:
             vectors[number - 1], early, late = _rotation(before, seen, shutter)
             delays[number - 1] = early if number == 1 else 0.5 * (delays[number - 1] + early)
@@ -352,35 +313,28 @@ def camera_rotation(camera: CameraSensor, *, progress: Progress | None = None) -
     return Orientations.of_steps(np.maximum.accumulate(timestamps), vectors)
 
 
-def _seen(camera: CameraSensor, row: int) -> _Seen | None:
-    try:
-        image = camera.images[row]
-        return _Seen(image, Pyramid.of(image.rgb))
-    except DataError:
-        return None
-
-
-def _rotation(first: _Seen, second: _Seen, shutter: Shutter) -> tuple[Float64Array, float, float]:
-    """Give how a camera rotated between two images (3,) [rad], and when its corners were taken in each [s]."""
+def _rotation(
+    first: tuple[CameraImage, Pyramid], second: tuple[CameraImage, Pyramid], shutter: Shutter
+) -> tuple[Float64Array, float, float]:
+    """How a camera rotated between two images (3,) [rad], and when its corners were taken in each [s]."""
     unknown = np.full(3, np.nan), 0.0, 0.0
-    if first.pyramid.levels[0].shape != second.pyramid.levels[0].shape:
+    (first_image, first_pyramid), (second_image, second_pyramid) = first, second
+    if first_pyramid.levels[0].shape != second_pyramid.levels[0].shape:
         return unknown
-    corners = find_corners(first.pyramid)
+    corners = find_corners(first_pyramid)
     if len(corners) < _LEAST_BEARINGS:
         return unknown
-    there, found = followed(first.pyramid, second.pyramid, corners)
-    before = first.pyramid.outer(corners[found].astype(np.float64))
-    after = second.pyramid.outer(there[found].astype(np.float64))
-    rays_before = unproject(first.image.camera, before)
-    rays_after = unproject(second.image.camera, after)
+    there, found = followed(first_pyramid, second_pyramid, corners)
+    before = first_pyramid.outer(corners[found].astype(np.float64))
+    after = second_pyramid.outer(there[found].astype(np.float64))
+    rays_before, rays_after = unproject(first_image.camera, before), unproject(second_image.camera, after)
     usable = finite_rows(rays_before) & finite_rows(rays_after)
     rotated = rotation_between(rays_before[usable], rays_after[usable])
     if rotated is None:
         return unknown
     vector = rotation_vector_from_quaternion(quaternion_from_matrix(rotated.rotation.T))
-    early = _delay(shutter, before[usable], rotated.influences, first.image)
-    late = _delay(shutter, after[usable], rotated.influences, second.image)
-    return vector, early, late
+    early = _delay(shutter, before[usable], rotated.influences, first_image)
+    return vector, early, _delay(shutter, after[usable], rotated.influences, second_image)
 
 
 def _delay(shutter: Shutter, pixels: Float64Array, shares: Float64Array, image: CameraImage) -> float:

@@ -165,10 +165,7 @@ def test_samples_out_of_order_or_without_a_number_do_no_harm() -> None:
     times, rates = (seconds * SECOND).astype(np.int64), swinging_rates(seconds)
     sound = imu_motion(imu_scene(times, rates)).ego.path
     order = np.random.default_rng(0).permutation(201)
-    times, rates = (
-        np.append(times[order], [55, times[7]]),
-        np.vstack([rates[order], [[np.nan] * 3, [9.0] * 3]]),
-    )
+    times, rates = (np.append(times[order], [55, times[7]]), np.vstack([rates[order], [[np.nan] * 3, [9.0] * 3]]))
     motion = imu_motion(imu_scene(times, rates))
     np.testing.assert_array_equal(motion.ego.path.quaternions_xyzw, sound.quaternions_xyzw)
     assert ("imu-samples", 2) in [(warning.code, warning.count) for warning in motion.ego.warnings]

@@ -1,1 +1,0 @@
-"""The ego's motion from satellite fixes and an IMU, smoothed over the whole drive."""

@@ -1,7 +1,4 @@
-"""Visibility, depths and colours against the truth of a simulated drive.
-
-What comes out is the same, whoever does the work.
-"""
+"""Visibility, depths and colours: by hand, against OpenCV, and against the truth of a simulated drive."""
 
 import math
 
@@ -28,15 +25,13 @@ LEFT = RigidTransform(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.
 CAMERA_MODEL = Camera("pinhole", 20, 10, 10.0, 10.0, 9.5, 4.5)
 
 
-def request(camera_id, camera_index, pose, color):
+def request(camera_id, camera_index, pose, image, camera=CAMERA_MODEL):
+    """One image of a camera; of one colour where `image` is that."""
+    rgb = image if np.ndim(image) == 3 else np.full((camera.height, camera.width, 3), image, np.uint8)
     return ViewRequest(
-        camera_id=camera_id,
-        camera_index=camera_index,
-        camera=CAMERA_MODEL,
-        timestamp_ns=camera_index,
-        world_from_camera=pose,
-        rgb=np.full((10, 20, 3), color, np.uint8),
-    )
+        camera_id=camera_id, camera_index=camera_index, camera=camera, timestamp_ns=camera_index,
+        world_from_camera=pose, rgb=rgb,
+    )  # fmt: skip
 
 
 def test_projection_gives_views_in_order_and_colours_from_all_of_them():
@@ -77,15 +72,8 @@ def test_a_camera_index_out_of_range_is_refused():
 
 def test_blending_takes_colours_of_all_images_that_agree():
     points = np.array([[0.0, 0.0, 5.0]])
-    rgb = [np.full((21, 21, 3), level, np.uint8) for level in (100, 110)]
-    camera_model = Camera("pinhole", 21, 21, 20.0, 20.0, 10.0, 10.0)
-    requests = [
-        ViewRequest(
-            camera_id=f"camera{k}", camera_index=k, camera=camera_model, timestamp_ns=0,
-            world_from_camera=RigidTransform.identity(), rgb=image,
-        )
-        for k, image in enumerate(rgb)
-    ]  # fmt: skip
+    camera, pose = Camera("pinhole", 21, 21, 20.0, 20.0, 10.0, 10.0), RigidTransform.identity()
+    requests = [request(f"camera{k}", k, pose, level, camera) for k, level in enumerate((100, 110))]
     fused = ALGORITHMS["blending"](points, requests, VisibilitySettings())
     assert fused.colors.tolist() == [[105, 105, 105]]
     assert [view.camera_id for view in fused.views] == ["camera0", "camera1"]
@@ -198,19 +186,14 @@ def test_a_fisheye_sees_beside_and_behind_itself_but_such_points_have_no_depth()
         assert sorted(fused.depth_image[fused.depth_image > 0].tolist()) == pytest.approx([1, 4])
 
 
-def test_points_in_any_memory_order_are_taken():
+def test_points_in_any_memory_order_are_taken_also_read_only_ones():
     points = cloud(500)
     expected = view(points)
-    for other in (np.asfortranarray(points), np.repeat(points, 2, axis=0)[::2], points[::-1][::-1]):
+    points.flags.writeable = False
+    for other in (points, np.asfortranarray(points), np.repeat(points, 2, axis=0)[::2], points[::-1][::-1]):
         fused = view(other)
         np.testing.assert_array_equal(fused.point_ids, expected.point_ids)
         np.testing.assert_array_equal(fused.depth_image, expected.depth_image)
-
-
-def test_read_only_points_are_taken():
-    points = cloud(500)
-    points.flags.writeable = False
-    assert len(view(points).point_ids) > 0
 
 
 def test_a_view_of_few_points_does_not_hold_the_room_of_all():
@@ -248,17 +231,10 @@ WIDE = Camera("fisheye", 640, 640, 150.0, 150.0, 319.5, 319.5)
 
 
 def observations_of(points_camera, camera, *, enabled=True):
-    rgb = np.zeros((camera.height, camera.width, 3), np.uint8)
-    view = view_points(
-        np.where(np.isfinite(points_camera), POSE.apply(np.nan_to_num(points_camera, posinf=0)), points_camera),
-        camera,
-        POSE,
-        rgb,
-        camera_id="c",
-        timestamp_ns=0,
-        visibility=VisibilitySettings(enabled=enabled),
-    )
-    return view, view.observations
+    known = np.isfinite(points_camera)
+    points_world = np.where(known, POSE.apply(np.nan_to_num(points_camera, posinf=0)), points_camera)
+    found = view(points_world, camera, VisibilitySettings(enabled=enabled))
+    return found, found.observations
 
 
 def at_angle(degrees, distance=10.0):
@@ -295,9 +271,10 @@ def test_what_stands_behind_a_nearer_wall_is_hidden():
 @pytest.mark.parametrize("camera", [PINHOLE, BARREL, WIDE], ids=lambda camera: camera.model)
 def test_observations_agree_with_the_points_in_the_image(camera, enabled):
     points = np.random.default_rng(3).normal(size=(20_000, 3)) * [5, 5, 5]
-    view, observations = observations_of(points, camera, enabled=enabled)
-    np.testing.assert_array_equal(np.flatnonzero(observations <= PointVisibility.HIDDEN), view.point_ids)
-    np.testing.assert_array_equal(np.flatnonzero(observations == PointVisibility.VISIBLE), view.point_ids[view.visible])
+    found, observations = observations_of(points, camera, enabled=enabled)
+    np.testing.assert_array_equal(np.flatnonzero(observations <= PointVisibility.HIDDEN), found.point_ids)
+    visible = np.flatnonzero(observations == PointVisibility.VISIBLE)
+    np.testing.assert_array_equal(visible, found.point_ids[found.visible])
     assert len(np.unique(observations)) == (3 if camera is WIDE else 4)
 
 
@@ -318,15 +295,8 @@ def test_fused_frames_agree_with_what_was_really_there(name):
     measured = np.linalg.norm(sweep.frame.points.positions.astype(np.float64), axis=1)
     points_world = sweep.origins_world + (sweep.points_world - sweep.origins_world) * (measured / sweep.ranges)[:, None]
     image = drive.scene.cameras[0].images[k]
-    request = ViewRequest(
-        camera_id="camera0",
-        camera_index=0,
-        camera=image.camera,
-        timestamp_ns=image.timestamp_ns,
-        world_from_camera=truth.world_from_camera("camera0", k),
-        rgb=image.rgb,
-    )
-    fused = fuse_by_projection(points_world, [request], VisibilitySettings())
+    asked = request("camera0", 0, truth.world_from_camera("camera0", k), image.rgb, image.camera)
+    fused = fuse_by_projection(points_world, [asked], VisibilitySettings())
     view = fused.views[0]
     columns, rows = np.floor(view.pixels + 0.5).astype(int).T
     counted = ~truth.edges("camera0", k)[rows, columns]
@@ -361,14 +331,7 @@ def threads_request(number):
         np.array([0.1 * number, 0, 0]), np.array([0, math.sin(number / 20), 0, math.cos(number / 20)])
     )
     rgb = np.random.default_rng(number).integers(0, 255, (200, 320, 3), np.uint8)
-    return ViewRequest(
-        camera_id=f"camera {number}",
-        camera_index=number,
-        camera=THREADS_CAMERA,
-        timestamp_ns=0,
-        world_from_camera=rotated,
-        rgb=rgb,
-    )
+    return request(f"camera {number}", number, rotated, rgb, THREADS_CAMERA)
 
 
 @pytest.mark.parametrize("images", [1, 2, 5])

@@ -456,7 +456,8 @@ def test_a_sweep_beyond_the_poses_has_no_way() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ends", "fractions"), [(np.zeros((3, 3)), np.zeros(2, np.float32)), (np.zeros((2, 3)), np.zeros(2))]
+    ("ends", "fractions"),
+    [(np.zeros((3, 3)), np.zeros(2, np.float32)), (np.zeros((2, 3)), np.zeros((2, 1), np.float32))],
 )
 def test_arrays_of_another_kind_are_refused(ends: np.ndarray, fractions: np.ndarray) -> None:
     with pytest.raises(ArrayError, match="trajectory"):

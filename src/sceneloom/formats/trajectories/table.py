@@ -29,11 +29,6 @@ _FIXES = "fixes"
 """Name of the positions that the first satellite receiver of a scene reported; of others, `fixes:ID`."""
 
 
-def _is_scene_name(name: str | None) -> bool:
-    """Whether a trajectory of that name is computed from sensors, or reported by one."""
-    return name is not None and (name in RESERVED or name.partition(":")[0] == _FIXES)
-
-
 def _read_scene_trajectory(
     form: FormatSpec,
     location: Any,
@@ -43,15 +38,10 @@ def _read_scene_trajectory(
 ) -> TrajectoryFile:
     """Open a scene and take a trajectory out of it.
 
-    Args:
-        form: the format of the scene.
-        location: what the format opens.
-        reading: its `name`: a name out of `scene.trajectories`, "lidar" or "gnss" to find the trajectory from the
-            sweeps or from GNSS and IMU, "fixes" or "fixes:ID" for what a satellite receiver reported. None: the default
-            one; where there is none and no lidar, the fixes as received, since what is compared is what was reported,
-            and not what a smoother makes of it where a scene is placed; else what `find_ego_motion` finds.
-        options: reading options of the format.
-        progress: reported after each sweep, where the trajectory is found from the sweeps.
+    The `name` of the reading is one out of `scene.trajectories`; "lidar" or "gnss" to estimate the trajectory from the
+    sweeps or from GNSS and IMU; "fixes" or "fixes:ID" for what a satellite receiver reported. None: the default one;
+    where there is none and no lidar, the fixes as received, since what is compared is what was reported, and not what
+    a smoother makes of it; else what `find_ego_motion` estimates.
     """
     further = dict(options)
     chosen = chosen_corrections(further.pop("corrections", Corrections.APPLY))
@@ -86,7 +76,7 @@ def _named(scene: Scene, reading: Reading, progress: Progress | None) -> Traject
 
 
 def _received(scene: Scene, sensor: GnssSensor, name: str, reading: Reading) -> TrajectoryFile:
-    """The fixes that are positions: one at 0, 0 before reception would otherwise become the origin."""
+    """The fixes that are positions; one at 0, 0 before reception must not become the origin."""
     location, usable = f"{scene.source}: sensors[{sensor.id}]", usable_fixes(sensor)
     if not usable.any():
         raise PoseError(f"{location}: no usable GNSS fixes in it; expected one or more")
@@ -128,20 +118,11 @@ def _choices(scene: Scene, receivers: list[GnssSensor]) -> str:
 
 
 _VEHICLE_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-
-
-def _from_optical(content: TrajectoryFile) -> TrajectoryFile:
-    """The same trajectory with the axes of world and device rotated from z forward, y down to x forward, z up."""
-    return _rotated(content, _VEHICLE_FROM_OPTICAL)
-
-
-def _to_optical(content: TrajectoryFile) -> TrajectoryFile:
-    """The same trajectory with the axes of world and device rotated from x forward, z up to z forward, y down."""
-    return _rotated(content, _VEHICLE_FROM_OPTICAL.T)
+"""From z forward, y down to x forward, z up."""
 
 
 def _rotated(content: TrajectoryFile, here_from_there: Float64Array) -> TrajectoryFile:
-    """Exchange axes, which rounds nothing: a rotation seen in other axes has its own axis rotated like any vector."""
+    """Rotate the axes of world and device, which rounds nothing: the axis of a rotation is rotated as any vector."""
     trajectory, six = content.trajectory, np.kron(np.eye(2), here_from_there)
     quaternions, covariances = trajectory.quaternions_xyzw, trajectory.covariances
     if quaternions is not None:
@@ -156,12 +137,13 @@ def _rotated(content: TrajectoryFile, here_from_there: Float64Array) -> Trajecto
     return replace(content, trajectory=trajectory, columns=columns)
 
 
+_TEXT_FORMATS = "sceneloom.formats.trajectories.text_formats"
 _FORM_LOCATIONS = {
-    "tum": "sceneloom.formats.trajectories.text_formats:TUM",
-    "kitti": "sceneloom.formats.trajectories.text_formats:KITTI",
-    "euroc": "sceneloom.formats.trajectories.text_formats:EUROC",
-    "gnss": "sceneloom.formats.trajectories.text_formats:GNSS",
-    "csv": "sceneloom.formats.trajectories.text_formats:NAMED_COLUMNS",
+    "tum": f"{_TEXT_FORMATS}:TUM",
+    "kitti": f"{_TEXT_FORMATS}:KITTI",
+    "euroc": f"{_TEXT_FORMATS}:EUROC",
+    "gnss": f"{_TEXT_FORMATS}:GNSS",
+    "csv": f"{_TEXT_FORMATS}:NAMED_COLUMNS",
     "jsonl": "sceneloom.formats.recording.pose_lines:JSONL",
 }
 
@@ -234,7 +216,8 @@ def read_trajectory_file(
         origin_lla=None if origin_lla is None else _origin(origin_lla),
     )
     chosen = _form_named(form) if form is not None else find_form(where)
-    if form is None and chosen is not None and chosen.name == "jsonl" and _is_scene_name(reading.name):
+    computed = reading.name in RESERVED or (reading.name or "").partition(":")[0] == _FIXES
+    if form is None and chosen is not None and chosen.name == "jsonl" and computed:
         chosen = None
     if times is not None and (chosen is None or chosen.name != "kitti"):
         raise OptionError(f"{where}: has its own times; those of {times} would not be used, and are for KITTI's poses")
@@ -249,7 +232,7 @@ def read_trajectory_file(
         with ledger.telling():
             content = chosen.read(Path(where), reading, ledger)
         content = replace(content, warnings=ledger.warnings)
-    return _from_optical(content) if optical else content
+    return _rotated(content, _VEHICLE_FROM_OPTICAL) if optical else content
 
 
 def _check_used(path: str | Path, form: TrajectoryForm | None, reading: Reading) -> None:
@@ -330,7 +313,7 @@ def write_trajectory(
     content = content_of(trajectory)
     if origin_lla is not None:
         content = replace(content, origin_lla=_origin(origin_lla))
-    content = _to_optical(content) if optical else content
+    content = _rotated(content, _VEHICLE_FROM_OPTICAL.T) if optical else content
     targets = [target] if chosen.beside is None else [target, chosen.beside(target)]
     with replacing_together(targets, overwrite=overwrite) as (draft, *_):
         return LossReport.of(chosen.write(content, draft, target))
@@ -347,7 +330,7 @@ def content_of(trajectory: Trajectory | Poses | TrajectoryFile) -> TrajectoryFil
     if isinstance(trajectory, Trajectory):
         return TrajectoryFile(trajectory)
     if trajectory.static:
-        raise PoseError("a pose that holds at all times is no way; expected poses with a time each")
+        raise PoseError("a pose that holds at all times is no trajectory; expected poses with a time each")
     return TrajectoryFile(
         Trajectory("poses", trajectory.timestamps_ns, trajectory.positions, trajectory.quaternions_xyzw)
     )

@@ -1,8 +1,10 @@
 """Trajectories as lines and tables of text: TUM, KITTI, EuRoC, named columns, and GNSS fixes."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
+from functools import partial
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -40,42 +42,101 @@ from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Trajectory
 from sceneloom.warnings import WarningKind
 
-_HEADER = "# timestamp tx ty tz qx qy qz qw\n"
+_POSITION, _ROTATION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
+_LLA = ("latitude", "longitude", "altitude")
+_OPTIONAL = ("accuracy", "vertical_accuracy")
+
+_EXTRA: Mapping[str, str] = {
+    "velocities": "v_RS_R_{} [m s^-1]",
+    "gyroscope_biases": "b_w_RS_S_{} [rad s^-1]",
+    "accelerometer_biases": "b_a_RS_S_{} [m s^-2]",
+}
+"""What may follow a pose of EuRoC, three numbers each, in this order, and the names of the columns."""
+
+_EUROC_POSE = (
+    "#timestamp",
+    *(f"p_RS_R_{axis} [m]" for axis in "xyz"),
+    *(f"q_RS_{axis} []" for axis in "wxyz"),
+)
+
+_WIDTHS = tuple(8 + 3 * count for count in range(len(_EXTRA) + 1))
+
+_POSITIONS_ONLY = 4
+"""Numbers a line of the position tracker's files, which have the same header without orientations."""
+
+_EARLIEST_NS = 1e12
+"""Less than this many nanoseconds, a quarter of an hour, is taken for seconds of another form when recognising."""
 
 
-def _recognises(text: str) -> bool:
-    values = _first_values(text, None)
-    return values is not None and len(values) == 8
-
-
-def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
+def _number_lines(path: Path, widths: Sequence[int], meaning: str) -> Table:
+    """A file of numbers without names of columns, so many a line."""
     table = read_table(path, named=False)
-    if len(table.rows[0]) != 8:
-        problem = f"{len(table.rows[0])} values; expected 8: timestamp tx ty tz qx qy qz qw"
+    if len(table.rows[0]) not in widths:
+        problem = f"{len(table.rows[0])} values; expected {', '.join(map(str, widths))}: {meaning}"
         raise DataError(path, f"line {table.lines[0]}", problem)
+    return table
+
+
+def _named_table(path: Path, known: Mapping[str, Sequence[str]]) -> tuple[Table, dict[str, int]]:
+    """A file with names of columns, and the columns by what they are."""
+    table = read_table(path)
+    return table, dict(pick_columns(table, known, {}, "", path))
+
+
+def _check_columns(table: Table, columns: Mapping[str, int], wanted: Iterable[str]) -> None:
+    missing = [role for role in wanted if role not in columns]
+    if missing:
+        problem = f"no column for {', '.join(missing)} among {', '.join(table.names)}"
+        raise DataError(table.path, "line 1", problem)
+
+
+def _write_rows(path: Path, head: str, times: Iterable[object], values: Float64Array, separator: str) -> None:
+    """Write a time and numbers a line, with all their digits: the shortest texts that are read as the same numbers."""
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(head)
+        for time, row in zip(times, values.tolist(), strict=True):
+            file.write(separator.join([str(time), *map(repr, row)]) + "\n")
+
+
+def _recognises_numbers(widths: Sequence[int], text: str) -> bool:
+    values = _first_values(text, None)
+    return values is not None and len(values) in widths
+
+
+def _recognises_names(known: Mapping[str, Sequence[str]], roles: Sequence[str], text: str) -> bool:
+    names = set(_first_names(text) or ())
+    return bool(names & set(TIME_COLUMNS)) and all(names & set(known[role]) for role in roles)
+
+
+# TUM
+
+
+def _tum_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
+    table = _number_lines(path, (8,), "timestamp tx ty tz qx qy qz qw")
     values = table.numbers(range(1, 8))
     rows = PoseRows(table.timestamps(0, reading.unit), values[:, :3], values[:, 3:], table.lines)
     return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], TUM.name)
 
 
-def _write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
+def _tum_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
     trajectory, quaternions = oriented(content, target, TUM.name)
-    with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(_HEADER)
-        rows = zip(
-            trajectory.timestamps_ns.tolist(),
-            trajectory.positions.tolist(),
-            quaternions.tolist(),
-            strict=True,
-        )
-        for time_ns, position, quaternion in rows:
-            file.write(f"{seconds_text(time_ns)} {_numbers_text((*position, *quaternion), ' ')}\n")
+    times = map(seconds_text, trajectory.timestamps_ns.tolist())
+    values = np.concatenate([trajectory.positions, quaternions], axis=1)
+    _write_rows(path, "# timestamp tx ty tz qx qy qz qw\n", times, values, " ")
     return further_losses(content)
 
 
 TUM = TrajectoryForm(
-    "tum", (".tum", ".txt"), "lines of 8 numbers: timestamp tx ty tz qx qy qz qw", _recognises, _read, _write
+    "tum",
+    (".tum", ".txt"),
+    "lines of 8 numbers: timestamp tx ty tz qx qy qz qw",
+    partial(_recognises_numbers, (8,)),
+    _tum_read,
+    _tum_write,
 )
+
+
+# KITTI
 
 
 def _times_beside(path: Path) -> Path:
@@ -83,16 +144,8 @@ def _times_beside(path: Path) -> Path:
     return path.with_name(f"{path.stem}.times.txt")
 
 
-def _kitti_recognises(text: str) -> bool:
-    values = _first_values(text, None)
-    return values is not None and len(values) == 12
-
-
 def _kitti_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
-    table = read_table(path, named=False)
-    if len(table.rows[0]) != 12:
-        problem = f"{len(table.rows[0])} values; expected 12: three rows of [R t]"
-        raise DataError(path, f"line {table.lines[0]}", problem)
+    table = _number_lines(path, (12,), "three rows of [R t]")
     timestamps = _timestamps(path, len(table.rows), reading, ledger)
     matrices = table.numbers(range(12)).reshape(-1, 3, 4)
     quaternions = _quaternions(table, matrices[:, :, :3])
@@ -160,7 +213,7 @@ def _kitti_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[
     trajectory, quaternions = oriented(content, target, KITTI.name)
     matrices = np.concatenate([matrix_from_quaternion(quaternions), trajectory.positions[:, :, None]], axis=2)
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.writelines(f"{_numbers_text(matrix, ' ')}\n" for matrix in matrices.reshape(-1, 12).tolist())
+        file.writelines(f"{' '.join(map(repr, matrix))}\n" for matrix in matrices.reshape(-1, 12).tolist())
     with _times_beside(path).open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{seconds_text(time_ns)}\n" for time_ns in trajectory.timestamps_ns.tolist())
     return further_losses(content)
@@ -170,33 +223,15 @@ KITTI = TrajectoryForm(
     "kitti",
     (".kitti",),
     "lines of 12 numbers: three rows of [R t]",
-    _kitti_recognises,
+    partial(_recognises_numbers, (12,)),
     _kitti_read,
     _kitti_write,
     _times_beside,
     MATRICES,
 )
 
-_FURTHER: Mapping[str, str] = {
-    "velocities": "v_RS_R_{} [m s^-1]",
-    "gyroscope_biases": "b_w_RS_S_{} [rad s^-1]",
-    "accelerometer_biases": "b_a_RS_S_{} [m s^-2]",
-}
-"""What may follow the pose, three numbers each, in this order, and the names of the columns."""
 
-_POSE = (
-    "#timestamp",
-    *(f"p_RS_R_{axis} [m]" for axis in "xyz"),
-    *(f"q_RS_{axis} []" for axis in "wxyz"),
-)
-
-_WIDTHS = tuple(8 + 3 * count for count in range(len(_FURTHER) + 1))
-
-_POSITIONS_ONLY = 4
-"""Numbers a line of the position tracker's files, which have the same header without orientations."""
-
-_EARLIEST_NS = 1e12
-"""Less than this many nanoseconds, a quarter of an hour, is taken for seconds of another form when recognising."""
+# EuRoC
 
 
 def _euroc_recognises(text: str) -> bool:
@@ -207,40 +242,26 @@ def _euroc_recognises(text: str) -> bool:
 
 
 def _euroc_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
-    table = read_table(path, named=False)
+    meaning = "timestamp, position, quaternion w x y z, velocity, biases"
+    table = _number_lines(path, (_POSITIONS_ONLY, *_WIDTHS), meaning)
     width = len(table.rows[0])
-    if width not in (_POSITIONS_ONLY, *_WIDTHS):
-        known = ", ".join(map(str, (_POSITIONS_ONLY, *_WIDTHS)))
-        problem = f"{width} values; expected {known}: timestamp, position, quaternion w x y z, velocity, biases"
-        raise DataError(path, f"line {table.lines[0]}", problem)
     values = table.numbers(range(1, width))
     timestamps = table.timestamps(0, reading.unit or "nanoseconds")
     quaternions = None if width == _POSITIONS_ONLY else values[:, [4, 5, 6, 3]]
     rows = PoseRows(timestamps, values[:, :3], quaternions, table.lines)
     trajectory, kept = ordered(path, reading.name or path.stem, rows, ledger)
-    columns = {
-        name: read_only(values[kept, 7 + 3 * k : 10 + 3 * k])
-        for k, name in enumerate(_FURTHER)
-        if 10 + 3 * k <= width - 1
-    }
+    starts = {name: 7 + 3 * k for k, name in enumerate(_EXTRA) if 10 + 3 * k <= width - 1}
+    columns = {name: read_only(values[kept, start : start + 3]) for name, start in starts.items()}
     return TrajectoryFile(trajectory, EUROC.name, columns=columns)
 
 
 def _euroc_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
     trajectory, quaternions = oriented(content, target, EUROC.name)
-    further = []
-    for name in _FURTHER:
-        if name not in content.columns:
-            break
-        further.append(name)
-    names = [*_POSE, *(_FURTHER[name].format(axis) for name in further for axis in "xyz")]
-    parts = [trajectory.positions, quaternions[:, [3, 0, 1, 2]], *(content.columns[name] for name in further)]
-    with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(", ".join(names) + "\n")
-        values = np.concatenate(parts, axis=1).tolist()
-        for time_ns, row in zip(trajectory.timestamps_ns.tolist(), values, strict=True):
-            file.write(f"{time_ns},{_numbers_text(row, ',')}\n")
-    return further_losses(content, kept=further)
+    extra = list(takewhile(content.columns.__contains__, _EXTRA))
+    names = [*_EUROC_POSE, *(_EXTRA[name].format(axis) for name in extra for axis in "xyz")]
+    parts = [trajectory.positions, quaternions[:, [3, 0, 1, 2]], *(content.columns[name] for name in extra)]
+    _write_rows(path, f"{', '.join(names)}\n", trajectory.timestamps_ns.tolist(), np.concatenate(parts, axis=1), ",")
+    return further_losses(content, kept=extra)
 
 
 EUROC = TrajectoryForm(
@@ -252,43 +273,27 @@ EUROC = TrajectoryForm(
     _euroc_write,
 )
 
-_LOCATION, _ROTATION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
+
+# columns with names
 
 
-def _named_columns_recognises(text: str) -> bool:
-    names = set(_first_names(text) or ())
-    wanted = [POSE_COLUMNS[role] for role in _LOCATION]
-    return bool(names & set(TIME_COLUMNS)) and all(names & set(known) for known in wanted)
-
-
-def _named_columns_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
-    table = read_table(path)
-    columns = pick_columns(table, POSE_COLUMNS, {}, "", path)
-    rotation = [role for role in _ROTATION if role in columns]
-    missing = [role for role in ("time", *_LOCATION, *(_ROTATION if rotation else ())) if role not in columns]
-    if missing:
-        problem = f"no column for {', '.join(missing)} among {', '.join(table.names)}"
-        raise DataError(path, "line 1", problem)
-    values = table.numbers([columns[role] for role in (*_LOCATION, *rotation)])
+def _csv_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
+    table, columns = _named_table(path, POSE_COLUMNS)
+    rotation = _ROTATION if any(role in columns for role in _ROTATION) else ()
+    _check_columns(table, columns, ("time", *_POSITION, *rotation))
+    values = table.numbers([columns[role] for role in (*_POSITION, *rotation)])
     timestamps = table.timestamps(columns["time"], reading.unit)
     rows = PoseRows(timestamps, values[:, :3], values[:, 3:] if rotation else None, table.lines)
     return TrajectoryFile(ordered(path, reading.name or path.stem, rows, ledger)[0], NAMED_COLUMNS.name)
 
 
-def _named_columns_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
+def _csv_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
     del target
     trajectory = content.trajectory
-    rotated = trajectory.quaternions_xyzw is not None
-    parts = (
-        [trajectory.positions]
-        if trajectory.quaternions_xyzw is None
-        else [trajectory.positions, trajectory.quaternions_xyzw]
-    )
-    with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(",".join(("timestamp_ns", *_LOCATION, *(_ROTATION if rotated else ()))) + "\n")
-        values = np.concatenate(parts, axis=1).tolist()
-        for time_ns, row in zip(trajectory.timestamps_ns.tolist(), values, strict=True):
-            file.write(f"{time_ns},{_numbers_text(row, ',')}\n")
+    names, values = ["timestamp_ns", *_POSITION], trajectory.positions
+    if trajectory.quaternions_xyzw is not None:
+        names, values = [*names, *_ROTATION], np.concatenate([values, trajectory.quaternions_xyzw], axis=1)
+    _write_rows(path, f"{','.join(names)}\n", trajectory.timestamps_ns.tolist(), values, ",")
     return further_losses(content)
 
 
@@ -296,42 +301,32 @@ NAMED_COLUMNS = TrajectoryForm(
     "csv",
     (),
     "CSV with columns of names such as timestamp_ns, x, y, z, qx, qy, qz, qw",
-    _named_columns_recognises,
-    _named_columns_read,
-    _named_columns_write,
+    partial(_recognises_names, POSE_COLUMNS, _POSITION),
+    _csv_read,
+    _csv_write,
 )
 
-_GNSS_LOCATION = ("latitude", "longitude", "altitude")
 
-
-def _gnss_recognises(text: str) -> bool:
-    names = set(_first_names(text) or ())
-    wanted = [GNSS_COLUMNS[role] for role in ("latitude", "longitude")]
-    return bool(names & set(TIME_COLUMNS)) and all(names & set(known) for known in wanted)
+# GNSS fixes
 
 
 def _gnss_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
-    table = read_table(path)
-    columns = pick_columns(table, GNSS_COLUMNS, {}, "", path)
-    missing = [role for role in ("time", "latitude", "longitude") if role not in columns]
-    if missing:
-        raise DataError(path, "line 1", f"no column for {', '.join(missing)} among {', '.join(table.names)}")
+    table, columns = _named_table(path, GNSS_COLUMNS)
+    _check_columns(table, columns, ("time", "latitude", "longitude"))
     if not table.rows:
         raise DataError(path, "", "holds no fixes; expected at least one")
-    positions_lla = table.numbers([columns[role] for role in _GNSS_LOCATION if role in columns])
+    positions_lla = table.numbers([columns[role] for role in _LLA if role in columns])
     if "altitude" not in columns:
         ledger.note(WarningKind.ASSUMED, "altitude-zero", str(path), "no column of altitudes; taken as 0 m")
         positions_lla = np.concatenate([positions_lla, np.zeros((len(positions_lla), 1))], axis=1)
-    _check_locations(table, positions_lla)
+    outside = (np.abs(positions_lla[:, 0]) > 90) | (np.abs(positions_lla[:, 1]) > 180)
+    for k in np.flatnonzero(outside)[:1].tolist():
+        problem = f"latitude {positions_lla[k, 0]}, longitude {positions_lla[k, 1]}"
+        raise DataError(path, f"line {table.lines[k]}", f"{problem}; expected degrees within ±90 and ±180")
     rows = PoseRows(table.timestamps(columns["time"], reading.unit), positions_lla, None, table.lines)
     trajectory, kept = ordered(path, reading.name or path.stem, rows, ledger)
-    fixes = GnssSensor(
-        trajectory.name,
-        trajectory.timestamps_ns,
-        trajectory.positions,
-        _accuracies(table, columns.get("accuracy"), kept),
-        _accuracies(table, columns.get("vertical_accuracy"), kept),
-    )
+    accuracies, vertical = (_accuracies(table, columns.get(name), kept) for name in _OPTIONAL)
+    fixes = GnssSensor(trajectory.name, trajectory.timestamps_ns, trajectory.positions, accuracies, vertical)
     return replace(of_fixes(fixes, origin_lla=reading.origin_lla), form=GNSS.name)
 
 
@@ -341,15 +336,6 @@ def of_fixes(fixes: GnssSensor, *, origin_lla: Float64Array | None = None, name:
     positions = read_only(enu_from_geodetic(fixes.positions_lla, origin))
     trajectory = Trajectory(name or str(fixes.id), fixes.timestamps_ns, positions)
     return TrajectoryFile(trajectory, fixes=fixes, origin_lla=read_only(origin))
-
-
-def _check_locations(table: Table, positions_lla: Float64Array) -> None:
-    outside = (np.abs(positions_lla[:, 0]) > 90) | (np.abs(positions_lla[:, 1]) > 180)
-    if outside.any():
-        k = int(np.flatnonzero(outside)[0])
-        reported = f"latitude {positions_lla[k, 0]}, longitude {positions_lla[k, 1]}"
-        problem = f"{reported}; expected degrees within ±90 and ±180"
-        raise DataError(table.path, f"line {table.lines[k]}", problem)
 
 
 def _accuracies(table: Table, column: int | None, kept: Int64Array) -> Float64Array:
@@ -375,12 +361,12 @@ def _gnss_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[L
             field = f"trajectories[{content.trajectory.name}].quaternions_xyzw"
             losses.append(Loss(field=field, what="left out", count=len(fixes.timestamps_ns)))
     values = np.column_stack([fixes.positions_lla, fixes.accuracies, fixes.vertical_accuracies])
-    optional = [k for k in (3, 4) if np.isfinite(values[:, k]).any()]
-    names = ("latitude", "longitude", "altitude", "accuracy", "vertical_accuracy")
+    names = (*_LLA, *_OPTIONAL)
+    written = [k for k in range(5) if k < 3 or np.isfinite(values[:, k]).any()]
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(",".join(("time", *(names[k] for k in (0, 1, 2, *optional)))) + "\n")
+        file.write(",".join(("time", *(names[k] for k in written))) + "\n")
         for time_ns, row in zip(fixes.timestamps_ns.tolist(), values.tolist(), strict=True):
-            cells = ["" if np.isnan(row[k]) else repr(row[k]) for k in (0, 1, 2, *optional)]
+            cells = ["" if np.isnan(row[k]) else repr(row[k]) for k in written]
             file.write(f"{seconds_text(time_ns)},{','.join(cells)}\n")
     return losses
 
@@ -401,17 +387,12 @@ GNSS = TrajectoryForm(
     "gnss",
     (),
     "CSV with columns of names such as time, latitude, longitude, altitude",
-    _gnss_recognises,
+    partial(_recognises_names, GNSS_COLUMNS, ("latitude", "longitude")),
     _gnss_read,
     _gnss_write,
     supports=LOCATIONS,
     fix_supports=FIXES,
 )
-
-
-def _numbers_text(values: Iterable[float], separator: str) -> str:
-    """Write numbers with all their digits: the shortest texts that are read back as the same numbers."""
-    return separator.join(map(repr, values))
 
 
 def _first_values(text: str, delimiter: str | None) -> list[float] | None:

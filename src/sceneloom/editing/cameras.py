@@ -18,18 +18,14 @@ from sceneloom.errors import CalibrationError, OptionError
 from sceneloom.scene.annotations import (
     Annotation,
     Box2DAnnotation,
-    BoxPath,
     CameraCalibration,
     CuboidAnnotation,
-    PointProjection,
     PointsAnnotation,
-    Projection,
     ShapeAnnotation,
-    VertexPath,
 )
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
-from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import Scene, check_camera_models
+from sceneloom.scene.time_range import select_rows
 from sceneloom.scene.types import Identifier, Key, key_of
 from sceneloom.warnings import DataWarning
 
@@ -48,19 +44,18 @@ def _chosen_cameras(
         OptionError: the scene has no such camera, or none at all, or an annotation replaces its camera model.
         CalibrationError: nothing confirms the formula of a camera model, and computing with it was not asked for.
     """
-    wanted = None if cameras is None else {key_of(scene.sensor(identifier).id) for identifier in cameras}
     if not scene.cameras:
         raise OptionError(f"{scene.source}: has no camera, and so no camera model to change")
+    wanted = None if cameras is None else {key_of(scene.sensor(identifier).id) for identifier in cameras}
     for index, sensor in enumerate(scene.sensors):
-        if wanted is None:
-            if isinstance(sensor, CameraSensor) and sensor.camera.model != unless:
+        if wanted is not None and key_of(sensor.id) not in wanted:
+            continue
+        if isinstance(sensor, CameraSensor):
+            if wanted is not None or sensor.camera.model != unless:
                 _check(scene, sensor)
                 yield index, sensor
-        elif key_of(sensor.id) in wanted:
-            if not isinstance(sensor, CameraSensor):
-                raise OptionError(f"{scene.source}: sensor {sensor.id!r} is a {sensor.type}; expected a camera")
-            _check(scene, sensor)
-            yield index, sensor
+        elif wanted is not None:
+            raise OptionError(f"{scene.source}: sensor {sensor.id!r} is a {sensor.type}; expected a camera")
 
 
 def _check(scene: Scene, sensor: CameraSensor) -> None:
@@ -72,8 +67,7 @@ def _check(scene: Scene, sensor: CameraSensor) -> None:
         if key_of(annotation.sensor_id) == key_of(sensor.id):
             raise OptionError(
                 f"{scene.source}: annotations[{annotation.id}] gives camera {sensor.id!r} another camera model; apply "
-                f"it first "
-                "(`sceneloom edit apply`)"
+                "it first (`sceneloom edit apply`)"
             )
 
 
@@ -120,10 +114,11 @@ def convert_camera_models(
     sensors: list[Any] = list(scene.sensors)
     entries, warnings = list(ours_of(scene).get("camera_models") or ()), list[DataWarning]()
     for index, sensor in _chosen_cameras(scene, cameras, unless=model):
-        camera_models = _CameraModels(model, f"sensors[{sensor.id}].camera", limit_px, share)
-        found = camera_models.fit(sensor.camera)
-        sensors[index] = _with_camera_model(sensor, found.camera, camera_models)
-        warnings.append(assumed("camera-model-fitted", camera_models.location, found.message(sensor.camera)))
+        fitter = _Fitter(model, f"sensors[{sensor.id}].camera", limit_px, share)
+        found = fitter.fit(sensor.camera)
+        fitter.known[sensor.camera] = found.camera
+        sensors[index] = replace(sensor, camera=found.camera, images=sensor.images.mapped(fitter))
+        warnings.append(assumed("camera-model-fitted", fitter.location, found.message(sensor.camera)))
         entries.append(
             {
                 "sensor": sensor.id,
@@ -140,19 +135,15 @@ def convert_camera_models(
     return with_warnings(with_ours(changed, camera_models=entries or None), warnings)
 
 
-def _with_camera_model(sensor: CameraSensor, camera: Camera, camera_models: "_CameraModels") -> CameraSensor:
-    read = partial(_refitted_image, sensor.images, camera_models, {sensor.camera: camera})
-    return replace(sensor, camera=camera, images=LazyFrames(sensor.images.timestamps_ns, read))
-
-
 @dataclass(frozen=True, slots=True)
-class _CameraModels:
-    """Fits camera models, and refuses what is too far off."""
+class _Fitter:
+    """Fits camera models, refuses what is too far off, and gives images a camera model of the new model."""
 
     model: str
     location: str
     limit_px: float
     share: float
+    known: dict[Camera, Camera] = field(default_factory=dict)
 
     def fit(self, camera: Camera) -> Fit:
         found = fit(camera, self.model)
@@ -163,16 +154,11 @@ class _CameraModels:
             )
         return found
 
-
-def _refitted_image(
-    images: LazyFrames[CameraImage], camera_models: _CameraModels, known: dict[Camera, Camera], k: int
-) -> CameraImage:
-    """An image with a camera model of the new model; one that an image has of its own is fitted then."""
-    image = images[k]
-    if image.camera not in known:
+    def __call__(self, image: CameraImage) -> CameraImage:
         own = image.camera
-        known[own] = own if own.model == camera_models.model else camera_models.fit(own).camera
-    return replace(image, camera=known[image.camera])
+        if own not in self.known:
+            self.known[own] = own if own.model == self.model else self.fit(own).camera
+        return replace(image, camera=self.known[own])
 
 
 _CORNER = 0.5
@@ -181,119 +167,92 @@ _CORNER = 0.5
 _SIDE = 9
 
 
+@dataclass(slots=True, eq=False)
 class _CameraModelChange:
-    """From one camera model to another.
+    """Moves what is drawn into images from one camera model to another; counts what was left out as `lost`.
 
-    Attributes:
-        lost: how many drawn things were left out, since the new camera model does not see all of them, or the new image
-            nothing.
+    Positions are in the corner convention; what the new camera model does not see whole, or the new image not at all,
+    becomes NaN.
     """
 
-    def __init__(self, before: Camera, after: Camera) -> None:
-        """Hold both camera models."""
-        self._before, self._after = before, after
-        self.lost = 0
+    before: Camera
+    after: Camera
+    lost: int = 0
 
-    def pixels(self, locations: Float64Array) -> Float64Array:
-        """Move (N, 2) locations in the corner convention; NaN where the new camera model has none."""
-        rays: Float64Array = unproject(self._before, locations - _CORNER)
-        return project_unbounded(self._after, rays) + _CORNER
+    def pixels(self, positions: Float64Array) -> Float64Array:
+        """Move (N, 2) positions; NaN where the new camera model has none."""
+        rays: Float64Array = unproject(self.before, positions - _CORNER)
+        return project_unbounded(self.after, rays) + _CORNER
 
-    def shows(self, low: Float64Array, high: Float64Array) -> BoolArray:
-        """Whether the new image shows anything from the least (N, 2) to the greatest (N, 2) locations."""
-        size = (self._after.width, self._after.height)
-        inside: BoolArray = np.all((high > 0.0) & (low < size), axis=1)
+    def _shows(self, low: Float64Array, high: Float64Array) -> BoolArray:
+        """Whether the new image shows anything from the least (N, 2) to the greatest (N, 2) positions."""
+        inside: BoolArray = np.all((high > 0.0) & (low < (self.after.width, self.after.height)), axis=1)
         return inside
 
-    def boxes(self, boxes: Float64Array) -> Float64Array:
-        """Move (N, 4) boxes `left top width height`: what bounds the moved outline.
+    def _count_lost(self, old: Float64Array, new: Float64Array) -> None:
+        self.lost += int((np.isnan(new).any(axis=1) & np.isfinite(old).all(axis=1)).sum())
 
-        NaN where a part has no location, or the new image shows nothing of it.
-        """
-        along = np.linspace(0.0, 1.0, _SIDE)
-        outline = np.concatenate([np.stack(pair, axis=1) for pair in _sides(along, np.zeros(_SIDE), np.ones(_SIDE))])
-        locations = boxes[:, None, :2] + outline[None] * boxes[:, None, 2:]
-        moved = self.pixels(locations.reshape(-1, 2)).reshape(locations.shape)
+    def boxes(self, boxes: Float64Array) -> Float64Array:
+        """Move (N, 4) boxes `left top width height`: what bounds the moved outline."""
+        along, zeros, ones = np.linspace(0.0, 1.0, _SIDE), np.zeros(_SIDE), np.ones(_SIDE)
+        sides = (along, zeros), (along, ones), (zeros, along), (ones, along)
+        outline = np.concatenate([np.stack(side, axis=1) for side in sides])
+        positions = boxes[:, None, :2] + outline[None] * boxes[:, None, 2:]
+        moved = self.pixels(positions.reshape(-1, 2)).reshape(positions.shape)
         low, high = moved.min(axis=1), moved.max(axis=1)
-        low[~self.shows(low, high)] = np.nan
-        self.lost += int((np.isnan(low).any(axis=1) & np.isfinite(boxes).all(axis=1)).sum())
+        low[~self._shows(low, high)] = np.nan
+        self._count_lost(boxes, low)
         return np.concatenate([low, high - low], axis=1)
 
+    def points(self, points: Float64Array) -> Float64Array:
+        """Move (N, 2) points."""
+        moved = self.pixels(points)
+        moved[~self._shows(moved, moved)] = np.nan
+        self._count_lost(points, moved)
+        return moved
 
-def _sides(
-    along: Float64Array, zeros: Float64Array, ones: Float64Array
-) -> tuple[tuple[Float64Array, Float64Array], ...]:
-    return (along, zeros), (along, ones), (zeros, along), (ones, along)
+    def outline(self, vertices: Float64Array) -> Float64Array | None:
+        """Move the vertices (V, 2) of a shape; None where one has no position, or nothing of it is shown."""
+        moved = self.pixels(vertices)
+        if len(vertices) == 0:
+            return moved
+        if np.isfinite(moved).all() and self._shows(moved.min(axis=0)[None], moved.max(axis=0)[None])[0]:
+            return moved
+        self.lost += 1
+        return None
 
 
-def _redrawn(annotations: tuple[Annotation, ...], changes: Mapping[Key, _CameraModelChange]) -> tuple[Annotation, ...]:
-    """Move everything that is drawn into images of the cameras whose camera model changes.
+def _redrawn(annotation: Annotation, changes: Mapping[Key, _CameraModelChange]) -> Annotation | None:
+    """Move what is drawn into images of the cameras whose camera model changes.
 
-    Rows of paths that the new camera model does not see whole, or the new image not at all, are left out, and an
-    annotation of which nothing stays goes; locations of projections become null.
+    Rows of paths that become NaN are left out, and an annotation of which nothing stays; projections become null.
     """
-    moved = (_moved(annotation, changes) for annotation in annotations)
-    return tuple(annotation for annotation in moved if annotation is not None)
 
+    def projected(entry: Any, name: str) -> Any:
+        change, values = changes.get(key_of(entry.sensor_id)), getattr(entry, name)
+        if change is None or values is None:
+            return entry
+        return replace(entry, **{name: getattr(change, name)(values)})
 
-def _moved(annotation: Annotation, changes: Mapping[Key, _CameraModelChange]) -> Annotation | None:
-    if isinstance(annotation, Box2DAnnotation):
-        change = changes.get(key_of(annotation.sensor_id))
-        return annotation if change is None else _moved_box(annotation, change)
-    if isinstance(annotation, ShapeAnnotation) and annotation.dimensions == 2:
-        change = None if annotation.sensor_id is None else changes.get(key_of(annotation.sensor_id))
-        return annotation if change is None else _moved_shape(annotation, change)
     if isinstance(annotation, CuboidAnnotation):
-        projections = tuple(_moved_projection(one, changes) for one in annotation.projections)
-        return replace(annotation, projections=projections)
+        return replace(annotation, projections=tuple(projected(one, "boxes") for one in annotation.projections))
     if isinstance(annotation, PointsAnnotation):
-        lists = tuple(tuple(_moved_point(one, changes) for one in per_point) for per_point in annotation.projections)
+        lists = tuple(tuple(projected(one, "points") for one in entries) for entries in annotation.projections)
         return replace(annotation, projections=lists)
-    return annotation
-
-
-def _moved_box(annotation: Box2DAnnotation, change: _CameraModelChange) -> Box2DAnnotation | None:
-    path = annotation.path
-    values = change.boxes(path.values)
-    kept: BoolArray = np.all(np.isfinite(values), axis=1)
-    if not kept.any():
-        return None
-    return replace(annotation, path=BoxPath(path.timestamps_ns[kept], values[kept], path.extras))
-
-
-def _moved_shape(annotation: ShapeAnnotation, change: _CameraModelChange) -> ShapeAnnotation | None:
-    path = annotation.path
-    moved = [change.pixels(vertices) for vertices in path.vertices]
-    kept = [_is_shown(vertices, change) for vertices in moved]
-    change.lost += len(kept) - sum(kept)
-    if not any(kept):
-        return None
-    vertices = tuple(one for one, keep in zip(moved, kept, strict=True) if keep)
-    return replace(annotation, path=VertexPath(path.timestamps_ns[np.array(kept)], vertices, path.extras))
-
-
-def _is_shown(vertices: Float64Array, change: _CameraModelChange) -> bool:
-    """Whether all vertices have a location, and the new image may show some of what they bound."""
-    if not (len(vertices) and np.isfinite(vertices).all()):
-        return not len(vertices)
-    return bool(change.shows(vertices.min(axis=0)[None], vertices.max(axis=0)[None])[0])
-
-
-def _moved_projection(projection: Projection, changes: Mapping[Key, _CameraModelChange]) -> Projection:
-    change = changes.get(key_of(projection.sensor_id))
-    if change is None or projection.boxes is None:
-        return projection
-    return replace(projection, boxes=change.boxes(projection.boxes))
-
-
-def _moved_point(projection: PointProjection, changes: Mapping[Key, _CameraModelChange]) -> PointProjection:
-    change = changes.get(key_of(projection.sensor_id))
-    if change is None or projection.points is None:
-        return projection
-    moved = change.pixels(projection.points)
-    moved[~change.shows(moved, moved)] = np.nan
-    change.lost += int((np.isnan(moved).any(axis=1) & np.isfinite(projection.points).all(axis=1)).sum())
-    return replace(projection, points=moved)
+    if not isinstance(annotation, Box2DAnnotation | ShapeAnnotation) or annotation.sensor_id is None:
+        return annotation
+    change = changes.get(key_of(annotation.sensor_id))
+    if change is None or (isinstance(annotation, ShapeAnnotation) and annotation.dimensions != 2):
+        return annotation
+    if isinstance(annotation, Box2DAnnotation):
+        path: Any = replace(annotation.path, values=change.boxes(annotation.path.values))
+        kept = np.isfinite(path.values).all(axis=1)
+    else:
+        moved = [change.outline(vertices) for vertices in annotation.path.vertices]
+        kept = np.array([vertices is not None for vertices in moved], np.bool_)
+        known = tuple(old if new is None else new for old, new in zip(annotation.path.vertices, moved, strict=True))
+        path = replace(annotation.path, vertices=known)
+    return replace(annotation, path=select_rows(path, kept)) if kept.any() else None
 
 
 _CAMERA_MODELS_KEPT = 4
@@ -332,40 +291,31 @@ def undistort_scene(
     entries = list(ours_of(scene).get("undistorted") or ())
     for index, sensor in _chosen_cameras(scene, cameras, unless="pinhole" if width is height is None else None):
         target = undistorted_camera(sensor.camera, keep=keep, width=width, height=height)
-        sensors[index] = _undistorted_camera_sensor(sensor, target)
+        images, extras = sensor.images.mapped(_Maps(target)), _without_distortion(sensor.extras)
+        sensors[index] = replace(sensor, camera=target, images=images, video=None, extras=extras)
         changes[key_of(sensor.id)] = _CameraModelChange(sensor.camera, target)
         entries.append({"sensor": sensor.id, "keep": keep, "camera": _camera_model_record(sensor.camera)})
-    annotations = _redrawn(scene.annotations, changes)
+    redrawn = [_redrawn(annotation, changes) for annotation in scene.annotations]
+    annotations = tuple(annotation for annotation in redrawn if annotation is not None)
     changed = replace(scene, sensors=tuple(sensors), annotations=annotations)
     message = "what is drawn into images was left out where the images without distortion do not reach"
     lost = sum(change.lost for change in changes.values())
     nothing = "every camera model is a pinhole already; no image was changed"
+    # a depth interpolated between two others is no depth of anything
+    depths = [sensor for sensor in scene.sensors if isinstance(sensor, DepthCameraSensor)]
+    distorted = sum(sensor.camera.model != "pinhole" for sensor in depths)
     return with_warnings(
         with_ours(changed, undistorted=entries or None),
         [
             skipped("drawn-beyond-image", "annotations", message, count=lost),
             skipped("nothing-to-undistort", "sensors", nothing, count=int(not changes)),
-            skipped("depth-not-undistorted", "sensors", "depth images stay as they are", count=_bent(scene)),
+            skipped("depth-not-undistorted", "sensors", "depth images stay as they are", count=distorted),
         ],
     )
 
 
-def _bent(scene: Scene) -> int:
-    """How many depth cameras have a camera model that is no pinhole.
-
-    A depth between two others is no depth of anything.
-    """
-    found = [sensor for sensor in scene.sensors if isinstance(sensor, DepthCameraSensor)]
-    return sum(sensor.camera.model != "pinhole" for sensor in found)
-
-
-def _undistorted_camera_sensor(sensor: CameraSensor, target: Camera) -> CameraSensor:
-    images = LazyFrames(sensor.images.timestamps_ns, partial(_undistorted_image, sensor.images, _Maps(target)))
-    return replace(sensor, camera=target, images=images, video=None, extras=_without_distortion(sensor.extras))
-
-
 def _without_distortion(extras: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Further fields of a camera, but those of a distortion that is no more."""
+    """Extra fields of a camera, but those of a distortion that is removed."""
     intrinsics = extras.get("intrinsics")
     if not isinstance(intrinsics, Mapping):
         return extras
@@ -380,6 +330,11 @@ class _Maps:
     target: Camera
     known: dict[Camera, Undistortion] = field(default_factory=dict)
 
+    def __call__(self, image: CameraImage) -> CameraImage:
+        extras = MappingProxyType({name: value for name, value in image.extras.items() if name not in _OF_OLD_PIXELS})
+        decode = partial(_undistorted_rgb, image, self)
+        return replace(image, camera=self.target, decode=decode, encoded=None, extras=extras)
+
     def of(self, camera: Camera) -> Undistortion:
         if camera not in self.known:
             while len(self.known) >= _CAMERA_MODELS_KEPT:
@@ -389,13 +344,6 @@ class _Maps:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _Maps, (self.target,)
-
-
-def _undistorted_image(images: LazyFrames[CameraImage], maps: _Maps, k: int) -> CameraImage:
-    image = images[k]
-    kept = {name: value for name, value in image.extras.items() if name not in _OF_OLD_PIXELS}
-    decode, extras = partial(_undistorted_rgb, image, maps), MappingProxyType(kept)
-    return replace(image, camera=maps.target, decode=decode, encoded=None, extras=extras)
 
 
 def _undistorted_rgb(image: CameraImage, maps: _Maps) -> UInt8Array:

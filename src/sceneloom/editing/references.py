@@ -1,6 +1,6 @@
 """What edits keep consistent: warnings, our metadata, ids and references to them, camera indices of points."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
@@ -48,6 +48,41 @@ def skipped(code: str, location: str, message: str, *, count: int = 1) -> DataWa
 def assumed(code: str, location: str, message: str, *, count: int = 1) -> DataWarning:
     """A warning that something is not stated and was assumed."""
     return DataWarning(kind=WarningKind.ASSUMED, code=code, location=location, message=message, count=count)
+
+
+DropField = Callable[[str, Any, str], bool]
+"""Whether a field is removed: by its name ("" for an item of a list), its value and its location."""
+
+
+def without(value: Any, location: str, drop: DropField) -> Any:
+    """Give mappings and lists without some of their fields, at any depth; the very value where none is removed."""
+    if isinstance(value, Mapping):
+        stay = {k: one for k, one in value.items() if not drop(str(k), one, f"{location}.{k}")}
+        fields = {k: without(one, f"{location}.{k}", drop) for k, one in stay.items()}
+        same = len(fields) == len(value) and all(one is value[k] for k, one in fields.items())
+        return value if same else fields
+    if isinstance(value, list | tuple):
+        kept = [(k, one) for k, one in enumerate(value) if not drop("", one, f"{location}[{k}]")]
+        items = [without(one, f"{location}[{k}]", drop) for k, one in kept]
+        same = len(items) == len(value) and all(a is b for a, b in zip(items, value, strict=True))
+        return value if same else items
+    return value
+
+
+def without_fields(scene: Scene, drop: DropField) -> Scene:
+    """Give the scene without some fields of its metadata, and of the extras of itself, its sensors and annotations."""
+
+    def bare(part: Any, location: str) -> Any:
+        extras = getattr(part, "extras", None)
+        return replace(part, extras=without(extras, f"{location}.extras", drop)) if extras else part
+
+    return replace(
+        scene,
+        sensors=tuple(bare(sensor, f"sensors[{sensor.id}]") for sensor in scene.sensors),
+        annotations=tuple(bare(annotation, f"annotations[{annotation.id}]") for annotation in scene.annotations),
+        metadata=without(scene.metadata, "metadata", drop),
+        extras=without(scene.extras, "extras", drop),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,11 +8,11 @@ each.
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
-from functools import cache
+from dataclasses import MISSING, fields, is_dataclass, replace
+from functools import cache, partial
 from itertools import zip_longest
 from types import MappingProxyType
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -128,7 +128,7 @@ _CAMERA_MODEL = {
 
 
 def _shots(name: str, image: _Words) -> _Words:
-    """The fields of a camera's images or images."""
+    """The fields of a camera's images or depth images."""
     shot = {
         "timestamp_ns": "time of each image",
         "camera": "a camera model of the image's own",
@@ -140,10 +140,7 @@ def _shots(name: str, image: _Words) -> _Words:
 
 _CAMERA = {
     **_CAMERA_MODEL,
-    **_shots(
-        "images",
-        {"rgb": "colours of each pixel", "encoded": "the image's file as it is, such as JPEG"},
-    ),
+    **_shots("images", {"rgb": "colours of each pixel", "encoded": "the image's file as it is, such as JPEG"}),
 }
 
 _DEPTH_CAMERA = {
@@ -190,28 +187,19 @@ def _path(name: str, values: _Words) -> _Words:
 
 def _seen(location: _Words) -> _Words:
     """The fields of where cameras see something."""
-    reported = {
-        "sensor_id": "the camera that sees it",
-        "confirmed": "whether a person confirmed it",
-        **location,
-    }
-    return _path("projections", reported)
+    reported = {"sensor_id": "the camera that sees it", "confirmed": "whether a person confirmed it"}
+    return _path("projections", {**reported, **location})
 
 
 _STATIONARY = {**_STATED, "stationary": "whether it is stationary"}
 
+_AS_SEEN = {"cuboids": "the box as seen then"}
+
 _CUBOID = {
     **_STATIONARY,
     **_path("path", {"values": "size, location and angles of the box"}),
-    **_path(
-        "activations",
-        {
-            "sensor_id": "the sensor that sees it",
-            "durations_ns": "how long it is seen",
-            "cuboids": "the box as seen then",
-        },
-    ),
-    **_seen({"boxes": "its box in the image", "cuboids": "the box as seen then"}),
+    **_path("activations", {"sensor_id": "the sensor that sees it", "durations_ns": "how long it is seen", **_AS_SEEN}),
+    **_seen({"boxes": "its box in the image", **_AS_SEEN}),
 }
 
 _BOX_2D = {**_STATIONARY, **_FOR_ONE, **_path("path", {"values": "the box in the image"})}
@@ -283,11 +271,7 @@ _OF_KIND: Mapping[type[Any], _Words] = {
     ObjectAnnotation: {**_STATED, "type": "the word for such an annotation"},
     LinkAnnotation: _LINK,
     GroupAnnotation: _STATED,
-    PlainAnnotation: {
-        "id": "the annotation's id",
-        "type": "the file's word for it",
-        "fields": "all of its fields",
-    },
+    PlainAnnotation: {"id": "the annotation's id", "type": "the file's word for it", "fields": "all of its fields"},
 }
 
 MODEL_FIELDS: Mapping[str, str] = MappingProxyType(
@@ -315,43 +299,24 @@ AnyFrame = LidarFrame | RadarFrame | CameraImage | DepthFrame
 _Reported = Callable[[Identifier, int, AnyFrame], None]
 """Is reported the sensor's id, the frame's number, and the frame."""
 
-_Framed = TypeVar("_Framed", LidarFrame, RadarFrame, CameraImage, DepthFrame)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Watched(Generic[_Framed]):
-    """Reads frames and reports them."""
-
-    frames: LazyFrames[_Framed]
-    sensor_id: Identifier
-    reported: _Reported
-
-    def __call__(self, k: int) -> _Framed:
-        frame = self.frames[k]
-        self.reported(self.sensor_id, k, frame)
-        return frame
-
 
 def watched(scene: Scene, reported: _Reported) -> Scene:
     """Give the same scene, which reports each sweep, radar cycle, image and depth image when it is read."""
-    return replace(scene, sensors=tuple(_watched_sensor(sensor, reported) for sensor in scene.sensors))
+
+    def watched_sensor(sensor: Any) -> Sensor:
+        if not isinstance(sensor, _FramedSensor):
+            return sensor  # type: ignore[no-any-return]
+        frames = frames_of(sensor)
+        seen: Any = LazyFrames(frames.timestamps_ns, partial(_read_and_report, frames, sensor.id, reported))
+        return replace(sensor, images=seen) if isinstance(sensor, CameraSensor) else replace(sensor, frames=seen)
+
+    return replace(scene, sensors=tuple(map(watched_sensor, scene.sensors)))
 
 
-def _watched_sensor(sensor: Sensor, reported: _Reported) -> Sensor:
-    if isinstance(sensor, LidarSensor):
-        sweeps = sensor.frames
-        return replace(sensor, frames=LazyFrames(sweeps.timestamps_ns, _Watched(sweeps, sensor.id, reported)))
-    if isinstance(sensor, RadarSensor):
-        cycles = sensor.frames
-        return replace(sensor, frames=LazyFrames(cycles.timestamps_ns, _Watched(cycles, sensor.id, reported)))
-    if isinstance(sensor, CameraSensor):
-        camera_images = sensor.images
-        seen = LazyFrames(camera_images.timestamps_ns, _Watched(camera_images, sensor.id, reported))
-        return replace(sensor, images=seen)
-    if isinstance(sensor, DepthCameraSensor):
-        images = sensor.frames
-        return replace(sensor, frames=LazyFrames(images.timestamps_ns, _Watched(images, sensor.id, reported)))
-    return sensor
+def _read_and_report(frames: LazyFrames[Any], sensor_id: Identifier, reported: _Reported, k: int) -> Any:
+    frame = frames[k]
+    reported(sensor_id, k, frame)
+    return frame
 
 
 _WHOLE = (Camera, RigidTransform, Poses, VideoContent, AttributePath)
@@ -364,49 +329,32 @@ _FramedSensor = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
 
 
 def frames_of(sensor: _FramedSensor) -> LazyFrames[Any]:
-    """The sweeps, images or images of a sensor."""
+    """The sweeps, cycles, images or depth images of a sensor."""
     return sensor.images if isinstance(sensor, CameraSensor) else sensor.frames
 
 
-@dataclass(frozen=True, slots=True)
-class _Location:
-    """A field of a class: where its value is, what it is called, and the value that says nothing."""
-
-    attribute: str
-    name: str
-    default: Any
-
-
 @cache
-def _locations(cls: Any, trajectory: str) -> tuple[_Location, ...]:
-    found = (field for field in fields(cls) if not field.name.startswith("_") and field.name not in NO_DATA)
-    return tuple(_Location(field.name, _named(f"{trajectory}.{field.name}"), _default(field)) for field in found)
+def _fields_of(cls: Any, prefix: str) -> tuple[tuple[str, str, Any], ...]:
+    """Of the fields of a class: where the value is, what the field is called, and the value that says nothing."""
+    found = []
+    for field in fields(cls):
+        if not field.name.startswith("_") and field.name not in NO_DATA:
+            name = f"{prefix}.{field.name}".removeprefix(".")
+            for function, image in _IMAGES.items():
+                name = name.removesuffix(function) + image if name.endswith(function) else name
+            found.append((field.name, name, None if field.default is MISSING else field.default))
+    return tuple(found)
 
 
-def _named(name: str) -> str:
-    for function, image in _IMAGES.items():
-        if name.endswith(function):
-            return name.removesuffix(function) + image
-    return name.removeprefix(".")
-
-
-def _default(field: Field[Any]) -> Any:
-    return None if field.default is MISSING else field.default
-
-
-def _held_values(holder: Any, trajectory: str) -> Iterator[tuple[str, Any]]:
+def _held_values(holder: Any, prefix: str) -> Iterator[tuple[str, Any]]:
     """Give name and value of each field that an object of the model holds, and of those within it; frames left out.
 
-    What is absent, empty, or as it is where nobody says anything is not held.
-
-    Args:
-        holder: an object of one of the model's classes.
-        trajectory: the name of what it is.
+    What is absent, empty, or has the default value is not held. Names begin with the prefix.
     """
-    for location in _locations(holder.__class__, trajectory):
-        value = getattr(holder, location.attribute)
-        if value is not None and not isinstance(value, LazyFrames) and _says_something(value, location.default):
-            yield from _values_in(value, location.name)
+    for attribute, name, default in _fields_of(holder.__class__, prefix):
+        value = getattr(holder, attribute)
+        if value is not None and not isinstance(value, LazyFrames) and _says_something(value, default):
+            yield from _values_in(value, name)
 
 
 def _says_something(value: Any, default: Any) -> bool:
@@ -439,10 +387,10 @@ def _is_parted(value: Any) -> bool:
 
 
 def frame_values(sensor: _FramedSensor, frame: Any) -> Iterator[tuple[str, Any]]:
-    """Give name and value of each field that one sweep, image or image holds."""
-    trajectory = f"{KINDS[type(sensor)]}.{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
+    """Give name and value of each field that one sweep, cycle, image or depth image holds."""
+    prefix = f"{KINDS[type(sensor)]}.{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
     own_camera_model = isinstance(frame, CameraImage | DepthFrame) and not _same_camera_model(frame.camera, sensor)
-    for name, value in _held_values(frame, trajectory):
+    for name, value in _held_values(frame, prefix):
         if own_camera_model or not isinstance(value, Camera):
             yield name, value
 
@@ -467,13 +415,13 @@ def stationary_values(scene: Scene) -> Iterator[tuple[str, Any]]:
         yield "trajectories.order", tuple(scene.trajectories)
     for trajectory in scene.trajectories.values():
         yield from _held_values(trajectory, "trajectories")
-    for location in _locations(Scene, ""):
-        value = getattr(scene, location.attribute)
-        if location.name in MODEL_FIELDS and _says_something(value, location.default):
-            yield location.name, value
+    for attribute, name, default in _fields_of(Scene, ""):
+        value = getattr(scene, attribute)
+        if name in MODEL_FIELDS and _says_something(value, default):
+            yield name, value
 
 
-class _Sweeping:
+class _FrameCounts:
     """What the frames of one sensor were found to hold."""
 
     def __init__(self, sensor: _FramedSensor) -> None:
@@ -481,7 +429,14 @@ class _Sweeping:
         self.seen: set[int] = set()
         self.counts: Counter[str] = Counter()
         self.like_first = 0
-        self.first = _first_frame_holds(sensor)
+        self.first: tuple[str, ...] = ()
+        try:
+            if len(frames_of(sensor)):
+                self.first = tuple({name: None for name, _ in frame_values(sensor, frames_of(sensor)[0])})
+        except SceneloomError:
+            # what is wrong with it is reported to those who need the frame
+            part = "images" if isinstance(sensor, CameraSensor) else "frames"
+            self.first = (f"{KINDS[type(sensor)]}.{part}.timestamp_ns",)
 
     def notify(self, k: int, frame: AnyFrame) -> None:
         if k in self.seen:
@@ -499,18 +454,6 @@ class _Sweeping:
         return self.counts + Counter(dict.fromkeys(self.first, unread))
 
 
-def _first_frame_holds(sensor: _FramedSensor) -> tuple[str, ...]:
-    frames = frames_of(sensor)
-    if not len(frames):
-        return ()
-    try:
-        return tuple({name: None for name, _ in frame_values(sensor, frames[0])})
-    except SceneloomError:
-        # what is wrong with it is reported to those who need the frame
-        part = "images" if isinstance(sensor, CameraSensor) else "frames"
-        return (f"{KINDS[type(sensor)]}.{part}.timestamp_ns",)
-
-
 class Counting:
     """Counts what a scene holds; of its frames, what those that are read through `scene` are found to hold.
 
@@ -522,19 +465,17 @@ class Counting:
     def __init__(self, scene: Scene) -> None:
         """Count all but the frames, and look at the first frame of each sensor."""
         self._stationary = Counter(name for name, _ in stationary_values(scene))
-        self._sweeping: dict[Key, _Sweeping] = {
-            key_of(sensor.id): _Sweeping(sensor)
-            for sensor in scene.sensors
-            if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor)
+        self._frames: dict[Key, _FrameCounts] = {
+            key_of(sensor.id): _FrameCounts(sensor) for sensor in scene.sensors if isinstance(sensor, _FramedSensor)
         }
         self.scene = watched(scene, self._reported)
 
     def _reported(self, sensor_id: Identifier, k: int, frame: AnyFrame) -> None:
-        self._sweeping[key_of(sensor_id)].notify(k, frame)
+        self._frames[key_of(sensor_id)].notify(k, frame)
 
     def counts(self) -> dict[str, int]:
         """How many objects or frames hold each field, by names of `MODEL_FIELDS`, in its order; none is left out."""
-        found = sum((sweeping.total() for sweeping in self._sweeping.values()), self._stationary)
+        found = sum((frames.total() for frames in self._frames.values()), self._stationary)
         return {field: found[field] for field in MODEL_FIELDS if found[field]}
 
 

@@ -1,10 +1,9 @@
 """Whether the times of a sweep's points can be believed, and what they mean where they cannot be taken as they are.
 
-What counts, strongest first: where the times lie on the clock against the sweep's own timestamp; whether they lie at
-    zero
-while the timestamp does not; how long they last against the sweep period. Conventions differ, and none of these is a
-fault: sweeps timestamped at their start, middle or end, or seconds late by the way through a network; points measured
-in a tenth of the period, or all at once; several sweeps gathered under one timestamp.
+The criteria, strongest first: where the times lie on the clock against the sweep's own timestamp; whether they lie at
+zero while the timestamp does not; how long they last against the sweep period. Conventions differ, and none of these is
+a fault: sweeps timestamped at their start, middle or end, or seconds late after a network; points measured in a tenth
+of the period, or all at once; several sweeps gathered under one timestamp.
 """
 
 from dataclasses import dataclass, replace
@@ -176,27 +175,22 @@ class _Sweep:
         return self.last_ns - self.first_ns
 
     def judged(self) -> TimesFound:
-        if self.span_ns == 0 and not self._is_one_time_of_the_sweep():
-            return TimesFound(PointTimes.EQUAL)
         if self.span_ns == 0:
+            # all points of a flash may have one time near the timestamp; zero is written where no time is known
+            unknown = self.first_ns == 0 and self.timestamp_ns != 0
+            if unknown or abs(self.first_ns - self.timestamp_ns) > self.period_ns:
+                return TimesFound(PointTimes.EQUAL)
             return TimesFound(strays=self.strays)
         kind = self._kind()
         return kind if kind.untimed else replace(kind, strays=self.strays)
 
-    def _is_one_time_of_the_sweep(self) -> bool:
-        """All points of a flash may bear one time near the timestamp; zero is what stands where no time is known."""
-        if self.first_ns == 0 and self.timestamp_ns != 0:
-            return False
-        return abs(self.first_ns - self.timestamp_ns) <= self.period_ns
-
     def _kind(self) -> TimesFound:
-        relative = self._counts_from_timestamp()
+        if self._counts_from_timestamp():
+            return TimesFound(PointTimes.RELATIVE)
         near = self._is_near_timestamp() and self._went_on() is not False
         gathered_at_most = self.span_ns <= MOST_PERIODS * self.period_ns
-        if near and gathered_at_most and not relative:
+        if near and gathered_at_most:
             return SOUND
-        if relative:
-            return TimesFound(PointTimes.RELATIVE)
         unit = self._unit()
         if unit is not None:
             return unit

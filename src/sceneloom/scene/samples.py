@@ -7,31 +7,77 @@ from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float64Array
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations_at import Boxes, BoxTable
-from sceneloom.scene.cameras import CameraImage, DepthFrame, ShootingSensor, Shot, shots_of
-from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame
+from sceneloom.scene.cameras import (
+    CameraImage,
+    CameraSensor,
+    DepthCameraSensor,
+    DepthFrame,
+    ShootingSensor,
+    Shot,
+    shots_of,
+)
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
 from sceneloom.scene.ego import EgoMotion, Posed
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.point_times import timed_frame
 from sceneloom.scene.sampling import (
     ALL,
     Choice,
-    FramesByTimestamp,
     Location,
     Pose,
-    SamplePoses,
-    Selection,
-    SweepsByReference,
     choose_ego,
+    chosen_sensors,
     frame_of_points,
     locations_of,
     poses_at,
-    select,
 )
-from sceneloom.scene.scene import Scene, sweep_period_ns
-from sceneloom.scene.types import Identifier
+from sceneloom.scene.scene import Scene, frame_times, sweep_period_ns, usual_period_ns
+from sceneloom.scene.types import Identifier, key_of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SamplePoses:
+    """Where the sensors of a sample were.
+
+    Attributes:
+        world_from_sensor: the pose of each sensor at the time of its frame, by id; None where it is not known.
+        ego_from_sensor: its rigid mounting on the ego, by id; None where there is none.
+        world_from_points: takes the positions of the sweep, as they are stored, into the world; None where not known.
+        ego_from_points: takes them into the ego's frame at the time of the sweep; None where they are in the world.
+        unposed: why a pose in the world is not known, by id.
+        extrapolated: sensors whose pose continues the trajectory beyond its ends.
+    """
+
+    world_from_sensor: Mapping[Identifier, RigidTransform | None]
+    ego_from_sensor: Mapping[Identifier, RigidTransform | None]
+    world_from_points: RigidTransform | None
+    ego_from_points: RigidTransform | None
+    unposed: Mapping[Identifier, str]
+    extrapolated: tuple[Identifier, ...]
+
+    def into(self, sensor_id: Identifier, body_id: Identifier | None) -> RigidTransform | None:
+        """Give `sensor_from_body`, each at its own time; `body_id` None: of the points of the sweep as stored.
+
+        Where a pose in the world is not known it comes from the mountings alone.
+        """
+        world_from_body, ego_from_body = self.world_from_points, self.ego_from_points
+        if body_id is not None:
+            world_from_body, ego_from_body = self.world_from_sensor[body_id], self.ego_from_sensor[body_id]
+        world_from_sensor, ego_from_sensor = (
+            self.world_from_sensor[sensor_id],
+            self.ego_from_sensor[sensor_id],
+        )
+        if world_from_sensor is not None and world_from_body is not None:
+            return world_from_sensor.inverse() @ world_from_body
+        if ego_from_sensor is not None and ego_from_body is not None:
+            return ego_from_sensor.inverse() @ ego_from_body
+        return None
+
 
 _Value = TypeVar("_Value")
 _Image = TypeVar("_Image", CameraImage, DepthFrame)
@@ -276,7 +322,161 @@ def _texts(texts: list[str]) -> np.ndarray[Any, Any]:
     return np.array(texts, f"<U{max([64, *map(len, texts)])}")
 
 
-_Finder = SweepsByReference | FramesByTimestamp[Any]
+_Timestamped = TypeVar("_Timestamped", CameraImage, DepthFrame, RadarFrame)
+_NONE = "it has no frames"
+
+
+class _FramesByTimestamp(Generic[_Timestamped]):
+    """Frames that are found by their timestamps; these need not be in order."""
+
+    def __init__(self, frames: LazyFrames[_Timestamped]) -> None:
+        """Take the frames; nothing is read."""
+        self.frames: LazyFrames[_Timestamped] = frames
+        self._timestamps_ns: Int64Array = frames.timestamps_ns
+        self._rows: Sequence[int] = range(len(frames))
+        if (self._timestamps_ns[1:] < self._timestamps_ns[:-1]).any():
+            order = np.argsort(self._timestamps_ns, kind="stable")
+            self._timestamps_ns, self._rows = self._timestamps_ns[order], order.tolist()
+
+    def read(self, index: int) -> tuple[_Timestamped, int]:
+        """Read a frame, and give its time [ns]."""
+        frame = self.frames[index]
+        return frame, frame.timestamp_ns
+
+    def find(self, time_ns: int, tolerance_ns: int) -> tuple[_Timestamped, int] | str:
+        """Read the frame nearest in time, the earlier one of two; or state why there is none.
+
+        Raises:
+            DataError: it cannot be read.
+        """
+        row = self._nearest(time_ns)
+        if row is None:
+            return _NONE
+        away_ns = abs(int(self._timestamps_ns[row]) - time_ns)
+        return self.read(self._rows[row]) if away_ns <= tolerance_ns else _too_far(away_ns, tolerance_ns)
+
+    def _nearest(self, time_ns: int) -> int | None:
+        timestamps = self._timestamps_ns
+        if len(timestamps) == 0:
+            return None
+        after = int(np.searchsorted(timestamps, time_ns))
+        if after == 0:
+            return 0
+        before_ns = int(timestamps[after - 1])
+        if after < len(timestamps) and int(timestamps[after]) - time_ns < time_ns - before_ns:
+            return after
+        # of frames with the same timestamp the first one counts
+        return int(np.searchsorted(timestamps, before_ns))
+
+
+class _SweepsByReference:
+    """Sweeps of a lidar that are found by their reference times, which only the sweeps themselves report.
+
+    What was learnt of a sweep's time is kept, a number for each; the sweeps are not.
+    """
+
+    def __init__(self, frames: LazyFrames[LidarFrame], period_ns: int) -> None:
+        """Take the sweeps, in the order of their timestamps, and the usual time from one to the next."""
+        self.frames = frames
+        self._period_ns = period_ns
+        self._known: dict[int, int] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_known": {}}
+
+    def read(self, index: int) -> tuple[LidarFrame, int]:
+        """Read a sweep, its point times brought onto the scene's clock, and report its reference time [ns].
+
+        Raises:
+            DataError: the sweep cannot be read.
+        """
+        frame = timed_frame(self.frames[index], self._period_ns).frame
+        self._known[index] = frame.reference_ns
+        return frame, frame.reference_ns
+
+    def find(self, time_ns: int, tolerance_ns: int) -> tuple[LidarFrame, int] | str:
+        """Read the sweep whose reference time is nearest, the earlier one of two; or state why there is none.
+
+        Sweeps around that time whose reference times are not known yet are read for them. A reference time is taken to
+        be no earlier than its sweep's timestamp, and reference times to be in the order of the timestamps.
+
+        Raises:
+            DataError: a sweep cannot be read.
+        """
+        if len(self.frames) == 0:
+            return _NONE
+        held: dict[int, LidarFrame] = {}
+        index = max(int(np.searchsorted(self.frames.timestamps_ns, time_ns, side="right")) - 1, 0)
+        while index > 0 and self._reference_ns(index, held) > time_ns:
+            index -= 1
+        while self._next_is_nearer(index, time_ns, held):
+            index += 1
+        reference_ns = self._reference_ns(index, held)
+        away_ns = abs(reference_ns - time_ns)
+        if away_ns > tolerance_ns:
+            return _too_far(away_ns, tolerance_ns)
+        return (held[index], reference_ns) if index in held else self.read(index)
+
+    def _next_is_nearer(self, index: int, time_ns: int, held: dict[int, LidarFrame]) -> bool:
+        timestamps = self.frames.timestamps_ns
+        away_ns = abs(time_ns - self._reference_ns(index, held))
+        if index + 1 == len(timestamps) or int(timestamps[index + 1]) - time_ns >= away_ns:
+            return False
+        return abs(time_ns - self._reference_ns(index + 1, held)) < away_ns
+
+    def _reference_ns(self, index: int, held: dict[int, LidarFrame]) -> int:
+        if index not in self._known:
+            held[index], self._known[index] = self.read(index)
+        return self._known[index]
+
+
+def _too_far(away_ns: int, tolerance_ns: int) -> str:
+    """Report that the nearest frame is not near enough."""
+    return f"its nearest frame is {away_ns / 1e9:.3f} s away; expected at most {tolerance_ns / 1e9:.3f} s"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Selection:
+    """What was asked for.
+
+    Attributes:
+        scene: the scene.
+        reference: the sensor whose frames are counted.
+        lidars: whose sweeps are looked for, the one of `Sample.sweep` first.
+        cameras, depth_cameras, radars: whose images, depth images and frames are looked for.
+        trajectory: name of the ego trajectory, the trajectory itself, or None for the default.
+        tolerance_ns: how far from the moment a frame may be [ns].
+    """
+
+    scene: Scene
+    reference: LidarSensor | CameraSensor
+    lidars: tuple[LidarSensor, ...]
+    cameras: tuple[CameraSensor, ...]
+    depth_cameras: tuple[DepthCameraSensor, ...]
+    radars: tuple[RadarSensor, ...]
+    trajectory: str | EgoMotion | None
+    tolerance_ns: int
+
+    @property
+    def shooting(self) -> tuple[ShootingSensor, ...]:
+        """The cameras of colours, then those of depths."""
+        return self.cameras + self.depth_cameras
+
+
+def _reference(scene: Scene, wanted: Identifier) -> LidarSensor | CameraSensor:
+    """The lidar or camera of that id, else the first one of that kind."""
+    sensors: list[LidarSensor | CameraSensor] = [*scene.lidars, *scene.cameras]
+    for sensor in sensors:
+        if key_of(sensor.id) == key_of(wanted):
+            return sensor
+    for sensor in sensors:
+        if sensor.type == wanted:
+            return sensor
+    there = ", ".join(repr(sensor.id) for sensor in sensors) or "none, it has no such sensor"
+    raise OptionError(f"{scene.source}: reference {wanted!r}; expected one of its lidars and cameras: {there}")
+
+
+_Finder = _SweepsByReference | _FramesByTimestamp[Any]
 _NO_POINTS = Location(None, "there is no sweep")
 
 
@@ -304,7 +504,7 @@ class _SampleMaker:
         trajectory: name of the ego trajectory that poses come from, or None.
     """
 
-    def __init__(self, selection: Selection) -> None:
+    def __init__(self, selection: _Selection) -> None:
         """Prepare what all samples share; no frame is read.
 
         Raises:
@@ -318,9 +518,9 @@ class _SampleMaker:
         ego = choose_ego(scene, selection.trajectory)
         self.trajectory = None if ego is None else ego.name
         self._finders: dict[Identifier, _Finder] = {
-            **{lidar.id: _sweeps(lidar) for lidar in selection.lidars},
-            **{camera.id: FramesByTimestamp(shots_of(camera)) for camera in selection.shooting},
-            **{radar.id: FramesByTimestamp(radar.frames) for radar in selection.radars},
+            **{lidar.id: _SweepsByReference(lidar.frames, sweep_period_ns(lidar)) for lidar in selection.lidars},
+            **{camera.id: _FramesByTimestamp(shots_of(camera)) for camera in selection.shooting},
+            **{radar.id: _FramesByTimestamp(radar.frames) for radar in selection.radars},
         }
         sensors: list[Posed] = [*selection.lidars, *selection.shooting, *selection.radars]
         self._locations = locations_of(scene, sensors, ego)
@@ -356,7 +556,7 @@ class _SampleMaker:
             images={camera.id: frames.get(camera.id) for camera in selection.cameras},
             radar_frames={radar.id: frames.get(radar.id) for radar in selection.radars},
             depth_frames={camera.id: frames.get(camera.id) for camera in selection.depth_cameras},
-            cameras={camera.id: _camera_model(camera, frames.get(camera.id)) for camera in selection.shooting},
+            cameras={camera.id: frames.get(camera.id, camera).camera for camera in selection.shooting},
             times_ns=found.times_ns,
             missing=found.missing,
             find_poses=_Once(partial(self._poses, frames, found.times_ns)),
@@ -402,14 +602,6 @@ class _SampleMaker:
         )
 
 
-def _sweeps(lidar: LidarSensor) -> SweepsByReference:
-    return SweepsByReference(lidar.frames, sweep_period_ns(lidar))
-
-
-def _camera_model(camera: ShootingSensor, shot: Shot | None) -> Camera:
-    return camera.camera if shot is None else shot.camera
-
-
 _Item = TypeVar("_Item")
 
 
@@ -417,7 +609,7 @@ class Samples(Sequence[Sample]):
     """The synchronised sets of a scene, one per frame of the reference sensor.
 
     Nothing is read before a sample is asked for, and nothing but reference times is kept. Any sample can be had at any
-    time; going forward is the quickest trajectory through videos. Samples can be pickled, and forked processes can use
+    time; going forward is the fastest way through videos. Samples can be pickled, and forked processes can use
     them: each process opens the scene's files for itself.
     """
 
@@ -504,15 +696,31 @@ def samples_of(
     tolerance_ns: int | None = None,
 ) -> Samples:
     """Give the synchronised sets of a scene; `Scene.samples` describes the arguments."""
-    selection = select(
+    counted = _reference(scene, reference)
+    if tolerance_ns is not None and tolerance_ns < 0:
+        raise OptionError(f"tolerance {tolerance_ns} ns; expected 0 or more")
+    if lidars is None:
+        lidars = () if isinstance(counted, LidarSensor) else [lidar.id for lidar in scene.lidars[:1]]
+    chosen_lidars = chosen_sensors(scene, "lidar", scene.lidars, lidars)
+    chosen_cameras = chosen_sensors(scene, "camera", scene.cameras, cameras)
+    if isinstance(counted, LidarSensor):
+        chosen_lidars = (counted, *(lidar for lidar in chosen_lidars if lidar is not counted))
+    elif not any(camera is counted for camera in chosen_cameras):
+        chosen_cameras = (counted, *chosen_cameras)
+    depths_there = tuple(sensor for sensor in scene.sensors if isinstance(sensor, DepthCameraSensor))
+    radars_there = tuple(sensor for sensor in scene.sensors if isinstance(sensor, RadarSensor))
+    if tolerance_ns is None:
+        # one sweep period, or the time from image to image where there is no lidar
+        tolerance_ns = sweep_period_ns(chosen_lidars[0]) if chosen_lidars else usual_period_ns(frame_times(counted))
+    selection = _Selection(
         scene,
-        reference=reference,
-        lidars=lidars,
-        cameras=cameras,
-        depth_cameras=depth_cameras,
-        radars=radars,
-        trajectory=trajectory,
-        tolerance_ns=tolerance_ns,
+        counted,
+        chosen_lidars,
+        chosen_cameras,
+        chosen_sensors(scene, "depth camera", depths_there, depth_cameras),
+        chosen_sensors(scene, "radar", radars_there, radars),
+        trajectory,
+        tolerance_ns,
     )
     maker = _SampleMaker(selection)
     return Samples(maker, range(maker.count))

@@ -1,6 +1,7 @@
 """What is in a scene, in numbers: for people who open a drive that they did not record."""
 
 from contextlib import suppress
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError
 from sceneloom.scene.annotations import effect_of
-from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, ShootingSensor, shots_of
 from sceneloom.scene.clouds import LidarSensor, PointsSensor
 from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.poses import Poses
@@ -126,23 +127,19 @@ class SceneSummary(msgspec.Struct, frozen=True, kw_only=True):
     corrections: tuple[CorrectionSummary, ...] = ()
 
 
-def _span_of_trajectories(scene: Scene) -> tuple[int, int] | None:
-    timestamps = [
-        trajectory.timestamps_ns for trajectory in scene.trajectories.values() if len(trajectory.timestamps_ns)
-    ]
-    if not timestamps:
-        return None
-    return min(int(times.min()) for times in timestamps), max(int(times.max()) for times in timestamps)
-
-
 def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
     """Count what a scene holds; reads the first frame of each lidar and nothing more of them.
 
     Raises:
         DataError: the first frame of a lidar cannot be read.
     """
-    span = time_span(scene) or _span_of_trajectories(scene)
+    span = time_span(scene)
+    times = np.concatenate([np.zeros(0, np.int64), *(one.timestamps_ns for one in scene.trajectories.values())])
+    if span is None and len(times):
+        span = int(times.min()), int(times.max())
     start_ns = 0 if span is None else span[0]
+    # `.sfs` files have one camera model per camera, others may store them with each image
+    each_camera_model = scene.format != "sfs" and "://" not in scene.source
     types = [annotation.type for annotation in scene.annotations]
     return SceneSummary(
         source=scene.source,
@@ -150,10 +147,7 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
         start_ns=None if span is None else span[0],
         duration=0.0 if span is None else (span[1] - span[0]) / 1e9,
         size_bytes=size_bytes,
-        sensors=tuple(
-            _summarise_sensor(sensor, start_ns, each_camera_model=_has_camera_models_at_hand(scene))
-            for sensor in scene.sensors
-        ),
+        sensors=tuple(_summarise_sensor(one, start_ns, each_camera_model=each_camera_model) for one in scene.sensors),
         trajectories=tuple(
             TrajectorySummary(
                 name=name,
@@ -173,49 +167,43 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
     )
 
 
-def _has_camera_models_at_hand(scene: Scene) -> bool:
-    """Whether camera models cost no image: `.sfs` files have one per camera, others may store them with each image."""
-    return scene.format != "sfs" and "://" not in scene.source
-
-
 def _summarise_sensor(sensor: Sensor, start_ns: int, *, each_camera_model: bool) -> SensorSummary:
     times = frame_times(sensor)
-    paced = _longest_stream(sensor) if isinstance(sensor, ImuSensor) else times
+    paced = times
+    if isinstance(sensor, ImuSensor):
+        # timestamps of several streams together have no rate
+        streams = [stream.timestamps_ns for stream in sensor.streams.values()]
+        paced = max(streams, key=len, default=np.zeros(0, np.int64))
     gaps = gaps_of(paced, start_ns)
+    median_ns = float(np.median(np.diff(paced))) if len(paced) > 1 else 0.0
     poses: Poses | None = getattr(sensor, "poses", None)
+    further: dict[str, Any] = {}
+    if isinstance(sensor, PointsSensor):
+        further = {"first_frame_points": len(sensor.positions)}
+    elif isinstance(sensor, LidarSensor):
+        further["first_frame_points"] = len(sensor.frames[0].points) if len(sensor.frames) else None
+        in_frame = "" if poses is None else f", poses {sensor.coordinates}"
+        further["coordinates"] = f"points {sensor.points_frame}{in_frame}"
+    elif isinstance(sensor, CameraSensor | DepthCameraSensor):
+        further = {
+            "camera_model": f"{sensor.camera.model} {sensor.camera.width}x{sensor.camera.height}",
+            "intrinsics": _intrinsics(sensor, each_camera_model=each_camera_model),
+            "video": None if sensor.video is None else sensor.video.codec,
+            "coordinates": None if poses is None else f"poses {sensor.coordinates}",
+        }
     return SensorSummary(
         id=sensor.id,
         type=str(sensor.type),
-        count=_count(sensor, times),
-        rate_hz=_rate(paced),
+        count=len(sensor.positions) if isinstance(sensor, PointsSensor) else len(times),
+        rate_hz=1e9 / median_ns if median_ns > 0 else None,
         start=(int(times[0]) - start_ns) / 1e9 if len(times) else None,
         stop=(int(times[-1]) - start_ns) / 1e9 if len(times) else None,
         gaps=tuple(gaps[:20]),
         gap_count=len(gaps),
-        first_frame_points=_first_frame_points(sensor),
-        camera_model=_camera_model(sensor),
-        intrinsics=_intrinsics(sensor, each_camera_model=each_camera_model),
-        video=_codec(sensor),
         poses=None if poses is None else len(poses.timestamps_ns),
-        coordinates=_coordinates(sensor),
         mounted=getattr(sensor, "mount", None) is not None,
+        **further,
     )
-
-
-def _count(sensor: Sensor, times: Int64Array) -> int:
-    return len(sensor.positions) if isinstance(sensor, PointsSensor) else len(times)
-
-
-def _longest_stream(sensor: ImuSensor) -> Int64Array:
-    """The timestamps of an IMU's longest stream: those of several together have no rate."""
-    streams = [stream.timestamps_ns for stream in sensor.streams.values()]
-    return max(streams, key=len, default=np.zeros(0, np.int64))
-
-
-def _rate(times: Int64Array) -> float | None:
-    intervals = np.diff(times)
-    median = float(np.median(intervals)) if len(intervals) else 0.0
-    return 1e9 / median if median > 0 else None
 
 
 def gaps_of(times: Int64Array, start_ns: int) -> list[Gap]:
@@ -230,46 +218,14 @@ def gaps_of(times: Int64Array, start_ns: int) -> list[Gap]:
     ]
 
 
-def _first_frame_points(sensor: Sensor) -> int | None:
-    if isinstance(sensor, PointsSensor):
-        return len(sensor.positions)
-    if isinstance(sensor, LidarSensor) and len(sensor.frames):
-        return len(sensor.frames[0].points)
-    return None
-
-
-def _camera_model(sensor: Sensor) -> str | None:
-    if not isinstance(sensor, CameraSensor | DepthCameraSensor):
-        return None
-    return f"{sensor.camera.model} {sensor.camera.width}x{sensor.camera.height}"
-
-
-def _intrinsics(sensor: Sensor, *, each_camera_model: bool) -> Intrinsics | None:
+def _intrinsics(sensor: ShootingSensor, *, each_camera_model: bool) -> Intrinsics:
     """The camera models of the images, as far as they can be read: what no image can be made of has none."""
-    if not isinstance(sensor, CameraSensor | DepthCameraSensor):
-        return None
-    images = sensor.images if isinstance(sensor, CameraSensor) else sensor.frames
+    images = shots_of(sensor)
     camera_models = set()
     for k in range(len(images) if each_camera_model else 0):
         with suppress(DataError):
             camera_models.add(images[k].camera)
     camera_models = camera_models or {sensor.camera}
-    table = np.array(
-        [(camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy) for camera_model in camera_models]
-    )
+    table = np.array([(model.fx, model.fy, model.cx, model.cy) for model in camera_models])
     fx, fy, cx, cy = zip(table.min(axis=0).tolist(), table.max(axis=0).tolist(), strict=True)
     return Intrinsics(camera_models=len(camera_models), fx=fx, fy=fy, cx=cx, cy=cy)
-
-
-def _codec(sensor: Sensor) -> str | None:
-    if not isinstance(sensor, CameraSensor | DepthCameraSensor) or sensor.video is None:
-        return None
-    return sensor.video.codec
-
-
-def _coordinates(sensor: Sensor) -> str | None:
-    if isinstance(sensor, LidarSensor):
-        return f"points {sensor.points_frame}" + ("" if sensor.poses is None else f", poses {sensor.coordinates}")
-    if isinstance(sensor, CameraSensor | DepthCameraSensor) and sensor.poses is not None:
-        return f"poses {sensor.coordinates}"
-    return None

@@ -1,5 +1,6 @@
 """A time range of a scene: its frames, the poses around it, its annotations, and renumbered labelled points."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -7,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Int64Array, UInt32Array
+from sceneloom.arrays import BoolArray, Int64Array
 from sceneloom.errors import OptionError
 from sceneloom.scene.annotations import (
     Activation,
@@ -36,7 +37,7 @@ from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, frame_times, time_span
-from sceneloom.scene.types import Key, key_of
+from sceneloom.scene.types import Identifier, Key, key_of
 from sceneloom.warnings import DataWarning, WarningKind
 
 _Rows = Callable[[int | None], Int64Array | None]
@@ -57,14 +58,6 @@ class Renumbering:
     rows: _Rows | None = None
 
 
-@dataclass(slots=True)
-class _Statistics:
-    points: int = 0
-    frames: int = 0
-    unplaced: int = 0
-    annotations: int = 0
-
-
 def renumbered(
     annotations: Iterable[Annotation], renumberings: Mapping[Key, Renumbering]
 ) -> tuple[tuple[Annotation, ...], tuple[DataWarning, ...]]:
@@ -79,121 +72,73 @@ def renumbered(
     Raises:
         DataError: a frame with labelled points cannot be read.
     """
-    statistics = _Statistics()
+    lost: Counter[str] = Counter()
     known = tuple(annotations)
-    moved = _moved_entries(known, renumberings, statistics)
-    found = [
-        _with_entries(annotation, [moved[row, k] for k in range(len(annotation.labeled_points))], statistics)
-        if isinstance(annotation, LabeledPointsAnnotation)
-        else annotation
-        for row, annotation in enumerate(known)
-    ]
-    return tuple(annotation for annotation in found if annotation is not None), _reported(statistics)
-
-
-def _moved_entries(
-    annotations: tuple[Annotation, ...], renumberings: Mapping[Key, Renumbering], statistics: _Statistics
-) -> dict[tuple[int, int], LabeledPoints | None]:
-    """What becomes of each entry, by its annotation's number and its own; frame by frame, so that each is read once."""
     entries = [
         (row, k, entry)
-        for row, annotation in enumerate(annotations)
+        for row, annotation in enumerate(known)
         if isinstance(annotation, LabeledPointsAnnotation)
         for k, entry in enumerate(annotation.labeled_points)
     ]
-    by_frame = sorted(entries, key=lambda found: _frame_of(found[2]))
-    latest = _Latest()
-    return {
-        (row, k): _entry(entry, renumberings.get(key_of(entry.sensor_id)), latest, statistics)
-        for row, k, entry in by_frame
-    }
-
-
-def _frame_of(entry: LabeledPoints) -> tuple[str, str, int]:
-    number = -1 if entry.sensor_frame is None else entry.sensor_frame
-    return type(entry.sensor_id).__name__, str(entry.sensor_id), number
-
-
-@dataclass(slots=True)
-class _Latest:
-    """The rows that were asked for last: many annotations have points in one frame."""
-
+    # frame by frame, so that each is read once: many annotations have points in one frame
+    entries.sort(key=lambda found: (*_texts_of(found[2].sensor_id), _frame_number(found[2])))
+    moved: dict[tuple[int, int], LabeledPoints | None] = {}
     asked: tuple[Renumbering, int | None] | None = None
-    found: Int64Array | None = None
-
-    def rows(self, change: Renumbering, number: int | None) -> Int64Array | None:
-        if change.rows is None:
-            return None
-        if self.asked != (change, number):
-            self.asked, self.found = (change, number), change.rows(number)
-        return self.found
-
-
-def _with_entries(
-    annotation: LabeledPointsAnnotation, entries: Iterable[LabeledPoints | None], statistics: _Statistics
-) -> LabeledPointsAnnotation | None:
-    kept = tuple(entry for entry in entries if entry is not None)
-    if annotation.labeled_points and not kept:
-        statistics.annotations += 1
-        return None
-    return replace(annotation, labeled_points=kept)
-
-
-def _entry(
-    entry: LabeledPoints, change: Renumbering | None, latest: _Latest, statistics: _Statistics
-) -> LabeledPoints | None:
-    if change is None:
-        return entry
-    number = entry.sensor_frame
-    if change.frames is not None:
-        if number is None:
-            # rows of a whole sensor with frames: no one says how they are counted
-            statistics.unplaced += 1
-            return None
-        found = np.flatnonzero(change.frames == number)
-        if len(found) == 0:
-            statistics.frames += 1
-            return None
-        entry = replace(entry, sensor_frame=int(found[0]))
-    rows = latest.rows(change, number)
-    if rows is None:
-        return entry
-    ids = _new_ids(entry.point_ids, rows)
-    statistics.points += len(entry.point_ids) - len(ids)
-    return replace(entry, point_ids=ids) if len(ids) else None
-
-
-def _new_ids(point_ids: UInt32Array, rows: Int64Array) -> UInt32Array:
-    """Where the points with these old numbers stand among the rows that stay; the others are left out.
-
-    Args:
-        point_ids: (N,) uint32, old numbers.
-        rows: (M,) int64, ascending, old numbers of the points that stay.
-
-    Returns:
-        (K,) uint32, new numbers, K <= N.
-    """
-    locations = np.searchsorted(rows, point_ids)
-    there = locations < len(rows)
-    there[there] = rows[locations[there]] == point_ids[there]
-    return locations[there].astype(np.uint32)
-
-
-def _reported(statistics: _Statistics) -> tuple[DataWarning, ...]:
-    found = (
-        ("points", "labelled points that are not in the scene any more", statistics.points),
-        ("frames", "labels of frames that are not in the scene any more", statistics.frames),
-        (
-            "sensors",
-            "labels of a whole sensor with frames: it is not stated how its points are counted",
-            statistics.unplaced,
-        ),
-        ("annotations", "annotations without a labelled point left", statistics.annotations),
-    )
-    return _skipped(
+    rows: Int64Array | None = None
+    for row, k, entry in entries:
+        change, number = renumberings.get(key_of(entry.sensor_id)), entry.sensor_frame
+        if change is not None and change.rows is not None and asked != (change, number):
+            is_kept = change.frames is None or (number is not None and number in change.frames)
+            asked, rows = (change, number), change.rows(number) if is_kept else None
+        moved[row, k] = entry if change is None else _moved_entry(entry, change, rows, lost)
+    found: list[Annotation] = []
+    for row, annotation in enumerate(known):
+        if not isinstance(annotation, LabeledPointsAnnotation):
+            found.append(annotation)
+            continue
+        new = [moved[row, k] for k in range(len(annotation.labeled_points))]
+        kept = tuple(entry for entry in new if entry is not None)
+        if kept or not new:
+            found.append(replace(annotation, labeled_points=kept))
+        lost["annotations"] += bool(new and not kept)
+    return tuple(found), _skipped(
         "annotations[].labeled_points",
-        *((f"labelled-{what}", message, count) for what, message, count in found),
+        ("labelled-points", "labelled points that are no longer in the scene", lost["points"]),
+        ("labelled-frames", "labels of frames that are no longer in the scene", lost["frames"]),
+        (
+            "labelled-sensors",
+            "labels of a whole sensor with frames: it is not stated how its points are counted",
+            lost["sensors"],
+        ),
+        ("labelled-annotations", "annotations without a labelled point left", lost["annotations"]),
     )
+
+
+def _texts_of(identifier: Identifier) -> tuple[str, str]:
+    return type(identifier).__name__, str(identifier)
+
+
+def _frame_number(entry: LabeledPoints) -> int:
+    return -1 if entry.sensor_frame is None else entry.sensor_frame
+
+
+def _moved_entry(
+    entry: LabeledPoints, change: Renumbering, rows: Int64Array | None, lost: Counter[str]
+) -> LabeledPoints | None:
+    """An entry by the new numbers of frames and points, of which old `rows` stay; None where nothing is left of it."""
+    if change.frames is not None:
+        numbers = np.flatnonzero(change.frames == _frame_number(entry))
+        if len(numbers) == 0:
+            lost["sensors" if entry.sensor_frame is None else "frames"] += 1
+            return None
+        entry = replace(entry, sensor_frame=int(numbers[0]))
+    if change.rows is None or rows is None:
+        return entry
+    new = np.searchsorted(rows, entry.point_ids)
+    there = new < len(rows)
+    there[there] = rows[new[there]] == entry.point_ids[there]
+    lost["points"] += int((~there).sum())
+    return replace(entry, point_ids=new[there].astype(np.uint32)) if there.any() else None
 
 
 def _skipped(location: str, *found: tuple[str, str, int]) -> tuple[DataWarning, ...]:
@@ -239,7 +184,6 @@ TIMED_COLUMNS: Mapping[type, tuple[str, ...]] = MappingProxyType(
 """The attributes that have a row for each of `timestamps_ns`."""
 
 _Timed = TypeVar("_Timed", bound=Any)
-_Drawn = TypeVar("_Drawn", Box2DAnnotation, ShapeAnnotation)
 
 
 def select_rows(holder: _Timed, rows: slice | Int64Array | BoolArray) -> _Timed:
@@ -306,9 +250,7 @@ def cut_scene(scene: Scene, *, start: float | None = None, stop: float | None = 
     if part is None:
         return scene
     times = _Times(part, (part[0], max([part[1], *(_sweeps_end(lidar, part) for lidar in scene.lidars)])))
-    sensors = tuple(
-        _cut_sensor(sensor, times.with_images if isinstance(sensor, _CAMERAS) else part) for sensor in scene.sensors
-    )
+    sensors = tuple(_cut_sensor(sensor, times) for sensor in scene.sensors)
     if not any(len(frame_times(sensor)) for sensor in sensors if isinstance(sensor, _FRAMED)):
         length = np.ptp(time_span(scene) or (0, 0)) / 1e9
         until = "the end" if stop is None else f"{stop} s"
@@ -341,8 +283,9 @@ def _sweeps_end(lidar: LidarSensor, part: Interval) -> int:
     return int(times[rows.stop - 1]) + int(np.median(np.diff(times)))
 
 
-def _cut_sensor(sensor: Any, part: Interval) -> Any:
+def _cut_sensor(sensor: Any, times: "_Times") -> Any:
     """Cut frames, samples and poses; sensors that do not measure over time stay whole."""
+    part = times.with_images if isinstance(sensor, _CAMERAS) else times.part
     if isinstance(sensor, GnssSensor):
         return select_rows(sensor, _rows_between(sensor.timestamps_ns, part))
     if isinstance(sensor, ImuSensor):
@@ -351,16 +294,14 @@ def _cut_sensor(sensor: Any, part: Interval) -> Any:
         return replace(sensor, streams=cut)
     if not isinstance(sensor, (*_FRAMED, OdometrySensor)):
         return sensor
-    if isinstance(sensor, OdometrySensor):
-        return replace(sensor, poses=cut_path(sensor.poses, part))
-    poses = None if sensor.poses is None else cut_path(sensor.poses, part)
-    rows = _rows_between(frame_times(sensor), part)
-    of_rows = chosen_shots if isinstance(sensor, _CAMERAS) else _chosen_sweeps
-    return replace(of_rows(sensor, rows), poses=poses)
-
-
-def _chosen_sweeps(sensor: Any, rows: slice) -> Any:
-    return replace(sensor, frames=sensor.frames[rows])
+    cut_sensor: Any = sensor
+    if not isinstance(sensor, OdometrySensor):
+        rows = _rows_between(frame_times(sensor), part)
+        is_camera = isinstance(sensor, _CAMERAS)
+        cut_sensor = (
+            chosen_shots(cut_sensor, rows) if is_camera else replace(cut_sensor, frames=cut_sensor.frames[rows])
+        )
+    return replace(cut_sensor, poses=None if sensor.poses is None else cut_path(sensor.poses, part))
 
 
 def _rows_between(times_ns: Int64Array, part: Interval) -> slice:
@@ -393,18 +334,24 @@ def _cut_annotations(scene: Scene, times: _Times) -> tuple[tuple[Annotation, ...
     """Cut the annotations; labelled points follow their frames, links and children what they name."""
     cut = [_cut_annotation(annotation, times) for annotation in scene.annotations]
     there, reported = renumbered((a for a in cut if a is not None), _kept_frames(scene, times.part))
-    annotations, freed = _without_loose_ends(scene.annotations, there)
-    gone = len(scene.annotations) - len(annotations)
+    left = {key_of(annotation.id) for annotation in there}
+    gone = {key_of(annotation.id) for annotation in scene.annotations} - left
+    annotations: list[Annotation] = []
+    freed = 0
+    for annotation in there:
+        if isinstance(annotation, LinkAnnotation) and {key_of(annotation.from_id), key_of(annotation.to_id)} & gone:
+            continue
+        parent = annotation.parent_id
+        if parent is not None and key_of(parent) in gone and not isinstance(annotation, PlainAnnotation):
+            annotation, freed = replace(annotation, parent_id=None), freed + 1  # noqa: PLW2901
+        annotations.append(annotation)
+    lost = len(scene.annotations) - len(annotations)
     skipped = _skipped(
         "annotations",
-        ("annotations-cut", "annotations that are not there in the chosen part were left out", gone),
-        (
-            "parents-cut",
-            "annotations whose parents are not there in the chosen part stand without them",
-            freed,
-        ),
+        ("annotations-cut", "annotations that are not in the chosen part were left out", lost),
+        ("parents-cut", "annotations whose parents are not in the chosen part were detached from them", freed),
     )
-    return annotations, (*skipped, *reported)
+    return tuple(annotations), (*skipped, *reported)
 
 
 def _kept_frames(scene: Scene, part: Interval) -> dict[Key, Renumbering]:
@@ -418,38 +365,12 @@ def _kept_frames(scene: Scene, part: Interval) -> dict[Key, Renumbering]:
     }
 
 
-def _without_loose_ends(
-    before: Iterable[Annotation], after: Iterable[Annotation]
-) -> tuple[tuple[Annotation, ...], int]:
-    """Take away links to annotations that were left out, and parents that were.
-
-    Returns:
-        annotations: those after, each without what is gone.
-        freed: how many lost their parent.
-    """
-    kept = tuple(after)
-    gone = {key_of(a.id) for a in before} - {key_of(a.id) for a in kept}
-    if not gone:
-        return kept, 0
-    firm = [a for a in kept if not (isinstance(a, LinkAnnotation) and {key_of(a.from_id), key_of(a.to_id)} & gone)]
-    freed = [_freed(a, gone) for a in firm]
-    return tuple(freed), sum(now is not then for now, then in zip(freed, firm, strict=True))
-
-
-def _freed(annotation: Annotation, gone: set[Key]) -> Annotation:
-    parent = annotation.parent_id
-    if isinstance(annotation, PlainAnnotation) or parent is None or key_of(parent) not in gone:
-        return annotation
-    return replace(annotation, parent_id=None)
-
-
 def _cut_annotation(annotation: Annotation, times: _Times) -> Annotation | None:
     """Keep what an annotation says about a part; None for one that is not there in it.
 
     What holds at all times stays, and so do labelled points: it is for the caller to count their frames anew.
     """
-    cut = _CUTS.get(type(annotation))
-    found: Any = annotation if cut is None else cut(annotation, times)
+    found = _cut_part(annotation, times)
     stated: tuple[AttributePath, ...] = getattr(found, "attributes", ())
     kept = _cut_attributes(stated, times.part)
     changed: Annotation | None = found if kept == stated else replace(found, attributes=kept)
@@ -492,92 +413,63 @@ def _cut_annotated(path: _Timed, part: Interval, *, stationary: bool | None) -> 
     return select_rows(path, _rows_around(times, part, 0)) if _overlaps(times, part) else None
 
 
-def _cuboid(cuboid: CuboidAnnotation, times: _Times) -> CuboidAnnotation | None:
-    path = _cut_annotated(cuboid.path, times.part, stationary=cuboid.stationary)
-    if path is None:
-        return None
-    activations = (_activation(activation, times.part) for activation in cuboid.activations)
-    projections = (_projection(projection, times.with_images) for projection in cuboid.projections)
-    return replace(
-        cuboid,
-        path=path,
-        activations=tuple(a for a in activations if len(a.timestamps_ns)),
-        projections=tuple(p for p in projections if len(p.timestamps_ns)),
-    )
+def _cut_part(annotation: Any, times: _Times) -> Any:  # noqa: PLR0911 - one a kind
+    """Cut what an annotation states about times, besides its attributes; None where it is not there in the part."""
+    part = times.part
+    path: Any
+    match annotation:
+        case CuboidAnnotation():
+            path = _cut_annotated(annotation.path, part, stationary=annotation.stationary)
+            activations = (_activation(one, part) for one in annotation.activations)
+            projections = (_between(one, times.with_images) for one in annotation.projections)
+            return path and replace(
+                annotation,
+                path=path,
+                activations=tuple(one for one in activations if len(one.timestamps_ns)),
+                projections=tuple(one for one in projections if len(one.timestamps_ns)),
+            )
+        case Box2DAnnotation() | ShapeAnnotation():
+            in_image = isinstance(annotation, Box2DAnnotation) or annotation.dimensions == 2
+            of_path = times.with_images if in_image else part
+            path = _cut_annotated(annotation.path, of_path, stationary=annotation.stationary)
+            return path and replace(annotation, path=path)
+        case PointsAnnotation():
+            # a point that is not there keeps its number, and nothing else
+            cut = [_cut_annotated(path, part, stationary=annotation.stationary) for path in annotation.paths]
+            if cut and all(path is None for path in cut):
+                return None
+            paths = zip(annotation.paths, cut, strict=True)
+            return replace(
+                annotation,
+                paths=tuple(select_rows(path, slice(0)) if kept is None else kept for path, kept in paths),
+                projections=tuple(
+                    tuple(_between(one, times.with_images) for one in of_point) for of_point in annotation.projections
+                ),
+            )
+        case EventAnnotation() if not part[0] <= annotation.start_ns < part[1]:
+            # one that began before begins with the part and ends when it did
+            left_ns = annotation.start_ns + (annotation.duration_ns or 0) - part[0]
+            lasts = annotation.start_ns < part[1] and left_ns > 0
+            return replace(annotation, start_ns=part[0], duration_ns=left_ns) if lasts else None
+        case LocalizationAdjustment():
+            poses = _correcting(annotation.poses, part)
+            return poses and replace(annotation, poses=poses)
+        case CameraCalibration() if annotation.poses is not None:
+            return replace(annotation, poses=_correcting(annotation.poses, times.with_images))
+    return annotation
 
 
 def _activation(activation: Activation, part: Interval) -> Activation:
     """Keep what lasts into the part."""
     starts, durations = activation.timestamps_ns, activation.durations_ns
     lasting = 0 if durations is None else np.array(durations, np.float64)
-    rows = np.flatnonzero((starts < part[1]) & ((starts + lasting > part[0]) | (starts >= part[0])))
-    return select_rows(activation, rows)
+    return select_rows(activation, (starts < part[1]) & ((starts + lasting > part[0]) | (starts >= part[0])))
 
 
-def _projection(projection: _Timed, part: Interval) -> _Timed:
+def _between(projection: _Timed, part: Interval) -> _Timed:
     times_ns = projection.timestamps_ns
-    return select_rows(projection, np.flatnonzero((times_ns >= part[0]) & (times_ns < part[1])))
-
-
-def _drawn(annotation: _Drawn, times: _Times) -> _Drawn | None:
-    in_image = isinstance(annotation, Box2DAnnotation) or annotation.dimensions == 2
-    part = times.with_images if in_image else times.part
-    path = _cut_annotated(annotation.path, part, stationary=annotation.stationary)
-    return None if path is None else replace(annotation, path=path)
-
-
-def _points(points: PointsAnnotation, times: _Times) -> PointsAnnotation | None:
-    """Cut the trajectories of all points; one that is not there keeps its number, and nothing else."""
-    cut = [_cut_annotated(path, times.part, stationary=points.stationary) for path in points.paths]
-    if cut and all(path is None for path in cut):
-        return None
-    paths = zip(points.paths, cut, strict=True)
-    return replace(
-        points,
-        paths=tuple(select_rows(path, slice(0)) if kept is None else kept for path, kept in paths),
-        projections=tuple(
-            tuple(_projection(projection, times.with_images) for projection in of_point)
-            for of_point in points.projections
-        ),
-    )
-
-
-def _event(event: EventAnnotation, times: _Times) -> EventAnnotation | None:
-    """Keep an event that lasts into the part; one that began before begins with it and ends when it did."""
-    first_ns, last_ns = times.part
-    if first_ns <= event.start_ns < last_ns:
-        return event
-    left_ns = event.start_ns + (event.duration_ns or 0) - first_ns
-    if event.start_ns >= last_ns or left_ns <= 0:
-        return None
-    return replace(event, start_ns=first_ns, duration_ns=left_ns)
-
-
-def _adjustment(adjustment: LocalizationAdjustment, times: _Times) -> LocalizationAdjustment | None:
-    poses = _correcting(adjustment.poses, times.part)
-    return None if poses is None else replace(adjustment, poses=poses)
-
-
-def _calibration(calibration: CameraCalibration, times: _Times) -> CameraCalibration:
-    """Cut the poses; camera model and time hold in any part."""
-    if calibration.poses is None:
-        return calibration
-    return replace(calibration, poses=_correcting(calibration.poses, times.with_images))
+    return select_rows(projection, (times_ns >= part[0]) & (times_ns < part[1]))
 
 
 def _correcting(path: Poses, part: Interval) -> Poses | None:
     return cut_path(path, part, margin_ns=0) if path.static or _overlaps(path.timestamps_ns, part) else None
-
-
-_CUTS: Mapping[type, Callable[[Any, _Times], Annotation | None]] = MappingProxyType(
-    {
-        CuboidAnnotation: _cuboid,
-        Box2DAnnotation: _drawn,
-        ShapeAnnotation: _drawn,
-        PointsAnnotation: _points,
-        EventAnnotation: _event,
-        LocalizationAdjustment: _adjustment,
-        CameraCalibration: _calibration,
-    }
-)
-"""How the annotations that state when are cut; the others stay."""

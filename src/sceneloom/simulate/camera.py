@@ -54,17 +54,17 @@ class ExposureSpec:
     exposure_ns: int = 8_000_000
 
     def __post_init__(self) -> None:
-        bounds = (
-            ("drift_stops", self.drift_stops, 0.0, 8.0),
-            ("drift_period", self.drift_period, 0.01, 1e6),
-            ("recovery", self.recovery, 1e-6, float("inf")),
-            ("vignetting", self.vignetting, 0.0, 1.0),
-            ("exposure_ns", self.exposure_ns, 0, 10**9),
-            *((f"steps[{k}] stops", stops, -8.0, 8.0) for k, (_, stops) in enumerate(self.steps)),
+        check_bounds(
+            "exposure",
+            self,
+            drift_stops=(0.0, 8.0),
+            drift_period=(0.01, 1e6),
+            recovery=(1e-6, float("inf")),
+            vignetting=(0.0, 1.0),
+            exposure_ns=(0, 10**9),
         )
-        check_bounds("exposure", bounds)
-        if not all(np.isfinite(seconds) for seconds, _ in self.steps):
-            raise OptionError(f"exposure.steps: {self.steps}; expected finite times")
+        if not all(np.isfinite(seconds) and -8.0 <= stops <= 8.0 for seconds, stops in self.steps):
+            raise OptionError(f"exposure.steps: {self.steps}; expected finite times, and -8 to 8 stops")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ class Exposure:
         return cls(spec, start_ns, (float(first), float(second)))
 
     def gain(self, timestamp_ns: int) -> float:
-        """The factor of a image at a time [ns]."""
+        """The factor of an image at a time [ns]."""
         seconds, spec = (timestamp_ns - self.start_ns) * 1e-9, self.spec
         rotations = 2.0 * np.pi * seconds / spec.drift_period
         waves = 0.7 * np.sin(rotations + self.phases[0]) + 0.3 * np.sin(rotations / _SECOND_WAVE + self.phases[1])
@@ -135,7 +135,7 @@ def camera_mount(
 
     Args:
         position: in the ego frame [m].
-        yaw_deg, pitch_deg, roll_deg: rotates about the ego's z, y and x axis, roll first.
+        yaw_deg, pitch_deg, roll_deg: rotations about the ego's z, y and x axis, roll first.
     """
     ahead = sensor_mount(position=position, yaw_deg=yaw_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
     return RigidTransform(ahead.rotation @ _EGO_FROM_AHEAD, ahead.translation)
@@ -171,11 +171,7 @@ class CameraSpec:
 
     def __post_init__(self) -> None:
         check_camera(self.camera)
-        bounds = (
-            ("supersampling", self.supersampling, 1, 8),
-            ("readout_ns", self.readout_ns, 0, _LONGEST_READOUT_NS),
-        )
-        check_bounds("camera", bounds)
+        check_bounds("camera", self, supersampling=(1, 8), readout_ns=(0, _LONGEST_READOUT_NS))
 
     @property
     def line_count(self) -> int:
@@ -246,11 +242,9 @@ class RenderedCamera:
         """Set up the rays of an image, and draw the exposure of camera `number` of the drive."""
         steps = (np.arange(spec.supersampling) + 0.5) / spec.supersampling - 0.5
         between = tuple(_pixel_rays(spec, du, dv) for dv in steps for du in steps if spec.supersampling > 1)
-        exposure = (
-            None
-            if spec.exposure is None
-            else Exposure.of(spec.exposure, start_ns=path.start_ns, seed=seed, camera=number)
-        )
+        exposure = None
+        if spec.exposure is not None:
+            exposure = Exposure.of(spec.exposure, start_ns=path.start_ns, seed=seed, camera=number)
         return cls(spec, street, path, timestamps_ns, _pixel_rays(spec, 0.0, 0.0), between, exposure)
 
     def pose(self, k: int) -> RigidTransform:
@@ -265,11 +259,7 @@ class RenderedCamera:
 
     def line_poses(self, k: int) -> tuple[Float64Array, Float64Array]:
         """Exact `world_from_camera` at each line's time: (L, 3, 3) rotations and (L, 3) positions [m]."""
-        if self.spec.line_count == 1:
-            pose = self.pose(k)
-            return pose.rotation[None].copy(), pose.translation[None].copy()
-        ego, mount = self.path.at(self.line_times_ns(k)), self.spec.mount
-        return ego.rotations @ mount.rotation, ego.positions + ego.rotations @ mount.translation
+        return self.path.mounted(self.line_times_ns(k), self.spec.mount)
 
     def lines_seeing(self, k: int, points_world: Float64Array) -> Int64Array:
         """Find which line of image k sees each stationary point, (N,) int64; the middle one for points far outside.
@@ -308,13 +298,11 @@ class RenderedCamera:
     def _bare(self, k: int) -> UInt8Array:
         """Image k in the colours of what is there."""
         shape = (self.spec.camera.height, self.spec.camera.width, 3)
-        if not self.between:
-            return self._look(k, self.rays)[1].colors.reshape(shape)
+        sets = self.between or (self.rays,)
         total = np.zeros(shape, np.uint16)
-        for rays in self.between:
+        for rays in sets:
             total += self._look(k, rays)[1].colors.reshape(shape)
-        count = len(self.between)
-        return ((total + count // 2) // count).astype(np.uint8)
+        return ((total + len(sets) // 2) // len(sets)).astype(np.uint8)
 
     def truth(self, k: int) -> ImageTruth:
         """Render the truth of image k."""
@@ -327,15 +315,12 @@ class RenderedCamera:
 
     def silhouettes(self, k: int) -> Int64Array:
         """Count the pixels of image k that each object would fill if it were alone, by instance number - 1."""
-        rotations, origins = self.line_poses(k)
-        times_ns = self.line_times_ns(k)
-        return silhouettes(self.street, self.rays, rotations, origins, times_ns, reach=_REACH)
+        return silhouettes(self.street, self.rays, *self.line_poses(k), self.line_times_ns(k), reach=_REACH)
 
     def _look(self, k: int, rays: Rays) -> tuple[Hits, Paint]:
         rotations, origins = self.line_poses(k)
         angle = 1.0 / (max(1, self.spec.supersampling) * min(self.spec.camera.fx, self.spec.camera.fy))
-        times_ns = self.line_times_ns(k)
-        hits = cast(self.street, rays, rotations, origins, times_ns, reach=_REACH)
+        hits = cast(self.street, rays, rotations, origins, self.line_times_ns(k), reach=_REACH)
         return hits, paint(self.street, rays, rotations, origins, hits, pixel_angle=angle)
 
 

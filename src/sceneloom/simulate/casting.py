@@ -1,14 +1,10 @@
-"""Rays of a sensor cast into the street, and the firing pattern of a lidar frame."""
+"""Rays of a sensor cast into the street."""
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
-from typing import Protocol
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array
-from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.simulate import street as simulate_street
 from sceneloom.simulate.painting import paint_rays
 from sceneloom.simulate.raycast import SKY, count_silhouettes, trace_rays
@@ -273,30 +269,6 @@ def instances_of(street: Street, hits: Hits) -> AnyArray:
     return numbers[hits.shapes]
 
 
-def velocities_of(street: Street, shapes: AnyArray, points_world: Float64Array, times_ns: Int64Array) -> Float64Array:
-    """Give the velocity of what was hit, at the point where it was, (N, 3) float64 [m/s], world frame.
-
-    Args:
-        shapes: (N,) int32, as in `Hits.shapes`, of the hits alone.
-        points_world: (N, 3) float64 [m], where the rays ended.
-        times_ns: (N,) int64 [ns], when.
-    """
-    velocities = np.zeros((len(shapes), 3))
-    first = len(street.shapes)
-    moving = np.flatnonzero(shapes >= first)
-    if len(moving):
-        velocities[moving] = street.movers.point_velocities(
-            shapes[moving] - first, points_world[moving], times_ns[moving]
-        )
-    return velocities
-
-
-def reflectivities_of(street: Street, hits: Hits) -> Float64Array:
-    """Give the reflectivity of each hit's material, (S,) float64, 0 for the sky."""
-    values: Float64Array = np.append(street.bodies.reflectivities, [0.0, simulate_street.GRAIN])[hits.shapes]
-    return values
-
-
 def bundles_by_direction(directions: Float64Array, *, across: int = 64) -> Int64Array:
     """Put unit directions (N, 3) that point nearly the same way under one number: cells of a cube's faces."""
     largest = np.argmax(np.abs(directions), axis=1)
@@ -307,80 +279,3 @@ def bundles_by_direction(directions: Float64Array, *, across: int = 64) -> Int64
     a, b = cells[rows, (largest + 1) % 3], cells[rows, (largest + 2) % 3]
     numbers: Int64Array = (face * across + a) * across + b
     return numbers
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Shots:
-    """All shots of one frame, in the order of their time.
-
-    Attributes:
-        rays: their directions in the lidar's frame; shot k answers in slot k; the pose of a ray is its moment.
-        offsets_ns: (M,) int64 [ns], the moments at which the lidar shoots, after the start of the frame.
-        moments: (S,) int64, which of `offsets_ns` each shot is fired at.
-        rings: (S,) uint16, the row of each shot from the lowest, or None where the pattern has no rows.
-    """
-
-    rays: Rays
-    offsets_ns: Int64Array
-    moments: Int64Array
-    rings: UInt16Array | None
-
-
-def repeating(shots: Shots) -> Callable[[int], Shots]:
-    """Give the function that makes the same shots for each frame."""
-    return partial(_same, shots)
-
-
-def _same(shots: Shots, _: int) -> Shots:
-    return shots
-
-
-class ScanSpec(Protocol):
-    """What every lidar says about itself; the fields are those of `LidarSpec`."""
-
-    @property
-    def period_ns(self) -> int:
-        """Time of a frame [ns]."""
-
-    @property
-    def offset_ns(self) -> int:
-        """How much later than the drive the first frame starts [ns]."""
-
-    @property
-    def range_sigma(self) -> float:
-        """Standard deviation of the measured range [m]."""
-
-    @property
-    def drop_rate(self) -> float:
-        """Share of returns that are lost at random."""
-
-    @property
-    def min_range(self) -> float:
-        """No returns nearer [m]."""
-
-    @property
-    def max_range(self) -> float:
-        """No returns farther [m]."""
-
-    @property
-    def mount(self) -> RigidTransform:
-        """`ego_from_lidar`."""
-
-    def plan_shots(self) -> Callable[[int], Shots]:
-        """Give the function that makes the shots of a frame that starts so many ns after the first."""
-
-
-def scan_bounds(spec: ScanSpec) -> Iterator[tuple[str, float, float, float]]:
-    """The bounds that hold for every lidar, for `check_bounds`."""
-    yield "period_ns", spec.period_ns, 1, 10**12
-    yield "offset_ns", spec.offset_ns, 0, spec.period_ns - 1
-    yield "range_sigma", spec.range_sigma, 0.0, 10.0
-    yield "drop_rate", spec.drop_rate, 0.0, 1.0
-    yield "min_range", spec.min_range, 0.0, spec.max_range
-    yield "max_range", spec.max_range, spec.min_range, 1e4
-
-
-def directions_at(azimuths: Float64Array, elevations: Float64Array) -> Float64Array:
-    """Unit vectors (N, 3) at angles [rad], counter-clockwise from x and upwards."""
-    flat = np.cos(elevations)
-    return np.column_stack([flat * np.cos(azimuths), flat * np.sin(azimuths), np.sin(elevations)])

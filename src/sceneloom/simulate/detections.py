@@ -20,7 +20,7 @@ from sceneloom.scene.ego import sensor_source
 from sceneloom.scene.types import Identifier, PointsFrame
 from sceneloom.simulate.camera import ImageTruth, LineViews, projected_boxes, within_image
 from sceneloom.simulate.drive import SimulatedDrive
-from sceneloom.simulate.parameters import Stream, check_bounds, each_of, generator_for
+from sceneloom.simulate.parameters import Stream, check_bounds, generator_for
 from sceneloom.simulate.street import Street, boxes_of
 
 _SMALLEST = 1e-9
@@ -49,13 +49,8 @@ class ScoreSpec:
     logit_shift: float = 0.0
 
     def __post_init__(self) -> None:
-        bounds = (
-            ("concentration", self.concentration, 0.01, 1e4),
-            ("likeness", self.likeness, 1e-3, 1e3),
-            ("logit_scale", self.logit_scale, 1e-3, 1e3),
-            ("logit_shift", self.logit_shift, -1e3, 1e3),
-        )
-        check_bounds("scores", bounds)
+        check_bounds("scores", self, concentration=(0.01, 1e4), likeness=(1e-3, 1e3))
+        check_bounds("scores", self, logit_scale=(1e-3, 1e3), logit_shift=(-1e3, 1e3))
         if self.form == ScoreForm.PROBABILITY and (self.logit_scale, self.logit_shift) != (1.0, 0.0):
             raise OptionError("scores: logit_scale and logit_shift are for logits; set form to ScoreForm.LOGIT")
 
@@ -134,12 +129,8 @@ class ClassSpec:
     size_lwh: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        bounds = (
-            ("half_evidence", self.half_evidence, 1e-6, _MANY),
-            ("false_rate", self.false_rate, 0.0, 100.0),
-            *each_of("size_lwh", self.size_lwh, 1e-3, 100.0),
-        )
-        check_bounds("detector.classes", bounds)
+        limits = {"half_evidence": (1e-6, _MANY), "false_rate": (0.0, 100.0), "size_lwh": (1e-3, 100.0)}
+        check_bounds("detector.classes", self, **limits)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,12 +151,7 @@ class MissSpec:
     hiding: float = 2.0
 
     def __post_init__(self) -> None:
-        bounds = (
-            ("recall", self.recall, 1e-6, 1.0),
-            ("steepness", self.steepness, 0.0, _MANY),
-            ("hiding", self.hiding, 0.0, _MANY),
-        )
-        check_bounds("detector.misses", bounds)
+        check_bounds("detector.misses", self, recall=(1e-6, 1.0), steepness=(0.0, _MANY), hiding=(0.0, _MANY))
 
     def chances(self, evidence: Float64Array, occlusions: Float64Array, half: Float64Array) -> Float64Array:
         """Chance of each object to be found, (N,) float64; 0 without evidence."""
@@ -184,6 +170,9 @@ _CLASSES_3D: Mapping[str, ClassSpec] = MappingProxyType(
     }
 )
 """A fair detector, counted in lidar points."""
+
+_SHARED_BOUNDS = {"lasting_share": (0.0, 1.0), "repeated": (0.0, 1.0), "seed": (0.0, float("inf"))}
+"""Of the fields that both kinds of detector have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -230,19 +219,18 @@ class Detector3dSpec:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        bounds = (
-            *each_of("center_sigmas", self.center_sigmas, 0.0, 1e3),
-            *each_of("size_sigmas", self.size_sigmas, 0.0, 1e3),
-            ("yaw_sigma_deg", self.yaw_sigma_deg, 0.0, 180.0),
-            ("range_scale", self.range_scale, 1e-3, float("inf")),
-            ("few_points", self.few_points, 0.0, _MANY),
-            ("lasting_share", self.lasting_share, 0.0, 1.0),
-            ("flip_share", self.flip_share, 0.0, 1.0),
-            ("velocity_sigma", 0.0 if self.velocity_sigma is None else self.velocity_sigma, 0.0, 1e3),
-            ("repeated", self.repeated, 0.0, 1.0),
-            ("seed", self.seed, 0, float("inf")),
+        check_bounds(
+            "detector",
+            self,
+            center_sigmas=(0.0, 1e3),
+            size_sigmas=(0.0, 1e3),
+            yaw_sigma_deg=(0.0, 180.0),
+            range_scale=(1e-3, float("inf")),
+            few_points=(0.0, _MANY),
+            flip_share=(0.0, 1.0),
+            velocity_sigma=(0.0, 1e3),
+            **_SHARED_BOUNDS,
         )
-        check_bounds("detector", bounds)
 
     def growth(self, ranges: Float64Array, points: Float64Array) -> Float64Array:
         """Factor on all deviations, (N,) float64, for objects at ranges [m] with numbers of points on them."""
@@ -293,47 +281,8 @@ class Detector2dSpec:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        bounds = (
-            ("corner_sigma_px", self.corner_sigma_px, 0.0, 1e4),
-            ("corner_sigma_share", self.corner_sigma_share, 0.0, 10.0),
-            ("lasting_share", self.lasting_share, 0.0, 1.0),
-            ("repeated", self.repeated, 0.0, 1.0),
-            ("seed", self.seed, 0, float("inf")),
-        )
-        check_bounds("detector", bounds)
-
-
-def _objects_at(street: Street, time_ns: int, labels: Collection[str]) -> tuple[Boxes3D, Int64Array]:
-    """Give the exact boxes of all objects of some classes, in the world frame with score 1, and their instances."""
-    every = boxes_of(street, np.array([time_ns], np.int64))
-    wanted = np.array([label in labels for label in every.labels], np.bool_)
-    rows = np.flatnonzero(wanted & every.present[0])
-    boxes = Boxes3D(
-        time_ns,
-        every.centers_world[0, rows],
-        every.sizes_lwh[rows],
-        every.yaws[0, rows],
-        np.ones(len(rows)),
-        tuple(every.labels[row] for row in rows),
-        velocities=every.velocities[0, rows],
-        frame=PointsFrame.WORLD,
-    )
-    return boxes, every.instances[rows]
-
-
-def _hidden_shares(seen: Float64Array, alone: Int64Array, instances: Int64Array) -> Float64Array:
-    """Report which share of each object is hidden behind others.
-
-    Args:
-        seen: (N,) float64, points or pixels on each object.
-        alone: how many it would have if nothing else were there, by instance number - 1.
-        instances: (N,) int64, which they are.
-
-    Returns:
-        (N,) float64, 0 in plain view to 1.
-    """
-    shares: Float64Array = 1.0 - seen / np.maximum(1, alone[instances - 1])
-    return np.clip(shares, 0.0, 1.0)
+        own = {"corner_sigma_px": (0.0, 1e4), "corner_sigma_share": (0.0, 10.0)}
+        check_bounds("detector", self, **own, **_SHARED_BOUNDS)
 
 
 _Boxes = TypeVar("_Boxes", Boxes3D, Boxes2D)
@@ -382,66 +331,73 @@ class SimulatedDetections(Generic[_Boxes]):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Draft(Generic[_Boxes]):
-    """One frame before its boxes have scores.
-
-    Attributes:
-        report: found boxes, duplicates and false ones, in this order, all with score 0.
-        false_rates: expected false boxes by class, 0 where there is no field for them.
-        generator: goes on with the scores.
-    """
-
-    report: SimulatedDetections[_Boxes]
-    false_rates: Mapping[str, float]
-    generator: np.random.Generator
-
-
-def _frame_generator(stream: Stream, seed: int, sensor_id: Identifier, frame: int) -> np.random.Generator:
-    """Random numbers of one detector for one frame of one sensor."""
-    return generator_for(seed, stream, zlib.crc32(repr(sensor_id).encode()) << 32 | frame)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Finding:
-    """Which objects of a frame a detector finds; what is drawn for it is drawn in this order.
+class _Look:
+    """What one frame shows.
 
     Attributes:
         stream, spec, sensor_id: of the detector.
-        look: what the frame shows.
-        generator: of the frame.
-        chances: (M,) float64, of its objects to be found.
-        found: how many are.
-        rows: (F,) int64, which they are, then those that are reported twice.
-        false_rates: expected false boxes by class, 0 where there is no room for them.
+        frame: number of the true frame.
+        stated_ns: its timestamp in the scene; of a sweep its reference time [ns].
+        objects: boxes of the objects in it, in the world at the true time.
+        instances: (M,) int64, which they are.
+        evidence: (M,) float64, how many points or pixels show them.
+        occlusions: (M,) float64, which share of them is hidden behind others, 0 in plain view to 1.
+        clutter: (C, 3) float64, where a false box may be: points of the world [m], or column, row [px] and depth [m].
     """
 
     stream: Stream
     spec: Detector2dSpec | Detector3dSpec
     sensor_id: Identifier
-    look: "_ImageLook | _SweepLook"
-    generator: np.random.Generator
-    chances: Float64Array
-    found: int
-    rows: Int64Array
-    false_rates: Mapping[str, float]
+    frame: int
+    stated_ns: int
+    objects: Boxes3D
+    instances: Int64Array
+    evidence: Float64Array
+    occlusions: Float64Array
+    clutter: Float64Array
 
-    @classmethod
-    def of(
-        cls,
-        stream: Stream,
-        spec: Detector2dSpec | Detector3dSpec,
-        sensor_id: Identifier,
-        frame: int,
-        look: "_ImageLook | _SweepLook",
-    ) -> "_Finding":
-        generator = _frame_generator(stream, spec.seed, sensor_id, frame)
+    def generator(self, number: int) -> np.random.Generator:
+        """Random numbers of the detector for one frame or object."""
+        key = zlib.crc32(repr(self.sensor_id).encode()) << 32 | number
+        return generator_for(self.spec.seed, self.stream, key)
+
+
+@dataclass(slots=True, eq=False)
+class _Draft(Generic[_Boxes]):
+    """One frame before its boxes have scores; what is drawn for it is drawn in the order of these steps.
+
+    Attributes:
+        look: what it shows.
+        generator: of the frame.
+        chances: (M,) float64, of its objects to be found.
+        found: how many are.
+        rows: (F,) int64, which they are, then those that are reported twice.
+        false_rates: expected false boxes by class, 0 where there is no room for them.
+        report: found boxes, duplicates and false ones, in this order, all with score 0.
+    """
+
+    look: _Look
+    generator: np.random.Generator = field(init=False)
+    chances: Float64Array = field(init=False)
+    found: int = field(init=False)
+    rows: Int64Array = field(init=False)
+    false_rates: Mapping[str, float] = field(init=False)
+    report: SimulatedDetections[_Boxes] = field(init=False)
+
+    def __post_init__(self) -> None:
+        look, spec = self.look, self.look.spec
+        self.generator = look.generator(look.frame)
         halves = np.array([spec.classes[label].half_evidence for label in look.objects.labels])
-        chances = spec.misses.chances(look.evidence, look.occlusions, halves)
-        found = np.flatnonzero(generator.random(len(chances)) < chances)
-        again = found[generator.random(len(found)) < spec.repeated]
-        rates = {label: own.false_rate if len(look.clutter) else 0.0 for label, own in spec.classes.items()}
-        rows = np.concatenate([found, again])
-        return cls(stream, spec, sensor_id, look, generator, chances, len(found), rows, rates)
+        self.chances = spec.misses.chances(look.evidence, look.occlusions, halves)
+        found = np.flatnonzero(self.generator.random(len(self.chances)) < self.chances)
+        again = found[self.generator.random(len(found)) < spec.repeated]
+        self.found, self.rows = len(found), np.concatenate([found, again])
+        self.false_rates = {name: own.false_rate if len(look.clutter) else 0.0 for name, own in spec.classes.items()}
+
+    def false_labels(self) -> list[str]:
+        """Draw the classes of the false boxes."""
+        counts = {label: int(self.generator.poisson(rate)) for label, rate in self.false_rates.items()}
+        return [label for label, count in counts.items() for _ in range(count)]
 
     def errors(self, false_count: int, *, columns: int) -> tuple[Int64Array, Float64Array]:
         """Draw the errors of found and false boxes, of which a part may be the same for an object in all frames.
@@ -451,20 +407,44 @@ class _Finding:
             normals: (N, columns) float64, each standard normal; `lasting_share` is the correlation of two frames.
         """
         instances = np.concatenate([self.look.instances[self.rows], np.full(false_count, FALSE)])
-        normals, share = self.generator.standard_normal((len(instances), columns)), self.spec.lasting_share
+        normals, share = self.generator.standard_normal((len(instances), columns)), self.look.spec.lasting_share
         for row in np.flatnonzero(instances != FALSE) if share else ():
-            own = _frame_generator(self.stream, self.spec.seed, self.sensor_id, _OBJECTS | int(instances[row]))
+            own = self.look.generator(_OBJECTS | int(instances[row]))
             normals[row] = np.sqrt(1.0 - share) * normals[row] + np.sqrt(share) * own.standard_normal(columns)
         return instances, normals
 
-    def draft(self, boxes: _Boxes, truth: _Boxes, instances: Int64Array) -> _Draft[_Boxes]:
+    def reported(self, boxes: _Boxes, truth: _Boxes, instances: Int64Array) -> "_Draft[_Boxes]":
         """Put boxes with errors beside the exact ones."""
         numbers, look = np.arange(len(boxes)), self.look
         duplicates = (numbers >= self.found) & (numbers < len(self.rows))
-        report = SimulatedDetections(
+        self.report = SimulatedDetections(
             boxes, instances, duplicates, truth, look.instances, look.evidence, look.occlusions, self.chances
         )
-        return _Draft(report, self.false_rates, self.generator)
+        return self
+
+
+def _objects_at(street: Street, time_ns: int, labels: Collection[str]) -> tuple[Boxes3D, Int64Array]:
+    """Give the exact boxes of all objects of some classes, in the world frame with score 1, and their instances."""
+    every = boxes_of(street, np.array([time_ns], np.int64))
+    wanted = np.array([label in labels for label in every.labels], np.bool_)
+    rows = np.flatnonzero(wanted & every.present[0])
+    boxes = Boxes3D(
+        time_ns,
+        every.centers_world[0, rows],
+        every.sizes_lwh[rows],
+        every.yaws[0, rows],
+        np.ones(len(rows)),
+        tuple(every.labels[row] for row in rows),
+        velocities=every.velocities[0, rows],
+        frame=PointsFrame.WORLD,
+    )
+    return boxes, every.instances[rows]
+
+
+def _hidden_shares(seen: Float64Array, alone: Int64Array, instances: Int64Array) -> Float64Array:
+    """Report which share of (N,) objects with (N,) points or pixels is hidden; they would have `alone` by instance."""
+    shares: Float64Array = 1.0 - seen / np.maximum(1, alone[instances - 1])
+    return np.clip(shares, 0.0, 1.0)
 
 
 def _true_frame(drive: SimulatedDrive, sensor_id: Identifier, index: int) -> int:
@@ -472,12 +452,14 @@ def _true_frame(drive: SimulatedDrive, sensor_id: Identifier, index: int) -> int
     return int(drive.true_frames[sensor_id][index]) if sensor_id in drive.true_frames else index
 
 
-def _chosen_frames(count: int, frames: Iterable[int] | None) -> list[int]:
-    """The numbers of the frames to look at, all of them by default.
+def _is_blind(drive: SimulatedDrive, sensor_id: Identifier) -> bool:
+    """Whether frames of a sensor may be empty by an injected fault."""
+    wrong = drive.faults.sensors.get(sensor_id)
+    return wrong is not None and bool(wrong.blind)
 
-    Raises:
-        OptionError: one is beyond the last frame.
-    """
+
+def _chosen(count: int, frames: Iterable[int] | None) -> list[int]:
+    """The numbers of the frames to look at, all of them by default."""
     chosen = list(range(count) if frames is None else frames)
     beyond = [k for k in chosen if not 0 <= k < count]
     if beyond:
@@ -485,72 +467,44 @@ def _chosen_frames(count: int, frames: Iterable[int] | None) -> list[int]:
     return chosen
 
 
-def _with_scores(
-    drafts: Sequence[_Draft[_Boxes]], spec: ScoreSpec, *, repeated: float
-) -> list[SimulatedDetections[_Boxes]]:
+def _with_scores(drafts: Sequence[_Draft[_Boxes]]) -> list[SimulatedDetections[_Boxes]]:
     """Give the boxes of all frames scores that are calibrated over these frames, class by class.
 
     False boxes of a class that has no object in any of the frames are left out: no score but 0 would be right.
     """
-    numbers = np.concatenate([[0], np.cumsum([len(draft.report.chances) for draft in drafts])])
-    labels = np.array([label for draft in drafts for label in draft.report.truth.labels], np.str_)
-    chances = np.concatenate([np.zeros(0), *(draft.report.chances for draft in drafts)])
-    pools = {
-        str(label): _Pool.of(
-            np.flatnonzero(labels == label),
-            chances,
-            sum(draft.false_rates.get(str(label), 0.0) for draft in drafts),
-            repeated=repeated,
-            likeness=spec.likeness,
-        )
-        for label in np.unique(labels)
-    }
-    return [_scored(draft, int(numbers[k]), pools, spec) for k, draft in enumerate(drafts)]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pool:
-    """The objects of one class in all frames.
-
-    Attributes:
-        first_like: (M,) float64, share of the false boxes that look like an object or one before it.
-        numbers: (M,) int64, ascending, which they are among the objects of all classes.
-        true_shares: (M,) float64, as in `LooksLike`.
-    """
-
-    first_like: Float64Array
-    numbers: Int64Array
-    true_shares: Float64Array
-
-    @classmethod
-    def of(cls, numbers: Int64Array, chances: Float64Array, false_count: float, **how: float) -> "_Pool":
-        looks = deal_out(chances[numbers], false_count, **how)
-        return cls(np.cumsum(looks.false_shares), numbers, looks.true_shares)
-
-    def of_objects(self, numbers: Int64Array) -> Float64Array:
-        """True shares of objects by their numbers."""
-        shares: Float64Array = self.true_shares[np.searchsorted(self.numbers, numbers)]
-        return shares
-
-    def of_false_ones(self, generator: np.random.Generator, count: int) -> Float64Array:
-        """True shares of the objects that some false boxes look like."""
-        which = np.searchsorted(self.first_like, generator.random(count))
-        shares: Float64Array = self.true_shares[np.minimum(which, len(self.true_shares) - 1)]
-        return shares
+    if not drafts:
+        return []
+    spec = drafts[0].look.spec
+    firsts = np.cumsum([0, *(len(draft.chances) for draft in drafts)])
+    labels = np.array([label for draft in drafts for label in draft.look.objects.labels], np.str_)
+    chances = np.concatenate([draft.chances for draft in drafts])
+    looks: dict[str, tuple[Int64Array, LooksLike]] = {}
+    for label in np.unique(labels).tolist():
+        numbers = np.flatnonzero(labels == label)
+        false_count = sum(draft.false_rates.get(label, 0.0) for draft in drafts)
+        dealt = deal_out(chances[numbers], false_count, repeated=spec.repeated, likeness=spec.scores.likeness)
+        looks[label] = numbers, dealt
+    return [_scored(draft, int(first), looks) for draft, first in zip(drafts, firsts, strict=False)]
 
 
 def _scored(
-    draft: _Draft[_Boxes], first_number: int, pools: Mapping[str, _Pool], spec: ScoreSpec
+    draft: _Draft[_Boxes], first_number: int, looks: Mapping[str, tuple[Int64Array, LooksLike]]
 ) -> SimulatedDetections[_Boxes]:
-    report = draft.report
+    """Give the boxes of one frame scores, by the numbers of objects among those of all frames and what these look like.
+
+    The first object of the frame has the number `first_number`.
+    """
+    report, spec = draft.report, draft.look.spec.scores
     number_of = {int(instance): first_number + k for k, instance in enumerate(report.truth_instances)}
     labels = np.array(report.boxes.labels, np.str_)
     true_shares = np.full(len(labels), np.nan)
-    for label, pool in pools.items():
+    for label, (all_numbers, dealt) in looks.items():
         own, real = labels == label, report.instances != FALSE
         numbers = [number_of[int(instance)] for instance in report.instances[own & real]]
-        true_shares[own & real] = pool.of_objects(np.array(numbers, np.int64))
-        true_shares[own & ~real] = pool.of_false_ones(draft.generator, int((own & ~real).sum()))
+        true_shares[own & real] = dealt.true_shares[np.searchsorted(all_numbers, numbers)]
+        drawn = draft.generator.random(int((own & ~real).sum()))
+        like = np.searchsorted(np.cumsum(dealt.false_shares), drawn)
+        true_shares[own & ~real] = dealt.true_shares[np.minimum(like, len(all_numbers) - 1)]
     kept = np.flatnonzero(np.isfinite(true_shares))
     true = (report.instances != FALSE) & ~report.duplicates
     scores = draw_scores(draft.generator, true_shares[kept], true[kept], spec)
@@ -565,15 +519,9 @@ def _scored(
 
 
 _TRIES, _OVERLAP = 12, 0.2
-"""So many locations are tried for a false box until it overlaps no object by more than this.
-
-Intersection over union.
-"""
+"""So many positions are tried for a false box until it overlaps no object by more than this intersection over union."""
 
 _SMALLEST_PX = 1.0
-
-_Pose = tuple[RigidTransform, Camera]
-"""`world_from_camera`, and the camera model."""
 
 
 def detect_2d(
@@ -604,62 +552,49 @@ def detect_2d(
     camera = drive.scene.cameras[0] if camera_id is None else drive.scene.sensor(camera_id)
     if not isinstance(camera, CameraSensor):
         raise OptionError(f"sensor {camera_id!r} is of type {camera.type}; expected a camera")
-    drafts = [_image_draft(drive, spec, camera, index) for index in _chosen_frames(len(camera.images), frames)]
-    return _with_scores(drafts, spec.scores, repeated=spec.repeated)
+    chosen = _chosen(len(camera.images), frames)
+    return _with_scores([_image_draft(drive, spec, camera, index) for index in chosen])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _ImageLook:
+class _ImageLook(_Look):
     """What one image shows.
 
     Attributes:
-        stated_ns: its timestamp [ns].
-        objects: boxes of the objects in it, in the world.
-        instances: (M,) int64, which they are.
-        corners_xyxy: (M, 4) float64 [px], where they are in the image.
-        evidence: (M,) float64, how many pixels show them.
-        occlusions: (M,) float64, how much of them is hidden.
-        clutter: (C, 3) float64: column, row [px] and depth [m] of pixels that show other things.
+        corners_xyxy: (M, 4) float64 [px], where the objects are in the image.
         camera_model: of the camera.
     """
 
-    stated_ns: int
-    objects: Boxes3D
-    instances: Int64Array
     corners_xyxy: Float64Array
-    evidence: Float64Array
-    occlusions: Float64Array
-    clutter: Float64Array
     camera_model: Camera
 
 
 def _look_at_image(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int) -> _ImageLook:
     truth, number = drive.truth, _true_frame(drive, camera.id, index)
     rendered = truth.cameras[str(camera.id)]
-    time_ns, pose = int(rendered.timestamps_ns[number]), rendered.pose(number)
-    camera_model = rendered.spec.camera
+    time_ns, camera_model = int(rendered.timestamps_ns[number]), rendered.spec.camera
     objects, instances = _objects_at(truth.street, time_ns, spec.classes)
     image = rendered.truth(number)
-    shown = np.full_like(image.instances, -1) if _is_black(drive, camera, index) else image.instances
+    black = _is_blind(drive, camera.id) and not camera.images[index].rgb.any()
+    shown = np.full_like(image.instances, -1) if black else image.instances
     seen, extents, pixels = _extents(shown, instances)
     objects, instances = objects.select(seen), instances[seen]
     if spec.amodal:
         extents = projected_boxes(LineViews.of(rendered, number, instances), extents)
     return _ImageLook(
+        Stream.DETECTIONS_2D,
+        spec,
+        camera.id,
+        number,
         int(camera.images.timestamps_ns[index]),
         objects,
         instances,
-        extents,
         pixels,
         _hidden_shares(pixels, rendered.silhouettes(number), instances),
-        _clutter(image, shown, instances, (pose, camera_model)),
+        _clutter(image, shown, instances, rendered.pose(number), camera_model),
+        extents,
         camera_model,
     )
-
-
-def _is_black(drive: SimulatedDrive, camera: CameraSensor, index: int) -> bool:
-    wrong = drive.faults.sensors.get(camera.id)
-    return wrong is not None and bool(wrong.blind) and not camera.images[index].rgb.any()
 
 
 def _extents(shown: AnyArray, instances: Int64Array) -> tuple[Int64Array, Float64Array, Float64Array]:
@@ -668,19 +603,20 @@ def _extents(shown: AnyArray, instances: Int64Array) -> tuple[Int64Array, Float6
     met, which = np.unique(shown[rows, columns], return_inverse=True)
     edges = np.empty((len(met), 4))
     edges[:, :2], edges[:, 2:] = np.inf, -np.inf
-    for axis, locations in enumerate((columns, rows)):
-        np.minimum.at(edges[:, axis], which, locations)
-        np.maximum.at(edges[:, axis + 2], which, locations + 1)
+    for axis, pixels in enumerate((columns, rows)):
+        np.minimum.at(edges[:, axis], which, pixels)
+        np.maximum.at(edges[:, axis + 2], which, pixels + 1)
     seen = np.flatnonzero(np.isin(instances, met))
     own = np.searchsorted(met, instances[seen])
     return seen, edges[own], np.bincount(which, minlength=len(met)).astype(np.float64)[own]
 
 
-def _clutter(image: ImageTruth, shown: AnyArray, instances: Int64Array, look: _Pose) -> Float64Array:
+def _clutter(
+    image: ImageTruth, shown: AnyArray, instances: Int64Array, world_from_camera: RigidTransform, camera_model: Camera
+) -> Float64Array:
     """Some of the pixels that show other things than the objects at their height: column, row, depth, (C, 3)."""
-    world_from_camera, camera_model = look
     other = (shown > 0) & ~np.isin(shown, instances) & (image.depths < _FALSE_WITHIN)
-    rows, columns = (locations[:: max(1, int(other.sum()) // 4000)] for locations in np.nonzero(other))
+    rows, columns = (pixels[:: max(1, int(other.sum()) // 4000)] for pixels in np.nonzero(other))
     depths = image.depths[rows, columns].astype(np.float64)
     rays = unproject(camera_model, np.column_stack([columns, rows]))
     heights = world_from_camera.apply(rays * (depths / rays[:, 2])[:, None])[:, 2]
@@ -691,21 +627,21 @@ def _clutter(image: ImageTruth, shown: AnyArray, instances: Int64Array, look: _P
 def _image_draft(drive: SimulatedDrive, spec: Detector2dSpec, camera: CameraSensor, index: int) -> _Draft[Boxes2D]:
     """Everything about an image but the scores."""
     look = _look_at_image(drive, spec, camera, index)
-    finding = _Finding.of(Stream.DETECTIONS_2D, spec, camera.id, _true_frame(drive, camera.id, index), look)
+    draft: _Draft[Boxes2D] = _Draft(look)
     labels = look.objects.labels
-    false, false_labels = _false_boxes_in_image(finding.generator, spec, look, finding.false_rates)
-    whose, normals = finding.errors(len(false), columns=4)
-    exact = np.concatenate([look.corners_xyxy[finding.rows], false])
+    false, false_labels = _false_boxes_in_image(draft, spec, look)
+    whose, normals = draft.errors(len(false), columns=4)
+    exact = np.concatenate([look.corners_xyxy[draft.rows], false])
     boxes = Boxes2D(
         look.stated_ns,
         _with_errors_in_image(spec, look.camera_model, exact, normals),
         np.zeros(len(whose)),
-        (*(labels[k] for k in finding.rows), *false_labels),
+        (*(labels[k] for k in draft.rows), *false_labels),
         sensor_id=camera.id,
     )
     ones = np.ones(len(labels))
     truth = Boxes2D(look.objects.timestamp_ns, look.corners_xyxy, ones, labels, sensor_id=camera.id)
-    return finding.draft(boxes, truth, whose)
+    return draft.reported(boxes, truth, whose)
 
 
 def _with_errors_in_image(
@@ -721,11 +657,10 @@ def _with_errors_in_image(
 
 
 def _false_boxes_in_image(
-    generator: np.random.Generator, spec: Detector2dSpec, look: _ImageLook, rates: Mapping[str, float]
+    draft: _Draft[Boxes2D], spec: Detector2dSpec, look: _ImageLook
 ) -> tuple[Float64Array, list[str]]:
     """Boxes as large as an object of their class would be, around pixels that show something else."""
-    counts = {label: int(generator.poisson(rate)) for label, rate in rates.items()}
-    labels = [label for label, count in counts.items() for _ in range(count)]
+    labels, generator = draft.false_labels(), draft.generator
     boxes = np.empty((len(labels), 4))
     for k, label in enumerate(labels):
         length, width, height = spec.classes[label].size_lwh
@@ -784,49 +719,25 @@ def detect_3d(
         PoseError: the scene does not state what the frame of the boxes needs.
     """
     spec = spec or Detector3dSpec()
-    lidar = _lidar(drive, lidar_id)
-    drafts = [
-        _sweep_draft(drive, spec, lidar, index, boxes_frame) for index in _chosen_frames(len(lidar.frames), frames)
-    ]
-    return _with_scores(drafts, spec.scores, repeated=spec.repeated)
-
-
-def _lidar(drive: SimulatedDrive, lidar_id: Identifier | None) -> LidarSensor:
-    sensor = drive.scene.lidars[0] if lidar_id is None else drive.scene.sensor(lidar_id)
-    if not isinstance(sensor, LidarSensor):
-        raise OptionError(f"sensor {lidar_id!r} is of type {sensor.type}; expected a lidar")
-    return sensor
+    lidar = drive.scene.lidars[0] if lidar_id is None else drive.scene.sensor(lidar_id)
+    if not isinstance(lidar, LidarSensor):
+        raise OptionError(f"sensor {lidar_id!r} is of type {lidar.type}; expected a lidar")
+    chosen = _chosen(len(lidar.frames), frames)
+    return _with_scores([_sweep_draft(drive, spec, lidar, index, boxes_frame) for index in chosen])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _SweepLook:
-    """What one sweep could show.
+class _SweepLook(_Look):
+    """What one sweep shows.
 
     Attributes:
-        stated_ns: its reference time by the scene's timestamps [ns].
         world_from_ego, world_from_lidar: true poses at its reference time.
-        objects: boxes of the objects with points on them, world frame, timestamped with the true time.
-        instances: (M,) int64, which they are.
-        evidence: (M,) float64, how many points are on them.
-        occlusions: (M,) float64, how much of them is hidden.
-        clutter: (C, 3) float64 [m], world frame: points on other things, where a false box may begin.
         points_world: (N, 3) float64 [m], all points.
     """
 
-    stated_ns: int
     world_from_ego: RigidTransform
     world_from_lidar: RigidTransform
-    objects: Boxes3D
-    instances: Int64Array
-    evidence: Float64Array
-    occlusions: Float64Array
-    clutter: Float64Array
     points_world: Float64Array
-
-    @property
-    def origin(self) -> Float64Array:
-        """Where the lidar was, (3,) [m], world frame."""
-        return self.world_from_lidar.translation
 
     def placed(self, boxes: Boxes3D, frame: PointsFrame) -> Boxes3D:
         """True boxes of the world in a frame, exactly."""
@@ -844,29 +755,29 @@ def _look_at_sweep(drive: SimulatedDrive, spec: Detector3dSpec, lidar: LidarSens
     ego = drive.truth.path.at(np.array([time_ns], np.int64))
     world_from_ego = RigidTransform(ego.rotations[0], ego.positions[0])
     objects, instances = _objects_at(drive.truth.street, time_ns, spec.classes)
-    rows = np.arange(0 if _is_blind(drive, lidar, index) else len(sweep.instances))
+    empty = _is_blind(drive, lidar.id) and len(lidar.frames[index].points) == 0
+    rows = np.arange(0 if empty else len(sweep.instances))
     met, counts = np.unique(sweep.instances[rows], return_counts=True)
     seen = np.isin(instances, met)
-    objects_seen, instances_seen = objects.select(seen), instances[seen]
+    instances_seen = instances[seen]
     points = counts[np.searchsorted(met, instances_seen)].astype(np.float64)
     arrived = points / max(1e-9, 1.0 - device.spec.drop_rate)
     other = rows[(sweep.instances[rows] > 0) & ~np.isin(sweep.instances[rows], instances)]
     return _SweepLook(
+        Stream.DETECTIONS_3D,
+        spec,
+        lidar.id,
+        number,
         int(lidar.frames.timestamps_ns[index]) + time_ns - sweep.frame.timestamp_ns,
-        world_from_ego,
-        world_from_ego @ device.spec.mount,
-        objects_seen,
+        objects.select(seen),
         instances_seen,
         points,
         _hidden_shares(arrived, device.silhouettes(number), instances_seen),
         _clear(sweep.points_world[other[sweep.ranges[other] < _FALSE_WITHIN]], objects),
+        world_from_ego,
+        world_from_ego @ device.spec.mount,
         sweep.points_world[rows],
     )
-
-
-def _is_blind(drive: SimulatedDrive, lidar: LidarSensor, index: int) -> bool:
-    wrong = drive.faults.sensors.get(lidar.id)
-    return wrong is not None and bool(wrong.blind) and len(lidar.frames[index].points) == 0
 
 
 def _clear(points_world: Float64Array, objects: Boxes3D) -> Float64Array:
@@ -884,27 +795,29 @@ def _sweep_draft(
 ) -> _Draft[Boxes3D]:
     """Everything about a sweep but the scores."""
     look = _look_at_sweep(drive, spec, lidar, index)
-    finding = _Finding.of(Stream.DETECTIONS_3D, spec, lidar.id, _true_frame(drive, lidar.id, index), look)
-    false, false_points = _false_boxes_in_space(finding.generator, spec, look, finding.false_rates)
-    exact = _joined(look.objects.select(finding.rows), false)
-    points = np.concatenate([look.evidence[finding.rows], false_points])
-    whose, normals = finding.errors(len(false), columns=7)
-    boxes = _with_errors_in_space(finding.generator, spec, look, exact, points, normals)
+    draft: _Draft[Boxes3D] = _Draft(look)
+    false, false_points = _false_boxes_in_space(draft, spec, look)
+    found = look.objects.select(draft.rows)
+    names = ("centers", "sizes_lwh", "yaws", "scores", "velocities")
+    both: dict[str, Any] = {name: np.concatenate([getattr(found, name), getattr(false, name)]) for name in names}
+    exact = replace(found, **both, labels=found.labels + false.labels)
+    points = np.concatenate([look.evidence[draft.rows], false_points])
+    whose, normals = draft.errors(len(false), columns=7)
+    boxes = _with_errors_in_space(draft.generator, spec, look, exact, points, normals)
     stated = _stated(drive, look, boxes, lidar, boxes_frame)
-    return finding.draft(stated, look.placed(look.objects, boxes_frame), whose)
+    return draft.reported(stated, look.placed(look.objects, boxes_frame), whose)
 
 
 def _false_boxes_in_space(
-    generator: np.random.Generator, spec: Detector3dSpec, look: _SweepLook, rates: Mapping[str, float]
+    draft: _Draft[Boxes3D], spec: Detector3dSpec, look: _SweepLook
 ) -> tuple[Boxes3D, Float64Array]:
-    """Boxes around returns of something else, world frame, and how many points are about in each."""
-    counts = {label: int(generator.poisson(rate)) for label, rate in rates.items()}
-    labels = tuple(label for label, count in counts.items() for _ in range(count))
+    """Boxes around returns of something else, world frame, and about how many points are in each."""
+    labels, generator = tuple(draft.false_labels()), draft.generator
     count = len(labels)
     sizes = np.array([spec.classes[label].size_lwh for label in labels]).reshape(-1, 3)
     sizes = sizes * np.exp(0.1 * generator.standard_normal((count, 3)))
     begun = look.clutter[generator.integers(max(1, len(look.clutter)), size=count)]
-    away = begun[:, :2] - look.origin[:2]
+    away = begun[:, :2] - look.world_from_lidar.translation[:2]
     away = away / np.maximum(1e-9, np.linalg.norm(away, axis=1))[:, None]
     middles = begun[:, :2] + away * sizes[:, 1:2] / 2
     boxes = Boxes3D(
@@ -921,13 +834,6 @@ def _false_boxes_in_space(
     return boxes, (apart < sizes[:, 1:2]).sum(axis=1).astype(np.float64)
 
 
-def _joined(first: Boxes3D, second: Boxes3D) -> Boxes3D:
-    """The exact boxes of two lists."""
-    names = ("centers", "sizes_lwh", "yaws", "scores", "velocities")
-    both: dict[str, Any] = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names}
-    return replace(first, **both, labels=first.labels + second.labels)
-
-
 def _with_errors_in_space(
     generator: np.random.Generator,
     spec: Detector3dSpec,
@@ -938,12 +844,15 @@ def _with_errors_in_space(
 ) -> Boxes3D:
     """Exact boxes of the world with the detector's errors, which grow out of standard normal numbers (N, 7)."""
     count = len(exact)
-    ranges = np.linalg.norm(exact.centers - look.origin, axis=1)
+    ranges = np.linalg.norm(exact.centers - look.world_from_lidar.translation, axis=1)
     sigmas = np.array([*spec.center_sigmas, *spec.size_sigmas, np.radians(spec.yaw_sigma_deg)])
     sigmas = sigmas * spec.growth(ranges, points)[:, None]
     errors = sigmas * normals
     flips = np.pi * (generator.random(count) < spec.flip_share)
-    rotations = _rotations(exact.yaws)
+    rotations = np.tile(np.eye(3), (count, 1, 1))
+    rotations[:, 0, 0] = rotations[:, 1, 1] = np.cos(exact.yaws)
+    rotations[:, 1, 0] = np.sin(exact.yaws)
+    rotations[:, 0, 1] = -rotations[:, 1, 0]
     covariances = None
     if spec.covariances:
         rotation = np.tile(np.eye(7), (count, 1, 1))
@@ -962,16 +871,6 @@ def _with_errors_in_space(
         velocities=velocities,
         covariances=covariances,
     )
-
-
-def _rotations(yaws: Float64Array) -> Float64Array:
-    """Rotations about the z axis, (N, 3, 3)."""
-    rotations = np.zeros((len(yaws), 3, 3))
-    rotations[:, 0, 0] = rotations[:, 1, 1] = np.cos(yaws)
-    rotations[:, 1, 0] = np.sin(yaws)
-    rotations[:, 0, 1] = -rotations[:, 1, 0]
-    rotations[:, 2, 2] = 1.0
-    return rotations
 
 
 def _stated(drive: SimulatedDrive, look: _SweepLook, boxes: Boxes3D, lidar: LidarSensor, frame: PointsFrame) -> Boxes3D:

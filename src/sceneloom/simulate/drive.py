@@ -1,6 +1,6 @@
 """A simulated drive: its sensors, the scene as a reader would give it, and the truth behind it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,9 +20,9 @@ from sceneloom.scene.poses import Poses, PoseSource, Trajectory
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import NO_FIELDS, Identifier
 from sceneloom.simulate.camera import CameraSpec, ImageTruth, RenderedCamera, camera_mount, edge_mask
-from sceneloom.simulate.casting import Rays, ScanSpec, bundles_by_direction, cast
+from sceneloom.simulate.casting import Rays, bundles_by_direction, cast
 from sceneloom.simulate.faults import Faults, inject_into_scene
-from sceneloom.simulate.lidar_radar import LidarSpec, RadarSpec, ScanningLidar, SimulatedRadar, Sweep
+from sceneloom.simulate.lidar_radar import LidarSpec, RadarSpec, ScanningLidar, ScanSpec, SimulatedRadar, Sweep
 from sceneloom.simulate.parameters import Stream, check_bounds, generator_for
 from sceneloom.simulate.street import (
     BoxTruth,
@@ -64,14 +64,8 @@ class ImuSpec:
     gyroscope_bias_sigma: float = 0.001
 
     def __post_init__(self) -> None:
-        bounds = (
-            ("rate_hz", self.rate_hz, 1.0, 10_000.0),
-            ("accelerometer_noise", self.accelerometer_noise, 0.0, 1e3),
-            ("gyroscope_noise", self.gyroscope_noise, 0.0, 1e3),
-            ("accelerometer_bias_sigma", self.accelerometer_bias_sigma, 0.0, 1e3),
-            ("gyroscope_bias_sigma", self.gyroscope_bias_sigma, 0.0, 1e3),
-        )
-        check_bounds("imu", bounds)
+        sigmas = (f"{name}_{what}" for name in ("accelerometer", "gyroscope") for what in ("noise", "bias_sigma"))
+        check_bounds("imu", self, rate_hz=(1.0, 10_000.0), **dict.fromkeys(sigmas, (0.0, 1e3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,30 +95,22 @@ def imu_truth(spec: ImuSpec, path: EgoPath, timestamps_ns: Int64Array, *, seed: 
         timestamps_ns,
         np.einsum("nji,nj->ni", states.rotations, pulled),
         states.angular_rates,
-        _bias(spec.accelerometer_bias_sigma, seed, Stream.ACCELEROMETER),
-        _bias(spec.gyroscope_bias_sigma, seed, Stream.GYROSCOPE),
+        spec.accelerometer_bias_sigma * generator_for(seed, Stream.ACCELEROMETER, 0).standard_normal(3),
+        spec.gyroscope_bias_sigma * generator_for(seed, Stream.GYROSCOPE, 0).standard_normal(3),
     )
 
 
 def imu_sensor(spec: ImuSpec, truth: ImuTruth, *, seed: int) -> ImuSensor:
     """Add bias and white noise to the true signals."""
-    forces = truth.specific_forces + truth.accelerometer_bias
-    rates = truth.angular_rates + truth.gyroscope_bias
-    noise = np.sqrt(spec.rate_hz)
-    streams = {
-        "accelerometer": _noisy(forces, noise * spec.accelerometer_noise, seed, Stream.ACCELEROMETER),
-        "gyroscope": _noisy(rates, noise * spec.gyroscope_noise, seed, Stream.GYROSCOPE),
-    }
-    return ImuSensor("imu", {name: VectorSamples(truth.timestamps_ns, values) for name, values in streams.items()})
-
-
-def _bias(sigma: float, seed: int, stream: Stream) -> Float64Array:
-    return sigma * generator_for(seed, stream, 0).standard_normal(3)
-
-
-def _noisy(values: Float64Array, sigma: float, seed: int, stream: Stream) -> Float64Array:
-    noisy: Float64Array = values + sigma * generator_for(seed, stream, 1).standard_normal(values.shape)
-    return noisy
+    signals = (
+        ("accelerometer", truth.specific_forces + truth.accelerometer_bias, spec.accelerometer_noise),
+        ("gyroscope", truth.angular_rates + truth.gyroscope_bias, spec.gyroscope_noise),
+    )
+    streams = {}
+    for name, values, density in signals:
+        normals = generator_for(seed, Stream[name.upper()], 1).standard_normal(values.shape)
+        streams[name] = VectorSamples(truth.timestamps_ns, values + np.sqrt(spec.rate_hz) * density * normals)
+    return ImuSensor("imu", streams)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,16 +132,8 @@ class GnssSpec:
     origin_lla: tuple[float, float, float] = (60.1708, 24.9375, 14.0)
 
     def __post_init__(self) -> None:
-        latitude, longitude, altitude = self.origin_lla
-        bounds = (
-            ("rate_hz", self.rate_hz, 0.01, 1000.0),
-            ("horizontal_sigma", self.horizontal_sigma, 0.0, 1e4),
-            ("vertical_sigma", self.vertical_sigma, 0.0, 1e4),
-            ("origin_lla[0]", latitude, -90.0, 90.0),
-            ("origin_lla[1]", longitude, -180.0, 180.0),
-            ("origin_lla[2]", altitude, -1e4, 1e5),
-        )
-        check_bounds("gnss", bounds)
+        check_bounds("gnss", self, rate_hz=(0.01, 1000.0), horizontal_sigma=(0.0, 1e4), vertical_sigma=(0.0, 1e4))
+        check_bounds("gnss", self, origin_lla=((-90.0, 90.0), (-180.0, 180.0), (-1e4, 1e5)))
 
 
 def gnss_sensor(spec: GnssSpec, path: EgoPath, timestamps_ns: Int64Array, *, seed: int) -> GnssSensor:
@@ -163,14 +141,8 @@ def gnss_sensor(spec: GnssSpec, path: EgoPath, timestamps_ns: Int64Array, *, see
     sigmas = np.array([spec.horizontal_sigma, spec.horizontal_sigma, spec.vertical_sigma])
     noise = sigmas * generator_for(seed, Stream.GNSS).standard_normal((len(timestamps_ns), 3))
     positions = geodetic_from_enu(path.at(timestamps_ns).positions + noise, np.array(spec.origin_lla))
-    count = len(timestamps_ns)
-    return GnssSensor(
-        "gnss",
-        timestamps_ns,
-        positions,
-        np.full(count, spec.horizontal_sigma),
-        np.full(count, spec.vertical_sigma),
-    )
+    horizontal, vertical = (np.full(len(noise), sigma) for sigma in (spec.horizontal_sigma, spec.vertical_sigma))
+    return GnssSensor("gnss", timestamps_ns, positions, horizontal, vertical)
 
 
 _MARGIN_NS = 200_000_000
@@ -213,15 +185,22 @@ class Rig:
         """
         if not lidars:
             raise OptionError("lidars: none; expected one at least, whose sweeps are the clock of the drive")
-        names = ["lidar"] if len(lidars) == 1 else [f"lidar{index}" for index in range(len(lidars))]
         rig = cls(
-            dict(zip(names, lidars, strict=True)),
+            {"lidar" if len(lidars) == 1 else f"lidar{index}": spec for index, spec in enumerate(lidars)},
             {f"camera{index}": spec for index, spec in enumerate(cameras)},
             {f"radar{index}": spec for index, spec in enumerate(radars)},
             frames,
             start_ns,
         )
-        rig._check()
+        offsets, period_ns = [spec.offset_ns for spec in cameras], rig.period_ns
+        if offsets and (min(offsets) < -period_ns or max(offsets) > 2 * period_ns):
+            raise OptionError(
+                f"camera offsets {offsets} ns; expected {-period_ns} to {2 * period_ns}, a sweep's period before the "
+                "sweep and after it"
+            )
+        for name, spec in list(rig.lidars.items())[1:]:
+            if spec.period_ns > _LONGEST_PERIOD_NS:
+                raise OptionError(f"{name}.period_ns: {spec.period_ns}; expected at most {_LONGEST_PERIOD_NS}")
         return rig
 
     @property
@@ -270,83 +249,47 @@ class Rig:
         starts: Int64Array = self.start_ns + spec.offset_ns + spec.period_ns * np.arange(count, dtype=np.int64)
         return starts
 
-    def position_lidars(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, ScanningLidar]:
-        """Put the lidars on their trajectory."""
-        return {
-            name: ScanningLidar.of(
-                spec, street, path, seed=seed, timestamps_ns=self.frame_starts_ns(spec), number=number
-            )
+    def truth(self, street: Street, path: EgoPath, imu: ImuTruth, *, seed: int) -> "Truth":
+        """Put the devices on their way."""
+        lidars = {
+            name: ScanningLidar(spec, street, path, seed, number, self.frame_starts_ns(spec))
             for number, (name, spec) in enumerate(self.lidars.items())
         }
-
-    def position_cameras(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, RenderedCamera]:
-        """Put the cameras on their trajectory."""
-        return {
-            name: RenderedCamera.of(
-                spec,
-                street,
-                path,
-                timestamps_ns=self.sweep_starts_ns + spec.offset_ns,
-                seed=seed,
-                number=number,
-            )
-            for number, (name, spec) in enumerate(self.cameras.items())
+        cameras = {}
+        for number, (name, camera) in enumerate(self.cameras.items()):
+            times_ns = self.sweep_starts_ns + camera.offset_ns
+            cameras[name] = RenderedCamera.of(camera, street, path, timestamps_ns=times_ns, seed=seed, number=number)
+        radars = {
+            name: SimulatedRadar(radar, street, path, seed, number, self.frame_starts_ns(radar))
+            for number, (name, radar) in enumerate(self.radars.items())
         }
-
-    def position_radars(self, street: Street, path: EgoPath, *, seed: int) -> dict[str, SimulatedRadar]:
-        """Put the radars on their trajectory."""
-        return {
-            name: SimulatedRadar(spec, street, path, seed, number, self.frame_starts_ns(spec))
-            for number, (name, spec) in enumerate(self.radars.items())
-        }
-
-    def _check(self) -> None:
-        offsets = [spec.offset_ns for spec in self.cameras.values()]
-        if offsets and (min(offsets) < -self.period_ns or max(offsets) > 2 * self.period_ns):
-            raise OptionError(
-                f"camera offsets {offsets} ns; expected {-self.period_ns} to {2 * self.period_ns}, a sweep's period "
-                "before the sweep and after it"
-            )
-        for name, spec in list(self.lidars.items())[1:]:
-            if spec.period_ns > _LONGEST_PERIOD_NS:
-                raise OptionError(f"{name}.period_ns: {spec.period_ns}; expected at most {_LONGEST_PERIOD_NS}")
+        return Truth(street, path, lidars, cameras, radars, imu)
 
 
-def _scene_sensors(
-    lidars: Mapping[str, ScanningLidar],
-    cameras: Mapping[str, RenderedCamera],
-    radars: Mapping[str, SimulatedRadar],
-    ego: Poses,
-) -> tuple[LidarSensor | CameraSensor | RadarSensor, ...]:
+def _sensors_of(truth: "Truth", ego: Poses) -> Iterator[LidarSensor | CameraSensor | RadarSensor]:
     """Give the sensors as a reader would: frames that are made when asked for, poses along the ego's, mountings."""
-    return (
-        *(_lidar_sensor(name, lidar, ego) for name, lidar in lidars.items()),
-        *(_camera_sensor(name, camera, ego) for name, camera in cameras.items()),
-        *(_radar_sensor(name, radar, ego) for name, radar in radars.items()),
-    )
 
+    def poses(mount: RigidTransform) -> Poses:
+        along = PoseSource(ego, mount).at(ego.timestamps_ns)
+        return Poses(ego.timestamps_ns, along.positions, along.quaternions_xyzw)
 
-def _lidar_sensor(name: str, lidar: ScanningLidar, ego: Poses) -> LidarSensor:
-    return LidarSensor(
-        name,
-        LazyFrames(lidar.timestamps_ns, lidar.frame),
-        poses=_mounted(ego, lidar.spec.mount),
-        mount=lidar.spec.mount,
-        model="simulated",
-    )
-
-
-def _camera_sensor(name: str, camera: RenderedCamera, ego: Poses) -> CameraSensor:
-    times = camera.timestamps_ns
-    return CameraSensor(
-        name,
-        camera.spec.camera,
-        LazyFrames(times, camera.image),
-        poses=_mounted(ego, camera.spec.mount),
-        mount=camera.spec.mount,
-        fps=1e9 / float(times[1] - times[0]) if len(times) > 1 else None,
-        extras=_shutter_fields(camera.spec),
-    )
+    for name, lidar in truth.lidars.items():
+        mount, sweeps = lidar.spec.mount, LazyFrames(lidar.timestamps_ns, lidar.frame)
+        yield LidarSensor(name, sweeps, poses=poses(mount), mount=mount, model="simulated")
+    for name, camera in truth.cameras.items():
+        spec, times = camera.spec, camera.timestamps_ns
+        yield CameraSensor(
+            name,
+            spec.camera,
+            LazyFrames(times, camera.image),
+            poses=poses(spec.mount),
+            mount=spec.mount,
+            fps=1e9 / float(times[1] - times[0]) if len(times) > 1 else None,
+            extras=_shutter_fields(spec),
+        )
+    for name, radar in truth.radars.items():
+        mount, cycles = radar.spec.mount, LazyFrames(radar.timestamps_ns, radar.frame)
+        yield RadarSensor(name, cycles, poses=poses(mount), mount=mount)
 
 
 def _shutter_fields(spec: CameraSpec) -> Mapping[str, Any]:
@@ -360,21 +303,6 @@ def _shutter_fields(spec: CameraSpec) -> Mapping[str, Any]:
     if spec.left_to_right:
         entry["rollingShutterLeftToRight"] = True
     return {"calibration": entry}
-
-
-def _radar_sensor(name: str, radar: SimulatedRadar, ego: Poses) -> RadarSensor:
-    return RadarSensor(
-        name,
-        LazyFrames(radar.timestamps_ns, radar.frame),
-        poses=_mounted(ego, radar.spec.mount),
-        mount=radar.spec.mount,
-    )
-
-
-def _mounted(ego: Poses, mount: RigidTransform) -> Poses:
-    """`world_from_sensor` at the trajectory's own times."""
-    poses = PoseSource(ego, mount).at(ego.timestamps_ns)
-    return Poses(ego.timestamps_ns, poses.positions, poses.quaternions_xyzw)
 
 
 _BEYOND = 1.0
@@ -535,7 +463,11 @@ class Truth:
         Raises:
             OptionError: there is no such lidar.
         """
-        return self._lidar(lidar_id).sweep(k)
+        if lidar_id is None:
+            return self.lidar.sweep(k)
+        if lidar_id not in self.lidars:
+            raise OptionError(f"lidar {lidar_id!r}; expected one of {', '.join(map(repr, self.lidars))}")
+        return self.lidars[lidar_id].sweep(k)
 
     def clean_points_world(self, k: int, lidar_id: str | None = None) -> CleanPoints:
         """Where the points of frame k of a lidar, by default the first, come from, without noise.
@@ -545,13 +477,6 @@ class Truth:
         """
         sweep = self.sweep(k, lidar_id)
         return CleanPoints(sweep.points_world, sweep.instances, sweep.colors, sweep.ranges, sweep.velocities)
-
-    def _lidar(self, lidar_id: str | None) -> ScanningLidar:
-        if lidar_id is None:
-            return self.lidar
-        if lidar_id not in self.lidars:
-            raise OptionError(f"lidar {lidar_id!r}; expected one of {', '.join(map(repr, self.lidars))}")
-        return self.lidars[lidar_id]
 
     def _camera(self, camera_id: str) -> RenderedCamera:
         if camera_id not in self.cameras:
@@ -605,15 +530,15 @@ def simulate_street(
     """Drive through a synthetic street.
 
     Args:
-        seed: another number is another street, another way and other noise.
+        seed: another number is another street, trajectory and noise.
         frames: sweeps of the (first) lidar; each camera takes one image in each.
         lidar: the lidar, a `LidarSpec` or a `SolidStateSpec`; by default 64 beams and 1800 steps at 10 Hz on the roof.
-        lidars: several in its location; the further ones have as many sweeps as begin before the first has ended its
+        lidars: several instead; the further ones have as many sweeps as begin before the first has ended its
             last. A single lidar's id is "lidar", of several they are "lidar0", "lidar1", …
         cameras: by default one of 1242x375 pixels, looking ahead; ids are "camera0", "camera1", …
         radars: none by default; ids are "radar0", "radar1", …
         imu, gnss: the inertial unit and the satellite receiver.
-        path: how the ego drives: speeds, rotates, stops.
+        path: how the ego drives: speeds, bends, stops.
         traffic: what moves besides the ego; None for nothing.
         faults: what is wrong with the scene; None for nothing.
         trajectory_hz: samples of the trajectory a second; 100 keeps interpolation within 0.1 mm and 0.001 degrees
@@ -654,19 +579,21 @@ def simulate_street(
         movers = plan_traffic(generator, traffic, trajectory, street, span_ns=rig.traffic_span_ns)
         street = replace(street, movers=movers)
     inertial = imu_truth(imu, trajectory, _timestamps(span_ns, imu.rate_hz) + _IMU_SHIFT_NS, seed=seed)
-    truth = Truth(
-        street,
-        trajectory,
-        rig.position_lidars(street, trajectory, seed=seed),
-        rig.position_cameras(street, trajectory, seed=seed),
-        rig.position_radars(street, trajectory, seed=seed),
-        inertial,
+    truth = rig.truth(street, trajectory, inertial, seed=seed)
+    ego = trajectory.poses(_timestamps(span_ns, trajectory_hz))
+    scene = Scene(
+        (
+            *_sensors_of(truth, ego),
+            imu_sensor(imu, inertial, seed=seed),
+            gnss_sensor(gnss, trajectory, _timestamps(span_ns, gnss.rate_hz), seed=seed),
+        ),
+        annotations=annotations_of(street, _ANNOTATED, start_ns=int(truth.lidar.timestamps_ns[0])),
+        trajectories={_TRAJECTORY: Trajectory(_TRAJECTORY, ego.timestamps_ns, ego.positions, ego.quaternions_xyzw)},
+        metadata={"sceneloom": {"euler_unit": "degrees", "euler_order": "xyz", "seed": seed}},
+        source=f"simulated street {seed}",
+        format="simulated",
     )
-    sensors = (
-        imu_sensor(imu, inertial, seed=seed),
-        gnss_sensor(gnss, trajectory, _timestamps(span_ns, gnss.rate_hz), seed=seed),
-    )
-    drive = SimulatedDrive(_scene(seed, truth, sensors, _timestamps(span_ns, trajectory_hz)), truth)
+    drive = SimulatedDrive(scene, truth)
     return drive if faults is None else inject(drive, faults)
 
 
@@ -684,10 +611,7 @@ def inject(drive: SimulatedDrive, faults: Faults) -> SimulatedDrive:
 
 
 def demo_drive(seed: int = 0, *, frames: int = 30) -> SimulatedDrive:
-    """A small drive for a first look: two cameras with different camera models and smooth outlines.
-
-    A lidar that looks up.
-    """
+    """A small drive for a first look: two cameras of different models with smooth outlines, a lidar that looks up."""
     ahead = Camera("brown_conrady", 800, 400, 430.0, 430.0, 399.5, 190.0, (-0.12, 0.04, 0.0004, -0.0003, -0.006))
     aside = Camera("fisheye", 640, 400, 250.0, 250.0, 319.5, 190.0, (0.03, -0.008, 0.002, -0.0004))
     cameras = (
@@ -709,21 +633,3 @@ def _timestamps(span_ns: tuple[int, int], rate_hz: float) -> Int64Array:
     count = int((span_ns[1] - span_ns[0]) * 1e-9 * rate_hz) + 2
     timestamps: Int64Array = span_ns[0] + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
     return timestamps
-
-
-def _scene(seed: int, truth: Truth, others: tuple[Any, ...], timestamps_ns: Int64Array) -> Scene:
-    ego = truth.path.poses(timestamps_ns)
-    sensors = (*_scene_sensors(truth.lidars, truth.cameras, truth.radars, ego), *others)
-    trajectory = Trajectory(_TRAJECTORY, ego.timestamps_ns, ego.positions, ego.quaternions_xyzw)
-    return Scene(
-        sensors,
-        annotations=annotations_of(truth.street, _ANNOTATED, start_ns=int(truth.lidar.timestamps_ns[0])),
-        trajectories={_TRAJECTORY: trajectory},
-        metadata=_metadata(seed),
-        source=f"simulated street {seed}",
-        format="simulated",
-    )
-
-
-def _metadata(seed: int) -> Mapping[str, Any]:
-    return {"sceneloom": {"euler_unit": "degrees", "euler_order": "xyz", "seed": seed}}

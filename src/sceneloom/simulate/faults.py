@@ -5,12 +5,13 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
+from functools import partial
 from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt8Array, read_only
+from sceneloom.arrays import AnyArray, BoolArray, Int64Array, UInt8Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
@@ -20,8 +21,9 @@ from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, Sensor, frame_times
+from sceneloom.scene.time_range import select_rows
 from sceneloom.scene.types import Identifier, SensorType
-from sceneloom.simulate.parameters import Stream, generator_for
+from sceneloom.simulate.parameters import Stream, check_bounds, generator_for
 
 _Interval = tuple[int, int]
 """`[start_ns, stop_ns)` on the true clock [ns]."""
@@ -63,7 +65,7 @@ class SensorFaults:
         drop_outs: intervals from which no frame comes.
         blind: intervals whose frames are there but empty; images are black.
         stuck: intervals whose frames repeat the content of the first one in them.
-        swapped: pairs of frame numbers that come in each other's location, timestamps included.
+        swapped: pairs of frame numbers that come in each other's place, timestamps included.
         point_times: what the times of the points are.
         intensity_scale: factor on the intensities, which stay within 0 to 255.
         focal_scale: factor on the focal lengths that the scene states.
@@ -87,10 +89,17 @@ class SensorFaults:
     focal_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, low, high in _BOUNDS:
-            values = np.atleast_1d(getattr(self, name))
-            if not ((values >= low) & (values <= high)).all():
-                raise OptionError(f"faults.{name}: {getattr(self, name)}; expected {low:g} to {high:g}")
+        check_bounds(
+            "faults",
+            self,
+            rotation_deg=(-180.0, 180.0),
+            shift=(-1e3, 1e3),
+            time_offset_ns=(-(10**15), 10**15),
+            clock_skew_ppm=(-1e5, 1e5),
+            lost_share=(0.0, 1.0),
+            intensity_scale=(0.0, 1e3),
+            focal_scale=(0.1, 10.0),
+        )
         for name in ("drop_outs", "blind", "stuck"):
             for interval in getattr(self, name):
                 if len(interval) != 2 or interval[0] >= interval[1]:
@@ -102,7 +111,11 @@ class SensorFaults:
     @property
     def error(self) -> RigidTransform:
         """`true_from_stated` of the mounting, in the sensor's axes."""
-        return RigidTransform.from_quaternion(np.array(self.shift, np.float64), _quaternion(self.rotation_deg))
+        vector = np.radians(np.array(self.rotation_deg, np.float64))
+        half = float(np.linalg.norm(vector)) / 2
+        scale = 0.5 * np.sinc(half / np.pi)  # sin(half) / (2 half), also for no rotation
+        quaternion_xyzw = np.array([*(scale * vector), math.cos(half)])
+        return RigidTransform.from_quaternion(np.array(self.shift, np.float64), quaternion_xyzw)
 
     @property
     def named(self) -> frozenset[str]:
@@ -112,37 +125,10 @@ class SensorFaults:
         )
 
 
-_BOUNDS: tuple[tuple[str, float, float], ...] = (
-    ("rotation_deg", -180.0, 180.0),
-    ("shift", -1e3, 1e3),
-    ("time_offset_ns", -(10**15), 10**15),
-    ("clock_skew_ppm", -1e5, 1e5),
-    ("lost_share", 0.0, 1.0),
-    ("intensity_scale", 0.0, 1e3),
-    ("focal_scale", 0.1, 10.0),
-)
-
 _NOTHING_WRONG = SensorFaults()
 
-
-def _quaternion(rotation_deg: tuple[float, float, float]) -> Float64Array:
-    """The unit quaternion, scalar last, of a rotation vector [deg]."""
-    vector = np.radians(np.array(rotation_deg, np.float64))
-    half = float(np.linalg.norm(vector)) / 2
-    scale = 0.5 * np.sinc(half / np.pi)  # sin(half) / (2 half), also for no rotation
-    return np.array([*(scale * vector), math.cos(half)])
-
-
 _STREAM_FAULTS = frozenset(
-    {
-        "time_offset_ns",
-        "clock_skew_ppm",
-        "lost_share",
-        "lost_frames",
-        "drop_outs",
-        "stuck",
-        "swapped",
-    }
+    {"time_offset_ns", "clock_skew_ppm", "lost_share", "lost_frames", "drop_outs", "stuck", "swapped"}
 )
 
 _CLOUD_FAULTS = _STREAM_FAULTS | {"rotation_deg", "shift", "blind", "point_times"}
@@ -262,7 +248,7 @@ _POINT_TIMES: Mapping[PointTimes, tuple[int, int, int]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaultyClouds:
-    """Reads the frames of a lidar or radar and plants its faults in them."""
+    """Reads the frames of a lidar or radar and injects its faults."""
 
     frames: LazyFrames[Any]
     plan: FramePlan
@@ -277,7 +263,9 @@ class FaultyClouds:
         late_ns = int(self.plan.true_ns[index]) - frame.timestamp_ns
         points = replace(points, timestamps_ns=self._times(points.timestamps_ns, late_ns, stated_ns))
         if self.wrong.intensity_scale != 1.0:
-            points = replace(points, intensities=_scaled(points.intensities, self.wrong.intensity_scale))
+            scaled = None if points.intensities is None else np.rint(points.intensities * self.wrong.intensity_scale)
+            clipped = None if scaled is None else read_only(np.clip(scaled, 0, 255), np.uint8)
+            points = replace(points, intensities=clipped)
         changed: Any = replace(frame, timestamp_ns=stated_ns, points=points)
         return changed
 
@@ -297,15 +285,9 @@ def _emptied(points: Any) -> Any:
     return replace(points, **empty, extras=extras)
 
 
-def _scaled(intensities: UInt8Array | None, factor: float) -> UInt8Array | None:
-    if intensities is None:
-        return None
-    return read_only(np.clip(np.rint(intensities * factor), 0, 255), np.uint8)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _FaultyImages:
-    """Reads the images of a camera and plants its faults in them."""
+    """Reads the images of a camera and injects its faults."""
 
     images: LazyFrames[CameraImage]
     plan: FramePlan
@@ -324,18 +306,11 @@ class _FaultyImages:
         )
         if not self.plan.blind[index]:
             return changed
-        return replace(changed, decode=_Black(camera.width, camera.height), encoded=None)
+        return replace(changed, decode=partial(_black, camera.height, camera.width), encoded=None)
 
 
-@dataclass(frozen=True, slots=True)
-class _Black:
-    """Makes a black image."""
-
-    width: int
-    height: int
-
-    def __call__(self) -> UInt8Array:
-        return np.zeros((self.height, self.width, 3), np.uint8)
+def _black(height: int, width: int) -> UInt8Array:
+    return np.zeros((height, width, 3), np.uint8)
 
 
 def _refocused(camera: Camera, scale: float) -> Camera:
@@ -394,33 +369,22 @@ def _placement(sensor: LidarSensor | RadarSensor | CameraSensor, wrong: SensorFa
 def _inject_into_imu(sensor: ImuSensor, job: _Job) -> tuple[ImuSensor, Int64Array]:
     plans = {name: job.plan(samples.timestamps_ns) for name, samples in sensor.streams.items()}
     streams = {
-        name: VectorSamples(plans[name].stated_ns, _rotated(samples.values[plans[name].contents], job.wrong.error))
-        for name, samples in sensor.streams.items()
+        # a rotated unit whose frame counts as the ego's; only vectors of space rotate
+        name: VectorSamples(plan.stated_ns, job.wrong.error.rotate(values) if values.shape[1] == 3 else values)
+        for name, plan in plans.items()
+        for values in [sensor.streams[name].values[plan.contents]]
     }
     contents = max((plan.contents for plan in plans.values()), key=len, default=np.zeros(0, np.int64))
     return replace(sensor, streams=streams), contents
 
 
-def _rotated(values: Float64Array, error: RigidTransform) -> Float64Array:
-    """What a unit reports that is rotated while its frame counts as the ego's; only vectors of space rotate."""
-    return error.rotate(values) if values.shape[1] == 3 else values
-
-
 def _inject_into_gnss(sensor: GnssSensor, job: _Job) -> tuple[GnssSensor, Int64Array]:
     plan = job.plan(sensor.timestamps_ns)
-    rows = plan.contents
-    changed = replace(
-        sensor,
-        timestamps_ns=plan.stated_ns,
-        positions_lla=sensor.positions_lla[rows],
-        accuracies=sensor.accuracies[rows],
-        vertical_accuracies=sensor.vertical_accuracies[rows],
-        file_seconds=None,
-    )
-    return changed, rows
+    chosen = select_rows(sensor, plan.contents)
+    return replace(chosen, timestamps_ns=plan.stated_ns, file_seconds=None), plan.contents
 
 
-_PLANTERS: Mapping[str, Callable[[Any, _Job], tuple[Any, Int64Array]]] = MappingProxyType(
+_INJECTORS: Mapping[str, Callable[[Any, _Job], tuple[Any, Int64Array]]] = MappingProxyType(
     {
         SensorType.LIDAR: _inject_into_cloud,
         SensorType.RADAR: _inject_into_cloud,
@@ -449,7 +413,7 @@ def inject_into_scene(scene: Scene, faults: Faults) -> tuple[Scene, Mapping[Iden
         changed = sensor
         if sensor.id in faults.sensors:
             job = _Job.of(sensor, faults.sensors[sensor.id], faults.seed)
-            changed, true_frames[sensor.id] = _PLANTERS[str(sensor.type)](sensor, job)
+            changed, true_frames[sensor.id] = _INJECTORS[str(sensor.type)](sensor, job)
         sensors.append(changed)
     return replace(scene, sensors=tuple(sensors)), true_frames
 

@@ -1,6 +1,6 @@
 """Simulated rotating and solid-state lidars, and radar.
 
-`LidarSpec` rotates about its axis; `sceneloom.simulate.lidar_radar` has those that look one way. All are made here.
+`LidarSpec` rotates about its axis, `SolidStateSpec` looks one way.
 
 `lengths` of a return is the rate at which its range grows, along `directions`, which point from the radar to the
 target in the radar's frame: positive where the target recedes, and -v for a stationary thing straight ahead of a radar
@@ -8,13 +8,13 @@ that drives at v. With the radar's own velocity `v_radar` (lever arm included) i
 ground along the same line is `lengths + directions · v_radar`; the sensor does not report it.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt8Array, read_only
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt8Array, UInt16Array, read_only
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, RadarFrame, RadarPoints
@@ -24,21 +24,14 @@ from sceneloom.simulate.casting import (
     Hits,
     Paint,
     Rays,
-    ScanSpec,
-    Shots,
     bundles_by_direction,
     cast,
-    directions_at,
     instances_of,
     paint,
-    reflectivities_of,
-    repeating,
-    scan_bounds,
     silhouettes,
-    velocities_of,
 )
-from sceneloom.simulate.parameters import Stream, check_bounds, check_fan, generator_for
-from sceneloom.simulate.street import Street
+from sceneloom.simulate.parameters import Stream, check_bounds, check_fans, generator_for
+from sceneloom.simulate.street import GRAIN, Street
 from sceneloom.simulate.trajectory import EgoPath, sensor_mount
 
 _BUNDLE_COLUMNS, _BUNDLE_BEAMS = 16, 8
@@ -46,6 +39,37 @@ _BUNDLE_COLUMNS, _BUNDLE_BEAMS = 16, 8
 
 _DEFAULT_MOUNT = sensor_mount(position=(0.25, 0.02, 1.78), yaw_deg=0.8, pitch_deg=-0.5, roll_deg=0.3)
 """`ego_from_lidar` on the roof, a little off square, so that no one can take it for the identity."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shots:
+    """All shots of one frame, in the order of their time.
+
+    Attributes:
+        rays: their directions in the lidar's frame; shot k answers in slot k; the pose of a ray is its moment.
+        offsets_ns: (M,) int64 [ns], the moments at which the lidar shoots, after the start of the frame.
+        moments: (S,) int64, which of `offsets_ns` each shot is fired at.
+        rings: (S,) uint16, the row of each shot from the lowest, or None where the pattern has no rows.
+    """
+
+    rays: Rays
+    offsets_ns: Int64Array
+    moments: Int64Array
+    rings: UInt16Array | None
+
+
+_PlannedShots = Callable[[int], Shots]
+"""Makes the shots of a frame that starts so many ns after the first."""
+
+
+def _same(shots: Shots, _: int) -> Shots:
+    return shots
+
+
+def directions_at(azimuths: Float64Array, elevations: Float64Array) -> Float64Array:
+    """Unit vectors (N, 3) at angles [rad], counter-clockwise from x and upwards."""
+    flat = np.cos(elevations)
+    return np.column_stack([flat * np.cos(azimuths), flat * np.sin(azimuths), np.sin(elevations)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +83,7 @@ class LidarSpec:
         steps: shots of each laser in a rotation; `beams * steps` shots make a sweep.
         period_ns: time of a rotation [ns].
         offset_ns: how much later than the drive the first rotation starts [ns].
-        clockwise: the trajectory it rotates, seen from above.
+        clockwise: the direction in which it rotates, seen from above.
         start_azimuth_deg: where a rotation begins, counter-clockwise from the sensor's x axis; 180 looks back, so the
             sensor looks ahead in the middle of a sweep.
         range_sigma: standard deviation of the measured range [m].
@@ -85,24 +109,19 @@ class LidarSpec:
     offset_ns: int = 0
 
     def __post_init__(self) -> None:
-        own = (("beams", self.beams, 1, 65535), ("steps", self.steps, 1, self.period_ns))
-        check_bounds("lidar", (*scan_bounds(self), *own, *self._angles()))
+        _check_scan(self)
+        check_bounds("lidar", self, beams=(1, 65535), steps=(1, self.period_ns), start_azimuth_deg=(-360.0, 360.0))
+        # ring 0 is the lowest
+        rising = tuple((least, 90.0) for least in (-90.0, *self.elevations_deg[:-1]))
+        check_bounds("lidar", self, elevations_deg=rising)
         if (count := len(self.elevations_deg)) not in {2, self.beams}:
             raise OptionError(f"lidar.elevations_deg: {count} angles; expected 2, or {self.beams} for as many beams")
 
-    def _angles(self) -> Iterator[tuple[str, float, float, float]]:
-        """Bounds of the angles: ring 0 is the lowest."""
-        least = -90.0
-        for number, elevation in enumerate(self.elevations_deg):
-            yield f"elevations_deg[{number}]", elevation, least, 90.0
-            least = elevation
-        yield "start_azimuth_deg", self.start_azimuth_deg, -360.0, 360.0
-
-    def plan_shots(self) -> Callable[[int], Shots]:
+    def plan_shots(self) -> _PlannedShots:
         """Give the shots, which are the same in each rotation."""
         offsets = np.arange(self.steps, dtype=np.int64) * self.period_ns // self.steps
         column, beam = (grid.ravel() for grid in np.mgrid[: self.steps, : self.beams])
-        return repeating(Shots(_rays(self, column, beam), offsets, column, beam.astype(np.uint16)))
+        return partial(_same, Shots(_rays(self, column, beam), offsets, column, beam.astype(np.uint16)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,30 +159,18 @@ class ScanningLidar:
         seed: of the drive.
         number: which of the drive's lidars it is.
         timestamps_ns: (F,) int64 [ns], start of each sweep.
-        shots_after: makes the shots of a sweep that starts so many ns after the first.
     """
 
-    spec: ScanSpec
+    spec: "ScanSpec"
     street: Street
     path: EgoPath
     seed: int
     number: int
     timestamps_ns: Int64Array
-    shots_after: Callable[[int], Shots]
+    _planned: _PlannedShots = field(init=False)
 
-    @classmethod
-    def of(
-        cls,
-        spec: ScanSpec,
-        street: Street,
-        path: EgoPath,
-        *,
-        seed: int,
-        timestamps_ns: Int64Array,
-        number: int = 0,
-    ) -> "ScanningLidar":
-        """Set up the shots of a sweep."""
-        return cls(spec, street, path, seed, number, timestamps_ns, spec.plan_shots())
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_planned", self.spec.plan_shots())
 
     def frame(self, k: int) -> LidarFrame:
         """What the sensor reports of sweep k."""
@@ -171,13 +178,13 @@ class ScanningLidar:
 
     def shots(self, k: int) -> Shots:
         """Where and when sweep k shoots."""
-        return self.shots_after(int(self.timestamps_ns[k] - self.timestamps_ns[0]))
+        return self._planned(int(self.timestamps_ns[k] - self.timestamps_ns[0]))
 
     def sweep(self, k: int) -> Sweep:
         """Make sweep k with its truth; the same every time."""
         shots = self.shots(k)
         times_ns = self.timestamps_ns[k] + shots.offsets_ns
-        rotations, origins = self._poses(times_ns)
+        rotations, origins = self.path.mounted(times_ns, self.spec.mount)
         hits = cast(self.street, shots.rays, rotations, origins, times_ns, reach=self.spec.max_range)
         look = paint(self.street, shots.rays, rotations, origins, hits)
         noise, kept = self._noise(k, hits)
@@ -200,21 +207,15 @@ class ScanningLidar:
             ends,
             instances_of(self.street, hits)[kept],
             look.colors[kept],
-            velocities_of(self.street, hits.shapes[kept], ends, times_ns[moments]),
+            _velocities_of(self.street, hits.shapes[kept], ends, times_ns[moments]),
         )
 
     def silhouettes(self, k: int) -> Int64Array:
         """Count the shots of sweep k that each object would meet if it were alone, by instance number - 1."""
         shots = self.shots(k)
         times_ns = self.timestamps_ns[k] + shots.offsets_ns
-        rotations, origins = self._poses(times_ns)
-        return silhouettes(self.street, shots.rays, rotations, origins, times_ns, reach=self.spec.max_range)
-
-    def _poses(self, timestamps_ns: Int64Array) -> tuple[Float64Array, Float64Array]:
-        """`world_from_lidar` at each time: (M, 3, 3) rotations and (M, 3) positions."""
-        ego = self.path.at(timestamps_ns)
-        mount = self.spec.mount
-        return ego.rotations @ mount.rotation, ego.positions + ego.rotations @ mount.translation
+        poses = self.path.mounted(times_ns, self.spec.mount)
+        return silhouettes(self.street, shots.rays, *poses, times_ns, reach=self.spec.max_range)
 
     def _noise(self, k: int, hits: Hits) -> tuple[Float64Array, Int64Array]:
         """Range errors (S,) [m] and the slots of the returns that arrive."""
@@ -235,6 +236,22 @@ def _rays(spec: LidarSpec, column: Int64Array, beam: Int64Array) -> Rays:
     directions = directions_at(azimuths[column], elevations[beam])
     bundle = column // _BUNDLE_COLUMNS * spec.beams + beam // _BUNDLE_BEAMS
     return Rays.bundled(directions, bundle, pose_of_ray=column)
+
+
+def _velocities_of(street: Street, shapes: AnyArray, points_world: Float64Array, times_ns: Int64Array) -> Float64Array:
+    """Give the velocity of what was hit, (N,) shapes as of `Hits`, at points (N, 3) and times (N,), (N, 3) [m/s]."""
+    velocities = np.zeros((len(shapes), 3))
+    moving, first = np.flatnonzero(shapes >= len(street.shapes)), len(street.shapes)
+    if len(moving):
+        own = shapes[moving] - first
+        velocities[moving] = street.movers.point_velocities(own, points_world[moving], times_ns[moving])
+    return velocities
+
+
+def reflectivities_of(street: Street, hits: Hits) -> Float64Array:
+    """Give the reflectivity of each hit's material, (S,) float64, 0 for the sky."""
+    values: Float64Array = np.append(street.bodies.reflectivities, [0.0, GRAIN])[hits.shapes]
+    return values
 
 
 def _intensities(street: Street, hits: Hits, look: Paint) -> UInt8Array:
@@ -275,52 +292,36 @@ class Raster:
     interleave: int = 2
 
     def __post_init__(self) -> None:
-        counts = (
-            ("rows", self.rows, 1, 65535),
-            ("columns", self.columns, 1, 65535),
-            ("channels", self.channels, 1, 64),
-            ("interleave", self.interleave, 1, 65535),
-        )
-        check_bounds("raster", counts)
-        check_fan("raster", "azimuth_deg", self.azimuth_deg, 180.0)
-        check_fan("raster", "elevation_deg", self.elevation_deg, 90.0)
+        counts = {"rows": (1, 65535), "columns": (1, 65535), "channels": (1, 64), "interleave": (1, 65535)}
+        check_bounds("raster", self, **counts)
+        check_fans("raster", self, azimuth_deg=180.0, elevation_deg=90.0)
 
-    def plan_shots(self, period_ns: int) -> Callable[[int], Shots]:
+    def plan_shots(self, period_ns: int) -> _PlannedShots:
         """Give the shots, which are the same in each frame."""
-        row, column = self._locations()
+        # the row, from the lowest, and the column in its channel, from the left, that each moment looks at
+        from_top = np.concatenate([np.arange(first, self.rows, self.interleave) for first in range(self.interleave)])
+        sweep = np.arange(self.columns)
+        column = np.where(np.arange(self.rows)[:, None] % 2 == 0, sweep, sweep[::-1]).ravel()
+        row = np.repeat(self.rows - 1 - from_top, self.columns).astype(np.int64)
+        # the azimuth of each column of all channels, from the left: the middles of equal cells
+        (right, left), count = np.radians(self.azimuth_deg), self.columns * self.channels
+        azimuths = left - (left - right) * (np.arange(count) + 0.5) / count
+        elevations = np.radians(np.linspace(*self.elevation_deg, self.rows))
         moments = np.repeat(np.arange(len(row), dtype=np.int64), self.channels)
         rows = row[moments]
         across = column[moments] + self.columns * np.tile(np.arange(self.channels), len(row))
-        directions = directions_at(self._azimuths()[across], self._elevations()[rows])
+        directions = directions_at(azimuths[across], elevations[rows])
         rays = Rays.bundled(directions, bundles_by_direction(directions), pose_of_ray=moments)
         offsets = np.arange(len(row), dtype=np.int64) * period_ns // len(row)
-        return repeating(Shots(rays, offsets, moments, rows.astype(np.uint16)))
-
-    def _locations(self) -> tuple[Int64Array, Int64Array]:
-        """The row, from the lowest, and the column in its channel, from the left, that each moment looks at."""
-        from_top = np.concatenate([np.arange(first, self.rows, self.interleave) for first in range(self.interleave)])
-        sweep = np.arange(self.columns)
-        columns = np.where(np.arange(self.rows)[:, None] % 2 == 0, sweep, sweep[::-1])
-        return np.repeat(self.rows - 1 - from_top, self.columns).astype(np.int64), columns.ravel()
-
-    def _azimuths(self) -> Float64Array:
-        """Azimuth of each column of all channels, from the left [rad]: the middles of equal cells."""
-        right, left = np.radians(self.azimuth_deg)
-        count = self.columns * self.channels
-        azimuths: Float64Array = left - (left - right) * (np.arange(count) + 0.5) / count
-        return azimuths
-
-    def _elevations(self) -> Float64Array:
-        elevations: Float64Array = np.radians(np.linspace(*self.elevation_deg, self.rows))
-        return elevations
+        return partial(_same, Shots(rays, offsets, moments, rows.astype(np.uint16)))
 
 
 @dataclass(frozen=True, slots=True)
 class Rosette:
-    """One beam, bent by two prisms that rotation at rates without a common measure: the pattern never repeats.
+    """One beam, bent by two prisms that rotate at rates without a common measure: the pattern never repeats.
 
     Each prism bends the beam by a fixed angle towards where its thick side is; the bends add up as vectors. As the
-    prisms switch on from frame to frame, other locations are hit in each, and the gaps close over time.
+    prisms turn on from frame to frame, other places are hit in each, and the gaps close over time.
 
     Attributes:
         fov_deg: angle across the round field of view [deg].
@@ -342,18 +343,10 @@ class Rosette:
     share: float = 0.5
 
     def __post_init__(self) -> None:
-        check_bounds(
-            "rosette",
-            (
-                ("fov_deg", self.fov_deg, 0.01, 170.0),
-                ("shots_per_second", self.shots_per_second, 1.0, 1e7),
-                ("rotations_per_minute[0]", self.rotations_per_minute[0], -1e6, 1e6),
-                ("rotations_per_minute[1]", self.rotations_per_minute[1], -1e6, 1e6),
-                ("share", self.share, 0.0, 1.0),
-            ),
-        )
+        check_bounds("rosette", self, fov_deg=(0.01, 170.0), shots_per_second=(1.0, 1e7), share=(0.0, 1.0))
+        check_bounds("rosette", self, rotations_per_minute=(-1e6, 1e6))
 
-    def plan_shots(self, period_ns: int) -> Callable[[int], Shots]:
+    def plan_shots(self, period_ns: int) -> _PlannedShots:
         """Give the function that makes the shots of a frame that starts so many ns after the first."""
         count = max(1, int(period_ns * self.shots_per_second / 1e9))
         offsets = np.floor(np.arange(count) * (1e9 / self.shots_per_second)).astype(np.int64)
@@ -404,11 +397,29 @@ class SolidStateSpec:
     )
 
     def __post_init__(self) -> None:
-        check_bounds("lidar", scan_bounds(self))
+        _check_scan(self)
 
-    def plan_shots(self) -> Callable[[int], Shots]:
+    def plan_shots(self) -> _PlannedShots:
         """Give the function that makes the shots of a frame that starts so many ns after the first."""
         return self.pattern.plan_shots(self.period_ns)
+
+
+ScanSpec = LidarSpec | SolidStateSpec
+"""A lidar."""
+
+
+def _check_scan(spec: ScanSpec) -> None:
+    """Check the fields that every lidar has."""
+    check_bounds(
+        "lidar",
+        spec,
+        period_ns=(1, 10**12),
+        offset_ns=(0, spec.period_ns - 1),
+        range_sigma=(0.0, 10.0),
+        drop_rate=(0.0, 1.0),
+        min_range=(0.0, spec.max_range),
+        max_range=(spec.min_range, 1e4),
+    )
 
 
 FALSE_ALARM = SKY_INSTANCE
@@ -459,22 +470,22 @@ class RadarSpec:
     max_range: float = 150.0
 
     def __post_init__(self) -> None:
-        bounds = (
-            ("period_ns", self.period_ns, 1_000_000, 10**10),
-            ("offset_ns", self.offset_ns, 0, self.period_ns - 1),
-            ("range_sigma", self.range_sigma, 0.0, 10.0),
-            ("azimuth_sigma_deg", self.azimuth_sigma_deg, 0.0, 30.0),
-            ("elevation_sigma_deg", self.elevation_sigma_deg, 0.0, 30.0),
-            ("speed_sigma", self.speed_sigma, 0.0, 10.0),
-            ("detections_per_object", self.detections_per_object, 0.0, 1e4),
-            ("ground_clutter", self.ground_clutter, 0.0, 1e5),
-            ("false_alarms", self.false_alarms, 0.0, 1e5),
-            ("min_range", self.min_range, 0.0, self.max_range),
-            ("max_range", self.max_range, self.min_range, 1e4),
+        check_bounds(
+            "radar",
+            self,
+            period_ns=(1_000_000, 10**10),
+            offset_ns=(0, self.period_ns - 1),
+            range_sigma=(0.0, 10.0),
+            azimuth_sigma_deg=(0.0, 30.0),
+            elevation_sigma_deg=(0.0, 30.0),
+            speed_sigma=(0.0, 10.0),
+            detections_per_object=(0.0, 1e4),
+            ground_clutter=(0.0, 1e5),
+            false_alarms=(0.0, 1e5),
+            min_range=(0.0, self.max_range),
+            max_range=(self.min_range, 1e4),
         )
-        check_bounds("radar", bounds)
-        check_fan("radar", "azimuth_deg", self.azimuth_deg, 180.0)
-        check_fan("radar", "elevation_deg", self.elevation_deg, 90.0)
+        check_fans("radar", self, azimuth_deg=180.0, elevation_deg=90.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -538,8 +549,8 @@ class SimulatedRadar:
 
     def pose(self, k: int) -> RigidTransform:
         """Exact `world_from_radar` at measurement k."""
-        ego = self.path.at(self.timestamps_ns[k : k + 1])
-        return RigidTransform(ego.rotations[0], ego.positions[0]) @ self.spec.mount
+        rotations, positions = self.path.mounted(self.timestamps_ns[k : k + 1], self.spec.mount)
+        return RigidTransform(rotations[0], positions[0])
 
     def velocity_world(self, k: int) -> Float64Array:
         """Velocity of the radar itself at measurement k, (3,) [m/s]: the ego's, and its rotating times the lever."""
@@ -561,7 +572,8 @@ class SimulatedRadar:
             lengths=read_only(speeds, np.float32),
             timestamps_ns=read_only(np.full(len(order), timestamp, np.int64)),
         )
-        return RadarFrame(timestamp, points), _taken(truth, order)
+        columns = (f.name for f in fields(RadarTruth) if f.name != "timestamp_ns")
+        return RadarFrame(timestamp, points), replace(truth, **{name: getattr(truth, name)[order] for name in columns})
 
     def _look(self, k: int, generator: np.random.Generator) -> RadarTruth:
         """Find what gives returns, and how it moves."""
@@ -575,7 +587,7 @@ class SimulatedRadar:
         ranges, directions = hits.ranges[chosen], rays.spread()[chosen]
         in_world = pose.rotate(directions)
         positions = pose.translation + ranges[:, None] * in_world
-        moving = velocities_of(self.street, hits.shapes[chosen], positions, times_ns.repeat(len(chosen)))
+        moving = _velocities_of(self.street, hits.shapes[chosen], positions, times_ns.repeat(len(chosen)))
         over_ground = (moving * in_world).sum(axis=1)
         speeds = over_ground - in_world @ self.velocity_world(k)
         return RadarTruth(int(times_ns[0]), ranges, directions, speeds, over_ground, positions, instances[chosen])
@@ -638,16 +650,3 @@ def _cells(fan_deg: tuple[float, float], shift: float) -> Float64Array:
     count = max(1, round((fan_deg[1] - fan_deg[0]) / _STEP_DEG))
     angles: Float64Array = low + (high - low) * (np.arange(count) + 0.5 + shift) / count
     return angles
-
-
-def _taken(truth: RadarTruth, order: Int64Array) -> RadarTruth:
-    """The same returns in another order."""
-    return RadarTruth(
-        truth.timestamp_ns,
-        truth.ranges[order],
-        truth.directions[order],
-        truth.speeds[order],
-        truth.ground_speeds[order],
-        truth.positions_world[order],
-        truth.instances[order],
-    )

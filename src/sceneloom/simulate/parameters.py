@@ -1,42 +1,47 @@
 """Bounds on the parameters of simulated devices, and random streams that do not depend on the order of use."""
 
-from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum, unique
+from typing import Any
 
 import numpy as np
 
 from sceneloom.errors import OptionError
 
+Bounds = tuple[float, float]
+"""Least and greatest value."""
 
-def check_bounds(device: str, bounds: Iterable[tuple[str, float, float, float]]) -> None:
-    """Check numbers against the least and the greatest that each may be.
+
+def check_bounds(device: str, spec: Any, **bounds: Bounds | tuple[Bounds, ...]) -> None:
+    """Check fields of a spec against the least and the greatest that each, or each item of a tuple, may be.
 
     Args:
         device: what they belong to, for the message.
-        bounds: name, value, least, greatest.
+        spec: whose fields; one that is None is not checked.
+        bounds: by the name of the field; several for the items of a tuple.
 
     Raises:
         OptionError: one is out of bounds, or not a number.
     """
-    for name, value, low, high in bounds:
-        if not low <= value <= high:
-            raise OptionError(f"{device}.{name}: {value}; expected {low} to {high}")
+    for name, limits in bounds.items():
+        value = getattr(spec, name)
+        is_tuple = isinstance(value, tuple | list)
+        items = {f"{name}[{k}]": one for k, one in enumerate(value)} if is_tuple else {name: value}
+        for k, (location, one) in enumerate(items.items()):
+            low, high = limits[k] if isinstance(limits[0], tuple) else limits
+            if one is not None and not low <= one <= high:
+                raise OptionError(f"{device}.{location}: {one}; expected {low} to {high}")
 
 
-def each_of(name: str, values: Sequence[float], low: float, high: float) -> Iterator[tuple[str, float, float, float]]:
-    """Give the same bounds to each of several numbers, for `check_bounds`."""
-    return ((f"{name}[{index}]", value, low, high) for index, value in enumerate(values))
-
-
-def check_fan(device: str, name: str, fan_deg: tuple[float, float], limit_deg: float) -> None:
-    """Check that a range of angles goes upwards and stays within `limit_deg` to either side [deg].
+def check_fans(device: str, spec: Any, **limits_deg: float) -> None:
+    """Check that ranges of angles are rising and stay within a limit to either side [deg].
 
     Raises:
-        OptionError: it does not.
+        OptionError: one does not.
     """
-    low, high = fan_deg
-    if not -limit_deg <= low < high <= limit_deg:
-        raise OptionError(f"{device}.{name}: {fan_deg}; expected two rising angles within {limit_deg} degrees")
+    for name, limit in limits_deg.items():
+        low, high = getattr(spec, name)
+        if not -limit <= low < high <= limit:
+            raise OptionError(f"{device}.{name}: {(low, high)}; expected two rising angles within {limit} degrees")
 
 
 @unique

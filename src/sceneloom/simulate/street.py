@@ -1,4 +1,4 @@
-"""The simulated street: ground and lanes, where objects stand by seed, and their true boxes."""
+"""The simulated street: ground and lanes, objects and traffic by seed, and their true boxes."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -25,6 +25,8 @@ from sceneloom.simulate.trajectory import (
 
 _Color = tuple[float, float, float]
 """Red, green, blue in 0..255, as light of full strength would show them."""
+
+_Point = tuple[float, float, float]
 
 
 class ShapeKind(IntEnum):
@@ -163,15 +165,12 @@ _WALLS: tuple[_Color, ...] = (
     (168, 182, 152), (222, 190, 186), (150, 160, 178), (240, 214, 150),
 )  # fmt: skip
 
-
 _ROOFS: tuple[_Color, ...] = ((162, 78, 58), (120, 66, 56), (92, 92, 100), (140, 88, 66), (78, 84, 92))
-
 
 _LACQUERS: tuple[_Color, ...] = (
     (188, 40, 38), (42, 86, 164), (232, 232, 232), (60, 64, 70), (44, 122, 84), (224, 176, 50), (150, 156, 164),
     (110, 44, 90), (32, 136, 158), (236, 118, 44),
 )  # fmt: skip
-
 
 _LEAVES: tuple[tuple[_Color, _Color, _Color], ...] = (
     ((62, 110, 48), (104, 150, 62), (172, 196, 104)),
@@ -179,18 +178,13 @@ _LEAVES: tuple[tuple[_Color, _Color, _Color], ...] = (
     ((116, 124, 44), (164, 158, 62), (212, 200, 110)),
 )
 
-
 _BIN_COLORS: tuple[_Color, ...] = ((40, 90, 60), (60, 66, 74), (60, 80, 140), (150, 110, 40))
-
 
 _WHITE: _Color = (240, 240, 236)
 
-
 _GLASS: _Color = (66, 84, 104)
 
-
 _DARK: _Color = (34, 36, 40)
-
 
 _STEEL: _Color = (150, 156, 160)
 
@@ -215,11 +209,7 @@ class Design:
 
     def center(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
         """Middle of its box in the world where it stands at (x, y) [m], rotated by `yaw` [rad]."""
-        return (
-            float(x + self.ahead * np.cos(yaw)),
-            float(y + self.ahead * np.sin(yaw)),
-            self.size_lwh[2] / 2,
-        )
+        return float(x + self.ahead * np.cos(yaw)), float(y + self.ahead * np.sin(yaw)), self.size_lwh[2] / 2
 
     def plan(self, x: float, y: float, yaw: float) -> Float64Array:
         """Corners and middles of the sides of its ground plan in the world, (8, 2) [m]."""
@@ -236,19 +226,20 @@ class Design:
         return tuple(shape.moved(world_from_object) for shape in self.shapes)
 
 
-def _at(x: float, y: float, z: float) -> RigidTransform:
-    return RigidTransform(np.eye(3), np.array([x, y, z]))
-
-
-def _lying(x: float, y: float, z: float) -> RigidTransform:
-    """A cylinder's pose with its axis along y."""
+def _wheel(x: float, y: float, radius: float, half_width: float, material: Material) -> Shape:
+    """A cylinder that stands on the ground with its axis along y."""
     quarter = rotation_from_angles(np.array(np.pi / 2), np.zeros(()), np.zeros(()))
-    return RigidTransform(quarter, np.array([x, y, z]))
+    pose = RigidTransform(quarter, np.array([x, y, radius]))
+    return Shape(ShapeKind.CYLINDER, pose, (radius, radius, half_width), material)
 
 
-def _stationary(kind: ShapeKind, half: tuple[float, float, float], foot: Sequence[float], material: Material) -> Shape:
+def _stationary(kind: ShapeKind, half: _Point, foot: _Point, material: Material) -> Shape:
     """A shape whose lowest point is at `foot`."""
-    return Shape(kind, _at(foot[0], foot[1], foot[2] + half[2]), half, material)
+    return _upright(kind, (foot[0], foot[1], foot[2] + half[2]), half, material)
+
+
+def _upright(kind: ShapeKind, center: _Point, half: _Point, material: Material) -> Shape:
+    return Shape(kind, RigidTransform(np.eye(3), np.array(center, np.float64)), half, material)
 
 
 def _pick(generator: np.random.Generator, choices: Sequence[_Color]) -> _Color:
@@ -291,14 +282,11 @@ def design_car(generator: np.random.Generator) -> Design:
     shapes = [
         _stationary(ShapeKind.BOX, (length / 2, width / 2, (waist - 0.22) / 2), (0, 0, 0.22), body),
         _stationary(
-            ShapeKind.BOX,
-            (0.28 * length, 0.46 * width, (height - waist) / 2),
-            (-0.06 * length, 0, waist),
-            cabin,
+            ShapeKind.BOX, (0.28 * length, 0.46 * width, (height - waist) / 2), (-0.06 * length, 0, waist), cabin
         ),
     ]
     wheels = [
-        Shape(ShapeKind.CYLINDER, _lying(x, y, 0.32), (0.32, 0.32, 0.11), tyre)
+        _wheel(x, y, 0.32, 0.11, tyre)
         for x in (0.31 * length, -0.31 * length)
         for y in (width / 2 - 0.09, 0.09 - width / 2)
     ]
@@ -307,24 +295,16 @@ def design_car(generator: np.random.Generator) -> Design:
 
 def design_tree(generator: np.random.Generator) -> Design:
     """A trunk and a crown of two overlapping balls of leaves."""
-    radius, crown, foot = (
-        generator.uniform(0.12, 0.2),
-        generator.uniform(1.2, 1.7),
-        generator.uniform(2.2, 2.8),
-    )
+    radius, crown, foot = (generator.uniform(*bounds) for bounds in ((0.12, 0.2), (1.2, 1.7), (2.2, 2.8)))
     bark = Material(Pattern.BARK, ((96, 76, 58), (64, 52, 42), (64, 52, 42)), reflectivity=0.4)
     colors = _LEAVES[int(generator.integers(len(_LEAVES)))]
     leaves = Material(Pattern.FOLIAGE, colors, reflectivity=0.55)
     rise = crown * generator.uniform(0.95, 1.35)
+    upper, above = (0.7 * crown, 0.7 * crown, 0.6 * rise), (0.25 * crown, -0.1, foot + 1.1 * rise)
     shapes = (
         _stationary(ShapeKind.CYLINDER, (radius, radius, foot / 2 + 0.4), (0, 0, 0), bark),
         _stationary(ShapeKind.ELLIPSOID, (crown, crown, rise), (0, 0, foot), leaves),
-        _stationary(
-            ShapeKind.ELLIPSOID,
-            (0.7 * crown, 0.7 * crown, 0.6 * rise),
-            (0.25 * crown, -0.1, foot + 1.1 * rise),
-            leaves,
-        ),
+        _stationary(ShapeKind.ELLIPSOID, upper, above, leaves),
     )
     return Design("tree", shapes, (2 * crown, 2 * crown, foot + 2.3 * rise), plan_lw=(2.0, 2.0))
 
@@ -630,33 +610,22 @@ def pack_movers(
 NO_MOVERS = pack_movers((), (), np.zeros((0, 6, 4)), start_ns=0, first_knot=0.0, knot_step=1.0)
 """A street where nothing moves."""
 
-
-_Point = tuple[float, float, float]
-
-
 _CLOTHES: tuple[_Color, ...] = (
     (178, 42, 46), (38, 72, 140), (228, 226, 220), (46, 48, 54), (52, 118, 82), (226, 178, 62), (120, 66, 126),
     (214, 110, 52), (92, 148, 180), (150, 132, 108),
 )  # fmt: skip
 
-
 _TROUSERS: tuple[_Color, ...] = ((44, 54, 84), (40, 40, 44), (110, 98, 80), (76, 82, 90))
-
 
 _SKIN: tuple[_Color, ...] = ((232, 190, 160), (198, 150, 116), (140, 98, 72), (92, 64, 48))
 
-
 _HAIR: tuple[_Color, ...] = ((48, 36, 28), (28, 26, 26), (150, 116, 70), (120, 60, 36), (176, 174, 170))
-
 
 _HELMETS: tuple[_Color, ...] = ((236, 236, 232), (200, 40, 40), (40, 44, 52), (240, 190, 40))
 
-
 _FRAMES: tuple[_Color, ...] = ((180, 36, 40), (36, 76, 150), (40, 44, 48), (60, 130, 90), (222, 222, 218))
 
-
 _SHOES: _Color = (42, 38, 36)
-
 
 _PACE = 0.3
 """How far a walker's leg swings to either side [rad]."""
@@ -690,11 +659,7 @@ def design_cyclist(generator: np.random.Generator) -> MovingDesign:
     coat, trousers = _cloth(generator, _CLOTHES), _cloth(generator, _TROUSERS)
     skin, helmet, steel = (_cloth(generator, choice) for choice in (_SKIN, _HELMETS, _FRAMES))
     tyre = Material(Pattern.TYRE, ((34, 34, 36), (150, 154, 158), (96, 98, 102)), reflectivity=0.25)
-    lying = rotation_from_angles(np.array(np.pi / 2), np.zeros(()), np.zeros(()))
-    shapes = [
-        Shape(ShapeKind.CYLINDER, RigidTransform(lying, np.array([x, 0.0, 0.34])), (0.34, 0.34, 0.02), tyre)
-        for x in (-0.52, 0.52)
-    ]
+    shapes = [_wheel(x, 0.0, 0.34, 0.02, tyre) for x in (-0.52, 0.52)]
     pedals, seat, head = (-0.02, 0.0, 0.3), (-0.18, 0.0, 0.95), (0.37, 0.0, 0.9)
     tubes = [
         (pedals, seat), (pedals, (0.38, 0.0, 0.76)), ((-0.14, 0.0, 0.8), head), (pedals, (-0.52, 0.0, 0.34)),
@@ -735,10 +700,6 @@ def _leg(left: float, hip: float, cloth: Material) -> tuple[Shape, ...]:
 def _cloth(generator: np.random.Generator, choices: Sequence[_Color]) -> Material:
     color = choices[int(generator.integers(len(choices)))]
     return Material(Pattern.PLAIN, (color,) * 3, reflectivity=0.55)
-
-
-def _upright(kind: ShapeKind, center: _Point, half: _Point, material: Material) -> Shape:
-    return Shape(kind, RigidTransform(np.eye(3), np.array(center, np.float64)), half, material)
 
 
 def _limb(start: _Point, end: _Point, radius: float, material: Material) -> Shape:
@@ -1078,12 +1039,8 @@ def _close_ends(generator: np.random.Generator, plots: _Plots) -> None:
     for end, ahead in ((-1, 1.0), (0, -1.0)):
         design = design_house(generator, length=44.0, depth=12.0, storeys=5)
         x, y, heading = lane.location(float(lane.along[end]), 1.75)
-        plots.put(
-            design,
-            x + ahead * 14.0 * np.cos(heading),
-            y + ahead * 14.0 * np.sin(heading),
-            heading + np.pi / 2,
-        )
+        across = heading + np.pi / 2
+        plots.put(design, x + ahead * 14.0 * np.cos(heading), y + ahead * 14.0 * np.sin(heading), across)
 
 
 def _street_of(plots: _Plots, ground: GroundMap) -> Street:
@@ -1164,44 +1121,33 @@ def annotations_of(street: Street, labels: Collection[str], *, start_ns: int) ->
     to an acceleration of 30 m/s², and the shortest arc within 0.1 degrees of the truth. Samples lie on `start_ns` and
     all multiples of their distance.
     """
-    stationary = tuple(
-        _annotation(thing, np.array([start_ns], np.int64), [(*thing.center_world, thing.yaw)], stands=True)
-        for thing in street.objects
-        if thing.label in labels
-    )
-    return stationary + tuple(_moving(street, k, start_ns) for k in range(len(street.movers)))
-
-
-def _moving(street: Street, k: int, start_ns: int) -> CuboidAnnotation:
-    thing = street.movers.things[k]
-    timestamps = np.array([start_ns], np.int64) if thing.stands else _samples(thing, start_ns)
-    states = street.movers.states(np.full(len(timestamps), k), timestamps)
-    heights = np.full(len(timestamps), 0.5 * thing.size_lwh[2])
-    locations = np.column_stack([states.positions[:, :2], heights, states.yaws])
-    return _annotation(thing, timestamps, locations, stands=thing.stands)
-
-
-def _samples(thing: Mover, start_ns: int) -> Int64Array:
-    """Times while it is in the street, its first and last included."""
-    first, last = (-(-(thing.first_ns - start_ns) // _EVERY_NS), (thing.last_ns - start_ns) // _EVERY_NS)
-    inner = start_ns + _EVERY_NS * np.arange(first, last + 1, dtype=np.int64)
-    return np.unique(np.concatenate([[thing.first_ns], inner, [thing.last_ns]])).astype(np.int64)
+    annotations = []
+    for thing in street.objects:
+        if thing.label in labels:
+            row = [(*thing.center_world, thing.yaw)]
+            annotations.append(_annotation(thing, np.array([start_ns], np.int64), row, stands=True))
+    for k, mover in enumerate(street.movers.things):
+        timestamps = np.array([start_ns], np.int64)
+        if not mover.stands:
+            first, last = -(-(mover.first_ns - start_ns) // _EVERY_NS), (mover.last_ns - start_ns) // _EVERY_NS
+            inner = start_ns + _EVERY_NS * np.arange(first, last + 1, dtype=np.int64)
+            timestamps = np.union1d([mover.first_ns, mover.last_ns], inner).astype(np.int64)
+        states = street.movers.states(np.full(len(timestamps), k), timestamps)
+        heights = np.full(len(timestamps), 0.5 * mover.size_lwh[2])
+        rows = np.column_stack([states.positions[:, :2], heights, states.yaws])
+        annotations.append(_annotation(mover, timestamps, rows, stands=mover.stands))
+    return tuple(annotations)
 
 
 def _annotation(
-    thing: StreetObject | Mover, timestamps: Int64Array, locations: ArrayLike, *, stands: bool
+    thing: StreetObject | Mover, timestamps: Int64Array, x_y_z_yaw: ArrayLike, *, stands: bool
 ) -> CuboidAnnotation:
-    """A box from x, y, z and yaw (T, 4)."""
-    x_y_z_yaw = np.asarray(locations, np.float64)
+    """A box at (T,) times from x, y, z and yaw (T, 4)."""
+    rows = np.asarray(x_y_z_yaw, np.float64)
     values = np.zeros((len(timestamps), 9))
-    values[:, :3], values[:, 3:6] = thing.size_lwh, x_y_z_yaw[:, :3]
-    values[:, 8] = np.degrees(x_y_z_yaw[:, 3])
-    return CuboidAnnotation(
-        f"{thing.label}-{thing.instance}",
-        CuboidPath(timestamps, values),
-        label=thing.label,
-        stationary=stands,
-    )
+    values[:, :3], values[:, 3:6], values[:, 8] = thing.size_lwh, rows[:, :3], np.degrees(rows[:, 3])
+    path = CuboidPath(timestamps, values)
+    return CuboidAnnotation(f"{thing.label}-{thing.instance}", path, label=thing.label, stationary=stands)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1258,10 +1204,8 @@ class _Track:
 _HEADROOM = 2.0
 """Shapes whose lowest point is higher [m] are passed under."""
 
-
 _SPARE = np.array([0.4, 0.04])
 """How much longer to either end and wider to either side ground plans are taken [m]."""
-
 
 _STRETCH = 32
 """Times of a trajectory that are looked at together."""
@@ -1370,32 +1314,25 @@ class _Clearance:
 
 _KNOT_STEP = 0.25
 
-
 _MARGIN = 1.0
 """How far curves reach beyond the drive [s]."""
-
 
 _LOOK = 0.05
 """Movers are kept apart at times this close [s]."""
 
-
 _END = 3.0
 """Nearer to the end of the street than this nobody is there [m]."""
 
-
 _EGO_LW = (4.6, 1.86)
 """Ground that the ego takes [m]."""
-
 
 _TRIES = 6
 
 
 _OWN_LANE, _ONCOMING_LANE = 0.0, 3.5
 
-
 _EDGES = ((-1.5, 1.0), (5.05, -1.0))
 """Where cyclists ride: metres left of the trajectory, and whether with the ego or against it."""
-
 
 _PAVEMENTS = (-5.6, 9.1)
 """Where pedestrians walk between posts, trees and bins: metres left of the trajectory."""
@@ -1423,14 +1360,8 @@ class TrafficSpec:
     crossing: float = 0.3
 
     def __post_init__(self) -> None:
-        bounds = (
-            ("cars", self.cars, 0.0, 6.0),
-            ("cyclists", self.cyclists, 0.0, 10.0),
-            ("pedestrians", self.pedestrians, 0.0, 20.0),
-            ("stationary", self.stationary, 0.0, 1.0),
-            ("crossing", self.crossing, 0.0, 1.0 - self.stationary),
-        )
-        check_bounds("traffic", bounds)
+        check_bounds("traffic", self, cars=(0.0, 6.0), cyclists=(0.0, 10.0), pedestrians=(0.0, 20.0))
+        check_bounds("traffic", self, stationary=(0.0, 1.0), crossing=(0.0, 1.0 - self.stationary))
 
 
 @dataclass(slots=True)
@@ -1501,16 +1432,10 @@ def plan_traffic(
     _add_cars(generator, spec, plan)
     _add_cyclists(generator, spec, plan)
     _add_pedestrians(generator, spec, plan)
-    things = [_thing(len(street.objects) + 1 + k, plan, k, span_ns=span_ns) for k in range(len(plan.designs))]
+    things = [_mover(len(street.objects) + 1 + k, plan, k, span_ns=span_ns) for k in range(len(plan.designs))]
     curves = np.array(plan.curves).reshape(-1, count, 4)
-    return pack_movers(
-        things,
-        plan.designs,
-        curves,
-        start_ns=path.start_ns,
-        first_knot=plan.first_knot,
-        knot_step=_KNOT_STEP,
-    )
+    first_knot, start_ns = plan.first_knot, path.start_ns
+    return pack_movers(things, plan.designs, curves, start_ns=start_ns, first_knot=first_knot, knot_step=_KNOT_STEP)
 
 
 def _ego_plans(path: EgoPath, looks: Float64Array) -> _Plans:
@@ -1520,7 +1445,7 @@ def _ego_plans(path: EgoPath, looks: Float64Array) -> _Plans:
     return _Plans(states.positions[:, :2], yaws, half, np.ones(len(looks), np.bool_))
 
 
-def _thing(instance: int, plan: _Plan, k: int, *, span_ns: tuple[int, int]) -> Mover:
+def _mover(instance: int, plan: _Plan, k: int, *, span_ns: tuple[int, int]) -> Mover:
     design, there = plan.designs[k], np.flatnonzero(plan.there[k])
     timestamps = plan.path.start_ns + np.rint(plan.looks[there[[0, -1]]] * 1e9).astype(np.int64)
     first = span_ns[0] if there[0] == 0 else int(timestamps[0])
@@ -1550,16 +1475,13 @@ def _add_cars(generator: np.random.Generator, spec: TrafficSpec, plan: _Plan) ->
         ego = track.beside(parameters)
         room = track.length - float(ego.max()) if side > 0 else float(ego.min())
         for gap in _gaps(generator, generator.uniform(14.0, 24.0), spacing, room - 8.0):
-            wave = _wave(generator, 2.0, (0.3, 0.5))
-            along = ego + side * gap + wave(parameters)
+            along = ego + side * gap + _wave(generator, 2.0, (0.3, 0.5), parameters)
             plan.try_add(design_moving_car(generator), *_on_track(track, along, ahead=1.0))
     track = _Track.of(plan.lane, _ONCOMING_LANE)
-    speed, wave = generator.uniform(6.5, 9.0), _wave(generator, 3.0, (0.35, 0.45))
-    driven = speed * plan.knots + wave(plan.knots)
+    driven = generator.uniform(6.5, 9.0) * plan.knots + _wave(generator, 3.0, (0.35, 0.45), plan.knots)
     reach = track.length + float(np.ptp(driven))
     for location in _gaps(generator, generator.uniform(0.0, spacing), spacing, reach):
-        own = _wave(generator, 1.0, (0.4, 0.7))
-        along = location - (driven - driven[0]) + own(plan.knots)
+        along = location - (driven - driven[0]) + _wave(generator, 1.0, (0.4, 0.7), plan.knots)
         plan.try_add(design_moving_car(generator), *_on_track(track, along, ahead=-1.0))
 
 
@@ -1572,16 +1494,11 @@ def _gaps(generator: np.random.Generator, first: float, spacing: float, last: fl
 
 
 def _wave(
-    generator: np.random.Generator, amplitude: float, frequencies: tuple[float, float]
-) -> Callable[[Float64Array], Float64Array]:
+    generator: np.random.Generator, amplitude: float, frequencies: tuple[float, float], seconds: Float64Array
+) -> Float64Array:
     """A sine over time: amplitude [m], angular frequency drawn from a range [rad/s]."""
     frequency, phase = generator.uniform(*frequencies), generator.uniform(0, 2 * np.pi)
-
-    def wave(seconds: Float64Array) -> Float64Array:
-        swing: Float64Array = amplitude * np.sin(frequency * seconds + phase)
-        return swing
-
-    return wave
+    return np.asarray(amplitude * np.sin(frequency * seconds + phase), np.float64)
 
 
 def _add_cyclists(generator: np.random.Generator, spec: TrafficSpec, plan: _Plan) -> None:
@@ -1592,9 +1509,9 @@ def _add_cyclists(generator: np.random.Generator, spec: TrafficSpec, plan: _Plan
         for _ in range(generator.poisson(spec.cyclists / 100.0 * (track.length + flow))):
             design = design_cyclist(generator)
             for _ in range(_TRIES):
-                speed, wave = generator.uniform(3.4, 5.6), _wave(generator, 0.8, (0.3, 0.5))
+                speed, wave = generator.uniform(3.4, 5.6), _wave(generator, 0.8, (0.3, 0.5), plan.knots)
                 start = generator.uniform(-flow, track.length)
-                driven = start + speed * (plan.knots - plan.knots[0]) + wave(plan.knots)
+                driven = start + speed * (plan.knots - plan.knots[0]) + wave
                 along = driven if ahead > 0 else track.length - driven
                 if plan.try_add(design, *_on_track(track, along, ahead=ahead)):
                     break
@@ -1616,8 +1533,8 @@ def _add_pedestrians(generator: np.random.Generator, spec: TrafficSpec, plan: _P
 def _try_walk(generator: np.random.Generator, plan: _Plan, design: MovingDesign, left: float) -> bool:
     track = _Track.of(plan.lane, left)
     ahead = 1.0 if generator.uniform() < 0.5 else -1.0
-    speed, wave = generator.uniform(0.95, 1.6), _wave(generator, 0.25, (0.3, 0.5))
-    walked = speed * (plan.knots - plan.knots[0]) + wave(plan.knots)
+    speed, wave = generator.uniform(0.95, 1.6), _wave(generator, 0.25, (0.3, 0.5), plan.knots)
+    walked = speed * (plan.knots - plan.knots[0]) + wave
     along = generator.uniform(0.0, track.length) + ahead * (walked - generator.uniform() * walked[-1])
     if track.narrowest(float(along.min()), float(along.max())) < 0.25:
         return False
@@ -1629,10 +1546,8 @@ def _try_stand(generator: np.random.Generator, plan: _Plan, design: MovingDesign
     side = np.sign(left - 1.75)
     spot = _Track.of(plan.lane, left + generator.uniform(-1.2, 0.5) * side)
     point, heading = spot.at(np.array([generator.uniform(_END, spot.length - _END)]))
-    rotated = heading[0] + generator.uniform(-np.pi, np.pi)
-    sample = np.array([*point[0], rotated, 0.0])
-    samples = np.tile(sample, (len(plan.knots), 1))
-    return plan.try_add(design, samples)
+    sample = np.array([*point[0], heading[0] + generator.uniform(-np.pi, np.pi), 0.0])
+    return plan.try_add(design, np.tile(sample, (len(plan.knots), 1)))
 
 
 def _try_cross(generator: np.random.Generator, plan: _Plan, design: MovingDesign, left: float) -> bool:
@@ -1656,9 +1571,7 @@ def _try_cross(generator: np.random.Generator, plan: _Plan, design: MovingDesign
 
 def _crossing_share(seconds: Float64Array, begin: float, lasts: float) -> Float64Array:
     """How much of a trajectory is walked, 0 to 1: at a constant speed but for a second at either end."""
-    ramp = 1.0
-    past = np.clip(seconds - begin, 0.0, lasts + ramp)
-    slow = np.clip(past, 0.0, ramp), np.clip(past - lasts, 0.0, ramp)
-    walked = 0.5 * slow[0] ** 2 / ramp + np.maximum(0.0, past - ramp) - 0.5 * slow[1] ** 2 / ramp
-    share: Float64Array = walked / lasts
+    past = np.clip(seconds - begin, 0.0, lasts + 1.0)
+    starting, stopping = np.clip(past, 0.0, 1.0), np.clip(past - lasts, 0.0, 1.0)
+    share: Float64Array = (0.5 * starting**2 + np.maximum(0.0, past - 1.0) - 0.5 * stopping**2) / lasts
     return share

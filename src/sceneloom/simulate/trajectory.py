@@ -12,6 +12,7 @@ from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import quaternion_from_matrix
 from sceneloom.scene.poses import Poses
+from sceneloom.simulate.parameters import check_bounds
 
 DEGREE = 5
 
@@ -191,9 +192,9 @@ class PathSpec:
     """How the ego drives.
 
     Attributes:
-        speeds: slowest and fastest [m/s]. Rotates are taken at the slowest speed, or faster where that would make
+        speeds: slowest and fastest [m/s]. Bends are taken at the slowest speed, or faster where that would make
             them tighter than the street is wide.
-        yaw_rate: fastest rotating [rad/s].
+        yaw_rate: greatest yaw rate [rad/s].
         stops: when the ego stands truly still, its body included; it neither brakes nor starts in between.
         ramp: time for braking before a stop and for starting after it [s].
 
@@ -210,12 +211,7 @@ class PathSpec:
         slowest, fastest = self.speeds
         if not 0.5 <= slowest <= fastest <= 60.0:
             raise OptionError(f"path.speeds: {self.speeds}; expected 0.5 to 60 m/s, the slowest first")
-        for name, value, low, high in (
-            ("yaw_rate", self.yaw_rate, 0.01, 1.5),
-            ("ramp", self.ramp, 0.5, 60.0),
-        ):
-            if not low <= value <= high:
-                raise OptionError(f"path.{name}: {value}; expected {low} to {high}")
+        check_bounds("path", self, yaw_rate=(0.01, 1.5), ramp=(0.5, 60.0))
         TimeWarp.of(self.stops, ramp=self.ramp)
 
 
@@ -307,8 +303,20 @@ class EgoPath:
             rotation_from_angles(roll, pitch, yaw),
             np.column_stack([plane[1], climb]),
             np.column_stack([plane[2], heave]),
-            _body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate),
+            # Source: Diebel 2006, "Representing Attitude", section 8, Euler angles (1, 2, 3)
+            np.column_stack(
+                [
+                    roll_rate - yaw_rate * np.sin(pitch),
+                    pitch_rate * np.cos(roll) + yaw_rate * np.sin(roll) * np.cos(pitch),
+                    yaw_rate * np.cos(roll) * np.cos(pitch) - pitch_rate * np.sin(roll),
+                ]
+            ),
         )
+
+    def mounted(self, timestamps_ns: Int64Array, mount: RigidTransform) -> tuple[Float64Array, Float64Array]:
+        """Give `world_from_sensor` of a mounted sensor at (M,) times [ns]: rotations (M, 3, 3) and positions (M, 3)."""
+        ego = self.at(timestamps_ns)
+        return ego.rotations @ mount.rotation, ego.positions + ego.rotations @ mount.translation
 
     def poses(self, timestamps_ns: Int64Array) -> Poses:
         """Sample `world_from_ego` at (M,) int64 times [ns]."""
@@ -344,30 +352,10 @@ def rotation_from_angles(roll: Float64Array, pitch: Float64Array, yaw: Float64Ar
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _body_rates(
-    roll: Float64Array,
-    pitch: Float64Array,
-    roll_rate: Float64Array,
-    pitch_rate: Float64Array,
-    yaw_rate: Float64Array,
-) -> Float64Array:
-    """Angular rates in the body frame, (M, 3).
-
-    Source: Diebel 2006, "Representing Attitude", section 8, Euler angles (1, 2, 3).
-    """
-    return np.column_stack(
-        [
-            roll_rate - yaw_rate * np.sin(pitch),
-            pitch_rate * np.cos(roll) + yaw_rate * np.sin(roll) * np.cos(pitch),
-            yaw_rate * np.cos(roll) * np.cos(pitch) - pitch_rate * np.sin(roll),
-        ]
-    )
-
-
 def plan_path(
     generator: np.random.Generator, *, start_ns: int, duration: float, spec: PathSpec | None = None
 ) -> EgoPath:
-    """Lay out a drive of some seconds: straights and rotates, faster and slower, never across itself.
+    """Lay out a drive of some seconds: straights and bends, faster and slower, never across itself.
 
     Stops change nothing of the curve: the ego only comes less far along it.
     """
@@ -404,7 +392,7 @@ def _plan_speeds(
 def _plan_headings(
     generator: np.random.Generator, knots: Float64Array, duration: float, yaw_rate: float
 ) -> Float64Array:
-    """Heading at each knot [rad]: straight before and after the drive, rotates to either side in order."""
+    """Heading at each knot [rad]: straight before and after the drive, bends to either side in turn."""
     times, angles = [float(knots[0]), generator.uniform(0.3, 1.0)], [0.0, 0.0]
     side = 1.0 if generator.uniform() < 0.5 else -1.0
     while times[-1] < duration + _AHEAD:
@@ -436,7 +424,7 @@ def sensor_mount(
 
     Args:
         position: in the ego frame [m].
-        yaw_deg, pitch_deg, roll_deg: rotates about the ego's z, y and x axis, roll first; a positive pitch looks down.
+        yaw_deg, pitch_deg, roll_deg: rotations about the z, y and x axis, roll first; a positive pitch looks down.
     """
     roll, pitch, yaw = np.radians([roll_deg, pitch_deg, yaw_deg])
     return RigidTransform(rotation_from_angles(roll, pitch, yaw), np.array(position, np.float64))

@@ -14,7 +14,7 @@ from sceneloom.scene import Scene
 from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.simulate import CameraSpec, LidarSpec, SimulatedDrive, simulate_street
-from sceneloom.simulate.casting import directions_at
+from sceneloom.simulate.lidar_radar import directions_at
 
 AHEAD = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
 

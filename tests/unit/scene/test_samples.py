@@ -34,7 +34,8 @@ from sceneloom.scene import (
     Trajectory,
 )
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.sampling import FramesByTimestamp, SweepsByReference
+from sceneloom.scene.samples import _FramesByTimestamp as FramesByTimestamp
+from sceneloom.scene.samples import _SweepsByReference as SweepsByReference
 
 CAMERA_MODEL = Camera("brown_conrady", 4, 3, 2.0, 2.5, 1.5, 1.0, (0.1, 0.02))
 MS = 1_000_000

@@ -30,12 +30,10 @@ from sceneloom.simulate.trajectory import EgoPath
 
 PINHOLE = Camera("pinhole", 120, 80, 100.0, 110.0, 59.5, 38.0)
 
-
 BROWN = Camera("brown_conrady", 120, 80, 80.0, 82.0, 58.0, 40.0, (-0.2, 0.05, 0.001, -0.002, -0.004))
 
 
 FISHEYE = Camera("fisheye", 120, 80, 50.0, 51.0, 60.0, 39.0, (0.02, -0.01, 0.003, -0.001))
-
 
 AHEAD = camera_mount(position=(0.5, 0.2, 1.6))
 
@@ -255,7 +253,6 @@ def test_cameras_that_cannot_be_are_refused():
 
 CAMERA_MODEL = Camera("pinhole", 81, 61, 60.0, 60.0, 40.0, 30.0)
 
-
 SMALL = LidarSpec(beams=2, steps=20)
 
 
@@ -391,12 +388,10 @@ def test_exposures_that_cannot_be_are_refused_by_name(wrong):
 
 ROLLED = Camera("pinhole", 160, 120, 100.0, 100.0, 79.5, 59.5)
 
-
 READOUT_NS = 40_000_000
 
 
 SPEED = 10.0
-
 
 LEFT = camera_mount(position=(0.0, 0.0, 1.6), yaw_deg=90.0)
 

@@ -3,7 +3,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.simulate.casting import Rays, bundles_by_direction, cast, instances_of, reflectivities_of
+from sceneloom.simulate.casting import Rays, bundles_by_direction, cast, instances_of
+from sceneloom.simulate.lidar_radar import reflectivities_of
 from sceneloom.simulate.street import Material, Pattern, Shape, ShapeKind
 
 PLAIN = Material(Pattern.PLAIN, ((100.0, 100.0, 100.0),) * 3, reflectivity=0.3)

@@ -313,7 +313,7 @@ def test_faults_that_mean_nothing_are_refused(right, sensor_id, wrong, message):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"lost_share": 1.5}, "lost_share: 1.5; expected 0 to 1"),
+        ({"lost_share": 1.5}, "lost_share: 1.5; expected 0.0 to 1.0"),
         ({"rotation_deg": (0.0, float("nan"), 0.0)}, "rotation_deg"),
         ({"blind": ((5, 5),)}, "blind"),
         ({"swapped": ((1, 2), (2, 3))}, "swapped"),

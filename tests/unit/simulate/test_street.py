@@ -23,7 +23,7 @@ from sceneloom.simulate import (
     simulate_street,
 )
 from sceneloom.simulate.camera import RenderedCamera
-from sceneloom.simulate.casting import Rays, bundles_by_direction, cast, instances_of, paint, velocities_of
+from sceneloom.simulate.casting import Rays, bundles_by_direction, cast, instances_of, paint
 from sceneloom.simulate.street import (
     NO_MOVERS,
     GroundMap,
@@ -174,12 +174,10 @@ def test_far_from_the_trajectory_the_ground_is_only_grass():
 
 PLAIN = Material(Pattern.PLAIN, ((100.0, 120.0, 140.0),) * 3, reflectivity=0.3)
 
-
 STEP = 0.5
 
 
 COUNT = 30
-
 
 START_NS = 3_000_000
 
@@ -338,7 +336,9 @@ def test_points_of_a_walkers_legs_move_as_the_frames_of_the_legs_do(street_with)
         for seconds in generator.uniform(1, 8, 5):
             local = generator.uniform([-0.2, -0.2, 0.0], [0.2, 0.2, 1.6])
             locations = [list(slow_frames(movers, seconds + shift))[part].apply(local) for shift in (-step, 0, step)]
-            velocity = velocities_of(street, np.array([shape]), locations[1][None], at([seconds]))[0]
+            velocity = street.movers.point_velocities(
+                np.array([shape - len(street.shapes)]), locations[1][None], at([seconds])
+            )[0]
             # h²/6 times a third derivative: 0.3 rad swing of 1 m at 5 rad/s give 40, so 7e-8; a nanosecond of
             # rounding in 1e-4 s at 2 m/s is 2e-5.
             np.testing.assert_allclose(velocity, (locations[2] - locations[0]) / (2 * step), atol=5e-5)
@@ -493,12 +493,10 @@ def test_what_moves_looks_like_the_same_thing_stationary_there(street_with, stat
 
 EXACT_LIDAR = LidarSpec(beams=32, steps=600, range_sigma=0.0, drop_rate=0.0)
 
-
 SMALL = CameraSpec(Camera("pinhole", 320, 200, 200.0, 200.0, 159.5, 90.0), camera_mount(pitch_deg=2.0))
 
 
 ROLLING = replace(SMALL, readout_ns=60_000_000, mount=camera_mount(yaw_deg=30.0))
-
 
 BUSY = TrafficSpec(cars=4.0, cyclists=2.0, pedestrians=8.0)
 

@@ -24,7 +24,6 @@ STEP = 1e-4
 # rounding of 100 m by 1e-14 / 1e-4: both under 1e-6.
 DIFFERENCE = 1e-6
 
-
 STOPPING = PathSpec(stops=(Stop(5.0, 3.0), Stop(16.5, 2.0)))
 
 
@@ -194,7 +193,6 @@ def test_the_default_trajectory_is_that_of_a_drive_without_a_specification():
 
 CONTROL = np.random.default_rng(0).normal(size=(3, 20, 2))
 
-
 ALONG = np.random.default_rng(1).uniform(0, 15, 40)
 
 
@@ -223,7 +221,6 @@ def test_splines_pass_cubics_through_their_samples():
 
 
 STOPS = (Stop(20.0, 5.0), Stop(4.0, 2.0))
-
 
 RAMP = 3.0
 

@@ -30,7 +30,7 @@ from sceneloom.cameras.formulas import (
 )
 from sceneloom.cameras.projection import CompiledModel, PointsInImage
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.projection import number_pixels, rotation_to_directions
+from sceneloom.kernels.projection import number_pixels, write_directions
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _named_tuple: Any = types.NamedTuple
@@ -280,7 +280,7 @@ def _pick_points(points_world, camera_from_world, c, width, height, kept):  # ty
         elif found > 0:
             _close_up(inside, start, ids, pixels, xs, ys, zs)
         near = kept.inverse_ranges[count : count + found]
-        rotation_to_directions(xs[:found], ys[:found], zs[:found], near)
+        write_directions(xs[:found], ys[:found], zs[:found], near)
         number_pixels(pixels, width, height, kept.pixel_numbers[count : count + found])
         count += found
     return count

@@ -191,17 +191,13 @@ def _planes(points_world: Float64Array, numbers: Int64Array, count: int) -> tupl
     return axes[:, :, 0], flat
 
 
-_OUTLINE_CELL_DEG = 0.25
-"""Points beside an outline: their gap in the image is a few scan lines at most."""
+_OUTLINE_CELL_DEG = 0.25  # points beside an outline: their gap in the image is a few scan lines at most
 
 _SURFACE_DISTANCE = 1.2
 """Nearly all surfaces pass the camera at this distance or more [m]: roads at the height of the camera."""
 
 _REACH_CELLS = 2.0
-
-_OUTLINE_STEP = 0.3
-"""Least step in depth [m]."""
-
+_OUTLINE_STEP = 0.3  # least step in depth [m]
 _MODES = ("best", "weighted")
 
 _WEIGHTS = ("even_distance", "even_seconds", "border_share", "border_least", "least_cosine", "outline_factor")
@@ -431,17 +427,10 @@ def paint_points(
 ) -> None:  # fmt: skip
     """Give each visible point its nearest pixel's colour if this image shows it more centrally than those before.
 
-    Args:
-        point_ids: (M,), rows of the outputs.
-        pixels: (M, 2) [px].
-        pixel_numbers: (M,), the nearest ones, counted row by row; negative outside the image.
-        visible: (M,).
-        rgb: (H, W, 3), the image.
-        camera: number to write into `camera_index`.
-        eccentricities: (N,), updated: least squared distance so far from an image's centre, in half diagonals; or
-            (0,) where this image is the only one.
-        colors: (N, 3), updated.
-        camera_index: (N,), updated.
+    `point_ids` (M,), rows of the outputs; `pixels` (M, 2) [px]; `pixel_numbers` (M,), the nearest ones, counted row by
+    row; negative outside the image; `visible` (M,); `rgb` (H, W, 3), the image; `camera`: number to write into
+    `camera_index`; `eccentricities` (N,), updated: least squared distance so far from an image's centre, in half
+    diagonals; or (0,) where this image is the only one; `colors` (N, 3), updated; `camera_index` (N,), updated.
     """
     height, width = rgb.shape[0], rgb.shape[1]
     flat_pixels, flat_rgb, flat_colors = (

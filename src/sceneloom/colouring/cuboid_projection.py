@@ -49,9 +49,7 @@ FINE = _Steps(read_only([0.05, 0.2, np.inf], np.float64), read_only([4, 12, 64],
 COARSE = _Steps(read_only([0.1, 0.2, 0.4, 0.8, 1.6, np.inf], np.float64), read_only([3, 5, 8, 14, 32, 64], np.int64))
 """Within 1 px, and three times as fast."""
 
-_ROUNDS = 24
-"""How often the step in which an edge leaves the camera model is halved."""
-
+_ROUNDS = 24  # how often the step in which an edge leaves the camera model is halved
 _BORDER_STEPS = 33
 
 
@@ -211,8 +209,7 @@ class _RolledEdges:
         return steps.pixels(within)
 
 
-_FLAT = 1e-12
-"""An edge that covers no more than this angle points at the camera [rad]."""
+_FLAT = 1e-12  # an edge that covers no more than this angle points at the camera [rad]
 
 
 @inlined
@@ -244,15 +241,10 @@ def sample_edges(
 ) -> tuple[Float64Array, Int64Array]:
     """Follow the edges of boxes in equal angles as seen from the origin.
 
-    Args:
-        corners: (B, 8, 3) [m], none at the origin, no edge through it.
-        edges: (E, 2), the corners that each edge joins.
-        limits: (L,) [rad], rising; how much the longest edge of a box covers at most for it to get …
-        steps: (L,) … so many steps along each edge.
-
-    Returns:
-        directions: (P, 3) float64, unit: edge by edge of box by box, both ends included.
-        starts: (B + 1,) int64, where the directions of each box begin.
+    `corners` (B, 8, 3) [m], none at the origin, no edge through it; `edges` (E, 2), the corners that each edge joins;
+    `limits` (L,) [rad], rising, and `steps` (L,): a box whose longest edge covers at most so much gets so many steps
+    along each edge. Returns unit directions (P, 3), edge by edge of box by box, both ends included, and (B + 1,) int64,
+    where those of each box begin.
     """
     boxes, count = len(corners), len(edges)
     starts = np.zeros(boxes + 1, np.int64)
@@ -442,8 +434,7 @@ def extend_to_corners(
                 )
 
 
-_LATEST_PERIODS = 2
-"""A sweep that began more than so many periods before an image is no evidence of it."""
+_LATEST_PERIODS = 2  # a sweep that began more than so many periods before an image is no evidence of it
 
 
 @dataclass(slots=True)
@@ -474,11 +465,8 @@ class _SweptPoints:
         return self._kept[1]
 
 
-_NEAR = 0.05
-"""A box nearer to the camera than this contains the camera: it is not seen, and hides nothing [m]."""
-
-_FARTHEST = 1e8
-"""Boxes farther away, or larger, are not seen [m]."""
+_NEAR = 0.05  # a box nearer to the camera than this contains the camera: it is not seen, and hides nothing [m]
+_FARTHEST = 1e8  # boxes farther away, or larger, are not seen [m]
 
 _ON_BOX = 0.2
 """A point so near to a box is on it [m]: boxes are drawn tightly, and objects move between sweep and image."""
@@ -486,14 +474,9 @@ _ON_BOX = 0.2
 _RAYS = ((8.0, 6), (32.0, 12), (np.inf, 24))
 """Rays along each side of a box in the image, by its length up to so many pixels, for the share that others hide."""
 
-_CELLS = 24
-"""Cells along each side of a face, for the share of a box that the image cuts off."""
-
-_BOXES_AT_ONCE = 256
-"""Boxes whose cells are processed together: enough to be fast, few enough for little memory."""
-
-_AT_ONCE = np.zeros((0, 4))
-"""`lines` of images whose lines were taken at once."""
+_CELLS = 24  # cells along each side of a face, for the share of a box that the image cuts off
+_BOXES_AT_ONCE = 256  # boxes whose cells are processed together: enough to be fast, few enough for little memory
+_AT_ONCE = np.zeros((0, 4))  # `lines` of images whose lines were taken at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -610,7 +593,7 @@ def _in_view(
     if rolling is not None:
         moves, shutter = rolling.drifts_world[rows], rolling.trajectory
         drifts = moves.mean(axis=1) @ world_from_camera.rotation
-        reaches = reaches + shutter.trajectory + np.linalg.norm(moves, axis=2).max(axis=1)
+        reaches = reaches + shutter.shift + np.linalg.norm(moves, axis=2).max(axis=1)
         widest += shutter.rotation
     off_axis = np.arccos(np.clip(centers[:, 2] / np.maximum(distances, _NEAR), -1.0, 1.0))
     spreads = np.arcsin(np.clip(reaches / np.maximum(distances, _NEAR), 0.0, 1.0))
@@ -755,17 +738,10 @@ def _solid_angle(a: Float64Array, b: Float64Array, c: Float64Array) -> Float64Ar
     return angle
 
 
-_SHARES = ("truncation", "occlusion", "occlusion_by_points")
-"""Names of the attributes that hold the shares."""
-
-_LEAST_POINTS = 5
-"""Points before and on a cuboid that a share needs."""
-
-_STATIONARY = 1e-9
-"""What moves less far than this while an image is taken is stationary [m]."""
-
-_DECIMALS = 3
-"""Of shares and pixels that are written: far below their accuracy."""
+_SHARES = ("truncation", "occlusion", "occlusion_by_points")  # names of the attributes that hold the shares
+_LEAST_POINTS = 5  # points before and on a cuboid that a share needs
+_STATIONARY = 1e-9  # what moves less far than this while an image is taken is stationary [m]
+_DECIMALS = 3  # of shares and pixels that are written: far below their accuracy
 
 
 class _Observation(NamedTuple):
@@ -988,8 +964,7 @@ def _projection(
     return Projection(view.camera_id, view.timestamps_ns[kept], boxes[kept], flags, cuboids[kept])
 
 
-_BEHIND = 1e-9
-"""Of two boxes that begin at the same distance, up to this share of it, neither hides the other."""
+_BEHIND = 1e-9  # of two boxes that begin at the same distance, up to this share of it, neither hides the other
 
 
 @inlined

@@ -160,9 +160,7 @@ _WIDENED_PER_STEP = 0.6
 """Widening, in steps from sample to sample of a scan line: a little more than half, as steps differ."""
 
 _USUAL_STEP_SHARE = 0.4
-
-_THIN = 2.0
-"""Up to so many rows apart samples are of one scan line, which crosses from row to row [px]."""
+_THIN = 2.0  # up to so many rows apart samples are of one scan line, which crosses from row to row [px]
 
 _LONGEST, _REACH = 3.0, 1.0
 """The longest gap that is closed, and how far the last scan line reaches, in spacings of the lines."""
@@ -209,18 +207,14 @@ def _close_gaps(samples: Samples, per_radian: float) -> _Filled:
 _LONGEST_SURFACE, _LONGEST_JUMP = 12.0, 2.5
 """The longest side of a triangle that is filled, in spacings of the scan lines."""
 
-_SLIVER_PX2 = 0.05
-"""Smaller triangles give no slope."""
-
+_SLIVER_PX2 = 0.05  # smaller triangles give no slope
 _TRUST_OF_JUMPS = 0.02
 
 _EDGE_LEVELS = 12.0
 """A difference of so many levels, all three channels together, weakens the flow between two pixels by e."""
 
 _ROTATIONS = 2
-
-_FLOW = 0.5
-"""How far depths flow, as a share of the squared spacing of the scan lines."""
+_FLOW = 0.5  # how far depths flow, as a share of the squared spacing of the scan lines
 
 _BELIEF_IN_EDGES = np.float32(0.85)
 """Not every edge of an image is one of an object: by this share jumps move to the image's edges."""
@@ -388,9 +382,7 @@ METHODS: Mapping[str, _Method] = MappingProxyType({"fast": _fill_fast, "quality"
 _FAR = np.float32(1e6)
 _NOTHING = np.float32(0)
 _EVEN_UP_TO, _PER_STEEPNESS = np.float32(_EVEN), np.float32(1.0 / (_SUDDEN - _EVEN))
-
-_BEYOND = np.float32(0.3)
-"""How far another surface may be, as a share of the depth, where only one side is known."""
+_BEYOND = np.float32(0.3)  # how far another surface may be, as a share of the depth, where only one side is known
 
 
 @kernel(void(IN_F32_2D, int64, float32[:, ::1]))
@@ -566,9 +558,7 @@ def blend_neighbours(depth_image: Float32Array, room: Float32Array, blended: Flo
 
 
 _HALF = np.float32(0.5)
-
-_SLIVER = np.float32(0.1)
-"""Twice the least area of a triangle that gives a slope [px²]."""
+_SLIVER = np.float32(0.1)  # twice the least area of a triangle that gives a slope [px²]
 
 _ROUNDING = np.float32(1e-4)
 """How far outside a triangle a pixel may be and still be filled by it, as a share of the triangle."""

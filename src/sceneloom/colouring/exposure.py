@@ -28,45 +28,22 @@ from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.projection import sample_between_pixels
 from sceneloom.kernels.signatures import IN_F32_2D, IN_U8_3D
 
-_CUBE = 0.15
-"""Side of the cubes by which positions are found again in other sweeps [m]."""
-
-_DARKEST, _LIGHTEST = 16.0, 240.0
-"""Levels beyond these are clipped, or nearly, in this image or its neighbours."""
-
-_PLAIN = 14.0
-"""Where a channel changes by more levels around a point, its exact pixel matters too much."""
-
+_CUBE = 0.15  # side of the cubes by which positions are found again in other sweeps [m]
+_DARKEST, _LIGHTEST = 16.0, 240.0  # levels beyond these are clipped, or nearly, in this image or its neighbours
+_PLAIN = 14.0  # where a channel changes by more levels around a point, its exact pixel matters too much
 _MOST_SAMPLES = 8000
 _FARTHEST = 60.0
 _BORDER_PX = 3.0
 _HALF_KEY = 1 << 20
-
-_LAGS = (1, 4, 12)
-"""Sweeps before one that are compared with it."""
-
-_FEWEST = 30
-"""Pairs of colours that a link needs."""
-
-_MOST_PAIRS = 400
-"""More pairs do not make a link more certain: they share their errors."""
-
-_NOISE = 0.01
-"""Least standard deviation of a link's median ratio: brightness that depends on the viewing direction."""
-
-_DRIFT = 0.5
-"""How far exposures drift, as a factor's logarithm, in a second; the pull towards the image before."""
-
-_UNCHANGED = 3.0
-"""The weak pull towards no change, as a factor's logarithm, for what no link determines."""
-
+_LAGS = (1, 4, 12)  # sweeps before one that are compared with it
+_FEWEST = 30  # pairs of colours that a link needs
+_MOST_PAIRS = 400  # more pairs do not make a link more certain: they share their errors
+_NOISE = 0.01  # least standard deviation of a link's median ratio: brightness that depends on the viewing direction
+_DRIFT = 0.5  # how far exposures drift, as a factor's logarithm, in a second; the pull towards the image before
+_UNCHANGED = 3.0  # the weak pull towards no change, as a factor's logarithm, for what no link determines
 _ROUNDS, _ROBUST = 6, 3.0
-
-_MOST_SEAM_PAIRS = 500
-"""Pairs of colours kept of each pair of cameras in each sweep, to judge the result by."""
-
-_Node = tuple[int, int]
-"""An image: index of the camera, and time [ns]."""
+_MOST_SEAM_PAIRS = 500  # pairs of colours kept of each pair of cameras in each sweep, to judge the result by
+_Node = tuple[int, int]  # an image: index of the camera, and time [ns]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -278,8 +255,7 @@ def _groups(nodes: Sequence[_Node], links: Sequence[ExposureLink]) -> tuple[list
     return groups, [next(iter(group)) for group in groups if len(group) == 1 and several]
 
 
-_CONTRAST_STEP_PX = 2.0
-"""Distance from a point's pixel at which the contrast is measured [px]."""
+_CONTRAST_STEP_PX = 2.0  # distance from a point's pixel at which the contrast is measured [px]
 
 
 @kernel(void(IN_F32_2D, IN_U8_3D, float32[::1]))

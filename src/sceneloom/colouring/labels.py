@@ -152,16 +152,10 @@ def draw_labels(
 
     Points without a label cover what is behind them, too, and leave their pixels as they are.
 
-    Args:
-        point_ids: (M,), rows of `labels`.
-        pixels: (M, 2) [px].
-        depths: (M,) [m].
-        visible: (M,).
-        labels: (N,), `none` for points without one.
-        none: what stands for no label.
-        radius_px: of the square beside the pixel itself.
-        depth_image: (H, W) [m], updated: depth of the nearest point drawn so far, infinite for none.
-        label_image: (H, W), updated; 0 where no labelled point is.
+    `point_ids` (M,), rows of `labels`; `pixels` (M, 2) [px]; `depths` (M,) [m]; `visible` (M,); `labels` (N,), `none`
+    for points without one; `none`: what stands for no label; `radius_px`: of the square beside the pixel itself;
+    `depth_image` (H, W) [m], updated: depth of the nearest point drawn so far, infinite for none; `label_image` (H, W),
+    updated; 0 where no labelled point is.
     """
     height, width = label_image.shape
     for i in range(point_ids.shape[0]):

@@ -30,8 +30,7 @@ from sceneloom.scene.scene import Scene
 LAGS = (2, 5, 10, 15)
 """A sweep is compared with those so many sweeps before and after it."""
 
-_LONG_DRIVE = 21
-"""Shorter drives are compared over shorter times."""
+_LONG_DRIVE = 21  # shorter drives are compared over shorter times
 
 
 def lags_for(sweeps: int) -> tuple[int, ...]:
@@ -41,10 +40,7 @@ def lags_for(sweeps: int) -> tuple[int, ...]:
 
 
 _CELL_DEG = 0.5
-
-_SURFACE_DISTANCE = 1.0
-"""Surfaces pass the lidar at this distance or more [m]: lidars stand higher above the road."""
-
+_SURFACE_DISTANCE = 1.0  # surfaces pass the lidar at this distance or more [m]: lidars stand higher above the road
 _MARGIN, _MARGIN_SHARE = 0.3, 0.01
 _ASIDE = 0.2
 _FARTHEST = 80.0
@@ -174,11 +170,8 @@ def _vote(points: _Waiting[_Load], others: _Waiting[_Load]) -> None:
 _MOVES = 1.0
 """A box moves if its centre is ever so far from its first position [m]; annotations are more accurate than that."""
 
-_ROOM = 0.15
-"""Boxes are enlarged by this on all sides but below [m]: they are drawn around most points, not around all."""
-
-_GROUND = 0.08
-"""Points so near to the bottom of a box belong to the road [m]."""
+_ROOM = 0.15  # boxes are enlarged by this on all sides but below [m]: they are drawn around most points, not around all
+_GROUND = 0.08  # points so near to the bottom of a box belong to the road [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

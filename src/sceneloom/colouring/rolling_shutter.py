@@ -113,7 +113,7 @@ class ShutterDirection:
         return float(np.arccos(np.clip((traces.min() - 1.0) / 2.0, -1.0, 1.0)))
 
     @property
-    def trajectory(self) -> float:
+    def shift(self) -> float:
         """Largest distance from the camera's position at the image's time [m]."""
         return float(np.linalg.norm(self.lines_from_middle[:, :, 3], axis=1).max())
 
@@ -153,7 +153,7 @@ def project_by_lines(
     ids, in_middle = np.empty(len(points_world), np.int64), np.empty((len(points_world), 3))
     camera_from_world = world_from_camera.inverse_matrix
     count = keep_in_reach(
-        points_world, camera_from_world, domain_angle(camera), shutter.rotation, shutter.trajectory, ids, in_middle
+        points_world, camera_from_world, domain_angle(camera), shutter.rotation, shutter.shift, ids, in_middle
     )
     parts = [
         _project_part(in_middle[start : min(start + _CHUNK, count)], camera, shutter)
@@ -263,26 +263,20 @@ def _in_image(pixels: FloatArray, camera: Camera, *, border: int = 0) -> BoolArr
 
 
 _LEAST_NEARING = 0.05
-"""By how much less than a line an image moves from line to line; where that vanishes, steps would be static."""
+"""By how much less than a line an image moves from line to line; where that vanishes, steps would be infinite."""
 
 
 @kernel(int64(IN_F64_2D, IN_F64_2D, float64, float64, float64, int64[::1], float64[:, ::1]))
 def keep_in_reach(
-    points_world: Float64Array, camera_from_world: Float64Array, domain: float, rotation: float, trajectory: float,
+    points_world: Float64Array, camera_from_world: Float64Array, domain: float, rotation: float, shift: float,
     point_ids: Int64Array, points_camera: Float64Array,
 ) -> int:  # fmt: skip
     """Keep the points that a camera model may see at some time while the camera moves.
 
-    Args:
-        points_world: (N, 3) [m].
-        camera_from_world: (3, 4) or (4, 4), at the middle of that time.
-        domain: angle off the axis that the camera model sees [rad], π at most.
-        rotate, trajectory: how far at most the camera rotates [rad] and moves [m] from the middle.
-        point_ids: (N,), written from the beginning on, ascending.
-        points_camera: (N, 3) [m], in the frame of the camera in the middle; written likewise.
-
-    Returns:
-        How many they are.
+    `points_world` (N, 3) [m]; `camera_from_world` (3, 4) or (4, 4), at the middle of that time; `domain`: angle off the
+    axis that the camera model sees [rad], π at most; `rotation`, `shift`: how far at most the camera rotates [rad] and
+    moves [m] from the middle; `point_ids` (N,), written from the beginning on, ascending; `points_camera` (N, 3) [m],
+    in the frame of the camera in the middle; written likewise. Returns how many they are.
     """
     m = camera_from_world
     count = 0
@@ -294,8 +288,8 @@ def keep_in_reach(
         distance = math.sqrt(x * x + y * y + z * z)
         if not distance < math.inf:
             continue
-        shift = math.asin(trajectory / distance) if trajectory < distance else math.pi
-        angle = domain + rotation + shift
+        parallax = math.asin(shift / distance) if shift < distance else math.pi
+        angle = domain + rotation + parallax
         if angle >= math.pi or z >= distance * math.cos(angle):
             point_ids[count] = i
             points_camera[count, 0], points_camera[count, 1], points_camera[count, 2] = x, y, z

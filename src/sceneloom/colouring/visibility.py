@@ -216,23 +216,15 @@ def _in_camera(points_world: Float64Array, camera_from_world: Float64Array) -> F
 
 _CELL = radians(0.1)
 _REACH_CELLS = 25
-
-_SPARSEST = _CELL * _REACH_CELLS
-"""Neighbours farther away are not found [rad]."""
-
+_SPARSEST = _CELL * _REACH_CELLS  # neighbours farther away are not found [rad]
 _SAMPLES = 256
 _SECTORS = 8
 _WINDOW_PER_SPACING = 1.15
 _NEAR_PER_SPACING_ACROSS, _NEAR_PER_SPACING_ALONG, _OUTLINE_DEG = 0.95, 1.3, 0.08
 _WINDOWS_DEG, _NEARS_DEG = (0.3, 3.0), (0.1, 2.4)
 _USUAL_WINDOW_DEG, _USUAL_NEAR_DEG = 0.5, 0.16
-
-_CELLS_PER_REACH = 6
-"""Cells of the grid in which points are compared, per reach."""
-
-_USUAL_SURFACE_DISTANCE = 0.5
-"""Where nothing was measured [m]: below the height of nearly all cameras."""
-
+_CELLS_PER_REACH = 6  # cells of the grid in which points are compared, per reach
+_USUAL_SURFACE_DISTANCE = 0.5  # where nothing was measured [m]: below the height of nearly all cameras
 _SURFACE_DISTANCES = (0.1, 1.5)
 _OF_SURFACE_DISTANCE, _STEEPER_THAN, _FEWEST_SURFACES = 0.8, 0.95, 32
 
@@ -334,8 +326,13 @@ def measure_spacings(neighbours: _Neighbours) -> Float64Array:
         (4,) float64 [rad], mean of the middle half of the distances along the axes at 0, 45, 90 and 135 degrees from
         rightward to downward, 0.1 to 2.5 degrees; NaN where fewer than half of the neighbours are so near.
     """
-    spacings = np.empty(_SECTORS // 2)
-    measure_along_axes(neighbours.distances, _CELL, _REACH_CELLS, _SAMPLES, spacings)
+    # opposite sectors make an axis; the middle half is as robust as the median, but not bound to whole cells
+    axes = _SECTORS // 2
+    ordered = np.sort(neighbours.distances.T.reshape(2, axes, -1).swapaxes(0, 1).reshape(axes, -1))
+    spacings = np.full(axes, np.nan)
+    for axis, known in enumerate(np.isfinite(ordered).sum(axis=1).tolist()):
+        if known >= _SAMPLES:
+            spacings[axis] = ordered[axis, known // 4 : known - known // 4].mean()
     return spacings
 
 
@@ -493,9 +490,10 @@ def _around(neighbours: _Neighbours) -> Float64Array:
 
     Of eight sectors two look along the line, the others to the next lines: the upper quartile is across.
     """
-    spacings = np.empty(len(neighbours.points))
-    measure_across(neighbours.distances, _LEAST_KNOWN, spacings)
-    return spacings
+    ordered = np.sort(neighbours.distances, axis=1)
+    known = np.isfinite(ordered).sum(axis=1)
+    quartiles = ordered[np.arange(len(known)), 3 * known // 4 - (known == 0)]
+    return np.asarray(np.where(known >= _LEAST_KNOWN, quartiles, np.nan), np.float64)
 
 
 def _tiles(directions: Float32Array, angle: float) -> tuple[Int64Array, int]:
@@ -527,10 +525,8 @@ def _spread(spacings: Float64Array, tiles: Int64Array, rows: int, columns: int) 
 _SLACK = np.float32(0.001)
 """Rounding may put a point a hair beyond the border of its cell; cells count as so much nearer to each other."""
 
-_CHUNK = 1024
-"""Cells whose bounds are computed at once, within the nearest cache."""
-
-_NOTHING, _ONE, _STATIC = np.float32(0.0), np.float32(1.0), np.float32(math.inf)
+_CHUNK = 1024  # cells whose bounds are computed at once, within the nearest cache
+_NOTHING, _ONE, _INFINITE = np.float32(0.0), np.float32(1.0), np.float32(math.inf)
 
 
 @part
@@ -665,9 +661,7 @@ def _bound_cells(
         _raise_by_locations(bounded, start, columns, nearest, right, down, reach_x, reach_y, slope, room)
 
 
-_POINTS_AT_ONCE = 2048
-"""Points of a block: few of them need a search, whose fixed costs a block shares."""
-
+_POINTS_AT_ONCE = 2048  # points of a block: few of them need a search, whose fixed costs a block shares
 _QUARTER, _BEHIND = np.float32(0.25), np.float32(1e-3)
 
 
@@ -694,25 +688,21 @@ def _list_cells(size_x: int, size_y: int, columns: int) -> tuple[Int64Array, Flo
 def _shift(
     rightward: Float32Array, downward: Float32Array, eye_fractions: Float32Array, eyes: Float64Array, per_cell: Any,
 ) -> None:  # fmt: skip
-    """Put shifts [cells m] in the position of directions: of what lies there, per inverse range, when the eye moves.
+    """Replace directions by the shifts [cells m] there, per inverse range, when the eye moves from lidar to camera.
 
-    It moves from the lidar to the camera.
-
-    Source: the derivative of Snyder 1987, eq. 24-1 and 24-2, along the part of the eye's trajectory across the line of
-        sight.
+    Source: the derivative of Snyder 1987, eq. 24-1 and 24-2, along the eye's motion across the line of sight.
     """
     first_x, first_y, first_z = np.float32(eyes[0, 0]), np.float32(eyes[0, 1]), np.float32(eyes[0, 2])
-    trajectory_x, trajectory_y, trajectory_z = (
-        np.float32(eyes[1, 0] - eyes[0, 0]), np.float32(eyes[1, 1] - eyes[0, 1]), np.float32(eyes[1, 2] - eyes[0, 2])
-    )  # fmt: skip
+    moved_x, moved_y = np.float32(eyes[1, 0] - eyes[0, 0]), np.float32(eyes[1, 1] - eyes[0, 1])
+    moved_z = np.float32(eyes[1, 2] - eyes[0, 2])
     for n in range(eye_fractions.shape[0]):
         squared = rightward[n] * rightward[n] + downward[n] * downward[n]
         half = np.float32(math.sqrt(max(_ONE - _QUARTER * squared, _BEHIND)))
         scale, x, y = _ONE / half, half * rightward[n], half * downward[n]
         z = _ONE - np.float32(0.5) * squared
-        eye_x = first_x + eye_fractions[n] * trajectory_x
-        eye_y = first_y + eye_fractions[n] * trajectory_y
-        eye_z = first_z + eye_fractions[n] * trajectory_z
+        eye_x = first_x + eye_fractions[n] * moved_x
+        eye_y = first_y + eye_fractions[n] * moved_y
+        eye_z = first_z + eye_fractions[n] * moved_z
         along = x * eye_x + y * eye_y + z * eye_z
         across = along + _QUARTER * scale * scale * (eye_z - along * z)
         scale *= per_cell
@@ -733,8 +723,8 @@ def _pick(
     """List the points of a block that something may hide; mark all others in a cell as visible."""
     for i in range(numbers.shape[0]):
         visible[i] = numbers[i] > 0
-        # Nothing exceeds what is static.
-        thresholds[i] = _threshold(inverse_ranges[i], limits) if numbers[i] > 0 else _STATIC
+        # Nothing exceeds infinity.
+        thresholds[i] = _threshold(inverse_ranges[i], limits) if numbers[i] > 0 else _INFINITE
     count = 0
     for i in range(numbers.shape[0]):
         if from_any[np.uint32(numbers[i])] > thresholds[i]:
@@ -866,11 +856,11 @@ def _keep_bounded(
 
 
 @part
-def _gather_trajectories(
+def _gather_motions(
     listed: AnyArray, picked: AnyArray, rightward: Float32Array, downward: Float32Array,
     inverse_ranges: Float32Array, point_ids: Int64Array, fractions: Float32Array, room: Float32Array,
 ) -> None:  # fmt: skip
-    """Put side by side inverse range, direction and fraction of the lidar's trajectory of the listed points."""
+    """Put side by side inverse range, direction and fraction of the lidar's motion of the listed points."""
     for n in range(listed.shape[0]):
         i = np.uint32(picked[listed[n]])
         room[0, n], room[1, n], room[2, n] = inverse_ranges[i], rightward[i], downward[i]
@@ -895,9 +885,7 @@ def _decide(
     for n in range(hidden):
         visible[picked[alone[n]]] = False
     if eyes.shape[0] > 0:
-        _gather_trajectories(
-            alone[:hidden], picked, rightward, downward, inverse_ranges, point_ids, fractions, room[4:]
-        )
+        _gather_motions(alone[:hidden], picked, rightward, downward, inverse_ranges, point_ids, fractions, room[4:])
         _shift(room[5], room[6], room[7, :hidden], eyes, per_cell)
         free = _search_nearing(
             alone[:hidden], cells, a, b, room[2], room[3], nearest, right, down, beside, near,
@@ -953,8 +941,7 @@ def _search_hiding(
         )  # fmt: skip
 
 
-_ROUNDS = 4
-"""Chunks for each thread: some parts of a cloud hide much and others nothing."""
+_ROUNDS = 4  # chunks for each thread: some parts of a cloud hide much and others nothing
 
 
 @kernel(void(IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_F32_1D, float64, int64, int64, int64, int64, int32[::1], int64[::1]))
@@ -1068,14 +1055,9 @@ def mark_unhidden(
     )
 
 
-_BLOCK = 512
-"""Points whose cells are numbered at once, by SIMD."""
-
-_EDGE = np.float32(2.1)
-"""No direction is farther than this from the axis in the equal-area map."""
-
+_BLOCK = 512  # points whose cells are numbered at once, by SIMD
+_EDGE = np.float32(2.1)  # no direction is farther than this from the axis in the equal-area map
 _LEAST, _GREATEST, _SIGN = np.int32(-(2**31)), np.int32(2**31 - 1), np.int32(31)
-
 _PARTS, _LAST_PART = np.float32(65536.0), np.int32(0xFFFF)
 
 _PART = np.float32(1.0 / 65536.0)
@@ -1085,7 +1067,7 @@ _PART = np.float32(1.0 / 65536.0)
 @part
 def _is_placed(a: Any, b: Any, inverse_range: Any) -> Any:
     """Whether a point counts; NaN does not."""
-    return (inverse_range > _NOTHING) & (inverse_range < _STATIC) & (abs(a) <= _EDGE) & (abs(b) <= _EDGE)
+    return (inverse_range > _NOTHING) & (inverse_range < _INFINITE) & (abs(a) <= _EDGE) & (abs(b) <= _EDGE)
 
 
 @part
@@ -1130,8 +1112,8 @@ def _measure_extent(
     if left <= right:
         found[0], found[1], found[2], found[3] = _order(left), _order(right), _order(top), _order(bottom)
     else:
-        extent[0] = extent[2] = _STATIC
-        extent[1] = extent[3] = -_STATIC
+        extent[0] = extent[2] = _INFINITE
+        extent[1] = extent[3] = -_INFINITE
 
 
 def measure_extent(
@@ -1388,64 +1370,3 @@ def find_slopes(
             if one >= 0 and other >= 0:
                 slope = _slope(directions, inverse_ranges, points[s], one, other, nothing, margin, margin_share)
                 slopes[s] = slopes[s] if slope <= slopes[s] or math.isnan(slope) else slope
-
-
-@part
-def _count_steps(distances: Float64Array, axis: int, cell: float, counts: AnyArray) -> int:
-    """Count the distances of neighbours on an axis by their squares in cells; return their number."""
-    half, last, known = distances.shape[1] // 2, counts.shape[0] - 1, 0
-    counts[:] = 0
-    for s in range(distances.shape[0]):
-        for sector in (axis, axis + half):
-            steps = distances[s, sector] / cell
-            if not math.isnan(steps):
-                counts[np.uint32(min(steps * steps + 0.5, last))] += 1
-                known += 1
-    return known
-
-
-@part
-def _mean_of_middle(counts: AnyArray, known: int) -> float:
-    """The mean of the middle half of roots, each repeated so many times."""
-    first, last, before, total = known // 4, known - known // 4, 0, 0.0
-    for square in range(counts.shape[0]):
-        behind = before + counts[square]
-        total += max(min(behind, last) - max(before, first), 0) * math.sqrt(square)
-        before = behind
-    return total / (last - first)
-
-
-@kernel(void(IN_F64_2D, float64, int64, int64, float64[::1]))
-def measure_along_axes(distances: Float64Array, cell: float, reach: int, fewest: int, spacings: Float64Array) -> None:
-    """Write how far apart neighbours are along each axis: robust as the median, but not bound to whole cells.
-
-    `distances` (S, sectors) [rad], between middles of cells; NaN for none. Opposite sectors make an axis; `cell`: size
-    of a cell [rad]; `reach`: how many cells away neighbours are at most; `fewest`: known distances along an axis;
-    `spacings` (sectors / 2,) [rad], written: mean of the middle half of the distances; NaN for too few.
-    """
-    counts = np.empty(reach * reach + 1, np.int64)
-    for axis in range(spacings.shape[0]):
-        known = _count_steps(distances, axis, cell, counts)
-        spacings[axis] = cell * _mean_of_middle(counts, known) if known >= fewest else math.nan
-
-
-@kernel(void(IN_F64_2D, int64, float64[::1]))
-def measure_across(distances: Float64Array, fewest: int, spacings: Float64Array) -> None:
-    """Write the upper quartile of each point's distances to its neighbours.
-
-    `distances` (S, sectors), in any unit; NaN for none; `fewest`: known distances of a point, at least 1; `spacings`
-    (S,), written; NaN for too few.
-    """
-    ordered = np.empty(distances.shape[1])
-    for s in range(distances.shape[0]):
-        known = 0
-        for sector in range(distances.shape[1]):
-            distance = distances[s, sector]
-            if not math.isnan(distance):
-                location = known
-                while location > 0 and ordered[location - 1] > distance:
-                    ordered[location] = ordered[location - 1]
-                    location -= 1
-                ordered[location] = distance
-                known += 1
-        spacings[s] = ordered[min(3 * known // 4, known - 1)] if known >= fewest else math.nan

@@ -42,9 +42,7 @@ _CELL = np.dtype(
 """One cube: its number in the tile, number of points in it, sums of their positions, of their colours by weight, of the
 weights, of the brightness; and the point with the greatest weight."""
 
-_VOTE = np.dtype([("cube", "i8"), ("label", "u2"), ("count", "u4")])
-"""How many points of a cube have a label."""
-
+_VOTE = np.dtype([("cube", "i8"), ("label", "u2"), ("count", "u4")])  # how many points of a cube have a label
 _NO_LABEL = 65535
 
 
@@ -130,17 +128,11 @@ _MOST_CELLS = 2_000_000
 """Largest number of cubes in memory, some 250 MB, but for those of one tile; others are kept on disk."""
 
 _PENDING_SHARE, _LEAST_PENDING = 0.5, 50_000
-
-_ROOM_SHARE = 0.75
-"""Share that is left in memory once tiles are moved to the disk."""
-
+_ROOM_SHARE = 0.75  # share that is left in memory once tiles are moved to the disk
 _HEIGHT_CUBES = 1 << 24
 _FARTHEST_TILE = 1 << 30
 _BOUNDS = np.array([64.0 * _HEIGHT_CUBES, 64.0 * _HEIGHT_CUBES, 0.5 * _HEIGHT_CUBES])
-
-_AGREEMENT = 40.0
-"""Colours that differ by more levels from the best one of their cube are left out of its mean."""
-
+_AGREEMENT = 40.0  # colours that differ by more levels from the best one of their cube are left out of its mean
 Tile = tuple[int, int]
 
 

@@ -147,14 +147,9 @@ _VECTOR = "Array(float64, 1, 'C', readonly=True)"
 def points_in_cones(points: Float32Array, apex: Float64Array, axes: Float64Array, cosines: Float64Array) -> Int64Array:
     """Choose the points that lie in any of the cones.
 
-    Args:
-        points: (N, 3) [m]; those that are not finite lie in none.
-        apex: (3,) [m], where all cones begin.
-        axes: (L, 3), unit, where they lead.
-        cosines: (L,), of the angles between their axes and their sides, above 0.
-
-    Returns:
-        (M,) int64, rising, which points.
+    `points` (N, 3) [m]; those that are not finite lie in none; `apex` (3,) [m], where all cones begin; `axes` (L, 3),
+    unit, where they lead; `cosines` (L,), of the angles between their axes and their sides, above 0. Returns (M,)
+    int64, rising, which points.
     """
     kept, count = np.empty(len(points), np.int64), 0
     for n in range(len(points)):

@@ -32,8 +32,7 @@ OPTIONS: Mapping[str, Any] = {"nogil": True, "error_model": "numpy"}
 _declared: dict[str, list[Callable[[], None]]] = {}
 """What compiles each kernel of the modules that are imported, by the module's name."""
 
-_reports: list[Callable[[str], None]] = []
-"""Who hears of kernels that are compiled."""
+_reports: list[Callable[[str], None]] = []  # who hears of kernels that are compiled
 
 
 def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:

@@ -43,9 +43,7 @@ COLUMNS = 21
 USUAL_OVERLAP = 0.7
 """Overlaps of pairs count from here on."""
 
-_SUREST = 1e-6
-"""No detector is surer than this of what is there or not: two of them could not contradict each other."""
-
+_SUREST = 1e-6  # no detector is surer than this of what is there or not: two of them could not contradict each other
 _LIMIT = float(np.log((1.0 - _SUREST) / _SUREST))
 _TABLE, _REPORTED = "Array(float64, 2, 'C', readonly=True)", "Array(float64, 1, 'C', readonly=True)"
 
@@ -160,17 +158,10 @@ def reported_odds(
 ) -> tuple[Float64Array, Float64Array, Float64Array]:  # fmt: skip
     """Give what the scores of one detector state.
 
-    Args:
-        scores: of all of its boxes.
-        rows: (N,), which of them count.
-        is_logit: whether scores are logarithms of odds, else probabilities.
-        of_image: whether it is the detector of images, else that of sweeps.
-        kinds: (N,), rows of the table.
-        table: (K, COLUMNS).
-
-    Returns:
-        (N,) float64 logarithms of odds as the scores name them, NaN for no numbers; (N,) float64 logarithms of odds as
-        they came true, and (N,) float64 probabilities.
+    `scores`: of all of its boxes; `rows` (N,), which of them count; `is_logit`: whether scores are logarithms of odds,
+    else probabilities; `of_image`: whether it is the detector of images, else that of sweeps; `kinds` (N,), rows of the
+    table; `table` (K, COLUMNS). Returns (N,) float64 logarithms of odds as the scores name them, NaN for no numbers;
+    (N,) float64 logarithms of odds as they came true, and (N,) float64 probabilities.
     """
     reported, odds, shares = np.empty(len(rows)), np.empty(len(rows)), np.empty(len(rows))
     low = IMAGE_LOW if of_image else SWEEP_LOW
@@ -192,18 +183,10 @@ def scores_of_sweep(
 ) -> Float64Array:  # fmt: skip
     """Give how likely the objects of the boxes of a sweep are.
 
-    Args:
-        outlines_xyxy: (N, 4) [px], where the image shows them; zeros where it does not.
-        seen_shares: (N,), which share of each the image shows.
-        partners: (N,), which box of the image is the same object, -1 for none.
-        reported_3d, odds_3d: (N,), of `reported_odds`.
-        corners_xyxy: (M, 4) [px], boxes of the image.
-        reported_2d: (M,), of `reported_odds`.
-        kinds: (N,), rows of the table.
-        table: (K, COLUMNS).
-
-    Returns:
-        (N,) float64, probabilities.
+    `outlines_xyxy` (N, 4) [px], where the image shows them; zeros where it does not; `seen_shares` (N,), which share of
+    each the image shows; `partners` (N,), which box of the image is the same object, -1 for none; `reported_3d`,
+    `odds_3d` (N,), of `reported_odds`; `corners_xyxy` (M, 4) [px], boxes of the image; `reported_2d` (M,), of
+    `reported_odds`; `kinds` (N,), rows of the table; `table` (K, COLUMNS). Returns (N,) float64, probabilities.
     """
     count = len(partners)
     scores, openness, weakness = np.empty(count), np.empty(count), np.empty(count)

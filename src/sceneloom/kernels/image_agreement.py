@@ -1,4 +1,9 @@
-"""How well projected points agree with an image: sums over edges, grey levels, and maps with their derivatives."""
+"""How well projected points agree with an image: sums over edges, grey levels, and maps with their derivatives.
+
+`point_ids` (M,) are those of N points that fall into the image, at `pixels` (M, 2) [px]; `cells` (N,) number the sum
+that each point counts in; images are (H, W), their levels and those of points 0 to B - 1. Sums, totals and counts are
+added to.
+"""
 
 from numba import float64, int16, types, void
 
@@ -37,17 +42,9 @@ def sum_edges(
     point_ids: Int64Array, pixels: Float32Array, kinds: UInt8Array, weights: Float32Array, cells: Int64Array,
     edges: Float32Array, sums: Float64Array, totals: Float64Array,
 ) -> None:  # fmt: skip
-    """Add up how strong an image's edges are where edges of a cloud fall.
+    """Add up how strong an image's edges are where edges of a cloud fall: weights times edges, and the weights.
 
-    Args:
-        point_ids: (M,), those of N points that fall into the image.
-        pixels: (M, 2) [px], where.
-        kinds: (N,), the image of `edges` that counts for each point.
-        weights: (N,).
-        cells: (N,), the sum that each point counts in.
-        edges: (K, H, W).
-        sums: (C,), weights times edges are added to it.
-        totals: (C,), weights are added to it.
+    `kinds` (N,), the image of `edges` (K, H, W) that counts for each point; `weights` (N,); `sums`, `totals` (C,).
     """
     for i in range(point_ids.shape[0]):
         point = point_ids[i]
@@ -60,14 +57,9 @@ def sum_edges(
 def fill_histogram(
     point_ids: Int64Array, pixels: Float32Array, levels: Float32Array, image: Float32Array, histogram: Float64Array
 ) -> None:
-    """Count points by their level and that of the image where they fall, each shared among the four nearest bins.
+    """Count points by their level and that of the image, each shared among the four nearest bins.
 
-    Args:
-        point_ids: (M,), those of N points that fall into the image.
-        pixels: (M, 2) [px], where.
-        levels: (N,), 0 to B - 1.
-        image: (H, W), 0 to B - 1.
-        histogram: (B, B), counts are added to it; rows are levels of the points.
+    `levels` (N,); `histogram` (B, B), its rows are levels of the points.
     """
     last = histogram.shape[0] - 1
     for i in range(point_ids.shape[0]):
@@ -86,17 +78,9 @@ def sum_by_table(
     point_ids: Int64Array, pixels: Float32Array, levels: Float32Array, cells: Int64Array, image: Float32Array,
     table: Float64Array, sums: Float64Array, totals: Float64Array,
 ) -> None:  # fmt: skip
-    """Add up what a table says of points by their level and that of the image where they fall.
+    """Add up what a table says of points by their level and that of the image, and count the points.
 
-    Args:
-        point_ids: (M,), those of N points that fall into the image.
-        pixels: (M, 2) [px], where.
-        levels: (N,), 0 to B - 1.
-        cells: (N,), the sum that each point counts in.
-        image: (H, W), 0 to B - 1.
-        table: (B, B), interpolated between its numbers; rows are levels of the points.
-        sums: (C,), what the table says is added to it.
-        totals: (C,), the number of points is added to it.
+    `levels` (N,); `table` (B, B), interpolated, its rows are levels of the points; `sums`, `totals` (C,).
     """
     for i in range(point_ids.shape[0]):
         point = point_ids[i]
@@ -116,16 +100,12 @@ def sum_maps(
     """Add up weighted values of maps at moved pixels, by group; beyond a map's outer pixels it says nothing.
 
     Args:
-        pixels: (N, 2) [px of the maps], where each point falls.
-        slopes: (N, 2, P), how its pixel changes with the numbers.
-        step: (P,) the change of the numbers.
-        weights: (N,).
-        rows: (N,) int32, which map counts for each point.
-        groups: (N,) int32, the sum that each point counts in.
+        pixels: (N, 2) [px of the maps].
+        slopes: (N, 2, P), derivatives of the pixels by the parameters.
+        step: (P,), change of the parameters.
+        weights, rows, groups: (N,), and int32: the map that counts for each point, and the sum.
         maps: (K, H, W).
-        sums: (G,), weight times value is added to it.
-        squares: (G,), the squares of the values are added to it.
-        gradients: (G, P), the derivatives of the sums are added to it.
+        sums, squares, gradients: (G,), (G,), (G, P): of weight times value, of squared values, derivatives of `sums`.
     """
     height, width = maps.shape[1], maps.shape[2]
     count = step.shape[0]

@@ -10,9 +10,7 @@ from sceneloom.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import IN_F32_2D, IN_F32_3D, IN_U8_2D, IN_U8_3D, inlined
 
-_FRACTION_BITS = 5
-"""Of a level. With one more, the sum of brightness and colour would leave 16 bits."""
-
+_FRACTION_BITS = 5  # of a level. With one more, the sum of brightness and colour would leave 16 bits.
 _ROUNDED = 1 << (_FRACTION_BITS - 1)
 
 
@@ -82,7 +80,7 @@ def _spread_colours(blue, red, factors, half_columns, scaled, spread):  # type: 
 
 @inlined
 def _paint(luma, near, far, factors, line):  # type: ignore[no-untyped-def]
-    """Fill a row of pixels, which lies a quarter of the trajectory from one row of samples to the next one."""
+    """Fill a row of pixels, a quarter of the way from one row of samples to the next one."""
     gain, offset = np.int16(factors[0]), np.int16(factors[1])
     reds, greens, blues = near[0], near[1], near[2]
     far_reds, far_greens, far_blues = far[0], far[1], far[2]
@@ -155,11 +153,8 @@ def resample_bilinear(rgb: UInt8Array, locations: Float32Array, out: UInt8Array,
 
     An image reaches half a pixel beyond the centres of its border pixels; there the border's colour holds.
 
-    Args:
-        rgb: (H, W, C), the image.
-        locations: (h, w, 2) [px], column and row in `rgb` of each new pixel; NaN for none.
-        out: (h, w, C), written where `rgb` has something.
-        filled: (h, w), written everywhere: whether it has.
+    `rgb` (H, W, C), the image; `locations` (h, w, 2) [px], column and row in `rgb` of each new pixel; NaN for none;
+    `out` (h, w, C), written where `rgb` has something; `filled` (h, w), written everywhere: whether it has.
     """
     height, width, channels = rgb.shape
     flat = rgb.reshape(rgb.size)
@@ -195,10 +190,8 @@ def resample_bilinear(rgb: UInt8Array, locations: Float32Array, out: UInt8Array,
 def corner_strengths(grey: Float32Array, half: int, strengths: Float32Array) -> None:
     """Report how well a window around each pixel can be distinguished from its neighbours, in both directions.
 
-    Args:
-        grey: (H, W).
-        half: the window reaches so many pixels to each side.
-        strengths: (H, W), written: the smaller eigenvalue of the mean product of gradients; 0 near the border.
+    `grey` (H, W); `half`: the window reaches so many pixels to each side; `strengths` (H, W), written: the smaller
+    eigenvalue of the mean product of gradients; 0 near the border.
 
     Source: Shi and Tomasi 1994, "Good Features to Track", section 4.
     """
@@ -257,13 +250,9 @@ def follow_corners(
 
     What the windows differ in by brightness as a whole does not count.
 
-    Args:
-        first, second: (H, W) both.
-        pixels: (N, 2) [px], column and row in the first image.
-        half: windows reach so many pixels to each side.
-        rounds: at most so many steps.
-        followed: (N, 2) [px], in the second image: where to begin; written.
-        found: (N,), written: whether the window was found.
+    `first`, `second` (H, W) both; `pixels` (N, 2) [px], column and row in the first image; `half`: windows reach so
+    many pixels to each side; `rounds`: at most so many steps; `followed` (N, 2) [px], in the second image: where to
+    begin; written; `found` (N,), written: whether the window was found.
 
     Source: Lucas and Kanade 1981, with the gradient of the first image, Baker and Matthews 2004, section 3.2.
     """

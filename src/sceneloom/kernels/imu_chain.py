@@ -388,15 +388,10 @@ def add_relative_poses(
 ) -> float:  # fmt: skip
     """Add measured poses of states relative to those before.
 
-    Args:
-        rotations, positions: (K, 3, 3) and (K, 3) of the states.
-        locations: (F,) numbers of the earlier states; delta_rotations: (F, 3, 3), translations: (F, 3) [m]:
-            `earlier_from_later`.
-        information: (F, 6, 6) of rotation [rad] and translation.
-        blocks, couplings, right: normal equations, added to.
-
-    Returns:
-        The sum of squares of the residuals, weighted.
+    `rotations`, `positions` (K, 3, 3) and (K, 3) of the states; `locations` (F,) numbers of the earlier states;
+    `delta_rotations` (F, 3, 3) and `translations` (F, 3) [m], `earlier_from_later`; `information` (F, 6, 6) of rotation
+    [rad] and translation; `blocks`, `couplings`, `right`: normal equations, added to. Returns the sum of squares of the
+    residuals, weighted.
     """
     residual, no_change, no_slope = np.empty(6), np.zeros(3), np.zeros((3, 3))
     first, second = np.zeros((6, 15)), np.zeros((6, 15))
@@ -615,16 +610,10 @@ def solve_chain(
 ) -> int:  # fmt: skip
     """Solve H x = b for a symmetric H of blocks on the diagonal and beside it.
 
-    Args:
-        blocks: (K, n, n) the diagonal; `damping` times their own diagonals are added.
-        couplings: (K - 1, n, n), row block i, column block i + 1.
-        right: (K, n).
-        factors: (K, n, n), written here: Cholesky factors of the pivots, in the lower halves.
-        gains: (K - 1, n, n), written here: pivot⁻¹ · coupling.
-        solution: (K, n), written here.
-
-    Returns:
-        -1, or the first block at which H is not positive definite.
+    `blocks` (K, n, n) the diagonal; `damping` times their own diagonals are added; `couplings` (K - 1, n, n), row block
+    i, column block i + 1; `right` (K, n); `factors` (K, n, n), written here: Cholesky factors of the pivots, in the
+    lower halves; `gains` (K - 1, n, n), written here: pivot⁻¹ · coupling; `solution` (K, n), written here. Returns -1,
+    or the first block at which H is not positive definite.
 
     Source: Golub and Van Loan 2013, "Matrix Computations", 4.5, block elimination.
     """
@@ -667,10 +656,8 @@ def chain_covariances(
 ) -> None:
     """Give those blocks of H⁻¹ that lie where H has some, from what `solve_chain` left with no damping.
 
-    Args:
-        factors, gains: as there.
-        covariances: (K, n, n), written here: of each state.
-        between: (K - 1, n, n), written here: of each state with the next.
+    `factors`, `gains`: as there; `covariances` (K, n, n), written here: of each state; `between` (K - 1, n, n), written
+    here: of each state with the next.
 
     Source: Takahashi, Fagan and Chin 1973, the entries of the inverse of a sparse matrix; for a chain the same as the
     smoother of Rauch, Tung and Striebel 1965.
@@ -700,8 +687,7 @@ def chain_covariances(
                     covariances[i, c, r] = covariances[i, r, c]
 
 
-_SMALL = 1e-5
-"""Angles [rad] below which the next term of the series is below rounding."""
+_SMALL = 1e-5  # angles [rad] below which the next term of the series is below rounding
 
 
 @kernel(types.void(_M, _V))

@@ -179,9 +179,7 @@ def nearnesses(
     return near
 
 
-_MOST_CORNERS = 8
-"""Of what two rectangles share."""
-
+_MOST_CORNERS = 8  # of what two rectangles share
 _LOCATIONS = "float64[:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1]"
 
 

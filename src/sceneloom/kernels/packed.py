@@ -89,12 +89,8 @@ def longest_fold(size: int) -> int:
 def fold(plain: UInt8Array, packed: UInt8Array) -> int:
     """Fold bytes into an LZF stream, which `unfold` describes: the last location of each three bytes is looked back to.
 
-    Args:
-        plain: what is packed.
-        packed: of at least `longest_fold(plain.size)` bytes.
-
-    Returns:
-        How many bytes the stream has.
+    `plain`: what is packed; `packed`: of at least `longest_fold(plain.size)` bytes. Returns how many bytes the stream
+    has.
     """
     locations = np.full(1 << _TABLE_BITS, -1, np.int64)
     source, target, literals = 0, 1, 0
@@ -150,13 +146,9 @@ def unpack(
 ) -> None:  # fmt: skip
     """Take N records apart in one pass, which memory bounds.
 
-    Args:
-        records: (N,) packed, their times within what int64 nanoseconds hold.
-        positions: (N, 3) [m], filled.
-        intensities: (N,), filled.
-        rings: (N,), filled.
-        seconds: (N,) [s], filled with the times as they are.
-        timestamps_ns: (N,) [ns], filled with round(t · 1e9), halves to even.
+    `records` (N,) packed, their times within what int64 nanoseconds hold; `positions` (N, 3) [m], filled; `intensities`
+    (N,), filled; `rings` (N,), filled; `seconds` (N,) [s], filled with the times as they are; `timestamps_ns` (N,)
+    [ns], filled with round(t · 1e9), halves to even.
     """
     for k in range(len(records)):
         record = records[k]
@@ -364,10 +356,7 @@ OPTIONAL = 8
 """What a field of a record holds, beside those of `wire_reading`: a signed number that some records have."""
 
 _NUMBER, _FORM_OUT, _START_OUT, _SIZE_OUT, _INNER_OUT = range(5)
-
-_HEAD = 12
-"""The most bytes that stand before the content of a field."""
-
+_HEAD = 12  # the most bytes that stand before the content of a field
 _TIME_BYTES = 12
 
 

@@ -10,9 +10,7 @@ from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import IN_F32_2D, IN_F64_2D, IN_I64_1D
 
 _V, _M = float64[::1], float64[:, ::1]
-
-_SMALL = 1e-5
-"""Angles [rad] below which the next term of the series is below rounding."""
+_SMALL = 1e-5  # angles [rad] below which the next term of the series is below rounding
 
 
 @kernel(types.void(_V, _M))
@@ -40,14 +38,9 @@ def transform_by_path(
 ) -> None:  # fmt: skip
     """Write `world_from_body(t_i) ∘ body_from_sensor` applied to each point into `positions_world`.
 
-    Args:
-        positions: (N, 3) [m], sensor frame.
-        timestamps_ns: (N,) [ns]; times outside the knots take the nearest knot's pose.
-        body_from_sensor: (3, 4), rotation and translation [m].
-        knots_ns: (K,) [ns], strictly increasing, K >= 1.
-        knot_positions: (K, 3) [m].
-        knot_quaternions_xyzw: (K, 4), unit.
-        positions_world: (N, 3), filled here.
+    `positions` (N, 3) [m], sensor frame; `timestamps_ns` (N,) [ns]; times outside the knots take the nearest knot's
+    pose; `body_from_sensor` (3, 4), rotation and translation [m]; `knots_ns` (K,) [ns], strictly increasing, K >= 1;
+    `knot_positions` (K, 3) [m]; `knot_quaternions_xyzw` (K, 4), unit; `positions_world` (N, 3), filled here.
 
     Source: slerp after Shoemake 1985, on the shorter arc; positions linear between the knots.
     """

@@ -42,11 +42,7 @@ def number_pixels(flat_pixels: Float32Array, width: int, height: int, numbers: A
     The image reaches from -0.5 to size - 0.5; its far border, which rounding to float32 can produce, counts with
     the last row or column.
 
-    Args:
-        flat_pixels: (2 M,) [px], u and v alternately.
-        width: [px].
-        height: [px].
-        numbers: (M,) int32, written.
+    `flat_pixels` (2 M,) [px], u and v alternately; `numbers` (M,) int32, written.
     """
     right, bottom = np.float32(width - 0.5), np.float32(height - 0.5)
     last_column, last_row, columns = np.int32(width - 1), np.int32(height - 1), np.int32(width)
@@ -66,28 +62,15 @@ def _number_pixels(pixels: Float32Array, width: int, height: int, numbers: AnyAr
 
 
 def pixel_numbers(pixels: Float32Array, width: int, height: int) -> Int32Array:
-    """Give what `number_pixels` writes.
-
-    Args:
-        pixels: (M, 2) float32 [px].
-        width: [px].
-        height: [px].
-
-    Returns:
-        (M,) int32.
-    """
+    """The numbers (M,) int32 that `number_pixels` writes for pixels (M, 2) float32."""
     numbers = np.empty(len(pixels), np.int32)
     _number_pixels(pixels, width, height, numbers)
     return numbers
 
 
 _ONE, _TWO = np.float32(1.0), np.float32(2.0)
-
-_BEHIND = np.float32(1e-6)
-"""Least value of 1 + cos θ: keeps the map finite for a point straight behind the camera."""
-
-_NEAREST, _FARTHEST = np.float32(1e-6), np.float32(1e9)
-"""Ranges that give a direction [m]."""
+_BEHIND = np.float32(1e-6)  # least value of 1 + cos θ: keeps the map finite for a point straight behind the camera
+_NEAREST, _FARTHEST = np.float32(1e-6), np.float32(1e9)  # ranges that give a direction [m]
 
 _BLOCK = 512
 """Points that are taken at once: their coordinates lie side by side, in the nearest cache, for vector instructions."""
@@ -121,10 +104,10 @@ def _move(
 
 
 @part
-def rotation_to_directions(
+def write_directions(
     rightward: Float32Array, downward: Float32Array, z_camera: Float32Array, inverse_ranges: Float32Array
 ) -> None:
-    """Put directions in the position of coordinates x and y in the camera frame; see `map_directions`."""
+    """Replace coordinates x and y in the camera frame by directions; see `map_directions`."""
     for i in range(inverse_ranges.shape[0]):
         x, y, z = rightward[i], downward[i], z_camera[i]
         range_m = math.sqrt(x * x + y * y + z * z)
@@ -157,7 +140,7 @@ def _map_all(
         _gather(points_world, point_ids[start:stop], x, y, z)
         right, down = rightward[start:stop], downward[start:stop]
         _move(x, y, z, pose, right, down, depths)
-        rotation_to_directions(right, down, depths, inverse_ranges[start:stop])
+        write_directions(right, down, depths, inverse_ranges[start:stop])
 
 
 def map_directions(
@@ -194,7 +177,7 @@ def map_directions(
     thread_pool.share(Phase(len(point_ids), project))
 
 
-_STATIC = np.float32(math.inf)
+_INFINITE = np.float32(math.inf)
 
 
 @part
@@ -203,7 +186,7 @@ def _pick(
 ) -> None:
     """Write where in some rows of the image the points are drawn; -1 for those that are not."""
     for i in range(locations.shape[0]):
-        drawn = (depths[i] > _NOTHING) & (depths[i] < _STATIC) & visible[i]
+        drawn = (depths[i] > _NOTHING) & (depths[i] < _INFINITE) & visible[i]
         location = np.int32(numbers[i] - np.int32(first))
         locations[i] = location if drawn & (np.uint32(location) < np.uint32(size)) else np.int32(-1)
 
@@ -258,12 +241,9 @@ def draw_depths(
 
 @kernel(void(IN_F32_2D, IN_U8_3D, float32[:, ::1]))
 def sample_between_pixels(pixels: Float32Array, rgb: UInt8Array, colors: Float32Array) -> None:
-    """Take colours at locations between the pixels' centres, linearly along both axes; beyond the outer centres theirs.
+    """Sample colours bilinearly; beyond the outer pixels' centres these hold.
 
-    Args:
-        pixels: (M, 2) [px], finite.
-        rgb: (H, W, 3).
-        colors: (M, 3), written, 0 to 255.
+    `pixels` (M, 2) [px], finite; `rgb` (H, W, 3); `colors` (M, 3), written, 0 to 255.
     """
     height, width = rgb.shape[0], rgb.shape[1]
     for i in range(pixels.shape[0]):

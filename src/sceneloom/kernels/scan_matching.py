@@ -25,13 +25,9 @@ def move_points(
     p_world(t) = position + t v + t²/2 (ω × v) + Exp(t ω) R p_ego: a constant velocity in the ego's own frame, to the
     second order in t.
 
-    Args:
-        points_ego: (N, 3) [m].
-        seconds: (N,) time of each point after the pose's.
-        rotation, position: (3, 3) and (3,) [m], `world_from_ego`.
-        yaw_rate, velocity: (3,) [rad/s] and [m/s], world axes, at the pose's time.
-        points_world: (N, 3), written here.
-        arms: (N, 3), written here: from the ego to the points, world axes.
+    `points_ego` (N, 3) [m]; `seconds` (N,) time of each point after the pose's; `rotation`, `position` (3, 3) and (3,)
+    [m], `world_from_ego`; `yaw_rate`, `velocity` (3,) [rad/s] and [m/s], world axes, at the pose's time; `points_world`
+    (N, 3), written here; `arms` (N, 3), written here: from the ego to the points, world axes.
     """
     rotated, step = np.empty((3, 3)), np.empty(3)
     cx = yaw_rate[1] * velocity[2] - yaw_rate[2] * velocity[1]
@@ -196,9 +192,7 @@ are dense, do not outweigh the rest."""
 _LINE_SHARE, _THIN_SHARE = 0.04, 0.1
 """Of the largest eigenvalue: a middle one below the first is that of a line; one above the second states nothing."""
 
-_STEEP = 0.7
-"""A line is steep where its direction has at least this z."""
-
+_STEEP = 0.7  # a line is steep where its direction has at least this z
 _HALF_KEY = 1 << 20
 
 
@@ -374,11 +368,9 @@ def describe_surfaces(
     against the largest. What is thin in two directions (poles, trunks) informs in both, if it is steep; a level one
     is a scan line on a surface whose slope is not known, and informs about nothing.
 
-    Args:
-        noise: standard deviation of a point across a flat surface [m].
-        least_points: a cube with fewer points informs about nothing.
-        surfaces: (C, 15) mean x y z [m], world; information xx xy xz yy yz zz [1/m²], zero where there is none; inverse
-            of the spread along the surface, xx xy xz yy yz zz [1/m²].
+    `noise`: standard deviation of a point across a flat surface [m]; `least_points`: a cube with fewer points informs
+    about nothing; `surfaces` (C, 15) mean x y z [m], world; information xx xy xz yy yz zz [1/m²], zero where there is
+    none; inverse of the spread along the surface, xx xy xz yy yz zz [1/m²].
     """
     a, v = np.empty((3, 3)), np.empty((3, 3))
     mask = (1 << 21) - 1

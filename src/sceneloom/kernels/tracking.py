@@ -80,18 +80,12 @@ def predict(
     means: Float64Array, covariances: Float64Array, vehicles: BoolArray, seconds: float, rotation_time: float,
     variances: Float64Array,
 ) -> tuple[Float64Array, Float64Array, Float64Array]:  # fmt: skip
-    """Move states on, with the noise of so long.
+    """Predict states `seconds` later, with the noise of that time.
 
-    Args:
-        means, covariances: (N, 11) and (N, 11, 11).
-        vehicles: (N,), whether their velocity rotates with them.
-        seconds: how long.
-        rotation_time: after which rotates have died down [s].
-        variances: (2, 6), of people and of vehicles: densities of the noise of acceleration along the heading, across
-            it and upwards, of sizes, of the heading and of rotating.
-
-    Returns:
-        Means and covariances afterwards, and the slopes (N, 11, 11) of the means.
+    `means`, `covariances` (N, 11) and (N, 11, 11); `vehicles` (N,), whether their velocity rotates with them;
+    `rotation_time` [s], after which rotation has died down; `variances` (2, 6), of people and of vehicles: densities of
+    the noise of acceleration along the heading, across it and upwards, of sizes, of the heading and of rotation.
+    Returns means and covariances afterwards, and the slopes (N, 11, 11) of the means.
     """
     count = len(means)
     moved, spread = means.copy(), np.zeros((count, SIZE, SIZE))
@@ -395,17 +389,10 @@ def without_twins(
     the thing's width. Where a sweep did not location both, they are one if their boxes in some image overlap; of two
     that sweeps location apart one may stand before the other, however they overlap there.
 
-    Args:
-        rows: (K,), which boxes, the surest first.
-        locations: (M, 3) [m], middles on the ground and widths of the boxes.
-        measured: (M,), whether a sweep placed them.
-        corners: (C, M, 4) [px], in each image; NaN where there is none.
-        known_locations, known_measured, known_corners: the same of N things that are known.
-        share: of a width.
-        overlap: intersection over union.
-
-    Returns:
-        Those of the rows that are kept.
+    `rows` (K,), which boxes, the surest first; `locations` (M, 3) [m], middles on the ground and widths of the boxes;
+    `measured` (M,), whether a sweep placed them; `corners` (C, M, 4) [px], in each image; NaN where there is none;
+    `known_locations`, `known_measured`, `known_corners`: the same of N things that are known; `share`: of a width;
+    `overlap`: intersection over union. Returns those of the rows that are kept.
     """
     kept, count = np.empty(len(rows), np.int64), 0
     for k in range(len(rows)):
@@ -468,14 +455,9 @@ def fewest_keyframes(times: Int64Array, boxes: Float64Array, location: float, tu
     The rows are joined wherever two of them report all between them, and the trajectory of the fewest joints from the
     first to the last is taken: a search in breadth, which looks at the farthest row first.
 
-    Args:
-        times: (K,) int64, rising.
-        boxes: (K, 7), centre and size [m] and heading [rad].
-        location: largest distance of centres, and of sizes as vectors [m].
-        turn: largest difference of headings [rad].
-
-    Returns:
-        (N,) int64, rising, the first and the last row among them.
+    `times` (K,) int64, rising; `boxes` (K, 7), centre and size [m] and heading [rad]; `location`: largest distance of
+    centres, and of sizes as vectors [m]; `turn`: largest difference of headings [rad]. Returns (N,) int64, rising, the
+    first and the last row among them.
 
     Source: Imai and Iri 1988, "Polygonal approximations of a curve", which the shortest arc over such joints is.
     """

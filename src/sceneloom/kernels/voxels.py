@@ -37,12 +37,8 @@ def number_cubes(points: Float64Array, side: float, numbers: Int64Array) -> int:
 
     A cube holds its lower faces and not its upper ones, on either side of the origin.
 
-    Args:
-        points: (N, 3) [m]; one that is not finite, or too far away to be reported, falls into none.
-        numbers: (N,) number of each point's cube is written here, -1 for none.
-
-    Returns:
-        How many cubes there are.
+    `points` (N, 3) [m]; one that is not finite, or too far away to be reported, falls into none; `numbers` (N,) number
+    of each point's cube is written here, -1 for none. Returns how many cubes there are.
     """
     length = 1024
     while length < 2 * points.shape[0]:
@@ -86,10 +82,8 @@ def nearest_of_cubes(points: Float64Array, numbers: Int64Array, chosen: Int64Arr
 
     Of equally near ones it is the first.
 
-    Args:
-        points: (N, 3) [m].
-        numbers: (N,) as `number_cubes` gives them.
-        chosen: (C,) the rows of the first points; those of the nearest ones afterwards.
+    `points` (N, 3) [m]; `numbers` (N,) as `number_cubes` gives them; `chosen` (C,) the rows of the first points; those
+    of the nearest ones afterwards.
     """
     count = chosen.shape[0]
     means, held = np.zeros((count, 3)), np.zeros(count)

@@ -210,8 +210,7 @@ _EMPTY = "no points"
 _INSTANT = "all points of one time"
 _UNTIMED_POINTS = "no times of the points"
 _IN_GAP = "in a gap of the measured motion"
-_BEYOND = "beyond the trajectory"
-"""Why a sweep is left as it is."""
+_BEYOND = "beyond the trajectory"  # why a sweep is left as it is
 
 
 def _median_ns(times_ns: Int64Array) -> int:
@@ -224,8 +223,7 @@ MOMENTS: Mapping[str, Callable[[Int64Array], int]] = MappingProxyType(
 )
 """The moments of a sweep that its points can be deskewed to, by its point times (N,) int64 [ns], N >= 1."""
 
-_SAMPLED_SWEEPS = 5
-"""Sweeps from which the usual location of the timestamp within a sweep is taken."""
+_SAMPLED_SWEEPS = 5  # sweeps from which the usual location of the timestamp within a sweep is taken
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,12 +19,8 @@ from sceneloom.warnings import DataWarning, WarningKind
 
 IDENTITY, GNSS, LIDAR, IMU = "identity", "gnss", "lidar", "imu"
 RESERVED = (GNSS, LIDAR, IMU)
-
-_HIGHEST = 1e6
-"""Larger heights are invalid [m]; NaN stands for one that is not reported."""
-
-_CHORD = 0.5
-"""Length [m] of the chord that gives a direction: well above the noise of a smoothed position."""
+_HIGHEST = 1e6  # larger heights are invalid [m]; NaN stands for one that is not reported
+_CHORD = 0.5  # length [m] of the chord that gives a direction: well above the noise of a smoothed position
 
 
 def gnss_receivers(scene: Scene) -> tuple[GnssSensor, ...]:

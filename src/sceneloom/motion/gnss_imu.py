@@ -91,7 +91,6 @@ class SmootherSettings:
 
 
 DEFAULTS = SmootherSettings()
-
 _Rows = TypeVar("_Rows", "Preintegrated", "Fixes", "RelativePoses", "BodySpeeds", "States")
 
 
@@ -133,8 +132,7 @@ def _warning(kind: WarningKind, code: str, location: str, message: str, count: i
     return DataWarning(kind=kind, code=code, location=location, message=message, count=count)
 
 
-_NOISE_SECONDS, _NOISE_SAMPLES = 2.0, 21
-"""Time over which the noise is averaged, and the least number of samples."""
+_NOISE_SECONDS, _NOISE_SAMPLES = 2.0, 21  # time over which the noise is averaged, and the least number of samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,8 +288,7 @@ def _preintegrated_until(
     return found
 
 
-_FARTHEST = 100_000.0
-"""Fixes farther than this from the central one [m] are left out."""
+_FARTHEST = 100_000.0  # fixes farther than this from the central one [m] are left out
 
 _VERTICAL = 1.7
 """Standard deviation of heights relative to that across, where not reported. Source: usual ratio of VDOP to HDOP."""
@@ -456,11 +453,8 @@ class Fixes:
         return np.asarray(((slopes @ own[self.knots]) * slopes).sum(axis=2), np.float64)
 
 
-_LONGEST_PERIOD = 1.0
-"""Longest median time between IMU samples that determine the motion between them [s]."""
-
-_LONGEST_STEP = 60.0
-"""Longest median time between fixes without an IMU [s]."""
+_LONGEST_PERIOD = 1.0  # longest median time between IMU samples that determine the motion between them [s]
+_LONGEST_STEP = 60.0  # longest median time between fixes without an IMU [s]
 
 
 def _check_times(location: str, fixes: GnssFixes, samples: InertialSamples | None) -> None:
@@ -486,11 +480,8 @@ def _check_times(location: str, fixes: GnssFixes, samples: InertialSamples | Non
         )
 
 
-_CLOSEST_NS = 20_000_000
-"""Least time between states [ns]: over so short a time a fix is carried without loss."""
-
-_LONGEST_NS = 86_400 * 1_000_000_000
-"""No drive is longer [ns]: a wrong time must not make millions of states."""
+_CLOSEST_NS = 20_000_000  # least time between states [ns]: over so short a time a fix is carried without loss
+_LONGEST_NS = 86_400 * 1_000_000_000  # no drive is longer [ns]: a wrong time must not make millions of states
 
 _CARRIED = 0.3
 """Noise that the IMU may add to a fix on the way from the state before it, as a share of the best fix's own."""
@@ -498,8 +489,7 @@ _CARRIED = 0.3
 _LONGEST_CARRIED = 0.5
 """Longest time from the state before a fix [s]: errors of scales, axes and initial biases do not show as noise."""
 
-_WEIGHT = 9.81
-"""Acceleration [m/s²] that a wrong orientation misdirects."""
+_WEIGHT = 9.81  # acceleration [m/s²] that a wrong orientation misdirects
 
 
 def knot_times(
@@ -677,10 +667,7 @@ class Chain:
 
 
 _MAX_DAMPINGS = 12
-
-_LARGEST_DAMPING = 1e3
-"""Equations that are not solvable with this share of the diagonal added contain no numbers."""
-
+_LARGEST_DAMPING = 1e3  # equations that are not solvable with this share of the diagonal added contain no numbers
 _UNKNOWN_SPEED, _UNKNOWN_ROTATION, _TILT = 100.0, np.pi, 0.05
 
 
@@ -844,13 +831,9 @@ def inertial_residuals(chain: Chain, states: States) -> tuple[Float64Array, Floa
     return residuals, first, second
 
 
-_HUBER = 1.5
-"""Standard deviations from which on a fix loses weight while the states are still far off."""
-
+_HUBER = 1.5  # standard deviations from which on a fix loses weight while the states are still far off
 _MOST_STEPS = 30
-
-_CONVERGED = 1e-4
-"""Relative change of the cost below which no further step is made."""
+_CONVERGED = 1e-4  # relative change of the cost below which no further step is made
 
 _MOST_ROUNDS, _FEW_STEPS, _MOST_CHANGES = 25, 4, 3
 """Rounds of rejecting and readmitting fixes, steps in each, and how often one fix may change."""
@@ -861,16 +844,10 @@ _READMITTED, _AROUND = 0.7, 2
 _MEDIAN_FLAT, _MEDIAN_UP, _MEDIAN_ROOT = 1.3863, 0.4549, 0.888
 """Medians of chi-square with two degrees of freedom, with one, and of the root of a third of it with three."""
 
-_REPORTED_WORTH = 1.0
-"""The reported accuracy of a receiver counts as this many measurements of it."""
-
-_INERTIAL_WORTH = 6.0
-"""The noise seen in the samples counts as this many measurements of it."""
-
+_REPORTED_WORTH = 1.0  # the reported accuracy of a receiver counts as this many measurements of it
+_INERTIAL_WORTH = 6.0  # the noise seen in the samples counts as this many measurements of it
 _LEAST_SCALE, _LARGEST_SCALE = 1e-3, 1e3
-
-_AXES = (slice(0, 2), slice(2, 3))
-"""Across, and height."""
+_AXES = (slice(0, 2), slice(2, 3))  # across, and height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1063,9 +1040,7 @@ def _inertial_factors(fit: _Fit) -> Float64Array:
 _FIRST_DISTANCE, _FIRST_SECONDS, _FIRST_KNOTS = 30.0, 10.0, 12
 """The first part that is fitted is so long [m], [s], as far as there is as much."""
 
-_SPAN = 1.0
-"""Gains of velocity are compared over this time [s], so that the noise of velocities counts less."""
-
+_SPAN = 1.0  # gains of velocity are compared over this time [s], so that the noise of velocities counts less
 _QUARTERS = (0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi)
 
 _SURELY_BETTER = 9.0
@@ -1184,20 +1159,14 @@ def _inertial_rotation(chain: Chain, k: int, bias: Float64Array) -> Float64Array
     return np.asarray(inertial.rotations[k] @ _rotation_matrices(change), np.float64)
 
 
-_QUIET_SECONDS, _LEAST_SAMPLES = 1.0, 15
-"""The IMU is judged over so long, and so many samples at least."""
-
-_YAW_RATE = 0.02
-"""Largest mean angular velocity of a stationary ego, without the bias [rad/s]."""
-
-_SPEED, _DEVIATIONS = 0.2, 3.0
-"""Largest speed of a stationary ego by the fixes [m/s], plus so many standard deviations."""
+_QUIET_SECONDS, _LEAST_SAMPLES = 1.0, 15  # the IMU is judged over so long, and so many samples at least
+_YAW_RATE = 0.02  # largest mean angular velocity of a stationary ego, without the bias [rad/s]
+_SPEED, _DEVIATIONS = 0.2, 3.0  # largest speed of a stationary ego by the fixes [m/s], plus so many standard deviations
 
 _STILL_SPEED, _STILL_ROTATION, _STILL_DISTANCE = 0.02, 2e-4, 2e-3
 """Standard deviations of a stationary ego [m/s], and from one state to the next [rad] and [m]."""
 
-_WIDE = 1.5
-"""Excess of the variance over that of white noise by chance, with few samples."""
+_WIDE = 1.5  # excess of the variance over that of white noise by chance, with few samples
 
 
 def _standstill(
@@ -1252,30 +1221,21 @@ def _quiet(samples: InertialSamples, knots_ns: Int64Array, biases: Float64Array)
     return np.asarray(calm & white & (np.abs(rate) < _YAW_RATE).all(axis=1), np.bool_)
 
 
-_EVERY = 1.0
-"""The vehicle constraint is used this often [s]: its errors are correlated over about so long."""
+_EVERY = 1.0  # the vehicle constraint is used this often [s]: its errors are correlated over about so long
 
 _SLIP, _AXIS, _LEVER = 0.1, 0.02, 0.5
 """Its errors: a slip [m/s], a share of the speed since the axis is not exactly the body's, and the angular velocity
 times a lever [m], since the axle that does not slip is elsewhere."""
 
-_MOVING = 2.0
-"""Speed from which on a direction of motion counts [m/s]."""
+_MOVING = 2.0  # speed from which on a direction of motion counts [m/s]
 
 _LEAST_ROTATION, _LEAST_KNOTS = np.radians(40.0), 8
 """To show that it holds, the ego has to rotate so far while it moves, over so many states."""
 
-_FAST = 5.0
-"""Or its mean speed is this [m/s], along its x axis."""
-
-_LARGEST_SHARE = 0.3
-"""Sideways speeds have to be known to be below this share of the speed."""
-
-_LARGEST_MISFIT = 2.0
-"""Largest mean square of sideways speeds in units of their standard deviations."""
-
-_CONTRADICTED = 3.0
-"""Mean square misfit of constraints, in standard deviations, from which on they are dropped."""
+_FAST = 5.0  # or its mean speed is this [m/s], along its x axis
+_LARGEST_SHARE = 0.3  # sideways speeds have to be known to be below this share of the speed
+_LARGEST_MISFIT = 2.0  # largest mean square of sideways speeds in units of their standard deviations
+_CONTRADICTED = 3.0  # mean square misfit of constraints, in standard deviations, from which on they are dropped
 
 
 def _vehicle_speeds(fit: _Fit, own: Float64Array, samples: InertialSamples) -> tuple[BodySpeeds, ...]:
@@ -1339,8 +1299,7 @@ def _misfit(speeds: BodySpeeds, states: States) -> float:
 _LIDAR_ROTATION, _LIDAR_DISTANCE = 3e-4, 5e-3
 """Least standard deviations of a step by odometry [rad] and [m]: the repeatability of a fit onto the map."""
 
-_ALIGNMENT_ROUNDS = 8
-"""Rounds of weighting the fixes by how they agree (L1)."""
+_ALIGNMENT_ROUNDS = 8  # rounds of weighting the fixes by how they agree (L1)
 
 
 def _lidar_steps(lidar: Trajectory, knots_ns: Int64Array) -> RelativePoses:
@@ -1394,8 +1353,7 @@ def _lidar_rotations(lidar: Trajectory, knots_ns: Int64Array, fixes: Fixes) -> F
     return np.asarray(rotation @ matrix_from_quaternion(known.quaternions_xyzw), np.float64)
 
 
-_SMOOTHER_ROUNDS = 4
-"""How often the noise is estimated anew from the residuals."""
+_SMOOTHER_ROUNDS = 4  # how often the noise is estimated anew from the residuals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1491,8 +1449,7 @@ def _refined(fit: _Fit, fixes: GnssFixes, samples: InertialSamples, densities: F
     return fit
 
 
-_COASTING_STEP_NS = 100_000_000
-"""Longest time between poses where no IMU measured [ns]."""
+_COASTING_STEP_NS = 100_000_000  # longest time between poses where no IMU measured [ns]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1579,9 +1536,7 @@ _ALIKE, _LEAST_ALIKE = 1.3, 0.3
 noise, 1/√n, and above the second number; those of a smoother with white noise are rather anticorrelated."""
 
 _MOST_ALIKE = 0.98
-
-_NEIGHBOUR_SECONDS = 3.0
-"""Fixes farther apart in time [s] are no neighbours."""
+_NEIGHBOUR_SECONDS = 3.0  # fixes farther apart in time [s] are no neighbours
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1663,8 +1618,7 @@ def _common_offset(fixes: GnssFixes, sigmas: Float64Array) -> Float64Array:
     return np.asarray(np.where(seen < 0.6 * reported, rest, 0.0), np.float64)
 
 
-_UNSURE_HEADING = np.radians(15.0)
-"""Standard deviation of the heading from which on it counts as unknown."""
+_UNSURE_HEADING = np.radians(15.0)  # standard deviation of the heading from which on it counts as unknown
 
 
 @dataclass(frozen=True, slots=True, eq=False)

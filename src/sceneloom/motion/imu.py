@@ -16,11 +16,8 @@ from sceneloom.warnings import DataWarning, WarningKind
 GYROSCOPE, ACCELEROMETER = "gyroscope", "accelerometer"
 """Streams of an IMU, in the words of the recording format."""
 
-_MISSING_SAMPLES = 5
-"""So many sample intervals without a sample are a gap, in which the motion is unknown."""
-
-_LARGEST_SAMPLE = 1e5
-"""No IMU measures more, in whatever unit [rad/s, m/s²]: larger values stem from a torn line."""
+_MISSING_SAMPLES = 5  # so many sample intervals without a sample are a gap, in which the motion is unknown
+_LARGEST_SAMPLE = 1e5  # no IMU measures more, in whatever unit [rad/s, m/s²]: larger values stem from a torn line
 
 
 def measured_rows(values: Float64Array) -> BoolArray:
@@ -51,8 +48,7 @@ def gaps_between(timestamps_ns: Int64Array) -> Int64Array:
 _WINDOW_NS = 1_000_000_000
 """Length of the windows that are judged: long enough for the body of a moving car to swing [ns]."""
 
-_LEAST_SAMPLES = 20
-"""Samples of either kind that a window needs."""
+_LEAST_SAMPLES = 20  # samples of either kind that a window needs
 
 QUIET_RATE = 0.005
 """Largest standard deviation of a stationary ego's angular velocity on each axis: noise of a consumer's gyroscope
@@ -65,11 +61,8 @@ WHITE = 1.5
 """Largest ratio of the variance to that of successive differences for white noise, which has 1, with 200 samples within
 0.1. A car that rolls, however smoothly, sways slowly: neighbouring samples are alike."""
 
-_ROUNDING = 1e-20
-"""Computed variance of samples that are all equal."""
-
-_LARGEST_BIAS = 0.06
-"""A larger mean rate is a rotation, however even [rad/s]."""
+_ROUNDING = 1e-20  # computed variance of samples that are all equal
+_LARGEST_BIAS = 0.06  # a larger mean rate is a rotation, however even [rad/s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

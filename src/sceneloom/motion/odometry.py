@@ -211,9 +211,7 @@ def _to_world(
 
 
 _INITIAL_CAPACITY = 1 << 15
-
-_LEAST_POINTS = 5.0
-"""Points that a cube needs for a surface."""
+_LEAST_POINTS = 5.0  # points that a cube needs for a surface
 
 _MOST_HITS = 3
 """Points that each part of a cube takes: a full part stays as it was measured first, so that a stationary ego changes
@@ -305,16 +303,9 @@ class LocalMap:
 
 
 _MOST_STEPS = 20
-
-_SCALES = (10.0, 5.0, 3.0)
-"""Of the weight, in standard deviations, in the first steps and from then on."""
-
-_ROTATION_DONE, _SHIFT_DONE = 2e-5, 5e-4
-"""A step below these [rad], [m] is the last one."""
-
-_POINTS_PER_MEASUREMENT = 10.0
-"""Neighbouring points share the errors of the surface they lie on; so many count as one."""
-
+_SCALES = (10.0, 5.0, 3.0)  # of the weight, in standard deviations, in the first steps and from then on
+_ROTATION_DONE, _SHIFT_DONE = 2e-5, 5e-4  # a step below these [rad], [m] is the last one
+_POINTS_PER_MEASUREMENT = 10.0  # neighbouring points share the errors of the surface they lie on; so many count as one
 _LEAST_MATCHED, _LEAST_AGREEING = 0.3, 0.5
 
 
@@ -366,9 +357,7 @@ def _fit_sweep(sweep: _Sweep, prior: _MotionState, local_map: LocalMap) -> _Fit:
 
 _SPACING = 0.5
 _NEIGHBOURS = 15
-
-_REACHES = (5.0, 1.5)
-"""Points farther apart than this [m] do not belong together: first roughly, then closely."""
+_REACHES = (5.0, 1.5)  # points farther apart than this [m] do not belong together: first roughly, then closely
 
 _SPEEDS = (0.0, 10.0, 20.0, 30.0, -5.0)
 """Speeds along the ego's x axis [m/s] to begin from where nothing is known: matching alone converges over a few
@@ -405,13 +394,8 @@ def _match(
 
 
 _UNKNOWN_ROTATION_RATE, _UNKNOWN_SPEED = 0.5, 20.0
-
-_GUESSED_ROTATION_RATE, _GUESSED_SPEED = 0.1, 1.0
-"""Standard deviations [rad/s], [m/s] before and after a first guess."""
-
-_ORIGIN_ROTATION, _ORIGIN_SHIFT = 1e-4, 1e-3
-"""Standard deviations of a pose that is known by definition [rad], [m]."""
-
+_GUESSED_ROTATION_RATE, _GUESSED_SPEED = 0.1, 1.0  # standard deviations [rad/s], [m/s] before and after a first guess
+_ORIGIN_ROTATION, _ORIGIN_SHIFT = 1e-4, 1e-3  # standard deviations of a pose that is known by definition [rad], [m]
 _STARTING_ROUNDS = 3
 _GAP_PERIODS, _LEAST_GAP = 5.0, 0.5
 _LONGEST_PREDICTION = 2.0
@@ -655,8 +639,7 @@ def _moved_between(first: _MotionState, second: _MotionState) -> _MotionState:
     return replace(first, yaw_rate=yaw_rate, velocity=velocity, covariance=covariance)
 
 
-_SAME_PERIOD = 0.75
-"""Sweeps that begin within this part of a period of one another belong together."""
+_SAME_PERIOD = 0.75  # sweeps that begin within this part of a period of one another belong together
 
 
 def _warning(kind: WarningKind, code: str, location: str, message: str, count: int = 1) -> DataWarning:

@@ -253,7 +253,7 @@ def at_angle(degrees, distance=10.0):
         (PINHOLE, [], ""),
     ],
 )
-def test_each_point_is_distinguished_from_what_the_camera_model_can_see(camera, points, expected):
+def test_each_point_is_told_from_what_the_camera_model_can_see(camera, points, expected):
     _, observations = observations_of(np.array(points, float).reshape(-1, 3), camera)
     assert observations.dtype == np.uint8
     assert [PointVisibility(visibility).name for visibility in observations] == expected.split()

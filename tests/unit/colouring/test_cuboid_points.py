@@ -32,7 +32,7 @@ ON_FACES = 0.02
 
 @pytest.fixture(scope="module")
 def drive():
-    """A street with traffic, as seen by a lidar that rotations while everything moves."""
+    """A street with traffic, as seen by a lidar that turns while everything moves."""
     return simulate_street(3, frames=2, lidar=LidarSpec(beams=32, steps=400), cameras=(), traffic=TrafficSpec())
 
 

@@ -1,8 +1,4 @@
-"""Cuboids in the cameras of a scene, against the simulated street and by hand.
-
-Cuboids in images of rolling shutters, against points of their edges, each looked for at the time of its line.
-Boxes in images: plain cases by hand, all others against OpenCV and against very many rays and points.
-"""
+"""Cuboids in images: against the simulated street, OpenCV, very many rays and points, and by hand."""
 
 from dataclasses import replace
 
@@ -45,10 +41,8 @@ def no_image():
 
 
 def a_camera(times_ns, *, camera_id="camera", camera_model=CAMERA_MODEL, poses=None, mounts=None):
-    images = [
-        CameraImage(t, camera_model, no_image, mount=None if mounts is None else mounts[k])
-        for k, t in enumerate(times_ns)
-    ]
+    own = mounts or [None] * len(times_ns)
+    images = [CameraImage(t, camera_model, no_image, mount=m) for t, m in zip(times_ns, own, strict=True)]
     path = poses or Poses(np.zeros(1, np.int64), np.zeros((1, 3)), LOOKS_ALONG_X, static=True)
     return CameraSensor(camera_id, camera_model, LazyFrames.of(images, times_ns), poses=path)
 
@@ -74,8 +68,7 @@ def test_a_cuboid_gets_a_row_for_each_image_while_it_is_there():
 def test_images_that_do_not_show_it_have_rows_of_nan():
     scene = Scene((a_camera((0, 50, 100)),), (a_box(x=(-30.0, 30.0)),))
     (projection,) = project_cuboids(scene).annotations[0].projections
-    assert np.isnan(projection.boxes[:2]).all()
-    assert np.isfinite(projection.boxes[2]).all()
+    assert np.isfinite(projection.boxes).all(axis=1).tolist() == [False, False, True]
 
 
 def test_a_cuboid_that_no_image_shows_gets_no_projection_and_loses_an_old_one():
@@ -176,6 +169,10 @@ def street():
     return drive, project_cuboids(drive.scene, see_through=("tree", "pole"))
 
 
+def instance_of(annotation):
+    return int(annotation.id.rsplit("-", 1)[1])
+
+
 def seen_at(annotation, camera_id, time_ns):
     """The box (x1, y1, x2, y2) and the hidden share of a cuboid in an image, or None."""
     for projection in annotation.projections:
@@ -201,7 +198,7 @@ def test_cars_that_nothing_hides_are_where_their_pixels_are(street):
             shown, hidden = drive.truth.instances(camera.id, k), drive.truth.occlusion(camera.id, k)
             open_ones = dict(zip(hidden.instances.tolist(), hidden.hidden, strict=True))
             for annotation in projected.annotations:
-                instance = int(annotation.id.rsplit("-", 1)[1])
+                instance = instance_of(annotation)
                 rows, columns = np.nonzero(shown == instance)
                 if annotation.label != "car" or len(rows) < 300 or open_ones[instance] > 0.01:
                     continue
@@ -221,7 +218,7 @@ def test_whatever_an_image_shows_of_a_cuboid_lies_in_its_box(street):
         for k, time_ns in enumerate(camera.images.timestamps_ns):
             shown = drive.truth.instances(camera.id, k)
             for annotation in projected.annotations:
-                rows, columns = np.nonzero(shown == int(annotation.id.rsplit("-", 1)[1]))
+                rows, columns = np.nonzero(shown == instance_of(annotation))
                 if len(rows) == 0:
                     continue
                 found = seen_at(annotation, camera.id, time_ns)
@@ -236,18 +233,15 @@ def test_whatever_an_image_shows_of_a_cuboid_lies_in_its_box(street):
 
 def shares_of(scene, name, time_ns):
     """The values of an attribute at a time, by instance."""
-    return {
-        int(annotation.id.rsplit("-", 1)[1]): path.values[int(np.flatnonzero(path.timestamps_ns == time_ns)[0])]
-        for annotation in scene.annotations
-        for path in annotation.attributes
-        if path.name == name and (path.timestamps_ns == time_ns).any()
-    }
+    paths = [(instance_of(each), path) for each in scene.annotations for path in each.attributes if path.name == name]
+    at = ((instance, path, np.flatnonzero(path.timestamps_ns == time_ns)) for instance, path in paths)
+    return {instance: path.values[int(rows[0])] for instance, path, rows in at if len(rows)}
 
 
 def test_points_of_a_lidar_report_how_much_is_hidden_by_whatever_stands_there():
     drive = simulate_street(3, frames=3, traffic=TrafficSpec())
     projected = project_cuboids(drive.scene, see_through=("tree", "pole"), lidar="lidar")
-    thin = {int(a.id.rsplit("-", 1)[1]) for a in drive.scene.annotations if a.label in ("tree", "pole")}
+    thin = {instance_of(a) for a in drive.scene.annotations if a.label in ("tree", "pole")}
     reported, exact = [], []
     for k, time_ns in enumerate(drive.scene.cameras[0].images.timestamps_ns):
         truth = drive.truth.occlusion("camera0", k)
@@ -605,20 +599,18 @@ def meets(directions, center, size, rotation):
     return (enter <= leave) & (leave > 0)
 
 
-def test_half_a_plate_before_another_hides_half_of_it():
-    plates = some_boxes([[0.0, 0.0, 10.0], [0.5, 0.0, 5.0]], [[0.01, 2.0, 2.0], [0.01, 1.0, 1.0]])
-    seen = observe_cuboids(WIDE_PINHOLE, HERE, plates)
-    # the nearer one covers 0 to 1 m at 5 m, which is 0 to 2 m at 10 m: the right half of -1 to 1 m
-    np.testing.assert_allclose(seen.occlusions, [0.5, 0.0], atol=0.01)
-
-
-def test_what_is_hidden_behind_several_boxes_is_hidden_once():
-    plates = some_boxes(
-        [[0.0, 0.0, 10.0], [0.5, 0.0, 5.0], [0.5, 0.0, 4.0]], [[0.01, 2.0, 2.0], [0.01, 1.0, 1.0], [0.01, 2.0, 2.0]]
-    )
-    seen = observe_cuboids(WIDE_PINHOLE, HERE, plates)
-    # the nearest covers -0.5 to 1.5 m at 4 m: all that the middle one shows, and -1.25 to 3.75 m at 10 m
-    np.testing.assert_allclose(seen.occlusions, [1.0, 1.0, 0.0], atol=0.01)
+@pytest.mark.parametrize(
+    ("plates", "expected"),
+    [
+        # (right of the axis, distance, width) each: the nearer one covers 0 to 2 m at 10 m, the right half of -1 to 1 m
+        ([(0.0, 10.0, 2.0), (0.5, 5.0, 1.0)], [0.5, 0.0]),
+        # the nearest covers -0.5 to 1.5 m at 4 m: all that the middle one shows, and -1.25 to 3.75 m at 10 m
+        ([(0.0, 10.0, 2.0), (0.5, 5.0, 1.0), (0.5, 4.0, 2.0)], [1.0, 1.0, 0.0]),
+    ],
+)
+def test_a_plate_hides_what_it_covers_of_those_behind_it(plates, expected):
+    boxes = some_boxes([[x, 0.0, z] for x, z, _ in plates], [[0.01, side, side] for _, _, side in plates])
+    np.testing.assert_allclose(observe_cuboids(WIDE_PINHOLE, HERE, boxes).occlusions, expected, atol=0.01)
 
 
 @pytest.mark.parametrize("name", ["pinhole", "fisheye"])
@@ -664,19 +656,20 @@ def test_a_fisheye_sees_what_stands_behind_the_plane_of_the_image():
     np.testing.assert_allclose(middle, [600 + 300 * (np.pi / 2 + np.arctan(0.2)), 600.0], atol=2.0)
 
 
-def test_boxes_of_no_volume_or_of_no_location_are_not_seen():
-    boxes = some_boxes(
-        [[0.0, 0.0, 9.0], [0.0, np.nan, 9.0], [0.0, 0.0, 9.0]], [[1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [1.0, -1.0, 1.0]]
-    )
-    assert len(observe_cuboids(WIDE_PINHOLE, HERE, boxes).rows) == 0
+@pytest.mark.parametrize(
+    ("center", "size"),
+    [
+        ((0, 0, 9), (1, 0, 1)),
+        ((0, 0, 9), (1, -1, 1)),
+        ((0, np.nan, 9), (1, 1, 1)),
+        *(((0, 0, far), (1, 1, 1)) for far in (np.inf, -np.inf, 1e300)),
+        *(((0, 0, 9), (1, 1, large)) for large in (np.inf, 1e300)),
+    ],
+)
+def test_boxes_without_a_volume_or_out_of_this_world_are_not_seen(center, size):
+    boxes = some_boxes([center, (0, 0, 9)], [size, (1, 1, 1)])
+    assert observe_cuboids(WIDE_PINHOLE, HERE, boxes).rows.tolist() == [1]
     assert len(observe_cuboids(WIDE_PINHOLE, HERE, some_boxes(np.zeros((0, 3)), np.zeros((0, 3)))).rows) == 0
-
-
-@pytest.mark.parametrize("strange", [np.inf, -np.inf, 1e300])
-def test_boxes_out_of_this_world_are_not_seen(strange):
-    centers, sizes = ([[0.0, 0.0, strange], *[[0.0, 0.0, 9.0]] * 2], [[1.0, 1, 1], [1, 1, abs(strange)], [1, 1, 1]])
-    boxes = some_boxes(centers, sizes)
-    assert observe_cuboids(WIDE_PINHOLE, HERE, boxes).rows.tolist() == [2]
 
 
 def test_boxes_smaller_than_asked_for_are_left_out_but_hide():
@@ -702,10 +695,6 @@ def test_points_before_a_box_and_on_it_are_distinguished():
     seen = observe_cuboids(WIDE_PINHOLE, HERE, box, points_world=points)
     # 7.9 and 12.1 m are within 0.2 m of its faces at 8 and 12 m
     assert seen.evidences.tolist() == [[2, 3]]
-    assert observe_cuboids(WIDE_PINHOLE, HERE, box).evidences.tolist() == [[0, 0]]
-
-
-def test_points_that_are_not_finite_are_no_evidence():
-    box = some_boxes([[0.0, 0.0, 10.0]], [[4.0, 2.0, 2.0]])
-    points = np.array([[np.nan, 0.0, 1.0], [0.0, 0.0, np.inf], [0.0, 0.0, 0.0]])
-    assert observe_cuboids(WIDE_PINHOLE, HERE, box, points_world=points).evidences.tolist() == [[0, 0]]
+    nowhere = np.array([[np.nan, 0.0, 1.0], [0.0, 0.0, np.inf], [0.0, 0.0, 0.0]])
+    for none in (None, nowhere):
+        assert observe_cuboids(WIDE_PINHOLE, HERE, box, points_world=none).evidences.tolist() == [[0, 0]]

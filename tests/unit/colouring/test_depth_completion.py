@@ -253,7 +253,7 @@ def test_columns_are_filled_between_samples_and_a_little_beyond(seed):
     assert ((depths > 0) | (trusts == 0) | (gaps > longest)).all()
 
 
-def test_rows_are_filled_where_that_is_the_shorter_arc():
+def test_rows_are_filled_where_that_is_the_shorter_way():
     sparse = np.zeros(SHAPE, np.float32)
     sparse[5, 3], sparse[5, 9] = 10, 20
     depths, trusts, spreads, gaps = (np.zeros_like(sparse) for _ in range(4))

@@ -62,6 +62,14 @@ def seen_points(camera, over_columns, count=20_000, seed=0):
     return rotations.apply(points_ego) + positions, pixels
 
 
+def view(points_world, camera, **more):
+    rgb, shutter = (
+        np.zeros((camera.height, camera.width, 3), np.uint8),
+        ShutterDirection.of(Shutter(READOUT_S), 0, SOURCE),
+    )
+    return view_points(points_world, camera, pose_at(0), rgb, camera_id="c", timestamp_ns=0, shutter=shutter, **more)
+
+
 @pytest.mark.parametrize("over_columns", [False, True], ids=["rows", "columns"])
 @pytest.mark.parametrize("name", CAMERA_MODELS)
 def test_points_fall_where_the_rays_of_their_lines_saw_them(name, over_columns):
@@ -81,25 +89,15 @@ def test_points_fall_where_the_rays_of_their_lines_saw_them(name, over_columns):
 def test_depths_are_those_that_the_line_saw():
     camera = CAMERA_MODELS["pinhole"]
     points_world, pixels = seen_points(camera, over_columns=False, count=500)
-    rgb = np.zeros((camera.height, camera.width, 3), np.uint8)
-    view = view_points(
-        points_world,
-        camera,
-        pose_at(0),
-        rgb,
-        camera_id="c",
-        timestamp_ns=0,
-        visibility=VisibilitySettings(enabled=False),
-        shutter=ShutterDirection.of(Shutter(READOUT_S), 0, SOURCE),
-    )
+    found = view(points_world, camera, visibility=VisibilitySettings(enabled=False))
     rotations, positions = ego_at(((pixels[:, 1] + 0.5) / camera.height - 0.5) * READOUT_S)
     points_ego = rotations.inv().apply(points_world - positions)
-    expected = ((points_ego - MOUNT.translation) @ MOUNT.rotation)[view.point_ids, 2]
-    np.testing.assert_allclose(view.depths, expected, atol=1e-4)  # float32 of 60 m, a hundredth of a line
-    assert view.rolled
-    assert view.unsettled == 0
-    inside = view.observations <= PointVisibility.HIDDEN
-    np.testing.assert_array_equal(np.flatnonzero(inside), view.point_ids)
+    expected = ((points_ego - MOUNT.translation) @ MOUNT.rotation)[found.point_ids, 2]
+    np.testing.assert_allclose(found.depths, expected, atol=1e-4)  # float32 of 60 m, a hundredth of a line
+    assert found.rolled
+    assert found.unsettled == 0
+    inside = found.observations <= PointVisibility.HIDDEN
+    np.testing.assert_array_equal(np.flatnonzero(inside), found.point_ids)
 
 
 def test_points_that_no_line_sees_are_left_out():
@@ -137,12 +135,8 @@ def test_a_camera_that_shakes_faster_than_its_shutter_leaves_no_wrong_pixels():
     """Its image moves by more than a line from line to line: what is found is right, the rest is counted."""
     camera = Camera("pinhole", 640, 480, 500.0, 500.0, 319.5, 239.5)
     seconds = np.linspace(-0.05, 0.05, 401)
-    angles = 0.5 * np.sin(seconds * 400)
-    path = Poses(
-        np.rint(seconds * 1e9).astype(np.int64),
-        np.zeros((401, 3)),
-        Rotation.from_rotvec(np.outer(angles, (1, 0, 0))).as_quat(),
-    )
+    rotations = Rotation.from_rotvec(np.outer(0.5 * np.sin(seconds * 400), (1, 0, 0))).as_quat()
+    path = Poses(np.rint(seconds * 1e9).astype(np.int64), np.zeros((401, 3)), rotations)
     source = PoseSource(path, RigidTransform.identity())
     rays = unproject(camera, np.random.default_rng(1).uniform(-200, 800, (3000, 2)))
     shutter = Shutter(0.03)
@@ -156,36 +150,19 @@ def test_a_camera_that_shakes_faster_than_its_shutter_leaves_no_wrong_pixels():
     np.testing.assert_allclose(rolled.pixels, there, atol=1.5)
 
 
-def test_what_is_hidden_is_distinguished_from_where_each_line_was_taken():
+def test_what_is_hidden_is_found_from_where_each_line_was_taken():
     """A wall seen from a camera that passes: what its edge hides depends on the line."""
     camera = CAMERA_MODELS["pinhole"]
     points_world, _ = seen_points(camera, over_columns=False, count=4000)
-    trajectory = ShutterDirection.of(Shutter(READOUT_S), 0, SOURCE)
-    rgb = np.zeros((camera.height, camera.width, 3), np.uint8)
     lidar = LidarTrajectory(np.tile(pose_at(0).translation, (2, 1)), np.zeros(len(points_world), np.float32))
-
-    def visible(trajectory_of_lidar):
-        view = view_points(
-            points_world,
-            camera,
-            pose_at(0),
-            rgb,
-            camera_id="c",
-            timestamp_ns=0,
-            trajectory=trajectory_of_lidar,
-            shutter=trajectory,
-        )
-        return view.visible, view.rolled
-
-    alone, rolled = visible(None)
-    known, _ = visible(lidar)
-    assert rolled
+    alone, known = (view(points_world, camera, trajectory=trajectory) for trajectory in (None, lidar))
+    assert alone.rolled
     # What hangs in the air hides a lot; a lidar beside the camera saw past all of it.
-    assert alone.mean() < 0.9
-    assert known.mean() > alone.mean()
+    assert alone.visible.mean() < 0.9
+    assert known.visible.mean() > alone.visible.mean()
 
 
-def test_a_shutter_without_motion_or_time_or_poses_has_no_way():
+def test_a_shutter_without_motion_or_time_or_poses_changes_nothing():
     still = PoseSource(Poses.identity(), MOUNT)
     assert ShutterDirection.of(Shutter(), 0, SOURCE) is None
     assert ShutterDirection.of(Shutter(READOUT_S), 0, still) is None

@@ -1,7 +1,4 @@
-"""Scan lines that lie close together in one part of a view and far apart in another.
-
-From where a lidar measured the points of a sweep.
-"""
+"""Visibility on analytic streets, by the words of its rule, and the measured spacings of scan lines."""
 
 import math
 
@@ -21,8 +18,6 @@ from sceneloom.colouring.visibility import (
     fit_reach,
     look_around,
     mark_unhidden,
-    measure_across,
-    measure_along_axes,
     measure_extent,
     measure_spacings,
     measure_surface_distance,
@@ -175,7 +170,7 @@ def test_the_position_of_the_lidar_is_taken_at_the_time_of_each_point(street):
     assert (found[0] != found[2]).any()
 
 
-def test_a_way_of_another_cloud_is_refused(street):
+def test_a_trajectory_of_another_cloud_is_refused(street):
     street_view = street(KITTI)
     trajectory = LidarTrajectory(np.zeros((2, 3)), np.zeros(3, np.float32))
     ids = np.arange(len(street_view.points_world))
@@ -451,7 +446,7 @@ def test_an_empty_sweep_has_a_trajectory_without_points() -> None:
     assert trajectory.fractions.shape == (0,)
 
 
-def test_a_sweep_beyond_the_poses_has_no_way() -> None:
+def test_a_sweep_beyond_the_poses_has_no_trajectory() -> None:
     assert LidarTrajectory.of(sweep([900, 1000, 1001]), PoseSource(AHEAD, MOUNT)) is None
 
 
@@ -719,23 +714,3 @@ def test_no_points_have_no_neighbours():
     distances, neighbours = found(np.zeros((2, 0), np.float32), np.zeros(0, np.float32), 3)
     assert np.isnan(distances).all()
     assert (neighbours == -1).all()
-
-
-@pytest.mark.parametrize("samples", [0, 1, 7, 200])
-def test_spacings_are_the_middle_of_what_is_found_along_axes_and_the_upper_quartile_across(samples):
-    random = np.random.default_rng(samples)
-    distances = SPACING_CELL * DISTANCES[random.integers(0, len(DISTANCES), (samples, 8))]
-    distances[random.random((samples, 8)) < 0.3] = math.nan
-    along, across = np.zeros(4), np.zeros(samples)
-    measure_along_axes(distances, SPACING_CELL, 6, 8, along)
-    measure_across(distances, 5, across)
-    for axis in range(4):
-        steps = np.sort(distances[:, [axis, axis + 4]], axis=None)
-        steps = steps[np.isfinite(steps)]
-        middle = steps[len(steps) // 4 : len(steps) - len(steps) // 4]
-        expected = middle.mean() if len(steps) >= 8 else math.nan
-        # Roots and sums are rounded in another order.
-        assert along[axis] == pytest.approx(expected, rel=1e-12, nan_ok=True)
-    for found, spacing in zip(distances, across, strict=True):
-        known = np.sort(found[np.isfinite(found)])
-        np.testing.assert_equal(spacing, known[3 * len(known) // 4] if len(known) >= 5 else math.nan)

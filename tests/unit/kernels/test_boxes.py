@@ -1,7 +1,4 @@
-"""Points in boxes, against the plain formula for every pair of a point and a box.
-
-Tests of the choice of points in cones, against angles by arc cosines.
-"""
+"""Points in boxes and cones, against plain formulas for every pair."""
 
 import numpy as np
 import pytest
@@ -64,34 +61,18 @@ def test_boxes_that_move_are_met_where_they_are_when_a_point_is_measured():
     np.testing.assert_array_equal(counts, expected.sum(axis=0))
 
 
-def test_points_that_are_not_finite_lie_nowhere():
-    points = np.array([[np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0], [0.0, 0.0, np.nan], [0.0, 0.0, 0.0]])
-    counts = np.zeros(1, np.int64)
-    find_points_in_boxes(
-        points, np.zeros(0), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.ones((1, 1, 3)), counts,
-        np.zeros(0, np.int64),
-    )  # fmt: skip
-    assert counts.tolist() == [1]
-
-
-def test_faces_belong_to_a_box():
-    points = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [1.0, 1.0, 1.0], [1.0 + 1e-9, 0.0, 0.0]])
-    counts = np.zeros(1, np.int64)
-    find_points_in_boxes(
-        points, np.zeros(0), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.ones((1, 1, 3)), counts,
-        np.zeros(0, np.int64),
-    )  # fmt: skip
-    assert counts.tolist() == [3]
-
-
-def test_a_box_of_no_size_far_from_all_others_is_no_trouble():
-    centers = np.array([[[0.0, 0, 0], [1e7, -1e7, 0]]])
-    counts = np.zeros(2, np.int64)
-    find_points_in_boxes(
-        np.zeros((5, 3), np.float32), np.zeros(0), centers, np.tile(np.eye(3), (1, 2, 1, 1)),
-        np.array([[[1.0, 1, 1], [0.0, 0, 0]]]), counts, np.zeros(0, np.int64),
-    )  # fmt: skip
-    assert counts.tolist() == [5, 0]
+@pytest.mark.parametrize(
+    ("points", "expected"),
+    [
+        ([[1.0, 0, 0], [0, -1, 0], [1, 1, 1], [1 + 1e-9, 0, 0]], 3),  # faces belong to it
+        ([[np.nan, 0, 0], [np.inf, 0, 0], [0, 0, np.nan], [0, 0, 0]], 1),
+    ],
+)
+def test_points_on_faces_count_and_those_that_are_not_finite_do_not(points, expected):
+    centers, halves = np.array([[[0.0, 0, 0], [1e7, -1e7, 0]]]), np.array([[[1.0, 1, 1], [0.0, 0, 0]]])
+    counts, rotations = np.zeros(2, np.int64), np.tile(np.eye(3), (1, 2, 1, 1))
+    find_points_in_boxes(np.array(points), np.zeros(0), centers, rotations, halves, counts, np.zeros(0, np.int64))
+    assert counts.tolist() == [expected, 0]
 
 
 def test_points_whose_angle_to_an_axis_is_small_enough_are_chosen():

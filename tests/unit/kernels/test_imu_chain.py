@@ -36,20 +36,20 @@ def vectors(found: Preintegrated, reference: Preintegrated) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("rate_hz", "rotation_of_vector", "speed", "trajectory"),
+    ("rate_hz", "rotation", "speed", "distance"),
     # the force between samples 0.1 s apart is known to a'' h² / 8, which shrinks with the square of the step
     [(10.0, 3e-3, 3e-2, 2e-2), (50.0, 1.2e-4, 1.2e-3, 8e-4), (200.0, 8e-6, 8e-5, 5e-5)],
 )
-def test_rotate_gain_and_trajectory_are_those_of_the_curve(rate_hz, rotation_of_vector, speed, trajectory):
+def test_rotation_gain_and_distance_are_those_of_the_curve(rate_hz, rotation, speed, distance):
     found = summed(*measured(rate_hz), np.zeros(6))
     states = PATH.at(KNOTS)
     before, gravity = states.rotations[:-1], np.array([0.0, 0.0, -GRAVITY])
     rotations = np.swapaxes(before, 1, 2) @ states.rotations[1:]
     gains = np.einsum("nji,nj->ni", before, np.diff(states.velocities, axis=0) - gravity)
     steps = np.diff(states.positions, axis=0) - states.velocities[:-1] - 0.5 * gravity
-    assert np.abs(found.rotations - rotations).max() < rotation_of_vector
+    assert np.abs(found.rotations - rotations).max() < rotation
     assert np.abs(found.velocities - gains).max() < speed
-    assert np.abs(found.positions - np.einsum("nji,nj->ni", before, steps)).max() < trajectory
+    assert np.abs(found.positions - np.einsum("nji,nj->ni", before, steps)).max() < distance
 
 
 def test_slopes_are_what_small_biases_do():

@@ -11,8 +11,8 @@ shapely = pytest.importorskip("shapely", reason="no shapely: pip install shapely
 def outline(box: np.ndarray) -> "shapely.Polygon":
     x, y, _, length, width, _, yaw = box
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
-    rotation_of_vector = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    return shapely.Polygon(corners @ rotation_of_vector.T + [x, y])
+    rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    return shapely.Polygon(corners @ rotation.T + [x, y])
 
 
 def expected(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
@@ -47,18 +47,18 @@ def test_boxes_at_any_location_overlap_as_their_outlines_do():
     np.testing.assert_allclose(found, reported, rtol=0, atol=1e-9)  # sums of products of doubles
 
 
-@pytest.mark.parametrize("rotation_of_vector", [0.0, np.pi / 2, np.pi, -np.pi / 2, 2 * np.pi, 1e-9, 0.3])
-def test_a_box_and_its_copy_are_one_however_they_are_rotated(rotation_of_vector):
-    box = np.array([[100.0, -50, 1, 4, 2, 1.5, rotation_of_vector]])
+@pytest.mark.parametrize("yaw", [0.0, np.pi / 2, np.pi, -np.pi / 2, 2 * np.pi, 1e-9, 0.3])
+def test_a_box_and_its_copy_are_one_however_they_are_rotated(yaw):
+    box = np.array([[100.0, -50, 1, 4, 2, 1.5, yaw]])
     above, space = in_one_frame(box, box)
     assert above[0, 0] == pytest.approx(1, abs=1e-12)
     assert space[0, 0] == pytest.approx(1, abs=1e-12)
 
 
-@pytest.mark.parametrize("rotation_of_vector", [0.0, np.pi / 2, np.pi, np.pi / 4])
-def test_edges_that_touch_or_coincide_are_no_trouble(rotation_of_vector):
+@pytest.mark.parametrize("yaw", [0.0, np.pi / 2, np.pi, np.pi / 4])
+def test_edges_that_touch_or_coincide_are_no_trouble(yaw):
     first = np.array([[0.0, 0, 0, 4, 2, 1, 0.0]])
-    second = np.array([[x, y, 0, 4, 2, 1, rotation_of_vector] for x in (0, 1, 2, 3, 4) for y in (0, 1, 2)], float)
+    second = np.array([[x, y, 0, 4, 2, 1, yaw] for x in (0, 1, 2, 3, 4) for y in (0, 1, 2)], float)
     above, _ = in_one_frame(first, second)
     reported = [expected(first[0], box)[0] for box in second]
     np.testing.assert_allclose(above[0], reported, rtol=0, atol=1e-9)  # as above

@@ -60,7 +60,7 @@ def test_points_are_taken_to_any_moment_within_the_sweep_or_beyond(share: float)
         points_at(frame_at(times, positions), PoseSource(path, MOUNT), path.stop_ns + 1)
 
 
-def test_neighbouring_poses_of_opposite_sign_are_joined_on_the_shorter_arc() -> None:
+def test_neighbouring_poses_of_opposite_sign_are_joined_by_the_shorter_arc() -> None:
     rotations = Rotation.from_rotvec([[0, 0, 0.0], [0, 0, 0.4]]).as_quat()
     times = np.array([0, 100], np.int64)
     plain = Poses(times, np.zeros((2, 3)), rotations)

@@ -85,7 +85,7 @@ def test_without_a_lidar_to_ask_a_trajectory_is_missing(
     assert not asked
 
 
-def test_an_imu_alone_gives_no_way() -> None:
+def test_an_imu_alone_gives_no_trajectory() -> None:
     with pytest.raises(PoseError, match="not its position"):
         find_ego_motion(Scene((lidar(),)), name="imu")
 

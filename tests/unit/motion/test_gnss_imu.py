@@ -175,7 +175,7 @@ def expected(fixes: Fixes, moved: np.ndarray | None = None) -> np.ndarray:
 def test_true_states_expect_the_antenna_where_it_is():
     found = carried()
     assert found.knots.tolist() == [0, 0, 0, 0, 1, 1, 2, 3, 3]
-    # 10 ms beyond the first and the last state nothing but the velocity leads on: 1 m/s² and rotates of 1 rad/s leave
+    # 10 ms beyond the first and the last state nothing but the velocity leads on: 1 m/s² and turns of 1 rad/s leave
     # less than a millimetre of the ego, and a centimetre of the lever
     limits = np.where((KNOTS[0] > TIMES) | (KNOTS[-1] < TIMES), 2e-2, 1e-4)
     assert (np.abs(expected(found) - found.positions).max(axis=1) < limits).all()
@@ -506,7 +506,7 @@ def test_fixes_that_are_none_are_left_out(town):
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_without_two_fixes_there_is_no_way(count, town):
+def test_without_two_fixes_there_is_no_trajectory(count, town):
     scene = town.scene(gnss=some_fixes(town.gnss, np.arange(count)))
     with pytest.raises(PoseError, match="GNSS"):
         find_ego_motion(scene, name="gnss")

@@ -18,7 +18,7 @@ SECOND = 1_000_000_000
 
 
 def swinging_rates(seconds: np.ndarray) -> np.ndarray:
-    """A vehicle that rotations, rolls and pitches at once, about axes that change."""
+    """A vehicle that turns, rolls and pitches at once, about axes that change."""
     return np.stack([0.4 * np.sin(7 * seconds), 0.3 * np.cos(5 * seconds + 1), 0.6 + 0.5 * np.sin(2 * seconds)], axis=1)
 
 
@@ -114,16 +114,14 @@ def test_an_ego_that_stands_is_seen_to_stand() -> None:
     [(0.1, 0.0, 0.0), (0.0, 0.003, 0.0), (0.0, 0.0, 0.03), (0.0, 0.0, 2.0)],
     ids=["rotation", "sway", "drift", "shake"],
 )
-def test_an_ego_that_rotations_evenly_sways_or_shakes_does_not_stand(
-    rotation: float, sway: float, shake: float
-) -> None:
+def test_an_ego_that_turns_evenly_sways_or_shakes_does_not_stand(rotation: float, sway: float, shake: float) -> None:
     times, rates, forces = stationary_signals()
     swing = np.sin(times * 1e-9 * 6)[:, None] * np.ones(3)
     moved = rates + [0, 0, rotation] + sway * swing
     assert find_stationary(times, moved, times, forces + shake * swing) is None
 
 
-def test_an_even_switch_on_a_smooth_fast_road_is_not_stationary() -> None:
+def test_an_even_bend_on_a_smooth_fast_road_is_not_stationary() -> None:
     path = PathSpec(speeds=(20.0, 25.0), yaw_rate=0.05)
     drive = simulate_street(2, frames=60, cameras=(), path=path)
     assert imu_motion(drive.scene).bias is None
@@ -136,7 +134,7 @@ def test_samples_that_never_change_are_those_of_a_stationary_ego() -> None:
     assert stationary.seconds == 2.0
 
 
-def test_few_samples_or_none_report_no_stationary() -> None:
+def test_few_samples_or_none_report_no_stationary_ego() -> None:
     times, rates, forces = stationary_signals(rate_hz=5)
     assert find_stationary(times, rates, times, forces) is None
     none = np.zeros(0, np.int64), np.zeros((0, 3))
@@ -187,7 +185,7 @@ def test_the_first_imu_with_a_gyroscope_counts() -> None:
     assert len(imu_motion(replace(scene, sensors=(other, *scene.sensors))).ego.path.timestamps_ns) == 3
 
 
-def test_a_quiet_rotate_among_stops_is_no_bias() -> None:
+def test_a_quiet_turn_among_stops_is_no_bias() -> None:
     times, rates, forces = stationary_signals(6.0)
     rates[200:300, 2] += 0.03
     stationary = find_stationary(times, rates, times, forces)

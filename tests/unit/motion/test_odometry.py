@@ -10,6 +10,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.odometry import (
     LidarOdometry,
     OdometryConfiguration,
+    OdometryRun,
     Outcome,
     PoseEstimate,
     SceneSweeps,
@@ -29,13 +30,15 @@ def drive():
     return simulate_street(3, frames=FRAMES + GAP, lidar=SPEC, cameras=())
 
 
+def in_ego_frame(drive) -> list[Cloud]:
+    frames = drive.scene.lidars[0].frames
+    return [(f.timestamp_ns, SPEC.mount.apply(f.points.positions), f.points.timestamps_ns) for f in frames]
+
+
 @pytest.fixture(scope="module")
 def clouds(drive) -> list[Cloud]:
     """Sweeps in the ego frame."""
-    return [
-        (frame.timestamp_ns, SPEC.mount.apply(frame.points.positions), frame.points.timestamps_ns)
-        for frame in drive.scene.lidars[0].frames
-    ]
+    return in_ego_frame(drive)
 
 
 def follow(clouds: list[Cloud]) -> list[PoseEstimate]:
@@ -147,15 +150,9 @@ def test_a_bare_plain_states_nothing_about_the_trajectory_along_it_and_the_covar
 @pytest.mark.slow
 def test_a_stationary_car_stays_where_it_is_while_others_pass():
     path = PathSpec(stops=(Stop(0.0, 12.0),))
-    drive = simulate_street(
-        5, frames=40, lidar=SPEC, cameras=(), path=path, traffic=TrafficSpec(cars=5.0, pedestrians=8.0)
-    )
-    estimates = follow(
-        [
-            (frame.timestamp_ns, SPEC.mount.apply(frame.points.positions), frame.points.timestamps_ns)
-            for frame in drive.scene.lidars[0].frames
-        ]
-    )
+    traffic = TrafficSpec(cars=5.0, pedestrians=8.0)
+    drive = simulate_street(5, frames=40, lidar=SPEC, cameras=(), path=path, traffic=traffic)
+    estimates = follow(in_ego_frame(drive))
     # a centimetre is what 2 cm of range noise leave in the first sweep's surfaces
     assert max(np.linalg.norm(estimate.state.position) for estimate in estimates) < 0.015
 
@@ -171,21 +168,30 @@ def test_shapes_and_settings_that_make_no_sense_are_refused():
         OdometryConfiguration(farthest=1.0)
 
 
-SCENE_ODOMETRY_SPEC = LidarSpec(beams=24, elevations_deg=(-24.0, 10.0), steps=720)
-LEFT = replace(
-    SCENE_ODOMETRY_SPEC, beams=16, offset_ns=30_000_000, mount=RigidTransform(np.eye(3), np.array([0.2, 0.7, 1.6]))
-)
-SCENE_ODOMETRY_FRAMES = 8
+SMALL = LidarSpec(beams=24, elevations_deg=(-24.0, 10.0), steps=720)
+ASIDE = RigidTransform(np.eye(3), np.array([0.2, 0.7, 1.6]))
+LEFT = replace(SMALL, beams=16, offset_ns=30_000_000, mount=ASIDE)
+SWEEPS = 8
 
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return held(simulate_street(3, frames=SCENE_ODOMETRY_FRAMES, lidars=(SCENE_ODOMETRY_SPEC, LEFT), cameras=()).scene)
+    return held(simulate_street(3, frames=SWEEPS, lidars=(SMALL, LEFT), cameras=()).scene)
 
 
 @pytest.fixture(scope="module")
 def alone(scene) -> Scene:
     return replace(scene, sensors=scene.lidars[:1])
+
+
+@pytest.fixture(scope="module")
+def sound(alone) -> OdometryRun:
+    """The run of the first lidar alone."""
+    return lidar_odometry(alone)
+
+
+def run_of(scene, *lidars, **more) -> OdometryRun:
+    return lidar_odometry(replace(scene, sensors=lidars), **more)
 
 
 def held(scene: Scene) -> Scene:
@@ -215,7 +221,7 @@ def test_sweeps_of_one_period_make_one_cloud_with_every_point_at_its_own_time(sc
     sweeps = SceneSweeps.of(scene)
     clouds = [cloud for _, cloud in sweeps.clouds()]
     first, second = (list(lidar.frames) for lidar in scene.lidars)
-    assert len(clouds) == SCENE_ODOMETRY_FRAMES
+    assert len(clouds) == SWEEPS
     for k, cloud in enumerate(clouds):
         assert cloud.timestamp_ns == first[k].timestamp_ns
         parts = [
@@ -227,51 +233,41 @@ def test_sweeps_of_one_period_make_one_cloud_with_every_point_at_its_own_time(sc
         np.testing.assert_array_equal(cloud.timestamps_ns, np.concatenate(times))
 
 
-def test_one_blind_lidar_among_two_does_not_matter(scene, alone):
-    left_blind = replace(scene, sensors=(scene.lidars[0], blind(scene.lidars[1])))
-    right_blind = replace(scene, sensors=(blind(scene.lidars[0]), scene.lidars[1]))
-    reference = last_position(lidar_odometry(alone))
-    assert np.linalg.norm(reference) > 3.0
-    for half in (left_blind, right_blind):
-        run = lidar_odometry(half)
+def test_one_blind_lidar_among_two_does_not_matter(scene, sound):
+    first, second = scene.lidars
+    assert np.linalg.norm(last_position(sound)) > 3.0
+    for run in (run_of(scene, first, blind(second)), run_of(scene, blind(first), second)):
         ((code, count),) = ((warning.code, warning.count) for warning in run.warnings)
-        assert (code, count) == ("sweeps-without-returns", SCENE_ODOMETRY_FRAMES)
+        assert (code, count) == ("sweeps-without-returns", SWEEPS)
         # they end at other times: the second lidar begins 30 ms later
-        shared_ns = alone.lidars[0].frames.timestamps_ns[-1:] + 90_000_000
-        found = run.trajectory.poses.interpolate(shared_ns).positions[0]
-        expected = lidar_odometry(alone).trajectory.poses.interpolate(shared_ns).positions[0]
+        shared_ns = first.frames.timestamps_ns[-1:] + 90_000_000
+        found, expected = (one.trajectory.poses.interpolate(shared_ns).positions[0] for one in (run, sound))
         assert np.linalg.norm(found - expected) < 0.4  # the first point was measured 30 ms later: up to 0.3 m on
 
 
-def test_points_in_the_ego_frame_need_no_mounting(alone):
+def test_points_in_the_ego_frame_need_no_mounting(alone, sound):
     lidar = alone.lidars[0]
-    frames = [
-        replace(
-            frame, points=replace(frame.points, positions=lidar.mount.apply(frame.points.positions).astype(np.float32))
-        )
-        for frame in lidar.frames
-    ]
-    ego = replace(with_frames(lidar, frames), mount=None, points_frame=PointsFrame.EGO)
-    run = lidar_odometry(replace(alone, sensors=(ego,)))
-    np.testing.assert_allclose(last_position(run), last_position(lidar_odometry(alone)), atol=1e-3)
+    clouds = [replace(f.points, positions=np.float32(lidar.mount.apply(f.points.positions))) for f in lidar.frames]
+    frames = [replace(frame, points=cloud) for frame, cloud in zip(lidar.frames, clouds, strict=True)]
+    run = run_of(alone, replace(with_frames(lidar, frames), mount=None, points_frame=PointsFrame.EGO))
+    np.testing.assert_allclose(last_position(run), last_position(sound), atol=1e-3)
     assert run.warnings == ()
 
 
 def test_a_lidar_without_a_mounting_is_taken_as_the_ego_if_there_is_no_other(scene, alone):
     bare = replace(alone.lidars[0], mount=None)
-    assert codes(lidar_odometry(replace(alone, sensors=(bare,)))) == {"lidar-is-the-ego"}
-    beside = lidar_odometry(replace(scene, sensors=(bare, scene.lidars[1])))
-    assert codes(beside) == {"lidar-left-out-of-odometry"}
+    assert codes(run_of(alone, bare)) == {"lidar-is-the-ego"}
+    assert codes(run_of(scene, bare, scene.lidars[1])) == {"lidar-left-out-of-odometry"}
 
 
 def test_a_scene_that_odometry_cannot_follow_is_reported_what_to_do(alone):
     lidar = alone.lidars[0]
     with pytest.raises(PoseError, match=r"no lidar sweeps.*--trajectory"):
-        lidar_odometry(replace(alone, sensors=()))
+        run_of(alone)
     with pytest.raises(PoseError, match="in world coordinates already"):
-        lidar_odometry(replace(alone, sensors=(replace(lidar, points_frame=PointsFrame.WORLD),)))
+        run_of(alone, replace(lidar, points_frame=PointsFrame.WORLD))
     with pytest.raises(PoseError, match="none of 8 lidar sweeps has enough returns"):
-        lidar_odometry(replace(alone, sensors=(blind(lidar),)))
+        run_of(alone, blind(lidar))
 
 
 def unreadable(lidar: LidarSensor, broken: int) -> LidarSensor:
@@ -285,22 +281,21 @@ def unreadable(lidar: LidarSensor, broken: int) -> LidarSensor:
     return replace(lidar, frames=LazyFrames(lidar.frames.timestamps_ns, read))
 
 
-def test_a_sweep_that_cannot_be_read_stops_or_is_skipped_with_a_warning(alone):
-    scene = replace(alone, sensors=(unreadable(alone.lidars[0], 4),))
+def test_a_sweep_that_cannot_be_read_stops_or_is_skipped_with_a_warning(alone, sound):
+    broken = unreadable(alone.lidars[0], 4)
     with pytest.raises(DataError, match="17 bytes"):
-        lidar_odometry(scene)
-    run = lidar_odometry(scene, lenient=True)
+        run_of(alone, broken)
+    run = run_of(alone, broken, lenient=True)
     assert codes(run) == {"odometry-sweep-unreadable"}
-    np.testing.assert_allclose(last_position(run), last_position(lidar_odometry(alone)), atol=0.02)
+    np.testing.assert_allclose(last_position(run), last_position(sound), atol=0.02)
 
 
-def test_sweeps_out_of_order_are_sorted_and_those_of_one_time_left_out(alone):
+def test_sweeps_out_of_order_are_sorted_and_those_of_one_time_left_out(alone, sound):
     lidar = alone.lidars[0]
     frames = list(lidar.frames)
-    shuffled = with_frames(lidar, [*frames[:3], frames[4], frames[3], *frames[5:], frames[7]])
-    run = lidar_odometry(replace(alone, sensors=(shuffled,)))
+    run = run_of(alone, with_frames(lidar, [*frames[:3], frames[4], frames[3], *frames[5:], frames[7]]))
     assert codes(run) == {"sweeps-sorted", "sweeps-of-one-time"}
-    np.testing.assert_array_equal(last_position(run), last_position(lidar_odometry(alone)))
+    np.testing.assert_array_equal(last_position(run), last_position(sound))
 
 
 @pytest.mark.parametrize(
@@ -311,32 +306,27 @@ def test_sweeps_out_of_order_are_sorted_and_those_of_one_time_left_out(alone):
         (lambda times, timestamp: np.zeros_like(times), "times-of-points", None),
     ],
 )
-def test_broken_point_times_are_repaired_or_left_aside_and_reported(alone, change, code, exact):
+def test_broken_point_times_are_repaired_or_left_aside_and_reported(alone, sound, change, code, exact):
     lidar = alone.lidars[0]
-    frames = [
-        replace(
-            frame, points=replace(frame.points, timestamps_ns=change(frame.points.timestamps_ns, frame.timestamp_ns))
-        )
-        for frame in lidar.frames
-    ]
-    run = lidar_odometry(replace(alone, sensors=(with_frames(lidar, frames),)))
+    clouds = [replace(f.points, timestamps_ns=change(f.points.timestamps_ns, f.timestamp_ns)) for f in lidar.frames]
+    frames = [replace(frame, points=cloud) for frame, cloud in zip(lidar.frames, clouds, strict=True)]
+    run = run_of(alone, with_frames(lidar, frames))
     assert code in codes(run)
     if exact is None:
         assert "odometry-without-point-times" in codes(run)
     else:
-        sound = last_position(lidar_odometry(alone))
-        np.testing.assert_allclose(last_position(run), sound, atol=0 if exact else 1e-3)
+        np.testing.assert_allclose(last_position(run), last_position(sound), atol=0 if exact else 1e-3)
 
 
 def test_progress_is_reported_after_each_cloud(alone):
     reported = []
     lidar_odometry(alone, progress=lambda done, total: reported.append((done, total)))
-    assert reported == [(k, SCENE_ODOMETRY_FRAMES) for k in range(1, SCENE_ODOMETRY_FRAMES + 1)]
+    assert reported == [(k, SWEEPS) for k in range(1, SWEEPS + 1)]
 
 
 def test_a_single_sweep_gives_the_identity_over_its_whole_time(alone):
     lidar = alone.lidars[0]
-    run = lidar_odometry(replace(alone, sensors=(with_frames(lidar, [lidar.frames[0]]),)))
+    run = run_of(alone, with_frames(lidar, [lidar.frames[0]]))
     times = lidar.frames[0].points.timestamps_ns
     assert (run.trajectory.timestamps_ns[0], run.trajectory.timestamps_ns[-1]) == (times.min(), times.max())
     np.testing.assert_allclose(run.trajectory.positions, 0.0, atol=1e-12)
@@ -349,19 +339,17 @@ def test_a_lidar_that_repeats_its_sweep_seems_to_stand_and_that_is_reported(alon
     lidar = alone.lidars[0]
     timestamps = lidar.frames.timestamps_ns.tolist()
     points = replace(lidar.frames[0].points, timestamps_ns=None)
-    stuck = with_frames(lidar, [LidarFrame(timestamp, points) for timestamp in timestamps])
-    run = lidar_odometry(replace(alone, sensors=(stuck,)))
-    assert {warning.code: warning.count for warning in run.warnings}["repeated-sweeps"] == SCENE_ODOMETRY_FRAMES - 1
+    run = run_of(alone, with_frames(lidar, [LidarFrame(timestamp, points) for timestamp in timestamps]))
+    assert {warning.code: warning.count for warning in run.warnings}["repeated-sweeps"] == SWEEPS - 1
     np.testing.assert_allclose(run.trajectory.positions, 0.0, atol=1e-3)
 
 
-def test_poses_lead_back_over_empty_sweeps_at_the_beginning(alone):
+def test_poses_lead_back_over_empty_sweeps_at_the_beginning(alone, sound):
     lidar = alone.lidars[0]
     frames = list(lidar.frames)
     nothing = replace(frames[0], points=blind(lidar).frames[0].points)
-    run = lidar_odometry(replace(alone, sensors=(with_frames(lidar, [nothing, *frames[1:]]),)))
+    run = run_of(alone, with_frames(lidar, [nothing, *frames[1:]]))
     assert codes(run) == {"odometry-too-few-points", "sweeps-without-returns"}
-    whole = lidar_odometry(alone).trajectory.poses
     times = np.array([frames[0].timestamp_ns, int(run.trajectory.timestamps_ns[-1])])
-    expected, found = (path.interpolate(times).positions for path in (whole, run.trajectory.poses))
+    expected, found = (one.trajectory.poses.interpolate(times).positions for one in (sound, run))
     assert abs(np.linalg.norm(np.diff(expected, axis=0)) - np.linalg.norm(np.diff(found, axis=0))) < 0.05

@@ -17,17 +17,10 @@ from sceneloom.motion.clock.signals import Orientations, finite_rows
 from sceneloom.scene.cameras import CameraImage, CameraSensor, Shutter
 from sceneloom.scene.types import Progress
 
-_LEAST_BEARINGS = 16
-"""Fewer bearings do not determine a rotation."""
-
+_LEAST_BEARINGS = 16  # fewer bearings do not determine a rotation
 _ROUNDS = 12
-
-_FINEST = 1e-6
-"""Least standard deviation of a bearing [rad]."""
-
-_WIDEST = 0.02
-"""Bearings with larger residuals do not belong to one rotation [rad]."""
-
+_FINEST = 1e-6  # least standard deviation of a bearing [rad]
+_WIDEST = 0.02  # bearings with larger residuals do not belong to one rotation [rad]
 _PRIOR = np.zeros((2, 9))
 _PRIOR[0, 3] = _PRIOR[1, 4] = 1.0 / 0.3
 """Weak prior of the direction of motion, which nothing determines where nothing is near [1/rad]."""
@@ -155,9 +148,7 @@ def _influences(rows: Float64Array, rotation: Float64Array) -> Float64Array:
 _LARGEST_WIDTH = 720
 """Wider images are reduced by a whole factor: a tenth of a small pixel is enough, and they are faster."""
 
-_CELLS = 500
-"""About so many corners, one in each cell of a grid, so that they are spread over the image."""
-
+_CELLS = 500  # about so many corners, one in each cell of a grid, so that they are spread over the image
 _HALF_WINDOW = 7
 _TRACKING_ROUNDS = 20
 
@@ -168,14 +159,9 @@ _FARTHEST_BACK = 0.25
 """Largest distance of a corner that is tracked forth and back [px]. Source: Kalal, Mikolajczyk and Matas 2010,
 "Forward-Backward Error"."""
 
-_SMALLEST = 48
-"""Least width and height of an image of the pyramid [px]."""
-
-_BLUR = np.array([1.0, 4.0, 6.0, 4.0, 1.0], np.float32) / 16.0
-"""Source: Burt and Adelson 1983, a = 0.375."""
-
-_GREY = np.array([0.299, 0.587, 0.114], np.float32)
-"""Source: ITU-R BT.601, luma."""
+_SMALLEST = 48  # least width and height of an image of the pyramid [px]
+_BLUR = np.array([1.0, 4.0, 6.0, 4.0, 1.0], np.float32) / 16.0  # source: Burt and Adelson 1983, a = 0.375
+_GREY = np.array([0.299, 0.587, 0.114], np.float32)  # source: ITU-R BT.601, luma
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -37,17 +37,13 @@ REACH_NS = 5_000_000_000
 LEVER_SIGMA = 1.0
 """Standard deviation of a receiver's antenna from the ego's origin on each axis, where its position is unknown [m]."""
 
-_SIGMAS = 4.0
-"""An offset of so many standard deviations is significant: chance exceeds it once in 16,000."""
+_SIGMAS = 4.0  # an offset of so many standard deviations is significant: chance exceeds it once in 16,000
 
 _TOLERANCE_NS = 1_000_000.0
 """Smaller offsets count as in step whatever their uncertainty: no sensor's timestamps are that exact [ns]."""
 
-_WORST_SIGMA_NS = 50_000_000.0
-"""Offsets that are known less well are not reported [ns]."""
-
-_WORST_SKEW_SIGMA_PPM = 300.0
-"""The same of the skew: quartz clocks differ by less than 200 ppm."""
+_WORST_SIGMA_NS = 50_000_000.0  # offsets that are known less well are not reported [ns]
+_WORST_SKEW_SIGMA_PPM = 300.0  # the same of the skew: quartz clocks differ by less than 200 ppm
 
 
 class ClockVerdict(StrEnum):
@@ -110,20 +106,15 @@ class ClockEstimate(msgspec.Struct, frozen=True, kw_only=True):
         return self.verdict is ClockVerdict.OFF
 
 
-_HUBER = 2.0
-"""Residuals beyond so many standard deviations count linearly. Source: Huber 1964."""
-
-_MOST_LAGS = 10
-"""Largest order of the autoregression that whitens the noise."""
-
+_HUBER = 2.0  # residuals beyond so many standard deviations count linearly. Source: Huber 1964.
+_MOST_LAGS = 10  # largest order of the autoregression that whitens the noise
 _ROUNDS, _STEPS = 3, 10
 
 _SERIAL = 200_000
 """Matrix products are taken in parts of so many multiplications: BLAS shares larger ones among threads, which costs
 more than it saves."""
 
-_CONVERGED = 0.02
-"""Steps are small enough at this share of a standard deviation."""
+_CONVERGED = 0.02  # steps are small enough at this share of a standard deviation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -474,14 +465,9 @@ _LEAST_MARGIN = 2.0
 
 Unrelated motions reached 1.8 and less in 26 of 27 tries, in one of 20 s 2.3."""
 
-_BLOCKS = 8
-"""Parts of a drive whose offsets are checked for their scatter."""
-
-_CHUNK = 60.0
-"""Length of a part whose offset is reported [s]."""
-
-_FINEST = 1e-6
-"""No timestamps are better than a microsecond [s]."""
+_BLOCKS = 8  # parts of a drive whose offsets are checked for their scatter
+_CHUNK = 60.0  # length of a part whose offset is reported [s]
+_FINEST = 1e-6  # no timestamps are better than a microsecond [s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -638,14 +624,9 @@ class _Clocks:
         )
 
 
-_LEAST_OVERLAP = 0.3
-"""Lags count where at least this share of the most samples that any lag compares overlap."""
-
-_LONGEST = 3.0
-"""Vectors are shortened to so many times the 0.9 quantile of their lengths."""
-
-_ALIKE = 0.7
-"""Autocorrelation within a peak's lobe."""
+_LEAST_OVERLAP = 0.3  # lags count where at least this share of the most samples that any lag compares overlap
+_LONGEST = 3.0  # vectors are shortened to so many times the 0.9 quantile of their lengths
+_ALIKE = 0.7  # autocorrelation within a peak's lobe
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -778,8 +759,7 @@ def _vertex(scores: Float64Array, k: int) -> float:
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0
 
 
-_STEEPEST = 1e-3
-"""No clock's skew is larger; steeper lines go through wrong lags."""
+_STEEPEST = 1e-3  # no clock's skew is larger; steeper lines go through wrong lags
 
 
 def _robust_line(times: Float64Array, offsets: Float64Array) -> tuple[float, float]:
@@ -841,29 +821,17 @@ class _Steps:
         return np.asarray(np.add.reduceat(values, self.begins, axis=0) / counts, np.float64)
 
 
-_LEAST_COMMON = 2.0
-"""Seconds that two streams need in common."""
-
-_MOST_COMMON = 86_400.0
-"""No drive is longer [s]; wrong times of both must not make millions of parts."""
-
-_GRID = 0.02
-"""Step of the coarse search [s]; rotations of people and cars are slower."""
-
-_PART = 120.0
-"""Seconds that are searched at once: a skew of 200 ppm moves the offset by 24 ms in them."""
-
-_BIAS_WINDOW = 60.0
-"""A gyroscope's bias is constant for so many seconds."""
+_LEAST_COMMON = 2.0  # seconds that two streams need in common
+_MOST_COMMON = 86_400.0  # no drive is longer [s]; wrong times of both must not make millions of parts
+_GRID = 0.02  # step of the coarse search [s]; rotations of people and cars are slower
+_PART = 120.0  # seconds that are searched at once: a skew of 200 ppm moves the offset by 24 ms in them
+_BIAS_WINDOW = 60.0  # a gyroscope's bias is constant for so many seconds
 
 _LEAST_SECONDS = (0.05, 0.1, 0.2, 0.4)
 """Rotations over at least so many seconds are compared, the shortest that the noise allows [s]."""
 
-_NOISE_SHARE = 0.1
-"""Largest share of noise in the differences of the rates between start and stop of a rotation."""
-
-_FAR_LESS = 4.0
-"""Lags whose correlation is farther from 1 than the best one's by this factor are left out."""
+_NOISE_SHARE = 0.1  # largest share of noise in the differences of the rates between start and stop of a rotation
+_FAR_LESS = 4.0  # lags whose correlation is farther from 1 than the best one's by this factor are left out
 
 _PRIORS = np.array([10.0, 2e-3, 0.7, 0.7, 0.7])
 """Standard deviations of offset [s], skew and rotation [rad] around the start."""
@@ -1061,31 +1029,21 @@ class _RotationModel:
 
 
 _LEAST_FIXES = 12
-
-_LEAST_COMMON_FIXES = 5.0
-"""Seconds that fixes and a trajectory need in common."""
-
-_LAG = 0.2
-"""Step of the search [s]; from so near the fit converges."""
-
-_MOST_SEARCHED = 3000
-"""Largest number of fixes in the search and for the biases of an IMU; the last fit uses all."""
+_LEAST_COMMON_FIXES = 5.0  # seconds that fixes and a trajectory need in common
+_LAG = 0.2  # step of the search [s]; from so near the fit converges
+_MOST_SEARCHED = 3000  # largest number of fixes in the search and for the biases of an IMU; the last fit uses all
 
 _LEAST_SHARE = 0.01
 """Least share of the speed that must determine the offset, lest errors of the trajectory do; on synthetic streets it
 is a tenth to a half."""
 
-_LEAST_LIKELY = 100.0
-"""Offsets whose log-likelihood is lower than the best one's by so much are dropped."""
-
-_FARTHEST = 1.0
-"""Longer windows sharpen an offset and do not change it by more [s]."""
+_LEAST_LIKELY = 100.0  # offsets whose log-likelihood is lower than the best one's by so much are dropped
+_FARTHEST = 1.0  # longer windows sharpen an offset and do not change it by more [s]
 
 _MOST_WORSE = 0.15
 """Largest growth of the logarithm of the residuals over longer windows: a bad IMU is not described by its noise."""
 
-_POSITION_PRIORS = (10.0, 2e-3)
-"""Standard deviations of offset [s] and skew around the start."""
+_POSITION_PRIORS = (10.0, 2e-3)  # standard deviations of offset [s] and skew around the start
 
 
 def compare_trajectories(

@@ -33,8 +33,7 @@ from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, frame_times
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
 
-_KNOWN_LEVER_SIGMA = 0.05
-"""Standard deviation of a known antenna position on each axis [m]."""
+_KNOWN_LEVER_SIGMA = 0.05  # standard deviation of a known antenna position on each axis [m]
 
 
 class StreamKind(StrEnum):

@@ -59,7 +59,7 @@ def swayed(sway, seconds, readout=0.0):
     return shown, body.rates(fine), fine
 
 
-def test_rotates_from_image_to_image_are_those_of_the_camera(sway):
+def test_rotations_from_image_to_image_are_those_of_the_camera(sway):
     seconds = np.arange(0.0, 1.0, 0.05)
     images, _, _ = swayed(sway, seconds)
     rotating = camera_rotation(camera_of(images, seconds * 1e9))
@@ -82,7 +82,7 @@ def test_the_offset_of_a_camera_against_a_gyroscope_comes_back(sway, timestamps,
     assert found.offset_ns == pytest.approx(offset * 1e9, abs=3e6)
 
 
-def test_a_black_image_breaks_the_rotating(sway):
+def test_a_black_image_breaks_the_rotation(sway):
     seconds = np.arange(0.0, 0.45, 0.05)
     images, _, _ = swayed(sway, seconds)
     images[6] = np.zeros_like(images[6])
@@ -90,7 +90,7 @@ def test_a_black_image_breaks_the_rotating(sway):
     assert np.flatnonzero(np.diff(rotating.chunks)).tolist() == [5, 6]
 
 
-def test_an_image_that_cannot_be_read_breaks_the_rotating(sway):
+def test_an_image_that_cannot_be_read_breaks_the_rotation(sway):
     seconds = np.arange(0.0, 0.4, 0.05)
     images, _, _ = swayed(sway, seconds)
     whole = camera_of(images, seconds * 1e9)

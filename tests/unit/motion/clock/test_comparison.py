@@ -431,7 +431,7 @@ RADIUS, RATE = 30.0, 0.3
 """A car in a roundabout [m, rad/s]."""
 
 
-def compared_of_trajectory_clock_on_circles(swing, offset_ns, *, noise=0.02, seed=0, seconds=40.0):
+def compared_on_circles(swing, offset_ns, *, noise=0.02, seed=0, seconds=40.0):
     """Round a circle, by an angle of RATE t plus `swing` times a sine, with fixes that are timestamped late."""
     draw = np.random.default_rng(seed)
     t, fixed = np.arange(0.0, seconds, 0.02), np.arange(0.5, seconds - 0.5, 0.1)
@@ -463,14 +463,14 @@ def compared_of_trajectory_clock_on_circles(swing, offset_ns, *, noise=0.02, see
 @pytest.mark.slow
 def test_a_circle_at_one_speed_reports_no_offset_however_good_the_fixes_are(seed):
     """Later on the circle is the same as rotated about its middle; what is left is what the IMU gets wrong."""
-    found = compared_of_trajectory_clock_on_circles(0.0, 200_000_000, noise=1e-5, seed=seed)
+    found = compared_on_circles(0.0, 200_000_000, noise=1e-5, seed=seed)
     assert (found.verdict, found.offset_ns) == (ClockVerdict.NOT_OBSERVABLE, None)
     assert "too even" in found.reason
 
 
 @pytest.mark.parametrize("offset_ns", [200_000_000, -30_000_000])
 def test_a_circle_at_changing_speed_reports_the_offset(offset_ns):
-    found = compared_of_trajectory_clock_on_circles(0.5, offset_ns)
+    found = compared_on_circles(0.5, offset_ns)
     assert found.offset_ns == pytest.approx(offset_ns, abs=4 * found.offset_sigma_ns)
     # fixes of 2 cm at 9 m/s that comes and goes by a half
     assert found.offset_sigma_ns < 5e6

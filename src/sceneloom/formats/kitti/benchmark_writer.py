@@ -20,6 +20,7 @@ from sceneloom.formats.kitti.frames_writer import (
     kept_calibration,
     kept_of,
     nearest_frames,
+    report_unwritten,
 )
 from sceneloom.formats.kitti.labels import (
     CENTRE_TO_CORNER,
@@ -179,7 +180,8 @@ class _LabelRows:
         by_path = cuboid_poses(annotation, times, angles=self._angles)
         poses = activated(annotation, seeing, times, by_path, angles=self._angles)
         attributes = {attribute.name: attribute for attribute in annotation.attributes}
-        self._lose_rest(annotation, seen)
+        what = "left out: a row has no field for it"
+        report_unwritten(annotation, _REPORTED, what, self.losses, seen=int(seen is not None))
         before = len(self._rows)
         for k, frame in enumerate(frames.tolist()):
             if not (poses.there[k] and np.isfinite(poses.centers_world[k]).all()):
@@ -342,22 +344,6 @@ class _LabelRows:
             what = f"{label!r} written as {word!r}: a class is a word there"
             self.losses.converted("annotations.cuboid.label", what)
         return word
-
-    def _lose_rest(self, annotation: CuboidAnnotation, seen: Projection | None) -> None:
-        """Report of what a box has beside what rows hold."""
-        others = [a for a in annotation.attributes if a.name not in _REPORTED]
-        further = len(annotation.projections) - (seen is not None)
-        for name, count in (
-            ("attributes", len(others)),
-            ("activations", len(annotation.activations)),
-            ("projections", further),
-            ("stationary", int(annotation.stationary is not None)),
-            ("parent_id", int(annotation.parent_id is not None)),
-            ("extras", len(annotation.extras)),
-        ):
-            if count:
-                what = "left out: a row has no field for it"
-                self.losses.dropped(f"annotations.cuboid.{name}", what, count=count)
 
     def _collected(self) -> KittiLabels:
         rows = self._rows

@@ -1,11 +1,8 @@
-"""What KITTI's writers share: which sensors of a scene are written and where they sit.
-
-The timeline of synchronised frames, and the files of sweeps and images.
-"""
+"""What KITTI's writers share: the sensors that are written, their extrinsics, synchronised frames, sweeps, images."""
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import degrees
 from pathlib import Path
 from typing import Any
@@ -19,7 +16,6 @@ from sceneloom.editing.thin import chosen_points
 from sceneloom.errors import CalibrationError, DataError, PoseError
 from sceneloom.formats.base.images import ImageFile
 from sceneloom.formats.base.loss_list import Losses
-from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.formats.base.poses import each_mounted, mounting, stationary_ego
 from sceneloom.formats.base.written_ego import ego_trajectory
 from sceneloom.formats.kitti.calibration import Mounted
@@ -35,7 +31,7 @@ from sceneloom.scene.ego import EgoMotion, check_one_ego
 from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.types import Coordinates, PointsFrame
+from sceneloom.scene.types import Coordinates, PointsFrame, key_of
 
 
 def kept_of(scene: Scene) -> Mapping[str, Any]:
@@ -57,6 +53,8 @@ PARALLEL_WITHIN = 1e-6
 
 
 _IDENTICAL = 1e-12
+_POINTS = "sensors.lidar.frames.points"
+_IMAGES = "sensors.camera.images"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,10 +136,7 @@ class Choice:
         if self.ego_path is None:
             return [RigidTransform.identity()] * len(timestamps_ns)
         held = self.ego_path.held(timestamps_ns)
-        return [
-            RigidTransform.from_quaternion(position, rotation)
-            for position, rotation in zip(held.positions, held.quaternions_xyzw, strict=True)
-        ]
+        return [*map(RigidTransform.from_quaternion, held.positions, held.quaternions_xyzw)]
 
     def mounted(self, *, with_imu: bool) -> Mounted:
         """One calibration for all frames; `with_imu` states where the ego is."""
@@ -155,14 +150,7 @@ class Choice:
         )
 
     def check_files(self, *, labels: bool) -> None:
-        """Refuse a scene of which a folder without OXTS lines would have no files.
-
-        Args:
-            labels: whether boxes of a camera without images are files, too.
-
-        Raises:
-            DataError: there are neither sweeps nor images, nor such boxes.
-        """
+        """Refuse a scene with neither sweeps nor images, nor, with `labels`, boxes of a camera without images."""
         has_sweeps = self.lidar is not None and len(self.lidar.frames) > 0
         has_images = any(len(camera.images) for camera in self.cameras.values())
         if not (has_sweeps or has_images or (labels and self.reference is not None)):
@@ -186,7 +174,7 @@ class Choice:
             report: whether images that belong to no frame are losses.
 
         Raises:
-            DataError: nothing reports any frame.
+            DataError: there is no frame.
         """
         lidar = self.lidar
         starts = np.zeros(0, np.int64) if lidar is None else lidar.frames.timestamps_ns
@@ -207,11 +195,16 @@ class Choice:
             unused = len(timestamps) - int((images[number] != NONE).sum())
             if unused:
                 what = "left out: nearest to no frame, and a frame has one image of a camera"
-                losses.dropped("sensors.camera.images", what, count=unused)
+                losses.dropped(_IMAGES, what, count=unused)
         if one_time:
-            losses.extend(_time_losses("sensors.lidar.frames.timestamp_ns", frames, sweeps, starts))
-            for number, timestamps in cameras.items():
-                losses.extend(_time_losses("sensors.camera.images.timestamp_ns", frames, images[number], timestamps))
+            chosen = [("sensors.lidar.frames.timestamp_ns", sweeps, starts)]
+            chosen += [(f"{_IMAGES}.timestamp_ns", images[number], cameras[number]) for number in cameras]
+            for name, rows, timestamps in chosen:
+                there = rows != NONE
+                errors = np.abs(frames[there] - timestamps[rows[there]])
+                what = "the frame's time instead: a frame has one time for all sensors [s]"
+                worst = float(errors.max(initial=0)) / 1e9
+                losses.approximated(name, what, count=int((errors > 0).sum()), error=worst)
         self.losses.extend(losses if report else ())
         return Timeline(frames, sweeps, images)
 
@@ -235,7 +228,7 @@ class Choice:
         *,
         own_camera_models: bool = False,
     ) -> None:
-        """Write the files of all frames; each sweep and image is read, written and let go.
+        """Write the files of all frames; each sweep and image is read, written and released.
 
         Args:
             timeline: the frames.
@@ -248,7 +241,7 @@ class Choice:
         Raises:
             CalibrationError: an image has another size than its camera's others.
         """
-        writer, losses = SweepFiles(self), self.image_losses()
+        losses = self.image_losses()
         if self.lidar is not None and len(self.lidar.frames):
             sweeps.mkdir(parents=True)
         for number, camera in self.cameras.items():
@@ -258,13 +251,10 @@ class Choice:
             sweep = int(timeline.sweeps[k])
             if self.lidar is not None and sweep != NONE:
                 frame = self.lidar.frames[sweep]
-                writer.write(writer.placed(frame), sweeps / f"{name(k)}.bin")
+                self.write_sweep(self.finite(frame), sweeps / f"{name(k)}.bin")
                 if frame.points.timestamps_ns is not None:
-                    field, what = (
-                        "sensors.lidar.frames.points.timestamps_ns",
-                        "left out: points have no times there",
-                    )
-                    self.losses.dropped(field, what, count=len(frame.points))
+                    what = "left out: points have no times there"
+                    self.losses.dropped(f"{_POINTS}.timestamps_ns", what, count=len(frame.points))
                 if reported is not None:
                     reported(k, frame)
             for number, camera in self.cameras.items():
@@ -272,7 +262,62 @@ class Choice:
                 if row != NONE:
                     path = images[number] / f"{name(k)}.png"
                     write_image(camera, camera.images[row], path, own_camera_model=own_camera_models)
-        self.losses.extend([*losses, *writer.losses])
+        self.losses.extend(losses)
+
+    def finite(self, frame: LidarFrame) -> LidarFrame:
+        """A sweep without non-finite points, which files of bare numbers cannot state."""
+        there = finite_rows(frame.points.positions)
+        if there.all():
+            return frame
+        what = "points that are not finite are left out"
+        self.losses.dropped(f"{_POINTS}.positions", what, count=int((~there).sum()))
+        return replace(frame, points=chosen_points(frame.points, np.flatnonzero(there)))
+
+    def write_sweep(self, frame: LidarFrame, path: Path) -> Float32Array:
+        """Write a sweep in the lidar's own frame; returns its positions there, (N, 3) float32 [m].
+
+        Raises:
+            PoseError: the points are in another frame, and the pose of the lidar is not known.
+        """
+        points = np.zeros((len(frame.points), 4), "<f4")
+        positions = self._in_sensor_frame(frame)
+        points[:, :3] = positions
+        intensities = frame.points.intensities
+        if intensities is None:
+            what = "0 written: the source has none"
+            self.losses.approximated(f"{_POINTS}.intensities", what, count=len(points))
+        else:
+            points[:, 3] = intensities.astype(np.float32) / 255
+        what = "left out: a point has x, y, z and reflectance"
+        for name in ("colors", "rings", "camera_index", "extras"):
+            value = getattr(frame.points, name)
+            if value is not None and (name != "extras" or value):
+                self.losses.dropped(f"{_POINTS}.{name}", what, count=len(points))
+        path.write_bytes(points.tobytes())
+        return positions
+
+    def _in_sensor_frame(self, frame: LidarFrame) -> Float32Array:
+        lidar, points = self.lidar, frame.points
+        if lidar is None or lidar.points_frame is PointsFrame.SENSOR:
+            return points.positions
+        ego = None if self.ego_path is None else EgoMotion("ego", self.ego_path)
+        timestamps = lidar.frames.timestamps_ns
+        limit = int(np.median(np.diff(timestamps))) if len(timestamps) > 1 else 0
+        change = points_change(self.scene, lidar, ego, PointsFrame.SENSOR, reach_ns=limit)
+        if change is None:
+            return points.positions
+        times = points.timestamps_ns
+        if times is None:
+            times = np.full(len(points), frame.timestamp_ns, np.int64)
+        moved = change.positions(times, points.positions[:, None])[:, 0] if len(times) else points.positions
+        if not np.isfinite(moved).all():
+            raise PoseError(
+                f"lidar {lidar.id!r}: sweep at {frame.timestamp_ns} ns: no pose for some of its points, which have to "
+                "be brought into the lidar's own frame"
+            )
+        what = f"brought from the {lidar.points_frame} frame into the lidar's own, in float32"
+        self.losses.converted(f"{_POINTS}.positions", what, count=len(times))
+        return moved.astype(np.float32)
 
 
 def _lidar(scene: Scene, path: Poses | None, losses: Losses) -> tuple[LidarSensor | None, RigidTransform]:
@@ -282,7 +327,7 @@ def _lidar(scene: Scene, path: Poses | None, losses: Losses) -> tuple[LidarSenso
     for other in others:
         _drop(other, "left out: the folder has one lidar", losses)
     if first.id != LIDAR_ID:
-        _renamed("sensors.lidar.id", first.id, LIDAR_ID, losses)
+        losses.converted("sensors.lidar.id", f"{first.id!r} is called {LIDAR_ID!r} there")
     mount, lost = mounting(first, path)
     losses.extend(lost)
     return first, RigidTransform.identity() if mount is None else mount
@@ -306,7 +351,7 @@ def _numbered(scene: Scene, slots: Sequence[int], losses: Losses) -> dict[int, C
         number = free.pop(0)
         named[number] = camera
         if camera.id != camera_id(number):
-            _renamed("sensors.camera.id", camera.id, camera_id(number), losses)
+            losses.converted("sensors.camera.id", f"{camera.id!r} is called {camera_id(number)!r} there")
     return named
 
 
@@ -329,34 +374,23 @@ def _with_pinholes(
     scene: Scene, cameras: dict[int, CameraSensor], models: frozenset[str], losses: Losses
 ) -> tuple[Scene, dict[int, CameraSensor]]:
     """Resample the images of camera models that the target does not hold."""
-    bent = {number: camera for number, camera in cameras.items() if not _holds_camera_model(camera, models)}
-    if not bent:
+    resampled = [camera for camera in cameras.values() if not _holds_camera_model(camera, models)]
+    if not resampled:
         return scene, cameras
-    changed = undistort_scene(scene, cameras=[camera.id for camera in bent.values()])
-    new = {_type_and_id(sensor.id): sensor for sensor in changed.cameras}
-    for camera in bent.values():
+    changed = undistort_scene(scene, cameras=[camera.id for camera in resampled])
+    new = {key_of(sensor.id): sensor for sensor in changed.cameras}
+    for camera in resampled:
         what = f"a {camera.camera.model} camera model replaced by a pinhole, and its images resampled for it"
-        losses.extend(
-            [
-                Loss(field=name, what=f"{camera.id!r}: {what}", support=Support.APPROXIMATED)
-                for name in ("sensors.camera.camera", "sensors.camera.images.rgb")
-            ]
-        )
-    return changed, {number: new[_type_and_id(camera.id)] for number, camera in cameras.items()}
+        for name in ("sensors.camera.camera", f"{_IMAGES}.rgb"):
+            losses.approximated(name, f"{camera.id!r}: {what}")
+    return changed, {number: new[key_of(camera.id)] for number, camera in cameras.items()}
 
 
 def _holds_camera_model(camera: CameraSensor, models: frozenset[str]) -> bool:
-    """Whether a target that holds these models holds a camera model: OpenCV's five coefficients are all it has."""
-    camera_model = camera.camera
-    if camera_model.model not in models:
-        return False
-    further = np.array(camera_model.coefficients[5:])
-    return camera_model.model == "pinhole" or not further.any()
-
-
-def _type_and_id(identifier: object) -> tuple[type, object]:
-    """An id with its type, to be looked up."""
-    return type(identifier), identifier
+    """Whether a target with these models holds a camera model: OpenCV's five coefficients are all it has."""
+    model = camera.camera
+    is_short = model.model == "pinhole" or not np.array(model.coefficients[5:]).any()
+    return model.model in models and is_short
 
 
 def _dropped_parts(scene: Scene, held: frozenset[type]) -> Losses:
@@ -373,12 +407,24 @@ def _dropped_parts(scene: Scene, held: frozenset[type]) -> Losses:
     return losses
 
 
-def _renamed(name: str, identifier: object, new: str, losses: Losses) -> None:
-    losses.converted(name, f"{identifier!r} is called {new!r} there")
-
-
 def _drop(sensor: CameraSensor | LidarSensor, what: str, losses: Losses) -> None:
     losses.dropped(KINDS[type(sensor)], f"{sensor.id!r} {what}")
+
+
+def report_unwritten(
+    annotation: CuboidAnnotation, names: Iterable[str], what: str, losses: Losses, *, seen: int
+) -> None:
+    """Report what a cuboid states besides its boxes, attributes of these names and so many projections."""
+    counts = {
+        "attributes": sum(attribute.name not in names for attribute in annotation.attributes),
+        "activations": len(annotation.activations),
+        "projections": len(annotation.projections) - seen,
+        "stationary": int(annotation.stationary is not None),
+        "parent_id": int(annotation.parent_id is not None),
+        "extras": len(annotation.extras),
+    }
+    for name, count in counts.items():
+        losses.dropped(f"annotations.cuboid.{name}", what, count=count)
 
 
 NONE = -1
@@ -471,17 +517,6 @@ def _nearest(frames_ns: Int64Array, timestamps_ns: Int64Array, period_ns: int) -
     return found
 
 
-def _time_losses(name: str, frames_ns: Int64Array, chosen: Int64Array, timestamps_ns: Int64Array) -> list[Loss]:
-    there = chosen != NONE
-    errors = np.abs(frames_ns[there] - timestamps_ns[chosen[there]])
-    count = int((errors > 0).sum())
-    if not count:
-        return []
-    what = "the frame's time instead: a frame has one time for all sensors [s]"
-    worst = float(errors.max()) / 1e9
-    return [Loss(field=name, what=what, count=count, support=Support.APPROXIMATED, largest_error=worst)]
-
-
 _COMPRESSION = 1
 """PNG's quickest: images of drives hardly shrink further, and it takes a third of the time."""
 
@@ -499,8 +534,13 @@ def write_image(camera: CameraSensor, image: CameraImage, path: Path, *, own_cam
         DataError: it cannot be decoded.
         CalibrationError: it has another size than the camera model, which is one for all.
     """
-    if not own_camera_model:
-        _check_camera_model(camera, image)
+    own, other = camera.camera, image.camera
+    if not own_camera_model and (own.width, own.height) != (other.width, other.height):
+        raise CalibrationError(
+            f"camera {camera.id!r}: its image at {image.timestamp_ns} ns is {other.width}x{other.height}, others "
+            f"are {own.width}x{own.height}; expected one size for all: frames of KITTI's object benchmark "
+            "have a camera model each (`--to kitti-object`)"
+        )
     source = image.decode
     if isinstance(source, ImageFile) and source.path.suffix.lower() == ".png":
         shutil.copyfile(source.path, path)
@@ -512,87 +552,3 @@ def write_image(camera: CameraSensor, image: CameraImage, path: Path, *, own_cam
     Image.fromarray(np.ascontiguousarray(rgb[..., 0]) if is_grey else rgb).save(
         path, "PNG", compress_level=_COMPRESSION
     )
-
-
-def _check_camera_model(camera: CameraSensor, image: CameraImage) -> None:
-    own, other = camera.camera, image.camera
-    if (own.width, own.height) != (other.width, other.height):
-        raise CalibrationError(
-            f"camera {camera.id!r}: its image at {image.timestamp_ns} ns is {other.width}x{other.height}, others "
-            f"are {own.width}x{own.height}; expected one size for all: frames of KITTI's object benchmark "
-            "have a camera model each (`--to kitti-object`)"
-        )
-
-
-_POINTS = "sensors.lidar.frames.points"
-
-
-@dataclass(slots=True)
-class SweepFiles:
-    """Writes the sweeps of the lidar, each when it is asked for.
-
-    Attributes:
-        choice: what is written.
-        losses: what was lost so far.
-    """
-
-    choice: Choice
-    losses: Losses = field(default_factory=Losses)
-
-    def placed(self, frame: LidarFrame) -> LidarFrame:
-        """The sweep without the points that have no location, which files of bare numbers cannot state."""
-        there = finite_rows(frame.points.positions)
-        if there.all():
-            return frame
-        self.losses.dropped(
-            f"{_POINTS}.positions", "points that are not finite are left out", count=int((~there).sum())
-        )
-        return replace(frame, points=chosen_points(frame.points, np.flatnonzero(there)))
-
-    def write(self, frame: LidarFrame, path: Path) -> Float32Array:
-        """Write a sweep in the lidar's own frame; gives its positions there, (N, 3) float32 [m].
-
-        Raises:
-            PoseError: the points are elsewhere, and it is not known where the lidar was.
-        """
-        lidar = self.choice.lidar
-        points = np.zeros((len(frame.points), 4), "<f4")
-        positions = frame.points.positions if lidar is None else self._in_sensor_frame(lidar, frame)
-        points[:, :3] = positions
-        intensities = frame.points.intensities
-        if intensities is None:
-            what = "0 written: the source has none"
-            self.losses.approximated(f"{_POINTS}.intensities", what, count=len(points))
-        else:
-            points[:, 3] = intensities.astype(np.float32) / 255
-        what = "left out: a point has x, y, z and reflectance"
-        for name in ("colors", "rings", "camera_index"):
-            if getattr(frame.points, name) is not None:
-                self.losses.dropped(f"{_POINTS}.{name}", what, count=len(points))
-        if frame.points.extras:
-            self.losses.dropped(f"{_POINTS}.extras", what, count=len(points))
-        path.write_bytes(points.tobytes())
-        return positions
-
-    def _in_sensor_frame(self, lidar: LidarSensor, frame: LidarFrame) -> Float32Array:
-        if lidar.points_frame is PointsFrame.SENSOR:
-            return frame.points.positions
-        path = self.choice.ego_path
-        ego = None if path is None else EgoMotion("ego", path)
-        timestamps = lidar.frames.timestamps_ns
-        reach = int(np.median(np.diff(timestamps))) if len(timestamps) > 1 else 0
-        change = points_change(self.choice.scene, lidar, ego, PointsFrame.SENSOR, reach_ns=reach)
-        if change is None:
-            return frame.points.positions
-        times = frame.points.timestamps_ns
-        if times is None:
-            times = np.full(len(frame.points), frame.timestamp_ns, np.int64)
-        moved = change.positions(times, frame.points.positions[:, None])[:, 0] if len(times) else frame.points.positions
-        if not np.isfinite(moved).all():
-            raise PoseError(
-                f"lidar {lidar.id!r}: sweep at {frame.timestamp_ns} ns: no pose for some of its points, which have to "
-                "be brought into the lidar's own frame"
-            )
-        what = f"brought from the {lidar.points_frame} frame into the lidar's own, in float32"
-        self.losses.converted(f"{_POINTS}.positions", what, count=len(times))
-        return moved.astype(np.float32)

@@ -11,7 +11,6 @@ import numpy as np
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError, SceneloomError
-from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.poses import mounting
@@ -21,10 +20,10 @@ from sceneloom.formats.kitti.frames_writer import (
     NONE,
     PARALLEL_WITHIN,
     Choice,
-    SweepFiles,
     Timeline,
     kept_of,
     nearest_frames,
+    report_unwritten,
     write_image,
 )
 from sceneloom.formats.kitti.oxts import IMU_ID, oxts_lines
@@ -157,7 +156,6 @@ class _RotationWriter:
 
     choice: Choice
     folder: Path
-    _files: SweepFiles = field(init=False)
     _rotations: list[tuple[int, int, int] | None] = field(default_factory=list)
     _starts: list[int] = field(default_factory=list)
     _rotated: bool = True
@@ -165,14 +163,13 @@ class _RotationWriter:
     _timed_points: int = 0
 
     def __post_init__(self) -> None:
-        self._files = SweepFiles(self.choice)
         (self.folder / "data").mkdir(parents=True)
 
     def write(self, frame: LidarFrame, number: int) -> None:
         """Write a sweep; frames without one have blank lines."""
         self._rotations += [None] * (number - len(self._rotations))
-        frame = self._files.placed(frame)
-        positions = self._files.write(frame, self.folder / "data" / f"{number:010d}.bin")
+        frame = self.choice.finite(frame)
+        positions = self.choice.write_sweep(frame, self.folder / "data" / f"{number:010d}.bin")
         self._rotations.append(self._rotation(frame, positions))
         self._starts.append(frame.timestamp_ns)
 
@@ -210,7 +207,6 @@ class _RotationWriter:
                 times = ("" if rotation is None else format_timestamp(rotation[column]) for rotation in self._rotations)
                 write_lines(self.folder / name, times)
         losses, field = self.choice.losses, "sensors.lidar.frames.points.timestamps_ns"
-        losses.extend(self._files.losses)
         if not self._rotated:
             what = "left out: points have other times than by one counter-clockwise rotation from behind"
             losses.dropped(field, what, count=self._timed_points)
@@ -258,7 +254,7 @@ def _tracklets_of(choice: Choice, timestamps_ns: Int64Array, starts_ns: Int64Arr
             losses.approximated("annotations.cuboid.id", what)
         if str(annotation.id) != str(len(found)) and runs:
             losses.dropped("annotations.cuboid.id", "tracklets have no ids; read back, they are counted")
-        _lose_rest(annotation, losses)
+        report_unwritten(annotation, STATES, "left out: a tracklet has no field for it", losses, seen=0)
         for run, run_times in runs:
             world_from_lidar = [ego @ choice.ego_from_lidar for ego in choice.egos_at(run_times)]
             tracklet, error = _tracklet(annotation, run, run_times, world_from_lidar, angles, lidar_id)
@@ -323,20 +319,6 @@ def _states(annotation: CuboidAnnotation, times_ns: Int64Array) -> Float64Array:
             numbers = [value if isinstance(value, int | float) else -1.0 for value in values]
             states[:, column] = np.nan_to_num(np.array(numbers, np.float64), nan=-1.0)
     return states
-
-
-def _lose_rest(annotation: CuboidAnnotation, losses: Losses) -> None:
-    """What a box has beside what tracklets hold."""
-    counts = {
-        "attributes": sum(attribute.name not in STATES for attribute in annotation.attributes),
-        "activations": len(annotation.activations),
-        "projections": len(annotation.projections),
-        "parent_id": int(annotation.parent_id is not None),
-        "stationary": int(annotation.stationary is not None),
-        "extras": len(annotation.extras),
-    }
-    for name, count in counts.items():
-        losses.dropped(f"annotations.cuboid.{name}", "left out: a tracklet has no field for it", count=count)
 
 
 _SLOTS = (2, 3, 0, 1)

@@ -412,7 +412,7 @@ def _drop(sensor: CameraSensor | LidarSensor, what: str, losses: Losses) -> None
 
 
 def report_unwritten(
-    annotation: CuboidAnnotation, names: Iterable[str], what: str, losses: Losses, *, seen: int
+    annotation: CuboidAnnotation, names: Container[str], what: str, losses: Losses, *, seen: int
 ) -> None:
     """Report what a cuboid states besides its boxes, attributes of these names and so many projections."""
     counts = {

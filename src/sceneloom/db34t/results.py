@@ -57,8 +57,6 @@ def sensor_fusion_record(
 
     Args:
         world_from_lidar: the lidar at the sweep's reference time; where the ego stood, the identity.
-        sent: the sweep as it was sent.
-        image: the image as it was sent.
         numbers: camera_id, lidar_id, image_seq and points_seq.
 
     Source: DB34/T 4101-2022, table 9; READINGS of table 9 in docs/CONVENTIONS.md.
@@ -144,7 +142,6 @@ def fused_detections_record(
     """The records of the objects of a sweep and an image.
 
     Args:
-        boxes_3d, boxes_2d: what was sent.
         camera: the camera model of the image, to whose size boxes are cut.
 
     Source: DB34/T 4101-2022, table 10.

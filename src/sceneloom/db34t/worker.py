@@ -347,7 +347,6 @@ class ResultsQueue:
         """Hold nothing yet.
 
         Args:
-            counters: where results are counted.
             announcer: notified of each result.
             on_result: called as soon as a result can be fetched.
             most_bytes: how large the results of one type that wait may be together.
@@ -526,11 +525,9 @@ class Worker:
         """Begin.
 
         Args:
-            counters: where records and failures are counted.
             announcer: notified of each task before it is done, and of what was dropped.
             give: takes each result.
             inline: whether there is no thread.
-            overdue: what the thread does while no task comes.
         """
         self._counters = counters
         self._announcer = announcer

@@ -111,7 +111,6 @@ def fit_deviations(
         features: (N, K), the first column of ones.
         errors: (N, D).
         weights: (N,), of the examples.
-        degrees_of_freedom: ν of the distribution.
 
     Returns:
         (D, K) float64 of its scales.
@@ -254,7 +253,6 @@ def columns_of(examples: Iterable[LabelledPair], *, overlap: float) -> Columns:
     """Hold what was reported against what was there.
 
     Args:
-        examples: of a few drives.
         overlap: in space, from which on a box is true.
     """
     groups: dict[str, int] = {}
@@ -807,8 +805,6 @@ def fit_detectors(
 
     Args:
         examples: of several groups, best ten or more, in which the detectors did not learn.
-        name: of the detectors.
-        settings: how.
         provenance: where the examples are from; kept with the numbers.
 
     Raises:

@@ -77,7 +77,6 @@ def merge_views(
     """Make one list of the objects that a sweep and several images show.
 
     Args:
-        boxes_3d: of the sweep.
         views: by camera, what came of fusing these boxes with those of its image; one at least.
         settings: those by which that was done.
 

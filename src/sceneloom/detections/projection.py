@@ -582,7 +582,6 @@ def refine(
     """Update boxes by their partners, in place.
 
     Args:
-        outlines: of the boxes in the image.
         boxes: (N, 7), middle in the lidar's frame, length, width, height [m] and heading [rad]; changed.
         covariances: (N, 6, 6) [m²], of middles and sizes; changed.
         partners: (N,) int64, which box of the image is the same object, NO_BOX for none.

@@ -59,7 +59,6 @@ def existence_table(
     """Give what detectors are like as the compiled formulas take it.
 
     Args:
-        detectors: whose numbers.
         recall_2d, recall_3d: take the position of theirs; 0 where the other one's silence shall state nothing.
 
     Returns:
@@ -242,7 +241,6 @@ def radius_squared(level: float, *, degrees_of_freedom: float, dimensions: int =
     Args:
         level: the share, 0 to 1.
         degrees_of_freedom: of `Detectors`, more than 2; infinite for a Gaussian.
-        dimensions: of e.
 
     Source: Kotz and Nadarajah 2004, "Multivariate t Distributions and Their Applications", section 1.7.
     """

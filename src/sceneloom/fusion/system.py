@@ -85,7 +85,6 @@ class FusionSystem:
 
         Args:
             source: takes its points into the world; None where they come in world coordinates.
-            period_ns: the nominal time from sweep to sweep.
             location: `world_from_lidar`, from where it measures, whatever frame its points come in; None where that is
                 not known, and then a little less is known of what hides what.
         """

@@ -126,11 +126,8 @@ class FusionClient:
         """Make a client; it connects with the first call.
 
         Args:
-            address: HOST:PORT.
-            token: what the service asks for.
             ca: PEM file of who signed the service's certificate; None for a connection without TLS.
             certificate: PEM files of this client's certificate and key, where the service asks for them.
-            session: name of the rig.
             deadline_s: how long an answer may take, beyond what a call itself waits for [s].
         """
         self.address, self.session, self.deadline_s = address, session, deadline_s
@@ -234,7 +231,6 @@ class FusionClient:
 
         Args:
             fusion_type: 0 sensor data, 1 detections; None for what the property fusion_type says.
-            timeout_s: how long to wait for one.
 
         Raises:
             OptionError: there is no such type.

@@ -51,7 +51,6 @@ def open_sink(path: Path, *, detections: bool, overwrite: bool = False) -> Itera
     Args:
         path: of detections a file of JSON lines; of sensor data a scene file, `.sfs`, else a folder.
         detections: whether detections are fetched, rather than sensor data.
-        overwrite: replace what is there.
 
     Raises:
         OutputError: it is there, or cannot be written.

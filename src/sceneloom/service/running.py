@@ -137,7 +137,6 @@ def configured(path: Path | None, **limits: Any) -> tuple[ServiceLimits, Callabl
 
     Args:
         path: of a configuration file, None for the defaults.
-        limits: those that count before the file's.
 
     Raises:
         DataError: it is no such file, or a value in it is refused.
@@ -162,8 +161,6 @@ def serve_until_ended(
 
     Args:
         started: called with the server once it listens.
-        quiet: log warnings only.
-        verbose: log what helps to find faults, too.
 
     Returns:
         the sessions whose threads hang: Python waits for these for ever, so the process has to be left by `os._exit`.
@@ -297,10 +294,6 @@ class ConfigurationFile:
 
 def read_configuration_file(path: Path | str, *, further: tuple[str, ...] = ()) -> ConfigurationFile:
     """Read a file and try whether a fusion system takes what it says.
-
-    Args:
-        path: of the TOML file.
-        further: names of tables that others read.
 
     Raises:
         DataError: it is no TOML, has something unknown in it, or a value is refused.

@@ -96,12 +96,9 @@ class SessionLog:
 
         Args:
             path: of the MCAP file; until it is closed it stands beside as `NAME.unfinished.mcap`.
-            overwrite: replace a log that is there.
             most_bytes: of records and results that wait to be written; the default is some two and a half seconds of
                 10 Hz of 1080p and 250,000 points.
-            most_entries: how many events may wait.
             kept_back_s: how long what was written may wait for the disk [s]; 0: observers return when it is there.
-            clock_ns: gives the time of events.
 
         Raises:
             OutputError: the log, or an unfinished one of its name, is there, or cannot be written.

@@ -74,7 +74,6 @@ def check_port(host: str, port: int, *, option: str = "port") -> None:
 
     Args:
         port: 0 for a free one.
-        option: what the port is of, for the message.
 
     Raises:
         OptionError: this machine does not have the address, or another program listens there.
@@ -107,12 +106,7 @@ def _advice(error: OSError, option: str) -> str:
 
 
 def log_to_standard_error(*, quiet: bool = False, verbose: bool = False) -> logging.Logger:
-    """Let the service log to standard error as lines of JSON.
-
-    Args:
-        quiet: warnings only.
-        verbose: what helps to find faults, too.
-    """
+    """Let the service log to standard error as lines of JSON."""
     handler = logging.StreamHandler()
     handler.setFormatter(JsonLines())
     logger = logging.getLogger("sceneloom.service")

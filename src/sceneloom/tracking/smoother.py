@@ -258,7 +258,6 @@ def track_drive(
 
     Args:
         observations: moment by moment, in the order of their times.
-        settings: what is taken for granted.
         offline: whether later moments may report earlier ones.
     """
     tracker = Tracker(settings)

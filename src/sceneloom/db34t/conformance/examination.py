@@ -163,8 +163,6 @@ def examine(
     """Run checks against a server, each in sessions of its own that are ended after it.
 
     Args:
-        transport: carries the calls.
-        address: of the server, for the report.
         only: ids of checks, or of clauses and tables; all where none are stated.
         progress: called with how many checks are done, and of how many.
 
@@ -298,11 +296,7 @@ class GrpcTransport:
     """
 
     def __init__(self, channel: grpc.Channel, *, metadata: tuple[tuple[str, str], ...] = ()) -> None:
-        """Make the stubs; nothing is sent yet.
-
-        Args:
-            metadata: what every call carries.
-        """
+        """Make the stubs; nothing is sent yet."""
         self.channel = channel
         self._metadata = metadata
         self._calls = calls_of(channel)

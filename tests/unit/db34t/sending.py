@@ -13,6 +13,7 @@ from sceneloom.db34t import (
     RawData,
     Timestamp,
 )
+from sceneloom.db34t.interface import FusionInterface
 
 WIDTH, HEIGHT = 64, 48
 START_NS = 1_595_682_678_000_000_000
@@ -121,3 +122,16 @@ def no_boxes_3d(milliseconds, seq, *, sensor_id=0):
 
 def no_boxes_2d(milliseconds, seq, *, sensor_id=1):
     return Boxes2d.empty(sensor_id, seq, timestamp(milliseconds))
+
+
+def send_all(fusion, *records):
+    """Send records that all have to be taken."""
+    for record in records:
+        assert fusion.send(record), record
+
+
+def interface(**options):
+    """A fusion interface with the calibration of camera 1 and lidar 0."""
+    fusion = FusionInterface(**options)
+    assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    return fusion

@@ -13,7 +13,7 @@ from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode
 from sceneloom.scene.poses import Poses
 
-from .sending import HEIGHT, START_NS, WIDTH, boxes_2d, boxes_3d, cloud, image
+from .sending import HEIGHT, START_NS, WIDTH, boxes_2d, boxes_3d, cloud, image, send_all
 
 LIDAR_WORDS = ["+x,-y,+z", "+y,+x,+z", "+x,+y,+z", "-z,+y,+x", "-y,-x,-z"]
 CAMERA_WORDS = ["+z,+x,-y", "+x,-y,+z", "+z,-x,-y"]
@@ -106,8 +106,7 @@ def test_boxes_come_back_in_the_frame_that_was_declared(lidar_words, camera_word
         velocity_vector=tuple(vector.tolist()),
     )
     with interface(lidar_words, camera_words) as fusion:
-        assert fusion.send(box)
-        assert fusion.send(boxes_2d(0, 2, x1=25, y1=20, x2=38, y2=28))
+        send_all(fusion, box, boxes_2d(0, 2, x1=25, y1=20, x2=38, y2=28))
         fusion.flush()
         record = fusion.get(1).record
     with interface("+x,-y,+z", "+z,+x,-y") as fusion:
@@ -115,8 +114,8 @@ def test_boxes_come_back_in_the_frame_that_was_declared(lidar_words, camera_word
         rotated = dict(zip("XYZ", (standard @ lidar.T @ center).tolist(), strict=True))
         heads = tuple((standard @ lidar.T @ heading).tolist())
         speeds = tuple((standard @ lidar.T @ vector).tolist())
-        assert fusion.send(boxes_3d(0, 1, **rotated, direction=heads, velocity=5.4, velocity_vector=speeds))
-        assert fusion.send(boxes_2d(0, 2, x1=25, y1=20, x2=38, y2=28))
+        send_all(fusion, boxes_3d(0, 1, **rotated, direction=heads, velocity=5.4, velocity_vector=speeds))
+        send_all(fusion, boxes_2d(0, 2, x1=25, y1=20, x2=38, y2=28))
         fusion.flush()
         known = fusion.get(1).record
     assert len(record) == len(known) == 1
@@ -264,8 +263,8 @@ def test_a_shutter_that_does_not_roll_any_more_takes_all_lines_at_once():
             "",
         ):
             assert fusion.set_property("sensors", reported)
-            assert fusion.send(moving_sweep() if reported else replace(moving_sweep(), seq=2))
-            assert fusion.send(image(90, 1 if reported else 2))
+            send_all(fusion, moving_sweep() if reported else replace(moving_sweep(), seq=2))
+            send_all(fusion, image(90, 1 if reported else 2))
             fusion.flush()
             record = fusion.get(0).record
     column, row, depth = seen(from_lidar(0.09) * (1, -1, 1))
@@ -313,8 +312,7 @@ def test_poses_of_the_vehicle_do_where_the_mounting_of_the_lidar_is_known(words)
         with interface(words, "+z,+x,-y" if handed(words) == handed("+z,+x,-y") else "+x,-y,+z") as fusion:
             assert fusion.set_property("sensors", reported)
             assert fusion.send_motion(trajectory_of_the_vehicle(-50, 200))
-            assert fusion.send(moving_sweep(words))
-            assert fusion.send(image(90, 1))
+            send_all(fusion, moving_sweep(words), image(90, 1))
             fusion.flush()
             found.append(fusion.get(0).record)
     mounted, alone = found
@@ -387,9 +385,7 @@ def test_a_setting_counts_for_the_sweeps_that_come_after_it():
         assert fusion.send_motion(path(-50, 400))
         assert fusion.send(moving_sweep())
         assert fusion.set_property("motion_compensation", 0)
-        assert fusion.send(image(90, 1))
-        assert fusion.send(cloud(200, 2, [from_lidar(0.2)]))
-        assert fusion.send(image(200, 2))
+        send_all(fusion, image(90, 1), cloud(200, 2, [from_lidar(0.2)]), image(200, 2))
         fusion.flush()
         first, second = (result.record for result in fusion.results(0))
     assert (first.motion_compensated, second.motion_compensated) == (1, 0)
@@ -407,8 +403,7 @@ def test_boxes_are_put_where_they_are_at_the_time_of_the_image():
         with interface("+x,-y,+z", "+z,+x,-y") as fusion:
             for piece in chunks:
                 assert fusion.send_motion(piece)
-            assert fusion.send(box)
-            assert fusion.send(boxes_2d(90, 2, **edges))
+            send_all(fusion, box, boxes_2d(90, 2, **edges))
             fusion.flush()
             record = fusion.get(1).record
             matched.append((record.motion_compensated, record.box_2d_ids[0]))

@@ -25,23 +25,23 @@ from .sending import (
     calibration,
     cloud,
     image,
+    interface,
     no_boxes_2d,
     no_boxes_3d,
     raw,
+    send_all,
     timestamp,
 )
 
 
 @pytest.fixture(params=[True, False], ids=["inline", "threaded"])
 def both(request):
-    with FusionInterface(inline=request.param) as interface:
-        assert interface.set_calibration(calibration(), camera_id=1, lidar_id=0)
-        yield interface
+    with interface(inline=request.param) as fusion:
+        yield fusion
 
 
 def test_a_pair_comes_back_as_a_record_of_table_9(both):
-    assert both.send(image(0, 5))
-    assert both.send(cloud(0, 9, [(10, 0, 0), (-10, 0, 0)]))
+    send_all(both, image(0, 5), cloud(0, 9, [(10, 0, 0), (-10, 0, 0)]))
     both.flush()
     result = both.get(0)
     record = result.record
@@ -60,8 +60,7 @@ def test_axes_that_were_declared_rotate_points_on_the_way_in_and_back(both):
     assert both.set_property("lidar_coordinate", (1, 0, 2))  # y forward, x right, z up
     by_columns = (1, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1)
     assert both.set_calibration(calibration(extrinsic_matrix=by_columns), camera_id=1, lidar_id=0)
-    assert both.send(image(0, 1))
-    assert both.send(cloud(0, 1, points=[(0.0, 10.0, 0.0), (10.0, 0.0, 0.0)]))
+    send_all(both, image(0, 1), cloud(0, 1, points=[(0.0, 10.0, 0.0), (10.0, 0.0, 0.0)]))
     both.flush()
     points = both.get(0).record.points
     np.testing.assert_array_equal(points, [[0, 10, 0, 7, 7, 7], [10, 0, 0, 128, 128, 128]])
@@ -70,8 +69,7 @@ def test_axes_that_were_declared_rotate_points_on_the_way_in_and_back(both):
 def test_results_of_points_can_be_in_the_camera_frame_and_depths_ranges(both):
     assert both.set_property("reference_frame", 0)
     assert both.set_property("depth_kind", "range")
-    assert both.send(image(0, 1))
-    assert both.send(cloud(0, 1, points=[(3.0, 0.0, -1.0)]))
+    send_all(both, image(0, 1), cloud(0, 1, points=[(3.0, 0.0, -1.0)]))
     both.flush()
     record = both.get(0).record
     np.testing.assert_allclose(record.points[:, :3], [[0, 1, 3]], atol=1e-6)
@@ -85,8 +83,7 @@ def test_a_calibration_that_is_replaced_counts_for_what_comes_after(both):
     for seq in range(4):
         if seq == 2:
             assert both.set_calibration(longer, camera_id=1, lidar_id=0)
-        assert both.send(image(100 * seq, seq))
-        assert both.send(cloud(100 * seq, seq, points=point))
+        send_all(both, image(100 * seq, seq), cloud(100 * seq, seq, points=point))
     both.flush()
     columns = [int(np.nonzero(result.record.depths)[1][0]) for result in both.results(0)]
     assert columns == [42, 42, 52, 52]  # 31.5 + f * 2 / 10, to the pixel that it falls into
@@ -184,8 +181,7 @@ def test_point_fields_go_by_the_names_that_were_sent_and_never_by_the_values(bot
             fields_number=len(fields),
             data=data,
         )
-        assert both.send(image(100 * seq, seq, level=9))
-        assert both.send(sent)
+        send_all(both, image(100 * seq, seq, level=9), sent)
         both.flush()
         record = both.get(0).record
         assert record.point_fields == expected
@@ -245,12 +241,10 @@ def many_boxes_2d(milliseconds, seq, count=0):
 
 
 def test_boxes_that_wait_are_fused_after_a_while_though_nothing_more_comes():
-    with FusionInterface() as fusion:
-        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    with interface() as fusion:
         for seq in range(3):
             # an image shortly before the sweep: one after it could be nearer
-            assert fusion.send(many_boxes_2d(1000 * seq, seq))
-            assert fusion.send(no_boxes_3d(1000 * seq + 10, seq))
+            send_all(fusion, many_boxes_2d(1000 * seq, seq), no_boxes_3d(1000 * seq + 10, seq))
             result = fusion.get(1, timeout_s=30.0)
             assert result is not None
             assert (result.number, result.record.image_seq, result.record.points_seq) == (seq, seq, seq)
@@ -265,16 +259,16 @@ def test_results_keep_the_order_of_what_came_whoever_fuses_it():
 
         def send_frames():
             for seq in range(20):
-                assert fusion.send(image(100 * seq, seq))
-                assert fusion.send(cloud(100 * seq, seq))
+                send_all(fusion, image(100 * seq, seq), cloud(100 * seq, seq))
 
         other = threading.Thread(target=send_frames)
         for seq in range(count):
             if seq == count // 2:
                 other.start()
             # a long list goes to the thread, and so do those after it
-            assert fusion.send(many_boxes_2d(100 * seq, seq, 120 if seq == count // 4 else 1))
-            assert fusion.send(no_boxes_3d(100 * seq, seq))
+            send_all(
+                fusion, many_boxes_2d(100 * seq, seq, 120 if seq == count // 4 else 1), no_boxes_3d(100 * seq, seq)
+            )
         other.join()
         fusion.flush()
         for fusion_type, number in ((1, count), (0, 20)):
@@ -288,9 +282,8 @@ def test_results_keep_the_order_of_what_came_whoever_fuses_it():
 
 @pytest.fixture
 def fusion():
-    with FusionInterface(inline=True) as interface:
-        assert interface.set_calibration(calibration(), camera_id=1, lidar_id=0)
-        yield interface
+    with interface(inline=True) as fusion:
+        yield fusion
 
 
 def pairs(fusion, kind=0):
@@ -311,8 +304,7 @@ def test_a_calibration_against_the_axes_is_reported_at_the_first_send_and_stops_
     outcome = fusion.send(cloud(0, 1, sensor_id=3))
     assert (outcome.status, outcome.cause) == (0, Cause.BAD_CALIBRATION)
     assert "mirrors" in outcome.reason
-    assert fusion.send(cloud(0, 1))
-    assert fusion.send(image(0, 1))
+    send_all(fusion, cloud(0, 1), image(0, 1))
     assert pairs(fusion) == [(1, 1)]
 
 
@@ -331,8 +323,7 @@ def test_clouds_without_points_and_images_of_one_pixel_are_fused():
         one = calibration(image_size=(1, 1), intrinsic_matrix=(1, 0, 0, 0, 1, 0, 0, 0, 1))
         assert fusion.set_calibration(one, camera_id=1, lidar_id=0)
         for seq, points in enumerate([(), ((5.0, 0.0, 0.0),)]):
-            assert fusion.send(image(100 * seq, seq, width=1, height=1))
-            assert fusion.send(cloud(100 * seq, seq, points))
+            send_all(fusion, image(100 * seq, seq, width=1, height=1), cloud(100 * seq, seq, points))
         fusion.flush()
         empty, full = (result.record for result in fusion.results(0))
     assert (empty.point_num, empty.depths.tolist()) == (0, [[0.0]])
@@ -341,8 +332,7 @@ def test_clouds_without_points_and_images_of_one_pixel_are_fused():
 
 
 def test_frames_without_boxes_are_fused_to_none(fusion):
-    assert fusion.send(no_boxes_3d(0, 3))
-    assert fusion.send(no_boxes_2d(0, 4))
+    send_all(fusion, no_boxes_3d(0, 3), no_boxes_2d(0, 4))
     fusion.flush()
     record = fusion.get(1).record
     assert (len(record), record.points_seq, record.image_seq) == (0, 3, 4)
@@ -351,8 +341,7 @@ def test_frames_without_boxes_are_fused_to_none(fusion):
 def test_points_that_are_not_finite_are_left_out_and_counted(fusion):
     gone = (np.nan, np.nan, np.nan)
     for seq, points in enumerate(([gone, (10, 0, 0), (0, np.inf, 0), (10, 1, 0)], [gone, gone], [gone])):
-        assert fusion.send(image(100 * seq, seq))
-        assert fusion.send(cloud(100 * seq, seq, points))
+        send_all(fusion, image(100 * seq, seq), cloud(100 * seq, seq, points))
     fusion.flush()
     found = [result.record.points[:, :3].tolist() for result in fusion.results(0)]
     assert found == [[[10, 0, 0], [10, 1, 0]], [], []]
@@ -364,8 +353,7 @@ def test_raw_points_that_are_not_finite_are_left_out_and_counted(fusion):
     row = np.zeros(3, [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
     row["xyz"] = [(np.nan, 0, 0), (10, 0, 0), (10, 1, 0)]
     row["t"] = [timestamp(0).nanoseconds / 1e9, timestamp(0).nanoseconds / 1e9, np.nan]
-    assert fusion.send(image(0, 1))
-    assert fusion.send(raw(0, 1, row.tobytes(), sensor_id=0))
+    send_all(fusion, image(0, 1), raw(0, 1, row.tobytes(), sensor_id=0))
     fusion.flush()
     record = fusion.get(0).record
     assert record.points[:, :3].tolist() == [[10, 0, 0]]
@@ -412,8 +400,7 @@ def test_every_box_that_was_taken_is_in_a_result_or_counted(fusion):
             directions=rng.normal(0, 1, (6, 3)).astype(np.float32),
             velocities=np.zeros(6, np.float32),
         )
-        assert fusion.send(three)
-        assert fusion.send(two)
+        send_all(fusion, three, two)
         fusion.flush()
         record, counts = fusion.get(1).record, fusion.counters.counts()
         for kind, ids in (("boxes_3d", record.box_3d_ids), ("boxes_2d", record.box_2d_ids)):
@@ -423,8 +410,7 @@ def test_every_box_that_was_taken_is_in_a_result_or_counted(fusion):
 
 
 def test_a_box_that_goes_uphill_heads_there_in_the_result(fusion):
-    assert fusion.send(boxes_2d(0, 1))
-    assert fusion.send(boxes_3d(0, 1, direction=(3.0, 0.0, 4.0), velocity=-2.0))
+    send_all(fusion, boxes_2d(0, 1), boxes_3d(0, 1, direction=(3.0, 0.0, 4.0), velocity=-2.0))
     fusion.flush()
     (found,) = fusion.get(1).record
     assert found.direction == pytest.approx((0.6, 0.0, 0.8)) or found.direction == pytest.approx((-0.6, 0.0, -0.8))
@@ -433,8 +419,7 @@ def test_a_box_that_goes_uphill_heads_there_in_the_result(fusion):
 
 def test_objects_that_the_image_does_not_show_have_an_empty_outline(fusion):
     for seq, center in enumerate(({"X": -20.0}, {"X": 5.0, "Y": 60.0}, {"X": 20.0})):
-        assert fusion.send(no_boxes_2d(100 * seq, seq))
-        assert fusion.send(boxes_3d(100 * seq, seq, **center))
+        send_all(fusion, no_boxes_2d(100 * seq, seq), boxes_3d(100 * seq, seq, **center))
     fusion.flush()
     behind, beside, ahead = (result.record for result in fusion.results(1))
     for record in (behind, beside):
@@ -477,10 +462,10 @@ def test_raw_data_of_a_sensor_that_nobody_declared_are_refused(fusion):
 
 def test_an_image_that_cannot_be_decoded_is_counted_and_ends_nothing(fusion):
     assert fusion.set_property("sensors", '{"0": {"kind": "lidar"}, "1": {"kind": "camera", "raw": "jpeg"}}')
-    assert fusion.send(raw(0, 1, encoded("JPEG")[:200], sensor_id=1))
-    assert fusion.send(cloud(0, 1))
-    assert fusion.send(raw(100, 2, encoded("JPEG"), sensor_id=1))
-    assert fusion.send(cloud(100, 2))
+    send_all(
+        fusion, raw(0, 1, encoded("JPEG")[:200], sensor_id=1), cloud(0, 1), raw(100, 2, encoded("JPEG"), sensor_id=1)
+    )
+    send_all(fusion, cloud(100, 2))
     assert pairs(fusion) == [(2, 2)]
     assert fusion.counters.counts()["errors.unreadable-image"] == 1
 
@@ -501,12 +486,10 @@ def test_what_is_older_than_lateness_allows_is_refused(fusion):
 @pytest.mark.parametrize("hours", [-30, 30])
 def test_after_all_clocks_were_set_pairs_go_on(fusion, hours):
     for seq in range(5):
-        assert fusion.send(image(100 * seq, seq))
-        assert fusion.send(cloud(100 * seq + 3, seq))
+        send_all(fusion, image(100 * seq, seq), cloud(100 * seq + 3, seq))
     jump = hours * 3_600_000
     for seq in range(5, 10):
-        assert fusion.send(image(100 * seq + jump, seq))
-        assert fusion.send(cloud(100 * seq + 3 + jump, seq))
+        send_all(fusion, image(100 * seq + jump, seq), cloud(100 * seq + 3 + jump, seq))
     assert pairs(fusion) == [(seq, seq) for seq in range(10)]
     assert fusion.counters.counts()[f"clock.set-{'back' if hours < 0 else 'forward'}"] >= 1
 
@@ -514,8 +497,7 @@ def test_after_all_clocks_were_set_pairs_go_on(fusion, hours):
 def test_one_wrong_timestamp_far_ahead_costs_one_record(fusion):
     for seq in range(10):
         jump = 3_600_000 if seq == 4 else 0
-        assert fusion.send(image(100 * seq, seq))
-        assert fusion.send(cloud(100 * seq + 3 + jump, seq))
+        send_all(fusion, image(100 * seq, seq), cloud(100 * seq + 3 + jump, seq))
     assert pairs(fusion) == [(seq, seq) for seq in range(10) if seq != 4]
 
 
@@ -529,8 +511,7 @@ def test_a_number_again_is_refused_and_taken_after_a_sensor_was_started_again(fu
 def test_numbers_wrap_at_2_to_the_32(fusion):
     numbers = [2**32 - 2, 2**32 - 1, 0, 1]
     for k, seq in enumerate(numbers):
-        assert fusion.send(image(100 * k, seq))
-        assert fusion.send(cloud(100 * k, seq))
+        send_all(fusion, image(100 * k, seq), cloud(100 * k, seq))
     assert pairs(fusion) == [(seq, seq) for seq in numbers]
 
 
@@ -575,9 +556,7 @@ def test_an_algorithm_that_fails_for_one_lidar_leaves_the_other_its_images(monke
     with FusionInterface(inline=True) as fusion:
         for lidar_id in (0, 2):
             assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=lidar_id)
-        assert fusion.send(cloud(0, 1, sensor_id=0))
-        assert fusion.send(cloud(0, 5, [(20.0, 0, 0)], sensor_id=2))
-        assert fusion.send(image(0, 1))
+        send_all(fusion, cloud(0, 1, sensor_id=0), cloud(0, 5, [(20.0, 0, 0)], sensor_id=2), image(0, 1))
         assert pairs(fusion) == [(5, 1)]
 
 
@@ -585,10 +564,8 @@ def test_who_only_looks_on_ends_nothing():
     def observer(event):
         raise RuntimeError(event)
 
-    with FusionInterface(inline=True, observer=observer) as fusion:
-        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
-        assert fusion.send(image(0, 1))
-        assert fusion.send(cloud(0, 1))
+    with interface(inline=True, observer=observer) as fusion:
+        send_all(fusion, image(0, 1), cloud(0, 1))
         assert pairs(fusion) == [(1, 1)]
         assert fusion.counters.counts()["errors.observer.RuntimeError"] >= 3
 
@@ -596,8 +573,7 @@ def test_who_only_looks_on_ends_nothing():
 def test_one_that_never_fetches_keeps_only_the_newest_results(fusion):
     assert fusion.set_property("result_queue_length", 3)
     for seq in range(10):
-        assert fusion.send(image(100 * seq, seq))
-        assert fusion.send(cloud(100 * seq, seq))
+        send_all(fusion, image(100 * seq, seq), cloud(100 * seq, seq))
     fusion.flush()
     assert fusion.waiting_results == 3
     assert fusion.counters.counts()["dropped.results"] == 7
@@ -619,8 +595,7 @@ def test_a_full_queue_refuses_where_it_is_reported_to(fusion):
     assert fusion.set_property("queue_length", 2)
     outcomes = [fusion.send(cloud(100 * seq, seq)) for seq in range(4)]
     assert [outcome.cause for outcome in outcomes] == ["", "", Cause.QUEUE_FULL, Cause.QUEUE_FULL]
-    assert fusion.send(image(0, 0))
-    assert fusion.send(image(100, 1))
+    send_all(fusion, image(0, 0), image(100, 1))
     assert fusion.send(cloud(200, 2))  # the same number again is no duplicate: it was not taken before
     assert pairs(fusion) == [(0, 0), (1, 1), (2, 1)]
 
@@ -641,18 +616,15 @@ def test_boxes_alone_are_closed_by_the_next_number_and_by_flush(fusion):
 
 
 def test_a_box_of_a_frame_that_is_closed_already_is_refused(fusion):
-    assert fusion.send(box_3d(0, 0))
-    assert fusion.send(box_3d(100, 1))
+    send_all(fusion, box_3d(0, 0), box_3d(100, 1))
     assert fusion.send(box_3d(0, 0)).cause is Cause.DUPLICATE
     assert fusion.waiting_boxes == 1
 
 
 def test_boxes_alone_are_closed_when_nothing_comes_for_a_while():
-    with FusionInterface() as fusion:
-        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    with interface() as fusion:
         assert fusion.set_property("pairing_timeout_ms", 5)
-        assert fusion.send(box_3d(0, 3))
-        assert fusion.send(box_2d(0, 4))
+        send_all(fusion, box_3d(0, 3), box_2d(0, 4))
         result = fusion.get(1, timeout_s=30)
     assert (result.record.points_seq, result.record.image_seq) == (3, 4)
 
@@ -662,18 +634,14 @@ def test_a_box_alone_belongs_to_the_sensor_that_sent_its_frame():
         for lidar_id in (0, 2):
             assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=lidar_id)
         assert fusion.send(box_3d(0, 7)).cause is Cause.UNKNOWN_SENSOR
-        assert fusion.send(cloud(0, 6, sensor_id=0))
-        assert fusion.send(cloud(0, 7, sensor_id=2))
-        assert fusion.send(box_3d(0, 7))
-        assert fusion.send(box_2d(0, 1))
+        send_all(fusion, cloud(0, 6, sensor_id=0), cloud(0, 7, sensor_id=2), box_3d(0, 7), box_2d(0, 1))
         fusion.flush()
         record = fusion.get(1).record
     assert (record.lidar_id, record.points_seq) == (2, 7)
 
 
 def test_without_images_sweeps_are_not_kept_waiting():
-    with FusionInterface() as fusion:
-        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    with interface() as fusion:
         assert fusion.set_property("pairing_timeout_ms", 0)
         assert fusion.set_property("pairing_tolerance_ms", 1.0)
         assert fusion.send(cloud(0, 1))
@@ -684,8 +652,7 @@ def test_without_images_sweeps_are_not_kept_waiting():
 
 
 def test_nothing_waits_after_the_end():
-    fusion = FusionInterface()
-    assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    fusion = interface()
     for record in (cloud(0, 1), image(700, 2), boxes_3d(0, 1), boxes_2d(900, 1), box_3d(2000, 3)):
         assert fusion.send(record)
     fusion.close()
@@ -695,8 +662,7 @@ def test_nothing_waits_after_the_end():
 
 
 def test_all_who_wait_are_let_go_at_the_end_and_each_result_goes_to_one():
-    fusion = FusionInterface()
-    assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    fusion = interface()
     found, guard = [], threading.Lock()
 
     def fetch():
@@ -708,8 +674,7 @@ def test_all_who_wait_are_let_go_at_the_end_and_each_result_goes_to_one():
     for thread in threads:
         thread.start()
     for seq in range(20):
-        assert fusion.send(image(100 * seq, seq))
-        assert fusion.send(cloud(100 * seq, seq))
+        send_all(fusion, image(100 * seq, seq), cloud(100 * seq, seq))
         fusion.flush()
     fusion.close()
     for thread in threads:
@@ -719,8 +684,7 @@ def test_all_who_wait_are_let_go_at_the_end_and_each_result_goes_to_one():
 
 
 def test_a_removed_calibration_is_gone():
-    with FusionInterface(inline=True) as fusion:
-        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+    with interface(inline=True) as fusion:
         assert '"extrinsic_matrix"' in fusion.get_property("calibration")
         assert fusion.set_property("calibration", "")
         assert fusion.send(cloud(0, 1)).cause is Cause.NO_CALIBRATION
@@ -729,8 +693,7 @@ def test_a_removed_calibration_is_gone():
 def test_a_pair_of_another_setting_than_its_sweep_is_fused(fusion):
     assert fusion.send(boxes_3d(0, 1))
     assert fusion.set_calibration(calibration(extrinsic_matrix=FORWARD), camera_id=2, lidar_id=0)
-    assert fusion.send(boxes_2d(0, 1))
-    assert fusion.send(boxes_2d(0, 2, sensor_id=2))
+    send_all(fusion, boxes_2d(0, 1), boxes_2d(0, 2, sensor_id=2))
     assert pairs(fusion, 1) == [(1, 1), (1, 2)]
 
 
@@ -754,14 +717,10 @@ def test_a_camera_whose_calibration_was_taken_away_is_not_waited_for_any_more(fu
 
 def test_what_a_camera_sent_before_it_was_taken_away_is_for_the_sweeps_of_that_time_alone(fusion):
     assert fusion.set_calibration(calibration(), camera_id=2, lidar_id=0)
-    assert fusion.send(image(0, 0, sensor_id=2))
-    assert fusion.send(boxes_2d(0, 0, sensor_id=2))
-    assert fusion.send(cloud(0, 0))
-    assert fusion.send(boxes_3d(0, 0))
+    send_all(fusion, image(0, 0, sensor_id=2), boxes_2d(0, 0, sensor_id=2), cloud(0, 0), boxes_3d(0, 0))
     only = (CalibrationEntry(1, 0, calibration()),)
     assert fusion.set_property("calibration", format_calibrations(only))
-    assert fusion.send(cloud(20, 1))
-    assert fusion.send(boxes_3d(20, 1))
+    send_all(fusion, cloud(20, 1), boxes_3d(20, 1))
     for record in (image(0, 0), boxes_2d(0, 0)):
         assert fusion.send(record)
     fusion.flush()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.unit.db34t.sending import START_NS, box_3d, calibration, timestamp
+from tests.unit.db34t.sending import START_NS, box_3d, calibration, send_all, timestamp
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.db34t import Boxes2d, Boxes3d
@@ -203,7 +203,6 @@ def test_a_missed_box_does_not_end_a_track():
         tracker, reported = TrackedResults(), []
         for k in range(8):
             sweep, image = boxes_at(k, 15.0)
-            assert fusion.send(image)
-            assert fusion.send(Boxes3d.empty(0, k, timestamp(PERIOD_MS * k)) if k == 6 else sweep)
+            send_all(fusion, image, Boxes3d.empty(0, k, timestamp(PERIOD_MS * k)) if k == 6 else sweep)
             reported += [one for found in iter(lambda: fusion.get(1), None) for one in tracker.take(found)]
     assert reported[7].record.id.tolist() == reported[5].record.id.tolist() == [1]

@@ -63,6 +63,72 @@ class Broken:
         return self.inner.files_with(symbol)
 
 
+SERVERS = []
+"""Every broken server's name, how it is made of a sound one, and the checks that find it."""
+
+
+def incoming(ids, *kinds, method="Send"):
+    """Declare a change of requests: of Send with records of some kinds it gets the record, else the request.
+
+    A record for which it gives "refuse" is taken out, so that the request is refused.
+    """
+
+    def declared(change):
+        def changed(broken, called, request):
+            if called != method or (kinds and request.WhichOneof("data") not in kinds):
+                return request
+            found = change(getattr(request, request.WhichOneof("data"))) if kinds else change(request)
+            return fusion_pb2.SendRequest(session=request.session) if found == "refuse" else request
+
+        SERVERS.append((change.__name__, lambda inner: Broken(inner, incoming=changed), ids.split()))
+        return change
+
+    return declared
+
+
+def outgoing(ids, held="sensor_data"):
+    """Declare a change of results: it gets the record of table 9, or each one of table 10."""
+
+    def declared(change):
+        def changed(_, method, request, reply):
+            if method == "Get" and reply.HasField(held):
+                for record in [reply.sensor_data] if held == "sensor_data" else reply.detections.detections:
+                    change(record)
+            return reply
+
+        SERVERS.append((change.__name__, lambda inner: Broken(inner, outgoing=changed), ids.split()))
+        return change
+
+    return declared
+
+
+def broken_in(ids):
+    """Declare a change that gets the server, the method and the request."""
+    return _declare(ids, lambda change: lambda inner: Broken(inner, incoming=change))
+
+
+def broken_out(ids):
+    """Declare a change that gets the server, the method, the request and the reply."""
+    return _declare(ids, lambda change: lambda inner: Broken(inner, outgoing=change))
+
+
+def broken_server(ids):
+    """Declare a server that is broken in another way."""
+    return _declare(ids, lambda kind: kind)
+
+
+def _declare(ids, make_of):
+    def declared(change):
+        SERVERS.append((change.__name__, make_of(change), ids.split()))
+        return change
+
+    return declared
+
+
+def broken_servers():
+    return SERVERS
+
+
 def records(reply):
     """The messages in a reply of Get that have a timestamp of their own."""
     if reply.HasField("sensor_data"):
@@ -70,237 +136,265 @@ def records(reply):
     return [reply.detections, *reply.detections.detections] if reply.HasField("detections") else []
 
 
-# what comes in
+def rows_of(record):
+    """The points of a record of table 9, (N, F)."""
+    return np.frombuffer(record.point_data, "<f4").reshape(-1, len(record.point_fields))
 
 
-def wrapping_values(_, method, request):
+@incoming("T1-4 T1-5", method="SetProperty")
+def wrapping_values(request):
     """Whole numbers are cut to 32 bits where they are set."""
-    if method == "SetProperty" and request.value.WhichOneof("kind") == "integer_value":
-        number = request.value.integer_value
-        if not -(2**31) <= number < 2**32:
-            request.value.integer_value = number % 2**32
-    return request
+    number = request.value.integer_value
+    if request.value.WhichOneof("kind") == "integer_value" and not -(2**31) <= number < 2**32:
+        request.value.integer_value = number % 2**32
 
 
-def matrix_by_rows(_, method, request):
+@incoming(
+    "T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 4.1-3 5.2-1 5.2-2 5.2-3 6.3-1 6.7-1 T9-12 T10-16 T10-17 T10-18 X-10 X-11 X-15",
+    method="SetCalibration",
+)
+def matrix_by_rows(request):
     """The first three rows of four numbers are taken for rotation and translation, in whatever layout they come."""
-    if method == "SetCalibration" and len(request.calibration.extrinsic_matrix) == 16:
+    if len(request.calibration.extrinsic_matrix) == 16:
         request.calibration.extrinsic_matrix[12:] = [0.0, 0.0, 0.0, 1.0]
-    return request
 
 
-def reference_frame_ignored(_, method, request):
+@incoming("T3-4", method="SetCalibration")
+def reference_frame_ignored(request):
     """The matrix is always taken for one into the camera's frame."""
-    if method == "SetCalibration" and request.calibration.reference_frame == 1:
+    if request.calibration.reference_frame == 1:
         request.calibration.reference_frame = 0
-    return request
 
 
-def colours_swapped(_, method, request):
-    """Red and blue change locations."""
-    if method == "Send" and request.WhichOneof("data") == "image" and request.image.encoding == "rgb8":
-        pixels = np.frombuffer(request.image.data, np.uint8)
-        if pixels.size % 3 == 0:
-            request.image.data = pixels.reshape(-1, 3)[:, ::-1].tobytes()
-    return request
+@incoming("T9-11 4.1-3 6.7-1", "image")
+def colours_swapped(image):
+    """Red and blue change places."""
+    pixels = np.frombuffer(image.data, np.uint8)
+    if image.encoding == "rgb8" and pixels.size % 3 == 0:
+        image.data = pixels.reshape(-1, 3)[:, ::-1].tobytes()
 
 
-def blue_taken_for_red(_, method, request):
+@incoming("6.3-1 6.7-2", "image")
+def blue_taken_for_red(image):
     """Images are taken to have red first, whatever they state."""
-    if method == "Send" and request.WhichOneof("data") == "image" and request.image.encoding == "bgr8":
-        request.image.encoding = "rgb8"
-    return request
+    image.encoding = image.encoding.replace("bgr8", "rgb8")
 
 
-def negative_seq(_, method, request):
+@incoming("5.6-8 T4-3 T5-3 T6-3", "raw", "image", "points", "boxes_3d", "boxes_2d")
+def negative_seq(record):
     """Numbers are kept as if they had a sign: those from 2^31 on are refused."""
-    if method == "Send":
-        record = getattr(request, request.WhichOneof("data") or "image")
-        if hasattr(record, "seq") and record.seq >= 2**31:
-            return fusion_pb2.SendRequest(session=request.session)
-    return request
+    return "refuse" if record.seq >= 2**31 else None
 
 
-def chirality_ignored(_, method, request):
+@incoming("T2-2 5.2-1", method="SetProperty")
+def chirality_ignored(request):
     """Frames are right-handed, whatever is declared."""
-    if method == "SetProperty" and request.name == "chirality" and request.value.integer_value == 1:
+    if request.name == "chirality" and request.value.integer_value == 1:
         request.value.integer_value = 0
-    return request
 
 
-def distortion_ignored(_, method, request):
+@incoming("T3-2", method="SetCalibration")
+def distortion_ignored(request):
     """Camera models are taken to have no distortion."""
-    if method == "SetCalibration" and len(request.calibration.distortion_coeffs) == 5:
+    if len(request.calibration.distortion_coeffs) == 5:
         request.calibration.distortion_coeffs[:] = [0.0] * 5
-    return request
 
 
-def tangential_swapped(_, method, request):
-    """p1 and p2 change locations."""
-    coefficients = request.calibration.distortion_coeffs if method == "SetCalibration" else ()
+@incoming("T3-2", method="SetCalibration")
+def tangential_swapped(request):
+    """p1 and p2 change places."""
+    coefficients = request.calibration.distortion_coeffs
     if len(coefficients) == 5:
         coefficients[2], coefficients[3] = coefficients[3], coefficients[2]
-    return request
 
 
+@broken_in("4.1-2")
 def first_calibration_kept(broken, method, request):
     """A calibration cannot be replaced."""
     if method == "SetCalibration":
         key = request.session, request.camera_id, request.lidar_id
-        first = broken.notes.setdefault(key, request.calibration)
-        request.calibration.CopyFrom(first)
+        request.calibration.CopyFrom(broken.notes.setdefault(key, request.calibration))
     return request
 
 
+@broken_in("X-2 X-3")
 def one_session(_, method, request):
     """All sessions are one, but for ending it."""
-    if method == "SetProperty" and request.name == "camera_frequency":
-        request.session = "everybody"
-    if method == "GetProperty" and request.name == "camera_frequency":
+    if method in ("SetProperty", "GetProperty") and request.name == "camera_frequency":
         request.session = "everybody"
     return request
 
 
-def motion_ignored(_, method, request):
+@incoming("X-15", method="SendMotion")
+def motion_ignored(request):
     """The vehicle stands, whatever is reported."""
-    if method == "SendMotion":
-        for pose in request.poses:
-            pose.position[:] = [0.0, 0.0, 0.0]
-    return request
+    for pose in request.poses:
+        pose.position[:] = [0.0, 0.0, 0.0]
 
 
+@broken_in("5.6-10")
 def late_refused(broken, method, request):
     """What is older than something that came before is refused."""
     if method == "Send" and request.WhichOneof("data") == "image":
-        timestamp = request.image.timestamp
+        timestamp = request.image.timestamp.s, request.image.timestamp.ns
         newest = broken.notes.get(request.session, (0, 0))
-        broken.notes[request.session] = max(newest, (timestamp.s, timestamp.ns))
-        if (timestamp.s, timestamp.ns) < newest:
+        broken.notes[request.session] = max(newest, timestamp)
+        if timestamp < newest:
             return fusion_pb2.SendRequest(session=request.session)
     return request
 
 
-def bare_boxes_refused(_, method, request):
+@incoming("5.6-6", "box_3d", "box_2d")
+def bare_boxes_refused(_):
     """Boxes are taken in lists only."""
-    if method == "Send" and request.WhichOneof("data") in ("box_3d", "box_2d"):
-        return fusion_pb2.SendRequest(session=request.session)
-    return request
+    return "refuse"
 
 
-def lengths_halved(_, method, request):
+@incoming("T10-9", "boxes_3d")
+def lengths_halved(boxes):
     """Lengths of boxes are taken for twice what is meant."""
-    if method == "Send" and request.WhichOneof("data") == "boxes_3d":
-        for box in request.boxes_3d.boxes:
-            box.length /= 2
-    return request
+    for box in boxes.boxes:
+        box.length /= 2
 
 
-def whole_cloud_refused(_, method, request):
+@incoming("6.4-2", "points")
+def whole_cloud_refused(points):
     """A cloud with one number that is not finite is refused."""
-    if method == "Send" and request.WhichOneof("data") == "points":
-        content = request.points.data
-        if len(content) % 4 == 0 and not np.isfinite(np.frombuffer(content, "<f4")).all():
-            return fusion_pb2.SendRequest(session=request.session)
-    return request
+    whole = len(points.data) % 4 == 0
+    return "refuse" if whole and not np.isfinite(np.frombuffer(points.data, "<f4")).all() else None
 
 
-def flat_boxes_taken(_, method, request):
+@incoming("T8-8", "boxes_2d")
+def flat_boxes_taken(boxes):
     """Boxes without a width are taken for a pixel wide."""
-    if method == "Send" and request.WhichOneof("data") == "boxes_2d":
-        for box in request.boxes_2d.boxes:
-            box.x2 += box.x1 == box.x2
-    return request
+    for box in boxes.boxes:
+        box.x2 += box.x1 == box.x2
 
 
-def vertical_taken_for_forward(_, method, request):
+@incoming("6.5-1", "boxes_3d")
+def vertical_taken_for_forward(boxes):
     """Boxes that head straight up are taken to head forward."""
-    if method == "Send" and request.WhichOneof("data") == "boxes_3d":
-        for box in request.boxes_3d.boxes:
-            if len(box.direction) == 3 and not any(box.direction[:2]) and box.direction[2]:
-                box.direction[:] = [1.0, 0.0, 0.0]
-    return request
+    for box in boxes.boxes:
+        if len(box.direction) == 3 and not any(box.direction[:2]) and box.direction[2]:
+            box.direction[:] = [1.0, 0.0, 0.0]
 
 
-# what goes out
-
-
-def always_rgb8(_, method, request, reply):
+@outgoing("6.7-2")
+def always_rgb8(record):
     """Images are reported to be rgb8, whatever they are."""
-    if method == "Get" and reply.HasField("sensor_data"):
-        reply.sensor_data.encoding = "rgb8"
-    return reply
+    record.encoding = "rgb8"
 
 
-def layout_by_values(_, method, request, reply):
+@outgoing("6.7-1")
+def layout_by_values(record):
     """Colours come before what else was sent of a point where that is whole numbers."""
-    record = reply.sensor_data if method == "Get" else None
-    if record is not None and len(record.point_fields) > 6:
-        names = list(record.point_fields)
-        rows = np.frombuffer(record.point_data, "<f4").reshape(-1, len(names))
-        if np.array_equal(rows[:, 3], np.rint(rows[:, 3])):
-            record.point_fields[:] = [*names[:3], *names[-3:], *names[3:-3]]
-            order = [names.index(name) for name in record.point_fields]
-            record.point_data = np.ascontiguousarray(rows[:, order]).tobytes()
-    return reply
+    names, rows = list(record.point_fields), rows_of(record)
+    if len(names) > 6 and np.array_equal(rows[:, 3], np.rint(rows[:, 3])):
+        record.point_fields[:] = [*names[:3], *names[-3:], *names[3:-3]]
+        order = [names.index(name) for name in record.point_fields]
+        record.point_data = np.ascontiguousarray(rows[:, order]).tobytes()
 
 
-def unseen_white(_, method, request, reply):
+@outgoing("6.7-3")
+def unseen_white(record):
     """Points that the image does not show are white."""
-    record = reply.sensor_data if method == "Get" else None
-    if record is not None and record.point_data:
-        rows = np.frombuffer(record.point_data, "<f4").reshape(-1, len(record.point_fields)).copy()
-        rows[(rows[:, -3:] == 128).all(axis=1), -3:] = 255
-        record.point_data = rows.tobytes()
-    return reply
+    rows = rows_of(record).copy()
+    rows[(rows[:, -3:] == 128).all(axis=1), -3:] = 255
+    record.point_data = rows.tobytes()
 
 
-def outlines_at_the_border(_, method, request, reply):
+@outgoing("T9-12 T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 5.2-1 5.2-2 5.2-3 X-10 X-15 X-20")
+def depth_by_columns(record):
+    """The depth image is written column after column."""
+    image = np.frombuffer(record.image_depth, "<f4").reshape(record.height, record.width)
+    record.image_depth = image.T.tobytes()
+
+
+@outgoing("5.6-8 5.6-9 5.6-10 5.6-12 T9-3")
+def missing_field(record):
+    """image_seq of table 9 is left out."""
+    record.ClearField("image_seq")
+
+
+@outgoing("5.2-1 5.2-2 5.2-3 6.3-1 6.4-2 6.7-1 6.7-3 T9-16 4.1-3 X-11")
+def points_reversed(record):
+    """The numbers of each point come in the opposite order of their names."""
+    record.point_data = rows_of(record)[:, ::-1].tobytes()
+
+
+@outgoing("T9-1")
+def time_of_the_image(record):
+    """Results bear the time of the image."""
+    record.timestamp.CopyFrom(record.image_timestamp)
+
+
+@outgoing("6.8-1", "detections")
+def outlines_at_the_border(found):
     """Outlines of what is not in the image are somewhere at its border."""
-    if method == "Get" and reply.HasField("detections"):
-        for found in reply.detections.detections:
-            if found.x2 == 0:
-                found.x1 = found.x2 = 64
-    return reply
+    if found.x2 == 0:
+        found.x1 = found.x2 = 64
 
 
+@outgoing("T10-4", "detections")
+def class_lost(found):
+    """Detections have no class."""
+    setattr(found, "class", "")
+
+
+@outgoing("T10-8", "detections")
+def covariance_by_halves(found):
+    """Of covariances only the upper half is filled."""
+    found.center_cov[:] = np.triu(np.reshape(found.center_cov, (3, 3)) + 0.01).reshape(-1).tolist()
+
+
+@outgoing("T10-14", "detections")
+def speed_without_sign(found):
+    """Speeds lose their sign."""
+    found.velocity = abs(found.velocity)
+
+
+@outgoing("5.2-1 5.2-2 5.2-3 T10-13", "detections")
+def directions_rotated(found):
+    """Directions come in the frame of the camera."""
+    x, y, z = found.direction
+    found.direction[:] = [-y, -z, x]
+
+
+@broken_out("5.3-3 5.4-3 5.6-3")
 def status_two(_, method, request, reply):
     """What is done is reported with 2."""
-    if (
-        isinstance(reply, fusion_pb2.Status)
-        and reply.status == 1
-        and method not in ("CloseSession", "SendMotion", "Flush")
-    ):
+    of_standard = method not in ("CloseSession", "SendMotion", "Flush")
+    if isinstance(reply, fusion_pb2.Status) and reply.status == 1 and of_standard:
         reply.status = 2
     return reply
 
 
+@broken_out("5.3-2 5.3-3 X-1")
 def always_done(_, method, request, reply):
     """What is refused is reported as done."""
-    if isinstance(reply, fusion_pb2.Status) and method == "AddProperty":
-        reply.Clear()
-        reply.status = 1
-    return reply
+    return fusion_pb2.Status(status=1) if method == "AddProperty" else reply
 
 
+@broken_out("T9-1 T10-3 X-14")
 def float_seconds(_, method, request, reply):
     """Times go through seconds in a float of 64 bits."""
-    if method == "Get":
-        for record in records(reply):
-            seconds = record.timestamp.s + record.timestamp.ns * 1e-9
-            record.timestamp.s = int(seconds)
-            record.timestamp.ns = round((seconds - int(seconds)) * 1e9)
+    for record in records(reply) if method == "Get" else ():
+        seconds = record.timestamp.s + record.timestamp.ns * 1e-9
+        record.timestamp.s = int(seconds)
+        record.timestamp.ns = round((seconds - int(seconds)) * 1e9)
     return reply
 
 
+@broken_out("5.6-8")
 def float_seq(_, method, request, reply):
     """Numbers of sweeps go through a float of 32 bits."""
-    if method == "Get":
-        for record in records(reply):
-            if hasattr(record, "points_seq"):
-                record.points_seq = min(int(np.float32(record.points_seq)), 2**32 - 1)
+    for record in records(reply) if method == "Get" else ():
+        if hasattr(record, "points_seq"):
+            record.points_seq = min(int(np.float32(record.points_seq)), 2**32 - 1)
     return reply
 
 
+@broken_out("5.6-8 5.6-10 5.7-3 X-6")
 def newest_first(broken, method, request, reply):
     """The newest result comes first."""
     if method != "Get":
@@ -316,6 +410,7 @@ def newest_first(broken, method, request, reply):
     return kept.pop() if kept else reply
 
 
+@broken_out("5.7-4")
 def result_again(broken, method, request, reply):
     """The last result is given again where there is none."""
     if method != "Get":
@@ -327,6 +422,7 @@ def result_again(broken, method, request, reply):
     return reply
 
 
+@broken_out("5.7-4 5.7-5 X-2 X-5")
 def no_data_is_an_error(_, method, request, reply):
     """Where there is no result the call fails."""
     if method == "Get" and reply.WhichOneof("result") == "no_data":
@@ -334,47 +430,7 @@ def no_data_is_an_error(_, method, request, reply):
     return reply
 
 
-def missing_field(_, method, request, reply):
-    """image_seq of table 9 is left out."""
-    if method == "Get" and reply.HasField("sensor_data"):
-        reply.sensor_data.ClearField("image_seq")
-    return reply
-
-
-def class_lost(_, method, request, reply):
-    """Detections have no class."""
-    if method == "Get" and reply.HasField("detections"):
-        for found in reply.detections.detections:
-            setattr(found, "class", "")
-    return reply
-
-
-def covariance_by_halves(_, method, request, reply):
-    """Of covariances only the upper half is filled."""
-    if method == "Get" and reply.HasField("detections"):
-        for found in reply.detections.detections:
-            square = np.triu(np.reshape(found.center_cov, (3, 3)) + 0.01)
-            found.center_cov[:] = square.reshape(-1).tolist()
-    return reply
-
-
-def speed_without_sign(_, method, request, reply):
-    """Speeds lose their sign."""
-    if method == "Get" and reply.HasField("detections"):
-        for found in reply.detections.detections:
-            found.velocity = abs(found.velocity)
-    return reply
-
-
-def depth_by_columns(_, method, request, reply):
-    """The depth image is written column after column."""
-    if method == "Get" and reply.HasField("sensor_data"):
-        record = reply.sensor_data
-        image = np.frombuffer(record.image_depth, "<f4").reshape(record.height, record.width)
-        record.image_depth = image.T.tobytes()
-    return reply
-
-
+@broken_out("X-1")
 def no_reasons(_, method, request, reply):
     """What is refused is refused without a word."""
     if isinstance(reply, fusion_pb2.Status):
@@ -382,6 +438,7 @@ def no_reasons(_, method, request, reply):
     return reply
 
 
+@broken_server("5.5-2")
 class UnknownIsEmpty(Broken):
     """A property that is not there is an empty one."""
 
@@ -394,6 +451,7 @@ class UnknownIsEmpty(Broken):
             return fusion_pb2.Property(name=request.name)
 
 
+@broken_server("T9-12 X-10")
 class RangesForDepths(Broken):
     """Depth images hold distances along the rays, and the records state that they do not."""
 
@@ -401,16 +459,15 @@ class RangesForDepths(Broken):
         if method == "Send" and request.session not in self.notes:
             self.notes[request.session] = "stated"
             kind = fusion_pb2.Value(string_value="range")
-            self.inner.call(
-                "SetProperty",
-                fusion_pb2.SetPropertyRequest(name="depth_kind", value=kind, session=request.session),
-            )
+            stated = fusion_pb2.SetPropertyRequest(name="depth_kind", value=kind, session=request.session)
+            self.inner.call("SetProperty", stated)
         reply = super().call(method, request)
         if method == "Get" and reply.HasField("sensor_data"):
             reply.sensor_data.depth_kind = "z"
         return reply
 
 
+@broken_server("X-21")
 class NeverWell(Broken):
     """The service is there, and its health says that it is not."""
 
@@ -418,6 +475,7 @@ class NeverWell(Broken):
         return "NOT_SERVING" if super().health(service) and service else "SERVING"
 
 
+@broken_server("X-21")
 class WellWithoutName(Broken):
     """Health is known of all together and of no service."""
 
@@ -427,6 +485,7 @@ class WellWithoutName(Broken):
         return super().health(service)
 
 
+@broken_server("X-21")
 class AnythingIsWell(Broken):
     """Health is SERVING of services that there are not."""
 
@@ -434,6 +493,7 @@ class AnythingIsWell(Broken):
         return "SERVING"
 
 
+@broken_server("X-22")
 class Unlisted(Broken):
     """Reflection lists others than the service."""
 
@@ -441,6 +501,7 @@ class Unlisted(Broken):
         return super().services() - {SERVICE.full_name}
 
 
+@broken_server("X-22 X-23")
 class NoReflection(Broken):
     """Nobody answers questions of reflection."""
 
@@ -451,6 +512,7 @@ class NoReflection(Broken):
         raise CallFailedError("UNIMPLEMENTED", "reflection")
 
 
+@broken_server("X-23")
 class AnotherProto(Broken):
     """Reflection describes a service whose fields have other numbers."""
 
@@ -459,98 +521,3 @@ class AnotherProto(Broken):
         file = FileDescriptorProto.FromString(content)
         next(m for m in file.message_type if m.name == "ImageData").field[3].number = 99
         return [file.SerializeToString()]
-
-
-def points_reversed(_, method, request, reply):
-    """The numbers of each point come in the opposite order of their names."""
-    if method == "Get" and reply.HasField("sensor_data"):
-        record = reply.sensor_data
-        rows = np.frombuffer(record.point_data, "<f4").reshape(-1, len(record.point_fields))
-        record.point_data = rows[:, ::-1].tobytes()
-    return reply
-
-
-def directions_rotated(_, method, request, reply):
-    """Directions come in the frame of the camera."""
-    if method == "Get" and reply.HasField("detections"):
-        for found in reply.detections.detections:
-            x, y, z = found.direction
-            found.direction[:] = [-y, -z, x]
-    return reply
-
-
-def time_of_the_image(_, method, request, reply):
-    """Results bear the time of the image."""
-    if method == "Get" and reply.HasField("sensor_data"):
-        reply.sensor_data.timestamp.CopyFrom(reply.sensor_data.image_timestamp)
-    return reply
-
-
-INCOMING = {
-    wrapping_values: "T1-4 T1-5",
-    reference_frame_ignored: "T3-4",
-    blue_taken_for_red: "6.3-1 6.7-2",
-    colours_swapped: "T9-11 4.1-3 6.7-1",
-    whole_cloud_refused: "6.4-2",
-    flat_boxes_taken: "T8-8",
-    vertical_taken_for_forward: "6.5-1",
-    negative_seq: "5.6-8 T4-3 T5-3 T6-3",
-    chirality_ignored: "T2-2 5.2-1",
-    distortion_ignored: "T3-2",
-    tangential_swapped: "T3-2",
-    first_calibration_kept: "4.1-2",
-    one_session: "X-2 X-3",
-    motion_ignored: "X-15",
-    late_refused: "5.6-10",
-    bare_boxes_refused: "5.6-6",
-    lengths_halved: "T10-9",
-    matrix_by_rows: "T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 4.1-3 5.2-1 5.2-2 5.2-3 6.3-1 6.7-1 "
-    "T9-12 T10-16 T10-17 T10-18 X-10 X-11 X-15",
-}
-"""What is broken on the way in, and the checks that find it."""
-
-OUTGOING = {
-    status_two: "5.3-3 5.4-3 5.6-3",
-    always_done: "5.3-2 5.3-3 X-1",
-    float_seconds: "T9-1 T10-3 X-14",
-    float_seq: "5.6-8",
-    newest_first: "5.6-8 5.6-10 5.7-3 X-6",
-    result_again: "5.7-4",
-    no_data_is_an_error: "5.7-4 5.7-5 X-2 X-5",
-    missing_field: "5.6-8 5.6-9 5.6-10 5.6-12 T9-3",
-    class_lost: "T10-4",
-    covariance_by_halves: "T10-8",
-    speed_without_sign: "T10-14",
-    depth_by_columns: "T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 5.2-1 5.2-2 5.2-3 T9-12 X-10 X-15 X-20",
-    no_reasons: "X-1",
-    points_reversed: "5.2-1 5.2-2 5.2-3 6.3-1 6.4-2 6.7-1 6.7-3 T9-16 4.1-3 X-11",
-    always_rgb8: "6.7-2",
-    layout_by_values: "6.7-1",
-    unseen_white: "6.7-3",
-    outlines_at_the_border: "6.8-1",
-    directions_rotated: "5.2-1 5.2-2 5.2-3 T10-13",
-    time_of_the_image: "T9-1",
-}
-"""What is broken on the way out, and the checks that find it."""
-
-WHOLE = {
-    UnknownIsEmpty: "5.5-2",
-    RangesForDepths: "T9-12 X-10",
-    NeverWell: "X-21",
-    WellWithoutName: "X-21",
-    AnythingIsWell: "X-21",
-    Unlisted: "X-22",
-    NoReflection: "X-22 X-23",
-    AnotherProto: "X-23",
-}
-"""Servers that are broken in another way, and the checks that find it."""
-
-
-def broken_servers():
-    """Every broken server's name, how it is made of a sound one, and the checks that find it."""
-    for change, ids in INCOMING.items():
-        yield change.__name__, lambda inner, change=change: Broken(inner, incoming=change), ids.split()
-    for change, ids in OUTGOING.items():
-        yield change.__name__, lambda inner, change=change: Broken(inner, outgoing=change), ids.split()
-    for kind, ids in WHOLE.items():
-        yield kind.__name__, kind, ids.split()

@@ -105,7 +105,6 @@ _NONE = -1
 
 _KIND_OF = {name: name for name in KINDS} | {word: name for name, kind in KINDS.items() for word in kind.words}
 
-_LOCATIONS = {name: k for k, name in enumerate(KINDS)}
 _FAMILIES = tuple(dict.fromkeys(kind.family for kind in KINDS.values()))
 _DROPPED = str.maketrans("", "", " -_.")
 
@@ -119,37 +118,36 @@ wide enough to hold a person and a car."""
 
 @lru_cache(maxsize=4096)
 def kind_name(label: str) -> str:
-    """Give the name under which a word is compared: that of its class, or of an unlisted word its letters."""
+    """The name under which a word is compared: that of its class, or of an unlisted word its letters."""
     plain = label.casefold().translate(_DROPPED)
     return _KIND_OF.get(plain, plain)
 
 
 def numbers_of(labels_3d: Sequence[str], labels_2d: Sequence[str]) -> tuple[Int64Array, Int64Array]:
-    """Give the classes of two detectors as numbers that can be compared.
+    """The classes of two detectors as numbers that can be compared.
 
     Returns:
-        (N,) and (M,) int64, equal for equal classes: their location in `KINDS`, or UNLISTED and more.
+        (N,) and (M,) int64, equal for equal classes: their place in `KINDS`, or UNLISTED and more.
     """
     others: dict[str, int] = {}
-    return _numbered(labels_3d, others), _numbered(labels_2d, others)
 
+    def number(label: str) -> int:
+        known = _number(label)
+        return UNLISTED + others.setdefault(kind_name(label), len(others)) if known is None else known
 
-def _numbered(labels: Sequence[str], others: dict[str, int]) -> Int64Array:
-    numbers = [_location(label) for label in labels]
-    if None in numbers:
-        for k, number in enumerate(numbers):
-            if number is None:
-                numbers[k] = UNLISTED + others.setdefault(kind_name(labels[k]), len(others))
-    return np.array(numbers, np.int64)
+    return np.array([*map(number, labels_3d)], np.int64), np.array([*map(number, labels_2d)], np.int64)
 
 
 @lru_cache(maxsize=4096)
-def _location(label: str) -> int | None:
-    return _LOCATIONS.get(kind_name(label))
+def _number(label: str) -> int | None:
+    return _NUMBERS.get(kind_name(label))
+
+
+_NUMBERS = {name: k for k, name in enumerate(KINDS)}
 
 
 def table_rows(numbers: Int64Array) -> Int64Array:
-    """Give the rows of tables with one row for each of `KINDS` and a last one for whatever else there is."""
+    """The rows of tables with one row for each of `KINDS` and a last one for whatever else there is."""
     rows: Int64Array = np.minimum(numbers, UNLISTED)
     return rows
 
@@ -312,60 +310,50 @@ SUREST = 14.0
 """Scores beyond these logarithms of odds report no more."""
 
 
+@lru_cache(maxsize=8)
 def independent_detectors(
     *, prior: float = 0.1, recall_2d: float = 0.9, recall_3d: float = 0.5, least_height_px: float = 25.0
 ) -> Detectors:
-    """Give detectors of whom nothing is known but what they find.
+    """Detectors of whom nothing is known but what they find.
 
     Args:
         prior: share of the locations at which a detector could report something that hold an object.
         recall_2d, recall_3d: share of the objects in its view that the detector of images and that of sweeps finds.
         least_height_px: what is less high in the image need not have been found there [px].
     """
+    heights_px = least_height_px, least_height_px
     visibility = Visibility(
-        recall_2d=recall_2d,
-        recall_3d=recall_3d,
-        weak_recall_2d=recall_2d,
-        heights_px=(least_height_px, least_height_px),
-        prior=prior,
+        recall_2d=recall_2d, recall_3d=recall_3d, weak_recall_2d=recall_2d, heights_px=heights_px, prior=prior
     )
     reported = Reported(low=-SUREST, high=SUREST, base=0.0, slope=1.0)
     both = Agreement(base=-math.log(prior / (1.0 - prior)), sweep=1.0, image=1.0, overlap=0.0)
+
+    def logs(sigmas: tuple[float, float], kind: _Kind) -> _Three:
+        x, y, z = (math.log(sigmas[0] * side + sigmas[1]) for side in kind.size_lwh)
+        return x, y, z
+
     classes = {
         name: ClassStatistics(
             sweep=reported,
             image=reported,
             both=both,
             visibility=visibility,
-            noise=_noise(kind),
+            noise=BoxNoise(
+                scores=(0.0, 0.0),
+                center_base=logs(CENTER_SIGMAS, kind),
+                center_by_score=(0.0, 0.0, 0.0),
+                center_by_range=(BY_RANGE, BY_RANGE, BY_RANGE),
+                size_base=logs(SIZE_SIGMAS, kind),
+                size_by_score=(0.0, 0.0, 0.0),
+                size_by_range=(BY_RANGE, BY_RANGE, BY_RANGE),
+                yaw=(math.log(YAW_SIGMA), 0.0, 0.0),
+            ),
             image_noise=IMAGE_SIGMAS,
         )
         for name, kind in KINDS.items()
     }
     provenance = MappingProxyType({"data": "none: scores are taken for probabilities of independent detectors"})
     return Detectors(name=INDEPENDENT, classes=MappingProxyType(classes), otherwise="car", provenance=provenance)
-
-
-def _noise(kind: _Kind) -> BoxNoise:
-    length, width, height = kind.size_lwh
-    return BoxNoise(
-        scores=(0.0, 0.0),
-        center_base=(
-            _log(CENTER_SIGMAS, length),
-            _log(CENTER_SIGMAS, width),
-            _log(CENTER_SIGMAS, height),
-        ),
-        center_by_score=(0.0, 0.0, 0.0),
-        center_by_range=(BY_RANGE, BY_RANGE, BY_RANGE),
-        size_base=(_log(SIZE_SIGMAS, length), _log(SIZE_SIGMAS, width), _log(SIZE_SIGMAS, height)),
-        size_by_score=(0.0, 0.0, 0.0),
-        size_by_range=(BY_RANGE, BY_RANGE, BY_RANGE),
-        yaw=(math.log(YAW_SIGMA), 0.0, 0.0),
-    )
-
-
-def _log(sigmas: tuple[float, float], side: float) -> float:
-    return math.log(sigmas[0] * side + sigmas[1])
 
 
 FOLDER = Path(__file__).parent / "fitted"
@@ -381,17 +369,16 @@ def detector_names() -> tuple[str, ...]:
 
 
 def find_detectors(name: str) -> Detectors:
-    """Give detectors by their name, or by the path of a file.
+    """Find detectors by their name, or by the path of a file.
 
     Raises:
         OptionError: there are none of that name, and no such file.
-        DataError: the file says something else.
+        DataError: the file is faulty.
     """
     if name == INDEPENDENT:
-        return _independent()
-    kept = FOLDER / f"{name}.toml"
+        return independent_detectors()
     if name in detector_names():
-        return _kept(kept)
+        return _read_kept(FOLDER / f"{name}.toml")
     path = Path(name)
     if path.suffix != ".toml" and not path.is_file():
         known = ", ".join(detector_names())
@@ -399,41 +386,32 @@ def find_detectors(name: str) -> Detectors:
     return read_detectors(path)
 
 
-@lru_cache(maxsize=1)
-def _independent() -> Detectors:
-    return independent_detectors()
-
-
-@lru_cache(maxsize=16)
-def _kept(path: Path) -> Detectors:
-    return read_detectors(path)
-
-
 def read_detectors(path: str | Path) -> Detectors:
-    """Read what detectors are like.
+    """Read the statistics of detectors.
 
     Raises:
-        DataError: it cannot be read, or says something else.
+        DataError: the file cannot be read, or is faulty.
     """
     try:
         raw = tomllib.loads(read_settings(Path(path)).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise DataError(path, "", f"{error}; expected the TOML of detectors") from None
     try:
-        found = _File.read(raw)
+        found = msgspec.convert(raw, _File)
     except (msgspec.ValidationError, OverflowError) as error:
         raise DataError(path, "", f"{error}; expected the numbers of detectors") from None
-    wrong = list(_faults(found))
-    if wrong:
-        raise DataError(path, *wrong[0])
-    classes = {kind_name(name): statistics for name, statistics in found.classes.items()}
+    for location, problem in _faults(found):
+        raise DataError(path, location, problem)
     return Detectors(
         name=found.name,
-        classes=MappingProxyType(classes),
+        classes=MappingProxyType({kind_name(name): statistics for name, statistics in found.classes.items()}),
         otherwise=kind_name(found.otherwise),
         degrees_of_freedom=found.degrees_of_freedom,
         provenance=MappingProxyType(found.provenance),
     )
+
+
+_read_kept = lru_cache(maxsize=16)(read_detectors)
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -445,10 +423,6 @@ class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     degrees_of_freedom: float = float("inf")
     provenance: dict[str, str] = {}
 
-    @classmethod
-    def read(cls, raw: Mapping[str, Any]) -> "_File":
-        return msgspec.convert(dict(raw), cls)
-
 
 def _faults(found: _File) -> Iterator[tuple[str, str]]:
     """Locations and what is wrong there."""
@@ -459,9 +433,8 @@ def _faults(found: _File) -> Iterator[tuple[str, str]]:
     for name, own in found.classes.items():
         if kind_name(name) not in KINDS:
             yield f"classes.{name}", f"no known class; expected one of {', '.join(KINDS)}"
-        numbers = dict(_numbers(asdict(own), f"classes.{name}"))
-        for location, value in numbers.items():
-            if value != value or abs(value) == float("inf"):  # noqa: PLR0124 - no number
+        for location, value in _numbers(asdict(own), f"classes.{name}"):
+            if not math.isfinite(value):
                 yield location, f"{value}; expected a finite number"
         visibility = own.visibility
         for key in ("recall_2d", "recall_3d", "weak_recall_2d", "weak_share", "seen_share", "prior"):
@@ -482,7 +455,7 @@ def _numbers(value: Any, location: str) -> Iterator[tuple[str, float]]:
 
 
 def format_detectors(detectors: Detectors) -> str:
-    """Give the text of the file that says what detectors are like."""
+    """The text of the file of detectors."""
     lines = [
         f"name = {_text(detectors.name)}",
         f"otherwise = {_text(detectors.otherwise)}",

@@ -135,7 +135,7 @@ def fit_deviations(
 
 
 def weighted_quantile(values: Float64Array, weights: Float64Array, share: float) -> float:
-    """Give the value below which a share of the weight lies."""
+    """The value below which a share of the weight lies."""
     order = np.argsort(values)
     below = np.cumsum(weights[order]) / weights.sum()
     return float(values[order][min(int(np.searchsorted(below, share)), len(order) - 1)])
@@ -280,11 +280,15 @@ def _example(example: LabelledPair, group: int, overlap: float) -> tuple[Prepare
     three, two = pair.boxes_3d, pair.boxes_2d
     boxes, rows_3d = boxes_with_position(three.centers, three.sizes_lwh, three.yaws)
     corners, rows_2d = boxes_with_area(two.corners_xyxy)
-    labels_3d, labels_2d = _some(three.labels, rows_3d), _some(two.labels, rows_2d)
+    labels_3d, labels_2d = ([b.labels[k] for k in rows.tolist()] for b, rows in ((three, rows_3d), (two, rows_2d)))
     classes_3d, classes_2d = numbers_of(labels_3d, labels_2d)
     kinds_3d, kinds_2d = table_rows(classes_3d), table_rows(classes_2d)
-    reported_3d, likely_3d = _reported(three, rows_3d, kinds_3d)
-    reported_2d, likely_2d = _reported(two, rows_2d, kinds_2d)
+    (reported_3d, likely_3d), (reported_2d, likely_2d) = (
+        existence.reported_odds(b.scores, rows, b.score_form is ScoreForm.LOGIT, isinstance(b, Boxes2D), kinds, _TABLE)[
+            ::2
+        ]
+        for b, rows, kinds in ((three, rows_3d, kinds_3d), (two, rows_2d, kinds_2d))
+    )
     outlines = project_outlines(pair.camera, pair.camera_from_lidar, boxes, likely=likely_3d)
     shown = outlines.corners_xyxy
     gains = pair_gains(shown, corners, classes_3d, classes_2d, likely_3d, likely_2d, least_iou=LEAST_IOU)
@@ -312,28 +316,17 @@ def _example(example: LabelledPair, group: int, overlap: float) -> tuple[Prepare
         np.sqrt((boxes[:, :3] ** 2).sum(axis=1)),
         verdicts,
         truth.errors(boxes, near),
-        truth.apart(pair, near, corners, partners),
+        truth.apart(near, corners, partners),
         sides,
     )
     image = ImageColumns(
         np.full(len(corners), group),
         kinds_2d,
         reported_2d,
-        truth.judge_image(pair, corners, classes_2d, likely_2d),
+        truth.judge_image(corners, classes_2d, likely_2d),
         taken != NO_BOX,
     )
     return Prepared(pair, 0, boxes, outlines, partners, corners), sweep, image
-
-
-def _reported(boxes: Boxes3D | Boxes2D, rows: Int64Array, kinds: Int64Array) -> tuple[Float64Array, Float64Array]:
-    """What scores name: logarithms of odds, and probabilities."""
-    logit, flat = boxes.score_form is ScoreForm.LOGIT, isinstance(boxes, Boxes2D)
-    reported, _, likely = existence.reported_odds(boxes.scores, rows, logit, flat, kinds, _TABLE)
-    return reported, likely
-
-
-def _some(labels: Sequence[str], rows: Int64Array) -> list[str]:
-    return [labels[k] for k in rows.tolist()]
 
 
 class _Truth(NamedTuple):
@@ -367,12 +360,14 @@ class _Truth(NamedTuple):
         ).reshape(len(boxes), len(self.boxes))
         return self._judge(overlaps, classes, likely, shown, overlap)
 
-    def judge_image(
-        self, pair: DetectionPair, corners: Float64Array, classes: Int64Array, likely: Float64Array
-    ) -> Int64Array:
+    def judge_image(self, corners: Float64Array, classes: Int64Array, likely: Float64Array) -> Int64Array:
         """Verdicts over boxes of the image, by the outlines of the true boxes there."""
-        shown = project_outlines(pair.camera, pair.camera_from_lidar, self.boxes.copy()).corners_xyxy
-        return self._judge(image_overlaps(corners, shown), classes, likely, corners, 0.5)[0]
+        return self._judge(image_overlaps(corners, self._outlines()), classes, likely, corners, 0.5)[0]
+
+    def _outlines(self) -> Float64Array:
+        """The true boxes in the image, (T, 4) [px]."""
+        pair = self.example.pair
+        return project_outlines(pair.camera, pair.camera_from_lidar, self.boxes.copy()).corners_xyxy
 
     def _judge(
         self,
@@ -394,7 +389,7 @@ class _Truth(NamedTuple):
                 verdicts[row], found[row] = 1 if example.counts[best] else IGNORED, best
         heights = shown[:, 3] - shown[:, 1]
         low = (heights > 0.0) & (heights < example.least_height_px)
-        excused = _shares_in(shown, example.regions_xyxy).max(axis=1, initial=0.0) > 0.0
+        excused = (_common(shown, example.regions_xyxy) > 0.0).any(axis=1)
         verdicts[(found == NO_BOX) & (low | excused)] = IGNORED
         return verdicts, found
 
@@ -417,17 +412,14 @@ class _Truth(NamedTuple):
         errors[rows, 6] = (off[:, 6] + np.pi / 2) % np.pi - np.pi / 2
         return errors
 
-    def apart(
-        self, pair: DetectionPair, found: Int64Array, corners: Float64Array, partners: Int64Array
-    ) -> Float64Array:
+    def apart(self, found: Int64Array, corners: Float64Array, partners: Int64Array) -> Float64Array:
         """How far partners are off the true outlines, (N, 3) [px]; NaN where one of them may be cut."""
         apart = np.full((len(found), 3), np.nan)
         rows = self._own(np.where(partners == NO_BOX, NO_BOX, found))
         if not len(rows):
             return apart
-        true = project_outlines(pair.camera, pair.camera_from_lidar, self.boxes.copy()).corners_xyxy[found[rows]]
-        own = corners[partners[rows]]
-        limits = np.array([pair.camera.width, pair.camera.height]) - _BORDER_PX
+        camera, true, own = self.example.pair.camera, self._outlines()[found[rows]], corners[partners[rows]]
+        limits = np.array([camera.width, camera.height]) - _BORDER_PX
         low, high = np.minimum(true, own)[:, :2], np.maximum(true, own)[:, 2:]
         whole = np.column_stack([low > _BORDER_PX, high < limits]).min(axis=1)
         off = own - true
@@ -442,20 +434,9 @@ _BORDER_PX = 3.0
 def image_overlaps(one: Float64Array, other: Float64Array) -> Float64Array:
     """Intersections over unions of boxes of an image, (N, M)."""
     common = _common(one, other)
-    areas = [_areas(boxes) for boxes in (one, other)]
+    areas = [(boxes[:, 2:] - boxes[:, :2]).prod(axis=1) for boxes in (one, other)]
     overlaps: Float64Array = common / np.maximum(areas[0][:, None] + areas[1] - common, 1e-9)
     return overlaps
-
-
-def _shares_in(boxes: Float64Array, regions: Float64Array) -> Float64Array:
-    """Which share of boxes lies in regions, (N, M)."""
-    shares: Float64Array = _common(boxes, regions) / np.maximum(_areas(boxes), 1e-9)[:, None]
-    return shares
-
-
-def _areas(boxes: Float64Array) -> Float64Array:
-    areas: Float64Array = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
-    return areas
 
 
 def _common(one: Float64Array, other: Float64Array) -> Float64Array:
@@ -626,25 +607,21 @@ def _fit_image_noise(columns: SweepColumns) -> ImageNoise:
     if rows.sum() < _LEAST_ERRORS:
         return ImageNoise(across=(2.0, 0.03), upright=(2.0, 0.03), height=(2.0, 0.06))
     apart, sides = columns.apart[rows], columns.sides[rows]
-    return ImageNoise(
-        across=_line(apart[:, 0], sides[:, 0]),
-        upright=_line(apart[:, 1], sides[:, 1]),
-        height=_line(apart[:, 2], sides[:, 1]),
-    )
+
+    def line(number: int, side: int) -> tuple[float, float]:
+        order = np.array_split(np.argsort(sides[:, side]), 4)
+        middles = np.array([sides[rows, side].mean() for rows in order])
+        sigmas = np.array([_NORMAL * np.median(np.abs(apart[rows, number])) for rows in order])
+        share, least = np.polyfit(middles, sigmas, 1)
+        share = max(share, _LEAST_SHARE)
+        return float(max(np.mean(sigmas - share * middles), least, _LEAST_PX)), float(share)
+
+    return ImageNoise(across=line(0, 0), upright=line(1, 1), height=line(2, 1))
 
 
 _NORMAL = 1.4826  # a Gaussian's deviation by its median absolute value
 
 _LEAST_PX, _LEAST_SHARE = 0.5, 0.01
-
-
-def _line(apart: Float64Array, sides: Float64Array) -> tuple[float, float]:
-    order = np.array_split(np.argsort(sides), 4)
-    middles = np.array([sides[rows].mean() for rows in order])
-    sigmas = np.array([_NORMAL * np.median(np.abs(apart[rows])) for rows in order])
-    share, least = np.polyfit(middles, sigmas, 1)
-    share = max(share, _LEAST_SHARE)
-    return float(max(np.mean(sigmas - share * middles), least, _LEAST_PX)), float(share)
 
 
 def _widened(columns: Columns, draft: Detectors) -> Detectors:
@@ -670,17 +647,16 @@ def _left_out(columns: Columns, draft: Detectors) -> list[Detectors]:
     """For each group what the others state; of a single group there are no others."""
     if len(columns.groups) < 2:
         return [draft]
-    return [_refitted(columns.without(group), draft) for group in range(len(columns.groups))]
-
-
-def _refitted(columns: Columns, draft: Detectors) -> Detectors:
-    classes = {}
-    for name, own in draft.classes.items():
-        rows = columns.sweep.kind == list(KINDS).index(name)
-        sweep = SweepColumns(*(column[rows] for column in columns.sweep))
-        noise = _fit_noise(sweep, own.sweep, draft.degrees_of_freedom)
-        classes[name] = replace(own, noise=noise, image_noise=_fit_image_noise(sweep))
-    return replace(draft, classes=MappingProxyType(classes))
+    drafts = []
+    for group in range(len(columns.groups)):
+        others, classes = columns.without(group).sweep, {}
+        for name, own in draft.classes.items():
+            rows = others.kind == list(KINDS).index(name)
+            sweep = SweepColumns(*(column[rows] for column in others))
+            noise = _fit_noise(sweep, own.sweep, draft.degrees_of_freedom)
+            classes[name] = replace(own, noise=noise, image_noise=_fit_image_noise(sweep))
+        drafts.append(replace(draft, classes=MappingProxyType(classes)))
+    return drafts
 
 
 def _distances(columns: Columns, drafts: list[Detectors], *, by_image: bool) -> Float64Array:
@@ -706,20 +682,16 @@ def _distances(columns: Columns, drafts: list[Detectors], *, by_image: bool) -> 
                 image_sigmas(table, kinds),
             )
         errors = columns.sweep.errors[rows].copy()
-        _rotation(errors, boxes[:, 6])
+        # from the axes of the boxes into their frame
+        along, across, yaws = errors[:, 0].copy(), errors[:, 1].copy(), boxes[:, 6]
+        errors[:, 0] = np.cos(yaws) * along - np.sin(yaws) * across
+        errors[:, 1] = np.sin(yaws) * along + np.cos(yaws) * across
         errors[:, :6] += boxes[:, :6] - ready.boxes[:, :6]
         for k, part in enumerate(_PARTS[:2]):
             solved = np.linalg.solve(covariances[:, part, part], errors[:, part, None])[..., 0]
             found[rows, k] = (errors[:, part] * solved).sum(axis=1)
         found[rows, 2] = errors[:, 6] ** 2 / of_yaws
     return found
-
-
-def _rotation(errors: Float64Array, yaws: Float64Array) -> None:
-    """Rotate errors along the axes of boxes into the frame of the boxes; changed."""
-    along, across = errors[:, 0].copy(), errors[:, 1].copy()
-    errors[:, 0] = np.cos(yaws) * along - np.sin(yaws) * across
-    errors[:, 1] = np.sin(yaws) * along + np.cos(yaws) * across
 
 
 _Ratios = tuple[float, float, float]
@@ -750,26 +722,23 @@ def _scaled(
 ) -> Detectors:
     classes = {}
     for name, own in draft.classes.items():
-        center, size, yaw = (np.log(ratio) / 2.0 for ratio in ratios[name])
+        center, size, yaw = (float(np.log(ratio) / 2.0) for ratio in ratios[name])
+        (x, y, z), (length, width, height) = own.noise.center_base, own.noise.size_base
         noise = replace(
             own.noise,
-            center_base=_plus(own.noise.center_base, center),
-            size_base=_plus(own.noise.size_base, size),
-            yaw=(own.noise.yaw[0] + float(yaw), *own.noise.yaw[1:]),
+            center_base=(x + center, y + center, z + center),
+            size_base=(length + size, width + size, height + size),
+            yaw=(own.noise.yaw[0] + yaw, *own.noise.yaw[1:]),
         )
         if agreed is not None:
-            noise = replace(noise, agreed=(agreed[name][0], agreed[name][1]))
+            noise = replace(noise, agreed=agreed[name][:2])
         classes[name] = replace(own, noise=noise)
     return replace(draft, classes=MappingProxyType(classes))
 
 
-def _plus(three: tuple[float, float, float], more: float) -> tuple[float, float, float]:
-    return (three[0] + float(more), three[1] + float(more), three[2] + float(more))
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitSettings:
-    """How detectors are fitted.
+    """Settings of a fit.
 
     Attributes:
         overlap: in space, from which on a box is true.
@@ -840,8 +809,8 @@ def fit_columns(
 
 
 def _fit_class(columns: Columns, kind: int, settings: FitSettings) -> ClassStatistics:
-    sweep = type(columns.sweep)(*(column[columns.sweep.kind == kind] for column in columns.sweep))
-    image = type(columns.image)(*(column[columns.image.kind == kind] for column in columns.image))
+    sweep = SweepColumns(*(column[columns.sweep.kind == kind] for column in columns.sweep))
+    image = ImageColumns(*(column[columns.image.kind == kind] for column in columns.image))
     of_sweep = fit_reported(sweep.reported, sweep.verdict, highest=settings.surest_3d)
     of_image = fit_reported(image.reported, image.verdict, highest=_SUREST_2D)
     return ClassStatistics(

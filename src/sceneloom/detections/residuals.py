@@ -94,13 +94,9 @@ def _refined_rotation(couples: Float64Array, jacobian: Float64Array, rotation: F
 def _rotation_covariance(
     couples: Float64Array, jacobian: Float64Array, rotation: Float64Array, images: Int64Array
 ) -> Float64Array:
-    """How the rotation scatters when blocks of successive images are drawn anew, (3, 3) [rad²].
+    """How the rotation [rad] scatters when blocks of successive images are drawn anew, (3, 3) [rad²].
 
-    Args:
-        couples: (C, 5).
-        jacobian: (C, 2, 3), their slopes.
-        rotation: (3,) [rad], the one that was found.
-        images: (C,), of which image each couple is.
+    Couples (C, 5) have slopes (C, 2, 3) and are of `images` (C,).
     """
     near = np.hypot(*(couples[:, 2:4] - jacobian @ rotation).T) < 3.0 * couples[:, 4]
     _, order = np.unique(images, return_inverse=True)
@@ -135,7 +131,6 @@ def _chance_agreement(couples: Float64Array, jacobian: Float64Array, rotation: F
     return float(max(_agreeing_with(couples, jacobian, rotation + step).sum() for step in away))
 
 
-_WORTH_TELLING_DEG = 1.0  # rotates below may be those of boxes and of motion between sweep and image [°]
 _MOST_COUPLES = 4000  # no more couples are kept
 _ALIKE = 1.3  # boxes of one object are this much higher than one another at the most
 
@@ -143,35 +138,6 @@ _LEAST_PX, _BORDER_PX = 25.0, 3.0
 
 _LEAST_DEPTH = 0.3  # cosine of the angle to the optical axis from which on tangents are of use
 _BETTER = 1.2  # so many times more couples must agree about a rotation than about none
-
-
-@dataclass(frozen=True, slots=True)
-class Misalignment:
-    """By what rotate of what the lidar sees it comes together with the image.
-
-    Attributes:
-        rotation_deg: rotation vector in the camera's frame; `camera_from_lidar` after this rotation fits best [°].
-        agreeing: couples of boxes that fit after it.
-        agreeing_now: couples that fit without it.
-    """
-
-    rotation_deg: tuple[float, float, float]
-    agreeing: int
-    agreeing_now: int
-
-    @property
-    def angle_deg(self) -> float:
-        """How large the rotation is [°]."""
-        return float(np.linalg.norm(self.rotation_deg))
-
-    @property
-    def is_wrong(self) -> bool:
-        """Whether the calibration is at fault."""
-        return (
-            self.agreeing >= _LEAST_AGREEING
-            and self.agreeing > _BETTER * self.agreeing_now
-            and self.angle_deg >= _WORTH_TELLING_DEG
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,6 +159,9 @@ class BoxRotation:
     images: int
 
 
+_TOLD_DEG = 1.0  # rotations below may be those of boxes and of motion between sweep and image [°]
+
+
 class BoxResiduals:
     """Collects couples of boxes over the images of one camera."""
 
@@ -212,26 +181,13 @@ class BoxResiduals:
         self._couples.append(found)
         self._count += len(found)
 
-    def misalignment(self) -> Misalignment | None:
-        """Find the rotation about which most couples agree; None where there are too few."""
-        if self._count < _LEAST_AGREEING:
-            return None
-        couples = np.concatenate(self._couples)
-        jacobian = _rotation_slopes(couples)
-        rotation = _refined_rotation(couples, jacobian, _voted_rotation(couples, jacobian))
-        agreeing = _agreeing_with(couples, jacobian, rotation)
-        x, y, z = np.degrees(rotation).tolist()
-        return Misalignment((x, y, z), int(agreeing.sum()), int(_agreeing_with(couples, jacobian, _NO_ROTATION).sum()))
-
     def rotation(self) -> BoxRotation | None:
         """Find the rotation about which most couples agree, and how sure it is; None where there are too few."""
-        if self._count < _LEAST_AGREEING:
+        found = self._found()
+        if found is None:
             return None
-        couples = np.concatenate(self._couples)
-        images = np.repeat(np.arange(len(self._couples)), [len(found) for found in self._couples])
-        jacobian = _rotation_slopes(couples)
-        rotation = _refined_rotation(couples, jacobian, _voted_rotation(couples, jacobian))
-        agreeing = _agreeing_with(couples, jacobian, rotation)
+        couples, jacobian, rotation, agreeing = found
+        images = np.repeat(np.arange(len(self._couples)), [len(each) for each in self._couples])
         return BoxRotation(
             rotation,
             _rotation_covariance(couples, jacobian, rotation, images),
@@ -241,22 +197,30 @@ class BoxResiduals:
         )
 
     def warnings(self, camera_id: str) -> list[DataWarning]:
-        """What there is to state of a camera's calibration."""
-        found = self.misalignment()
-        if found is None or not found.is_wrong:
+        """What there is to state of a camera's calibration: that another rotation fits clearly better."""
+        found = self._found()
+        if found is None:
             return []
-        rotation = ", ".join(f"{angle:+.1f}" for angle in found.rotation_deg)
-        return [
-            DataWarning(
-                kind=WarningKind.ASSUMED,
-                code="calibration-off",
-                location=camera_id,
-                message=f"the calibration was taken as it is, but boxes of images and sweeps come together after a "
-                f"rotate of camera_from_lidar by ({rotation})° about the camera's axes: {found.agreeing} couples fit "
-                f"then, "
-                f"{found.agreeing_now} now",
-            )
-        ]
+        couples, jacobian, rotation, agrees = found
+        agreeing, now = int(agrees.sum()), int(_agreeing_with(couples, jacobian, _NO_ROTATION).sum())
+        angles = np.degrees(rotation)
+        if agreeing < _LEAST_AGREEING or agreeing <= _BETTER * now or np.linalg.norm(angles) < _TOLD_DEG:
+            return []
+        message = (
+            "the calibration was taken as it is, but boxes of images and sweeps come together after a rotation of "
+            f"camera_from_lidar by ({', '.join(f'{angle:+.1f}' for angle in angles)})° about the camera's axes: "
+            f"{agreeing} couples fit then, {now} now"
+        )
+        return [DataWarning(kind=WarningKind.ASSUMED, code="calibration-off", location=camera_id, message=message)]
+
+    def _found(self) -> tuple[Float64Array, Float64Array, Float64Array, BoolArray] | None:
+        """All couples, their slopes, the rotation about which most agree, and which do; None where there are few."""
+        if self._count < _LEAST_AGREEING:
+            return None
+        couples = np.concatenate(self._couples)
+        jacobian = _rotation_slopes(couples)
+        rotation = _refined_rotation(couples, jacobian, _voted_rotation(couples, jacobian))
+        return couples, jacobian, rotation, _agreeing_with(couples, jacobian, rotation)
 
 
 def _couples(pair: DetectionPair) -> Float64Array:

@@ -39,6 +39,7 @@ share p of the errors e is eᵀ C⁻¹ e <= 3 F (ν - 2) / ν, F the quantile of
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -56,21 +57,17 @@ _LEAST = 1e-3
 def existence_table(
     detectors: Detectors, *, recall_2d: float | None = None, recall_3d: float | None = None
 ) -> Float64Array:
-    """Give what detectors are like as the compiled formulas take it.
+    """The table that the compiled formulas of existence take: (K + 1, COLUMNS) float64 of `kernels.existence`.
 
-    Args:
-        recall_2d, recall_3d: take the position of theirs; 0 where the other one's silence shall state nothing.
-
-    Returns:
-        (K + 1, COLUMNS) float64, a row for each class of `classes.KINDS` and a last one for whatever else there is; the
-        columns are those of `kernels.existence_probability`.
+    It has a row for each class of `detectors.KINDS` and a last one for whatever else there is. `recall_2d` and
+    `recall_3d` replace those of the detectors; 0 where the other one's silence shall state nothing.
     """
     rows = [_row(statistics_of(detectors, name), recall_2d, recall_3d) for name in (*KINDS, "")]
     return read_only(np.array(rows))
 
 
 def statistics_of(detectors: Detectors, name: str) -> ClassStatistics:
-    """Give the numbers of a class; where there are none, those of a class of its family, else of `otherwise`."""
+    """The statistics of a class; where there are none, those of a class of its family, else of `otherwise`."""
     if name in detectors.classes:
         return detectors.classes[name]
     family = KINDS[name].family if name in KINDS else None
@@ -122,24 +119,19 @@ NEAREST = 5.0
 
 
 def noise_table(detectors: Detectors) -> Float64Array:
-    """Give how far off boxes are as `box_covariances` takes it.
+    """The table that `box_covariances` takes: (K + 1, COLUMNS) float64, of the columns named above.
 
-    Returns:
-        (K + 1, COLUMNS) float64, a row for each class of `classes.KINDS` and a last one for whatever else there is; the
-        columns are those named above.
+    It has a row for each class of `detectors.KINDS` and a last one for whatever else there is.
     """
-    rows = [_noise_row(statistics_of(detectors, name), _growth(detectors, name)) for name in (*KINDS, "")]
+    rows = []
+    for name in (*KINDS, ""):
+        own, growth = statistics_of(detectors, name), np.zeros(3)
+        source = next(other for other, statistics in detectors.classes.items() if statistics is own)
+        if name in KINDS and source in KINDS and name not in detectors.classes:
+            # logarithms of how much larger the class is than the one whose numbers it has, along each axis
+            growth = np.log(np.array(KINDS[name].size_lwh) / np.array(KINDS[source].size_lwh))
+        rows.append(_noise_row(own, growth))
     return read_only(np.array(rows))
-
-
-def _growth(detectors: Detectors, name: str) -> Float64Array:
-    """Logarithms of how much larger a class is than the one whose numbers it has, along each axis."""
-    own = statistics_of(detectors, name)
-    source = next(other for other, statistics in detectors.classes.items() if statistics is own)
-    if name not in KINDS or source not in KINDS or name in detectors.classes:
-        return np.zeros(3)
-    growth: Float64Array = np.log(np.array(KINDS[name].size_lwh) / np.array(KINDS[source].size_lwh))
-    return growth
 
 
 def _noise_row(own: ClassStatistics, growth: Float64Array) -> Float64Array:
@@ -158,10 +150,9 @@ def _noise_row(own: ClassStatistics, growth: Float64Array) -> Float64Array:
 
 
 def image_sigmas(table: Float64Array, kinds: Int64Array, *, added_px: float = 0.0) -> Float64Array:
-    """Give how far off boxes of images are, (N, 6), by the rows of the table.
+    """How far off boxes of images are, (N, 6), by the rows of the table.
 
-    Args:
-        added_px: deviation of locations in the image by a calibration that is not exact [px].
+    `added_px` is the deviation of locations in the image by a calibration that is not exact [px].
     """
     sigmas: Float64Array = table[kinds, _IMAGE:]
     if added_px > 0.0:
@@ -178,22 +169,26 @@ def box_covariances(
     kinds: Int64Array,
     table: Float64Array,
 ) -> tuple[Float64Array, Float64Array, BoolArray]:
-    """Give the covariances of middles and sizes, and the variances of headings.
+    """The covariances of middles and sizes of boxes, and the variances of headings.
 
     Args:
         boxes: (N, 7), middle, size [m] and heading [rad], in the frame of the sensor.
         scores: (N,), logarithms of odds as the detector reports them; NaN for no numbers.
-        reported: what the detector reports, (A, 7, 7) of all of its boxes, or (0, 7, 7).
+        reported: covariances of the detector, (A, 7, 7) of all of its boxes, or (0, 7, 7).
         rows: (N,), which of them these are.
-        kinds: (N,), rows of the table.
-        table: (K, COLUMNS).
+        kinds, table: (N,) rows of the table, and the (K, COLUMNS) table.
 
     Returns:
         (N, 6, 6) float64 [m²]: middle in the frame of the boxes, then length, width, height; (N,) float64 [rad²], and
         (N,) bool, whether they are the detector's own.
     """
     distances = np.sqrt((boxes[:, :3] ** 2).sum(axis=1))
-    variances = _sigmas(distances, scores, table[kinds]) ** 2
+    numbers = table[kinds]
+    # one whose score is no number is as uncertain as the lowest
+    held = np.where(np.isnan(scores), numbers[:, _LOW], np.clip(scores, numbers[:, _LOW], numbers[:, _HIGH]))
+    far = np.log(np.maximum(distances, NEAREST) / USUAL)
+    base, by_score, by_range = (numbers[:, first : first + 7] for first in (_BASE, _BY_SCORE, _BY_RANGE))
+    variances = np.exp(base + by_score * held[:, None] + by_range * far[:, None]) ** 2
     along, across, of_yaws = variances[:, 0], variances[:, 1], variances[:, 6].copy()
     cosines, sines = np.cos(boxes[:, 6]), np.sin(boxes[:, 6])
     found, own = np.zeros((len(boxes), 6, 6)), np.zeros(len(boxes), np.bool_)
@@ -206,7 +201,12 @@ def box_covariances(
         # halves first: no sum of finite numbers is infinite then
         halves = reported[rows, :6, :6] / 2.0
         symmetric = halves + halves.transpose(0, 2, 1)
-        own = _are_covariances(symmetric)
+        own = np.asarray(np.isfinite(symmetric).all(axis=(1, 2)))
+        for k in np.flatnonzero(own).tolist():
+            try:
+                np.linalg.cholesky(symmetric[k])
+            except np.linalg.LinAlgError:  # not positive definite
+                own[k] = False
         found[own] = symmetric[own]
         yaws_reported = reported[rows, 6, 6]
         known = own & (yaws_reported > 0.0) & np.isfinite(yaws_reported)
@@ -214,33 +214,10 @@ def box_covariances(
     return found, of_yaws, own
 
 
-def _sigmas(distances: Float64Array, scores: Float64Array, numbers: Float64Array) -> Float64Array:
-    """Deviations (N, 7) of boxes; one whose score is no number is as uncertain as the lowest."""
-    low, high = numbers[:, _LOW], numbers[:, _HIGH]
-    held = np.where(np.isnan(scores), low, np.clip(scores, low, high))
-    far = np.log(np.maximum(distances, NEAREST) / USUAL)
-    base, by_score, by_range = (numbers[:, first : first + 7] for first in (_BASE, _BY_SCORE, _BY_RANGE))
-    sigmas: Float64Array = np.exp(base + by_score * held[:, None] + by_range * far[:, None])
-    return sigmas
-
-
-def _are_covariances(matrices: Float64Array) -> BoolArray:
-    """Report which symmetric matrices are finite and positive definite."""
-    good: BoolArray = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
-    for k in np.flatnonzero(good):
-        try:
-            np.linalg.cholesky(matrices[k])
-        except np.linalg.LinAlgError:
-            good[k] = False
-    return good
-
-
 def radius_squared(level: float, *, degrees_of_freedom: float, dimensions: int = 3) -> float:
-    """Give how large eᵀ C⁻¹ e is on the border of the region that holds a share of the errors e.
+    """How large eᵀ C⁻¹ e is on the border of the region that holds the share `level` of the errors e.
 
-    Args:
-        level: the share, 0 to 1.
-        degrees_of_freedom: of `Detectors`, more than 2; infinite for a Gaussian.
+    `degrees_of_freedom` are those of `Detectors`, more than 2; infinite for a Gaussian.
 
     Source: Kotz and Nadarajah 2004, "Multivariate t Distributions and Their Applications", section 1.7.
     """
@@ -309,24 +286,14 @@ class Tables(NamedTuple):
     degrees_of_freedom: float
 
 
-_TABLES: dict[ProjectionSettings, Tables] = {}
-_MOST = 64
-
-
+@lru_cache(maxsize=64)
 def tables_of(settings: ProjectionSettings) -> Tables:
-    """Give the tables of some settings.
+    """The tables of some settings.
 
     Raises:
         OptionError: no detectors have that name.
-        DataError: their file says something else.
+        DataError: their file is faulty.
     """
-    found = _TABLES.get(settings)
-    if found is None:
-        reported = settings.detectors
-        detectors = find_detectors(reported) if isinstance(reported, str) else reported
-        existence = existence_table(detectors, recall_2d=settings.recall_2d, recall_3d=settings.recall_3d)
-        found = Tables(existence, noise_table(detectors), detectors.degrees_of_freedom)
-        if len(_TABLES) >= _MOST:
-            _TABLES.clear()
-        _TABLES[settings] = found
-    return found
+    detectors = find_detectors(settings.detectors) if isinstance(settings.detectors, str) else settings.detectors
+    existence = existence_table(detectors, recall_2d=settings.recall_2d, recall_3d=settings.recall_3d)
+    return Tables(existence, noise_table(detectors), detectors.degrees_of_freedom)

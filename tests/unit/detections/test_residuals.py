@@ -55,10 +55,8 @@ def reported(rotation_deg, **more):
 @pytest.mark.parametrize("rotation", [(2.0, 0, 0), (0, -2.0, 0), (0, 0, 2.5), (1.2, 1.2, -1.2)])
 def test_a_rotation_is_found_and_reported(rotation):
     residuals = reported(rotation)
-    found = residuals.misalignment()
     # 200 cars, each known to a pixel or a tenth of a degree; about the axis of visibility ten times worse
-    np.testing.assert_allclose(found.rotation_deg, -np.array(rotation), atol=0.3)
-    assert found.is_wrong
+    np.testing.assert_allclose(np.degrees(residuals.rotation().rotation), -np.array(rotation), atol=0.3)
     (warning,) = residuals.warnings("front")
     assert warning.location == "front"
 
@@ -66,7 +64,7 @@ def test_a_rotation_is_found_and_reported(rotation):
 @pytest.mark.parametrize("rotation", [(0, 0, 0), (0.3, -0.3, 0)])
 def test_a_calibration_that_is_right_is_not_reported(rotation):
     residuals = reported(rotation)
-    assert residuals.misalignment().angle_deg < 0.8
+    assert np.degrees(np.linalg.norm(residuals.rotation().rotation)) < 0.8
     assert residuals.warnings("front") == []
 
 
@@ -80,7 +78,7 @@ def test_empty_lists_and_other_classes_state_nothing():
         two = pair.boxes_2d
         residuals.add(replace(pair, boxes_2d=Boxes2D.empty(0)))
         residuals.add(replace(pair, boxes_2d=replace(two, labels=("pedestrian",) * len(two))))
-    assert residuals.misalignment() is None
+    assert residuals.rotation() is None
 
 
 def test_what_is_stated_for_its_uncertainty_is_how_rotates_scatter():

@@ -120,16 +120,7 @@ class Peer:
 
     def calibrate(self, *, camera_id: int = scene.CAMERA_ID, lidar_id: int = scene.LIDAR_ID, **changed: Any) -> int:
         """Send a calibration, that of the scene but for what is stated; the status."""
-        return self.calibrate_with(scene.calibration(**changed), camera_id=camera_id, lidar_id=lidar_id)
-
-    def calibrate_with(
-        self,
-        calibration: fusion_pb2.Calibration,
-        *,
-        camera_id: int = scene.CAMERA_ID,
-        lidar_id: int = scene.LIDAR_ID,
-    ) -> int:
-        """Send a calibration; the status."""
+        calibration = scene.calibration(**changed)
         reply = self.call("SetCalibration", calibration=calibration, camera_id=camera_id, lidar_id=lidar_id)
         return int(reply.status)
 
@@ -272,16 +263,13 @@ def detection_of(result: Any, box: scene.SentBox) -> Any:
     raise NoResultError(f"no detection near {box.center}, where a {box.name} was sent")
 
 
+_VALUE_FIELDS = {bool: "bool_value", int: "integer_value", float: "number_value", str: "string_value"}
+
+
 def _value_message(value: Any) -> fusion_pb2.Value:
     """The message of a value."""
-    if isinstance(value, bool):
-        return fusion_pb2.Value(bool_value=value)
-    if isinstance(value, int):
-        return fusion_pb2.Value(integer_value=value)
-    if isinstance(value, float):
-        return fusion_pb2.Value(number_value=value)
-    if isinstance(value, str):
-        return fusion_pb2.Value(string_value=value)
+    if type(value) in _VALUE_FIELDS:
+        return fusion_pb2.Value(**{_VALUE_FIELDS[type(value)]: value})
     return fusion_pb2.Value(list_value=fusion_pb2.ValueList(values=map(_value_message, value)))
 
 
@@ -370,14 +358,20 @@ class Catalogue:
 
     def clause(self, number: str, of: str, title: str, *, reading: bool = False) -> _Declare:
         """Declare what looks whether a clause is kept; `reading` where the clause leaves it open."""
-        quote = _Quote(*QUOTES["clauses"][of])
-        return self._declare(number, f"clause {of}", title, _BASES[reading], quote)
+        basis = Basis.READING if reading else Basis.TEXT
+        return self._declare(number, f"clause {of}", title, basis, _Quote(*QUOTES["clauses"][of]))
 
     def row(self, table: int, name: str, title: str, *, reading: bool = False) -> _Declare:
         """Declare what looks at a row of a table."""
-        number, quote = _row(table, name)
-        location = f"table {table}, row {number} ({name})"
-        return self._declare(f"T{table}-{number}", location, title, _BASES[reading], quote)
+        if table <= 2:
+            quotes = QUOTES[f"table_{table}"]
+            number, quote = list(quotes).index(name) + 1, _Quote(*quotes[name])
+        else:
+            row = TABLES[table].row(name)
+            unit = f" [{row.unit}]" if row.unit else ""
+            number, quote = row.number, _Quote(f"{name}: {row.type}{unit}: {row.meaning}", row.quote)
+        location, basis = f"table {table}, row {number} ({name})", Basis.READING if reading else Basis.TEXT
+        return self._declare(f"T{table}-{number}", location, title, basis, quote)
 
     def extension(self, number: int, location: str, title: str) -> _Declare:
         """Declare what looks at something that the standard does not have."""
@@ -390,18 +384,6 @@ class Catalogue:
             return look
 
         return declared
-
-
-_BASES = {False: Basis.TEXT, True: Basis.READING}
-
-
-def _row(table: int, name: str) -> tuple[int, _Quote]:
-    if table <= 2:
-        quotes = QUOTES[f"table_{table}"]
-        return list(quotes).index(name) + 1, _Quote(*quotes[name])
-    row = TABLES[table].row(name)
-    unit = f" [{row.unit}]" if row.unit else ""
-    return row.number, _Quote(f"{name}: {row.type}{unit}: {row.meaning}", row.quote)
 
 
 def same(sent: str, expected: Any, found: Any) -> Seen:
@@ -419,14 +401,14 @@ def taken(sent: str, status: int) -> Seen:
     return same(sent, "taken", "taken" if status else "refused")
 
 
-def added(sent: str, status: int) -> Seen:
-    """See whether a property was added."""
-    return true(sent, "added", f"status {status}", agrees=status != 0)
-
-
 def refused(sent: str, status: int) -> Seen:
     """See whether something was refused."""
     return same(sent, "status 0", f"status {status}")
+
+
+def added(sent: str, status: int) -> Seen:
+    """See whether a property was added."""
+    return true(sent, "added", f"status {status}", agrees=status != 0)
 
 
 def near(sent: str, expected: float, found: float, tolerance: float) -> Seen:

@@ -42,18 +42,17 @@ _PIXELS = scene.drawn_image().tobytes()
 _POINTS = scene.points_lidar()
 
 
-@CHECKS.clause("5.6-1", "5.6.1", "raw data, images, clouds, 3D boxes and 2D boxes are taken")
-def _kinds(bench: Bench) -> Iterator[Seen]:
+def _raw_ready(bench: Bench) -> Peer:
+    """A calibrated session in which raw data are pixels."""
     peer = bench.ready()
     peer.set("sensors", _RAW_SENSORS)
-    requests = (
-        scene.raw(scene.drawn_image().tobytes()),
-        scene.image(2),
-        scene.cloud(),
-        scene.boxes_3d(),
-        scene.boxes_2d(),
-    )
-    for request in requests:
+    return peer
+
+
+@CHECKS.clause("5.6-1", "5.6.1", "raw data, images, clouds, 3D boxes and 2D boxes are taken")
+def _kinds(bench: Bench) -> Iterator[Seen]:
+    peer = _raw_ready(bench)
+    for request in (scene.raw(_PIXELS), scene.image(2), scene.cloud(), scene.boxes_3d(), scene.boxes_2d()):
         yield taken(f"Send {request.WhichOneof('data')}", peer.send(request))
 
 
@@ -240,14 +239,6 @@ _BOX_2D_ROWS: Mapping[str, _Case] = {
 }
 
 
-def _image(changed: Mapping[str, Any]) -> fusion_pb2.SendRequest:
-    return scene.image(**changed)
-
-
-def _cloud(changed: Mapping[str, Any]) -> fusion_pb2.SendRequest:
-    return scene.cloud(**changed)
-
-
 def _raw(changed: Mapping[str, Any]) -> fusion_pb2.SendRequest:
     request = scene.raw(_PIXELS)
     for name, value in changed.items():
@@ -268,8 +259,8 @@ def _box_2d(changed: Mapping[str, Any]) -> fusion_pb2.SendRequest:
 
 _TABLES: Mapping[int, tuple[Mapping[str, _Case], Callable[[Mapping[str, Any]], fusion_pb2.SendRequest]]] = {
     4: (_RAW_ROWS, _raw),
-    5: (_IMAGE_ROWS, _image),
-    6: (_CLOUD_ROWS, _cloud),
+    5: (_IMAGE_ROWS, lambda changed: scene.image(**changed)),
+    6: (_CLOUD_ROWS, lambda changed: scene.cloud(**changed)),
     7: (_BOX_3D_ROWS, _box_3d),
     8: (_BOX_2D_ROWS, _box_2d),
 }
@@ -278,33 +269,23 @@ _READINGS = {(5, "encoding"), (7, "class"), (8, "class"), (7, "points_seq"), (8,
 """Rows about which the standard says less than is asked here."""
 
 
-def _ready(bench: Bench, table: int) -> Peer:
-    peer = bench.ready()
-    if table == 4:
-        peer.set("sensors", _RAW_SENSORS)
-    return peer
-
-
 def _look(table: int, name: str) -> Look:
     rows, request_of = _TABLES[table]
-    good, bad = rows[name]
+    (good, bad), ready = rows[name], _raw_ready if table == 4 else Bench.ready
+
+    def send(peer: Peer, value: Any) -> tuple[str, int]:
+        shown = f"{len(value)} bytes" if isinstance(value, bytes) else repr(value)
+        shown = reported(value) if hasattr(value, "DESCRIPTOR") else shown
+        return f"Send {name} = {shown}", peer.send(request_of({name: value}))
 
     def look(bench: Bench) -> Iterator[Seen]:
         for value in good:
-            status = _ready(bench, table).send(request_of({name: value}))
-            yield taken(f"Send {name} = {_shown(value)}", status)
-        peer = _ready(bench, table)
+            yield taken(*send(ready(bench), value))
+        peer = ready(bench)
         for value in bad:
-            status = peer.send(request_of({name: value}))
-            yield refused(f"Send {name} = {_shown(value)}", status)
+            yield refused(*send(peer, value))
 
     return look
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, bytes):
-        return f"{len(value)} bytes"
-    return reported(value) if hasattr(value, "DESCRIPTOR") else repr(value)
 
 
 for _number, (_rows, _) in _TABLES.items():
@@ -317,7 +298,7 @@ for _number, (_rows, _) in _TABLES.items():
 
 @CHECKS.clause("6.2-1", "6.2", "raw data that are pixels are fused as an image is", reading=True)
 def _raw_pixels(bench: Bench) -> Iterator[Seen]:
-    peer = _ready(bench, 4)
+    peer = _raw_ready(bench)
     peer.send(scene.raw(_PIXELS, offset_ns=scene.IMAGE_LATER_NS))
     peer.send(scene.cloud())
     record = peer.result(0)

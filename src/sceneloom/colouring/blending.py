@@ -504,7 +504,7 @@ def weigh_samples(
     near_outline: BoolArray, normals_world: Float32Array, times_ns: Int64Array, world_from_camera: Float64Array,
     width: int, height: int, image_ns: int, numbers: Float64Array, weights: Float32Array,
 ) -> None:  # fmt: skip
-    """Report how far the colour of each point in an image is to be trusted, 0 for points that are not visible.
+    """The weight of the colour of each point in an image, 0 for points that are not visible.
 
     The weight is the product of five: the cosine between the line of sight and the surface's normal, or the camera's
     axis where none is known; 1 / (1 + (distance / d)²); 1 / (1 + (time apart / t)²); a ramp from the image's border

@@ -490,7 +490,7 @@ def fill_across(
     sparse: Float32Array, longest: float, steepest: float, depth_image: Float32Array, trust_image: Float32Array,
     spread_image: Float32Array, gap_image: Float32Array,
 ) -> None:  # fmt: skip
-    """Fill gaps along rows where that is the shorter arc, as `fill_down` does along columns.
+    """Fill gaps along rows where that is the shorter way, as `fill_down` does along columns.
 
     `sparse` (H, W) [m], the samples, 0 for nothing; `longest`: the longest gap that is filled [px]; `steepest`: how
     much the inverse depth of one surface changes at most from pixel to pixel [1/m/px]; `depth_image`, `trust_image`,

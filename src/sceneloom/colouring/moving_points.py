@@ -58,17 +58,11 @@ _Load = TypeVar("_Load")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenSweep:
-    """A sweep by the directions in which it was measured.
+    """A sweep by the directions in which it was measured."""
 
-    Attributes:
-        points_world: (N, 3) float32 [m].
-        trajectory: of the lidar during it.
-        nearest: (rows, columns) int32, the nearest point in each cell of directions.
-    """
-
-    points_world: Float32Array
-    trajectory: LidarTrajectory
-    nearest: AnyArray
+    points_world: Float32Array  # (N, 3) float32 [m]
+    trajectory: LidarTrajectory  # of the lidar during it
+    nearest: AnyArray  # (rows, columns) int32, the nearest point in each cell of directions
 
     @classmethod
     def of(cls, points_world: Float32Array, trajectory: LidarTrajectory) -> "SeenSweep":
@@ -176,15 +170,10 @@ _GROUND = 0.08  # points so near to the bottom of a box belong to the road [m]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingBoxes:
-    """The cuboids of a scene that move.
+    """The cuboids of a scene that move."""
 
-    Attributes:
-        cuboids: the annotations, centres in the world.
-        angles: convention of their angles.
-    """
-
-    cuboids: tuple[CuboidAnnotation, ...]
-    angles: CuboidAngles
+    cuboids: tuple[CuboidAnnotation, ...]  # the annotations, centres in the world
+    angles: CuboidAngles  # convention of their angles
 
     @classmethod
     def of(cls, scene: Scene) -> "MovingBoxes":

@@ -257,17 +257,11 @@ class _Reach:
 
 @dataclass(frozen=True, slots=True)
 class ScanLines:
-    """The scan lines of a lidar in a view.
+    """The scan lines of a lidar in a view."""
 
-    Attributes:
-        across: from line to line [rad].
-        along: from point to point on a line [rad].
-        angle: of the axis across the lines, from rightward to downward.
-    """
-
-    across: float
-    along: float
-    angle: float
+    across: float  # from line to line [rad]
+    along: float  # from point to point on a line [rad]
+    angle: float  # of the axis across the lines, from rightward to downward
 
     @property
     def reach(self) -> _Reach:

@@ -2,15 +2,13 @@
 
 What detectors are like stands in a table of numbers, a row for each kind of object and the columns named below; which
 kind an object is of says its row. `detections.existence` fills the table and derives the formulas.
-
-The loops are in one module with the formulas, since a compiled loop that is kept on disk knows the age of its own
-module only.
 """
 
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.overlaps import box_area, common_area
 from sceneloom.kernels.signatures import inlined
 
 (
@@ -140,11 +138,7 @@ def _probability(odds):  # type: ignore[no-untyped-def]
 @inlined
 def _overlap(one, i, other, j):  # type: ignore[no-untyped-def]
     """Intersection over union of two boxes of an image."""
-    wide = min(one[i, 2], other[j, 2]) - max(one[i, 0], other[j, 0])
-    high = min(one[i, 3], other[j, 3]) - max(one[i, 1], other[j, 1])
-    common = max(wide, 0.0) * max(high, 0.0)
-    both = (one[i, 2] - one[i, 0]) * (one[i, 3] - one[i, 1])
-    both += (other[j, 2] - other[j, 0]) * (other[j, 3] - other[j, 1])
+    common, both = common_area(one, i, other, j), box_area(one, i) + box_area(other, j)
     return common / (both - common) if both > common else 0.0
 
 

@@ -188,7 +188,7 @@ def resample_bilinear(rgb: UInt8Array, locations: Float32Array, out: UInt8Array,
 
 @kernel(void(IN_F32_2D, int64, float32[:, ::1]))
 def corner_strengths(grey: Float32Array, half: int, strengths: Float32Array) -> None:
-    """Report how well a window around each pixel can be distinguished from its neighbours, in both directions.
+    """How distinctive the window around each pixel is in both directions.
 
     `grey` (H, W); `half`: the window reaches so many pixels to each side; `strengths` (H, W), written: the smaller
     eigenvalue of the mean product of gradients; 0 near the border.

@@ -14,7 +14,7 @@ from sceneloom.kernels.signatures import inlined
 
 
 @inlined
-def _common(a, i, b, j):  # type: ignore[no-untyped-def]
+def common_area(a, i, b, j):  # type: ignore[no-untyped-def]
     """The common area of two boxes [px²]."""
     wide = min(a[i, 2], b[j, 2]) - max(a[i, 0], b[j, 0])
     high = min(a[i, 3], b[j, 3]) - max(a[i, 1], b[j, 1])
@@ -22,7 +22,8 @@ def _common(a, i, b, j):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _area(a, i):  # type: ignore[no-untyped-def]
+def box_area(a, i):  # type: ignore[no-untyped-def]
+    """The area of a box [px²]."""
     return (a[i, 2] - a[i, 0]) * (a[i, 3] - a[i, 1])
 
 
@@ -55,10 +56,10 @@ def pair_gains(
         for j in range(len(second)):
             if first[i, 2] <= second[j, 0] or second[j, 2] <= first[i, 0]:
                 continue
-            common = _common(first, i, second, j)
+            common = common_area(first, i, second, j)
             if common <= 0.0:
                 continue
-            both = _area(first, i) + _area(second, j) - common
+            both = box_area(first, i) + box_area(second, j) - common
             if common < least_iou * both:
                 continue
             other = families[min(second_classes[j], last)]
@@ -108,7 +109,7 @@ def hide_covered(
         for n in range(nearer):
             if lefts[n] < boxes[i, 2] and rights[n] > boxes[i, 0]:
                 j = order[n]
-                most = max(most, likely[j] * _common(boxes, i, boxes, j) / _area(boxes, i))
+                most = max(most, likely[j] * common_area(boxes, i, boxes, j) / box_area(boxes, i))
         shares[i] *= 1.0 - most
 
 
@@ -136,7 +137,7 @@ def image_overlaps(
         k = starts[f]
         for i in range(first_starts[f], first_starts[f + 1]):
             for j in range(second_starts[f], second_starts[f + 1]):
-                own, other, common = _area(first, i), _area(second, j), _common(first, i, second, j)
+                own, other, common = box_area(first, i), box_area(second, j), common_area(first, i, second, j)
                 if own > _NOTHING and other > _NOTHING:
                     overlaps[k] = common / (own + other - common)
                 k += 1
@@ -153,9 +154,9 @@ def image_shares(
         k = starts[f]
         for i in range(region_starts[f], region_starts[f + 1]):
             for j in range(box_starts[f], box_starts[f + 1]):
-                area = _area(boxes, j)
+                area = box_area(boxes, j)
                 if area > _NOTHING:
-                    shares[k] = _common(regions, i, boxes, j) / area
+                    shares[k] = common_area(regions, i, boxes, j) / area
                 k += 1
     return shares
 

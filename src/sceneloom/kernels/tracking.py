@@ -9,6 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.overlaps import box_area, common_area
 from sceneloom.kernels.signatures import inlined, part
 
 SIZE, MEASURED = 11, 7
@@ -349,15 +350,12 @@ def add_gains_in_image(
     neutral = _heavy(((1.0 - usual) / sigma) ** 2, 1.0, freedom)
     for k in range(len(gains)):
         i, j = rows[k], columns[k]
-        area = (corners[j, 2] - corners[j, 0]) * (corners[j, 3] - corners[j, 1])
+        own, area = box_area(foreseen, i), box_area(corners, j)
         if not area > 0.0:
             continue
-        own = (foreseen[i, 2] - foreseen[i, 0]) * (foreseen[i, 3] - foreseen[i, 1])
         share = usual
         if own > 0.0:
-            wide = min(foreseen[i, 2], corners[j, 2]) - max(foreseen[i, 0], corners[j, 0])
-            high = min(foreseen[i, 3], corners[j, 3]) - max(foreseen[i, 1], corners[j, 1])
-            common = max(wide, 0.0) * max(high, 0.0)
+            common = common_area(foreseen, i, corners, j)
             share = common / (own + area - common)
             gains[k] += 0.5 * (neutral - _heavy(((1.0 - share) / sigma) ** 2, 1.0, freedom))
         if not measured[j] and (share < least or not own > 0.0):
@@ -367,12 +365,8 @@ def add_gains_in_image(
 @inlined
 def _overlap_more(a, i, b, j, least):  # type: ignore[no-untyped-def]
     """Whether two boxes of an image overlap by more than a share; those with NaN do not."""
-    wide = min(a[i, 2], b[j, 2]) - max(a[i, 0], b[j, 0])
-    high = min(a[i, 3], b[j, 3]) - max(a[i, 1], b[j, 1])
-    if not (wide > 0.0 and high > 0.0):
-        return False
-    both = (a[i, 2] - a[i, 0]) * (a[i, 3] - a[i, 1]) + (b[j, 2] - b[j, 0]) * (b[j, 3] - b[j, 1])
-    return wide * high > least * (both - wide * high)
+    common = common_area(a, i, b, j)
+    return common > 0.0 and common > least * (box_area(a, i) + box_area(b, j) - common)
 
 
 @kernel(
@@ -386,8 +380,8 @@ def without_twins(
     """Leave out boxes that are second boxes of a thing that is known, or of a box before them that was kept.
 
     A box that a sweep placed is one of a thing if their middles are nearer to each other on the ground than a share of
-    the thing's width. Where a sweep did not location both, they are one if their boxes in some image overlap; of two
-    that sweeps location apart one may stand before the other, however they overlap there.
+    the thing's width. Where a sweep did not place both, they are one if their boxes in some image overlap; of two
+    that sweeps place apart one may stand before the other, however they overlap there.
 
     `rows` (K,), which boxes, the surest first; `locations` (M, 3) [m], middles on the ground and widths of the boxes;
     `measured` (M,), whether a sweep placed them; `corners` (C, M, 4) [px], in each image; NaN where there is none;
@@ -418,8 +412,7 @@ def without_twins(
     return kept[:count].copy()
 
 
-_NEAR_HALF_ROTATION = math.radians(179.0)
-"""Which trajectory is the shorter one is for rounding to state beyond this [rad]."""
+_NEAR_HALF_ROTATION = math.radians(179.0)  # beyond this, rounding decides which way round is shorter [rad]
 
 
 @inlined
@@ -429,8 +422,8 @@ def _shortest(angle):  # type: ignore[no-untyped-def]
 
 
 @part
-def _reports(times, boxes, location, turn, a, b):  # type: ignore[no-untyped-def]
-    """Report whether two keyframes report all rows between them: straight centre and size, rotated the shorter arc."""
+def _gives_between(times, boxes, location, turn, a, b):  # type: ignore[no-untyped-def]
+    """Whether two keyframes give all rows between them: centre and size linearly, the heading the shorter way round."""
     if b == a + 1:
         return True
     rotated = _shortest(boxes[b, 6] - boxes[a, 6])
@@ -452,14 +445,14 @@ def _reports(times, boxes, location, turn, a, b):  # type: ignore[no-untyped-def
 def fewest_keyframes(times: Int64Array, boxes: Float64Array, location: float, turn: float) -> Int64Array:
     """Choose the fewest rows of a box over time from which interpolation gives all others within tolerances.
 
-    The rows are joined wherever two of them report all between them, and the trajectory of the fewest joints from the
+    The rows are joined wherever two of them report all between them, and the path of the fewest joints from the
     first to the last is taken: a search in breadth, which looks at the farthest row first.
 
     `times` (K,) int64, rising; `boxes` (K, 7), centre and size [m] and heading [rad]; `location`: largest distance of
     centres, and of sizes as vectors [m]; `turn`: largest difference of headings [rad]. Returns (N,) int64, rising, the
     first and the last row among them.
 
-    Source: Imai and Iri 1988, "Polygonal approximations of a curve", which the shortest arc over such joints is.
+    Source: Imai and Iri 1988, "Polygonal approximations of a curve", which the shortest path over such joints is.
     """
     count = len(times)
     if count < 3:
@@ -470,7 +463,7 @@ def fewest_keyframes(times: Int64Array, boxes: Float64Array, location: float, tu
         a = queue[head]
         head += 1
         for b in range(count - 1, a, -1):
-            if before[b] < 0 and _reports(times, boxes, location, turn, a, b):
+            if before[b] < 0 and _gives_between(times, boxes, location, turn, a, b):
                 before[b], queue[tail] = a, b
                 tail += 1
     kept, row = np.empty(count, np.int64), count - 1

@@ -244,25 +244,16 @@ class InertialSamples:
 class Preintegrated:
     """Preintegrated IMU samples of F intervals, in the body axes at the beginning of each.
 
-    Attributes:
-        rotations: (F, 3, 3) float64, `first_from_second`.
-        velocities: (F, 3) gain of velocity [m/s] without gravity.
-        positions: (F, 3) distance [m] without gravity and without the initial velocity.
-        slopes: (F, 9, 6) derivatives of rotation (on the right side [rad]), velocity and position by the biases of
-            gyroscope and accelerometer.
-        covariances: (F, 9, 9) of rotation, velocity and position.
-        biases: (F, 6) that were subtracted.
-
     Source: Forster, Carlone, Dellaert and Scaramuzza 2017, "On-Manifold Preintegration for Real-Time Visual-Inertial
     Odometry".
     """
 
-    rotations: Float64Array
-    velocities: Float64Array
-    positions: Float64Array
-    slopes: Float64Array
-    covariances: Float64Array
-    biases: Float64Array
+    rotations: Float64Array  # (F, 3, 3) float64, `first_from_second`
+    velocities: Float64Array  # (F, 3) gain of velocity [m/s] without gravity
+    positions: Float64Array  # (F, 3) distance [m] without gravity and without the initial velocity
+    slopes: Float64Array  # (F, 9, 6) derivatives of rotation (on the right [rad]), velocity, position by the biases
+    covariances: Float64Array  # (F, 9, 9) of rotation, velocity and position
+    biases: Float64Array  # (F, 6) that were subtracted
 
     @classmethod
     def nothing(cls, biases: Float64Array) -> "Preintegrated":
@@ -299,27 +290,16 @@ _LEAST_SIGMA, _LARGEST_SIGMA = 1e-3, 1e4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GnssFixes:
-    """All fixes of a drive.
+    """All fixes of a drive."""
 
-    Attributes:
-        timestamps_ns: (F,) int64 [ns], ascending.
-        positions: (F, 3) [m] east, north, up of the origin.
-        sigmas: (F, 3) [m], as reported or assumed.
-        reported: (F,) bool, whether the receiver reported its accuracy.
-        levers: (F, 3) [m], the antenna in the ego frame.
-        receivers: (F,) int64, number of the receiver.
-        origin_lla: (3,) latitude, longitude [deg], height [m].
-        warnings: what was left out.
-    """
-
-    timestamps_ns: Int64Array
-    positions: Float64Array
-    sigmas: Float64Array
-    reported: BoolArray
-    levers: Float64Array
-    receivers: Int64Array
-    origin_lla: Float64Array
-    warnings: tuple[DataWarning, ...]
+    timestamps_ns: Int64Array  # (F,) int64 [ns], ascending
+    positions: Float64Array  # (F, 3) [m] east, north, up of the origin
+    sigmas: Float64Array  # (F, 3) [m], as reported or assumed
+    reported: BoolArray  # (F,) bool, whether the receiver reported its accuracy
+    levers: Float64Array  # (F, 3) [m], the antenna in the ego frame
+    receivers: Int64Array  # (F,) int64, number of the receiver
+    origin_lla: Float64Array  # (3,) latitude, longitude [deg], height [m]
+    warnings: tuple[DataWarning, ...]  # what was left out
 
     @classmethod
     def of(cls, scene: Scene, settings: SmootherSettings) -> "GnssFixes":
@@ -413,31 +393,18 @@ class Fixes:
     """Positions of antennas, measured by F fixes and related to states.
 
     A fix predicts the antenna at p + t v - fall up + R (lever + slope (b - bias)) for a state R, p, v, b, t before it.
-
-    Attributes:
-        timestamps_ns: (F,) int64 [ns], ascending.
-        knots: (F,) int64, ascending, number of the state before each fix, or the nearest where no IMU measured.
-        seconds: (F,) from the state to the fix.
-        positions: (F, 3) [m], world.
-        levers: (F, 3) [m], body axes at the state: the antenna at the time of the fix, with the motion that the IMU
-            measured until then.
-        falls: (F,) [m] of free fall until then; 0 where no IMU measured.
-        slopes: (F, 3, 6) derivatives of `levers` by the biases of gyroscope and accelerometer.
-        biases: (F, 6) that are subtracted in `levers`.
-        sigmas: (F, 3) [m], standard deviations along the world's axes.
-        receivers: (F,) int64, number of the receiver of each.
     """
 
-    timestamps_ns: Int64Array
-    knots: Int64Array
-    seconds: Float64Array
-    positions: Float64Array
-    levers: Float64Array
-    falls: Float64Array
-    slopes: Float64Array
-    biases: Float64Array
-    sigmas: Float64Array
-    receivers: Int64Array
+    timestamps_ns: Int64Array  # (F,) int64 [ns], ascending
+    knots: Int64Array  # (F,) int64, ascending: the state before each fix, or the nearest where no IMU measured
+    seconds: Float64Array  # (F,) from the state to the fix
+    positions: Float64Array  # (F, 3) [m], world
+    levers: Float64Array  # (F, 3) [m], the antenna at the fix's time in the body axes at the state, by the IMU's motion
+    falls: Float64Array  # (F,) [m] of free fall until then; 0 where no IMU measured
+    slopes: Float64Array  # (F, 3, 6) derivatives of `levers` by the biases of gyroscope and accelerometer
+    biases: Float64Array  # (F, 6) that are subtracted in `levers`
+    sigmas: Float64Array  # (F, 3) [m], standard deviations along the world's axes
+    receivers: Int64Array  # (F,) int64, number of the receiver of each
 
     def __len__(self) -> int:
         return len(self.knots)
@@ -559,18 +526,12 @@ def _spaced(times_ns: Int64Array, known_ns: Int64Array, apart_ns: Int64Array) ->
 
 @dataclass(frozen=True, slots=True, eq=False)
 class States:
-    """K states.
+    """K states."""
 
-    Attributes:
-        rotations: (K, 3, 3) `world_from_body`.
-        positions, velocities: (K, 3) [m] and [m/s], world.
-        biases: (K, 6) of the gyroscope [rad/s] and of the accelerometer [m/s²].
-    """
-
-    rotations: Float64Array
-    positions: Float64Array
-    velocities: Float64Array
-    biases: Float64Array
+    rotations: Float64Array  # (K, 3, 3) `world_from_body`
+    positions: Float64Array  # (K, 3) [m], world
+    velocities: Float64Array  # (K, 3) [m/s], world
+    biases: Float64Array  # (K, 6) of the gyroscope [rad/s] and of the accelerometer [m/s²]
 
     def __post_init__(self) -> None:
         for name in ("rotations", "positions", "velocities", "biases"):
@@ -588,58 +549,37 @@ class States:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativePoses:
-    """Measured poses of states relative to the ones before, `earlier_from_later`.
+    """Measured poses of states relative to the ones before, `earlier_from_later`."""
 
-    Attributes:
-        knots: (F,) int64, numbers of the earlier states.
-        rotations: (F, 3, 3); translations: (F, 3) [m].
-        information: (F, 6, 6) of rotation [rad] and translation.
-    """
-
-    knots: Int64Array
-    rotations: Float64Array
-    translations: Float64Array
-    information: Float64Array
+    knots: Int64Array  # (F,) int64, numbers of the earlier states
+    rotations: Float64Array  # (F, 3, 3)
+    translations: Float64Array  # (F, 3) [m]
+    information: Float64Array  # (F, 6, 6) of rotation [rad] and translation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodySpeeds:
-    """Known speeds along body axes.
+    """Known speeds along body axes."""
 
-    Attributes:
-        knots: (F,) int64, numbers of the states.
-        axes: (F, 3) unit vectors in the body frame; speeds: (F,) [m/s]; sigmas: (F,) [m/s].
-    """
-
-    knots: Int64Array
-    axes: Float64Array
-    speeds: Float64Array
-    sigmas: Float64Array
+    knots: Int64Array  # (F,) int64, numbers of the states
+    axes: Float64Array  # (F, 3) unit vectors in the body frame
+    speeds: Float64Array  # (F,) [m/s]
+    sigmas: Float64Array  # (F,) [m/s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """All measurements of K states.
+    """All measurements of K states."""
 
-    Attributes:
-        knots_ns: (K,) int64 [ns], their times.
-        measured: (K - 1,) bool, between which an IMU measured.
-        inertial: its measurements, for all K - 1 intervals; the others are ignored.
-        fixes, relative, speeds: further measurements.
-        gravity: [m/s²], down the world's z axis.
-        settings: assumed noise.
-        information: (K - 1, 9, 9) of the IMU's measurements.
-    """
-
-    knots_ns: Int64Array
-    measured: BoolArray
-    inertial: Preintegrated
+    knots_ns: Int64Array  # (K,) int64 [ns], their times
+    measured: BoolArray  # (K - 1,) bool, between which an IMU measured
+    inertial: Preintegrated  # its measurements, for all K - 1 intervals; the others are ignored
     fixes: Fixes
-    gravity: float
-    settings: SmootherSettings
+    gravity: float  # [m/s²], down the world's z axis
+    settings: SmootherSettings  # assumed noise
     relative: tuple[RelativePoses, ...] = ()
     speeds: tuple[BodySpeeds, ...] = ()
-    information: Float64Array = field(init=False)
+    information: Float64Array = field(init=False)  # (K - 1, 9, 9) of the IMU's measurements
 
     def __post_init__(self) -> None:
         information = np.zeros((len(self.measured), 9, 9))
@@ -768,17 +708,11 @@ def _add_motion(chain: Chain, states: States, normal: tuple[Float64Array, Float6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """A step towards states that fit better.
+    """A step towards states that fit better."""
 
-    Attributes:
-        states: after the step.
-        equations: around these, with the weights of the step.
-        damping: to begin the next step with.
-    """
-
-    states: States
-    equations: _Equations
-    damping: float
+    states: States  # after the step
+    equations: _Equations  # around these, with the weights of the step
+    damping: float  # to begin the next step with
 
 
 def step(

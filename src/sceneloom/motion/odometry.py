@@ -648,17 +648,11 @@ def _warning(kind: WarningKind, code: str, location: str, message: str, count: i
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EgoCloud:
-    """The points of all lidars in one period.
+    """The points of all lidars in one period."""
 
-    Attributes:
-        timestamp_ns: start of the first of its sweeps [ns].
-        positions_ego: (N, 3) float [m], each as measured at its own time.
-        timestamps_ns: (N,) int64 [ns], or None where no point's time is known.
-    """
-
-    timestamp_ns: int
-    positions_ego: FloatArray
-    timestamps_ns: Int64Array | None
+    timestamp_ns: int  # start of the first of its sweeps [ns]
+    positions_ego: FloatArray  # (N, 3) float [m], each as measured at its own time
+    timestamps_ns: Int64Array | None  # (N,) int64 [ns], or None where no point's time is known
 
 
 _SWEEP_NOTES = {

@@ -119,23 +119,14 @@ _CONVERGED = 0.02  # steps are small enough at this share of a standard deviatio
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
-    """A model linearised at some parameters.
+    """A model linearised at some parameters."""
 
-    Attributes:
-        residuals: (N, K): measured minus modelled, without what the nuisances explain.
-        jacobian: (N, K, P), derivative of the modelled values.
-        nuisances: (N, K, M), columns whose amounts are free in every window.
-        known: (N,) whether a row can be used.
-        windows: (N,), number of each row's window, ascending; the noise is not correlated across windows.
-        nuisance_sigmas: (M,), standard deviations of the nuisances' amounts, infinite where free; None: all are.
-    """
-
-    residuals: Float64Array
-    jacobian: Float64Array
-    nuisances: Float64Array
-    known: BoolArray
-    windows: Int64Array
-    nuisance_sigmas: Float64Array | None = None
+    residuals: Float64Array  # (N, K): measured minus modelled, without what the nuisances explain
+    jacobian: Float64Array  # (N, K, P), derivative of the modelled values
+    nuisances: Float64Array  # (N, K, M), columns whose amounts are free in every window
+    known: BoolArray  # (N,) whether a row can be used
+    windows: Int64Array  # (N,), number of each row's window, ascending; the noise is not correlated across windows
+    nuisance_sigmas: Float64Array | None = None  # (M,), of the nuisances' amounts, infinite where free; None: all are
 
     @property
     def precision(self) -> Float64Array:

@@ -220,23 +220,14 @@ class Fixes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectorySamples:
-    """A trajectory at times (N,); NaN where unknown.
+    """A trajectory at times (N,); NaN where unknown."""
 
-    Attributes:
-        locations: (N,) complex [m], in each window up to a polynomial and a rotation.
-        velocities: (N,) complex [m/s].
-        axes: (N, 3) complex, the body axes seen from above.
-        drifts: (N, E) complex, changes of the locations by small errors, each with an amount for each window.
-        drift_velocities: (N, E) complex, their derivatives.
-        drift_sigmas: (E,), standard deviations of the amounts; infinite where free.
-    """
-
-    locations: AnyArray
-    velocities: AnyArray
-    axes: AnyArray
-    drifts: AnyArray
-    drift_velocities: AnyArray
-    drift_sigmas: Float64Array
+    locations: AnyArray  # (N,) complex [m], in each window up to a polynomial and a rotation
+    velocities: AnyArray  # (N,) complex [m/s]
+    axes: AnyArray  # (N, 3) complex, the body axes seen from above
+    drifts: AnyArray  # (N, E) complex, changes of the locations by small errors, each with an amount for each window
+    drift_velocities: AnyArray  # (N, E) complex, their derivatives
+    drift_sigmas: Float64Array  # (E,), standard deviations of the amounts; infinite where free
 
 
 class SmoothedTrajectory(Protocol):
